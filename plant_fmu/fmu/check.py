@@ -184,7 +184,12 @@ class _Reader:
         found = self.find(name)
         first = found[0]
         values = list(value) if isinstance(value, list) else [value]
-        settable = first.causality in {"parameter", "structuralParameter", "input"}
+        settable = first.causality in {"parameter", "input"}
+        if first.causality == "structuralParameter":
+            raise PlantError(
+                f"{self.path}: parameters: {name!r} is a structuralParameter, which FMI 3.0 sets in a "
+                "mode of its own and which is not set from here: give the FMU that start value"
+            )
         if first.variability == "constant" or not settable:
             raise PlantError(
                 f"{self.path}: parameters: {name!r} is a {first.causality}; only parameters can be set"

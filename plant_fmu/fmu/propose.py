@@ -76,9 +76,7 @@ def propose(path: Path) -> Proposal:
         needs_tool=bool(description.coSimulation.needsExecutionTool),
         mapped=mapped,
         unstated=unstated,
-        parameters=tuple(
-            v.name for v in description.modelVariables if v.causality in {"parameter", "structuralParameter"}
-        ),
+        parameters=tuple(v.name for v in description.modelVariables if v.causality == "parameter"),
         variables=tuple(
             f"{v.causality:7} {v.name}{'' if not v.shape else list(v.shape)}  {v.type}, "
             f"{stated_unit(v) or 'no unit stated'}"

@@ -134,6 +134,20 @@ def test_the_map_of_our_fmu_is_proposed_with_and_without_units(version, changes,
     assert "mass" in found.parameters
 
 
+def test_a_structural_parameter_is_not_offered_and_is_refused_by_its_kind(tmp_path):
+    """FMI 3.0 lets it be set in Configuration Mode alone."""
+    mass = rb'(name="mass"[^>]*causality=)"parameter"'
+    path = rewritten("3.0", tmp_path / "p.fmu", (mass, rb'\1"structuralParameter"'))
+    parameters = propose(path).parameters
+    assert "mass" not in parameters
+    assert "gravity" in parameters
+    with pytest.raises(
+        PlantError, match=r"'mass' is a structuralParameter, .* give the FMU that start value"
+    ):
+        FmuHost(spec(path, parameters={"mass": 1000.0}))
+    FmuHost(spec(path, parameters={"gravity": [0.0, 0.0, -1.0]})).close()
+
+
 def platform_of_names(force, length, rate, brake):
     """The description of our FMI 2.0 file with names of another maker; {} is the leg."""
     return [

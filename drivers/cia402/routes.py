@@ -18,11 +18,18 @@ class Routes:
     """Leg order."""
 
     def addressed(self, frame: Frame) -> tuple[int, ...]:
-        """Return the leg of a PDO or SDO, or of the NMT command of one node; the others are for all."""
+        """Return the leg of a PDO or SDO, or of the NMT command of one node; the others are for all.
+
+        None for another node, and for an NMT command that names none.
+        """
         node = frame.id & _NODE if frame.id & ~_NODE in _FOR_ONE else 0
         if frame.id == o.NMT_ID:
+            if len(frame.data) < 2:
+                return ()
             node = frame.data[1]
-        return (self.node_ids.index(node),) if node else ALL_LEGS
+        if not node:
+            return ALL_LEGS
+        return (self.node_ids.index(node),) if node in self.node_ids else ()
 
     def sender(self, frame: Frame) -> int:
         """Return the leg of a PDO, SDO, EMCY or heartbeat of one of the drives."""

@@ -178,8 +178,9 @@ class MitProtocol(MotorProtocol):
 
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of a drive's identifier, or of the one that a register request names."""
-        node = frame.data[0] | frame.data[1] << 8 if frame.id == REGISTERS and self.damiao else frame.id
-        return self._legs.get(node)
+        if frame.id != REGISTERS or not self.damiao:
+            return self._legs.get(frame.id)
+        return self._legs.get(frame.data[0] | frame.data[1] << 8) if len(frame.data) > 1 else None
 
     def hear(self, frame: Frame) -> Heard | None:
         """Return what a reply says: position turns, velocity turns/s, torque N m, status."""

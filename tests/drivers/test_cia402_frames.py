@@ -271,6 +271,23 @@ def test_an_answer_from_before_the_sync_is_a_tick_old():
     assert decoded([FIRST])[1]["age"][LEG] == NEVER, "a length without its rate is none"
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_rate_of_differences_is_timed_by_the_sync_that_each_answer_is_to(late):
+    """Ten counts in 0.1 ms from SYNC to SYNC of unlike distances, answers of this tick or of the one before."""
+    protocol, last = drives(NODES, velocity=False), new_record()
+    dialogue = protocol.start(SETUP)
+    at = np.cumsum([0, 43, 37, 46, 34, 41, 38, 44, 36])
+    counts = [int(10 * at[k]).to_bytes(4, "little") for k in range(len(at))]
+    for k in range(late, len(at)):
+        m = new_record()
+        m["tick"], m["t_ns"] = k, 100_000 * at[k]
+        heard = Received(m["t_ns"].item() + 1, Frame(0x185, b"\x37\x02" + counts[k - late] + bytes(2)))
+        dialogue = protocol.decode(dialogue, run_of([heard]), last, m, int(m["t_ns"]) + 2 * late)
+        last = m
+    assert last["age"][LEG] == late
+    assert last["rate"][LEG] == pytest.approx(10 * STEP_m / 1e-4, rel=1e-9)
+
+
 def test_a_leg_is_as_old_as_the_older_one_of_its_two_tpdos():
     last, m = new_record(), new_record()
     last["tick"], last["age"], m["tick"] = 9, 3, 10

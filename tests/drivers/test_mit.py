@@ -281,6 +281,23 @@ def test_a_damiao_reply_that_names_another_motor_than_its_identifier_is_broken()
     assert protocol.hear(frame._replace(data=bytes((frame.data[0] ^ 1,)) + frame.data[1:])).broken
 
 
+def test_a_damiao_reply_with_a_status_that_there_is_not_is_broken():
+    protocol: Any = damiao()
+    frame = running(protocol, 2)
+    replies = [
+        frame._replace(data=bytes((code << 4 | frame.data[0] & 0xF,)) + frame.data[1:]) for code in range(16)
+    ]
+    assert [code for code, reply in enumerate(replies) if protocol.hear(reply).broken] == [
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+        15,
+    ]
+
+
 @pytest.mark.parametrize("vector", vectors("damiao", "parameter reply"), ids=lambda v: v["what"])
 def test_damiao_registers_are_read(vector):
     heard = damiao().hear(Frame(vector["id"], bytes.fromhex(vector["data"])))

@@ -1,4 +1,4 @@
-"""Assessment of laws without an energy: eigenvalues where the robot rests (Lyapunov's indirect method).
+"""Springs to first order where the robot rests: the loop that runs, and laws without an energy.
 
 Forces tau of a law act on the robot as J^T tau, J of the pose where it is, tau of the pose that was measured:
 
@@ -7,11 +7,12 @@ Forces tau of a law act on the robot as J^T tau, J of the pose where it is, tau 
     M x'' = J(x)^T tau(x_T, x'_T) - G(x)
 
 To first order around the pose where that is 0, x_T late, the law has a stiffness K and a damping D, and the
-robot, under the forces that hold it there, a stiffness of its own: that of its weight.
+robot, under the forces that hold it there, a stiffness of its own: that of its weight. Laws without an energy
+are judged by the eigenvalues of that (Lyapunov's indirect method).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from drivers.errors import ModelError
 from hil.app.stability.spring_loop import at_rest, sampled_loop, unstable
 from hil.app.stability.subject import Subject
 from hil.control.cartesian_pd import ROTATION_ERRORS, CartesianPDSettings
+from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.law import per_leg
+from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.mathematics.linear_system import static
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
@@ -28,6 +31,7 @@ from hil.robot.kinematics import jacobian, leg_lengths
 from hil.stability.assessment import Assessment
 from hil.stability.energy import displaced
 
+LegSettings = PDSettings | PDGravitySettings | FeedforwardPDSettings
 Forces = Callable[[Array, Array, Array], Array]
 """Leg forces (6,) N of a law at p, R and a twist, its reference at rest."""
 STEP = 1e-5
@@ -64,17 +68,21 @@ def cartesian_forces(subject: Subject, law: CartesianPDSettings) -> Forces:
     return tau
 
 
-def gravity_forces(subject: Subject, law: PDGravitySettings) -> Forces:
-    """Return the forces of a PD on leg lengths with gravity compensation."""
-    q_d = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R)
+def leg_forces(subject: Subject, law: LegSettings) -> Forces:
+    """Return the forces of a PD on leg lengths, with what it adds where the robot is, or at its reference."""
+    p_d, R_d = subject.path[0].p, subject.path[0].R
+    q_d = leg_lengths(subject.platform, p_d, R_d)
     K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
-    model = subject.believed(law.model)
+    model = None if isinstance(law, PDSettings) else subject.believed(law.model)
+    ahead = isinstance(law, FeedforwardPDSettings)
 
     def tau(p: Array, R: Array, twist: Array) -> Array:
         e = q_d - leg_lengths(subject.platform, p, R)
-        rates = jacobian(subject.platform, p, R) @ twist
-        weight = inverse_dynamics_kernel(model.constants, model.code, p, R, ZERO6, ZERO6, ZERO6)
-        return K_p * e - K_v * rates + weight
+        spring = K_p * e - K_v * (jacobian(subject.platform, p, R) @ twist)
+        if model is None:
+            return spring
+        at = (p_d, R_d) if ahead else (p, R)
+        return spring + inverse_dynamics_kernel(model.constants, model.code, *at, ZERO6, ZERO6, ZERO6)
 
     return tau
 
@@ -96,8 +104,7 @@ def of_first_order(subject: Subject, tau: Forces, reason: str) -> Assessment:
     nothing, unit = np.zeros((6, 6)), np.eye(6)
     A = np.block([[nothing, unit], [-mobility @ (found.law + found.own), -mobility @ found.damping]])
     slowest = float(np.linalg.eigvals(A).real.max())
-    controller = static(np.hstack([found.law, found.damping]), subject.axis.period_s)
-    lines, figures, radius = sampled_loop(subject, controller, mobility, found.own, "where it comes to rest")
+    lines, figures, radius = loop_at_rest(subject, found)
     lines.insert(0, f"eigenvalues    slowest exp({slowest:+.3g} t) of 12, the weight's stiffness included")
     figures |= {"slowest_eigenvalue_1_s": slowest, "sag_mm": sag_mm}
     where = "the set-point" if sag_mm < 1e-3 else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
@@ -125,8 +132,22 @@ def _linear(subject: Subject, tau: Forces) -> Linear:
             break
         p, R = displaced(p, R, step)
         if np.linalg.norm(step) < 1e-9:
-            return Linear(p, R, law, _damping(subject, tau, p, R), own)
+            return linear_at(subject, tau, p, R)
     raise ModelError("no pose of rest near the reference's start")
+
+
+def linear_at(subject: Subject, tau: Forces, p: Array, R: Array) -> Linear:
+    """Return the robot and its law around a pose where the forces hold the weight."""
+    law, own = _stiffness(subject, tau, p, R)
+    damping = -jacobian(subject.platform, p, R).T @ _slopes(lambda x: tau(p, R, x), STEP * np.eye(6))
+    return Linear(p, R, law, damping, own)
+
+
+def loop_at_rest(subject: Subject, found: Linear) -> tuple[list[str], dict[str, Any], float]:
+    """Return the loop that runs as lines, figures, and its largest |z|."""
+    controller = static(np.hstack([found.law, found.damping]), subject.axis.period_s)
+    mobility = np.asarray(np.linalg.inv(subject.robot.mass_matrix(found.p, found.R)), float)
+    return sampled_loop(subject, controller, mobility, found.own, "where it comes to rest")
 
 
 def _stiffness(subject: Subject, tau: Forces, p: Array, R: Array) -> tuple[Array, Array]:
@@ -136,11 +157,6 @@ def _stiffness(subject: Subject, tau: Forces, p: Array, R: Array) -> tuple[Array
     law = -J.T @ _slopes(lambda x: tau(*displaced(p, R, x), ZERO6), shifts)
     own = -_slopes(lambda x: _wrench(subject, *displaced(p, R, x), held), shifts)
     return law, own
-
-
-def _damping(subject: Subject, tau: Forces, p: Array, R: Array) -> Array:
-    """Return the damping that the law has at a pose."""
-    return -jacobian(subject.platform, p, R).T @ _slopes(lambda x: tau(p, R, x), STEP * np.eye(6))
 
 
 def _slopes(of: Callable[[Array], Array], steps: Array) -> Array:

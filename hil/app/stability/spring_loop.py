@@ -31,17 +31,16 @@ def sampled_loop(
     subject: Subject,
     controller: LinearSystem,
     mobility: Array,
-    stiffness: Array | None = None,
-    where: str = "at the reference's start",
+    stiffness: Array,
+    where: str,
 ) -> tuple[list[str], dict[str, Any], float]:
     """Return the loop that runs as lines, figures, and its largest |z|.
 
-    stiffness (6, 6): of the axes themselves; None: it is left out, and the line says so.
+    stiffness (6, 6): of the axes themselves.
     """
     radius = growth(subject.axis, controller, mobility, stiffness)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
-    left_out = ", the weight's stiffness left out" if stiffness is None else ""
-    line = f"sampled loop   largest |z| {radius:.4f} {where}, all axes together{left_out}"
+    line = f"sampled loop   largest |z| {radius:.4f} {where}, all axes together"
     if radius < 1.0 and not _too_fast(subject, mobility, stiffness):
         margin = delay_margin_s(subject.axis, controller, mobility, stiffness)
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
@@ -49,11 +48,9 @@ def sampled_loop(
     return [line], figures, radius
 
 
-def _too_fast(subject: Subject, mobility: Array, stiffness: Array | None) -> bool:
+def _too_fast(subject: Subject, mobility: Array, stiffness: Array) -> bool:
     """Tell whether axes swing by themselves beyond half the rate, where a response tells no delay."""
-    return stiffness is not None and bool(
-        (resonances(mobility, stiffness) >= pi / subject.axis.period_s).any()
-    )
+    return bool((resonances(mobility, stiffness) >= pi / subject.axis.period_s).any())
 
 
 def unstable(subject: Subject, radius: float) -> str:

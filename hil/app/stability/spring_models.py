@@ -10,7 +10,15 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ModelError
-from hil.app.stability.first_order import cartesian_forces, gravity_forces, of_first_order
+from hil.app.stability.first_order import (
+    Forces,
+    LegSettings,
+    cartesian_forces,
+    leg_forces,
+    linear_at,
+    loop_at_rest,
+    of_first_order,
+)
 from hil.app.stability.spring_loop import at_rest, inertia, sampled_loop, unstable
 from hil.app.stability.subject import Subject
 from hil.config.model import ModelSettings
@@ -20,7 +28,6 @@ from hil.control.law import per_leg
 from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
-from hil.mathematics.linear_system import LinearSystem
 from hil.mathematics.rotations import relative_rotation
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
@@ -30,11 +37,10 @@ from hil.stability.coupled import integrating, proportional
 from hil.stability.energy import Potential, Well, basin, leg_springs, stiffness_matrix, total, weight, well
 from plant_fmu.config import BenchPlant
 
-LegSettings = PDSettings | PDGravitySettings | FeedforwardPDSettings
 _STILL = np.zeros(6)
 AT_ONCE = (
-    "forces answer at once: V knows no sampling, delay or lag; what these do to small errors at the "
-    "reference's start is in the sampled loop"
+    "forces answer at once: V knows no sampling, delay or lag; what these do to small errors where "
+    "it comes to rest is in the sampled loop"
 )
 
 
@@ -47,8 +53,7 @@ class Held(NamedTuple):
     S: Potential
     exact: bool
     """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
-    controller: LinearSystem
-    mobility: Array
+    forces: Forces
     damping: str
     """By which V falls."""
     stiffness: float | None = None
@@ -59,11 +64,11 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Assessment:
     """Judge a PD on leg lengths by its energy."""
     p, R = subject.path[0].p, subject.path[0].R
     q = leg_lengths(subject.platform, p, R)
-    K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
+    K_p = per_leg(law.kp_N_m)
     compensated = None
     tau = _STILL
     if isinstance(law, PDGravitySettings) and law.model.variant == "constant_MG":
-        return of_first_order(subject, gravity_forces(subject, law), FROZEN)
+        return of_first_order(subject, leg_forces(subject, law), FROZEN)
     if isinstance(law, FeedforwardPDSettings) or (
         isinstance(law, PDGravitySettings) and law.model.variant == "constant"
     ):  # the same forces wherever the robot is
@@ -72,10 +77,8 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Assessment:
         compensated = _weighing(subject, law.model)
     S = total(leg_springs(subject.platform, q, K_p, tau), weight(subject.robot, compensated))
     exact = compensated is not None and _same_weight(subject, compensated)
-    J, mobility = inertia(subject, p, R)
-    controller = proportional(K_p, K_v, subject.axis.period_s)
     stiffness = float(K_p.sum()) if exact else None
-    held = Held(S, exact, controller, J @ mobility @ J.T, "dq^T K_v dq", stiffness)
+    held = Held(S, exact, leg_forces(subject, law), "dq^T K_v dq", stiffness)
     found = _judge(subject, held, quick=quick)
     estimated = isinstance(law, FeedforwardPDSettings) and law.evaluation == "online"
     more = subject.wrench if estimated and found.status != "unstable" else []
@@ -85,12 +88,10 @@ def legs(subject: Subject, law: LegSettings, *, quick: bool) -> Assessment:
 def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Assessment:
     """Judge a PD on the pose by its energy, where it has one."""
     p, R = subject.path[0].p, subject.path[0].R
-    K_p, K_v = law.gains()
+    K_p, _ = law.gains()
     reason = _without_energy(law, K_p)
     if reason is not None:
         return of_first_order(subject, cartesian_forces(subject, law), reason)
-    _, mobility = inertia(subject, p, R)
-    controller = proportional(K_p, K_v, subject.axis.period_s)
     compensated = None if law.model is None else _weighing(subject, law.model)
 
     def springs(at_p: Array, at_R: Array) -> float:
@@ -100,7 +101,7 @@ def cartesian(subject: Subject, law: CartesianPDSettings, *, quick: bool) -> Ass
 
     S = total(springs, weight(subject.robot, compensated))
     exact = compensated is not None and _same_weight(subject, compensated)
-    return _judge(subject, Held(S, exact, controller, mobility, "t^T K_v t"), quick=quick)
+    return _judge(subject, Held(S, exact, cartesian_forces(subject, law), "t^T K_v t"), quick=quick)
 
 
 def _without_energy(law: CartesianPDSettings, K_p: Array) -> str | None:
@@ -137,7 +138,9 @@ def pid(subject: Subject, law: PIDSettings) -> Assessment:
     slowest = float(np.linalg.eigvals(A).real.max())
     controller = integrating(K_p, K_v, K_i, subject.axis.period_s)
     of_legs = np.linalg.solve(J.T, own) @ np.linalg.inv(J)
-    lines, figures, radius = sampled_loop(subject, controller, J @ mobility @ J.T, of_legs)
+    lines, figures, radius = sampled_loop(
+        subject, controller, J @ mobility @ J.T, of_legs, "at the reference's start"
+    )
     lines.insert(0, f"eigenvalues    slowest exp({slowest:+.3g} t) of 18, the weight's stiffness included")
     figures["slowest_eigenvalue_1_s"] = slowest
     short = float((np.abs(tau) / per_leg(law.integral_limit_N)).max())
@@ -159,7 +162,9 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
     q = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R)
     x = _bench_rest(q - plant.rest_length_m, K_p, plant)
     springs = np.diag(plant.stiffness_N_m + 3.0 * plant.stiffness_N_m3 * x * x)
-    lines, figures, radius = sampled_loop(subject, controller, np.eye(6) / plant.mass_kg, springs)
+    lines, figures, radius = sampled_loop(
+        subject, controller, np.eye(6) / plant.mass_kg, springs, "where it comes to rest"
+    )
     if radius >= 1.0:
         return Assessment("unstable", unstable(subject, radius), [], lines, figures)
     conditions = [*at_rest(subject), AT_ONCE]
@@ -182,28 +187,26 @@ def _bench_rest(x_d: Array, K_p: Array, plant: BenchPlant) -> Array:
 
 def _judge(subject: Subject, held: Held, *, quick: bool) -> Assessment:
     s = subject.path[0]
-    lines, figures, radius = sampled_loop(subject, held.controller, held.mobility)
-    if radius >= 1.0:
-        return Assessment("unstable", unstable(subject, radius), [], lines, figures)
     conditions = [*at_rest(subject), AT_ONCE]
     try:
         rest = well(held.S, s.p, s.R, subject.platform.radius)
     except ModelError as error:
-        return Assessment("not proven", str(error), conditions, lines, figures)
+        return Assessment("not proven", str(error), conditions, [], {})
     sag = leg_lengths(subject.platform, rest.p, rest.R) - leg_lengths(subject.platform, s.p, s.R)
     sag_mm = 1e3 * float(np.abs(sag).max())
-    lines.insert(
-        0, f"stiffness      {rest.stiffness[0]:.4g} to {rest.stiffness[-1]:.4g} N/m where it comes to rest"
-    )
-    figures["energy"] = {"stiffness_N_m": rest.stiffness.tolist(), "sag_mm": sag_mm}
+    energy = {"stiffness_N_m": rest.stiffness.tolist(), "sag_mm": sag_mm}
+    line = f"stiffness      {rest.stiffness[0]:.4g} to {rest.stiffness[-1]:.4g} N/m where it comes to rest"
+    claim = None
     if not rest.stable:
-        return Assessment(
-            "not proven", "the weight is stiffer than the springs: it falls over", conditions, lines, figures
-        )
-    if (met := subject.outside(rest.p, rest.R)) is not None:
-        return Assessment(
-            "not proven", f"it comes to rest outside its limits: {met}", conditions, lines, figures
-        )
+        claim = "the weight is stiffer than the springs: it falls over"
+    elif (met := subject.outside(rest.p, rest.R)) is not None:
+        claim = f"it comes to rest outside its limits: {met}"
+    if claim is not None:
+        return Assessment("not proven", claim, conditions, [line], {"energy": energy})
+    lines, figures, radius = loop_at_rest(subject, linear_at(subject, held.forces, rest.p, rest.R))
+    lines, figures = [line, *lines], figures | {"energy": energy}
+    if radius >= 1.0:
+        return Assessment("unstable", unstable(subject, radius), [], lines, figures)
     if not quick:
         _basin(subject, held, rest, lines, figures)
     near = held.exact or sag_mm < 1e-3

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.optimize import root
 
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
+from hil.app.loop_delay import loop_delay
 from hil.app.stability.command import judge
 from hil.app.stability.subject import Stated, Subject
 from hil.mathematics.rotations import rotation_from_vector
@@ -18,6 +21,8 @@ from tests.hil.app.test_stability_command import LEGS, POSE
 from tests.hil.app.test_stability_conditions import held
 
 STILL = np.zeros(6)
+T = 1e-3
+IDEAL = {"plant": {"model": {"force_bandwidth_Hz": 0}}}
 WEIGHTLESS = {"platform": {"gravity_m_s2": [0, 0, 0]}}
 AT = {"position_m": [0.05, -0.1, 1.1], "rotation_vector_deg": [3, -8, 5]}
 FROZEN = "{variant: %s, frozen_at: {position_m: [0, 0, 1]}}"
@@ -116,41 +121,57 @@ def test_without_exact_compensation_it_rests_beside_the_set_point_and_is_said_to
     assert "small errors from the set-point die out" in exact.claim
 
 
-def sag_mm(c: Configuration) -> float:
-    """Return how far the leg lengths are off where the forces that the law sends at rest hold the weight."""
+def forces(c: Configuration) -> Callable[[Array, Array, Array], Array]:
+    """Return the leg forces that the law sends at p, R and a twist, the reference at rest."""
     subject, law = Subject(c, Stated()), c.controller
     p_d, R_d = subject.path[0].p, subject.path[0].R
     q_d = leg_lengths(subject.platform, p_d, R_d)
     believed = getattr(law, "model", None)
     model = None if believed is None else subject.believed(believed)
 
-    def compensated(p: Array, R: Array) -> Array:
-        return STILL if model is None else model.inverse_dynamics(p, R, STILL, STILL)
+    def of_pose(p: Array, R: Array, twist: Array) -> Array:
+        K_p, K_v = law.gains()  # type: ignore[union-attr]
+        differs = law.rotation_error == "vector_difference"  # type: ignore[union-attr]
+        e_R = vector_of(R_d) - vector_of(R) if differs else vector_of(R_d @ R.T)
+        pull = K_p * np.concatenate([p_d - p, e_R]) - K_v * twist
+        if model is None:
+            return np.asarray(np.linalg.solve(jacobian(subject.platform, p, R).T, pull), float)
+        return model.inverse_dynamics(p, R, STILL, STILL, -pull)
+
+    def of_legs(p: Array, R: Array, twist: Array) -> Array:
+        rates = jacobian(subject.platform, p, R) @ twist
+        e = q_d - leg_lengths(subject.platform, p, R)
+        at_p, at_R = (p_d, R_d) if law.law == "feedforward_pd" else (p, R)
+        more = STILL if model is None else model.inverse_dynamics(at_p, at_R, STILL, STILL)
+        K_p, K_v = np.array(law.kp_N_m), np.array(law.kv_N_s_m)  # type: ignore[union-attr]
+        return np.asarray(K_p * e - K_v * rates + more, float)
+
+    return of_pose if law.law == "cartesian_pd" else of_legs
+
+
+def rest_of(c: Configuration) -> tuple[Array, Array]:
+    """Return the pose at which these forces hold the weight."""
+    subject, tau = Subject(c, Stated()), forces(c)
+    start = subject.path[0]
+
+    def pose(x: Array) -> tuple[Array, Array]:
+        return start.p + x[:3], rotation_from_vector(x[3:]) @ start.R
 
     def left(x: Array) -> Array:
-        p, R = p_d + x[:3], rotation_from_vector(x[3:]) @ R_d
-        J = jacobian(subject.platform, p, R)
-        if law.law == "cartesian_pd":
-            K_p, _ = law.gains()
-            if law.rotation_error == "vector_difference":
-                e_R = vector_of(R_d) - vector_of(R)
-            else:
-                e_R = vector_of(R_d @ R.T)
-            pull = K_p * np.concatenate([p_d - p, e_R])
-            if model is None:
-                tau = np.linalg.solve(J.T, pull)
-            else:
-                tau = model.inverse_dynamics(p, R, STILL, STILL, -pull)
-        else:
-            e = q_d - leg_lengths(subject.platform, p, R)
-            at_p, at_R = (p_d, R_d) if law.law == "feedforward_pd" else (p, R)
-            tau = np.asarray(law.kp_N_m) * e + compensated(at_p, at_R)
-        return J.T @ tau - subject.robot.gravity(p, R)
+        p, R = pose(x)
+        return jacobian(subject.platform, p, R).T @ tau(p, R, STILL) - subject.robot.gravity(p, R)
 
     x = root(left, STILL, tol=1e-13).x
     assert np.abs(left(x)).max() < 1e-4
-    q = leg_lengths(subject.platform, p_d + x[:3], rotation_from_vector(x[3:]) @ R_d)
-    return 1e3 * float(np.abs(q - q_d).max())
+    return pose(x)
+
+
+def sag_mm(c: Configuration) -> float:
+    """Return how far the leg lengths are off there."""
+    subject = Subject(c, Stated())
+    start = subject.path[0]
+    off = leg_lengths(subject.platform, *rest_of(c)) - leg_lengths(subject.platform, start.p, start.R)
+    return 1e3 * float(np.abs(off).max())
 
 
 def vector_of(R: Array) -> Array:
@@ -182,3 +203,56 @@ def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, va
     without = "has no potential" in found.claim
     assert without == any(one == "errors are small" for one in found.conditions)
     assert without != any("no other equilibrium" in one for one in found.conditions)
+
+
+def largest_pole(c: Configuration) -> float:
+    """Return the largest |z| of the robot, by differences of its accelerations, under forces a period late."""
+    subject, tau = Subject(c, Stated()), forces(c)
+    p, R = rest_of(c)
+    robot, held_by, h = subject.robot, tau(p, R, STILL), 1e-6 * np.eye(6)
+
+    def moved(x: Array) -> tuple[Array, Array]:
+        return p + x[:3], rotation_from_vector(x[3:]) @ R
+
+    def slopes(of: Callable[[Array], Array]) -> Array:
+        return np.column_stack([of(x) - of(-x) for x in h]) / 2e-6
+
+    own = slopes(lambda x: robot.forward_dynamics(*moved(x), STILL, held_by))
+    push = slopes(lambda x: robot.forward_dynamics(p, R, STILL, held_by + 1e3 * x)) / 1e3
+    answer = np.hstack([slopes(lambda x: tau(*moved(x), STILL)), slopes(lambda x: tau(p, R, x))])
+    block = np.zeros((18, 18))
+    block[:6, 6:12], block[6:12, :6], block[6:12, 12:] = np.eye(6), own, push
+    A = expm(block * T)
+    A[12:, :12], A[12:, 12:] = answer, 0.0
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+SOFT = "  kp_N_m: 1.5e5\n  kv_N_s_m: 60\n"
+SOFT_POSE = (
+    "  kp_position_N_m: 2e5\n  kv_position_N_s_m: [900, 700, 500]\n  kp_rotation_N_m_rad: 1e5\n"
+    "  kv_rotation_N_m_s_rad: 300\n"
+)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        f"  law: pd\n{SOFT}",
+        f"  law: pd_gravity\n{SOFT}",
+        f"  law: pd_gravity\n{SOFT}  model: {{inertia_scale: 0.8}}\n",
+        f"  law: pd_gravity\n{SOFT}  model: {FROZEN % 'constant_MG'}\n",
+        f"  law: feedforward_pd\n{SOFT}",
+        f"  law: cartesian_pd\n{SOFT_POSE}",
+        f"  law: cartesian_pd\n{SOFT_POSE}  model: {{}}\n",
+        f"  law: cartesian_pd\n{SOFT_POSE}  model: {FROZEN % 'constant'}\n",
+        f"  law: cartesian_pd\n{SOFT_POSE}  model: {{}}\n{VECTORS}",
+    ],
+)
+def test_the_loop_of_springs_is_that_of_the_robot_with_its_weight_where_it_rests(law):
+    """Soft springs and little damping: what weight and its late compensation do is no small matter."""
+    c = held(law, at(AT), IDEAL)
+    assert (loop_delay(c).transport_s, loop_delay(c).lag_s) == (T, 0.0)
+    found = judge(c, quick=True)
+    expected = largest_pole(c)
+    assert found.figures["sampled"]["largest_pole"] == pytest.approx(expected, abs=1e-9)
+    assert found.status == ("unstable" if expected >= 1.0 else "conditional")

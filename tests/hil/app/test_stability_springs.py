@@ -19,6 +19,7 @@ from hil.config.model import ModelSettings
 from hil.robot.kinematics import leg_lengths
 from hil.stability.assessment import Assessment
 from hil.stability.energy import Basin
+from plant_fmu.config import BenchPlant
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 from tests.hil.app.test_stability_conditions import held
 
@@ -90,7 +91,9 @@ def test_the_delay_that_springs_bear_is_that_of_the_lightest_payload_and_what_is
     deepest = "mm of leg length off the set-point with 2000 kg at (0, 0, 0) m"
     assert found.claim.endswith(deepest) == ("sag" in worse)
     margin = found.figures["sampled"]["delay_margin_ms"]
-    assert margin == pytest.approx(bare.figures["sampled"]["delay_margin_ms"], rel=1e-9)
+    assert margin == pytest.approx(bare.figures["sampled"]["delay_margin_ms"], rel=1e-3), (
+        "what is held up sags less"
+    )
     (line,) = (each for each in found.lines if each.startswith("payloads"))
     assert line.startswith("payloads       3 looked at; claim and figures are with no payload")
     told = line.partition("; worse with another: ")[2].split("; ")
@@ -209,6 +212,8 @@ def test_what_late_damping_makes_of_the_benchs_own_springs_is_in_its_verdict(spr
     )
     c = loads(text, "bench.yaml", Path())
     assert (loop_delay(c).transport_s, loop_delay(c).lag_s) == (T, 0.0)
+    assert c.plant is not None
+    assert isinstance(c.plant.model, BenchPlant)
     subject = Subject(c, Stated())
     x_d = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R) - c.plant.model.rest_length_m
     largest = 0.0

@@ -16,9 +16,12 @@ _HALF = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file, in the place of an earlier one. Raises OSError."""
+    """Write a text file, in the place of an earlier one. Raises OSError.
+
+    What UTF-8 cannot hold, as bytes of a file's name that are none, becomes a question mark.
+    """
     with made_whole(path, overwrite=True) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="replace")
 
 
 @contextlib.contextmanager

@@ -250,7 +250,7 @@ class Recording:
 
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
-        data = text.encode()
+        data = text.encode(errors="replace")  # it may name a file whose name is no UTF-8
         pieces = [data[i : i + _PIECE] for i in range(0, len(data), _PIECE)] or [b""]
         if not self._has_room(len(pieces)):
             return
@@ -362,4 +362,5 @@ def _too_long(can_id: int, length: int) -> LogError:
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:
-    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
+    texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
+    return {key: text.encode(errors="replace").decode() for key, text in texts.items()}

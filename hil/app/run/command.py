@@ -190,7 +190,7 @@ def _hung_up(panel: OperatorPanel) -> None:
 def _say(text: str) -> None:
     """Write to the operator's terminal at once, past buffers."""
     with contextlib.suppress(OSError):
-        os.write(2, f"\nhil: {text}\n".encode())
+        os.write(2, f"\nhil: {text}\n".encode(errors="replace"))
 
 
 @contextlib.contextmanager

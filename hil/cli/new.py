@@ -70,7 +70,7 @@ def command(
     from hil.app.output import show_lines
 
     new_file(file, force=force, option="")
-    plant = None if fmu is None else (fmu, recognised(fmu))
+    plant = None if fmu is None else (fmu, recognised(fmu, file.parent))
     known = {SLOW_PLANT: plant is not None and plant[1].needs_tool}
     answers = known | _answers(QUESTIONS, given, known, ask=not yes)
     text, configuration = new_configuration(answers, file, plant)

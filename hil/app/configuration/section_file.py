@@ -15,7 +15,7 @@ from drivers.section import Section
 from hil.app.configuration import problems as translate
 from hil.app.configuration.text_file import read_text
 from hil.app.configuration.yaml_positions import Document, lines, parse
-from hil.app.files import may_write, write_whole
+from hil.app.files import may_write, printable, write_whole
 
 Kind = TypeVar("Kind", bound=Section)
 
@@ -59,7 +59,7 @@ def write_section(path: Path, section: Section, remark: str) -> None:
 
     Raises ConfigurationError if it cannot be written.
     """
-    text = f"# {remark}\n" + yaml.safe_dump(
+    text = f"# {printable(remark)}\n" + yaml.safe_dump(
         section.model_dump(mode="json"),
         sort_keys=False,
         allow_unicode=True,

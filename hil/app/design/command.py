@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.section_file import read_section
 from hil.app.design.robot import couplings
 from hil.app.design.robustness import for_the_robot, robustness
+from hil.app.files import printable
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
@@ -111,7 +112,7 @@ def controller_text(controller: LinearController, source: str) -> str:
     """Return the controller's file: rows of a matrix in a line each, all digits."""
     document = controller.model_dump(mode="json")
     text = yaml.dump(document, sort_keys=False, default_flow_style=None, width=2000, allow_unicode=True)
-    return HEAD.format(method=controller.method, source=Path(source).stem) + text
+    return HEAD.format(method=controller.method, source=printable(Path(source).stem)) + text
 
 
 def summary(controller: LinearController, source: str) -> dict[str, Any]:

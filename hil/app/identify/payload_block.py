@@ -7,6 +7,7 @@ import yaml
 
 from drivers.arrays import Array
 from hil.app.configuration.platform import frame_axes
+from hil.app.files import printable
 from hil.app.identify.payload import DRIVES, HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
 from hil.config.platform import BodySettings, PayloadSettings
 from hil.identify.rigid_body import SIZE, body_of
@@ -148,5 +149,5 @@ def block_text(found: Found) -> str:
 
 def file_text(found: Found) -> str:
     """Return the file of `-o`."""
-    logs = "".join(f"# {s.path}\n" for s in found.sources)
+    logs = "".join(f"# {printable(s.path)}\n" for s in found.sources)
     return REMARK + logs + block_text(found)

@@ -7,9 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from yaml.reader import Reader
+
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
+from hil.app.files import printable
 from hil.app.new import derive
 from hil.app.new.drives import counts_itself, drives_section, family
 from hil.app.new.robot import LOWER_SHARE, platform_section, robot_at_home
@@ -57,7 +60,7 @@ def new_configuration(
 
 
 def _head(path: Path) -> list[str]:
-    name = shlex.quote(str(path))
+    name = printable(shlex.quote(str(path)))
     return [
         "",
         f"Written by `hil new`. Next: `hil check {name}`, then `hil sim {name}`.",
@@ -102,11 +105,17 @@ def _sections(a: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
-def recognised(fmu: Path) -> Proposal:
+def recognised(fmu: Path, folder: Path) -> Proposal:
     """Read which variables of an FMU are what.
 
-    Raises PlantError: no FMU; ConfigurationError: no six variables that look like force, length and rate.
+    folder: where the configuration will stand. Raises PlantError: no FMU; ConfigurationError: no six
+    variables that look like force, length and rate, or a name that no configuration can hold.
     """
+    if Reader.NON_PRINTABLE.search(_named(fmu, folder)):
+        raise ConfigurationError(
+            f"{fmu}: its name, or that of its folder, has bytes that are no UTF-8, or signs that steer a "
+            "terminal: no configuration can name it; rename it"
+        )
     proposal = propose(fmu)
     if proposal.missing:
         raise ConfigurationError(
@@ -120,15 +129,20 @@ def recognised(fmu: Path) -> Proposal:
 def _fmu_plant(
     a: dict[str, Any], sections: dict[str, Any], fmu: Path, proposal: Proposal, folder: Path
 ) -> dict[str, Any]:
-    file = fmu.resolve()
-    near = file.is_relative_to(folder.resolve())
     own = sections["plant"]["drives"]
     return {
-        "model": _fmu_model(proposal, str(file.relative_to(folder.resolve()) if near else file))
+        "model": _fmu_model(proposal, _named(fmu, folder))
         | derive.step_us(a["rate_Hz"], "step_us", 1000.0)
         | _parameters(proposal, a, sections["platform"]),
         "drives": own | {"force_bandwidth_Hz": derive.LAG_Hz},
     }
+
+
+def _named(fmu: Path, folder: Path) -> str:
+    """Return how a configuration in `folder` names an FMU: by its way from there where it lies below."""
+    file = fmu.resolve()
+    near = file.is_relative_to(folder.resolve())
+    return str(file.relative_to(folder.resolve()) if near else file)
 
 
 def _fmu_model(proposal: Proposal, path: str) -> dict[str, Any]:

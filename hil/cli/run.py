@@ -82,7 +82,7 @@ def command(
       hil run my.yaml --release             let go of a held platform, from another terminal
 
     The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
-    with the true pose, stands beside it as ...-plant.mcap; the picture is the log's name with .png, and takes
+    with the true pose, stands beside it as NAME-plant; the picture is the log's name with .png, and takes
     the place of an earlier picture only.
 
     While this machine is too busy for one side of an all virtual bench, the bench's time stands still

@@ -38,6 +38,11 @@ PLANT_TOPIC = "/plant"
 """Topic of a plant's rows."""
 
 
+def plant_log_beside(path: Path) -> Path:
+    """Return where the plant's log of a run is that records to `path`, whatever that ends with."""
+    return path.with_name(f"{path.stem}-plant{path.suffix}")
+
+
 class LogStatistics(NamedTuple):
     """What is in a log."""
 
@@ -75,8 +80,7 @@ class Log(LogFile):
 
     def __init__(self, path: str | os.PathLike[str], *, plant: str | os.PathLike[str] | None = None) -> None:
         super().__init__(path)
-        beside = self.path.with_name(f"{self.path.stem}-plant{self.path.suffix}")
-        self._plant_path = beside if plant is None else Path(plant)
+        self._plant_path = plant_log_beside(self.path) if plant is None else Path(plant)
 
     def __repr__(self) -> str:
         return f"Log({str(self.path)!r})"

@@ -37,7 +37,7 @@ from hil.operate.channel import OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.record import LogSummary, scheduling
 from hil.record.figures import figures, picture
-from hil.record.log import Log
+from hil.record.log import Log, plant_log_beside
 
 FAULT_TICKS_SHOWN = 50
 _ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault", Mode.HELD: "held"}
@@ -88,7 +88,7 @@ def run_daemon(
         if with_watch:
             stack.enter_context(WatchProcess(c))  # first: its link comes before the question to move
         if with_plant:
-            plant_log = path.with_name(f"{path.stem}-plant.mcap")
+            plant_log = plant_log_beside(path)
             plant = stack.enter_context(SupervisedPlant(c, plant_log, faults, watchdog_s))
         recording = stack.enter_context(
             record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)

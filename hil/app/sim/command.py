@@ -34,7 +34,7 @@ from hil.loop.refusals import REFUSED
 from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures
-from hil.record.log import Log
+from hil.record.log import Log, plant_log_beside
 from hil.record.recording import RecorderEndedError
 from hil.record.schema import RUN
 from hil.signals import SetPoint, TickInput, TickOutput
@@ -186,7 +186,7 @@ def simulate(
     operator = CommandScript(commands, rate)
     path = log_path(c.recording.folder, c.name, log)
     removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
-    truth_path = path.with_name(f"{path.stem}-plant{path.suffix}")
+    truth_path = plant_log_beside(path)
     if plant_log:
         log_path(c.recording.folder, c.name, truth_path)
     nodes, physics = build_nodes(c, faults)

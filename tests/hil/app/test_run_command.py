@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +20,8 @@ from hil.app.run import command
 from hil.loop.clock import RealTime
 from hil.loop.daemon import Shell
 from hil.loop.run_end import Course, Ending
-from hil.record import LogSummary
+from hil.record import LogSummary, Recording
+from hil.record.log import Log
 from tests.loop.test_run_end import cycle as a_cycle
 
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", 9)
@@ -55,8 +57,13 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         cycle.parts.trajectory, cycle.parts.law = SimpleNamespace(duration_s=1.0), None
         closed = LogSummary(tmp_path / "a.mcap", 0, 0, 0, 0, 0, 0.0, True, "", gave_up=False)
         recording = SimpleNamespace(event=lambda *_: None, close=lambda _: closed)
-        finished = {"success": plant_success, "trouble": None}
+        finished: dict[str, Any] = {"success": plant_success, "trouble": None}
         plant = SimpleNamespace(trouble=lambda: "", finish=lambda: finished)
+
+        def supervised(_: Configuration, log: Path, __: Sequence[str]) -> Any:
+            finished["log"] = log.name
+            return contextlib.nullcontext(plant)
+
         keeper = SimpleNamespace(
             last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=unsaid
         )
@@ -151,6 +158,17 @@ def test_a_run_that_could_not_say_where_the_legs_rest_is_no_success_and_its_summ
     assert (summary["success"], summary["trouble"]) == (False, "lab.yaml: cannot be written")
     *_, summary = ran(ending=STOPPED, unsaid="lab.yaml: cannot be written")
     assert summary["trouble"] == "latched fault ESTOP; lab.yaml: cannot be written"
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.log", "a", "a.b.mcap"])
+def test_the_plants_log_is_where_a_log_looks_for_it_whatever_its_name_ends_with(
+    ran: Ran, tmp_path: Path, name: str
+) -> None:
+    *_, summary = ran(log=tmp_path / name, with_plant=True)
+    with Recording.start(tmp_path / name, configuration=""):
+        pass
+    with pytest.raises(LogError, match=f"{re.escape(str(tmp_path / summary['plant']['log']))}, the plant's"):
+        Log(tmp_path / name).plant  # noqa: B018 - there is none
 
 
 @pytest.mark.parametrize("name", ["run.png", "run.PNG", "lab.mcap", "lab", "linked.log"])

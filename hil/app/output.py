@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 
 class Terminal(Console):
-    """A console that leaves to its caller what a pipe without a reader means."""
+    """A console: no text is markup, and its caller decides what a pipe without a reader means."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
 
     def on_broken_pipe(self) -> None:
         """Raise BrokenPipeError."""
@@ -42,16 +45,16 @@ TABLE_WIDTH = 180
 
 def print_table(table: Table, width: int | None = None) -> None:
     """Print a table as wide as it is, or folded to the terminal's width; no word of it is cut."""
-    out = Terminal(highlight=False, width=width)
+    out = Terminal(width=width)
     for column in table.columns:
         column.overflow = "fold"
     needed = out.measure(table, options=out.options.update(width=10_000))
     most = out.width if width is not None or out.is_terminal else TABLE_WIDTH
     wide = max(needed.minimum, min(needed.maximum, most))
-    Terminal(highlight=False, width=wide).print(table, crop=False)
+    Terminal(width=wide).print(table, crop=False)
 
 
-console = Terminal(stderr=True, highlight=False)
+console = Terminal(stderr=True)
 PNG = b"\x89PNG\r\n"
 """How every PNG file begins."""
 
@@ -245,7 +248,7 @@ _SILENT = frozenset({"success", "kind", "last_ticks", "story", "unwritten"})
 
 def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
     """Print a summary: a headline and one aligned line for each figure, with its unit."""
-    out = Terminal(highlight=False, width=width)
+    out = Terminal(width=width)
     good = bool(summary["success"])
     headline = Text(f"{title}: {'success' if good else 'failed'}", style="bold green" if good else "bold red")
     out.print(headline)

@@ -64,15 +64,18 @@ def payload(
       1  identified, and the file could not be written in the end
       2  not identified: no log, or too little motion; the message says what
     """
+    from rich.text import Text
+
     from hil.app.files import new_file, write_whole
     from hil.app.identify import payload_block, payload_report
     from hil.app.identify.payload import identify_payload
     from hil.app.output import console, further, show_lines
+    from hil.app.terminal import visible
 
     if out is not None:
         new_file(out, force=False, option="-o", own=payload_block.REMARK.encode())
     with console.status("reading") as status:
-        found = identify_payload(list(logs), reflected, status.update)
+        found = identify_payload(list(logs), reflected, lambda what: status.update(Text(visible(what))))
     show_lines(payload_report.report(found))
     summary = payload_report.summary(found)
     block = payload_block.block_text(found)

@@ -12,6 +12,7 @@ from hil.app.campaign.plan import Plan
 from hil.app.campaign.rates import Rate, by_value, causes, judged, shown, why, worst
 from hil.app.junit import Verdict
 from hil.app.output import print_table
+from hil.app.terminal import visible
 
 WORST = 10
 """Failed rows that are shown."""
@@ -27,7 +28,7 @@ def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
         table.add_column(title, justify="right")
     for name, axis in plan.subject.axes.items():
         for n, each in enumerate(by_value(name, axis, rows)):
-            table.add_row(name if n == 0 else "", *cells(each))
+            table.add_row(visible(name) if n == 0 else "", *cells(each))
     print_table(table)
     if summary["failed"]:
         found = (f"{name} {count}" for name, count in causes(rows))
@@ -48,7 +49,7 @@ def cells(each: Rate) -> tuple[str | Text, ...]:
     failed = each.rows - each.passed
     percent = f"{100.0 * each.passed / each.rows:.1f}" if each.rows else "-"
     interval = f"{100.0 * each.low:.1f} to {100.0 * each.high:.1f}"
-    return each.label, str(each.rows), str(failed), percent, interval
+    return visible(each.label), str(each.rows), str(failed), percent, interval
 
 
 def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:

@@ -1,5 +1,6 @@
 """A comparison as a picture: error and force over time, the step, the losses path by path."""
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 
 from drivers.whole_file import whole_file
 from hil.app.compare.measure import Outcome
+from hil.app.files import printable
 
 LABELLED = 8
 """Groups of bars up to which each bar has its figure; more would overlap."""
@@ -25,13 +27,12 @@ def draw(
     figure = Figure(figsize=(14, 10), layout="constrained")
     (errors, forces), (steps, losses) = figure.subplots(2, 2)
     styles = {name: {"color": f"C{k % 10}", "linestyle": LINES[k // 10 % 3]} for k, name in enumerate(laws)}
+    named: list[tuple[Any, str]] = []
     for name, o in laws.items():
         if "t" in o.traces:
             t, error, force = o.traces["t"], o.traces["error_mm"], o.traces["force_N"]
-            label = name if o.fault is None else f"{name}: {o.fault}"
-            (line,) = errors.semilogy(
-                t, np.maximum(error, FLOOR_MM), label=label, linewidth=1.3, **styles[name]
-            )
+            (line,) = errors.semilogy(t, np.maximum(error, FLOOR_MM), linewidth=1.3, **styles[name])
+            named.append((line, printable(name if o.fault is None else f"{name}: {o.fault}")))
             forces.plot(t, force, linewidth=1.1, **styles[name])
             if o.fault_s is not None:
                 end: dict[str, Any] = {"color": line.get_color(), "marker": "X", "markersize": 9}
@@ -51,11 +52,14 @@ def draw(
     _losses(losses, paths)
     for axes in (errors, forces, steps, losses):
         axes.grid(alpha=0.3)
-    handles, labels = errors.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)))
-    figure.suptitle(title)
-    with whole_file(file) as temporary:
+    if named:
+        lines, labels = zip(*named, strict=True)
+        legend = figure.legend(lines, labels, loc="outside lower center", ncols=min(5, len(named)))
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+    figure.suptitle(printable(title), parse_math=False)
+    with whole_file(file) as temporary, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name: boxes stand for it
         figure.savefig(temporary, dpi=100)
     return file
 
@@ -86,7 +90,7 @@ def _losses(axes: Any, paths: Mapping[str, Mapping[str, Outcome]]) -> None:
             texts = [f"{h:.3g}" if h else "" for h in heights]
             axes.bar_label(bars, texts, fontsize=8, padding=2, rotation=90 if len(paths) > 1 else 0)
     turned: dict[str, Any] = {"rotation": 25, "ha": "right"} if len(paths) > 2 else {}
-    axes.set_xticks(place, list(paths), **turned)
+    axes.set_xticks(place, [printable(name) for name in paths], parse_math=False, **turned)
     if len(paths) > 1:
         axes.set_yscale("log")
     keys = [Patch(color=(*BLUE, shade)) for shade in shades]

@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.app.output import Terminal, number, print_table
+from hil.app.terminal import visible
 
 Columns = tuple[tuple[str, str, str], ...]
 """Title, key of a law's figures, format; empty: as in summaries, whatever the robot's size."""
@@ -33,7 +34,7 @@ ABSENT = "-"
 
 def show(summary: dict[str, Any], width: int | None = None) -> None:
     """Print the laws, the losses path by path, and the claims."""
-    out = Terminal(highlight=False, width=width)
+    out = Terminal(width=width)
     step = summary["step"]
     parts = {
         f"Along {summary['duration_s']:g} s of the reference": _laws(summary, PATH, result),
@@ -82,7 +83,7 @@ def _laws(
         table.add_column("", style="red")
     for name, row in summary["laws"].items():
         cells = (_cell(row, key, form) for _, key, form in columns)
-        table.add_row(name, *cells, *([remarks[name]] if any(remarks.values()) else []))
+        table.add_row(visible(name), *cells, *([remarks[name]] if any(remarks.values()) else []))
     return table
 
 
@@ -106,7 +107,7 @@ def _paths(summary: dict[str, Any]) -> Table:
     for n, name in enumerate(names):
         table.add_column(name if n == 0 or n == len(names) - 1 else f"+ {name}", justify="right")
     for law, found in summary["paths"].items():
-        table.add_row(law, *(_path_cell(found.get(name)) for name in names))
+        table.add_row(visible(law), *(_path_cell(found.get(name)) for name in names))
     return table
 
 
@@ -116,7 +117,7 @@ def _claims(summary: dict[str, Any]) -> Table:
     table.add_column("holds")
     table.add_column("measured")
     for claim in summary["claims"]:
-        holds = "[green]yes[/]" if claim["holds"] else "[red]no[/]"
+        holds = Text("yes", style="green") if claim["holds"] else Text("no", style="red")
         table.add_row(claim["section"], claim["claim"], holds, claim["figures"])
     return table
 
@@ -127,10 +128,10 @@ def _table(first: str = "law") -> Table:
     return table
 
 
-def _path_cell(row: dict[str, Any] | None) -> str:
+def _path_cell(row: dict[str, Any] | None) -> str | Text:
     if row is None:
         return ABSENT
-    return f"[red]{row['fault']}[/]" if row["fault"] else _cell(row, "peak_leg_error_mm", ".4f")
+    return Text(row["fault"], style="red") if row["fault"] else _cell(row, "peak_leg_error_mm", ".4f")
 
 
 def _cell(row: dict[str, Any], key: str, form: str) -> str:

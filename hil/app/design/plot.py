@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array, ComplexArray
 from drivers.whole_file import whole_file
+from hil.app.files import printable
 from hil.config.design import Design, DesignAxis
 from hil.mathematics.linear_system import LinearSystem
 from hil.stability.sampled_loop import grid
@@ -32,7 +33,7 @@ def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: st
     _weighted(axes[0, 1], design, omega, K, legs, L, made.figures)
     _open(axes[1, 0], omega, L, made.figures)
     _step(axes[1, 1], design, K, legs)
-    figure.suptitle(title)
+    figure.suptitle(printable(title), parse_math=False)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=100)
     return path

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.whole_file import whole_file
+from hil.app.files import printable
 from hil.config.axis_model import AxisModel, AxisSpace
 from hil.identify.axis_fit import COHERENT
 from hil.identify.nominal import axis_response
@@ -55,7 +56,7 @@ def draw(model: AxisModel, path: Path, title: str) -> Path:
     phase.set(title=f"phase of -P; its slope is {1e3 * total:.3f} ms", ylabel="deg", xlabel="Hz")
     for axes in (magnitude, phase, coherence, bound):
         axes.grid(alpha=0.3, which="both")
-    figure.suptitle(title)
+    figure.suptitle(printable(title), parse_math=False)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=100)
     return path

@@ -82,7 +82,7 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
     elif first.names:
         there = np.unique(np.concatenate([c.signal.values for c in curves]))
         texts = {value: text for text, value in first.names.items()}
-        axes.set_yticks(there, [texts.get(int(v), f"{v:g}") for v in there])
+        axes.set_yticks(there, [texts.get(int(v), f"{v:g}") for v in there], parse_math=False)
     else:
         axes.set_ylabel(" | ".join(units), parse_math=False)
     if any(shown):

@@ -139,7 +139,7 @@ def _of_plant(
     whole: the rows are all of the log, of which the plant has to have heard one.
     """
     plant = log.plant
-    chosen = components(plant.columns, [name for name in names if name], str(plant.path))
+    chosen = components(plant.columns, [] if "" in names else names, str(plant.path))
     truth = plant.rows(*({part.column.name for part in chosen} | set(SYNC)))
     places = plant_rows_of(rows, truth, _period_ns(log))
     require_one_run(_side(log), _side(plant), places if whole else places[:0])

@@ -323,6 +323,10 @@ def test_the_truth_stands_beside_the_ticks(tmp_path):
     assert frame.attrs["units"]["plant.p.z"] == "m"
     every = Log(tmp_path / "a.mcap").frame("plant")
     assert every.shape == (3, PLANT.dtype.itemsize // 8)
+    for names in (("plant", "plant.p"), ("plant.p.z", "plant"), ("plant", "plant")):
+        assert list(Log(tmp_path / "a.mcap").frame(*names).columns) == list(every.columns)
+    both = Log(tmp_path / "a.mcap").frame("p.z", "plant", "plant.p")
+    assert list(both.columns) == ["p.z", *every.columns]
 
 
 def test_a_plant_of_another_run_and_a_missing_one_are_refused(tmp_path):

@@ -119,8 +119,8 @@ class _Salvage:
                 if record.complete:
                     self._chunk(record)
                 else:
-                    self.lost += size
                     self._part(record)
+                    self.lost += size
             elif record.opcode == Opcode.MESSAGE_INDEX:
                 self._index(record)
             else:

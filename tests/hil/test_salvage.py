@@ -293,3 +293,24 @@ def test_before_damage_a_record_that_holds_records_is_whole_where_its_own_checks
         assert found[1] == Lost(starts[1], inside)
         assert records[1].offset == inside
     assert [each.offset for each in records[-2:]] == starts[3:5]
+
+
+@pytest.mark.parametrize("behind", [0, 300])
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_the_bytes_of_a_cut_chunk_whose_rest_is_damaged_are_lost_once(
+    path, chunks, tmp_path, compression, behind
+):
+    """A message of 5 bytes is none; the chunk says that it is longer than what is left of it."""
+    first = chunks[0].chunk_start_offset + chunks[0].chunk_length
+    records = struct.pack("<BQ", 5, 5) + bytes(5 + behind)
+    if compression:
+        records = zstandard.ZstdCompressor().compress(records)
+    name = compression.encode()
+    content = struct.pack("<QQQII", 0, 0, 5000, 0, len(name)) + name + struct.pack("<Q", 5000) + records
+    tail = struct.pack("<BQ", 6, len(content) + 1000) + content
+    bad = cut(path, tmp_path, first, tail)
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert any("is damaged and left out" in remark for remark in report.remarks)
+    assert report.bytes_lost == len(tail)
+    assert report.bytes_lost < report.bytes_read
+    assert Log.open(tmp_path / "out.mcap").metadata["salvage"]["bytes_lost"] == str(len(tail))

@@ -124,6 +124,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     shares_identifiers = True
     answers_name_sync = False
     latches_together = False
+    unasked_s = 0.0
     has_watchdog = True
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     feedback_ids = frozenset(range(LEGS))
@@ -226,8 +227,10 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set
         up, and measures at its age where the drive owed it, so that a stall makes no leg stale. A second
         answer that says something else makes its node `doubled`, unless the drive owes the one of the tick
-        before: then the first one may be that, and the second counts.
+        before: then the first one may be that, and the second counts. Of drives that send readings unasked,
+        too, the newest counts; the others say nothing of them.
         """
+        unasked = self.unasked_s > 0.0
         for name in _KEPT:
             tick[name] = last[name]
         number, before = int(tick["tick"]), int(last["tick"])
@@ -251,10 +254,10 @@ class MotorProtocol(MotorRoutes, MotorDrives):
             elif heard.answer is not None:
                 dialogue = self._confirm(dialogue, leg, *heard.answer)
             elif heard.feedback and t_ns < since_ns:
-                rejected += dialogue.done[leg] > len(dialogue.exchanges[leg])
+                rejected += not unasked and dialogue.done[leg] > len(dialogue.exchanges[leg])
                 if last["age"][leg] > 0 and before >= 0:
                     late[leg] = heard
-            elif heard.feedback and leg in answers and last["age"][leg] == 0:
+            elif heard.feedback and leg in answers and last["age"][leg] == 0 and not unasked:
                 doubled |= (answers[leg] != heard) << leg
             else:
                 if heard.power is not None or not self.reports_power:

@@ -4,6 +4,8 @@ Identifier: node << 5 | command. Each tick asks for Get_Encoder_Estimates by a r
 Set_Input_Torque, which feeds the axis' watchdog. The heartbeat has state and error, Estop latches,
 Clear_Errors clears. Fields are little-endian, singles in turns, turns/s and N m (ODrive documentation, CAN
 Protocol).
+An axis sends its estimates by a timer, too, under the identifier of its answer: every 10 ms as delivered. No
+frame tells the two apart, so the newest of a tick counts, and two that differ are no second axis.
 The heartbeat alone tells the state, and comes by a timer, not with a change. So an axis gets its torque from
 the tick on in which it is asked to close its loop; it is asked again where a later heartbeat says that it has
 not. When RUN is over it counts as enabled, and is told IDLE, until a heartbeat says otherwise; and a reset
@@ -57,6 +59,10 @@ HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07
 IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
 TORQUE_CONTROL, PASSTHROUGH = 1, 1
+UNASKED = "encoder_msg_rate_ms"
+"""Setting of an axis, and option here: how often it sends its estimates unasked; 0: never."""
+DELIVERED_MS, MOST_UNASKED_MS = 10, 10_000
+"""Of an axis as delivered; and what is a mistake above."""
 MISSED_BEATS = 3
 MOST_HEARTBEAT_MS = 250.0
 """A start, and parking, wait for a second for what the heartbeats of all axes say; some may be lost."""
@@ -119,14 +125,19 @@ class ODriveProtocol(MotorProtocol):
     power_told = "heartbeat"
 
     def __init__(
-        self, nodes: Sequence[int], watchdog_s: float, transmission: Transmission, heartbeat_s: float = 0.1
+        self,
+        nodes: Sequence[int],
+        watchdog_s: float,
+        transmission: Transmission,
+        heartbeat_s: float = 0.1,
+        unasked_s: float = 0.0,
     ) -> None:
-        """Take six node numbers, and the watchdog and heartbeat that odrivetool has set in the axes.
+        """Take six node numbers, and the watchdog and the timers that odrivetool has set in the axes.
 
         Raises ConfigurationError for a node over 62: 63 is "not set".
         """
         super().__init__(transmission)
-        self._watchdog_s, self._heartbeat_s = watchdog_s, heartbeat_s
+        self._watchdog_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
         for leg, node in enumerate(nodes):
             if not 0 <= node <= 62:
                 raise ConfigurationError(
@@ -363,7 +374,12 @@ def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
     """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
     refuse_layout(bus, "odrive", "classic")
     transmission = required(drives.transmission, "odrive")
-    Options(drives.options, "odrive", ())
+    unasked_ms = Options(drives.options, "odrive", (UNASKED,)).whole(UNASKED, DELIVERED_MS)
+    if not 0 <= unasked_ms <= MOST_UNASKED_MS:
+        raise ConfigurationError(
+            f"drives.options: {UNASKED} of protocol odrive: allowed: 0 (never) to {MOST_UNASKED_MS}, given: "
+            f"{unasked_ms}"
+        )
     if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
         raise ConfigurationError(
             f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat alone "
@@ -371,5 +387,9 @@ def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
         )
     refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
     return ODriveProtocol(
-        drives.node_ids, 1e-3 * drives.watchdog_ms, transmission, 1e-3 * drives.heartbeat_ms
+        drives.node_ids,
+        1e-3 * drives.watchdog_ms,
+        transmission,
+        1e-3 * drives.heartbeat_ms,
+        1e-3 * unasked_ms,
     )

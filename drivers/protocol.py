@@ -226,6 +226,10 @@ class DriveProtocol(Protocol):
     def latches_together(self) -> bool:
         """Whether one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
 
+    @property
+    def unasked_s(self) -> float:
+        """How often each drive sends its reading by a timer, too, as it answers a poll; 0: it does not."""
+
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return how far readings and commands are off by the steps of the frames, at a rate of the loop."""
 

@@ -112,6 +112,11 @@ class SeveralBuses:
         """As the family's."""
         return self.family.latches_together
 
+    @property
+    def unasked_s(self) -> float:
+        """As the family's."""
+        return self.family.unasked_s
+
     def resolution(self, rate_Hz: float) -> Resolution:
         """As the family's."""
         return self.family.resolution(rate_Hz)

@@ -70,6 +70,7 @@ class Cia402Protocol(Routes):
     set_up_frames = 3
     shares_identifiers = False
     answers_name_sync = False
+    unasked_s = 0.0
     latches_together = True
     stop_latches = True
     force_on_brakes = False

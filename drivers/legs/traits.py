@@ -41,6 +41,7 @@ class Traits:
     reactions = tuple(Reaction)
     shares_identifiers = False
     answers_name_sync = True
+    unasked_s = 0.0
     latches_together = True
     _exact: bool
     """Whether the fields are doubles."""

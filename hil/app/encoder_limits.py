@@ -15,7 +15,7 @@ from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.safety.differences import REACHES_BACK
 from hil.safety.encoder_kernels import RATE_MOVES
-from hil.safety.encoder_limits import EncoderLimits
+from hil.safety.encoder_limits import UNASKED, UNSHARED, EncoderLimits
 from hil.safety.stillness import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 
@@ -79,6 +79,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         unnamed=int(not protocol.answers_name_sync),
         differences=differences,
         apart=int(not protocol.latches_together),
+        unshared=UNASKED if protocol.unasked_s > 0.0 else UNSHARED,
     )
 
 

@@ -20,10 +20,8 @@ _NO_DOUBT, _IDLE, _FAULT = int(Doubt.NONE), int(Mode.IDLE), int(Mode.FAULT)
 _LOADING, _UNLOADING, _PARKED = int(Mode.LOADING), int(Mode.UNLOADING), int(Mode.PARKED)
 LONGEST_GAP = 8
 """Ticks without a leg after which its last reading says nothing of the next."""
-UNSHARED = 0.3
-"""Share of a period by which a latch may be late although a leg contradicts it: frames in the way."""
 STRAYS = 1.0
-"""The same while an answer may be that to the SYNC or poll of the tick before."""
+"""Share of a period by which a latch is off where an answer may be that to the SYNC or poll before."""
 LEAST_m_s = 1e-9
 """A rate that leaps by less does not."""
 RATE_MOVES = 3.0
@@ -181,7 +179,7 @@ def allow_delay(tick: Any, limits: Any, memory: Any, shared: bool, x: Array) -> 
     for i in range(6):
         stray_s = stray_of(tick, limits, memory, i)
         period = limits.period_s * abs(x[_RATE, i])
-        x[_LATE, i] = max(UNSHARED * limits.period_s, stray_s) * abs(x[_RATE, i])
+        x[_LATE, i] = max(limits.unshared * limits.period_s, stray_s) * abs(x[_RATE, i])
         beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
         if beyond and explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
             x[_LATE, i] = period
@@ -239,7 +237,7 @@ def judge_rates(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     leg = sole(x[_EXCESS])
     if leg < 0:
         return
-    if limits.differences != 0 and is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS], UNSHARED):
+    if limits.differences != 0 and is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS], limits.unshared):
         return
     doubt_leg(tick, limits, memory, leg, _LEAP, x[_LEAPED, leg], x[_LEAPS, leg])
 

@@ -8,6 +8,11 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.signals import LEGS
 
+UNSHARED = 0.3
+"""`unshared` where each reading answers a SYNC or poll: frames in the way."""
+UNASKED = 0.6
+"""The same where it may have come by a timer: sampled before the poll, it waited for the bus as long."""
+
 
 class EncoderLimits(NamedTuple):
     """Stated figures of encoders, model and loads, from which the limits follow."""
@@ -42,6 +47,8 @@ class EncoderLimits(NamedTuple):
     """1: rates are made of the last three lengths, see `hil.safety.differences`."""
     apart: int = 0
     """1: each drive latches by itself: that a leg was missed says nothing of the others."""
+    unshared: float = UNSHARED
+    """Share of a period by which a latch may be late although a leg contradicts it."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
@@ -64,6 +71,7 @@ ENCODER_LIMITS = [
     ("unnamed", "<i8"),
     ("differences", "<i8"),
     ("apart", "<i8"),
+    ("unshared", "<f8"),
 ]
 """Fields of a record of `EncoderLimits`."""
 ENCODER_MEMORY = [

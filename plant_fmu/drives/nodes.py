@@ -40,6 +40,7 @@ from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
 from plant_fmu.drives.reading import Reading
 from plant_fmu.drives.snapshot import Snapshot
+from plant_fmu.drives.timer import Timer
 from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
@@ -84,21 +85,21 @@ class Nodes:
         self._faults = FaultPlan() if faults is None else faults
         self._h_s = plant.internal_step_s
         self._h_ns = self._h_s * 1e9
-        self._beat_ns = drives.heartbeat_ms * 1e6 / LEGS
         self._brake_after_ns = round(drives.brake_after_ms * 1e6)
         self.start(0)
 
     def start(self, t0_ns: int) -> None:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
         self._t0_ns = self._now_ns = t0_ns
-        self._k = self._beats = 0
+        self._k = 0
         self._length, self._rate = self._plant.reset()
         gear = self._settings.transmission
         self._transmission = None if gear is None else Transmission.of(gear)
         self._drives = Drives(at_motor(self._settings, self._transmission), self._emulation, self._h_s)
         self._turns = Turns(self._settings.homing, self._transmission, self._length)
         self._memory = self._protocol.power_up()
-        self._next_beat_ns = t0_ns
+        self._heartbeats = Timer(1e6 * self._settings.heartbeat_ms, t0_ns)
+        self.readings = Timer(1e9 * self._protocol.unasked_s, t0_ns, 1)
         self._calm_ns = t0_ns
         """No watchdog, brake, edge or heartbeat is due before this instant."""
         self._schedule = Schedule(self._faults, t0_ns)
@@ -209,7 +210,7 @@ class Nodes:
             watchdog = min(deadlines)
             edge = self._edges[0] if self._edges else NEVER_NS
             moved = self._drives.next_move_ns()
-            other = min(edge, self._next_beat_ns, moved)
+            other = min(edge, beat := self._heartbeats.next_ns, self.readings.next_ns, moved)
             if watchdog < t and watchdog <= other:
                 self._now_ns = max(self._now_ns, watchdog)
                 for leg in range(LEGS):
@@ -220,16 +221,16 @@ class Nodes:
             elif moved == other:
                 self._advance(moved)
                 self._actuate(moved)
-            elif edge <= self._next_beat_ns:
+            elif edge == other:
                 del self._edges[0]
                 self._advance(edge)
                 self._now_ns = max(self._now_ns, edge)
                 self._present = self._schedule.present(edge)
                 self._disturb(edge)
+            elif beat == other:
+                self._send_status(self._heartbeats.speak(), beat, out, due=True)
             else:
-                self._send_status(self._beats % LEGS, self._next_beat_ns, out, due=True)
-                self._beats += 1
-                self._next_beat_ns = self._t0_ns + round(self._beats * self._beat_ns)
+                self._latch(Sync(0, (self.readings.speak(),)), other, out)
         self._now_ns = t
 
     def _advance(self, t: int) -> None:
@@ -314,6 +315,7 @@ class Nodes:
         for message in messages:
             match message:
                 case Sync():
+                    self.syncs += 1
                     self._latch(message, t, out)
                 case DeviceCommand():
                     self._obey(message, t, out)
@@ -330,7 +332,6 @@ class Nodes:
                     self._rejected += 1
 
     def _latch(self, sync: Sync, t: int, out: list[tuple[int, Frame]]) -> None:
-        self.syncs += 1
         self._advance(t)
         dt = (t - self._grid_ns()) * 1e-9
         present = self._present

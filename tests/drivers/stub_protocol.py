@@ -108,6 +108,7 @@ class StubProtocol:
     force_on_brakes = True
     has_watchdog = True
     power_told: PowerTold = "feedback"
+    unasked_s = 0.0
     dangers = ()
     reactions = tuple(Reaction)
     shares_identifiers = False

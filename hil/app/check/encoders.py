@@ -6,7 +6,6 @@ from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits, friction_N, steps
 from hil.safety.differences import SHOWS_AS_GAP, SHOWS_AS_LEAP, lag_of, lag_of_leap
-from hil.safety.encoder_kernels import UNSHARED
 from hil.safety.increments import WINDOW_S, gap_bound, slip_bound
 from hil.safety.leaps import acceleration_range, leap_bound
 from hil.safety.stillness import SUSPECT
@@ -38,7 +37,7 @@ def report_encoders(report: Report, c: Configuration) -> None:
     push = f"a push of up to {limits.push_N.max():.0f} N"
     within = f"{1e3 * WINDOW_S:g} ms"
     stays = f"within {1e6 * noise_m:g} um while a leg strays by {1e3 * strayed_m:g} mm"
-    share = limits.rate_error + UNSHARED * T / WINDOW_S
+    share = limits.rate_error + limits.unshared * T / WINDOW_S
     scale = f"{1e2 * share:.3g} %"
     braked_mm = 1e3 * c.limits.standstill_m
     lines = [

@@ -37,6 +37,7 @@ def bus_budgets(
     if bus.layout == "ideal":
         return ()
     frames += nodes.cyclic_frames(rate_Hz) + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
+    frames += unasked_readings(protocol, rate_Hz)
     return tuple(
         check(
             [off_bus(frame) for frame in frames if frame.bus == index],
@@ -60,6 +61,19 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
         status = Status(turn % LEGS, DriveState.OFF, DriveFault.NONE)
         booted, _ = protocol.report(protocol.power_up(), status)  # some say once that they have started
         found += protocol.report(booted, status)[1]
+    return tuple(found)
+
+
+def unasked_readings(protocol: DriveProtocol, rate_Hz: float) -> tuple[Frame, ...]:
+    """Return one example of every reading by a timer that no tick is without, on the bus of each drive."""
+    if protocol.unasked_s <= 0.0:
+        return ()
+    readings = [each for each in protocol.cyclic_frames() if protocol.awaited(each) in protocol.feedback_ids]
+    found: list[Frame] = []
+    for bus in {each.bus for each in readings}:
+        own = [each for each in readings if each.bus == bus]
+        turns = floor(len(own) / (protocol.unasked_s * rate_Hz) * (1 + 1e-9))
+        found += [own[turn % len(own)] for turn in range(turns)]
     return tuple(found)
 
 

@@ -70,9 +70,13 @@ EXPECTED: dict[str, Expected] = {
     "frames_reorder": _row(_UNHEARD, "as of the delay"),
     "frames_corrupt": _row(f"REFUSED_FRAMES {_UNHEARD}", "the checks refuse them, at either end"),
     "frames_forged_command": _row("SECOND_CONTROLLER", "a command that was not sent here is heard"),
-    "frames_forged_feedback": _row("DUPLICATE_NODE", "two answers to one SYNC differ"),
+    "frames_forged_feedback": _row(
+        "DUPLICATE_NODE ENCODER",
+        "two answers to one SYNC differ; of drives that send readings unasked the newest counts: it leaps",
+    ),
     "frames_old": _row(
-        "SECOND_CONTROLLER DUPLICATE_NODE", "a command that was not sent here, or a second answer, is heard"
+        "SECOND_CONTROLLER DUPLICATE_NODE ENCODER",
+        "a command that was not sent here, or a second answer, is heard; or a reading leaps",
     ),
     "bus_off": _row("BUS STALE", "the interface says so, or nobody is heard"),
     "bus_flood": _row(_UNHEARD, "no frame gets through"),

@@ -170,6 +170,8 @@ class Lockstep:
     def _exchange(self, t_ns: int, opening: tuple[Frame, ...]) -> tuple[list[Received], int]:
         """Let SYNC reach the drives and their answers the controller; return those and the step's time."""
         deadline = t_ns + self.window_ns
+        if self.cycle.parts.protocol.unasked_s > 0.0:
+            self._pass_time(t_ns)
         self._open(t_ns, opening, deadline)
         synced = self._commands[-1].t_ns if self._commands else t_ns
         commands, self._commands = self._commands, []
@@ -198,6 +200,13 @@ class Lockstep:
                 self._late = answers[taken:]
                 return early + answers[:taken], min(end_ns, deadline)
         return early + answers, deadline
+
+    def _pass_time(self, t_ns: int) -> None:
+        """Let the drives hear what has come before the tick, and send what they send unasked."""
+        heard = [each for each in self._commands if each.t_ns <= t_ns]
+        self._commands = self._commands[len(heard) :]
+        self._queue(self.nodes.step(t_ns, heard), from_drive=True)
+        self._carry(t_ns)
 
     def _open(self, t_ns: int, opening: tuple[Frame, ...], deadline: int) -> None:
         """Let what starts the tick reach the drives; take note when."""

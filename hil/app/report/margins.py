@@ -165,8 +165,9 @@ def _loop(rows: Rows, c: Configuration, powered: Mask) -> Iterator[Margin | None
     yield nearest("periods missed in a row", "limits.missed_stop_ticks", missed, limit, ticks, powered)
     name = f"ticks of {HISTORY} in which the bus did not take our frames"
     yield nearest(name, "", _recent(rows["sends_failed"] > 0), DEAD_BUS, ticks, powered)
-    name = f"ticks of {HISTORY} in which frames were refused"
-    yield nearest(name, "", _recent(rows["rejected"] > 0), UNRELIABLE, ticks, powered)
+    if not any(kind for _, kind in c.sensors):  # theirs are counted in the column, and by no rule
+        name = f"ticks of {HISTORY} in which frames were refused"
+        yield nearest(name, "", _recent(rows["rejected"] > 0), UNRELIABLE, ticks, powered)
     stood = rows["stretched_ns"]
     harmful = np.cumsum(np.where(stood >= HARMFUL_STRETCH_NS, stood, 0))
     if len(rows) and harmful[-1]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.can.bus_time import BitTiming
+from drivers.config import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.errors import LogError
 from drivers.protocol import BUS, Frame
 from drivers.signals import Mode
@@ -19,6 +20,7 @@ from hil.app.configuration.configuration import load
 from hil.app.report import sections
 from hil.app.report.charts import charts
 from hil.app.report.command import _rate, _subtitle
+from hil.app.report.margins import margins
 from hil.app.report.story import told
 from hil.app.report.timing import Traffic, traffic
 from hil.record.schema import IDENTITY
@@ -101,3 +103,25 @@ def test_a_run_in_real_time_began_with_its_first_tick_and_not_when_the_machine_w
     rows = rows_of(3)
     rows["t_ns"] += (2 * 86_400 + 3) * 10**9
     assert "real time, begun 2026-03-03T12:00:03Z" in _subtitle(log, rows, None, 1000.0)
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    [
+        SensorSettings(tracker=TrackerSettings()),
+        SensorSettings(imu=ImuSettings()),
+        SensorSettings(wrench=WrenchSensorSettings()),
+    ],
+    ids=["tracker", "imu", "wrench"],
+)
+def test_no_limit_is_told_of_refused_frames_where_those_of_sensors_are_among_them(sensors):
+    """They never fault, and a log does not tell them from those of the drives."""
+    rows = rows_of(200)
+    rows["rejected"][:] = 1
+    c = load("virtual")
+    with_sensors = c.model_copy(update={"sensors": sensors})
+    told = [
+        [m.used_percent for m in margins(rows, each, 1000.0) if "frames were refused" in m.name]
+        for each in (c, with_sensors)
+    ]
+    assert told == [[400.0], []]

@@ -252,7 +252,8 @@ def test_rests_between_which_the_reference_moves_are_not_added_up():
     while nodes.waiting:
         at_rest = lockstep.tick - cycle.mode_tick if cycle.mode is Mode.TRACKING else 0
         if not moved and at_rest == 60:
-            lockstep.cycle, moved = Stirred(cycle), lockstep.tick + 1
+            stirred: Any = Stirred(cycle)
+            lockstep.cycle, moved = stirred, lockstep.tick + 1
         else:
             lockstep.cycle = cycle
         lockstep.step(course.commands(lockstep.tick + 1))

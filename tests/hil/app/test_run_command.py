@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -60,10 +60,6 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         finished: dict[str, Any] = {"success": plant_success, "trouble": None}
         plant = SimpleNamespace(trouble=lambda: "", finish=lambda: finished)
 
-        def supervised(_: Configuration, log: Path, __: Sequence[str]) -> Any:
-            finished["log"] = log.name
-            return contextlib.nullcontext(plant)
-
         keeper = SimpleNamespace(
             last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=unsaid
         )
@@ -72,7 +68,8 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
             begun.append((course, shell))
             return ending
 
-        def supervised(_c: Any, _log: Any, _faults: Any, watchdog_s: float) -> Any:
+        def supervised(_c: Any, log: Path, _faults: Any, watchdog_s: float) -> Any:
+            finished["log"] = log.name
             watchdogs.append(watchdog_s)
             return contextlib.nullcontext(plant)
 

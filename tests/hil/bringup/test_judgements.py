@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.bringup.context import StoppedError
+from hil.bringup.context import TRAVEL_M, StoppedError
 from hil.bringup.steps import brakes, force, mounted
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.bringup.kit import Rehearsal
@@ -52,7 +52,7 @@ def test_brakes_that_open_for_another_drive_are_named_with_all_their_drives(cont
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_leg_that_goes_too_far_is_stopped_whichever_way_it_goes(leg, way):
     off = []
-    gone = {k: way * force.TRAVEL_M * (1.01 if k == leg else -0.3) for k in LEGS}
+    gone = {k: way * TRAVEL_M * (1.01 if k == leg else -0.3) for k in LEGS}
     c: Any = SimpleNamespace(
         travelled=lambda _: gone,
         drives=SimpleNamespace(off=lambda: off.append(True)),

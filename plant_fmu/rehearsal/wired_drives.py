@@ -46,6 +46,11 @@ class WiredDrives:
         """Each drive hears what it is told, as it is told."""
         self._mute = {k for k in range(LEGS) if not wiring.present[k] or wiring.other_protocol[k]}
 
+    @property
+    def unasked_s(self) -> float:
+        """As the family's."""
+        return self._protocol.unasked_s
+
     def power_up(self) -> Memory:
         """Return the memory of six drives that have heard nothing."""
         return self._protocol.power_up()

@@ -13,6 +13,7 @@ from drivers.protocol import Frame
 from hil.app import plant
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
+from plant_fmu.drives.timer import Timer
 from tests.records import record_of
 
 LATER = Frame(5, b"later")
@@ -49,7 +50,7 @@ def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
             stop.reason = "enough"
         return [(now_ns + t_ns, frame) for t_ns, frame in found]
 
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of)
+    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=Timer(0.0, 0))
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults = SimpleNamespace(strike=lambda _: None)
     plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
@@ -88,7 +89,7 @@ def test_the_words_of_a_plant_are_shortened_where_they_go_to_the_file_of_its_sup
         return []
 
     monkeypatch.setattr(plant, "shorten", shortened.append)
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of)
+    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=Timer(0.0, 0))
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults: Any = SimpleNamespace(strike=lambda _: None)
     reading, writing = os.pipe()

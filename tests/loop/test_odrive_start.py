@@ -16,6 +16,7 @@ from plant_fmu.drives.snapshot import Snapshot
 from tests.loop.test_desktop_drives import FAMILIES, desktop
 
 DURATION_S = 1.0
+ESTIMATES = 0x09
 RELEASED_TICKS = 40
 """From the release of the brakes on: more than a heartbeat of 0.1 s at 312.5 Hz."""
 
@@ -26,6 +27,8 @@ class Started(NamedTuple):
     """The drives and the plant at the end of each tick."""
     released: int
     """Row in which the brakes are told to open."""
+    estimates: Any
+    """How many each tick has heard, and how many of them since it began."""
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +39,11 @@ def started() -> Started:
     nodes, plant = build_nodes(c)
     rows: list[Any] = []
     axes: list[Snapshot] = []
+    estimates: list[tuple[int, int]] = []
 
-    def observe(_: TickInput, _opening: object, out: Any) -> None:
+    def observe(given: TickInput, _opening: object, out: Any) -> None:
+        own = [t_ns for t_ns, frame in given.frames if frame.id & 0x1F == ESTIMATES]
+        estimates.append((len(own), sum(t_ns >= given.t_ns for t_ns in own)))
         rows.append(out.row)
         axes.append(nodes.snapshot())
 
@@ -46,7 +52,7 @@ def started() -> Started:
     finally:
         plant.close()
     found = np.array(rows, rows[0].dtype)
-    return Started(found, axes, int(np.argmax(found["mode"] == Mode.RELEASING)))
+    return Started(found, axes, int(np.argmax(found["mode"] == Mode.RELEASING)), np.array(estimates))
 
 
 def test_the_brakes_open_with_the_holding_force_on_and_no_leg_sinks(started):
@@ -85,3 +91,13 @@ def test_the_brakes_are_not_believed_shut_before_each_axis_has_told_it(started):
     assert (rows["drive_state"][unloading] == DriveState.READY).all()
     assert started.axes[unloading].brake.all()
     assert rows["mode"][-1] == Mode.PARKED
+
+
+def test_estimates_that_the_axes_send_by_their_timer_too_are_no_second_axis_and_doubt_no_encoder(started):
+    rows = started.rows
+    heard, since = started.estimates[rows["mode"] >= Mode.LOADING].T
+    assert heard.mean() == pytest.approx(6 + 6 * 3.2 / 10, abs=0.05), "as delivered: every 10 ms of each axis"
+    assert since.mean() < 6.5, "they come when they are sent, not with the answers"
+    assert rows["doubled"].max() == 0
+    assert rows["rejected"].max() == 0
+    assert np.nanmax(rows["encoder_share"]) < 0.5

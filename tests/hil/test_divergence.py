@@ -45,6 +45,8 @@ def test_the_first_tick_and_the_largest_difference_are_two_places():
         (1.0, 1.5, Tolerance(0.499), True),
         (1e6, 1e6 + 1.0, Tolerance(0.0, 1e-6), False),  # relative to the size
         (1e6, 1e6 + 2.0, Tolerance(0.0, 1e-6), True),
+        (-1e6, -1e6 - 1.0, Tolerance(0.0, 1e-6), False),
+        (-1e6, -1e6 - 2.0, Tolerance(0.0, 1e-6), True),
         (1e-3, 1e-3 + 2e-6, Tolerance(0.0, 1e-6), True),  # and to 1 where that is less
         (1e-3, 1e-3 + 5e-7, Tolerance(0.0, 1e-6), False),
         (np.nan, np.nan, Tolerance(), False),

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,8 @@ from pathlib import Path
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new file beside `path`; give it that name at the end, or remove it where something failed.
 
-    An earlier file is replaced; what is there and no file, as a pipe, is yielded itself.
+    An earlier file is replaced; its rights, owner and group go on, as far as may be. What is there and
+    no file, as a pipe, is yielded itself.
     Raises OSError, which names `path`: a full disk names none, and nobody knows the new file's name.
     """
     target = path.resolve()
@@ -22,9 +24,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary = Path(file.name)
     try:
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
+        _as_before(temporary, target)
         temporary.replace(target)
     except OSError as error:
         if error.filename not in (None, str(temporary)):
@@ -32,3 +32,22 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _as_before(new: Path, target: Path) -> None:
+    """Give a new file the owner, group and rights of the one that it replaces; else those of any new file."""
+    try:
+        there = target.stat()
+    except FileNotFoundError:
+        umask = os.umask(0)
+        os.umask(umask)
+        new.chmod(0o666 & ~umask)
+        return
+    mode = stat.S_IMODE(there.st_mode)
+    with contextlib.suppress(OSError):
+        os.chown(new, there.st_uid, -1)
+    try:
+        os.chown(new, -1, there.st_gid)
+    except OSError:
+        mode &= ~stat.S_IRWXG  # what that group may is nothing for another one
+    new.chmod(mode)

@@ -154,9 +154,10 @@ def _is_summary(path: Path) -> bool:
     if not path.stat().st_size:
         return True
     try:
-        return "success" in json.loads(path.read_bytes())
-    except (ValueError, TypeError):
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
         return False
+    return isinstance(found, dict) and "success" in found
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:

@@ -196,7 +196,7 @@ def _refuse_other(folder: Path, identity: dict[str, str]) -> None:
         made_of = dict(there["made_of"]) | {"format": there["format"]}
     except OSError as error:
         raise LogError(f"{manifest}: cannot be read: {error.strerror}") from None
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise LogError(
             f"{manifest}: is no manifest of a campaign, or damaged; remove it (files of rows say whose they "
             "are, too), or name another folder with --out"

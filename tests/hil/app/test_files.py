@@ -107,6 +107,30 @@ def test_a_summary_goes_into_a_pipe_whatever_its_folder_takes(tmp_path, monkeypa
     check_json_path(pipe)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        '["success", 1]',
+        '"success"',
+        '"no success"',
+        "{}",
+        '{"a": "success"}',
+        "7",
+        "null",
+        "notes",
+        "[" * 100_000,
+    ],
+)
+def test_a_file_that_is_no_summary_is_not_overwritten_by_one(tmp_path, text):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(LogError, match="is no summary of hil and is not overwritten"):
+        check_json_path(path)
+    for earlier in ('{"success": false}', ""):
+        path.write_text(earlier)
+        check_json_path(path)
+
+
 def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_path):
     mine, other = tmp_path / "mine.yaml", tmp_path / "other.yaml"
     mine.write_text(f"{REMARK}a: 1\n")

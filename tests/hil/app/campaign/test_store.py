@@ -194,9 +194,10 @@ def test_the_manifest_is_on_the_disk_before_any_row_and_one_that_is_damaged_cost
     with opened(tmp_path) as store:
         assert synced == [".json", ""]
         store.add(ROWS[0])
-    (tmp_path / "campaign.json").write_text("")
-    with pytest.raises(LogError, match=r"campaign\.json: is no manifest .* remove it"):
-        opened(tmp_path)
+    for damaged in ("", "[]", '{"made_of": 7}', "[" * 100_000):
+        (tmp_path / "campaign.json").write_text(damaged)
+        with pytest.raises(LogError, match=r"campaign\.json: is no manifest .* remove it"):
+            opened(tmp_path)
     (tmp_path / "campaign.json").unlink()
     with opened(tmp_path) as store:
         assert sorted(store.rows()) == [0]

@@ -1,6 +1,7 @@
 """As much of HTTP/1.1 as the page needs: one request read within bounds, one response as bytes."""
 
 import asyncio
+import re
 from http import HTTPStatus
 from typing import NamedTuple
 from urllib.parse import parse_qs, unquote
@@ -15,6 +16,11 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+_TAKEN = frozenset(
+    ("host", "origin", "sec-fetch-site", "sec-fetch-mode", "content-type", "content-length", "connection")
+)
+"""Headers by which a request is judged, beside Cookie: browsers send those of all servers of a host."""
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 _SECURITY = (
     f"Content-Security-Policy: {_POLICY}",
     "X-Content-Type-Options: nosniff",
@@ -41,13 +47,14 @@ class Request(NamedTuple):
     query: dict[str, str]
     """The last value of each name."""
     headers: dict[str, str]
-    """Names in lower case; none of them came twice."""
+    """Names in lower case; none of them came twice. Values as Latin-1, where they are no ASCII."""
     body: bytes
 
     @property
     def cookies(self) -> dict[str, str]:
-        """Names and values of the header Cookie."""
-        pairs = (each.strip().partition("=") for each in self.headers.get("cookie", "").split(";"))
+        """Names and values of the header Cookie; what is no ASCII is another server's."""
+        found = (each.strip() for each in self.headers.get("cookie", "").split(";"))
+        pairs = (each.partition("=") for each in found if each.isascii())
         return {name: value for name, _, value in pairs if name}
 
 
@@ -88,12 +95,14 @@ async def _read(reader: asyncio.StreamReader) -> Request | None:
 
 def parse_head(head: bytes) -> Request:
     """Return the request of its head, whose end is an empty line; the body is empty. Raises Refused."""
-    try:
-        first, *lines = head.decode("ascii").removesuffix("\r\n\r\n").split("\r\n")
-    except UnicodeDecodeError:
-        raise Refused(HTTPStatus.BAD_REQUEST, "a byte that is no ASCII") from None
+    first, *lines = head.decode("latin-1").removesuffix("\r\n\r\n").split("\r\n")
     words = first.split(" ")
-    if len(words) != 3 or words[2] not in {"HTTP/1.1", "HTTP/1.0"} or not words[1].startswith("/"):
+    if (
+        not first.isascii()
+        or len(words) != 3
+        or words[2] not in {"HTTP/1.1", "HTTP/1.0"}
+        or not words[1].startswith("/")
+    ):
         raise Refused(HTTPStatus.BAD_REQUEST, "the first line is no request of HTTP/1.1")
     if words[0] not in METHODS:
         raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, f"allowed: {', '.join(METHODS)}")
@@ -101,8 +110,11 @@ def parse_head(head: bytes) -> Request:
     for line in lines:
         name, colon, value = line.partition(":")
         key = name.lower()
-        if not colon or not name or name != name.strip() or key in headers or not value.isprintable():
+        malformed = not colon or not name or name != name.strip() or not name.isascii()
+        if malformed or key in headers or _CONTROL.search(value):
             raise Refused(HTTPStatus.BAD_REQUEST, "a header that is malformed or comes twice")
+        if key in _TAKEN and not value.isascii():
+            raise Refused(HTTPStatus.BAD_REQUEST, f"header {key}: a byte that is no ASCII")
         headers[key] = value.strip()
     path, _, query = words[1].partition("?")
     try:

@@ -15,8 +15,10 @@ from drivers.protocol import DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
 from hil.app.configuration.bus_budget import unasked_readings
+from hil.app.encoder_limits import encoder_limits
 from hil.loop.latches import checked
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
+from tests.hil.bringup.families import family
 
 NODES = (0, 1, 2, 3, 5, 62)
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, offset_m=1.75))
@@ -140,3 +142,11 @@ def test_the_estimate_that_counts_says_by_when_its_poll_was_out():
     answers = [Received(300_000, estimate(2, 0.0)), Received(700_000, estimate(2, 0.1))]
     sent = checked(protocol, polls, [900_000] * LEGS, answers, 0, 0, 900_000, 100_000)
     assert list(sent) == [900_000, 900_000, 600_000, 900_000, 900_000, 900_000]
+
+
+@pytest.mark.parametrize(("unasked_ms", "share"), [(10, 0.6), (0, 0.3)])
+def test_a_length_that_may_have_come_by_the_timer_may_be_off_by_more_of_its_way(unasked_ms, share):
+    c = family("odrive")
+    drives = c.drives.model_copy(update={"options": {"encoder_msg_rate_ms": unasked_ms}})
+    limits = encoder_limits(c.model_copy(update={"drives": drives}), c.loop.rate_Hz)
+    assert limits.unshared == share

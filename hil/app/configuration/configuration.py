@@ -19,6 +19,7 @@ from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.fault_rules import cannot_serve
+from hil.app.configuration.magnitudes import beyond_reason
 from hil.app.configuration.plant_step import fitted
 from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
@@ -162,19 +163,29 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
         for field, info in Configuration.model_fields.items():
             sections |= _section(field, info, document, found)
         found += _unknown_sections(document)
-        plant, loop = sections.get("plant"), sections.get("loop")
-        if plant is not None and loop is not None:
-            sections["plant"] = fitted(plant, loop)
-        for rule in RULES:
-            names = needs(rule)
-            if all(name in sections for name in names):
-                for path, message in rule(*(sections[name] for name in names), folder):
-                    found.append(Problem(document.value_position(path), path, message))
+        told = {problem.path for problem in found}
+        absurd = [problem for problem in beyond_reason(document) if problem.path not in told]
+        found += absurd
+        if not absurd:
+            found += _together(sections, document, folder)
     if found:
         raise ConfigurationError(*lines(found, name))
     configuration = Configuration(**({"name": short_name(name)} | sections))
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
     return configuration
+
+
+def _together(sections: dict[str, Any], document: Document, folder: Path | None) -> list[Problem]:
+    """Fit the plant's step to the loop, and return what does not fit between sections."""
+    plant, loop = sections.get("plant"), sections.get("loop")
+    if plant is not None and loop is not None:
+        sections["plant"] = fitted(plant, loop)
+    return [
+        Problem(document.value_position(path), path, message)
+        for rule in RULES
+        if all(name in sections for name in needs(rule))
+        for path, message in rule(*(sections[name] for name in needs(rule)), folder)
+    ]
 
 
 def _section(field: str, info: FieldInfo, document: Document, found: list[Problem]) -> dict[str, Any]:

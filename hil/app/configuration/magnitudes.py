@@ -1,0 +1,34 @@
+"""Numbers that no robot has: squared or divided by, they would leave what a float holds."""
+
+from collections.abc import Iterator
+
+from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
+
+LEAST, MOST = 1e-60, 1e15
+"""Of a number with a fraction that is not 0, in any unit; rounding may leave 1e-17 or less of a zero."""
+MOST_WHOLE = 2**64
+"""Of a whole number: a seed may be large."""
+_OTHERS = ("plant", "model", "parameters")
+"""Those of a foreign FMU are its own."""
+
+
+def beyond_reason(document: Document) -> list[Problem]:
+    """Return the numbers that are larger or smaller than any that is meant."""
+    return [
+        Problem(document.value_position(path), path, message)
+        for path, message in _found(document.value, ())
+        if path[: len(_OTHERS)] != _OTHERS
+    ]
+
+
+def _found(value: Value, path: Path) -> Iterator[tuple[Path, str]]:
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from _found(each, (*path, key))
+    elif isinstance(value, list):
+        for k, each in enumerate(value):
+            yield from _found(each, (*path, k))
+    elif isinstance(value, float) and value and not LEAST <= abs(value) <= MOST:
+        yield path, f"allowed in size: 0, and {LEAST:g} to {MOST:g}, given: {value:g}"
+    elif isinstance(value, int) and abs(value) > MOST_WHOLE:
+        yield path, f"allowed in size: up to 2**64, given: {float(value):g}"

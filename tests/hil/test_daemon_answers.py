@@ -26,6 +26,8 @@ TICK = 1003
 class Queue:
     """A bus that has one frame after the other, each as late as the one before was taken."""
 
+    clock = SimpleNamespace(now=lambda: 9_000, stretched=lambda: 0)
+
     def __init__(self, *frames: Frame) -> None:
         self.left = [Received(5_000 + k, frame) for k, frame in enumerate(frames)]
         self.sent: list[Frame] = []
@@ -105,8 +107,6 @@ def test_a_loop_that_fails_sends_sync_and_command_so_that_the_drives_obey(cycle)
 
 class Dead(Queue):
     """A bus that takes no frame."""
-
-    clock = SimpleNamespace(stretched=lambda: 0)
 
     def send(self, frames: tuple[Frame, ...]) -> int:
         return len(frames)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Self
 
 import pytest
@@ -78,7 +79,8 @@ def test_a_controller_that_ends_meanwhile_is_a_failure_whose_summary_says_how_of
 
 def test_a_controller_that_ends_before_it_hears_that_a_jog_is_over_is_a_failure_too(said, monkeypatch):
     instants = iter([0.0, 0.1, 0.2, 9.0])
-    monkeypatch.setattr("hil.app.operate.time.monotonic", lambda: next(instants))
+    clock = SimpleNamespace(monotonic=lambda: next(instants), sleep=lambda _: None)
+    monkeypatch.setattr("hil.app.operate.time", clock)
     controller = Ending(2)
     result, file = said("ctl jog x 1 --for 1", controller)
     assert result.exit_code == 1

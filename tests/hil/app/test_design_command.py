@@ -59,8 +59,8 @@ def test_a_full_disk_leaves_the_earlier_controller_as_it_was(tmp_path, monkeypat
     assert design("hinf", "-o", out).exit_code == 0
     earlier = out.read_bytes()
 
-    def full(self, text, encoding=None):
-        self.write_bytes(text.encode(encoding)[:100])
+    def full(self, text, encoding=None, errors=None):
+        self.write_bytes(text.encode(encoding, errors)[:100])
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_text", full)

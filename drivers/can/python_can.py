@@ -4,6 +4,7 @@ Beside localcan's own interface the only importer of python-can.
 """
 
 import select
+import struct
 import time
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
@@ -31,7 +32,7 @@ _BATCH = 512
 """Looks of one `receive`: where frames come all the time it ends, too."""
 _FAILURES = 8
 """Looks that fail one after the other: the interface is gone. A single one is a frame that is lost."""
-_UNREADABLE = (can.CanError, OSError, ValueError, IndexError, KeyError)
+_UNREADABLE = (can.CanError, OSError, ValueError, IndexError, KeyError, TypeError, struct.error)
 """What `recv` raises where the interface is gone, has lost frames, or has read what is no frame."""
 
 
@@ -123,11 +124,10 @@ class PythonCan(NoController):
         return "frame"
 
     def _forget(self) -> None:
-        """Have slcan drop what it has read: it keeps a line that it cannot decode, and adds to it."""
-        flush = getattr(self._bus, "flush", None)
-        if flush is not None:
-            with suppress(can.CanError, OSError):
-                flush()
+        """Drop what slcan has read of a line: it keeps one that it cannot decode, and adds to it."""
+        line = getattr(self._bus, "_buffer", None)
+        if isinstance(line, bytearray):
+            line.clear()
 
     def _readable(self, seconds: float) -> bool:
         """Wait until the descriptor is readable; one that is gone is off."""

@@ -218,9 +218,8 @@ def _serve(
         while not stop.reason:
             received = bus.drain_now()
             rows.write(now, answered=not received)
-            received = received or bus.wait(
-                min((now + IDLE_NS, nodes.readings.next_ns, *(t_ns for t_ns, _ in later)))
-            )
+            due = (nodes.readings.next_ns, *(t_ns for t_ns, _ in later))
+            received = received or bus.wait(min((now + IDLE_NS, *(t_ns for t_ns in due if t_ns > now))))
             now = bus.clock.now()
             faults.strike(now)
             bench.hands()

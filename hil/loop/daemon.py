@@ -226,6 +226,7 @@ def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int)
             break
         answers += heard  # of a node, maybe an answer to an older tick, or one that is damaged or forged
         missing = missing.difference([awaited(each.frame) for each in heard if fresh(each, tick, begun_ns)])
-        if bus.clock.now() >= deadline_ns:
+        if missing and bus.clock.now() >= deadline_ns:
+            answers += bus.drain_now()  # what came while this process was held up
             break
     return answers

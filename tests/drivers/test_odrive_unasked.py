@@ -14,6 +14,7 @@ from drivers.odrive import ODriveProtocol
 from drivers.protocol import DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
+from hil.app.check.bus import answered_ns
 from hil.app.configuration.bus_budget import unasked_readings
 from hil.app.encoder_limits import encoder_limits
 from hil.loop.latches import checked
@@ -21,6 +22,7 @@ from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.hil.bringup.families import family
 
 NODES = (0, 1, 2, 3, 5, 62)
+NONE_AND_SOME = {"encoder_msg_rate_ms": 0}, {"encoder_msg_rate_ms": 10}
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, offset_m=1.75))
 ESTIMATES = 0x09
 UNASKED_S = 0.01
@@ -127,6 +129,16 @@ def test_estimates_that_are_sent_unasked_are_no_polls_that_were_heard():
 def test_estimates_that_no_tick_is_without_are_in_the_arithmetic_of_the_bus(options, rate_Hz, frames):
     found = unasked_readings(configured(options), rate_Hz)
     assert [(len(frame.data), frame.flags) for frame in found] == [(8, 0)] * frames
+
+
+def test_one_estimate_may_stand_before_the_last_answer_of_a_tick():
+    """Of 8 bytes, at most 135 bit with its stuffing; the window has to have room for it."""
+    c = family("odrive")
+    asked, unasked = (
+        answered_ns(c.model_copy(update={"drives": c.drives.model_copy(update={"options": options})}))
+        for options in NONE_AND_SOME
+    )
+    assert [more - fewer for more, fewer in zip(unasked, asked, strict=True)] == [135_000]
 
 
 def test_on_several_buses_each_carries_the_estimates_of_its_own_axes():

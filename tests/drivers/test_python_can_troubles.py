@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import tty
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
@@ -20,7 +21,14 @@ from drivers.errors import BusError
 from drivers.protocol import Frame
 
 Look = can.Message | Exception | None
-GARBLED = [ValueError("int()"), IndexError("line"), KeyError("X"), can.CanOperationError("overrun")]
+GARBLED = [
+    ValueError("int()"),
+    IndexError("line"),
+    KeyError("X"),
+    can.CanOperationError("overrun"),
+    TypeError("ord()"),
+    struct.error("unpack"),
+]
 
 
 def message(identifier: int, **changes: Any) -> can.Message:
@@ -199,6 +207,13 @@ def test_a_line_that_is_no_text_spoils_none_that_comes_later(line):
     assert (bus.overflow, bus.off) == (1, False)
     write(line, b"t1241CC\r")
     assert heard(bus) == [0x124]
+
+
+def test_frames_that_wait_behind_a_line_that_is_no_text_are_read(line):
+    bus, _ = line
+    write(line, b"t1232\xff\xfe\r" + b"t1241CC\r" * 6)
+    assert heard(bus) == [0x124] * 6
+    assert (bus.overflow, bus.off) == (1, False)
 
 
 def test_an_adapter_that_is_pulled_out_is_off_and_is_closed_without_a_word(line):

@@ -86,6 +86,26 @@ def test_at_the_deadline_it_goes_on_with_what_is_there(cycle):
     assert len(heard) == 6
 
 
+def test_what_came_while_the_program_was_held_up_past_the_deadline_is_taken(cycle):
+    """A family whose answers share an identifier is waited for frame by frame."""
+
+    class HeldUp(Queue):
+        def wait(self, _deadline_ns: int) -> list[Received]:
+            return [self.left.pop(0)]
+
+        def drain_now(self) -> list[Received]:
+            taken, self.left = self.left, []
+            return taken
+
+    good, own = six(cycle), cycle.parts.protocol
+    shared = SimpleNamespace(
+        shares_identifiers=True, feedback_ids=own.feedback_ids, fresh=own.fresh, awaited=own.awaited
+    )
+    one: Any = SimpleNamespace(parts=SimpleNamespace(protocol=shared))
+    heard = _answers(one, cast("Bus", HeldUp(*good)), TICK, 1_000, 8_000)
+    assert [each.frame for each in heard] == good
+
+
 def test_a_frame_from_before_the_tick_is_none_of_the_six(cycle):
     good = six(cycle)
     heard = _answers(cycle, cast("Bus", Queue(*good, *good)), TICK, 5_003, 10**9)

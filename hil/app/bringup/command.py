@@ -124,19 +124,23 @@ def run_bringup(
         bench_time = stretches(np.array(said.stood_ns, np.int64))
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
         together = Together(success=False, lines=[])
+        unwritten: dict[str, Any] = {}
         if outcome.success and not reason:
             write_whole(files.found, text)
             found = loads(text, str(files.found), c.folder)
             together = _release(found, bench, context, said, agree, served=served)
             if together.success:
                 text = found_text(c, context, (), released=True, rehearsed=rehearsed)
-                write_whole(files.found, text)
+                with further(unwritten):
+                    write_whole(files.found, text)
             if together.brake_failed:
                 store.forget_brakes()
         lines = [*checklist(context, outcome, together.lines), *filter(None, [stood_still_line(bench_time)])]
         if outcome.findings:
-            lines += _write_mended(c, context, files.found, text, outcome.findings, said, rehearsal=rehearsal)
-        unwritten: dict[str, Any] = {}
+            with further(unwritten):
+                lines += _write_mended(
+                    c, context, files.found, text, outcome.findings, said, rehearsal=rehearsal
+                )
         with further(unwritten):
             page = "\n".join([*_head(c, path, rehearsed=rehearsed), *lines])
             write_whole(files.checklist, f"{page}\n")

@@ -60,6 +60,10 @@ def answered_ns(c: Configuration) -> list[int]:
         for frame in protocol.cyclic_frames()
         if frame.id in opens or protocol.awaited(frame) in protocol.feedback_ids
     ]
+    if protocol.unasked_s > 0.0:  # one that its drive sends by a timer may stand before the last answer
+        asked = {(frame.id, frame.flags) for frame in opening}
+        answers = {frame.bus: frame for frame in counted if (frame.id, frame.flags) not in asked}
+        counted += answers.values()
     return [
         sum(
             frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
 
 LEAST, MOST = 1e-60, 1e15
-"""Of a number with a fraction that is not 0, in any unit; rounding may leave 1e-17 or less of a zero."""
-MOST_WHOLE = 2**64
-"""Of a whole number: a seed may be large."""
+"""Of a number that is not 0, in any unit; rounding may leave 1e-17 or less of a zero."""
+MOST_SEED = 2**64
 _OTHERS = ("plant", "model", "parameters")
 """Those of a foreign FMU are its own."""
 
@@ -28,7 +27,7 @@ def _found(value: Value, path: Path) -> Iterator[tuple[Path, str]]:
     elif isinstance(value, list):
         for k, each in enumerate(value):
             yield from _found(each, (*path, k))
-    elif isinstance(value, float) and value and not LEAST <= abs(value) <= MOST:
-        yield path, f"allowed in size: 0, and {LEAST:g} to {MOST:g}, given: {value:g}"
-    elif isinstance(value, int) and abs(value) > MOST_WHOLE:
-        yield path, f"allowed in size: up to 2**64, given: {float(value):g}"
+    elif isinstance(value, int | float) and value:
+        most = MOST_SEED if path[-1] == "seed" else MOST
+        if not LEAST <= abs(value) <= most:
+            yield path, f"allowed in size: 0, and {LEAST:g} to {most:g}, given: {float(value):g}"

@@ -21,7 +21,7 @@ from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
 from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import closing, console, fail, log_path, picture_beside, told, warn
+from hil.app.output import closing, console, fail, further, log_path, picture_beside, told, warn
 from hil.app.replay import not_replayed, replay_log
 from hil.app.run.consent import EnterKey
 from hil.app.run.plant_process import SupervisedPlant
@@ -157,10 +157,8 @@ def _what_there_is(ending: Ending, trouble: str, closed: LogSummary) -> str:
 def _draw(result: dict[str, Any], c: Configuration, log: Path, file: Path) -> None:
     """Draw the picture of a run into a PNG file."""
     title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
-    try:
+    with further(result):
         result["picture"] = str(picture(Log.open(log).rows(), file, title))
-    except (LogError, OSError) as error:
-        result["picture"] = f"none: {error.strerror if isinstance(error, OSError) else error}"
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:

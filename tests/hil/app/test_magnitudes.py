@@ -35,7 +35,7 @@ def changed(text: str, path: tuple[str | int, ...], number: float) -> str:
 PLACES = [(name, path) for name in ("virtual", "lab") for path in numbers(yaml.safe_load(load(name).text))]
 
 
-@pytest.mark.parametrize("number", [-1.1e15, 0.9e-60, 10**300])
+@pytest.mark.parametrize("number", [-1.1e15, 2 * 10**15, 0.9e-60, 10**300])
 def test_a_number_beyond_all_reason_is_refused_with_its_place_wherever_it_stands(number):
     assert len(PLACES) > 50
     for name, path in PLACES:
@@ -44,7 +44,7 @@ def test_a_number_beyond_all_reason_is_refused_with_its_place_wherever_it_stands
         assert f": {path_text(path)}: " in str(refused.value), (name, path)
 
 
-@pytest.mark.parametrize(("number", "taken"), [(1e15, True), (1e-60, True), (0.0, True), (2**64, True)])
+@pytest.mark.parametrize(("number", "taken"), [(1e15, True), (1e-60, True), (0.0, True), (10**15, True)])
 def test_the_last_number_within_reason_is_judged_by_its_own_bounds_alone(number, taken):
     path = ("plant", "drives", "damping_N_s_m")
     assert loads(changed(load("virtual").text, path, number), "a.yaml", CONFIGS).plant is not None

@@ -158,7 +158,7 @@ def test_a_run_that_cannot_be_replayed_in_the_end_has_its_summary_and_last_ticks
     ("error", "why"),
     [(LogError("a.mcap: no such file"), "a.mcap: no such file"), (OSError(28, "No space"), "No space")],
 )
-def test_a_picture_that_cannot_be_drawn_in_the_end_is_a_figure_that_says_why(
+def test_a_picture_that_cannot_be_drawn_in_the_end_is_no_success_and_says_why(
     monkeypatch, tmp_path, error, why
 ):
     def fails(*_):
@@ -167,7 +167,8 @@ def test_a_picture_that_cannot_be_drawn_in_the_end_is_a_figure_that_says_why(
     monkeypatch.setattr(Log, "open", fails)
     result: dict[str, Any] = {"tracking": {"ticks": 3}, "rate_Hz": 1000.0}
     command._draw(result, SimpleNamespace(name="a"), tmp_path / "a.mcap", tmp_path / "a.png")  # type: ignore[arg-type]
-    assert result["picture"] == f"none: {why}"
+    assert (result["success"], result["unwritten"]) == (False, [why])
+    assert "picture" not in result
 
 
 def test_a_log_whose_recorder_died_is_said_to_be_cut_beside_the_reason(verdict):

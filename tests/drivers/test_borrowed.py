@@ -200,3 +200,13 @@ def test_a_kernel_that_only_reads_hands_nothing_on_to_one_that_writes():
     direct(OUT_VECTOR)(lends)
     with pytest.raises(TypingError):
         direct(VECTOR)(lends)
+
+
+@kernel(OUT_VECTOR, unlocked=True)
+def _change_beside_others(vector: Any) -> None:
+    vector[0] = 1.0
+
+
+def test_no_other_thread_of_the_interpreter_runs_beside_a_kernel_that_does_not_say_so():
+    locks: Any = [_change, _change_beside_others]
+    assert [bool(each.targetoptions["nogil"]) for each in locks] == [False, True]

@@ -15,6 +15,7 @@ import can
 import numpy as np
 import pytest
 
+from drivers.cia402.objects import ABORTS
 from drivers.config import DriveSettings
 from drivers.protocol import DriveSetup, Frame, Received, run_of
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
@@ -288,3 +289,9 @@ def test_our_controller_sets_up_six_drives_of_canopen(network, od):
     turns = 1000 * np.arange(1, 7) / COUNTS
     expected = np.array([0.75] * 5 + [0.5]) + np.array([1, -1, 1, -1, 1, 1]) * SCREW_m * turns
     np.testing.assert_allclose(tick["length"], expected, rtol=0, atol=1e-12)
+
+
+def test_each_abort_code_that_has_a_meaning_here_is_one_that_canopen_knows():
+    known = import_module("canopen.sdo.exceptions").SdoAbortedError.CODES
+    assert len(ABORTS) > 20
+    assert {f"0x{code:08X}" for code in ABORTS if code not in known} == set()

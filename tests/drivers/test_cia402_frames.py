@@ -321,3 +321,26 @@ def test_a_drive_that_answers_a_tick_late_may_catch_up_in_a_later_one():
     assert after([], calm, calm, both)["doubled"] == 0
     assert after([], calm, both, both)["doubled"] == 1 << LEG, "it owed one alone"
     assert after([], *[calm] * 8, both)["doubled"] == 1 << LEG, "an answer that was lost does not come"
+
+
+@pytest.mark.parametrize("leg", range(LEGS))
+@pytest.mark.parametrize(
+    ("data", "state", "held", "fault"),
+    [
+        pytest.param("4b3f600005730000", DriveState.FAULT, 0, 0x7305, id="error code"),
+        pytest.param("433f600005730000", DriveState.FAULT, 0, 0x7305, id="in four bytes"),
+        pytest.param("4b3f600005730000", DriveState.FAULT, 0x2310, 0x2310, id="an EMCY has said it"),
+        pytest.param("4b3f600005730000", DriveState.OFF, 0, 0, id="no fault"),
+        pytest.param("803f600000000206", DriveState.FAULT, 0, 0, id="no such object"),
+        pytest.param("4b41600005730000", DriveState.FAULT, 0, 0, id="another object"),
+        pytest.param("423f6000", DriveState.FAULT, 0, 0, id="too short"),
+    ],
+)
+def test_the_error_code_that_is_read_is_the_fault_of_a_drive_whose_emcy_was_missed(
+    leg, data, state, held, fault
+):
+    last, m = new_record(), new_record()
+    last["drive_state"][leg], last["drive_fault"][leg], m["tick"] = state, held, 1
+    answer = Frame(0x580 + NODES[leg], bytes.fromhex(data))
+    P.decode(P.start(SETUP), run_of([Received(1, answer)]), last, m, 0)
+    assert m["drive_fault"].tolist() == [fault if each == leg else 0 for each in range(LEGS)]

@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import MAPPED, PDOS, defaults, refused, with_value
+from drivers.cia402.dictionary import MAPPED, PDOS, PLACE, defaults, refused, with_value
 
 NODE = 5
 CASES = [
@@ -59,3 +59,12 @@ def test_the_identifier_of_a_pdo_is_another_one_only_while_it_is_off(parameters)
     assert refused(on, key, o.NOT_VALID | there, 4) == 0
     assert refused(off, key, there, 4) == 0
     assert refused(off, key, 0, 4) == o.BAD_VALUE
+
+
+@pytest.mark.parametrize("node", [1, 5, 127])
+def test_a_drive_begins_with_the_identifiers_of_the_predefined_set_and_the_first_pdo_of_a_direction_on(node):
+    values = defaults(node, 1000, 4096, 1)
+    for parameters, base in ((0x1400, 0x200), (0x1800, 0x180)):
+        found = [values[PLACE[parameters + n, 1]] for n in range(4)]
+        off = [0, 1 << 31, 1 << 31, 1 << 31]
+        assert found == [off[n] | base + 0x100 * n + node for n in range(4)]

@@ -142,3 +142,15 @@ def test_an_axis_whose_heartbeats_go_on_is_none_that_starts_anew_although_no_oth
     for _ in range(12 * BEAT_TICKS):
         ends.step(READY, set_up=False)
         assert DriveState.BOOT not in ends.dialogue.power
+
+
+def test_an_axis_that_is_asked_to_close_its_loop_is_ready_until_its_heartbeat_says_that_it_has():
+    ends = line()
+    ends.to_hear = mute
+    for _ in range(BEAT_TICKS):
+        ends.step(FORCED, set_up=False)
+        assert ends.states() == [DriveState.READY] * LEGS
+    ends.to_hear = list
+    for _ in range(BEAT_TICKS + 1):
+        ends.step(FORCED, set_up=False)
+    assert ends.states() == [DriveState.RUN] * LEGS

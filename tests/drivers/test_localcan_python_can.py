@@ -159,3 +159,17 @@ def test_python_can_viewer_shows_the_bus(join):
         viewer.wait(10)
         os.close(master)
     assert b"5A5" in screen
+
+
+def test_what_a_bus_sends_again_and_again_stops_with_it(monkeypatch):
+    stopped: list[can.BusABC] = []
+
+    def stop(bus: can.BusABC) -> None:
+        stopped.append(bus)
+
+    monkeypatch.setattr(can.BusABC, "stop_all_periodic_tasks", stop)
+    bus = LocalCanBus("t")
+    assert stopped == []
+    for _ in range(2):
+        bus.shutdown()
+        assert stopped == [bus]

@@ -108,3 +108,15 @@ def test_who_takes_the_slot_of_one_killed_while_it_held_time_does_not_hold_it(jo
     assert [int(words[at + each]) for each in (SLOT_DUE, SLOT_RUNG)] == [0, 0]
     assert not viewer.clock.stands()
     assert not newcomer.clock.stands()
+
+
+def test_who_has_left_may_leave_again_and_takes_nothing_of_those_who_stay_or_come(join):
+    left, stays = join(), join()
+    left.close()
+    comes = join()
+    left.close()
+    assert comes.serial % SLOTS == left.serial % SLOTS, "it has the same slot"
+    words = stays._wire.words
+    for node in (stays, comes):
+        assert int(words[slot_at(node.serial) + SLOT_SERIAL]) == node.serial
+    assert stays.send([Frame(1, b"")]) == 1

@@ -1,6 +1,7 @@
 """Files that are written whole or not at all: what went wrong names the file that was asked for."""
 
 import errno
+import os
 
 import pytest
 
@@ -37,3 +38,17 @@ def test_a_whole_file_takes_the_place_of_an_earlier_one(tmp_path):
         assert path.read_text() == "earlier"
     assert path.read_text() == "later"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_while_it_is_written_a_file_is_there_for_its_owner_alone_and_then_has_the_rights_of_any_new_one(
+    tmp_path,
+):
+    path, rights = tmp_path / "a.txt", []
+    umask = os.umask(0o027)
+    try:
+        with whole_file(path) as temporary:
+            assert list(tmp_path.iterdir()) == [temporary]
+            rights.append(temporary.stat().st_mode & 0o777)
+    finally:
+        os.umask(umask)
+    assert [*rights, path.stat().st_mode & 0o777] == [0o600, 0o640]

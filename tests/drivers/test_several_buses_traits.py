@@ -1,0 +1,62 @@
+"""A family on several buses says of itself what it says on one: nothing is left out, changed or made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.several_buses import SeveralBuses
+
+TRAITS = [
+    "database",
+    "feedback_ids",
+    "shares_identifiers",
+    "command_delay_ticks",
+    "set_up_frames",
+    "reset_ticks",
+    "reactions",
+    "dangers",
+    "answers_name_sync",
+    "latches_together",
+    "unasked_s",
+    "force_on_brakes",
+    "has_watchdog",
+    "power_told",
+    "stop_latches",
+]
+ASKED = {
+    "resolution": ("rate",),
+    "reported_lengths": (),
+    "carried": ("dialogue", "force"),
+    "fault_text": ("code",),
+    "legs_set_up": ("dialogue",),
+    "set_up_lacks": ("dialogue",),
+    "start": ("set-up",),
+}
+HALVES = ((0, 1, 2), (3, 4, 5))
+
+
+def several(**family: Any) -> Any:
+    made: Any = SimpleNamespace(**family)
+    return SeveralBuses(made, HALVES)
+
+
+@pytest.mark.parametrize("name", TRAITS)
+def test_a_trait_is_that_of_the_family(name):
+    own = object()
+    assert getattr(several(**{name: own}), name) is own
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_what_it_is_asked_the_family_is_asked_with_the_same_words(name):
+    asked: list[tuple[Any, ...]] = []
+    answer = object()
+
+    def answered(*given: Any) -> object:
+        asked.append(given)
+        return answer
+
+    assert getattr(several(**{name: answered}), name)(*ASKED[name]) is answer
+    assert asked == [ASKED[name]]

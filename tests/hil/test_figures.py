@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import ROW
-from hil.record.figures import certificate, figures
+from hil.record.figures import certificate, figures, picture
 
 
 def rows_of(count, mode=Mode.TRACKING, **columns):
@@ -99,3 +102,52 @@ def test_a_fault_that_was_reset_is_among_those_of_the_run():
     found = figures(rows_of(5, faults=[int(each) for each in faults]))
     assert sorted(found["faults"]) == ["BUS", "SPEED", "STALE"]
     assert figures(rows_of(2))["faults"] == []
+
+
+def test_the_errors_of_the_pose_are_a_distance_in_mm_and_an_angle_in_degrees():
+    p_d, R_d = np.zeros((3, 3)), np.array([np.eye(3)] * 3)
+    p_d[1], p_d[2] = [2e-3, -3e-3, 6e-3], [0.0, 5e-3, 0.0]
+    R_d[2] = Rotation.from_rotvec([0.0, -2.5, 0.0], degrees=True).as_matrix()
+    tracking = figures(rows_of(3, p_d=p_d, R_d=R_d))["tracking"]
+    assert tracking["peak_position_error_mm"] == pytest.approx(7.0)
+    assert tracking["peak_rotation_error_deg"] == pytest.approx(2.5)
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """A function that draws rows; it returns the axes: path, error, force, wake-ups."""
+
+    def draw(rows):
+        found: list[Figure] = []
+        monkeypatch.setattr(Figure, "savefig", lambda figure, file, **_: found.append(figure))
+        picture(rows, tmp_path / "a.png", "a run")
+        (figure,) = found
+        return figure.axes
+
+    return draw
+
+
+def test_the_picture_shows_poses_errors_and_forces_in_seconds_from_the_first_tick(drawn):
+    p, tau = np.arange(12.0).reshape(4, 3), np.arange(24.0).reshape(4, 6)
+    rows = rows_of(4, p=p, p_d=p + 1.0, q_d=tau * 1e-3, tau=-tau)
+    rows["t_ns"] += 7 * 10**9
+    rows["mode"][0] = Mode.APPROACH
+    path, error, force, _ = drawn(rows)
+    for axes in (path, error, force):
+        for line in axes.lines:
+            np.testing.assert_allclose(line.get_xdata(), [0.0, 1e-3, 2e-3, 3e-3], atol=1e-12)
+    reference = p + 1.0
+    reference[0] = np.nan
+    for k in range(3):
+        np.testing.assert_array_equal(path.lines[2 * k].get_ydata(), p[:, k])
+        np.testing.assert_array_equal(path.lines[2 * k + 1].get_ydata(), reference[:, k])
+    errors = tau.copy()
+    errors[0] = np.nan
+    np.testing.assert_allclose(np.transpose([line.get_ydata() for line in error.lines]), errors)
+    np.testing.assert_array_equal(np.transpose([line.get_ydata() for line in force.lines]), -tau)
+
+
+def test_the_picture_shows_the_share_of_the_wake_ups_that_came_later(drawn):
+    (line,) = drawn(rows_of(4, lateness_ns=[30_000, 10_000, 40_000, 20_000]))[3].lines
+    np.testing.assert_allclose(line.get_xdata(), [10.0, 20.0, 30.0, 40.0])
+    np.testing.assert_allclose(line.get_ydata(), [1.0, 0.75, 0.5, 0.25])

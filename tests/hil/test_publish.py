@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.protocol import Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.publish import LAST_EVENTS, Publisher
@@ -87,6 +88,20 @@ def test_of_many_events_the_last_ones_are_shown(bench):
     bench.drain()
     bench.publisher.publish(0)
     assert bench.shown.events == [(k + 1, f"event {k}") for k in range(count - LAST_EVENTS, count)]
+
+
+def test_events_of_several_pieces_that_follow_each_other_are_shown_each_with_its_own_text(bench):
+    """Frames stand before and behind them, and what a piece carries is 64 bytes."""
+    texts = ["a" * 64 + "b" * 64 + "c", "d" * 130, "short", "", "e" * 128, "f"]
+    row, frame = np.zeros((), ROW), Received(0, Frame(0x701, b"\x05", 0))
+    for k in range(3):
+        bench.recording.tick(row, [frame] * k, ())
+        for text in texts:
+            bench.recording.event(7, "info", text)
+    bench.recording.tick(row, [frame], ())
+    bench.drain()
+    bench.publisher.publish(0)
+    assert bench.shown.events == list(enumerate(3 * texts, start=1))
 
 
 def test_the_end_of_a_run_is_shown_before_its_picture_is_closed(bench):

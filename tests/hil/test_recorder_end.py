@@ -7,6 +7,7 @@ import subprocess
 
 import pytest
 
+from hil.record import Recording
 from hil.record.recorder import _Control
 
 LONG_S = 10.0
@@ -69,3 +70,10 @@ def test_a_producer_that_has_closed_its_pipe_has_ended(held, producer):
     os.close(held[1])
     assert control.ended(LONG_S)
     assert control.summary is None
+
+
+def test_a_recorder_that_has_closed_its_log_ends_without_a_word(tmp_path, capfd):
+    recording = Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True)
+    assert recording.close().complete
+    assert recording._process.returncode == 0
+    assert capfd.readouterr() == ("", "")

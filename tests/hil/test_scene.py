@@ -41,6 +41,38 @@ def test_platform_and_reference_stand_each_at_its_own_pose(row):
         assert (turned * R.inv()).magnitude() < 1e-12
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_pose_of_which_one_number_is_none_is_not_drawn_and_the_other_is(row, wrong):
+    drawer = SceneDrawer(Scene(BASE.tolist(), PLATFORM.tolist()))
+    places = [(name, k) for name in ("p", "R", "p_d", "R_d") for k in range(row[name].size)]
+    for name, k in places:
+        bad = row.copy()
+        bad[name].reshape(-1)[k] = wrong
+        found = [FrameTransform.FromString(t).child_frame_id for t in transforms(bad, Timestamp())]
+        assert found == (["platform"] if name.endswith("_d") else ["reference"]), (name, k)
+        assert (drawer.update(bad, Timestamp()) is not None) is name.endswith("_d")
+    assert len(places) == 24
+
+
+@pytest.mark.parametrize(("R", "other"), [("R", "reference"), ("R_d", "platform")])
+def test_a_pose_that_is_all_zeros_is_none_yet(row, R, other):
+    row[R] = 0.0
+    assert [FrameTransform.FromString(t).child_frame_id for t in transforms(row, Timestamp())] == [other]
+
+
+def test_base_platform_and_legs_have_colours_of_their_own_that_a_screen_can_show(row):
+    drawn = SceneDrawer(Scene(BASE.tolist(), PLATFORM.tolist())).update(row, Timestamp())
+    assert drawn is not None
+    parts = {e.id: [*e.lines, *e.cylinders] for e in SceneUpdate.FromString(drawn).entities}
+    found = {name: {(c.r, c.g, c.b, c.a) for c in (each.color for each in of)} for name, of in parts.items()}
+    ((*base, a),), ((*platform, b),), ((*legs, c),) = (found[name] for name in ("base", "platform", "legs"))
+    assert (a, b, c) == (1.0, 1.0, 1.0), "opaque"
+    assert np.ptp(base) < 0.1, "grey"
+    assert platform[2] > platform[1] > platform[0], "blue"
+    assert legs[0] > legs[1] > legs[2], "orange"
+    assert all(0.0 < value < 1.0 for value in (*base, *platform, *legs))
+
+
 def legs_of(base, platform, row):
     drawn = SceneDrawer(Scene(base.tolist(), platform.tolist())).update(row, Timestamp())
     assert drawn is not None

@@ -136,8 +136,12 @@ AREAS = {
             "tests/hil/test_metrics.py",
             "tests/hil/test_monitor.py",
             "tests/hil/test_foxglove_schemas.py",
+            "tests/hil/test_scene.py",
+            "tests/hil/test_publish.py",
+            "tests/hil/test_recorder*.py",
             "tests/hil/test_log*.py",
             "tests/hil/test_record.py",
+            "tests/hil/test_disk_full.py",
             "tests/hil/app/test_log_budget.py",
             "tests/hil/test_websocket.py",
         ),
@@ -178,6 +182,12 @@ AREAS = {
                 *("data_frame", "decode", "entries", "selection"),
             )
         ),
-        ("tests/hil/test_log*.py", "tests/hil/test_record.py", "tests/hil/app/test_export.py"),
+        (
+            "tests/hil/test_mcap_file.py",
+            "tests/hil/test_log*.py",
+            "tests/hil/test_salvage*.py",
+            "tests/hil/test_record.py",
+            "tests/hil/app/test_export.py",
+        ),
     ),
 }

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
@@ -89,6 +88,35 @@ def test_the_bound_is_that_of_the_tick_in_which_the_energy_peaks_while_it_is_wat
     }
 
 
+POWERED = {
+    Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.UNLOADING,
+    Mode.HELD,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_a_tick_without_feedback_of_one_leg_is_stale_wherever_the_drives_are_powered(mode):
+    rows = rows_of(8, mode)
+    rows["age"][[1, 4, 7], [0, 3, 5]] = 1, 2, 9
+    assert figures(rows)["stale_ticks"] == (3 if mode in POWERED else 0)
+
+
+def test_what_a_run_has_missed_is_summed_over_its_ticks_and_what_came_before_the_first_is_not():
+    found = figures(
+        rows_of(
+            3,
+            skipped=[50, 2, 3],
+            rejected=[1, 0, 4],
+            recorder_dropped=[0, 5, 6],
+            compute_ns=[9_000_000, 20_000, 40_000],
+            lateness_ns=[7_000, 5_000, 6_000],
+        )
+    )
+    assert (found["skipped_ticks"], found["rejected_frames"], found["dropped_ticks"]) == (5, 5, 6)
+    assert (found["compute_us"]["p50"], found["compute_us"]["max"]) == (30.0, 40.0)
+    assert (found["wake_up_us"]["p50"], found["wake_up_us"]["max"]) == (6.0, 7.0)
+
+
 def test_times_count_from_the_first_tick_whatever_the_clock_has_counted_before():
     rows = rows_of(5, t_ns=3 * 86_400 * 10**9 + 1_000_000 * np.arange(5))
     rows["mode"][:2] = Mode.APPROACH
@@ -151,3 +179,13 @@ def test_the_picture_shows_the_share_of_the_wake_ups_that_came_later(drawn):
     (line,) = drawn(rows_of(4, lateness_ns=[30_000, 10_000, 40_000, 20_000]))[3].lines
     np.testing.assert_allclose(line.get_xdata(), [10.0, 20.0, 30.0, 40.0])
     np.testing.assert_allclose(line.get_ydata(), [1.0, 0.75, 0.5, 0.25])
+
+
+def test_the_axes_of_the_picture_say_what_they_show_and_in_which_unit(drawn):
+    found = [(a.get_title(), a.get_xlabel(), a.get_ylabel()) for a in drawn(rows_of(3))]
+    assert found == [
+        ("platform origin, measured; dotted: reference", "", "m"),
+        ("leg error q_d - q while tracking", "", "mm"),
+        ("leg forces sent", "s", "N"),
+        ("wake-ups later than", "us", "share of ticks"),
+    ]

@@ -111,6 +111,25 @@ def test_a_first_order_loop_has_its_corner_as_bandwidth_and_ln_9_as_rise():
     assert found.overshoot == 0.0
 
 
+def test_a_slow_loop_has_its_corner_as_bandwidth_where_the_record_is_long_enough():
+    t = np.arange(6000) * 1e-2
+    tau = 5.0
+    found = bandwidth_Hz(t, 1 - np.exp(-t / tau), 0.0)
+    assert found == pytest.approx(1 / (2 * np.pi * tau), rel=2e-3)
+
+
+def test_rise_is_between_the_crossings_on_the_straight_lines_between_samples_however_far_apart():
+    """10 % is a fifth of the way from 0 to 50 %, 90 % is half the way from 80 to 100 %."""
+    t = np.array([0.0, 1.0, 3.0, 4.0, *range(5, 41)])
+    y = 7.0 - 2.0 * np.array([0.0, 0.5, 0.8, 1.0, *[1.0] * 36])
+    assert step_response(t, y, 7.0).rise_s == pytest.approx(3.5 - 0.2)
+    assert step_response(t + 9.0, y, 7.0).rise_s == pytest.approx(3.5 - 0.2)
+
+
+def test_an_answer_that_is_there_at_once_rises_in_no_time():
+    assert step_response(np.arange(20.0) + 3.0, np.ones(20), 0.0).rise_s == 0.0
+
+
 def test_what_has_not_come_to_rest_says_so():
     assert not step_response(T, np.sin(2 * np.pi * 3 * T) + T, 0.0).settled
 

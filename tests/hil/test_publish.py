@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.protocol import Frame, Received
+from drivers.signals import Warn
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.publish import LAST_EVENTS, Publisher
@@ -23,10 +24,12 @@ class Shown:
     def __init__(self) -> None:
         self.tick, self.waiting, self.closed = -1, -1, False
         self.events: list[tuple[int, str]] = []
+        self.figures: dict[str, int] = {}
 
     def write(self, row, figures, text):
         assert not self.closed
         self.tick, self.waiting = int(row["tick"]), int(figures["waiting"])
+        self.figures = {name: int(figures[name]) for name in figures.dtype.names}
         self.events = [(each["number"], each["text"]) for each in json.loads(text)]
 
     def close(self):
@@ -44,8 +47,10 @@ class Bench:
         mirror: Any = self.shown
         self.publisher = Publisher(self.ring, mirror)
 
-    def run(self, ticks):
+    def run(self, ticks, **columns):
         row = np.zeros((), ROW)
+        for name, value in columns.items():
+            row[name] = value
         for _ in range(ticks):
             row["tick"] = self.recording.ticks
             self.recording.tick(row, (), ())
@@ -76,6 +81,32 @@ def test_so_many_ticks_wait_as_were_recorded_and_not_written_yet(bench):
     bench.drain()
     bench.publisher.publish(0)
     assert bench.shown.waiting == 0
+
+
+def test_nothing_is_shown_before_the_first_tick(bench):
+    bench.publisher.publish(5)
+    bench.recording.event(0, "info", "no tick yet")
+    bench.drain()
+    bench.publisher.publish(5)
+    assert bench.shown.tick == -1
+    bench.run(1)
+    bench.publisher.publish(5)
+    assert (bench.shown.tick, bench.shown.events) == (0, [(1, "no tick yet")])
+
+
+@pytest.mark.parametrize("look", [[], [1], [3], [1, 3, 4], [5]], ids=str)
+def test_every_tick_is_counted_once_whether_it_was_looked_at_before_it_was_written_or_not(bench, look):
+    late = [4_000, 9_000, 2_000, 3_000, 1_000]
+    for k, lateness_ns in enumerate(late, start=1):
+        bench.run(1, warnings=Warn.STALE, skipped=k, lateness_ns=lateness_ns, compute_ns=10 * lateness_ns)
+        if k in look:
+            bench.publisher.publish(0)
+    bench.drain(2)
+    bench.drain()
+    bench.publisher.publish(777)
+    figures = bench.shown.figures
+    found = [figures[name] for name in ("ticks", "stale", "skipped", "late_ns", "compute_ns", "log_bytes")]
+    assert found == [5, 5, 15, 9_000, 90_000, 777]
 
 
 def test_of_many_events_the_last_ones_are_shown(bench):

@@ -1,9 +1,15 @@
 import random
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from drivers.protocol import Frame, Received
+from drivers.tick_columns import ROW
+from hil.record import Recording
 from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, SENT, WRITTEN, Ring, pack_item
+from hil.signals import Operator, Order, SetPoint
 
 DTYPE = np.dtype([("tick", "<i8"), ("t_ns", "<i8"), ("x", "<f8", (3,))])
 
@@ -116,3 +122,33 @@ def test_a_second_mapping_of_the_descriptor_sees_the_same_memory(ring):
     assert other.counters[DROPPED] == 5
     other.release(other.take(1))
     assert ring.counters[READ] == 1
+
+
+ROW_0 = np.zeros((), ROW)
+FRAME = Frame(1, b"", 0)
+ITEMS: dict[str, tuple[Any, ...]] = {
+    "received": ([Received(0, FRAME)], (), (), (), ()),
+    "sent": ((), [FRAME], (), (), ()),
+    "command": ((), (), [int(Operator.STOP)], (), ()),
+    "set-point": ((), (), (), [SetPoint(*range(6))], ()),
+    "order": ((), (), (), (), [Order(Operator.HOLD)]),
+}
+
+
+@pytest.mark.parametrize("second", ITEMS)
+@pytest.mark.parametrize("first", ITEMS)
+def test_a_tick_with_two_items_of_any_kinds_takes_room_for_two(first, second):
+    """4096 items have room beside 256 rows, and what is refused leaves nothing behind."""
+    ring = Ring.create(ROW, 256)
+    nobody: Any = None
+    recording = Recording(ring, nobody, Path("a.mcap"), lockstep=False)
+    given = [[*a, *b] for a, b in zip(ITEMS[first], ITEMS[second], strict=True)]
+    recording.tick(ROW_0, *given)
+    batch = ring.take(10)
+    assert len(batch.items) == 2
+    recording._items = 4096 - 2
+    recording.tick(ROW_0, *given)
+    assert (recording.ticks, recording.dropped, recording._items) == (2, 0, 4096)
+    recording.tick(ROW_0, *given)
+    assert (recording.ticks, recording.dropped, recording._items) == (2, 1, 4096)
+    ring.close_fd()

@@ -1,14 +1,29 @@
 """What a salvage says of itself, what it keeps of a foreign file, and where records of a damaged file begin."""
 
+import errno
+import os
 import struct
 from itertools import accumulate
 
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Message,
+    MessageIndex,
+    Metadata,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import StreamReader
 
 from drivers.errors import LogError
 from hil.record import salvage as salvaging
+from hil.record.log import Log
 from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.mcap_read import Record
 from hil.record.salvage import salvage
@@ -16,6 +31,7 @@ from hil.record.schema import SALVAGE
 from hil.record.surviving import Lost, surviving
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import log_of, random_ticks
+from tools.fuzz import container
 
 TICKS = random_ticks(40, seed=6)
 DATA_END = record_bytes(DataEnd(data_section_crc=0))
@@ -103,6 +119,96 @@ def test_schemas_and_channels_that_another_program_wrote_into_a_chunk_come_with_
     assert found == [("theirs", "/theirs", b"{}")]
 
 
+def test_metadata_of_other_names_come_along_and_that_of_the_run_stands_there_once(path, tmp_path):
+    theirs, _ = inserted(path, tmp_path, metadata("theirs", a="1"), metadata("more", b="2"))
+    salvage(theirs, tmp_path / "out.mcap")
+    with path.open("rb") as file:
+        before = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
+    with (tmp_path / "out.mcap").open("rb") as file:
+        found = [(m.name, m.metadata) for m in make_reader(file).iter_metadata()]
+    assert [name for name, _ in found] == ["hil", "environment", "theirs", "more", SALVAGE, "summary"]
+    after = dict(found)
+    assert (after["theirs"], after["more"]) == ({"a": "1"}, {"b": "2"})
+    assert after["hil"] == before["hil"]
+    assert after["environment"] == before["environment"]
+
+
+def test_attachments_come_along_each_with_its_name_time_and_kind(path, tmp_path):
+    more = record_bytes(
+        Attachment(log_time=5, create_time=5, name="more.csv", media_type="text/csv", data=b"1")
+    )
+    theirs, _ = inserted(path, tmp_path, more)
+    salvage(theirs, tmp_path / "out.mcap")
+
+    def attached(file):
+        with file.open("rb") as stream:
+            return [
+                (a.name, a.media_type, a.log_time, a.create_time, a.data)
+                for a in make_reader(stream).iter_attachments()
+            ]
+
+    assert attached(tmp_path / "out.mcap") == [*attached(path), ("more.csv", "text/csv", 5, 5, b"1")]
+
+
+def test_messages_outside_chunks_stay_before_the_chunk_that_follows_them(path, tmp_path):
+    """Of a log in which another program has unpacked a chunk."""
+    parts = container.split(path.read_bytes())
+    at = next(k for k, (kind, _) in enumerate(parts) if kind == container.CHUNK)
+    inner = container.split(container.unpacked(parts[at][1]))
+    half = next(k for k, (_, content) in enumerate(inner) if k > 50 and len(content) > 1000)  # a row
+    loose, chunk = (
+        inner[:half],
+        (container.CHUNK, container.packed(parts[at][1], container.joined(inner[half:]))),
+    )
+    theirs = tmp_path / "theirs.mcap"
+    theirs.write_bytes(container.whole([*parts[:at], *loose, chunk, *parts[at + 1 :]]))
+    report = salvage(theirs, tmp_path / "out.mcap")
+    assert report.ticks == len(TICKS)
+
+    def order(file):
+        with file.open("rb") as stream:
+            return [m.data for m in StreamReader(stream).records if isinstance(m, Message)]
+
+    assert len(loose) > 50
+    assert order(tmp_path / "out.mcap") == order(path)
+
+
+@pytest.fixture
+def without_links(monkeypatch):
+    """A file system that gives no file a second name."""
+
+    def refused(*_):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+
+
+def test_a_file_system_without_links_takes_the_salvaged_log_all_the_same(path, tmp_path, without_links):
+    report = salvage(path, tmp_path / "out.mcap")
+    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
+    assert len(Log.open(tmp_path / "out.mcap").rows("tick")) == report.ticks == len(TICKS)
+
+
+@pytest.mark.parametrize("kind", ["file", "link"])
+def test_nor_is_a_name_taken_there_that_came_to_be_meanwhile(
+    path, tmp_path, monkeypatch, without_links, kind
+):
+    out, close = tmp_path / "out.mcap", salvaging._close
+
+    def slow(*given):
+        if kind == "file":
+            out.write_bytes(b"precious")
+        else:
+            out.symlink_to("nowhere")
+        return close(*given)
+
+    monkeypatch.setattr(salvaging, "_close", slow)
+    with pytest.raises(LogError, match="never overwritten"):
+        salvage(path, out)
+    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
+    assert out.is_symlink() if kind == "link" else out.read_bytes() == b"precious"
+
+
 def test_a_message_without_a_byte_of_data_is_whole(tmp_path):
     empty, more = message(), message(data=b"1")
     file, starts = placed(tmp_path, metadata("a", a="1"), b"\xff" * 9, empty, more)
@@ -123,6 +229,11 @@ def test_a_message_without_a_byte_of_data_is_whole(tmp_path):
         ),
         Attachment(log_time=0, create_time=0, name="", media_type="", data=b""),
         Metadata(name="", metadata={}),
+        MessageIndex(channel_id=0, records=[]),
+        Statistics(
+            attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0, message_count=0,
+            message_end_time=0, message_start_time=0, metadata_count=0, schema_count=0,
+        ),
     ],
     ids=lambda record: type(record).__name__,
 )  # fmt: skip
@@ -167,3 +278,44 @@ def test_a_damaged_length_is_none_though_it_ends_at_a_record_that_would_go_on_be
     lost, *whole = surviving(file)
     assert lost == Lost(starts[0], starts[1])
     assert [each[1] for each in whole] == starts[1:3]
+
+
+@pytest.mark.parametrize("window", [1, 16, 64])
+@pytest.mark.parametrize("last", ["metadata", "message index"])
+def test_the_next_record_is_found_wherever_a_piece_of_the_file_ends_that_is_looked_through(
+    tmp_path, monkeypatch, window, last
+):
+    """The file ends with the shortest record that there is behind a whole one, or with the whole one."""
+    monkeypatch.setattr("hil.record.surviving._WINDOW", window)
+    ends = {"metadata": [], "message index": [record_bytes(MessageIndex(channel_id=0, records=[]))]}
+    for size in range(9, 75):
+        file, starts = placed(tmp_path, metadata("a"), b"\xff" * size, metadata(""), *ends[last])
+        first, lost, *whole = surviving(file)
+        assert (first[1], lost) == (starts[0], Lost(starts[1], starts[2])), size
+        assert [each[1] for each in whole] == starts[2:-1], size
+
+
+@pytest.mark.parametrize("index", [False, True])
+def test_records_of_the_index_come_where_they_are_asked_for_and_the_footer_ends_it(tmp_path, index):
+    parts = [
+        metadata("a"),
+        DATA_END,
+        metadata("b"),
+        metadata("c"),
+        record_bytes(Footer(0, 0, 0)),
+        metadata("d"),
+    ]
+    file, starts = placed(tmp_path, *parts)
+    found = [each[1] for each in surviving(file, index=index)]
+    assert found == ([starts[0], starts[2], starts[3]] if index else starts[:1])
+
+
+@pytest.mark.parametrize(
+    ("opcode", "length"), [(0x0C, 4), (0x0F, 3), (0x0F, 20), (0x02, 19), (0x02, 4), (0x0D, 4)]
+)
+def test_only_an_end_of_the_data_of_4_bytes_and_a_footer_of_20_are_the_end(tmp_path, opcode, length):
+    odd = struct.pack("<BQ", opcode, length) + b"\xff" * length
+    file, starts = placed(tmp_path, metadata("a", a="1"), odd, metadata("b", b="2"), metadata("c", c="3"))
+    for index in (False, True):
+        found = [each[1] for each in surviving(file, index=index) if isinstance(each, Record)]
+        assert [at for at in found if at != starts[1]] == [starts[0], *starts[2:4]]

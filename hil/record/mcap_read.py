@@ -161,7 +161,7 @@ def records(path: Path, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
             end = offset + HEAD.size + length
             if opcode not in OPCODES:
                 break
-            if opcode == Opcode.DATA_END:
+            if opcode == Opcode.DATA_END and end <= size:
                 _check_end(file, offset, length, None if skip else crc)
                 return
             if opcode in skip and end <= size:
@@ -181,10 +181,9 @@ def records(path: Path, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
 
 
 def _check_end(file: BinaryIO, offset: int, length: int, crc: int | None) -> None:
-    content = file.read(4)
-    if length != 4 or len(content) < 4:
+    if length != 4:
         raise LogError(f"damaged at byte {offset}: the end of the data has {length} bytes, allowed: 4")
-    wanted = int.from_bytes(content, "little")
+    wanted = int.from_bytes(file.read(4), "little")
     if crc is not None and wanted and wanted != crc:  # 0: its writer has made none
         raise LogError(f"damaged somewhere before byte {offset}: the checksum of the data section differs")
 

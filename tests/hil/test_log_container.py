@@ -16,6 +16,7 @@ from hil.record.log import Log, Tick
 from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.mcap_read import NOTHING, records, split
 from hil.record.mcap_summary import read_summary
+from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
 from tools.fuzz import container
@@ -171,6 +172,29 @@ def test_frames_of_a_log_of_version_0_1_0_are_of_the_only_bus_it_had():
     ]
     assert {frame.flags >> 8 for frame in received} == {0}
     assert len(frames) == len(received) > 0
+
+
+@pytest.mark.parametrize("there", [0, 5, 9, 10, 12, 13, 14])
+def test_a_log_that_is_cut_within_the_record_that_ends_its_data_gives_all_its_ticks(path, tmp_path, there):
+    data = path.read_bytes()
+    end = data.rindex(struct.pack("<BQ", container.DATA_END, 4))
+    (tmp_path / "cut.mcap").write_bytes(data[: end + there])
+    log = Log(tmp_path / "cut.mcap")
+    assert log.cut
+    assert_same(log.ticks(), TICKS)
+    report = salvage(tmp_path / "cut.mcap", tmp_path / "out.mcap")
+    assert report.ticks == len(TICKS)
+    assert report.complete or 0 < there < 9, "of less than a head nobody knows what it was"
+
+
+@pytest.mark.parametrize("length", [0, 3, 5])
+def test_an_end_of_the_data_of_another_length_is_damaged(path, tmp_path, length):
+    data = bytearray(path.read_bytes())
+    end = data.rindex(struct.pack("<BQ", container.DATA_END, 4))
+    data[end + 1] = length
+    (tmp_path / "bad.mcap").write_bytes(data)
+    with pytest.raises(LogError, match=f"damaged at byte {end}: the end of the data has {length} bytes"):
+        Log(tmp_path / "bad.mcap").rows()
 
 
 # -- messages ------------------------------------------------------------------------------------------------

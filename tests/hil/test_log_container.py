@@ -1,5 +1,6 @@
 """The container of a log: what its end says of it, what is passed over in it, and what is refused in it."""
 
+import dataclasses
 import struct
 from itertools import accumulate
 from pathlib import Path
@@ -7,13 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from mcap.records import Attachment, ChunkIndex, Statistics, SummaryOffset
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Metadata,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.records import Schema as SchemaRecord
 from mcap.stream_reader import StreamReader
 
 from drivers.errors import LogError
 from hil.record import mcap_summary as index_of
 from hil.record.log import Log, Tick
 from hil.record.mcap_file import MAGIC, record_bytes
+from hil.record.mcap_parse import parse_record
 from hil.record.mcap_read import NOTHING, records, split
 from hil.record.mcap_summary import read_summary
 from hil.record.salvage import salvage
@@ -215,6 +228,52 @@ def test_the_shortest_message_has_22_bytes(tmp_path):
             split(message(22) + message(size))
         with pytest.raises(LogError, match=f"a message of {size} bytes, allowed: 22 and more"):
             split(message(size) + message(22))
+
+
+@pytest.mark.parametrize("left", [1, 8, 9, 15, 30])
+def test_a_buffer_ends_with_a_whole_record_unless_it_is_a_part(left):
+    data = message(22) + message(22)[:left]
+    with pytest.raises(LogError, match=f"{left} bytes of {31 + left} are no record"):
+        split(data)
+    table, others = split(data, part=True)
+    assert (table.offset.tolist(), table.length.tolist(), others) == ([0], [31], [])
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        Attachment(create_time=3, log_time=4, name="a", media_type="text/x", data=b"56"),
+        Channel(id=3, topic="/t", message_encoding="e", metadata={"k": "v", "l": "w"}, schema_id=4),
+        Chunk(
+            compression="zs", data=b"34", message_start_time=5, message_end_time=6, uncompressed_crc=7,
+            uncompressed_size=8,
+        ),
+        DataEnd(data_section_crc=3),
+        Footer(summary_start=3, summary_offset_start=4, summary_crc=5),
+        Metadata(name="n", metadata={"k": "v", "l": ""}),
+        SchemaRecord(id=3, name="n", encoding="e", data=b"45"),
+        Statistics(
+            attachment_count=3, channel_count=4, channel_message_counts={5: 6, 7: 8}, chunk_count=9,
+            message_count=10, message_end_time=11, message_start_time=12, metadata_count=13, schema_count=14,
+        ),
+    ],
+    ids=lambda record: type(record).__name__,
+)  # fmt: skip
+def test_a_record_is_read_as_it_was_given_to_the_library_that_writes_it(record):
+    whole = record_bytes(record)
+    found = parse_record(whole[0], whole[9:])
+    assert dataclasses.asdict(found) == dataclasses.asdict(record)
+
+
+def test_a_file_that_ends_within_a_record_ends_with_what_there_is_of_it(path, tmp_path):
+    data = path.read_bytes()
+    second = [r for r in records(path) if r.opcode == Opcode.METADATA][1]
+    for there in range(32):
+        (tmp_path / "cut.mcap").write_bytes(data[: second.offset + there])
+        *_, last = records(tmp_path / "cut.mcap")
+        assert (last.offset, last.complete) == (second.offset, False)
+        assert last.opcode == (Opcode.METADATA if there >= 9 else NOTHING)
+        assert last.content == second.content[: max(0, there - 9)]
 
 
 def test_a_buffer_without_a_message_is_an_empty_table():

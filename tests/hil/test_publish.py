@@ -92,6 +92,7 @@ def test_nothing_is_shown_before_the_first_tick(bench):
     bench.run(1)
     bench.publisher.publish(5)
     assert (bench.shown.tick, bench.shown.events) == (0, [(1, "no tick yet")])
+    assert (bench.shown.figures["ticks"], bench.shown.figures["capacity"]) == (1, 256)
 
 
 @pytest.mark.parametrize("look", [[], [1], [3], [1, 3, 4], [5]], ids=str)

@@ -88,6 +88,23 @@ def test_events_come_before_the_tick_that_follows_them_and_without_one_after_the
     assert not len(ring.take(100).items)
 
 
+@pytest.mark.parametrize("rows", [0, 1, 3])
+@pytest.mark.parametrize("events", [1, 2, 5])
+def test_as_many_events_as_follow_the_last_tick_come_with_its_batch(ring, rows, events):
+    writer = Writer(ring)
+    for _ in range(rows):
+        writer.row(2)
+    for k in range(events):
+        writer.item(EVENT, 70 + k)
+    ring.counters[EVENTS] = writer.items
+    batch = ring.take(100)
+    assert len(batch.rows) == rows
+    assert batch.tick.tolist() == [k for k in range(rows) for _ in range(2)] + [rows] * events
+    assert batch.items["t_ns"][2 * rows :].tolist() == [70 + k for k in range(events)]
+    ring.release(batch)
+    assert not len(ring.take(100).items)
+
+
 def test_a_batch_that_leaves_rows_behind_leaves_the_events_behind_them_too(ring):
     writer = Writer(ring)
     for _ in range(3):

@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader
 from drivers.errors import LogError
 from hil.record import salvage as salvaging
 from hil.record.log import Log
-from hil.record.mcap_file import MAGIC, record_bytes
+from hil.record.mcap_file import MAGIC, McapFile, record_bytes
 from hil.record.mcap_read import Record
 from hil.record.salvage import salvage
 from hil.record.schema import SALVAGE
@@ -171,6 +171,61 @@ def test_messages_outside_chunks_stay_before_the_chunk_that_follows_them(path, t
 
     assert len(loose) > 50
     assert order(tmp_path / "out.mcap") == order(path)
+
+
+def test_what_is_damaged_is_called_a_chunk_or_a_record_with_its_place(path, tmp_path):
+    data = bytearray(path.read_bytes())
+    summary = mcap_summary(path)
+    chunk, attachment = summary.chunk_indexes[0], summary.attachment_indexes[0]
+    data[attachment.offset + attachment.length - 5] ^= 1  # the last byte before its checksum
+    data[chunk.chunk_start_offset + chunk.chunk_length - 3] ^= 1
+    (tmp_path / "bad.mcap").write_bytes(data)
+    report = salvage(tmp_path / "bad.mcap", tmp_path / "out.mcap")
+    assert [remark.partition(" is damaged and left out: ")[0] for remark in report.remarks] == [
+        f"the record at byte {attachment.offset}",
+        f"the chunk at byte {chunk.chunk_start_offset}",
+    ]
+    assert report.bytes_lost == attachment.length + chunk.chunk_length
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_messages_whose_channel_nothing_describes_stay_under_a_name_that_says_so(path, tmp_path, chunked):
+    content = message(99, b"1") + message(98, b"2") + message(99, b"3")
+    chunk = record_bytes(
+        Chunk(
+            message_start_time=1, message_end_time=1, uncompressed_size=len(content), uncompressed_crc=0,
+            compression="", data=content,
+        )
+    )  # fmt: skip
+    theirs, _ = inserted(path, tmp_path, *([chunk] * 2 if chunked else [content]))
+    report = salvage(theirs, tmp_path / "out.mcap")
+    assert report.remarks == tuple(f"the description of channel {n} is lost" for n in (98, 99))
+    with (tmp_path / "out.mcap").open("rb") as file:
+        topics = ["/unknown_98", "/unknown_99"]
+        found = [(c.topic, bytes(m.data)) for _, c, m in make_reader(file).iter_messages(topics)]
+    every = [("/unknown_98", b"2"), ("/unknown_99", b"1"), ("/unknown_99", b"3")]
+    assert sorted(found) == sorted(every * (2 if chunked else 1))
+
+
+@pytest.mark.parametrize("fails", ["finish", "add_metadata", "add_compressed"])
+def test_a_salvage_that_fails_leaves_no_file_open(path, tmp_path, monkeypatch, fails):
+    made: list[McapFile] = []
+
+    class Kept(McapFile):
+        def __init__(self, *given):
+            super().__init__(*given)
+            made.append(self)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(salvaging, "McapFile", Kept)
+    monkeypatch.setattr(Kept, fails, full)
+    with pytest.raises(LogError, match="cannot be written: No space left on device"):
+        salvage(path, tmp_path / "out.mcap")
+    (file,) = made
+    assert file._fd == -1
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

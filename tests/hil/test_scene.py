@@ -73,6 +73,20 @@ def test_base_platform_and_legs_have_colours_of_their_own_that_a_screen_can_show
     assert all(0.0 < value < 1.0 for value in (*base, *platform, *legs))
 
 
+def test_all_that_is_drawn_stands_in_the_frame_of_the_base_and_stays_there(row):
+    """Viewers move with it what is locked to a frame."""
+    stamp = Timestamp(seconds=7, nanos=5)
+    drawn = SceneDrawer(Scene(BASE.tolist(), PLATFORM.tolist())).update(row, stamp)
+    assert drawn is not None
+    found = [(e.id, e.frame_id, e.frame_locked, e.timestamp) for e in SceneUpdate.FromString(drawn).entities]
+    assert found == [(name, "base", True, stamp) for name in ("base", "platform", "legs")]
+    moved = [FrameTransform.FromString(each) for each in transforms(row, stamp)]
+    assert [(t.parent_frame_id, t.child_frame_id, t.timestamp) for t in moved] == [
+        ("base", "platform", stamp),
+        ("base", "reference", stamp),
+    ]
+
+
 def legs_of(base, platform, row):
     drawn = SceneDrawer(Scene(base.tolist(), platform.tolist())).update(row, Timestamp())
     assert drawn is not None

@@ -139,6 +139,7 @@ AREAS = {
             "tests/hil/test_scene.py",
             "tests/hil/test_publish.py",
             "tests/hil/test_row.py",
+            "tests/hil/test_environment.py",
             "tests/hil/test_live.py",
             "tests/hil/test_recorder*.py",
             "tests/hil/test_log*.py",

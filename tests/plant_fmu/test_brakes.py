@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults.brake import BrakeStuckOpen
 from plant_fmu.faults.fault import Fault
+from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
 
 OPEN_MS, CLOSE_MS = 50, 30
@@ -136,4 +137,23 @@ def test_brakes_without_a_time_move_at_once():
     a.run()
     assert a.brakes == [0.0] * 6
     a.command(1 * MS, DriveMode.OFF)
+    assert a.brakes == [1.0] * 6
+
+
+@pytest.mark.parametrize("half", [0, 1])
+def test_brakes_of_three_legs_alone_open_and_close_on_time_while_the_others_stay(half):
+    """No command, heartbeat or watchdog falls between the command and the brakes that have moved."""
+    a = Rig("classic", emulation=DriveEmulation(encoder_resolution_m=0.0, brake_open_ms=4, brake_close_ms=2))
+    a.configure(watchdog_s=0.5)
+    a.command(0, DriveMode.READY)
+    asked = [leg // 3 == half for leg in range(6)]
+    for mode, at_ms, until_ms, free_for_ms in ((DriveMode.RUN, 1, 7, 2.0), (DriveMode.READY, 8, 13, 2.0)):
+        a.tick += 1
+        frames = command_frames(a.protocol, Command(mode, np.zeros(6)), a.tick)
+        a.at(at_ms * MS, *a.protocol.begin(None, a.tick))
+        a.plant.calls.clear()
+        a.at(at_ms * MS, frames[half])
+        a.at(until_ms * MS)
+        free = [free_ms(a, leg) for leg in range(6)]
+        np.testing.assert_allclose(free, np.where(asked, free_for_ms, 0.0), rtol=0, atol=1e-9)
     assert a.brakes == [1.0] * 6

@@ -9,7 +9,7 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
-from plant_fmu.plant import Robot
+from plant_fmu.plant import Robot, whole_steps
 from plant_fmu.plants import PLANTS, open_plant
 from plant_fmu.stewart.build import build
 from plant_fmu.stewart.plant import stewart_plant
@@ -201,3 +201,18 @@ def test_the_platform_dictionary_survives_json():
     plant = stewart_plant(StewartPlant(type="stewart"), ROBOT._replace(platform=json.loads(json.dumps(BOOK))))
     assert plant.reset()[0] == pytest.approx(np.full(6, 1.592450434036), abs=1e-12)
     plant.close()
+
+
+@pytest.mark.parametrize("step_s", [1.0, 0.5, 2.0**-13])
+def test_a_step_is_a_whole_number_of_internal_ones_within_1e_9_and_fewer_than_a_thousand_million(step_s):
+    for n in (1, 2, 7, 1_000, 999_999_999):
+        assert whole_steps(n * step_s, step_s) == n
+    for n in (1, 7, 1_000):
+        for off in (0.5e-9, -0.5e-9):
+            assert whole_steps(n * step_s * (1.0 + off), step_s) == n
+        for off in (2e-9, -2e-9, 0.4 / n, -0.4 / n):
+            with pytest.raises(PlantError, match="multiple"):
+                whole_steps(n * step_s * (1.0 + off), step_s)
+    for n in (0.0, 1e9, 2e9):  # of so many any length would be a multiple
+        with pytest.raises(PlantError, match="multiple"):
+            whole_steps(n * step_s, step_s)

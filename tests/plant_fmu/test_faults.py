@@ -31,6 +31,7 @@ from plant_fmu.faults.frames import (
     FramesCorrupt,
     FramesDelay,
     FramesDuplicate,
+    FramesForgedCommand,
     FramesForgedFeedback,
     FramesLoss,
     FramesOld,
@@ -335,3 +336,23 @@ def test_a_second_controller_sends_on_its_own_bus_alone(bus):
     protocol = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
     frames = BusSecondController(bus=bus).frames(protocol, 0)
     assert [frame.bus for frame in frames] == [bus] * 2
+
+
+def test_frames_are_touched_where_any_one_of_the_faults_does_so():
+    others = [DriveSilence(leg=0), WrenchStep()]
+    for fault in (FramesLoss(), BusOff(), BusFlood(), BusSecondController(), FramesForgedCommand()):
+        for faults in ([fault], [fault, *others], [*others, fault]):
+            assert FaultPlan(faults).touches_frames
+    assert not FaultPlan(others).touches_frames
+    assert not FaultPlan().touches_frames
+
+
+@pytest.mark.parametrize("first", [DriveSilence(leg=0, at_s=9.0), DriveSilence(leg=0, mode="PARKED")])
+def test_each_sender_has_its_own_time_and_none_sends_before_its_mode_is_reached(first):
+    bounded, waiting = BusFlood(at_s=1.0, for_s=2.0), BusFlood(mode="TRACKING", at_s=0.5, for_s=4.0)
+    schedule = Schedule(FaultPlan([first, bounded, waiting, BusSecondController(at_s=3.0)]), 7 * S)
+    second = (3, BusSecondController(at_s=3.0), 10 * S, 10 * S + NEVER_NS)
+    assert list(schedule.senders()) == [(1, bounded, 8 * S, 10 * S), second]
+    schedule.reached("TRACKING", 20 * S)
+    begun = (2, waiting, round(20.5 * S), round(24.5 * S))
+    assert list(schedule.senders()) == [(1, bounded, 8 * S, 10 * S), begun, second]

@@ -9,15 +9,16 @@ import pytest
 
 from drivers.errors import PlantError
 from drivers.protocol import Received
-from drivers.signals import DriveFault, DriveMode, Reaction
+from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
+from plant_fmu.faults.drive import DriveReset
 from plant_fmu.faults.encoder import EncoderJump
 from plant_fmu.faults.frames import FramesForgedFeedback
 from plant_fmu.faults.plant import PlantCrash, PlantHang
 from tests.drivers.legs_frames import decode
 from tests.plant_fmu.test_fault_kinds import accelerating
-from tests.plant_fmu.test_nodes import MS, REST, Rig
+from tests.plant_fmu.test_nodes import MS, REST, Rig, starve
 
 
 def test_a_drive_holds_where_it_stands_whatever_its_encoder_has_slipped_by():
@@ -85,3 +86,29 @@ def test_a_fault_has_begun_where_the_plant_fails_with_it_and_not_where_it_failed
     with pytest.raises(PlantError, match="refused"):
         rig.at(3 * MS)
     assert rig.nodes.begun == ()
+
+
+@pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])
+@pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
+def test_a_drive_that_reacts_goes_on_whatever_it_is_told_but_off_or_reset(reaction, mode):
+    rig, _ = starve(reaction, seconds=0.005)
+    other, _ = starve(reaction, seconds=0.005)
+    for t_ms in (16, 17, 18):
+        rig.command(t_ms * MS, mode, 500.0)
+    rig.at(20 * MS)
+    other.at(20 * MS)
+    told, left = rig.nodes.snapshot(), other.nodes.snapshot()
+    assert told.state.tolist() == [DriveState.FAULT] * 6
+    assert told.brake.tolist() == [0.0] * 6
+    assert not told.command.any()
+    np.testing.assert_allclose(told.rate, left.rate, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_drive_that_starts_anew_is_not_set_up_and_its_fault_leads_back_to_boot(leg):
+    rig = Rig(faults=[DriveReset(leg=leg, at_s=3e-3)])
+    rig.configure()
+    rig.at(4 * MS, *rig.protocol.emergency_stop())
+    assert rig.states == [DriveState.FAULT] * 6
+    rig.command(5 * MS, DriveMode.RESET)
+    assert rig.states == [DriveState.BOOT if k == leg else DriveState.OFF for k in range(6)]

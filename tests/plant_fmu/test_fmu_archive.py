@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -83,3 +86,45 @@ def test_who_only_looks_at_an_fmu_parses_no_more_than_who_runs_it(
     with pytest.raises(PlantError, match=r"modelDescription\.xml' refused: .*; at most 1000 are read"):
         read(build("3.0"))
     assert not parsed
+
+
+FMU = Path("a.fmu")
+GIB = 1 << 30
+
+
+def listed(*sizes: tuple[int, int]) -> Any:
+    """An archive that lists members of so many bytes, and so many packed."""
+    members = []
+    for k, (size, packed) in enumerate(sizes):
+        member = zipfile.ZipInfo(f"resources/{k}")
+        member.CRC, member.file_size, member.compress_size = 0, size, packed
+        members.append(member)
+    return SimpleNamespace(infolist=lambda: members)
+
+
+def test_an_fmu_may_unpack_to_2_gib_in_all_and_to_no_byte_more() -> None:
+    assert len(checked_members(listed((GIB, GIB), (GIB, GIB)), FMU)) == 2
+    with pytest.raises(PlantError, match="unpacks to 2147483649 bytes; at most 2147483648 are allowed"):
+        checked_members(listed((GIB, GIB), (1, 1), (GIB, GIB)), FMU)
+
+
+def test_a_member_that_is_listed_twice_counts_once() -> None:
+    (member,) = listed((2 * GIB, 2 * GIB)).infolist()
+    twice: Any = SimpleNamespace(infolist=lambda: [member, copy(member)])
+    assert checked_members(twice, FMU) == [member]
+
+
+@pytest.mark.parametrize(
+    ("most", "packed"), [(1_048_576, 0), (1_048_576, 1), (1_048_800, 2_622), (40_000_000, 100_000)]
+)
+def test_a_member_may_have_400_times_its_packed_size_or_a_mib(most: int, packed: int) -> None:
+    assert len(checked_members(listed((most, packed)), FMU)) == 1
+    with pytest.raises(PlantError, match="unpacks to more than 400 times its packed size"):
+        checked_members(listed((most + 1, packed)), FMU)
+
+
+def test_20_000_members_are_not_too_many() -> None:
+    sizes = [(0, 0)] * 20_000
+    assert len(checked_members(listed(*sizes), FMU)) == 20_000
+    with pytest.raises(PlantError, match="20001 members; at most 20000 are allowed"):
+        checked_members(listed(*sizes, (0, 0)), FMU)

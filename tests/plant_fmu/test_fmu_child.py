@@ -234,8 +234,10 @@ def alive(pid):
 
 
 @pytest.mark.parametrize("code", ["", "for (;;) usleep(1000);"])
-def test_the_child_never_outlives_its_parent_even_when_it_hangs(tmp_path, code):
+def test_the_child_never_outlives_its_parent_even_when_it_hangs_and_leaves_no_files(tmp_path, code):
     path = altered(tmp_path, f"{code} {STEP_LINE}")
+    unpacked = tmp_path / "unpacked"
+    unpacked.mkdir()
     program = f"""
 import sys, numpy as np
 from pathlib import Path
@@ -246,16 +248,19 @@ print(host._process.pid, flush=True)
 while True:
     host.step(np.zeros(6), np.ones(6), np.zeros(6), 1e-3)
 """
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as parent:
+    command, there = [sys.executable, "-c", program], {**os.environ, "TMPDIR": str(unpacked)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=there) as parent:
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
         time.sleep(0.1)
         assert alive(pid)
+        assert list(unpacked.iterdir())
         parent.kill()
     deadline = time.monotonic() + 3.0
     while alive(pid) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not alive(pid)
+    assert list(unpacked.iterdir()) == []
 
 
 def test_no_file_descriptor_is_left_open():

@@ -308,3 +308,13 @@ def test_the_unit_of_a_variable_is_its_own_or_else_that_of_its_type(own, of_type
     assert stated_unit(SimpleNamespace(unit=own, declaredType=SimpleNamespace(unit=of_type))) == stated
     if not of_type:
         assert stated_unit(SimpleNamespace(unit=own, declaredType=None)) == stated
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [(key, (rb'(name="%b"[^>]* unit=)"%b"' % (key.encode(), unit.encode()), rb'\1"ft"')) for key, unit in UNITS.items()]
+    + [("brake", (rb'(name="brake")', rb'\1 unit="N"'))],
+)  # fmt: skip
+def test_what_states_another_unit_than_is_needed_is_not_proposed_whatever_its_name(key, change, tmp_path):
+    found = propose(rewritten("3.0", tmp_path / "p.fmu", change))
+    assert set(found.mapped) == {"force", "length", "rate", "brake"} - {key}

@@ -257,3 +257,32 @@ def test_a_plant_without_a_pose_is_refused():
     plant.blind = True
     with pytest.raises(PlantError, match="does not know its pose"):
         run(EXACT, plant=plant)
+
+
+@pytest.mark.parametrize(
+    ("noise", "late_us"),
+    [
+        (SensorEmulation(), {0x407: 5000, 0x488: 200, 0x509: 0}),
+        (
+            SensorEmulation(
+                tracker=TrackerEmulation(latency_ms=0.0),
+                imu=ImuEmulation(latency_ms=3.0),
+                wrench=WrenchEmulation(latency_ms=1.5),
+            ),
+            {0x407: 0, 0x488: 3000, 0x509: 1500},
+        ),
+    ],
+    ids=["default", "other"],
+)
+def test_a_sample_enters_the_bus_its_latency_after_its_instant_and_one_of_the_last_instant_is_taken(
+    noise, late_us
+):
+    """Tracker, IMU and wrench sensor at 200, 500 and 1000 Hz from the start on, to 10 ms."""
+    protocol = SensorProtocol(BusSettings(), ALL)
+    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, noise, G)
+    nodes.start(0)
+    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    sent += nodes.step(10 * MS, [])
+    for identifier, period_ms in ((0x407, 5), (0x488, 2), (0x509, 1)):
+        due = [k * MS + late_us[identifier] * US for k in range(0, 11, period_ms)]
+        assert [t for t, frame in sent if frame.id == identifier] == [t for t in due if t <= 10 * MS]

@@ -1,0 +1,97 @@
+"""One step of an FMU through the functions of either standard: what they are given, and when."""
+
+from __future__ import annotations
+
+import ctypes as ct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from plant_fmu.fmu import call as fmu_call
+from plant_fmu.fmu.call import DONE, INPUTS_REFUSED, NOT_FINITE, STEP_REFUSED
+
+INSTANCE = 0x1234
+ERROR = 3
+
+
+class Functions:
+    """The functions of an FMU that has 12 inputs, force and wrench, and as many outputs."""
+
+    def __init__(self, *, counted: bool) -> None:
+        self.sets: list[list[float]] = []
+        self.steps: list[tuple[float, float]] = []
+        self.set_status = self.step_status = 0
+        self.references = np.arange(12, dtype=np.uint32) + 40
+        self.inputs, self.outputs, self.held = np.zeros(12), np.zeros(12), np.zeros(12, np.int64)
+        self.flags, self.last = np.zeros(3, np.uint8), np.zeros(1)
+        place, size = ct.c_int64, ct.c_int64
+        moved = (place, place, size, place, *([size] if counted else []))
+        stepped = (place, ct.c_double, ct.c_double, ct.c_int32, *([place] * 4 if counted else []))
+        self._kept: Any = (
+            ct.CFUNCTYPE(ct.c_int32, *moved)(self._set),
+            ct.CFUNCTYPE(ct.c_int32, *moved)(self._get),
+            ct.CFUNCTYPE(ct.c_int32, *stepped)(self._step),
+        )
+        self.call = call = np.zeros(fmu_call.CALL, np.int64)
+        addresses = [ct.cast(each, ct.c_void_p).value for each in self._kept]
+        call[[fmu_call.SET, fmu_call.GET, fmu_call.STEP]] = addresses
+        call[[fmu_call.INSTANCE, fmu_call.COUNTED]] = INSTANCE, counted
+        call[[fmu_call.FLAGS, fmu_call.LAST]] = self.flags.ctypes.data, self.last.ctypes.data
+        for at in (fmu_call.INPUTS, fmu_call.OUTPUTS):
+            call[at : at + 2] = self.references.ctypes.data, 12
+        call[fmu_call.SLOTS :] = 0, -1, 6
+
+    def _set(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
+        assert (instance, references, count) == (INSTANCE, self.references.ctypes.data, 12)
+        assert set(sizes) <= {12}
+        self.sets.append(list((ct.c_double * 12).from_address(values)))
+        return self.set_status
+
+    def _get(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
+        assert (instance, references, count) == (INSTANCE, self.references.ctypes.data, 12)
+        assert set(sizes) <= {12}
+        (ct.c_double * 12).from_address(values)[:] = range(1, 13)
+        return 0
+
+    def _step(self, instance: int, t_s: float, dt_s: float, never_back: int, *places: int) -> int:
+        assert (instance, never_back) == (INSTANCE, 1)
+        assert len(places) in (0, 4)
+        self.steps.append((t_s, dt_s))
+        return self.step_status
+
+    def exchange(self, force: float, wrench: float, t_s: float = 0.0) -> int:
+        six = np.arange(6.0)
+        memory = self.inputs, self.held, self.outputs, self.flags
+        ended, _ = fmu_call.exchange(self.call, force + six, 9.0 + six, wrench - six, t_s, 0.25, *memory)
+        return int(ended)
+
+
+def given(force: float, wrench: float) -> list[float]:
+    return [*(force + k for k in range(6)), *(wrench - k for k in range(6))]
+
+
+@pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
+def test_inputs_are_set_when_one_has_changed_and_each_step_and_its_outputs_follow(counted):
+    fmu = Functions(counted=counted)
+    pairs = [(1.0, 2.0), (1.0, 2.0), (1.0, 2.5), (1.5, 2.5), (1.5, 2.5)]
+    ended = [fmu.exchange(*pair, t_s=0.25 * k) for k, pair in enumerate(pairs)]
+    assert ended == [DONE] * 5
+    assert fmu.sets == [given(1.0, 2.0), given(1.0, 2.5), given(1.5, 2.5)]
+    assert fmu.steps == [(0.25 * k, 0.25) for k in range(5)]
+    assert fmu.outputs.tolist() == [float(k) for k in range(1, 13)]
+
+
+@pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
+def test_inputs_that_were_refused_are_set_anew_and_no_step_is_taken_with_them(counted):
+    fmu = Functions(counted=counted)
+    fmu.set_status = ERROR
+    assert [fmu.exchange(1.0, 2.0), fmu.exchange(1.0, 2.0)] == [INPUTS_REFUSED] * 2
+    assert fmu.exchange(np.nan, 2.0) == NOT_FINITE
+    assert (len(fmu.sets), fmu.steps) == (2, [])
+    fmu.set_status = 0
+    assert fmu.exchange(1.0, 2.0) == DONE
+    assert fmu.sets == [given(1.0, 2.0)] * 3
+    fmu.step_status = ERROR
+    assert fmu.exchange(1.0, 2.0) == STEP_REFUSED
+    assert len(fmu.sets) == 3, "the FMU has them"

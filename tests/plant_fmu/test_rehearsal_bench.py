@@ -1,0 +1,192 @@
+"""The rehearsal bench: legs as its figures have them, and hands that read them within their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drivers.config import DriveSettings
+from drivers.errors import PlantError
+from drivers.legs.protocol import LegsProtocol
+from plant_fmu.config import DriveEmulation
+from plant_fmu.rehearsal.bench import RehearsalBench, Stand
+from plant_fmu.rehearsal.legs import HAND_M
+from plant_fmu.rehearsal.wiring import Wiring
+
+RATED_N = 1000.0
+SHORT, LONG = 0.5, 0.8
+STROKE = 0.3
+OPEN, SHUT, CALM = np.zeros(6), np.ones(6), np.zeros(6)
+BASE = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([0, 60, 120, 180, 240, 300])])
+STAND = Stand(
+    mass_kg=4.0,
+    friction_N=6.0,
+    brake_N=200.0,
+    length_min=SHORT,
+    length_max=LONG,
+    base_joints=BASE,
+    platform_joints=0.5 * BASE,
+    platform_kg=50.0,
+    presses=1.0,
+)
+DRAWS = 2000
+WITHIN = 5.0 / DRAWS**0.5
+"""Of standard deviations: where the mean of so many draws lies, and half as much where their spread does."""
+
+
+def bench(wiring: Wiring | None = None, stand: Stand = STAND, seed: int = 1) -> RehearsalBench:
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    settings = DriveSettings(force_limit_N=RATED_N)
+    return RehearsalBench(protocol, DriveEmulation(), settings, stand, wiring or Wiring(), seed)
+
+
+def lengths(b: RehearsalBench) -> list[float]:
+    return [b.length(leg) for leg in range(6)]
+
+
+def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[bool]:
+    """Tell which legs move under a force that is held for 10 ms."""
+    before = np.array(lengths(b))
+    b.cables.step(force, brake, CALM, 0.01)
+    return [bool(moved) for moved in np.abs(np.array(lengths(b)) - before) > 1e-9]
+
+
+def test_legs_begin_apart_between_a_third_and_two_of_their_stroke():
+    np.testing.assert_allclose(lengths(bench()), SHORT + STROKE * np.linspace(0.35, 0.6, 6), rtol=1e-12)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_each_leg_has_its_friction_and_a_brake_of_the_stated_force_besides(side):
+    """6 N of friction, and 1 % of 1000 N a leg more from leg to leg; 200 N of brake."""
+    extra = tuple(0.01 * leg for leg in range(6))
+    holds = 6.0 + 10.0 * np.arange(6)
+    for brake, most in ((OPEN, holds), (SHUT, holds + 200.0), (0.5 * SHUT, holds + 100.0)):
+        b = bench(Wiring(friction=extra))
+        assert gives_way(b, side * (most - 0.5), brake) == [False] * 6
+        assert gives_way(b, side * (most + 0.5), brake) == [True] * 6
+
+
+def test_legs_whose_friction_is_not_known_have_a_thousandth_of_the_rated_force():
+    b = bench(stand=STAND._replace(friction_N=0.0))
+    assert gives_way(b, np.full(6, 0.9), OPEN) == [False] * 6
+    assert gives_way(b, np.full(6, 1.1), OPEN) == [True] * 6
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_is_moved_to_a_share_of_its_stroke_and_2_percent_of_it_beyond_its_ends_at_most(leg):
+    shorter = tuple(0.1 if k == leg else 0.0 for k in range(6))
+    for wiring, longest in ((Wiring(), 0.806), (Wiring(shorter=shorter), 0.776)):
+        b = bench(wiring)
+        for share, length in ((0.0, 0.5), (0.5, 0.65), (-1.0, 0.494), (2.0, longest)):
+            before = lengths(b)
+            b.place(leg, share)
+            before[leg] = length
+            np.testing.assert_allclose(lengths(b), before, rtol=0, atol=1e-12)
+        b.place(leg, 0.5)
+        b.move(leg, -0.01)
+        assert b.length(leg) == pytest.approx(0.64)
+
+
+def test_a_leg_weighs_what_the_stand_says():
+    b = bench()
+    _, rate = b.cables.step(np.full(6, 16.0), OPEN, CALM, 0.001)
+    np.testing.assert_allclose(rate, (16.0 - 6.0) / 4.0 * 0.001, rtol=0.01)
+
+
+def drawn(take: Callable[[], float]) -> np.ndarray:
+    return np.array([take() for _ in range(DRAWS)])
+
+
+READINGS: dict[str, tuple[Callable[[RehearsalBench], float], float, float]] = {
+    "tape": (lambda b: b.measure(3), 0.65, 2e-4),
+    "scales": (lambda b: b.weigh(), 100.0, 0.3),
+    "a free leg": (lambda b: b.read_push(3), 6.0, 0.018),
+    "a leg beyond the hand's most": (lambda b: b.read_push(4), 50.0, 0.15),
+    "a leg that holds": (lambda b: b.read_held(5), 50.0, 0.15),
+    "gauge": (lambda b: b.read_gauge(), 20.0, 0.06),
+}
+"""What is read -> how, its true value, and the standard deviation: 0.2 mm, else 0.3 % of it."""
+
+
+def prepared(seed: int = 1) -> RehearsalBench:
+    b = bench(Wiring(payload=2.0, friction=(0.0, 0.0, 0.0, 0.0, 0.1, 0.0)), seed=seed)
+    b.place(3, 0.5)
+    b.push(5)
+    b.clamp(0)
+    b._legs._x[0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
+    return b
+
+
+@pytest.mark.parametrize("name", READINGS)
+def test_what_hands_read_is_right_within_the_errors_of_tape_and_gauge(name):
+    take, true, sigma = READINGS[name]
+    b = prepared()
+    off = (drawn(lambda: take(b)) - true) / sigma
+    assert abs(off.mean()) < WITHIN
+    assert off.std() == pytest.approx(1.0, abs=WITHIN)
+    first, again, other = ([take(b) for _ in range(3)] for b in (prepared(), prepared(), prepared(seed=2)))
+    assert first == again
+    assert len({*first, *other}) == 6
+
+
+def test_without_a_leg_at_the_gauge_there_is_nothing_to_read():
+    b = prepared()
+    b.clamp(None)
+    with pytest.raises(PlantError, match="no leg is clamped"):
+        b.read_gauge()
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_taken_away(leg):
+    b = bench()
+    others = [k for k in range(6) if k != leg]
+    b.push(leg)
+    assert [b._legs.pushed(k) for k in range(6)] == [50.0 * (k == leg) for k in range(6)]
+    b.let_go(leg)
+    b.push_others(leg)
+    assert [b._legs.pushed(k) for k in range(6)] == [50.0 * (k != leg) for k in range(6)]
+    before = np.array(lengths(b))
+    b.cables.step(CALM, OPEN, CALM, 0.2)
+    moved = np.array(lengths(b)) - before
+    np.testing.assert_allclose(moved[others], HAND_M, rtol=0, atol=1e-12)
+    assert moved[leg] == 0.0
+    b.let_go(others[0])
+    assert b._legs.pushed(others[0]) == 0.0
+    b.let_go_all()
+    assert [b._legs.pushed(k) for k in range(6)] == [0.0] * 6
+
+
+@pytest.mark.parametrize(
+    ("gravity", "presses", "way"),
+    [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]
+    + [(1.0, 0.31, 1.0), (1.0, 0.29, 0.0), (-1.0, 0.31, -1.0), (-1.0, 0.29, 0.0), (1.0, 0.0, 0.0)],
+)
+def test_a_weight_presses_or_pulls_where_gravity_is_along_the_legs_and_does_neither_across(
+    gravity, presses, way
+):
+    assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).way() == way
+
+
+def test_a_platform_hangs_on_the_legs_as_they_are_mounted_where_it_really_hangs():
+    """0.55 m above the base, whose joints are on a circle of 1 m, the platform's on one of 0.5 m."""
+    stand = STAND._replace(length_max=2.0)
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    across = (1, 0, 2, 3, 4, 5)
+    for wiring, R, height in (
+        (Wiring(), np.eye(3), 0.55),
+        (Wiring(), turned, 0.55),
+        (Wiring(home_off_m=0.015), np.eye(3), 0.565),
+        (Wiring(base_joint=across), np.eye(3), 0.55),
+    ):
+        b = bench(wiring, stand)
+        assert not b.hung
+        b.hang(np.array([0.1, 0.0, 0.55]), R)
+        assert b.hung
+        for leg in range(6):
+            joint = np.array([0.1, 0.0, height]) + 0.5 * R @ BASE[leg]
+            base = BASE[wiring.base_joint[leg]]
+            assert b.length(leg) == pytest.approx(float(np.sqrt(((joint - base) ** 2).sum())), abs=1e-12)
+        b.take_down()
+        assert not b.hung

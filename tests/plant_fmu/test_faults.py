@@ -356,3 +356,20 @@ def test_each_sender_has_its_own_time_and_none_sends_before_its_mode_is_reached(
     schedule.reached("TRACKING", 20 * S)
     begun = (2, waiting, round(20.5 * S), round(24.5 * S))
     assert list(schedule.senders()) == [(1, bounded, 8 * S, 10 * S), begun, second]
+
+
+def test_a_bus_that_is_off_is_the_one_that_is_named_or_else_every_one():
+    """As many as legs."""
+    for bus in range(6):
+        assert Schedule(FaultPlan([BusOff(bus=bus)]), 0).present(0).bus_off == 1 << bus
+    assert Schedule(FaultPlan([BusOff()]), 0).present(0).bus_off == 0b111111
+    assert Schedule(FaultPlan([BusOff(bus=0), BusOff(bus=4)]), 0).present(0).bus_off == 0b010001
+
+
+def test_a_fault_without_a_seed_has_the_seed_0():
+    frames = [Schedule(FaultPlan([FramesLoss(probability=0.5, **seed)]), 0) for seed in ({}, {"seed": 0})]
+    passed = [[len(carry(schedule, 0)) for _ in range(100)] for schedule in frames]
+    assert passed[0] == passed[1]
+    noises = [EncoderNoise(leg=0, sigma_m=1.0, **seed) for seed in ({}, {"seed": 0})]
+    drawn = [Schedule(FaultPlan([each]), 0).present(0).noise[0][2].random() for each in noises]
+    assert drawn[0] == drawn[1]

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from drivers.errors import PlantError
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.reading import Reading
 from plant_fmu.faults.drive import DriveReset
 from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.fault import Present
 from plant_fmu.faults.frames import FramesForgedFeedback
 from plant_fmu.faults.plant import PlantCrash, PlantHang
 from tests.drivers.legs_frames import decode
@@ -112,3 +115,32 @@ def test_a_drive_that_starts_anew_is_not_set_up_and_its_fault_leads_back_to_boot
     assert rig.states == [DriveState.FAULT] * 6
     rig.command(5 * MS, DriveMode.RESET)
     assert rig.states == [DriveState.BOOT if k == leg else DriveState.OFF for k in range(6)]
+
+
+def test_a_protocol_is_told_which_drives_start_anew_at_their_instant(monkeypatch):
+    told: list[list[int]] = []
+
+    def restarted(_: LegsProtocol, memory: int, legs: list[int]) -> int:
+        told.append(list(legs))
+        return memory
+
+    monkeypatch.setattr(LegsProtocol, "restarted", restarted)
+    times = {1: 3e-3, 4: 3e-3, 0: 5e-3}
+    rig = Rig(faults=[DriveReset(leg=leg, at_s=at_s) for leg, at_s in times.items()])
+    rig.at(2 * MS)
+    assert [legs for legs in told if legs] == []
+    rig.at(3 * MS)
+    assert [legs for legs in told if legs] == [[1, 4]]
+    rig.at(9 * MS)
+    assert [legs for legs in told if legs] == [[1, 4], [0]]
+
+
+def test_of_late_readings_no_more_are_kept_than_the_longest_delay_needs():
+    reading, present = Reading(), Present()
+    present.late_ns = [0, 2 * MS, 0, 5 * MS, 0, 0]
+    for t_ms in range(100):
+        length, rate = np.full(6, 1.0 * t_ms), np.full(6, 1e3)
+        reading.spoil(present, t_ms * MS, length, rate)
+        assert len(reading._read) == min(t_ms + 1, 6)
+        expected = [t_ms - late for late in (0, 2, 0, 5, 0, 0)]
+        np.testing.assert_allclose(length, np.maximum(expected, 0.0), rtol=0, atol=1e-9)

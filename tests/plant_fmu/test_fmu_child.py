@@ -15,6 +15,8 @@ import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -271,3 +273,14 @@ def test_no_file_descriptor_is_left_open():
     with pytest.raises(PlantError):
         ChildHost(spec("/nowhere/x.fmu"))
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+@pytest.mark.parametrize("limit_GB", [1.0, 4.0])
+def test_a_process_that_had_more_than_four_fifths_of_its_memory_is_said_to_be_full(limit_GB):
+    """1 GB is 976562.5 KiB."""
+    host: Any = SimpleNamespace(spec=SimpleNamespace(memory_GB=limit_GB))
+    most_kB = round(0.8 * limit_GB * 976562.5)
+    assert ChildHost._full(host, most_kB) == ""
+    assert ChildHost._full(host, 0) == ""
+    said = f": it had {0.8 * limit_GB:.2g} GB, plant.model.memory_GB is {limit_GB:g}"
+    assert ChildHost._full(host, most_kB + 1) == said

@@ -1,11 +1,14 @@
 """Hosting: agreement with fmpy's own simulation, and FMUs that are not what they should be."""
 
+import ctypes as ct
 import io
 import os
 import re
 import stat
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -341,3 +344,15 @@ def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(monkeypa
     monkeypatch.undo()
     host.close()
     assert begun_s == [0.0, 2e-3 if stepped else 0.0]
+
+
+def test_an_fmu_of_fmi_2_is_given_memory_that_is_zero_and_its_messages_are_heard():
+    said: list[bytes] = []
+    host: Any = SimpleNamespace(_log=said.append)
+    callbacks = FmuHost._callbacks_2(host)
+    memory = callbacks.allocateMemory(3, 8)
+    assert memory
+    assert bytes((ct.c_char * 24).from_address(memory)) == bytes(24)
+    callbacks.freeMemory(memory)
+    callbacks.logger(None, b"plant", 3, b"category", b"it fails")
+    assert said == [b"it fails"]

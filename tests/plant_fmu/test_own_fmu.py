@@ -19,7 +19,7 @@ from hil.app.fmu import plant_section
 from hil.cli import main
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant
-from plant_fmu.fmu.check import stated_unit
+from plant_fmu.fmu.check import shown, stated_unit
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.probe import probe
 from plant_fmu.fmu.propose import propose
@@ -318,3 +318,18 @@ def test_the_unit_of_a_variable_is_its_own_or_else_that_of_its_type(own, of_type
 def test_what_states_another_unit_than_is_needed_is_not_proposed_whatever_its_name(key, change, tmp_path):
     found = propose(rewritten("3.0", tmp_path / "p.fmu", change))
     assert set(found.mapped) == {"force", "length", "rate", "brake"} - {key}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_nothing_is_proposed_for_an_fmu_that_is_not_for_co_simulation(version, tmp_path):
+    path = rewritten(version, tmp_path / "p.fmu", (rb"CoSimulation", b"ModelExchange"))
+    with pytest.raises(PlantError, match=r"p\.fmu: the FMU has no co-simulation interface; export it"):
+        propose(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("plain \N{MICRO SIGN}m", "plain \N{MICRO SIGN}m"), ("", ""), ("a\nb", r"a\nb"), ("it's\t\x9b2J", r"it's\t\x9b2J")],
+)  # fmt: skip
+def test_a_text_is_shown_as_it_is_with_numbers_for_what_is_no_sign(text, line):
+    assert shown(text) == line

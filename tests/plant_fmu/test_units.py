@@ -9,7 +9,7 @@ import fmpy
 import pytest
 
 from plant_fmu.stewart.build import build
-from plant_fmu.stewart.variables import UNITS
+from plant_fmu.stewart.variables import TYPES, UNITS, VARIABLES
 
 DERIVED = {
     "N": {"kg": 1, "m": 1, "s": -2},
@@ -41,3 +41,10 @@ def test_every_unit_has_the_exponents_that_its_name_says(version):
     for unit in fmpy.read_model_description(str(build(version))).unitDefinitions:
         assert (unit.baseUnit.factor, unit.baseUnit.offset) == (1.0, 0.0)
         assert not any((unit.baseUnit.A, unit.baseUnit.K, unit.baseUnit.mol, unit.baseUnit.cd))
+
+
+def test_a_variable_of_several_types_has_one_for_each_element_and_every_type_has_a_unit_that_is_stated():
+    for variable in VARIABLES:
+        assert len(variable.types) == (variable.size if variable.type == "Mixed" else 0), variable.name
+        assert set(variable.types) <= set(TYPES)
+    assert {kind.unit for kind in TYPES.values()} - {None} <= set(UNITS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Answer, Frame, Received, Status
-from drivers.signals import LEGS, DriveState
+from drivers.protocol import EXTENDED, REMOTE, Answer, Configure, Frame, Received, Status
+from drivers.signals import LEGS, DriveState, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.rehearsal.wired_drives import WiredDrives
 from plant_fmu.rehearsal.wiring import Wiring
@@ -108,3 +109,25 @@ def test_two_drives_of_one_number_say_each_its_own(first, second):
         assert said["rate"][leg] == pytest.approx(rate[drive], abs=1e-6)
         assert said["drive_force"][leg] == pytest.approx(force[drive], abs=2.0)
         assert said["drive_state"][leg] == state[drive]
+
+
+@pytest.mark.parametrize("number", [(0, 1, 2, 3, 4, 5), (1, 0, 2, 5, 3, 4)])
+def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_confirms_what_it_was_told(
+    number,
+):
+    """inf: it never ends, in a million seconds."""
+    factors = (1.0, 8.0, 0.3, inf, 2.5, 0.5)
+    protocol = LegsProtocol("fd", NODES)
+    wired = WiredDrives(protocol, Wiring(answers_as=number, watchdog=factors), NODES)
+    memory = protocol.power_up()
+    for frame in protocol.configure(0.01, Reaction.DAMP):
+        ((_, (said,)), (_, heard)) = protocol.parse(memory, frame), wired.parse(memory, frame)
+        assert isinstance(said, Configure)
+        drive = number.index(said.leg)
+        waits = 0.01 + 1e6 if factors[drive] == inf else 0.01 * factors[drive]
+        (told,) = heard
+        assert isinstance(told, Configure)
+        assert (told.leg, told.reaction) == (drive, Reaction.DAMP)
+        assert told.watchdog_s == pytest.approx(waits, rel=1e-12)
+        _, confirmed = wired.report(memory, Status(drive, DriveState.OFF, 0, told))
+        assert confirmed == protocol.report(memory, Status(said.leg, DriveState.OFF, 0, said))[1]

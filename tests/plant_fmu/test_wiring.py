@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, Mistake, Wiring, legs_of, stroke_short, wired
+from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, RANGES, Mistake, Wiring, legs_of, stroke_short, wired
 
 SWAPPED, ROTATED = (0, 1, 4, 3, 2, 5), (0, 1, 4, 3, 5, 2)
 """Legs 2 and 4 exchanged; 2, 4 and 5 handed round: each has what the next one had."""
@@ -102,6 +102,10 @@ def test_legs_that_do_not_exist_or_are_named_twice_are_refused_and_both_ends_are
         for leg, other, third in wrong:
             with pytest.raises(ValueError, match=f"mistake {name}: different legs 0 to 5 are allowed"):
                 wired(Mistake(name, leg, other, third))
+    with pytest.raises(ValueError, match=r"given: \[0, 1, -1\]$"):
+        wired(Mistake("ids_rotated", 0, 1))
+    with pytest.raises(ValueError, match=r"given: \[0, -1\]$"):
+        wired(Mistake("ids_swapped", 0))
     with pytest.raises(ValueError, match=r"mistake 'none': unknown, allowed: ids_swapped, "):
         wired(Mistake("none", 0))
 
@@ -126,3 +130,28 @@ def test_factors_of_several_mistakes_multiply_and_cables_are_exchanged_one_after
 
 def test_a_short_stroke_is_that_of_all_legs():
     assert changed(stroke_short(0.1)) == {"shorter": (0.1,) * 6}
+
+
+SIZES = {
+    (-4.0, -0.25): {"encoder_sign", "force_sign", "drive_reversed"},
+    (-100.0, -0.01): {"rate_sign"},
+    (-0.1, 0.1): {"encoder_jumps", "offset", "joint_elsewhere", "wrong_home"},
+    (0.0, 0.1): {"backlash"},
+    (0.0, 0.9): {"end_stop"},
+    (0.0, 1.0): {"force_saturates", "brake_weak", "friction"},
+    (0.0, 100.0): {"rate_scale", "force_scale"},
+    (0.01, 1.0): {"watchdog_short"},
+    (0.01, 100.0): {"encoder_scale"},
+    (0.1, 10.0): {"payload"},
+    (0.25, 4.0): {"wrong_lead"},
+    (1.0, 100.0): {"watchdog_long"},
+}
+"""Least and largest size: signs stay signs, and shares are no more than the whole."""
+
+
+def test_sizes_that_may_be_asked_for_are_those_of_mistakes_that_have_one():
+    assert {name: ends for ends, names in SIZES.items() for name in names} == RANGES
+    for name, (low, high) in RANGES.items():
+        usual = MISTAKES[name][2]
+        assert usual is not None
+        assert low <= usual <= high, name

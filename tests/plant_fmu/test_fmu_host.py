@@ -350,6 +350,7 @@ def test_an_fmu_of_fmi_2_is_given_memory_that_is_zero_and_its_messages_are_heard
     said: list[bytes] = []
     host: Any = SimpleNamespace(_log=said.append)
     callbacks = FmuHost._callbacks_2(host)
+    assert all((callbacks.allocateMemory, callbacks.freeMemory, callbacks.logger)), "none is a null pointer"
     memory = callbacks.allocateMemory(3, 8)
     assert memory
     assert bytes((ct.c_char * 24).from_address(memory)) == bytes(24)

@@ -88,3 +88,12 @@ def test_a_step_that_diverges_leaves_the_bench_as_it_was():
     after = [each.step(OPEN, OPEN, CALM, 0.01) for each in (ahead, same)]
     np.testing.assert_array_equal(*after)
     assert np.isfinite(after[0]).all()
+
+
+def test_an_engaged_brake_holds_20_kn_either_way_and_slips_beyond():
+    for side in (1.0, -1.0):
+        plant = bench(stiffness_N_m=0.0, stiffness_N_m3=0.0)
+        _, dq = plant.step(np.full(6, side * 19_999.0), np.ones(6), CALM, 0.01)
+        assert np.abs(dq).max() < 1e-12
+        _, dq = plant.step(np.full(6, side * 20_010.0), np.ones(6), CALM, 0.01)
+        assert (side * dq > 1e-6).all()

@@ -284,3 +284,18 @@ def test_a_process_that_had_more_than_four_fifths_of_its_memory_is_said_to_be_fu
     assert ChildHost._full(host, 0) == ""
     said = f": it had {0.8 * limit_GB:.2g} GB, plant.model.memory_GB is {limit_GB:g}"
     assert ChildHost._full(host, most_kB + 1) == said
+
+
+def test_a_child_is_asked_once_to_free_its_fmu(monkeypatch):
+    asked: list[tuple[int, float, str]] = []
+    ask = ChildHost._ask
+
+    def asking(host: ChildHost, command: int, timeout_s: float, what: str) -> None:
+        asked.append((command, timeout_s, what))
+        ask(host, command, timeout_s, what)
+
+    monkeypatch.setattr(ChildHost, "_ask", asking)
+    host = ChildHost(spec(build("3.0")), step_timeout_s=7.0)
+    host.close()
+    host.close()
+    assert asked == [(3, 7.0, "close")]

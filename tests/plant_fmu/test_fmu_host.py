@@ -357,3 +357,16 @@ def test_an_fmu_of_fmi_2_is_given_memory_that_is_zero_and_its_messages_are_heard
     callbacks.freeMemory(memory)
     callbacks.logger(None, b"plant", 3, b"category", b"it fails")
     assert said == [b"it fails"]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("brake", [("brake",), ()], ids=["brake", "none"])
+def test_a_reset_leaves_no_force_no_wrench_and_engaged_brakes(version, brake):
+    host = FmuHost(spec(build(version), brake=brake, wrench=("wrench",)))
+    host.step(FORCE, np.zeros(6), np.full(6, 3.0), 1e-3)
+    host.reset()
+    get = host._fmu.getReal if version == "2.0" else host._fmu.getFloat64
+    held = {key: get(list(channel.references), *([channel.count] if version == "3.0" else []))
+            for key, channel in host._interface.inputs.items()}  # fmt: skip
+    host.close()
+    assert held == {"force": [0.0] * 6, **({"brake": [1.0] * 6} if brake else {}), "wrench": [0.0] * 6}

@@ -26,8 +26,10 @@ class Legs:
     def __init__(self) -> None:
         self.length, self.rate = MIDDLE - 0.1, CALM.copy()
         self.force = self.brake = CALM
+        self.resets = 0
 
     def reset(self) -> tuple[Array, Array]:
+        self.resets += 1
         return self.length, self.rate
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
@@ -255,3 +257,23 @@ def test_a_force_that_is_not_finite_is_refused_and_nothing_moves():
     with pytest.raises(PlantError, match=r"^force \[.*nan\]: a value is not finite"):
         legs.step(force, CALM, CALM, 0.01)
     assert legs.lengths().tolist() == [0.3] * 6
+
+
+def test_a_leg_that_is_moved_by_hand_stands_where_it_is_put():
+    legs = trestles()
+    legs.step(np.full(6, 50.0), CALM, CALM, 0.01)
+    before = legs.lengths()
+    legs.place(4, 0.26)
+    x, v = legs.step(CALM, CALM, CALM, 0.01)
+    assert (x[4], v[4]) == (0.26, 0.0)
+    assert (np.delete(x - before, 4) > 1e-4).all(), "the others go on"
+
+
+def test_another_plant_behind_the_cables_begins_anew():
+    plant, first = wired(Wiring(motor=(1, 0, 2, 3, 4, 5)))
+    other = Legs()
+    plant.exchange(other)
+    assert (first.resets, other.resets) == (1, 1)
+    plant.step(1.0 + SIX, np.ones(6), CALM, 1e-4)
+    assert other.force.tolist() == [2.0, 1.0, 3.0, 4.0, 5.0, 6.0]
+    assert not first.force.any()

@@ -131,3 +131,18 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
         assert told.watchdog_s == pytest.approx(waits, rel=1e-12)
         _, confirmed = wired.report(memory, Status(drive, DriveState.OFF, 0, told))
         assert confirmed == protocol.report(memory, Status(said.leg, DriveState.OFF, 0, said))[1]
+
+
+@pytest.mark.parametrize("mute", range(6))
+def test_a_drive_as_delivered_says_that_it_is_pre_operational_under_its_number_and_nothing_else(mute):
+    """CiA 301: heartbeat 0x7F."""
+    protocol, numbers = LegsProtocol("fd", NODES), (11, 12, 13, 14, 15, 16)
+    wired = WiredDrives(protocol, wirings(mute)[1], numbers)
+    memory = protocol.power_up()
+    said = [wired.report(memory, Status(leg, DriveState.OFF, 0))[1] for leg in range(LEGS)]
+    assert said[mute] == (Frame(0x70B + mute, b"\x7f"),)
+    for leg in set(range(LEGS)) - {mute}:
+        assert said[leg] == protocol.report(memory, Status(leg, DriveState.OFF, 0))[1]
+    sync: Any = protocol.parse(memory, protocol.begin(None, 1)[0])[1][0]
+    _, answers = wired.answer(memory, sync, *np.zeros((3, LEGS)), np.zeros(LEGS, int))
+    assert [drive for drive, _ in answers] == [leg for leg in range(LEGS) if leg != mute]

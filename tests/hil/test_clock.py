@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from drivers.clock import Clock
 from hil.loop import clock
 from hil.loop.clock import (
     STALL_S,
@@ -58,6 +59,39 @@ def test_a_wake_up_is_never_early() -> None:
     for _ in range(50):
         wake = deadlines.wait()
         assert time.monotonic_ns() >= wake.t_ns
+
+
+class Hands(Clock):
+    """A clock that stands until somebody sleeps, and then wakes up 30 us late."""
+
+    def __init__(self, t_ns: int) -> None:
+        self.t_ns = t_ns
+
+    def now(self) -> int:
+        return self.t_ns
+
+    def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
+        del spin_ns
+        if t_ns > self.t_ns:
+            self.t_ns = t_ns + 30_000
+
+
+@pytest.mark.parametrize("start_ns", [0, 5_000_000_000, 10**18])
+def test_a_loop_goes_on_with_the_period_under_way_whenever_its_clock_began(start_ns: int) -> None:
+    hands = Hands(start_ns - 700_000)
+    deadlines = Deadlines(1000.0, 0.0, start_ns, hands)
+    assert deadlines.wait() == Wake(0, start_ns, 30_000, 0)
+    for busy_ns, tick, lateness_ns, skipped in [
+        (400_000, 1, 30_000, 0),
+        (1_200_000, 2, 230_000, 0),
+        (3_000_000, 5, 230_000, 2),
+        (1_770_000, 7, 0, 1),
+        (0, 8, 30_000, 0),
+    ]:
+        hands.t_ns += busy_ns
+        due_ns = start_ns + tick * 1_000_000
+        assert deadlines.wait() == Wake(tick, due_ns, lateness_ns, skipped)
+    assert Deadlines(1000.0, 0.0, None, hands).start_ns == hands.t_ns + 2_000_000
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from drivers.can.bus import Bus
 from drivers.errors import BusError
 from drivers.protocol import DeviceCommand, Frame, Received, Sync
-from drivers.signals import DriveMode, DriveState
+from drivers.signals import Command, DriveMode, DriveState
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
 from hil.loop.clock import Deadlines
@@ -31,12 +31,15 @@ class Queue:
     def __init__(self, *frames: Frame) -> None:
         self.left = [Received(5_000 + k, frame) for k, frame in enumerate(frames)]
         self.sent: list[Frame] = []
+        self.over = False
 
     def drain(self, _deadline_ns: int, wanted: frozenset[int]) -> list[Received]:
+        assert not self.over, "nothing came until the deadline: nobody waits again"
         taken, missing = [], set(wanted)
         while self.left and missing:
             taken.append(self.left.pop(0))
             missing.discard(taken[-1].frame.id)
+        self.over = not taken
         return taken
 
     def flush_tx(self) -> None:
@@ -123,6 +126,33 @@ def test_a_loop_that_fails_sends_sync_and_command_so_that_the_drives_obey(cycle)
     assert len(commands) == 5
     assert {each.mode for each in commands} == {DriveMode.OFF}
     assert len({each.counter for each in commands}) == 5, "none is a repetition"
+
+
+@pytest.mark.parametrize("last", [-1, 0, 6])
+def test_the_commands_of_a_loop_that_fails_go_on_where_its_ticks_have_ended(cycle, last):
+    bus, protocol = Queue(), cycle.parts.protocol
+    ended = SimpleNamespace(tick=last, period_ns=1_000)
+    assert switch_off(cycle, cast("Bus", bus), cast("Deadlines", ended))
+    memory, counters = protocol.power_up(), []
+    for frame in bus.sent:
+        memory, messages = protocol.parse(memory, frame)
+        counters += [each.counter for each in messages if isinstance(each, DeviceCommand)]
+    assert counters == [last + k for k in range(1, 6)]
+
+
+def test_a_loop_that_fails_never_repeats_the_force_of_its_last_tick_where_the_poll_is_the_command():
+    desktop = build_cycle(load("desktop"), 400.0, 0.013)
+    bus, protocol = Queue(), desktop.parts.protocol
+    assert protocol.command_delay_ticks == 1
+    desktop.dialogue, _ = protocol.command(desktop.dialogue, Command(DriveMode.RUN, np.full(6, 5.0)), 6)
+    ended = SimpleNamespace(tick=6, period_ns=1_000)
+    assert switch_off(desktop, cast("Bus", bus), cast("Deadlines", ended))
+    memory, heard = protocol.power_up(), []
+    for frame in bus.sent:
+        memory, messages = protocol.parse(memory, frame)
+        heard += [each for each in messages if isinstance(each, DeviceCommand)]
+    assert len(heard) == 5 * 6
+    assert {each.mode for each in heard} == {DriveMode.OFF}
 
 
 class Dead(Queue):

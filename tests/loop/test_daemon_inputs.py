@@ -9,14 +9,15 @@ import pytest
 
 from drivers.errors import BusError
 from drivers.protocol import DeviceCommand, Frame, Received
-from drivers.signals import BusState, DriveMode
+from drivers.signals import BusState, DriveMode, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.loop.clock import Wake
 from hil.loop.daemon import Shell, _ask, run, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
-from hil.signals import Operator, TickInput
+from hil.operate.channel import Heard
+from hil.signals import Operator, Order, TickInput
 from tests.loop.test_run_end import Wire
 
 LATE_NS, OUT_NS = 70_000, 123_000
@@ -124,6 +125,28 @@ def test_when_a_drive_latched_counts_from_the_wake_up_however_late_that_was():
 def test_frames_that_the_bus_refused_are_told_once_each_in_the_next_step():
     inputs, _ = looped({(1, "command"): 2, (2, "opening"): 1, (4, "opening"): 3})
     assert [inp.sends_failed for inp in inputs] == [0, 0, 3, 0, 3, 0]
+
+
+def test_the_step_is_told_what_came_over_the_channel_and_the_course_what_enter_said():
+    c = load("ideal")
+    nodes, plant = build_nodes(c)
+    wire = Busy(nodes, round(1e9 / c.loop.rate_Hz))
+    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+    cycle.mode, inputs = Mode.IDLE, list[TickInput]()
+
+    def ends(inp: TickInput) -> Any:
+        inputs.append(inp)
+        raise RuntimeError("enough")
+
+    cycle.step = ends  # type: ignore[method-assign]
+    said = Heard((Operator.STOP,), orders=(Order(Operator.KEY),))
+    channel: Any = SimpleNamespace(take=lambda *, anew: said, waited_for=False, old=frozenset())
+    recording: Any = SimpleNamespace(alive=True, dropped=0)
+    shell: Any = Shell(wire, wire, recording, OperatorPanel(), 0, channel, lambda: True)  # type: ignore[arg-type]
+    run(Course(cycle, armed=False), shell)
+    plant.close()
+    assert [inp.operator for inp in inputs] == [(Operator.ENGAGE, Operator.STOP)]
+    assert [inp.orders for inp in inputs] == [(Order(Operator.KEY),)]
 
 
 @pytest.mark.parametrize(("operator", "tries"), [(Operator.RESET, 1), (Operator.STOP, 0)])

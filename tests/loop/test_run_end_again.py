@@ -56,3 +56,13 @@ def test_an_end_that_is_asked_for_later_does_not_make_good_that_the_drives_were_
     ending = first_end(course, 200)
     assert ending is not None
     assert "drive 0 never answered" in ending.reason
+
+
+@pytest.mark.parametrize("struck", range(5))
+@pytest.mark.parametrize("mode", [Mode.FAULT, Mode.HELD])
+def test_however_early_a_fault_strikes_the_legs_are_watched_for_as_long_from_then_on(mode, struck):
+    now = cycle(mode, mode_tick=struck, faults=Fault.ESTOP)
+    course = Course(now)
+    ending = next((found for tick in range(struck, 500) if (found := course.ending(tick))), None)
+    assert ending is not None
+    assert ending.ticks == struck + (25 if mode is Mode.FAULT else 100)

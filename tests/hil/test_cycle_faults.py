@@ -1,0 +1,86 @@
+"""What a held platform makes of silence and of further faults, and who is told the forces that were sent."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import DriveMode, Fault, Mode
+from hil.app.compose import build_cycle
+from hil.app.configuration.configuration import loads
+from hil.loop.cycle import Cycle
+from tests.hil.test_cycle import Bench
+from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
+from tests.records import record_of
+
+
+@pytest.mark.parametrize(
+    ("silent", "mode"),
+    [({0}, Mode.HELD), ({5}, Mode.HELD), ({0, 1, 2, 3, 4}, Mode.HELD), (set(range(6)), Mode.FAULT)],
+    ids=str,
+)
+def test_the_force_stays_on_as_long_as_one_drive_is_heard_and_ends_a_second_after_the_last(silent, mode):
+    bench = a_bench()
+    bench.until(Mode.APPROACH)
+    bench.drives.silent = silent
+    modes = []
+    for _ in range(1200):
+        bench.step()
+        modes.append(bench.cycle.mode)
+    assert set(modes[5:950]) == {Mode.HELD}
+    assert set(modes[1005:]) == {mode}
+    asked = DriveMode.READY if mode is Mode.HELD else DriveMode.OFF
+    assert bench.drives.commands[-1].mode == asked
+    assert (min(bench.drives.commands[-1].force) > 3000.0) == (mode is Mode.HELD)
+
+
+POSE = (
+    *(Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING),
+    *(Fault.NOT_FINITE, Fault.UNCERTAIN, Fault.ENCODER),
+)
+"""Faults that follow by themselves where a leg is not measured."""
+
+
+@pytest.fixture(scope="module")
+def cycle() -> Cycle:
+    return build_cycle(VIRTUAL, 1000.0, 0.01)
+
+
+@pytest.mark.parametrize("fault", [*POSE, Fault.DRIVE, Fault.SET_UP])
+@pytest.mark.parametrize("before", [Fault.DRIVE, Fault.BRAKE, Fault.STALE, Fault.ENCODER | Fault.BRAKE])
+def test_a_fault_of_the_pose_is_news_to_a_held_platform_unless_a_leg_was_not_measured_before(
+    cycle, fault, before
+):
+    cycle.reset()
+    cycle.mode, cycle.faults = Mode.HELD, before
+    cycle.tick = record_of(tick=9, age=0)
+    quiet: Any = SimpleNamespace(operator=())
+    cycle._react(quiet, fault)
+    measured = not before & (Fault.STALE | Fault.ENCODER)
+    assert cycle.faults == (before | fault if measured or fault not in POSE else before)
+    assert cycle.mode == Mode.HELD
+
+
+def test_predictor_and_observer_are_told_the_forces_that_were_sent_and_none_once_the_drives_are_off(
+    monkeypatch,
+):
+    damping = "  damping_ratio: 1\n"
+    delay = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
+    observer = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
+    text = VIRTUAL.text.replace(damping, damping + delay) + observer
+    c = loads(text, VIRTUAL.name, VIRTUAL.folder).model_copy(update={"engage": BRISK})
+    bench = Bench(c)
+    parts: Any = bench.cycle.parts
+    told: list[list[Any]] = [[], []]
+    for who, heard in zip((parts.predictor, parts.wrench.observer), told, strict=True):
+        monkeypatch.setattr(who, "sent", lambda force, heard=heard: heard.append(np.array(force)))
+    bench.until(Mode.APPROACH)
+    bench.step(bus_off=True)
+    sent = np.array([command.force for command in bench.drives.commands])
+    assert sent.max() > 3000.0
+    assert not sent[-1].any()
+    for heard in told:
+        np.testing.assert_allclose(heard, sent, atol=0.5)

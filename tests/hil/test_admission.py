@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from drivers.signals import Refusal
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
-from hil.loop.admission import Admission
+from hil.loop.admission import Admission, judge
 from hil.robot.dynamics import Model
 from hil.trajectory.path import PoseSample
 
@@ -160,3 +160,40 @@ def test_a_jogs_forces_change_within_250_ms_by_no_more_than_is_said_and_by_most_
 
 def test_a_change_of_force_that_is_no_number_is_too_sudden():
     assert admission().too_sudden(PoseSample(HOME[:3], np.eye(3), np.full(6, np.nan), np.zeros(6)), 1.0)
+
+
+def test_a_leg_may_be_as_short_or_as_long_as_its_ends_to_the_last_bit():
+    """At (3, 4, 12) m all six legs are 13 m long, exactly."""
+    b = PLATFORM.platform_joints
+    chi = np.array([3.0, 4.0, 12.0, 0.0, 0.0, 0.0])
+    constants, code = Model(PLATFORM).constants, Model(PLATFORM).code
+
+    def judged(low, high):
+        return judge(b, b, PLATFORM.radius, constants, code, chi, np.zeros(6), low, high, 1e9, 1e99)
+
+    assert judged(13.0, 13.0) != Refusal.STROKE
+    assert judged(np.nextafter(13.0, 14.0), 14.0) == Refusal.STROKE
+    assert judged(12.0, np.nextafter(13.0, 12.0)) == Refusal.STROKE
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_change_of_forces_is_that_of_weight_speed_and_inertia_from_here_to_250_ms_on(seed):
+    """A sample that moves, turns and accelerates, forces by the equations of motion at both ends of that way."""
+    rng = np.random.default_rng(seed)
+    twist = rng.uniform(-1.0, 1.0, 6) * [0.4, 0.4, 0.4, 0.6, 0.6, 0.6]
+    dtwist = rng.uniform(-1.0, 1.0, 6) * 30.0
+    p, R = HOME[:3] + rng.uniform(-0.1, 0.1, 3), Rotation.from_rotvec(rng.uniform(-0.2, 0.2, 3))
+    share, stop_s = rng.uniform(0.2, 1.0), rng.uniform(0.3, 2.0)
+    v, a, model = share * twist, share**2 * dtwist, Model(PLATFORM)
+    zero, ends = np.zeros(6), []
+    for t in (0.0, 0.25):
+        turned = (Rotation.from_rotvec(t * v[3:]) * R).as_matrix()
+        here = p + t * v[:3], turned
+        rest = model.inverse_dynamics(*here, zero, zero)
+        ends.append((rest, *(model.inverse_dynamics(*here, *each) - rest for each in ((v, a), (zero, v)))))
+    (rest, going, inertia), (rest1, going1, inertia1) = ends
+    faster = min(1.5, np.sqrt(4.5 * share)) / (stop_s * share)
+    by_speed = np.maximum(np.abs(going), np.abs(going1))
+    change = np.abs(rest1 - rest) + by_speed + faster * (np.abs(inertia) + np.abs(inertia1))
+    said = admission(stop_s=stop_s).change_N(PoseSample(p, R.as_matrix(), twist, dtwist), share)
+    assert said == pytest.approx(change.max(), rel=1e-9)

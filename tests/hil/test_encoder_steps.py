@@ -76,6 +76,34 @@ def test_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_sho
     assert not differences.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
 
 
+FASTEST = 5
+"""Of RATES, at 8 m/s; the next one has 4 m/s."""
+
+
+@pytest.mark.parametrize("leg", range(6))
+@BOTH_SIGNS
+@pytest.mark.parametrize("unshared", [0.3, 0.6])
+def test_the_leg_that_leaps_most_is_not_doubted_for_a_latch_that_was_late_for_all(leg, sign, unshared):
+    """All slopes leap by the same share of their rates; of the fastest leg alone by more than forces explain."""
+    bound = 16.0 * T * (1.0 + 4.0 / 3.0)
+    largest = bound + differences.TIME_LEAPS * unshared * 8.0
+    for leap, doubts in ((1.1 * bound, False), (1.9 * bound, False), (1.01 * largest, True)):
+        rates = sign * np.roll(RATES, leg - FASTEST)
+        bench = Bench(
+            differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2, unshared=unshared
+        )
+        bench.ticks(8, rate=rates)
+        late = np.abs(rates) / 8.0 * leap
+        if doubts:
+            late = np.minimum(late, 0.9 * bound) + six(0.0)
+            late[leg] = leap
+        tick = bench.tick(rate=rates + np.sign(rates) * late)
+        if doubts:
+            assert doubted(tick, Doubt.LEAP, leg, np.sign(rates[leg]) * leap, bound)
+        else:
+            assert calm(tick)
+
+
 def test_what_a_stall_excused_is_forgotten_over_a_long_silence():
     bench = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(2)

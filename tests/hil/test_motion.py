@@ -6,6 +6,7 @@ import pytest
 from hil.loop.motion import Motion
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
+from hil.trajectory.path import PoseSample
 from hil.trajectory.piecewise import PiecewisePolynomial
 
 T = 1e-3
@@ -104,3 +105,44 @@ def test_the_look_ahead_past_the_last_end_is_rest():
     assert not sample.twist.any()
     motion.start(HoldTrajectory(THERE, EYE), 10)
     np.testing.assert_allclose(motion.ahead(10, AHEAD)[0].p, THERE)
+
+
+class Turn:
+    """About z at 0.5 rad/s, for a while or for ever."""
+
+    def __init__(self, duration_s: float | None) -> None:
+        self.duration_s = duration_s
+
+    def sample(self, t: float) -> PoseSample:
+        c, s = np.cos(0.5 * t), np.sin(0.5 * t)
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return PoseSample(HERE, R, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5]), np.zeros(6))
+
+
+@pytest.mark.parametrize("begins", [0, 300])
+@pytest.mark.parametrize("patience_s", [0.0, 0.25])
+def test_a_motion_is_overdue_once_it_has_ended_longer_ago_than_it_is_waited_for(begins, patience_s):
+    motion = Motion(T, HERE, EYE, 0.5)
+    motion.start(Turn(1.0), begins)
+    ends = begins + 1000
+    last = ends + round(patience_s / T)
+    assert [motion.finished(tick) for tick in (begins, ends - 1, ends, last + 900)] == [False, False, True, True]
+    assert not any(motion.overdue(tick, patience_s) for tick in (begins, ends - 1, last - 1))
+    assert all(motion.overdue(tick, patience_s) for tick in (last + 1, last + 900))
+
+
+@pytest.mark.parametrize("trajectory", [Turn(None), HoldTrajectory(HERE, EYE)], ids=["turn", "hold"])
+def test_a_motion_without_an_end_is_never_finished_nor_overdue(trajectory):
+    motion = Motion(T, HERE, EYE, 0.5)
+    motion.start(trajectory, 0)
+    assert not any(motion.finished(tick) or motion.overdue(tick, 0.0) for tick in (0, 1, 10_000))
+
+
+@pytest.mark.parametrize("begins", [0, 300])
+def test_a_stop_of_a_motion_that_is_held_is_overdue_from_the_tick_of_the_stop_on(begins):
+    motion = Motion(T, HERE, EYE, 0.5)
+    motion.start(Turn(None), begins)
+    motion.settle(begins + 100, 0.0)
+    motion.stop(begins + 200, 0.5)
+    assert not motion.overdue(begins + 299, 0.1)
+    assert motion.overdue(begins + 301, 0.1)

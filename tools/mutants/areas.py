@@ -47,7 +47,12 @@ _LOOP = ("tests/loop/test_operate.py", "tests/loop/test_engage.py", "tests/loop/
 AREAS = {
     "safety": Area(
         ("hil/safety/*.py",),
-        ("tests/hil/test_safety*.py", "tests/hil/test_encoder*.py", "tests/loop/test_reactions.py"),
+        (
+            "tests/hil/test_safety*.py",
+            "tests/hil/test_encoder*.py",
+            "tests/hil/app/test_encoder*.py",
+            "tests/loop/test_reactions.py",
+        ),
     ),
     "cycle": Area(
         tuple(
@@ -88,7 +93,7 @@ AREAS = {
             "tests/hil/test_modes.py",
             "tests/hil/test_operating*.py",
             "tests/hil/test_status.py",
-            "tests/hil/test_jogging.py",
+            "tests/hil/test_jogging*.py",
             "tests/hil/test_admission.py",
             "tests/hil/test_console.py",
             "tests/hil/test_cycle*.py",
@@ -105,7 +110,7 @@ AREAS = {
         ),
         (
             "tests/hil/test_motion.py",
-            "tests/hil/test_jogging.py",
+            "tests/hil/test_jogging*.py",
             "tests/hil/test_way_back.py",
             "tests/hil/test_steering.py",
             "tests/hil/test_override.py",

@@ -4,11 +4,15 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from drivers.signals import Mode
 from hil.config.reference import WaypointReference
 from hil.config.values import Pose
 from hil.robot.geometry import Platform
+from hil.signals import Operator
 from hil.trajectory.build import build_trajectory
+from tests.hil.test_cycle_again import a_bench
 from tests.records import referred
 
 BOOK = json.loads((Path(__file__).parent.parent / "data" / "book_platform.json").read_text())
@@ -50,3 +54,38 @@ def test_the_pose_passes_through_untouched():
     reference = referred(PLATFORM, sample)
     for name, value in sample._asdict().items():
         assert reference[name + "_d"].tobytes() == value.tobytes()
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.LOADING, Mode.PARKED])
+def test_where_nothing_is_followed_the_reference_is_where_the_platform_is(mode):
+    bench = moved_in(mode)
+    tick = bench.cycle.tick
+    assert bench.cycle.mode is mode
+    np.testing.assert_array_equal(tick["p_d"], tick["p"])
+    np.testing.assert_array_equal(tick["R_d"], tick["R"])
+    assert not tick["twist_d"].any()
+
+
+@pytest.mark.parametrize("mode", [Mode.RELEASING, Mode.PARKING, Mode.UNLOADING])
+def test_from_the_release_to_the_test_of_the_brakes_it_is_where_the_platform_should_stand(mode):
+    bench = moved_in(mode)
+    tick, home = bench.cycle.tick, bench.cycle.parts.home_p
+    assert bench.cycle.mode is mode
+    np.testing.assert_allclose(tick["p_d"], home, atol=1e-6)
+    assert np.abs(tick["p"] - home).max() > 4e-6
+    assert not tick["twist_d"].any()
+
+
+def moved_in(mode):
+    """A bench whose legs are 5 um longer since the second tick of a mode; what it is a tick later."""
+    bench = a_bench()
+    stops = mode in {Mode.PARKING, Mode.UNLOADING, Mode.PARKED}
+    bench.until(Mode.APPROACH if stops else mode)
+    bench.step((Operator.STOP,) * stops)
+    while bench.cycle.mode is not mode:
+        bench.step()
+        assert bench.tick < 2000
+    bench.drives.length = bench.drives.length + 5e-6
+    for _ in range(2):
+        bench.step()
+    return bench

@@ -12,6 +12,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.admission import Admission, judge
 from hil.robot.dynamics import Model
+from hil.robot.kinematics import condition
 from hil.trajectory.path import PoseSample
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())
@@ -197,3 +198,13 @@ def test_the_change_of_forces_is_that_of_weight_speed_and_inertia_from_here_to_2
     change = np.abs(rest1 - rest) + by_speed + faster * (np.abs(inertia) + np.abs(inertia1))
     said = admission(stop_s=stop_s).change_N(PoseSample(p, R.as_matrix(), twist, dtwist), share)
     assert said == pytest.approx(change.max(), rel=1e-9)
+
+
+def test_a_pose_and_a_way_may_be_as_near_to_a_singular_pose_as_the_limit_to_the_last_bit():
+    p, R = HOME[:3], np.eye(3)
+    limit = condition(PLATFORM, p, R)
+    there = PoseSample(p, R, np.zeros(6), np.zeros(6))
+    for most, expected in ((limit, 0), (np.nextafter(limit, 0.0), Refusal.CONDITION)):
+        judge_it = admission(condition=most)
+        assert judge_it(HOME) == expected
+        assert judge_it.on_the_way(there) == expected

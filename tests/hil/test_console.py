@@ -13,6 +13,7 @@ import pytest
 from drivers.signals import Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
+from hil.config.reference import LiveReference
 from hil.loop.console import Console
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
@@ -20,6 +21,7 @@ from hil.loop.status import status_text
 from hil.operate.channel import AT_MOST, OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.signals import Operator
+from tests.live_reference import LIVE_REFERENCE
 
 
 @pytest.fixture
@@ -193,3 +195,25 @@ def test_a_status_has_no_number_that_json_lacks():
     assert status["position_m"] is status["rotation_vector_deg"] is status["leg_lengths_m"] is None
     cycle.tick["q"] = 1.25
     assert json.loads(status_text(Course(cycle), 0))["leg_lengths_m"] == [1.25] * 6
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.TRACKING])
+def test_a_set_point_for_a_live_reference_comes_through_and_is_answered_by_what_became_of_it(ends, mode):
+    reference = LiveReference.model_validate(LIVE_REFERENCE)
+    c = load("virtual").model_copy(update={"reference": reference})
+    live, (channel, client) = build_cycle(c, 1000.0, 0.01), ends
+    console, told = Console(Course(live), OperatorPanel(), channel), list[str]()
+    recording: Any = SimpleNamespace(event=lambda *event: told.append(event[-1]))
+    live.mode = mode
+    for _ in range(2):
+        console.take()
+        console.answer(recording, 0)
+    client._socket.send(b"setpoint 0 0 1.01")
+    heard = console.take()
+    assert [tuple(each) for each in heard.setpoints] == [(0.0, 0.0, 1.01, 0.0, 0.0, 0.0)]
+    steering: Any = live.parts.steering
+    steering.step(heard.setpoints, 1, tracking=mode is Mode.TRACKING)
+    console.answer(recording, 0)
+    said = client._socket.recv(4096).decode()
+    assert (said == "taken") == (mode is Mode.TRACKING)
+    assert told == ([] if said == "taken" else [f"set-point {said}"])

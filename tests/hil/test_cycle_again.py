@@ -11,7 +11,7 @@ import pytest
 
 from drivers.signals import DriveState, Fault, Mode, Refusal, Stop
 from hil.app.compose import build_cycle
-from hil.app.configuration.configuration import load
+from hil.app.configuration.configuration import load, loads
 from hil.config.reference import LiveReference
 from hil.loop.cycle import Cycle
 from hil.loop.ramps import tau_at_rest
@@ -87,6 +87,52 @@ def test_a_stop_on_the_way_back_stands_whoever_asked_for_it_and_whatever_is_said
     assert number <= 300 + 1.34 * 1000.0 * VIRTUAL.engage.stop_s
     assert np.diff(heights).max() <= 1e-12, "it goes on, and comes to rest"
     assert cycle.parts.home_p[2] + 0.01 < heights[-1] < begun
+
+
+def on_the_path(text: str) -> Cycle:
+    """Half-way along a straight path of 20 mm/s that begins at home."""
+    cycle = build_cycle(loads(text), 1000.0, 0.01)
+    parts = cycle.parts
+    there = parts.home_p + np.array([0.0, 0.0, 0.1])
+    cycle.motion.start(GeodesicMove(parts.home_p, parts.home_R, there, parts.home_R, 10.0), 0)
+    cycle.mode = Mode.TRACKING
+    return cycle
+
+
+KEYED = VIRTUAL.text.replace("\nreference: ", "\noperator: {deadman_s: 0.1}\n\nreference: ")
+KEY, PARK, START = Order(Operator.KEY), Order(Operator.PARK), Order(Operator.START)
+
+
+def test_the_way_back_begins_where_the_reference_rests_and_its_rates_do_not_jump():
+    cycle = on_the_path(VIRTUAL.text)
+    rates = []
+    for number in range(5000, 7000):
+        resting = cycle.motion.resting
+        ticked(cycle, number, orders=(PARK,) * (number == 5000))
+        rates.append(cycle.motion.sample(number).twist[2])
+        if cycle.mode is not Mode.TRACKING:
+            break
+        assert cycle.mode_tick == 0
+    assert cycle.mode is Mode.STOPPING
+    assert resting
+    assert number - 5000 > 1000.0 * VIRTUAL.engage.stop_s
+    assert rates[0] > 0.01
+    assert np.abs(np.diff(rates)).max() < 2.0 * 1.5 / VIRTUAL.engage.stop_s * 0.02 * 1e-3
+
+
+def test_without_the_key_the_way_back_does_not_begin():
+    cycle = on_the_path(KEYED)
+    for number in range(5000, 7500):
+        said = (*(KEY,) * (number < 5100), *(PARK,) * (number == 5000))
+        ticked(cycle, number, orders=said)
+        assert cycle.mode is Mode.TRACKING
+    assert cycle.motion.resting
+    assert not cycle.operating.go
+    for number in range(7500, 9000):
+        ticked(cycle, number, orders=(KEY, PARK) if number == 7500 else (KEY,))
+        if cycle.mode is not Mode.TRACKING:
+            break
+    assert cycle.mode is Mode.STOPPING
 
 
 # -- armed a second time

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import DriveMode, Fault, Mode
+from drivers.legs.protocol import LegsProtocol
+from drivers.signals import DriveMode, DriveState, Fault, Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import loads
 from hil.loop.cycle import Cycle
+from hil.signals import Operator
 from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
 from tests.records import record_of
@@ -84,3 +86,45 @@ def test_predictor_and_observer_are_told_the_forces_that_were_sent_and_none_once
     assert not sent[-1].any()
     for heard in told:
         np.testing.assert_allclose(heard, sent, atol=0.5)
+
+
+@pytest.mark.parametrize("leg", [0, 3, 5])
+@pytest.mark.parametrize("by_m", [4e-4, -4e-4])
+def test_a_platform_that_is_not_measured_is_held_by_the_same_force_whatever_its_legs_say(leg, by_m):
+    bench = a_bench()
+    bench.until(Mode.APPROACH)
+    bench.drives.silent = {leg}
+    while bench.cycle.mode is not Mode.HELD:
+        bench.step()
+        assert bench.tick < 2000
+    holding = bench.cycle.effort.holding.copy()
+    assert holding.min() > 3000.0
+    bench.drives.silent = set()
+    bench.drives.length = bench.drives.length + by_m * (np.arange(6) == leg)
+    for _ in range(4):
+        bench.step()
+        np.testing.assert_array_equal(bench.cycle.tick["tau_asked"], holding)
+        assert bench.cycle.mode is Mode.HELD
+
+
+@pytest.mark.parametrize(
+    ("rivals", "latches", "sent"),
+    [(False, False, [1, 0, 0, 0]), (False, True, [1, 1, 1, 1]), (True, False, [1, 1, 1, 1])],
+)
+def test_the_stop_is_repeated_where_drives_keep_it_or_another_controller_commands_them_else_off_is_the_stop(
+    monkeypatch, rivals, latches, sent
+):
+    """Drives that go on in RUN whatever they are told."""
+    monkeypatch.setattr(LegsProtocol, "stop_latches", latches)
+    bench = a_bench()
+    bench.until(Mode.APPROACH)
+    told = []
+    for _ in range(4):
+        if rivals:
+            bench.cycle.faults |= Fault.SECOND_CONTROLLER
+        before = bench.drives.estops
+        bench.step((Operator.ESTOP,) * (not told))
+        told.append(bench.drives.estops - before)
+        bench.drives.state = [DriveState.RUN] * 6
+    assert told == sent
+    assert bench.drives.commands[-1].mode == DriveMode.OFF

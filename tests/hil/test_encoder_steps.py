@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,25 @@ def test_a_slope_may_leap_by_what_steps_of_different_length_explain_and_no_more(
         assert doubted(tick, Doubt.LEAP, leg, leap, limit) if doubts else calm(tick)
 
 
+def slopes(lengths):
+    """The slope at the end of the parabola through each three lengths, one apart."""
+    return 1.5 * lengths[2:] - 2.0 * lengths[1:-1] + 0.5 * lengths[:-2]
+
+
+def test_one_late_latch_and_one_jump_show_in_slopes_and_their_leaps_by_the_shares_that_are_stated():
+    """Lengths at 1 m/s and 1 s apart; a leap is how far a slope is from where the last two lead."""
+    even, delay, jump = np.arange(12.0), 0.01, 0.01
+    late = even + delay * (np.arange(12) == 6)
+    leaps = np.diff(slopes(late), n=2)
+    assert np.abs(leaps).max() == pytest.approx(differences.TIME_LEAPS * delay)
+    np.testing.assert_allclose(leaps[2:7] / delay, [1.5, -5.0, 6.0, -3.0, 0.5], atol=1e-9)
+    jumped = even + jump * (np.arange(12) >= 6)
+    leap = np.diff(slopes(jumped), n=2)[2]
+    assert leap == pytest.approx(differences.SHOWS_AS_LEAP * jump)
+    gaps = np.diff(jumped)[2:] - 0.5 * (slopes(jumped)[1:] + slopes(jumped)[:-1])
+    assert gaps[3] == pytest.approx(differences.SHOWS_AS_GAP * jump)
+
+
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
 def test_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_shorter(leg, sign):
@@ -74,6 +95,20 @@ def test_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_sho
         assert bool(differences.is_time(leg, leaps, rates, bounds, 0.25)) == is_time
     alone = six(1.0, leg)
     assert not differences.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("silent", [0, 2, 5])
+def test_a_gap_of_slopes_lags_by_the_steps_of_its_own_leg_and_not_of_one_that_was_silent(leg, silent):
+    """The range is 16 m/s^2; the silent one has a step of 2 T behind it, the others have T."""
+    bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=0.0)
+    bench.ticks(6)
+    bench.ticks(1, unseen=[silent])
+    bench.ticks(1)
+    steps = (1.0, 2.0, 1.0) if leg == silent else (1.0, 1.0, 1.0)
+    lags = [0.5 * now * (now + was) / (2.0 * now + was) for was, now in pairwise(steps)]
+    limit = 16.0 * T * T * (1.0 / 8.0 + 0.5 * sum(lags)) + CREEP
+    assert doubted(bench.tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, limit)
 
 
 FASTEST = 5

@@ -269,6 +269,29 @@ def test_reset_forgets_what_was_found():
     assert not legs.homing.added.any()
 
 
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("ticks", [1, 3 * SILENT_TICKS])
+def test_a_drive_that_is_heard_later_than_the_others_is_found_where_its_leg_was_parked(leg, ticks):
+    legs = Leg()
+    for _ in range(ticks):
+        legs.hear(forgotten(PARKED), silent=(leg,))
+    np.testing.assert_allclose(legs.hear(forgotten(PARKED)), PARKED, atol=1e-12)
+    assert legs.homing.known
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("silent", range(6))
+def test_a_drive_that_is_switched_off_before_another_one_was_ever_heard_is_found_again(leg, silent):
+    legs, others = Leg(), {silent} - {leg}
+    legs.hear(forgotten(PARKED), silent=others)
+    reads = forgotten(PARKED) + 4 * STEP * (np.arange(6) == leg)
+    for _ in range(2):
+        found = legs.hear(reads, silent=others)
+        np.testing.assert_allclose(np.delete(found, [*others]), np.delete(PARKED, [*others]), atol=1e-12)
+    np.testing.assert_allclose(legs.hear(reads), PARKED, atol=1e-12)
+    assert legs.homing.known
+
+
 def test_drives_that_forget_nothing_are_left_alone():
     homing = Homing(None, Stroke(0.2, 0.5, None), PERIOD_S)
     tick = new_record()

@@ -71,3 +71,18 @@ def test_a_leg_begins_at_the_share_of_where_it_is_however_far_along_the_path_tha
     assert later is None or abs(setup_share(later, speeds) / expected - 1.0) > 1e-3
     np.testing.assert_allclose(shares, expected, rtol=1e-4)
     assert expected < 1.0
+
+
+@pytest.mark.parametrize("command", [Operator.START, Operator.PARK, Operator.HOLD])
+@pytest.mark.parametrize("name", ["x", "leg4"])
+def test_a_jog_brakes_from_the_order_on_that_ends_it_and_goes_on_through_a_hold(command, name):
+    held = Held(Box(1.0))
+    _, samples = held.run(600, jog(name), every=1)
+    held.say(jog(name), Order(command))
+    _, more = held.run(20)
+    v = speed([*samples[-1:], *more])[:, 0]
+    if command is Operator.HOLD:
+        np.testing.assert_allclose(v, v[0], rtol=1e-3)
+    else:
+        assert (np.diff(v[1:]) < 0.0).all()
+        assert v[-1] < 0.999 * v[0]

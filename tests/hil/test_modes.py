@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from drivers.signals import DriveMode, DriveState, Fault, Mode
@@ -114,6 +116,13 @@ def test_the_force_stays_until_all_six_brakes_are_shut():
 def test_a_drive_is_waited_for_one_second_and_no_longer(mode, least):
     assert not overdue(mode, least + 0.999, DURATIONS)
     assert overdue(mode, least + 1.001, DURATIONS)
+
+
+def test_a_drive_that_comes_with_the_last_moment_of_its_second_is_in_time():
+    even = Durations(load=0.25, release=0.5, close=0.125)
+    for mode, least in ((Mode.LOADING, 0.5), (Mode.RELEASING, 0.5), (Mode.PARKING, 0.125)):
+        assert not overdue(mode, least + 1.0, even)
+        assert overdue(mode, math.nextafter(least + 1.0, 2.0), even)
 
 
 def test_other_modes_wait_for_no_drive():

@@ -270,3 +270,13 @@ def test_settings_become_limits_of_each_word():
 def test_a_jerk_too_small_for_its_acceleration_is_refused():
     with pytest.raises(ConfigurationError, match=r"acceleration over jerk is 2.5 s .* at most 2 s"):
         live(np.array([[V] * 6, [5.0] * 6, [2.0] * 6]))
+
+
+@pytest.mark.parametrize("word", range(6))
+def test_a_jerk_too_small_on_one_axis_alone_is_refused_and_one_that_just_suffices_is_not(word):
+    limits = LIMITS.copy()
+    limits[1:, word] = 5.0, 2.0
+    with pytest.raises(ConfigurationError, match=r"acceleration over jerk is 2.5 s on some axis.* at most 2 s"):
+        live(limits)
+    limits[1:, word] = 4.0, 2.0
+    np.testing.assert_array_equal(live(limits).sample(0.0).p, START[:3])

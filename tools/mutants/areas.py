@@ -99,6 +99,7 @@ AREAS = {
             "tests/hil/test_cycle*.py",
             "tests/hil/test_way_back.py",
             "tests/loop/test_run_end*.py",
+            "tests/loop/test_left_alone.py",
             "tests/loop/test_obedience.py",
             *_LOOP,
         ),

@@ -109,3 +109,22 @@ def test_a_relative_tolerance_is_for_floats_without_one_of_their_own():
 )
 def test_values_have_their_names(column, value, text):
     assert named(COLUMNS[column], value) == text
+
+
+@pytest.mark.parametrize(
+    ("parts", "first"),
+    [
+        ({}, []),
+        ({"tau": 2}, ["tau"]),
+        ({"tau": 1, "q": 1}, ["q", "tau"]),
+        ({"tau": 1, "q": 2}, ["tau"]),
+        ({"tau": 0, "q": 3, "mode": 0}, ["mode", "tau"]),
+    ],
+)
+def test_the_first_columns_are_all_that_part_in_the_earliest_tick_be_it_one_or_more(parts, first):
+    there, here = rows(), rows()
+    for name, row in parts.items():
+        here[name][row:] = 1
+    found = Divergence([COLUMNS[name] for name in ("mode", "q", "tau")])
+    found.take(here, there, np.zeros(4))
+    assert [each.column.name for each in found.first] == first

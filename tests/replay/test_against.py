@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -259,3 +260,24 @@ def test_a_platform_that_waits_or_stands_on_its_brakes_is_not_in_its_first_motio
     assert first_motion(rows) == (16, 16_000_000)
     with pytest.raises(LogError, match="its platform never moves"):
         first_motion(Made(range(9), mode=mode))
+
+
+@pytest.mark.parametrize("name", NAMES[2:])
+@pytest.mark.parametrize(("late_ns", "other_late_ns"), [(0, 0), (300_000, 0), (0, 300_000)])
+def test_the_time_of_a_difference_is_that_of_the_log_however_late_the_other_was(
+    made, name, late_ns, other_late_ns
+):
+    one, other = Made(range(9), zero_ns=10**15), Made(range(9))
+    one.rows["t_ns"][5] += late_ns
+    other.rows["t_ns"][5] += other_late_ns
+    one.rows[name][5] = 1
+    found = {each["column"]: each for each in made(one, other)["columns"]}
+    for key in ("first", "at"):
+        place = found[name][key]
+        assert (place["tick"], place["time_s"]) == (5, pytest.approx(5e-3 + 1e-9 * late_ns, abs=1e-12))
+
+
+def test_a_comparison_says_how_long_it_took(made, monkeypatch):
+    clock = SimpleNamespace(perf_counter=iter((1000.0, 1002.5)).__next__)
+    monkeypatch.setattr("hil.app.against.command.time", clock)
+    assert made(Made(range(3)), Made(range(3)))["wall_s"] == 2.5

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,7 @@ def verdict_on(entries):
     ("found", "exact", "equivalent"),
     [
         ({}, True, True),
+        ({"ticks": 1}, True, True),
         ({"ticks": 0}, False, False),
         ({"gaps": [(700, 3)]}, False, False),
         ({"different_ticks": 1, "largest": 1e-9}, False, True),
@@ -180,6 +182,36 @@ def test_a_replay_has_the_story_of_the_faults_that_its_cycle_latched(entries):
     verdict = compared(entries, begun + 5, bus_off=1)
     assert verdict.story is not None
     assert [finding.fault for finding in verdict.story.findings] == ["BUS"]
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("by", [0.5, -0.25])
+def test_a_difference_names_the_element_with_the_recorded_and_the_replayed_value(entries, leg, by):
+    lengths = np.array(entries[50].row["q"])
+    own = lengths[leg].item()
+    lengths[leg] += by
+    (found,) = compared(entries, 50, q=lengths).first
+    assert (found.recorded.tolist(), found.replayed[leg].item()) == (lengths.tolist(), own)
+    assert str(found) == (
+        f"tick 50: q[{leg}]: recorded {own + by!r}, replayed {own!r} (difference {-by:.3g})"
+    )
+
+
+def test_a_difference_of_a_scalar_has_no_element_and_one_of_whole_numbers_no_distance(entries):
+    own = int(entries[50].row["mode"])
+    (found,) = compared(entries, 50, mode=99).first
+    assert str(found) == f"tick 50: mode: recorded 99, replayed {own}"
+    number = entries[50].row["condition"].item()
+    (found,) = compared(entries, 50, condition=number + 1.0).first
+    assert str(found).startswith(f"tick 50: condition: recorded {number + 1.0!r}, replayed {number!r} (diff")
+
+
+def test_a_replay_is_as_fast_as_the_logged_time_over_its_own(log, entries, monkeypatch):
+    clock = SimpleNamespace(perf_counter=iter((1000.0, 1000.5)).__next__)
+    monkeypatch.setattr("hil.app.replay.time", clock)
+    found = replay_log(log)[1]
+    assert found["wall_s"] == 0.5
+    assert found["times_real_time"] == pytest.approx(1e-3 * len(entries) / 0.5), "ticks are 1 ms apart"
 
 
 def test_the_summary_gives_the_speed_and_where_how_many_ticks_are_missing():

@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -14,8 +16,11 @@ from click.testing import CliRunner
 import hil
 from drivers.errors import LogError
 from hil.app import replay_suite
+from hil.app.replay import summary as values
 from hil.app.replay_suite import died, logs_in, replay_case, run_suite, summary, verdicts
 from hil.cli import main
+from hil.loop.replay import Comparison
+from hil.record.log import Log
 from tests.hil.rewrite import rewrite_log
 
 
@@ -177,3 +182,29 @@ def test_a_folder_that_cannot_be_read_is_no_empty_one(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "scandir", scandir)
     with pytest.raises(LogError, match=f"folder {closed}: cannot be read: Permission denied"):
         logs_in(tmp_path)
+
+
+@pytest.mark.parametrize("told", [None, {"text": "leg 3 is slow", "lines": ["leg 3", "is slow"]}])
+def test_a_case_has_the_story_of_the_faults_of_its_log(log, monkeypatch, told):
+    story: Any = None if told is None else SimpleNamespace(fields=lambda: told)
+    comparison = Comparison(ticks=5, story=story)
+    found = values(comparison, 1.0, 2.0) | {"agrees": True}
+    monkeypatch.setattr(replay_suite, "replay_log", lambda _: (comparison, found))
+    case = replay_case(log)
+    assert (case.verdict, case.summary.get("story")) == ("pass", told)
+    assert ("story" in case.summary) is (told is not None)
+
+
+def test_a_suite_says_how_long_it_took_and_how_many_ticks_that_is_a_second(folder, tmp_path, monkeypatch):
+    shutil.copy(folder / "below" / "good.mcap", folder / "below" / "again.mcap")
+    monkeypatch.setattr(
+        "hil.cli.replay_forms.time", SimpleNamespace(perf_counter=iter((70.0, 74.0)).__next__)
+    )
+    begun = iter(range(100, 140))
+    monkeypatch.setattr(replay_suite, "time", SimpleNamespace(perf_counter=lambda: 1.0 * next(begun)))
+    suite(folder / "below", "--json", tmp_path / "a.json")
+    found = json.loads((tmp_path / "a.json").read_text())
+    ticks = len(Log(folder / "below" / "good.mcap").rows())
+    assert (found["wall_s"], found["ticks"]) == (4.0, 2 * ticks)
+    assert found["ticks_per_second"] == pytest.approx(ticks / 2.0)
+    assert [case["wall_s"] for case in found["cases"]] == [1.0, 1.0]

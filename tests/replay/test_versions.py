@@ -4,6 +4,7 @@ import json
 import re
 from enum import IntEnum
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from drivers.signals import Mode
 from drivers.tick_columns import RECORDED, ROW, Column
 from hil.app.compose import attachments
 from hil.app.configuration.configuration import load
-from hil.app.replay import replay_log
+from hil.app.replay import open_run, replay_log
 from hil.cli import main
 from hil.record import Recording, environment
 from hil.record.log import Log
@@ -178,3 +179,35 @@ def test_metadata_that_was_edited_is_no_traceback(tmp_path, old, new, said):
     assert isinstance(result.exception, SystemExit)
     assert result.exit_code == 2
     assert said in " ".join(result.stderr.split())
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """A function that opens a log whose metadata say other things of its run."""
+
+    def open_with(open_it, **changes):
+        run = {"kind": "run", "rate_Hz": "1000", "watchdog_s": "0.01"} | changes
+        log = SimpleNamespace(columns=RECORDED, metadata={"hil": run}, configuration=load("virtual").text)
+        monkeypatch.setattr(Log, "open", lambda _: log)
+        return open_it(Path("a.mcap"))
+
+    return open_with
+
+
+@pytest.mark.parametrize("open_it", [open_run, replay_log])
+@pytest.mark.parametrize("kind", ["plant", "RUN", ""])
+def test_a_log_of_another_kind_than_a_run_is_refused_with_the_kinds_that_there_are(opened, open_it, kind):
+    with pytest.raises(LogError, match=f"a.mcap: holds a log of kind '{kind}', allowed: one of `hil run`"):
+        opened(open_it, kind=kind)
+    for allowed in ("run", "sim"):
+        assert opened(open_run, kind=allowed)[1]["kind"] == allowed
+
+
+@pytest.mark.parametrize(
+    ("key", "most", "too_much"), [("rate_Hz", "100000", "100001"), ("watchdog_s", "3600", "3600.5")]
+)
+def test_a_rate_and_a_watchdog_have_a_largest_value_that_is_allowed_itself(opened, key, most, too_much):
+    assert opened(open_run, **{key: most})[1][key] == float(most)
+    for value in (too_much, "0", "nan", "inf", ""):
+        with pytest.raises(LogError, match=rf"a.mcap: .* has {key}: .*, at most "):
+            opened(open_run, **{key: value})

@@ -1,4 +1,4 @@
-"""Of a what-if: a latched fault is listed once however long it stays, and other sensors are refused."""
+"""Of a what-if: faults are listed once, the first other frames have their time, other sensors are refused."""
 
 from types import SimpleNamespace
 
@@ -7,6 +7,7 @@ import pytest
 
 from drivers.config import SensorSettings
 from drivers.errors import ConfigurationError
+from drivers.protocol import Frame
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
@@ -84,3 +85,66 @@ def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts
     )
     answer = kernel.what_if(None, idle)  # type: ignore[arg-type]
     assert (answer.ticks, answer.setpoints) == (len(counts), sum(counts))
+
+
+def steps(pairs, begun_ns=0):
+    """Return ticks 2 ms apart with (recorded, answered) frames; a cycle that speaks for no leg but one."""
+    found = []
+    for tick, (there, here) in enumerate(pairs):
+        row = np.zeros((), ROW)
+        row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
+        inp = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
+        found.append(SimpleNamespace(entry=SimpleNamespace(row=row, sent=there), inp=inp, row=row, sent=here))
+    protocol = SimpleNamespace(addressed=lambda frame: (frame.id,))
+    return iter(found), SimpleNamespace(
+        reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
+        parts=SimpleNamespace(protocol=protocol),
+    )  # fmt: skip
+
+
+A, B, C = (Frame(leg, bytes((leg,))) for leg in (1, 2, 3))
+
+
+@pytest.mark.parametrize("begun_ns", [0, 1, 3 * 86_400 * 10**9])
+def test_the_time_of_the_first_other_frames_counts_from_the_first_tick_of_the_log(begun_ns, monkeypatch):
+    ticks, cycle = steps([((A,), (A,))] * 3 + [((A,), (B,)), ((A,), (C,))], begun_ns)
+    monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
+    answer = kernel.what_if(None, cycle)  # type: ignore[arg-type]
+    assert answer.first_frames is not None
+    assert (answer.first_frames.tick, answer.first_frames.answered) == (3, B)
+    assert answer.first_frames.time_s == pytest.approx(6e-3, abs=1e-12)
+    assert (answer.wire_different_ticks, answer.different_ticks) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "recorded", "answered", "leg"),
+    [
+        ((A, B, C), (A, C, C), B, C, 3),
+        ((A, B, C), (A, C, B), B, C, 3),
+        ((A, B), (A, B, C), None, C, 3),
+        ((A, B, C), (A, B), C, None, 3),
+        ((), (B,), None, B, 2),
+        ((B,), (), B, None, 2),
+    ],
+)
+def test_the_first_frame_in_its_place_that_differs_is_named_with_its_leg(
+    there, here, recorded, answered, leg, monkeypatch
+):
+    ticks, cycle = steps([(there, here)])
+    monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
+    found = kernel.what_if(None, cycle).first_frames  # type: ignore[arg-type]
+    assert found is not None
+    assert (found.recorded, found.answered, found.legs) == (recorded, answered, (leg,))
+
+
+@pytest.mark.parametrize(
+    ("found", "whole"),
+    [
+        ({"ticks": 1}, True),
+        ({"ticks": 0}, False),
+        ({"ticks": 1, "gaps": [(1, 1)]}, False),
+        ({"ticks": 1, "damage": "damaged at byte 4711"}, False),
+    ],
+)
+def test_an_answer_is_whole_with_one_tick_without_a_gap_and_without_damage(found, whole):
+    assert kernel.Answer(**found).whole is whole

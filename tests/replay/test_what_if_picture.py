@@ -33,5 +33,7 @@ def test_each_leg_has_both_forces_and_the_answer_less_the_recorded_one_over_the_
         assert (recorded.label, answered.label) == ("recorded", "what-if")
         np.testing.assert_array_equal(recorded.signal.values, there[:, leg])
         np.testing.assert_array_equal(answered.signal.values, here[:, leg])
+        assert (recorded.log, answered.log, differences[leg].log) == (0, 1, 0), "each side in its own colour"
+        np.testing.assert_allclose([recorded.t, answered.t], [1e-3 * np.arange(7)] * 2, atol=1e-12)
         np.testing.assert_array_equal(differences[leg].signal.values, here[:, leg] - there[:, leg])
         np.testing.assert_allclose(differences[leg].t, 1e-3 * np.arange(7), atol=1e-12)

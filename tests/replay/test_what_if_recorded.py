@@ -39,3 +39,4 @@ def test_the_notice_stands_at_the_first_tick_and_not_where_the_clock_began(tmp_p
     assert [event.t_ns for event in answer.events()] == [begun_ns]
     assert answer.summary.duration_s == pytest.approx(max(ticks - 1, 0) * 1e-9 * PERIOD_NS)
     assert len(answer.rows()) == ticks
+    assert answer.metadata["hil"]["mode"] == "lockstep", "it waits for its recorder"

@@ -71,3 +71,26 @@ def test_each_file_of_another_content_than_the_logs_is_named_by_its_key(monkeypa
 
     assert others({name: b"after"}) == [f"{key}: the file has another content than that of the log"]
     assert others({name: b"before"}) == others({}) == []
+
+
+def test_a_what_if_is_as_fast_as_the_logged_time_over_its_own(verdict, monkeypatch):
+    clock = SimpleNamespace(perf_counter=iter((1000.0, 1000.25)).__next__)
+    monkeypatch.setattr(command, "time", clock)
+    found = verdict(Answer(ticks=500))
+    assert (found["wall_s"], found["logged_s"]) == (0.25, 0.5)
+    assert found["times_real_time"] == pytest.approx(2.0)
+
+
+def test_an_interrupt_is_handed_on_and_names_the_log_that_was_begun(monkeypatch, tmp_path):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt("by the operator")
+
+    monkeypatch.setattr(command, "what_if", interrupted)
+    nothing: Any = None
+    with pytest.raises(KeyboardInterrupt, match=r"^by the operator$"):
+        command._answer(nothing, nothing, None, None, None)
+    closed: list[Any] = []
+    recording: Any = SimpleNamespace(path=tmp_path / "a.mcap", close=closed.append)
+    with pytest.raises(KeyboardInterrupt, match=r"what it answered until then: \S+/a\.mcap$"):
+        command._answer(nothing, nothing, recording, None, None)
+    assert closed == [{"reason": "interrupted"}]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from rich.text import Text
 
 from hil.app.against import show as page
 from hil.app.against.show import show, shown
@@ -142,3 +143,27 @@ def test_an_alignment_by_motion_is_said():
 )
 def test_what_only_one_log_has_is_said_where_there_is_such(key, value, name, said):
     assert shown(BOTH | {key: value}) == SHOWN | {name: said}
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("12345678901234", "12345678901234"),
+        ("-7", "-7"),
+        ("1234567.891", "1.23457e+06"),
+        ("-0.0", "-0"),
+        ("5e-324", "4.94066e-324"),
+        ("1e+300", "1e+300"),
+        ("nan", "nan"),
+        ("LATE|BUS", "LATE|BUS"),
+        ("some.name", "some.name"),
+    ],
+)
+def test_a_float_is_shown_to_six_digits_and_a_whole_number_or_a_name_as_it_is(printed, value, said):
+    here, there = (column("x", "", place(1, 0.0, "x", "", *pair), place(1, 0.0, "x", "", *pair))
+                   for pair in ((value, "1"), ("1", value)))  # fmt: skip
+    show({"columns": [here, there]})
+    assert [list(each.cells) for each in printed[0].columns[3:5]] == [
+        [Text(said), Text("1")],
+        [Text("1"), Text(said)],
+    ]

@@ -7,6 +7,7 @@ import math
 import re
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from hil.app.replay import replay_log, summary
 from hil.app.sim.command import simulate
 from hil.app.what_if.command import what_if_log
 from hil.cli import main
+from hil.loop import replay as kernel
 from hil.loop.replay import Comparison, replay
 from hil.record.log import Log
 from hil.record.salvage import salvage
@@ -295,3 +297,15 @@ def test_progress_is_drawn_over_itself_on_a_terminal_and_not_at_all_elsewhere(lo
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True)
     said = CliRunner().invoke(main, ["replay", str(log)], color=True).stderr
     assert said == "\r1000 ticks\r2000 ticks\r\x1b[K"
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(999, []), (1000, [1000]), (1001, [1000]), (3000, [1000, 2000, 3000])]
+)
+def test_progress_is_told_every_thousand_ticks(monkeypatch, count, said):
+    inputs = iter(SimpleNamespace(tick=tick, skipped=0) for tick in range(count))
+    monkeypatch.setattr(kernel, "recorded_input", lambda _: next(inputs))
+    cycle: Any = SimpleNamespace(begin=lambda _: (), step=lambda _: SimpleNamespace(frames=(), row=None))
+    told: list[int] = []
+    steps = list(kernel.stepped(Entries([None] * count), cycle, [], told.append))
+    assert (len(steps), told) == (count, said)

@@ -94,3 +94,14 @@ def test_an_interrupt_is_handed_on_and_names_the_log_that_was_begun(monkeypatch,
     with pytest.raises(KeyboardInterrupt, match=r"what it answered until then: \S+/a\.mcap$"):
         command._answer(nothing, nothing, recording, None, None)
     assert closed == [{"reason": "interrupted"}]
+
+
+def test_an_answer_without_a_tick_says_so_where_nothing_else_says_why(verdict):
+    found = verdict(Answer())
+    assert (found["success"], found["trouble"], found["times_real_time"]) == (
+        False,
+        "the log has no tick",
+        0.0,
+    )
+    assert verdict(Answer(damage="damaged at byte 47\x07"))["trouble"] == "damaged at byte 47\\x07"
+    assert verdict(Answer(), FULL)["trouble"] == f"the log has no tick; {FULL}"

@@ -128,3 +128,13 @@ def test_the_first_columns_are_all_that_part_in_the_earliest_tick_be_it_one_or_m
     found = Divergence([COLUMNS[name] for name in ("mode", "q", "tau")])
     found.take(here, there, np.zeros(4))
     assert [each.column.name for each in found.first] == first
+
+
+@pytest.mark.parametrize("by", [5, -5])
+@pytest.mark.parametrize(("tolerance", "beyond"), [(0.0, True), (4.9, True), (5.0, False), (np.inf, False)])
+def test_whole_numbers_are_as_far_apart_as_they_are(by, tolerance, beyond):
+    age = np.zeros((4, 6), np.int64)
+    age[2, 4] = by
+    found, ticks = compared(rows(age=age), rows(), "age", Tolerance(tolerance))
+    assert found.largest == 5.0
+    assert ticks == [False, False, beyond, False]

@@ -111,7 +111,11 @@ def test_a_replay_agrees_to_the_bit_and_on_another_processor_within_a_billionth(
     monkeypatch.setattr("hil.app.replay.replay", lambda *_: Comparison(ticks=100, **found))
     if elsewhere:
         monkeypatch.setattr("hil.app.replay.environment", lambda: {"cpu": "another one"})
-    assert replay_log(log)[1]["agrees"] == (there if elsewhere else here)
+    fields = replay_log(log)[1]
+    assert fields["agrees"] == (there if elsewhere else here)
+    cpu = Log.open(log).metadata["environment"]["cpu"]
+    named = (fields.get("recorded_on"), fields.get("replayed_on"))
+    assert named == ((cpu, "another one") if elsewhere else (None, None))
 
 
 @pytest.mark.parametrize("name", COMPUTED_COLUMNS)
@@ -221,6 +225,11 @@ def test_the_summary_gives_the_speed_and_where_how_many_ticks_are_missing():
     assert fields["times_real_time"] == 3.0
     assert fields["gaps"] == ["3 ticks missing from tick 700"]
     assert summary(Comparison(), 0.0, 6.0)["times_real_time"] == 0.0
+
+
+def test_sent_frames_are_counted_over_all_ticks(entries):
+    verdict = verdict_on(entries[:60])
+    assert verdict.frames == sum(len(entry.sent) for entry in entries[:60]) > 60
 
 
 def test_a_tick_whose_sent_frames_are_gone_is_a_difference_that_can_be_printed(entries):

@@ -17,7 +17,7 @@ import hil
 from drivers.errors import LogError
 from hil.app import replay_suite
 from hil.app.replay import summary as values
-from hil.app.replay_suite import died, logs_in, replay_case, run_suite, summary, verdicts
+from hil.app.replay_suite import Case, died, logs_in, replay_case, run_suite, summary, verdicts
 from hil.cli import main
 from hil.loop.replay import Comparison
 from hil.record.log import Log
@@ -208,3 +208,24 @@ def test_a_suite_says_how_long_it_took_and_how_many_ticks_that_is_a_second(folde
     assert (found["wall_s"], found["ticks"]) == (4.0, 2 * ticks)
     assert found["ticks_per_second"] == pytest.approx(ticks / 2.0)
     assert [case["wall_s"] for case in found["cases"]] == [1.0, 1.0]
+
+
+def test_the_table_of_a_suite_has_a_line_a_log_by_name_with_its_time_and_what_was_found(
+    tmp_path, monkeypatch
+):
+    tables: list[Any] = []
+    monkeypatch.setattr(replay_suite, "print_table", tables.append)
+    good = Case(str(tmp_path / "c.mcap"), "pass", "5 ticks, 0 differences", {}, 1.25)
+    cut = good._replace(log=str(tmp_path / "a.mcap"), verdict="fail", text="cut at 7 bytes", wall_s=0.0)
+    plant = good._replace(log=str(tmp_path / "b" / "b.mcap"), verdict="skipped", text="no run", wall_s=70.04)
+    replay_suite.show(tmp_path, [good, cut, plant])
+    (table,) = tables
+    assert [str(each.header) for each in table.columns] == ["log", "verdict", "s", "found"]
+    assert table.columns[2].justify == "right"
+    rows = list(zip(*(each.cells for each in table.columns), strict=True))
+    assert [tuple(map(str, row)) for row in rows] == [
+        ("a.mcap", "FAIL", "0.0", "cut at 7 bytes"),
+        ("b/b.mcap", "skipped", "70.0", "no run"),
+        ("c.mcap", "pass", "1.2", "5 ticks, 0 differences"),
+    ]
+    assert [{str(cell.style) for cell in row} for row in rows] == [{"red"}, {"yellow"}, {""}]

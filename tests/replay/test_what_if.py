@@ -15,7 +15,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.feedforward_file import feedforward_text
 from hil.app.what_if.allowed import changes, refuse_other_inputs
-from hil.app.what_if.changes import changed, read_changes
+from hil.app.what_if.changes import changed
 from hil.app.what_if.command import what_if_log
 from hil.app.what_if.recorded import OPEN_LOOP
 from hil.cli import main
@@ -285,29 +285,6 @@ def test_a_log_that_ran_slower_than_configured_takes_either_rate():
     refuse_other_inputs(VIRTUAL, VIRTUAL, 500.0)
     with pytest.raises(ConfigurationError, match="its ticks are 2 ms apart"):
         refuse_other_inputs(VIRTUAL, changed(VIRTUAL, ["loop.rate_Hz=400"], own=False), 500.0)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["controller.wn_rad_s"], r"--set controller\.wn_rad_s: allowed: section\.key=value"),
-        (["=3"], "allowed: section.key=value"),
-        (["limits.x[0]=3"], "allowed: section.key=value"),
-        (["limits.x=]"], "is no YAML value"),
-        (["limits.x=1", "limits.x=2"], r"limits\.x=2: the same key is set twice"),
-        (["limits.x=1", "limits.x.y=2"], "the same key is set twice"),
-        (["limits.x.y=1", "limits.x=2"], "the same key is set twice"),
-    ],
-)
-def test_words_that_are_no_change_are_refused(words, message):
-    with pytest.raises(ConfigurationError, match=message):
-        read_changes(words)
-
-
-def test_a_change_is_read_as_yaml_and_an_empty_one_takes_the_key_away():
-    words = ["a.b=1e3", "a.c=[1, 2]", "a.d={e: x}", "f=", "a.g.h=true"]
-    expected = {"a": {"b": 1000.0, "c": [1, 2], "d": {"e": "x"}, "g": {"h": True}}, "f": None}
-    assert read_changes(words) == expected
 
 
 def test_a_wrong_key_is_named_without_a_place_in_a_text_that_nobody_has(log):

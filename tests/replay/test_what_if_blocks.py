@@ -19,22 +19,23 @@ FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Faul
 EXPECTED = [(3, "STALE"), (9, "SPEED"), (14, "STALE")]
 
 
+@pytest.mark.parametrize("begun_ns", [0, 7_000_000])
 @pytest.mark.parametrize("block", [1, 2, 3, 4, 5, 7, 9, 14, 20, 1024])
-def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, monkeypatch):
+def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, begun_ns, monkeypatch):
     monkeypatch.setattr(kernel, "BLOCK", block)
     answer = kernel.Answer()
     blocks, latched = kernel._Blocks(answer, None), Fault.NONE
     for tick in range(20):
         latched = FAULTS.get(tick, latched)
         row = np.zeros((), ROW)
-        row["tick"], row["t_ns"], row["faults"] = 100 + tick, 7_000_000 + 2_000_000 * tick, latched
+        row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
         row["mode"] = Mode.FAULT if latched else Mode.IDLE
         inp = SimpleNamespace(t_ns=int(row["t_ns"]))
         blocks.add(SimpleNamespace(entry=SimpleNamespace(row=row, sent=()), inp=inp, row=row, sent=()))  # type: ignore[arg-type]
     blocks.flush()
     assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
     assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
-        [2e-3 * tick for tick, _ in EXPECTED]
+        [2e-3 * tick for tick, _ in EXPECTED], abs=1e-12
     )
     assert answer.last_mode == "FAULT"
 
@@ -148,3 +149,18 @@ def test_the_first_frame_in_its_place_that_differs_is_named_with_its_leg(
 )
 def test_an_answer_is_whole_with_one_tick_without_a_gap_and_without_damage(found, whole):
     assert kernel.Answer(**found).whole is whole
+
+
+def test_the_largest_difference_of_a_force_is_that_of_its_own_leg_over_all_blocks():
+    forces = kernel.Forces()
+    assert forces.rms.tolist() == [0.0] * 6
+    first = np.array([[9.0, 0.0, -3.0, 1.0, 0.5, 0.0], [-9.0, 0.0, 3.0, -2.0, 0.5, 0.0]])
+    second = np.array([[1.0, 0.25, -4.0, 1.0, -0.5, 0.0]])
+    forces.take(np.array([20, 21]), first)
+    forces.take(np.zeros(0, np.int64), first[:0])
+    forces.take(np.array([22]), second)
+    assert forces.ticks == 3
+    assert forces.largest.tolist() == [9.0, 0.25, 4.0, 2.0, 0.5, 0.0]
+    assert forces.at == [20, 22, 22, 21, 20, None], "of equal ones the first"
+    squares = [163.0, 0.0625, 34.0, 6.0, 0.75, 0.0]
+    assert forces.rms == pytest.approx([(each / 3) ** 0.5 for each in squares])

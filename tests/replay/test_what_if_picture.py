@@ -1,4 +1,4 @@
-"""The picture of a what-if: what it draws of each leg, block by block."""
+"""The picture of a what-if: what it draws of each leg, block by block, and which file it replaces."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from drivers.errors import LogError
 from drivers.tick_columns import ROW
 from hil.app.what_if import picture
+from hil.app.what_if.command import new_picture
 from hil.app.what_if.picture import Forces
 
 RNG = np.random.default_rng(3)
@@ -37,3 +40,21 @@ def test_each_leg_has_both_forces_and_the_answer_less_the_recorded_one_over_the_
         np.testing.assert_allclose([recorded.t, answered.t], [1e-3 * np.arange(7)] * 2, atol=1e-12)
         np.testing.assert_array_equal(differences[leg].signal.values, here[:, leg] - there[:, leg])
         np.testing.assert_allclose(differences[leg].t, 1e-3 * np.arange(7), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "foreign"),
+    [
+        ("a.png", b"\x89PNG\r\n rest", b"<?xml version"),
+        ("a.PNG", b"\x89PNG\r\n rest", b"notes"),
+        ("a.svg", b"<?xml version", b"\x89PNG\r\n rest"),
+    ],
+)
+def test_an_earlier_picture_of_its_kind_is_replaced_and_no_other_file_is(tmp_path, name, own, foreign):
+    path = tmp_path / name
+    new_picture(path)
+    path.write_bytes(own)
+    new_picture(path)
+    path.write_bytes(foreign)
+    with pytest.raises(LogError, match=rf"--plot .*{name}: exists and is not overwritten"):
+        new_picture(path)

@@ -174,7 +174,7 @@ AREAS = {
             "tests/replay/test_what_if*.py",
             "tests/replay/test_damaged_row.py",
             "tests/replay/test_comparison.py",
-            "tests/replay/test_replay.py",
+            "tests/replay/test_replay*.py",
             "tests/replay/test_tampered_log.py",
             "tests/replay/test_versions.py",
             "tests/hil/app/test_recorded_files.py",

@@ -1,0 +1,55 @@
+"""What `hil replay` says around its work: what was salvaged first, and the story of a what-if."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+
+from hil.app.replay import summary
+from hil.cli import main
+from hil.loop.replay import Comparison
+from hil.record.log import Log
+from hil.record.salvage import SalvageReport
+from tests.replay.test_what_if_shown import result
+
+
+@pytest.fixture
+def replayed(tmp_path, monkeypatch):
+    """A function that runs `hil replay` on a log that is there and need not be read; returns what it prints."""
+    path = tmp_path / "run.mcap"
+    path.touch()
+    good = Comparison(ticks=5), {**summary(Comparison(ticks=5), 1.0, 2.0), "agrees": True}
+    monkeypatch.setattr("hil.app.replay.replay_log", lambda *_: good)
+    monkeypatch.setattr(Log, "open", lambda _: None)
+
+    def run(*words):
+        found = CliRunner().invoke(main, ["replay", str(path), *map(str, words)])
+        assert found.exit_code == 0, found.output
+        return found
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("lost", "said"), [(0, "12 bytes unreadable"), (3, "12 bytes unreadable, 3 ticks of damaged chunks lost")]
+)
+def test_what_was_salvaged_and_what_is_lost_is_said_on_standard_error(
+    replayed, tmp_path, monkeypatch, lost, said
+):
+    out = tmp_path / "whole.mcap"
+    fields = dict.fromkeys(SalvageReport._fields, 0)
+    report = SalvageReport(
+        **fields | {"out": out, "ticks": 70, "bytes_lost": 12, "ticks_lost": lost, "remarks": ("cut", "late")}
+    )
+    monkeypatch.setattr("hil.record.salvage.salvage", lambda *_: report)
+    found = replayed("--salvage", out)
+    assert found.stderr.splitlines() == [f"salvaged 70 ticks into {out}, {said}", "  cut", "  late"]
+    assert f"log {out}" in " ".join(found.stdout.split()), "what is left is replayed"
+
+
+@pytest.mark.parametrize("told", [None, {"lines": ["leg 3 is slow", "since tick 4"]}])
+def test_the_story_of_a_what_if_stands_above_its_figures(replayed, monkeypatch, told):
+    monkeypatch.setattr("hil.app.what_if.command.what_if_log", lambda *_, **__: result(what_if_story=told))
+    lines = replayed("--set", "limits.force_N=1").stdout.splitlines()
+    story = ["what the faults of the what-if have to tell:", "  leg 3 is slow", "  since tick 4"]
+    assert lines[: lines.index("what-if: success")] == ([] if told is None else story)

@@ -138,3 +138,14 @@ def test_whole_numbers_are_as_far_apart_as_they_are(by, tolerance, beyond):
     found, ticks = compared(rows(age=age), rows(), "age", Tolerance(tolerance))
     assert found.largest == 5.0
     assert ticks == [False, False, beyond, False]
+
+
+@pytest.mark.parametrize(
+    ("element", "label", "unit"), [(0, "vx", "m/s"), (2, "vz", "m/s"), (3, "wx", "rad/s"), (5, "wz", "rad/s")]
+)
+def test_each_element_of_a_column_has_its_own_unit(element, label, unit):
+    twist = np.zeros((4, 6))
+    twist[1, element] = 1.0
+    found, _ = compared(rows(twist=twist), rows(), "twist")
+    assert found.first is not None
+    assert (found.first.label, found.first.unit) == (f"twist.{label}", unit)

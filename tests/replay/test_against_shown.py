@@ -110,6 +110,7 @@ def test_the_table_reaches_standard_output(capsys):
     show(BOTH)
     said = capsys.readouterr().out.splitlines()
     assert len(said) == 5
+    assert [line.partition(" ")[0] for line in said] == ["column", "q", "tau.leg_2", "mode", "compute_ns"]
     assert said[2].split() == [
         "tau.leg_2",
         *["700", "0.699", "1000.12", "-2.5e-07", "3", "1235", "702", "0.5", "N"],

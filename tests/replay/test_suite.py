@@ -229,3 +229,11 @@ def test_the_table_of_a_suite_has_a_line_a_log_by_name_with_its_time_and_what_wa
         ("c.mcap", "pass", "1.2", "5 ticks, 0 differences"),
     ]
     assert [{str(cell.style) for cell in row} for row in rows] == [{"red"}, {"yellow"}, {""}]
+
+
+def test_the_table_of_a_suite_stands_at_the_margin_of_standard_output(tmp_path, capsys):
+    replay_suite.show(tmp_path, [Case(str(tmp_path / "a.mcap"), "pass", "5 ticks", {}, 1.25)])
+    titles, case = capsys.readouterr().out.splitlines()
+    assert titles.startswith("log ")
+    assert case.startswith("a.mcap ")
+    assert case.split() == ["a.mcap", "pass", "1.2", "5", "ticks"]

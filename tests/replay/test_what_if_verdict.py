@@ -27,9 +27,10 @@ def verdict(tmp_path, monkeypatch):
         path=tmp_path / "run.mcap", attachments={}, metadata={"summary": {"closed": "clean"}}, cut=""
     )
 
-    def summed(answer, error=""):
-        out = tmp_path / "answer.mcap"
-        closed = LogSummary(out, 5, 0, 0, 0, 0, 0.0, not error, error, gave_up=bool(error))
+    def summed(answer, error="", out=tmp_path / "answer.mcap"):
+        closed = LogSummary(
+            tmp_path / "answer.mcap", 5, 0, 0, 0, 0, 0.0, not error, error, gave_up=bool(error)
+        )
         recording = SimpleNamespace(close=lambda _: closed)
         monkeypatch.setattr(command, "open_replayable", lambda _: (log, run, virtual))
         monkeypatch.setattr(command, "record", lambda *_: contextlib.nullcontext(recording))
@@ -105,3 +106,13 @@ def test_an_answer_without_a_tick_says_so_where_nothing_else_says_why(verdict):
     )
     assert verdict(Answer(damage="damaged at byte 47\x07"))["trouble"] == "damaged at byte 47\\x07"
     assert verdict(Answer(), FULL)["trouble"] == f"the log has no tick; {FULL}"
+
+
+def test_the_log_that_was_written_is_named_and_none_where_none_was(verdict, tmp_path):
+    written = verdict(Answer(ticks=5))
+    assert written["answer_log"] == str(tmp_path / "answer.mcap")
+    without = verdict(Answer(ticks=5), out=None)
+    assert (without["answer_log"], without["success"], without["trouble"]) == (None, True, None)
+    for found in (written, without):
+        assert (found["log"], found["configuration"]) == (str(tmp_path / "run.mcap"), load("virtual").source)
+        assert (found["changed"], found["picture"]) == ([], None)

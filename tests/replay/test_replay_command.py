@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from click.testing import CliRunner
 
@@ -37,7 +39,7 @@ def test_what_was_salvaged_and_what_is_lost_is_said_on_standard_error(
     replayed, tmp_path, monkeypatch, lost, said
 ):
     out = tmp_path / "whole.mcap"
-    fields = dict.fromkeys(SalvageReport._fields, 0)
+    fields: dict[str, Any] = dict.fromkeys(SalvageReport._fields, 0)
     report = SalvageReport(
         **fields | {"out": out, "ticks": 70, "bytes_lost": 12, "ticks_lost": lost, "remarks": ("cut", "late")}
     )

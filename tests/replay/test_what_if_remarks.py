@@ -105,7 +105,7 @@ def test_the_log_of_an_answer_gets_the_inputs_of_each_tick_with_what_is_answered
     ticks: list[Any] = []
     recording: Any = SimpleNamespace(tick=lambda *given: ticks.append(given))
     forces = Forces()
-    given: Any = ("log", "cycle")
+    given: tuple[Any, Any] = ("log", "cycle")
     assert command._answer(*given, recording, forces, print).ticks == 1
     assert ticks == [("row", "received", "sent", "keys", "poses", "orders")]
     assert command._answer(*given, None, None, None).ticks == 1

@@ -5,9 +5,10 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from drivers.signals import Fault, Mode, Warn
+from drivers.signals import BusState, Fault, Mode, Refusal, Warn
 from drivers.tick_columns import ROW
 from hil.record.figures import certificate, figures, picture
+from hil.signals import REASONS
 
 
 def rows_of(count, mode=Mode.TRACKING, **columns):
@@ -115,6 +116,36 @@ def test_what_a_run_has_missed_is_summed_over_its_ticks_and_what_came_before_the
     assert (found["skipped_ticks"], found["rejected_frames"], found["dropped_ticks"]) == (5, 5, 6)
     assert (found["compute_us"]["p50"], found["compute_us"]["max"]) == (30.0, 40.0)
     assert (found["wake_up_us"]["p50"], found["wake_up_us"]["max"]) == (6.0, 7.0)
+
+
+def test_what_went_wrong_on_the_bus_is_counted_and_a_state_where_a_better_one_was_before():
+    states = [BusState.UNKNOWN, BusState.ACTIVE, BusState.WARNING, BusState.WARNING, BusState.PASSIVE,
+              BusState.WARNING, BusState.OFF, BusState.ACTIVE, BusState.OFF]  # fmt: skip
+    found = figures(
+        rows_of(
+            9,
+            bus_state=[int(state) for state in states],
+            bus_off=[state is BusState.OFF for state in states],
+            bus_errors=[1, 0, 0, 0, 0, 0, 0, 2, 0],
+            sends_failed=[0, 0, 3, 0, 0, 0, 0, 0, 1],
+            bus_overflow=[0, 0, 0, 5, 0, 0, 0, 0, 1],
+        )
+    )
+    assert found["bus"] == {
+        "error_frames": 3, "frames_not_taken": 4, "receptions_lost": 6, "off_ticks": 2, "error_warning": 1,
+        "error_passive": 1, "bus_off": 2,
+    }  # fmt: skip
+    assert "bus" not in figures(rows_of(9, bus_state=int(BusState.ACTIVE)))
+
+
+@pytest.mark.parametrize(("taken", "refused"), [(0, 0), (3, 0), (0, 2), (3, 2)])
+def test_set_points_are_those_until_the_last_tick_and_why_some_were_refused_is_said(taken, refused):
+    rows = rows_of(3, setpoints_taken=[0, 0, taken], setpoints_refused=[0, refused, refused])
+    assert ("setpoints" in figures(rows)) is bool(taken or refused)
+    rows["setpoints_taken"][-1] = 7
+    assert figures(rows)["setpoints"] == {"taken": 7, "refused": refused, "why": None}
+    rows["setpoint_refusal"][:2] = int(Refusal.SPEED), int(Refusal.FORCE)
+    assert figures(rows)["setpoints"]["why"] == f"{REASONS[Refusal.FORCE]}; {REASONS[Refusal.SPEED]}"
 
 
 def test_times_count_from_the_first_tick_whatever_the_clock_has_counted_before():

@@ -21,6 +21,7 @@ from hil.record.metrics import (
 )
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
+from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
 
 
@@ -182,3 +183,11 @@ def test_at_rest_gravity_is_the_whole_force(book):
     shares = force_shares(model, [path.sample(-1.0)])
     assert shares["G"].share == pytest.approx(1.0, rel=1e-12)
     assert shares["H"] == shares["J_dot"] == (0.0, 0.0)
+
+
+def test_a_platform_that_hangs_pulls_with_its_whole_weight(book):
+    model, path = book
+    p, R, *rest = path.sample(-1.0)
+    shares = force_shares(model, [PoseSample(-p, R, *rest)])
+    assert shares["G"].share == pytest.approx(1.0, rel=1e-12)
+    assert shares["G"].force_N > 0.0

@@ -152,6 +152,18 @@ ITEMS: dict[str, tuple[Any, ...]] = {
 }
 
 
+def test_a_ring_whose_descriptor_is_closed_twice_closes_none_of_others(tmp_path):
+    ring = Ring.create(DTYPE, 256)
+    number = ring.fd
+    ring.close_fd()
+    with (tmp_path / "a").open("wb") as file:
+        assert file.fileno() == number, "the lowest that is free"
+        ring.close_fd()
+        file.write(b"1")
+    assert ring.fd == -1
+    assert (tmp_path / "a").read_bytes() == b"1"
+
+
 @pytest.mark.parametrize("second", ITEMS)
 @pytest.mark.parametrize("first", ITEMS)
 def test_a_tick_with_two_items_of_any_kinds_takes_room_for_two(first, second):

@@ -12,7 +12,6 @@ from mcap.records import (
     Channel,
     Chunk,
     DataEnd,
-    Footer,
     Message,
     MessageIndex,
     Metadata,
@@ -335,42 +334,27 @@ def test_a_damaged_length_is_none_though_it_ends_at_a_record_that_would_go_on_be
     assert [each[1] for each in whole] == starts[1:3]
 
 
-@pytest.mark.parametrize("window", [1, 16, 64])
-@pytest.mark.parametrize("last", ["metadata", "message index"])
-def test_the_next_record_is_found_wherever_a_piece_of_the_file_ends_that_is_looked_through(
-    tmp_path, monkeypatch, window, last
-):
-    """The file ends with the shortest record that there is behind a whole one, or with the whole one."""
-    monkeypatch.setattr("hil.record.surviving._WINDOW", window)
-    ends = {"metadata": [], "message index": [record_bytes(MessageIndex(channel_id=0, records=[]))]}
-    for size in range(9, 75):
-        file, starts = placed(tmp_path, metadata("a"), b"\xff" * size, metadata(""), *ends[last])
-        first, lost, *whole = surviving(file)
-        assert (first[1], lost) == (starts[0], Lost(starts[1], starts[2])), size
-        assert [each[1] for each in whole] == starts[2:-1], size
+def test_a_message_outside_chunks_without_a_time_is_left_out_and_the_others_stay(path, tmp_path):
+    late = record_bytes(Message(channel_id=99, log_time=1 << 63, data=b"2", publish_time=1, sequence=0))
+    theirs, at = inserted(path, tmp_path, message(data=b"1"), late, message(data=b"3"))
+    report = salvage(theirs, tmp_path / "out.mcap")
+    assert report.remarks[0] == (
+        f"the record at byte {at + len(message(data=b'1'))} is damaged and left out: "
+        "a message has a time after the year 2262"
+    )
+    assert (report.ticks, report.bytes_lost) == (len(TICKS), len(late))
+    with (tmp_path / "out.mcap").open("rb") as file:
+        found = [m.data for _, _, m in make_reader(file).iter_messages(["/unknown_99"])]
+    assert found == [b"1", b"3"]
 
 
-@pytest.mark.parametrize("index", [False, True])
-def test_records_of_the_index_come_where_they_are_asked_for_and_the_footer_ends_it(tmp_path, index):
-    parts = [
-        metadata("a"),
-        DATA_END,
-        metadata("b"),
-        metadata("c"),
-        record_bytes(Footer(0, 0, 0)),
-        metadata("d"),
-    ]
-    file, starts = placed(tmp_path, *parts)
-    found = [each[1] for each in surviving(file, index=index)]
-    assert found == ([starts[0], starts[2], starts[3]] if index else starts[:1])
-
-
-@pytest.mark.parametrize(
-    ("opcode", "length"), [(0x0C, 4), (0x0F, 3), (0x0F, 20), (0x02, 19), (0x02, 4), (0x0D, 4)]
-)
-def test_only_an_end_of_the_data_of_4_bytes_and_a_footer_of_20_are_the_end(tmp_path, opcode, length):
-    odd = struct.pack("<BQ", opcode, length) + b"\xff" * length
-    file, starts = placed(tmp_path, metadata("a", a="1"), odd, metadata("b", b="2"), metadata("c", c="3"))
-    for index in (False, True):
-        found = [each[1] for each in surviving(file, index=index) if isinstance(each, Record)]
-        assert [at for at in found if at != starts[1]] == [starts[0], *starts[2:4]]
+def test_metadata_of_the_runs_name_that_describe_no_columns_are_not_those_of_the_run(path, tmp_path):
+    file, _ = placed(tmp_path, metadata("hil", topic="/tick"), metadata("b"))
+    with pytest.raises(LogError, match="no log of this product"):
+        salvage(file, tmp_path / "out.mcap")
+    data = path.read_bytes()
+    at = mcap_summary(path).metadata_indexes[0].offset
+    file.write_bytes(data[:at] + metadata("hil", topic="/other") + data[at:])
+    report = salvage(file, tmp_path / "out.mcap")
+    assert report.ticks == len(TICKS)
+    assert Log.open(tmp_path / "out.mcap").topic == "/tick"

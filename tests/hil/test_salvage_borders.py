@@ -1,0 +1,90 @@
+"""Where the records of a damaged file begin and end: borders of the file, of the pieces read, of its data."""
+
+import struct
+from itertools import accumulate
+
+import pytest
+from mcap.records import DataEnd, Footer, MessageIndex, Metadata
+
+from hil.record.mcap_file import MAGIC, record_bytes
+from hil.record.mcap_read import Record
+from hil.record.surviving import Lost, surviving
+
+DATA_END = record_bytes(DataEnd(data_section_crc=0))
+
+
+def metadata(name, **values):
+    return record_bytes(Metadata(name=name, metadata=values))
+
+
+def placed(tmp_path, *records):
+    """A file of these records, and where each begins."""
+    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
+    file = tmp_path / "records.mcap"
+    file.write_bytes(MAGIC + b"".join(records))
+    return file, starts
+
+
+@pytest.mark.parametrize("window", [1, 16, 64])
+@pytest.mark.parametrize("last", ["metadata", "message index"])
+def test_the_next_record_is_found_wherever_a_piece_of_the_file_ends_that_is_looked_through(
+    tmp_path, monkeypatch, window, last
+):
+    """The file ends with the shortest record that there is behind a whole one, or with the whole one."""
+    monkeypatch.setattr("hil.record.surviving._WINDOW", window)
+    ends = {"metadata": [], "message index": [record_bytes(MessageIndex(channel_id=0, records=[]))]}
+    for size in range(9, 75):
+        file, starts = placed(tmp_path, metadata("a"), b"\xff" * size, metadata(""), *ends[last])
+        first, lost, *whole = surviving(file)
+        assert (first[1], lost) == (starts[0], Lost(starts[1], starts[2])), size
+        assert [each[1] for each in whole] == starts[2:-1], size
+
+
+@pytest.mark.parametrize("index", [False, True])
+def test_records_of_the_index_come_where_they_are_asked_for_and_the_footer_ends_it(tmp_path, index):
+    parts = [
+        metadata("a"),
+        DATA_END,
+        metadata("b"),
+        metadata("c"),
+        record_bytes(Footer(0, 0, 0)),
+        metadata("d"),
+    ]
+    file, starts = placed(tmp_path, *parts)
+    found = [each[1] for each in surviving(file, index=index)]
+    assert found == ([starts[0], starts[2], starts[3]] if index else starts[:1])
+
+
+@pytest.mark.parametrize(
+    ("opcode", "length", "is_one"),
+    [
+        (0x0C, 4, False),
+        (0x0D, 4, True),
+        (0x0F, 3, False),
+        (0x0F, 20, True),
+        (0x02, 4, False),
+        (0x02, 19, False),
+        (0x02, 21, True),
+    ],
+)
+def test_only_an_end_of_the_data_of_4_bytes_and_a_footer_of_20_are_the_end(tmp_path, opcode, length, is_one):
+    """Longer ones are records of some kind, shorter ones damage."""
+    odd = struct.pack("<BQ", opcode, length) + b"\xff" * length
+    file, starts = placed(tmp_path, metadata("a", a="1"), odd, metadata("b", b="2"), metadata("c", c="3"))
+    for index in (False, True):
+        found = [each[1] for each in surviving(file, index=index) if isinstance(each, Record)]
+        assert found == [starts[k] for k in range(4) if is_one or k != 1]
+
+
+@pytest.mark.parametrize("beyond", [1, 9, 18, 40])
+def test_a_record_that_would_end_a_little_beyond_the_file_is_none(tmp_path, beyond):
+    """A damaged length ends at what looks like one."""
+    damaged, rest = bytearray(metadata("a", a="1")), b"3" * 60
+    length = len(rest) + beyond
+    last = metadata("c", c=(struct.pack("<BQ", 0x0C, length) + rest).decode())
+    file, starts = placed(tmp_path, bytes(damaged), metadata("b", b="2"), last)
+    damaged[1] = file.stat().st_size - len(rest) - 9 - starts[0] - 9
+    file.write_bytes(MAGIC + damaged + file.read_bytes()[starts[1] :])
+    lost, *whole = surviving(file)
+    assert lost == Lost(starts[0], starts[1])
+    assert [each[1] for each in whole] == starts[1:3]

@@ -198,7 +198,7 @@ class LogFile:
     def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
         """Yield buffers of messages: the chunks, or runs of messages that stand outside chunks."""
         loose: list[bytes] = []
-        size, allowance = 0, Allowance(self.path.stat().st_size)
+        size, allowance = 0, self._allowance()
         for record in self._records():
             if record.opcode == Opcode.MESSAGE and record.complete:
                 loose.append(record.whole)
@@ -212,6 +212,12 @@ class LogFile:
                 yield self._chunk(record, allowance)
         if loose:
             yield self._loose(record, loose)
+
+    def _allowance(self) -> Allowance:
+        try:
+            return Allowance(self.path.stat().st_size)
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def _loose(self, record: Record, messages: list[bytes]) -> tuple[bytes, MessageTable]:
         data = b"".join(messages)

@@ -1,6 +1,7 @@
 """The container of a log: what its end says of it, what is passed over in it, and what is refused in it."""
 
 import dataclasses
+import shutil
 import struct
 from itertools import accumulate
 from pathlib import Path
@@ -145,6 +146,31 @@ def test_times_in_the_index_are_those_of_the_first_and_the_last_message_of_a_chu
 
 
 # -- what is passed over, and what is missing ----------------------------------------------------------------
+
+
+def test_the_figures_of_a_log_are_those_of_its_index_and_of_its_end(path):
+    times = [t_ns for tick in TICKS for t_ns, _ in tick.received] + [int(t.row["t_ns"]) for t in TICKS]
+    found = Log(path).summary
+    assert found.duration_s == pytest.approx(1e-9 * (max(times) - min(times)), rel=1e-9)
+    assert (found.ticks, found.dropped, found.closed) == (len(TICKS), 0, "clean")
+
+
+def test_an_index_that_is_not_there_is_said_so(tmp_path):
+    data = bytearray(ended(tmp_path, STATISTICS).read_bytes())
+    struct.pack_into("<Q", data, len(data) - len(MAGIC) - 20, 0)
+    (tmp_path / "a.mcap").write_bytes(data)
+    with pytest.raises(LogError, match="no index at the end"):
+        read_summary(tmp_path / "a.mcap")
+
+
+def test_a_log_that_goes_while_it_is_open_is_said_to_be_unreadable(path, tmp_path):
+    shutil.copy(path, tmp_path / "a.mcap")
+    log = Log(tmp_path / "a.mcap")
+    (tmp_path / "a.mcap").unlink()
+    reads = (lambda: log.summary, log.rows, log.events, lambda: list(log.ticks()), log.verify)
+    for read in reads:
+        with pytest.raises(LogError, match=r"a\.mcap: cannot be read: No such file"):
+            read()
 
 
 def test_records_of_the_kinds_that_are_not_wanted_are_passed_over(path):

@@ -2,21 +2,29 @@
 
 import errno
 import os
+import random
 import struct
 from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
 import pytest
+import zstandard
 from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
+from drivers.tick_columns import ROW
 from hil.record.decode import Decoder
 from hil.record.log import Log, Tick
-from hil.record.mcap_file import McapFile
+from hil.record.mcap_file import McapFile, record_bytes
+from hil.record.mcap_read import FREE_BYTES, FREE_MESSAGES, LEAST_BYTES, MAX_RATIO, Allowance, decompress_part
 from hil.record.mcap_summary import read_summary
-from tests.hil.rewrite import mcap_summary
+from hil.record.row import TICKS as TICK_TABLE
+from hil.record.row import row_schema
+from hil.record.schema import message_class
+from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
 
 TICKS = random_ticks(600, seed=8)
@@ -108,3 +116,83 @@ def test_an_index_is_whole(path):
     assert mcap_summary(path).statistics.message_count == sum(
         read_summary(path)[0].channel_message_counts.values()
     )
+
+
+@pytest.mark.parametrize("size", [0, 8, 10_000_000])
+def test_a_log_may_unpack_to_so_much_more_for_each_byte_of_its_file_and_to_no_more(size):
+    most, count = FREE_BYTES + MAX_RATIO * size, FREE_MESSAGES + size // LEAST_BYTES
+    allowance = Allowance(size)
+    for part in (most // 2, most - most // 2, 0):
+        allowance.spend(part)
+    for part in (count // 2, count - count // 2, 0):
+        allowance.count(part)
+    with pytest.raises(LogError, match=f"has {size} bytes and unpacks to more than {most},"):
+        allowance.spend(1)
+    with pytest.raises(LogError, match=f"has {size} bytes and more than {count} messages,"):
+        allowance.count(1)
+
+
+UNPACKED = random.Random(3).randbytes(500) + bytes(3_000_000)
+
+
+def chunk_of(data, name):
+    """The content of a chunk that says by which name its records, UNPACKED, are compressed."""
+    chunk = Chunk(
+        message_start_time=0, message_end_time=1, uncompressed_size=len(UNPACKED), uncompressed_crc=0,
+        compression=name, data=data,
+    )  # fmt: skip
+    return record_bytes(chunk)[9:]
+
+
+@pytest.mark.parametrize("left_out", [0, 1, 40])
+def test_of_the_beginning_of_a_chunk_there_is_what_it_unpacks_to(left_out):
+    plain = chunk_of(UNPACKED, "")
+    assert decompress_part(plain[: len(plain) - left_out]) == UNPACKED[: len(UNPACKED) - left_out]
+    packed = chunk_of(zstandard.compress(UNPACKED), "zstd")
+    found = decompress_part(packed[: len(packed) - left_out])
+    assert UNPACKED.startswith(found)
+    assert len(found) >= (500 if left_out else len(UNPACKED))
+
+
+@pytest.mark.parametrize("name", ["lz4", "zst", "ZSTD"])
+def test_the_beginning_of_a_chunk_of_another_kind_gives_nothing_whatever_is_in_it(name):
+    assert decompress_part(chunk_of(zstandard.compress(UNPACKED), name)) == b""
+    assert decompress_part(chunk_of(UNPACKED, name)) == b""
+
+
+@pytest.mark.parametrize("size", [0, 31, 32, 39, 40, 43, 44])
+def test_a_chunk_that_is_cut_before_its_first_record_gives_none(size):
+    content = struct.pack("<QQQII", 0, 1, 500, 0, 4) + b"zstd" + struct.pack("<Q", 500)
+    assert len(content) == 44
+    assert decompress_part(content[:size]) == b""
+
+
+def test_of_many_names_that_are_near_to_a_wrong_one_three_are_said(path):
+    with pytest.raises(LogError) as refused:
+        Log(path).frame("tau.leg_6")
+    near = str(refused.value).partition("did you mean ")[2].rstrip("?").split(", ")
+    assert len(near) == 3
+    assert set(near) <= {f"tau.leg_{k}" for k in range(6)}
+
+
+def test_a_short_log_of_rows_that_are_nearly_all_zero_is_read_though_zeros_are_left_out(
+    tmp_path, tmp_path_factory
+):
+    """As another program writes it: a row of 8 times as many bytes as its message."""
+    rows = np.zeros(3, ROW)
+    rows["tick"], rows["t_ns"] = [0, 1, 2], [5, 6, 7]
+    whole = log_of([Tick(row, (), (), (), (), ()) for row in rows], tmp_path_factory)
+    kind = message_class(row_schema(TICK_TABLE))
+    sizes: list[int] = []
+
+    def canonical(topic, data, sequence):
+        again = kind.FromString(data).SerializeToString()
+        sizes.append(len(again))
+        return again
+
+    rewrite_log(
+        whole, tmp_path / "b.mcap", lambda *given: canonical(*given) if given[0] == "/tick" else given[1]
+    )
+    assert max(sizes) * 8 < ROW.itemsize
+    assert len(sizes) == 3
+    assert Log(tmp_path / "b.mcap").rows().tobytes() == rows.tobytes()

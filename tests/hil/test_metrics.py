@@ -113,7 +113,7 @@ def test_a_first_order_loop_has_its_corner_as_bandwidth_and_ln_9_as_rise():
 
 
 def test_a_slow_loop_has_its_corner_as_bandwidth_where_the_record_is_long_enough():
-    t = np.arange(6000) * 1e-2
+    t: Any = np.arange(6000) * 1e-2
     tau = 5.0
     found = bandwidth_Hz(t, 1 - np.exp(-t / tau), 0.0)
     assert found == pytest.approx(1 / (2 * np.pi * tau), rel=2e-3)

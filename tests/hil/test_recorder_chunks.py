@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from types import SimpleNamespace
 from typing import Any
 
@@ -111,7 +112,7 @@ def ended(monkeypatch):
             "answer": answers.append,
         }.items():
             monkeypatch.setattr(module, name, value)
-        monkeypatch.setattr(module.os, "_exit", leave)
+        monkeypatch.setattr(os, "_exit", leave)
         try:
             code = module.main(["3", "1"])
         except LeftError:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -63,7 +65,9 @@ def test_a_pose_that_is_all_zeros_is_none_yet(row, R, other):
 def test_base_platform_and_legs_have_colours_of_their_own_that_a_screen_can_show(row):
     drawn = SceneDrawer(Scene(BASE.tolist(), PLATFORM.tolist())).update(row, Timestamp())
     assert drawn is not None
-    parts = {e.id: [*e.lines, *e.cylinders] for e in SceneUpdate.FromString(drawn).entities}
+    parts: dict[str, list[Any]] = {
+        e.id: [*e.lines, *e.cylinders] for e in SceneUpdate.FromString(drawn).entities
+    }
     found = {name: {(c.r, c.g, c.b, c.a) for c in (each.color for each in of)} for name, of in parts.items()}
     ((*base, a),), ((*platform, b),), ((*legs, c),) = (found[name] for name in ("base", "platform", "legs"))
     assert (a, b, c) == (1.0, 1.0, 1.0), "opaque"

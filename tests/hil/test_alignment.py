@@ -35,6 +35,14 @@ def test_a_late_tick_is_looked_for_where_its_sync_went_out():
     assert plant_rows_of(late, plant, PERIOD_NS).tolist() == [0, 2]
 
 
+def test_without_a_period_it_is_the_usual_distance_of_the_ticks_and_a_single_one_has_its_nearest_row():
+    plant = plant_at([0, 900_000, 3_100_000, 5_000_000], [1, 2, 3, 4])
+    assert plant_rows_of(ticks_at([0, PERIOD_NS, 2 * PERIOD_NS, 5 * PERIOD_NS]), plant, None).tolist() == [
+        0, 1, -1, 3,
+    ]  # fmt: skip
+    assert plant_rows_of(ticks_at([2 * PERIOD_NS]), plant, None).tolist() == [2]
+
+
 @pytest.mark.parametrize(("away_ns", "place"), [(PERIOD_NS // 2, 1), (PERIOD_NS // 2 + 1, -1)])
 def test_half_a_period_away_is_still_a_ticks_own_row_and_no_more(away_ns, place):
     plant = plant_at([0, PERIOD_NS + away_ns], [1, 2])

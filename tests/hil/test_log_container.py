@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -153,6 +154,19 @@ def test_the_figures_of_a_log_are_those_of_its_index_and_of_its_end(path):
     found = Log(path).summary
     assert found.duration_s == pytest.approx(1e-9 * (max(times) - min(times)), rel=1e-9)
     assert (found.ticks, found.dropped, found.closed) == (len(TICKS), 0, "clean")
+
+
+@pytest.mark.parametrize(
+    ("said", "dropped"),
+    [("44", 44), ("0", 0), ("9" * 18, 10**18 - 1), ("9" * 19, 0), ("x", 0), ("-1", 0), ("", 0)],
+)
+def test_as_many_ticks_were_dropped_as_the_end_of_the_log_says_in_plain_digits(path, made, said, dropped):
+    end = Metadata(name="summary", metadata={"closed": "clean", "dropped": said})
+    parts = container.split(path.read_bytes())
+    last = max(k for k, (kind, _) in enumerate(parts) if kind == container.METADATA)
+    parts[last] = (container.METADATA, record_bytes(end)[9:])
+    found = Log(made(parts)).summary
+    assert (found.dropped, found.closed, found.ticks) == (dropped, "clean", len(TICKS))
 
 
 def test_an_index_that_is_not_there_is_said_so(tmp_path):
@@ -333,7 +347,8 @@ def test_frames_of_a_cut_chunk_in_which_no_tick_has_begun_are_left_out(path, tmp
     frames = [each for each in inner[1:20] if each[0] == container.MESSAGE and len(each[1]) < 200]
     assert len(frames) > 3
     records = container.joined(frames[: whole + 1])[:-1]
-    chunk = struct.pack("<QQQII", 0, 1, 5000, 0, 0) + struct.pack("<Q", 5000) + records
+    chunk = struct.pack("<QQQII", 0, 1, 5000, 0, 4) + b"zstd" + struct.pack("<Q", 5000)
+    chunk += zstandard.compress(records)
     before = MAGIC + container.joined(parts[:at])
     (tmp_path / "cut.mcap").write_bytes(before)
     expected = list(Log(tmp_path / "cut.mcap").ticks())
@@ -342,6 +357,9 @@ def test_frames_of_a_cut_chunk_in_which_no_tick_has_begun_are_left_out(path, tmp
     log = Log(tmp_path / "cut.mcap")
     assert_same(log.ticks(), expected)
     assert len(list(log.can_frames())) == frames_before > 0
+    report = salvage(tmp_path / "cut.mcap", tmp_path / "out.mcap")
+    assert (report.ticks, report.partial_messages) == (len(expected), 0)
+    assert len(list(Log(tmp_path / "out.mcap").can_frames())) == frames_before
 
 
 def log_with(order, folder):

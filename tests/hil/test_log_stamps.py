@@ -1,11 +1,19 @@
 """When the messages of a log are said to be: on the clock of the world, each with the instant of its tick or its own."""
 
+import struct
+from pathlib import Path
+from typing import Any, cast
+
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.protocol import Frame, Received
 from hil.record import Recording, Scene
+from hil.record.encode import EVENTS, Encoder
+from hil.record.encode import TICK as ROWS
+from hil.record.ring import Ring
+from hil.record.row import TICKS
 from hil.signals import Operator, Order, SetPoint
 from tests.hil.samples import random_rows
 
@@ -89,4 +97,41 @@ def test_a_command_has_its_tick_and_its_place_among_the_items_of_the_tick(messag
 def test_the_sequence_of_a_message_is_the_number_of_its_tick_that_of_an_event_of_the_next_one(messages):
     assert [m.sequence for topic, m, _ in messages] == [
         67 if topic == "/events" else 66 for topic, _, _ in messages
+    ]
+
+
+def test_an_event_after_the_rows_of_a_batch_has_the_sequence_of_the_tick_to_come():
+    ring, nobody = Ring.create(TICKS.dtype, 256), cast("Any", None)
+    recording = Recording(ring, nobody, Path("a.mcap"), lockstep=True)
+    encoder = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None)
+    found: list[tuple[int, int]] = []
+
+    def drain():
+        batch = ring.take(256)
+        for each in encoder.encode(batch).data:
+            found.append(struct.unpack_from("<HI", each, 9))
+        ring.release(batch)
+
+    recording.event(0, "info", "before the first")
+    drain()
+    rows = random_rows(5)
+    rows["tick"] = [40, 41, 42, 43, 44]
+    rows["R"] = rows["R_d"] = 0.0  # nothing to draw
+    for row in rows[:4]:
+        recording.tick(row, (), ())
+    drain()
+    recording.event(1, "info", "between two batches")
+    drain()
+    recording.event(2, "info", "before a row")
+    recording.tick(rows[4], (), ())
+    recording.event(3, "info", "behind it")
+    drain()
+    ring.close_fd()
+    assert found == [
+        (EVENTS, 0),
+        *((ROWS, tick) for tick in (40, 41, 42, 43)),
+        (EVENTS, 44),
+        (ROWS, 44),
+        (EVENTS, 44),
+        (EVENTS, 45),
     ]

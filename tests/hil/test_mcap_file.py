@@ -56,6 +56,13 @@ def test_the_library_finds_every_message_by_the_index(tmp_path):
     assert read(tmp_path / "a.mcap") == (list(range(12 * MESSAGES)), 12)
 
 
+def test_the_head_of_a_file_names_the_library_and_no_profile(tmp_path):
+    with_chunks(tmp_path / "a.mcap", 1).finish()
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        header = SeekingReader(stream).get_header()
+    assert (header.library, header.profile) == ("a test", "")
+
+
 @pytest.mark.parametrize("share", np.linspace(0.0, 0.999, 9))
 def test_a_disk_that_is_full_anywhere_in_the_end_keeps_the_first_chunks(share, tmp_path, monkeypatch):
     whole = with_chunks(tmp_path / "whole.mcap", 12)

@@ -105,6 +105,34 @@ def test_as_many_events_as_follow_the_last_tick_come_with_its_batch(ring, rows, 
     assert not len(ring.take(100).items)
 
 
+@pytest.mark.parametrize("turns", [0, 5])
+def test_a_batch_is_ready_with_so_many_rows_or_a_quarter_of_the_items_however_far_the_ring_has_turned(
+    ring, turns
+):
+    writer = Writer(ring)
+    for _ in range(turns):
+        for _ in range(100):
+            writer.row(9)
+        ring.release(ring.take(100))
+    assert not ring.ready(1)
+    for _ in range(7):
+        assert not ring.ready(7)
+        writer.row(1)
+    assert ring.ready(7)
+    assert not ring.ready(8)
+    ring.release(ring.take(7))
+    writer.row(1023)
+    assert not ring.ready(2)
+    writer.row(1)
+    assert ring.ready(3), "rows of 1024 items"
+    ring.release(ring.take(2))
+    for k in range(1024):
+        assert not ring.ready(1), k
+        writer.item(EVENT, 70)
+        ring.counters[EVENTS] = writer.items
+    assert ring.ready(1), "as many events"
+
+
 def test_a_batch_that_leaves_rows_behind_leaves_the_events_behind_them_too(ring):
     writer = Writer(ring)
     for _ in range(3):

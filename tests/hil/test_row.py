@@ -7,7 +7,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from drivers.tick_columns import RECORDED, Column
-from hil.record.row import TICKS, RowCodec, Table, row_schema
+from hil.record.row import TICKS, RowCodec, Table, columns_of, describe, row_schema
 from hil.record.schema import message_class
 
 
@@ -31,7 +31,10 @@ def test_a_row_without_the_number_or_the_time_of_its_tick_is_refused(name, other
     }
     with pytest.raises(ValueError, match=f"the row needs a scalar integer column {name}"):
         Table("/tick", (other, *there[instead])).check()
+    with pytest.raises(ValueError, match=f"the row needs a scalar integer column {name}"):
+        columns_of(describe((other, *there[instead])))
     Table("/tick", (other, column(name))).check()
+    assert columns_of(describe((other, column(name)))) == (other, column(name))
 
 
 @pytest.mark.parametrize("kind", [int, float])

@@ -88,3 +88,13 @@ def test_a_record_that_would_end_a_little_beyond_the_file_is_none(tmp_path, beyo
     lost, *whole = surviving(file)
     assert lost == Lost(starts[0], starts[1])
     assert [each[1] for each in whole] == starts[1:3]
+
+
+def test_the_last_byte_of_what_is_whole_is_not_taken_for_the_first_of_a_record(tmp_path):
+    """With the line feed at the end of the file's mark the damaged bytes behind it would be one."""
+    assert MAGIC[-1] == 0x0A
+    damaged = struct.pack("<Q", 40) + b"\xff" * 40
+    file, starts = placed(tmp_path, damaged, metadata("a", a="1"), metadata("b", b="2"))
+    lost, *whole = surviving(file)
+    assert lost == Lost(starts[0], starts[1])
+    assert [each[1] for each in whole] == starts[1:3]

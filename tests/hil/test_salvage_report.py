@@ -82,6 +82,18 @@ def test_bytes_that_are_left_out_are_said_from_the_first_to_the_last(path, tmp_p
     assert report.ticks == len(TICKS)
 
 
+@pytest.mark.parametrize("more", [-1, 0, 1, 7])
+def test_of_many_damaged_places_the_first_are_said_and_how_many_more_there_are(path, tmp_path, more):
+    places = salvaging._REMARKS + more
+    bad, at = inserted(path, tmp_path, *[b"\xff" * 5 + metadata("a") * 2] * places)
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert report.bytes_lost == 5 * places
+    size = 5 + 2 * len(metadata("a"))
+    starts = [at + k * size for k in range(min(places, salvaging._REMARKS))]
+    said = [f"bytes {start} to {start + 5} are damaged and left out" for start in starts]
+    assert report.remarks == (*said, *([f"and {more} places more"] if more > 0 else []))
+
+
 def test_a_name_that_came_to_be_meanwhile_is_not_taken_and_nothing_is_said_to_be_saved(
     path, tmp_path, monkeypatch
 ):

@@ -8,12 +8,13 @@ import pytest
 from drivers import PROTOCOLS
 from drivers.cia402 import objects as o
 from drivers.cia402.device import Device
+from drivers.cia402.set_up import TRIES
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
 from drivers.protocol import DriveSetup, EmergencyStop, Frame, Received, run_of
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.cia402_drives import COUNTS, drives, settings
+from tests.drivers.cia402_drives import COUNTS, NODES, drives, settings
 from tests.drivers.protocol_contract import SETUP, Ends
 
 ON_ITS_OWN = 1 << 30
@@ -122,3 +123,19 @@ def test_a_drive_that_is_not_heard_ages_by_the_ticks_that_were_skipped_too(numbe
     last["tick"], last["age"] = 9, [0, 1, 2, 3, NEVER - 1, NEVER]
     ages = [gone, 1 + gone, 2 + gone, 3 + gone, NEVER, NEVER]
     assert decoded([], last, number)["age"].tolist() == ages
+
+
+@pytest.mark.parametrize("leg", range(LEGS))
+def test_a_drive_that_answers_no_more_is_asked_from_the_beginning_and_the_others_go_on(leg):
+    protocol, asked = drives(), 900
+    dialogue = protocol.start(SETUP)._replace(
+        at=(4,) * LEGS,
+        asked=tuple(0 if each == leg else asked for each in range(LEGS)),
+        tries=tuple(TRIES if each == leg else 1 for each in range(LEGS)),
+    )
+    tick = new_record()
+    tick["tick"] = asked + 1
+    after, frames = protocol.set_up(dialogue, tick)
+    assert after.at == tuple(0 if each == leg else 4 for each in range(LEGS))
+    assert after.tries == (1,) * LEGS
+    assert frames == (dialogue.plans[leg][0].frame(NODES[leg]),)

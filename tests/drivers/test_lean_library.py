@@ -88,3 +88,21 @@ def test_what_others_compile_stays_as_numba_has_it(imported):
     (only,) = compiled.overloads.values()
     assert not isinstance(only.library, LeanLibrary)
     assert foreign(1.0) == 0.0
+
+
+def test_a_loaded_kernel_is_the_machine_code_that_was_kept_of_it_and_no_other(imported, monkeypatch):
+    finalize: Any = LeanLibrary._finalize_final_module
+    given: list[bytes | None] = []
+
+    def watched(library):
+        given.append(library._compiled_object)
+        finalize(library)
+
+    monkeypatch.setattr(LeanLibrary, "_finalize_final_module", watched)
+    module = imported()
+    names = []
+    for function in (module.twice, module.fourfold):
+        (loaded,) = function.overloads.values()
+        names.append(loaded.fndesc.llvm_func_name.encode())
+    assert [bool(code) and name in code for code, name in zip(given, names, strict=True)] == [True, True]
+    assert names[1] not in (given[0] or b"")

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.motors import wire_state
 from drivers.signals import DriveMode, DriveState
+from tests.drivers.test_no_reading import FAMILIES
 
 MODES = list(DriveMode)
 
@@ -41,3 +42,19 @@ def test_a_disabled_drive_has_restarted_only_where_it_ran_and_is_asked_to_run_an
     mode, ran, state
 ):
     assert wire_state(DriveState.OFF, mode, set_up=True, ran=ran) is state
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("mini_cheetah", "never"),
+        ("cubemars", "never"),
+        ("damiao", "feedback"),
+        ("robstride", "feedback"),
+        ("moteus", "feedback"),
+        ("odrive", "heartbeat"),
+    ],
+)
+def test_each_family_says_by_what_its_drives_tell_that_they_are_enabled(name, told):
+    assert FAMILIES[name].power_told == told
+    assert FAMILIES[name].reports_power == (told != "never")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from drivers.regular_file import NotRegularError, read_regular
+from drivers.regular_file import NotRegularError, open_regular, read_regular
 
 MOST = 4_194_304
 """4 MiB."""
@@ -30,3 +31,12 @@ def test_a_limit_of_its_own_takes_the_place_of_that_one(tmp_path, most):
     assert read_regular(sized(tmp_path / "a", most), most) == bytes(most)
     with pytest.raises(NotRegularError, match=f"more than the {most} bytes"):
         read_regular(sized(tmp_path / "b", most + 1), most)
+
+
+def test_a_file_is_read_as_any_other_although_a_pipe_of_its_name_would_not_have_been_waited_for(tmp_path):
+    with open_regular(sized(tmp_path / "a", 3)) as file:
+        assert os.get_blocking(file.fileno())
+        assert file.read() == bytes(3)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(NotRegularError, match="no regular file"):
+        open_regular(tmp_path / "pipe")

@@ -7,7 +7,11 @@ from typing import Any
 
 import pytest
 
+from drivers.protocol import BUS
 from drivers.several_buses import SeveralBuses
+from drivers.signals import Command, DriveMode
+from tests.drivers.protocol_contract import PERIOD_NS, Ends, shapes
+from tests.drivers.test_several_buses import FORCE, ODD, family
 
 TRAITS = [
     "database",
@@ -36,6 +40,8 @@ ASKED = {
     "start": ("set-up",),
 }
 HALVES = ((0, 1, 2), (3, 4, 5))
+HEARTBEAT = 0x700 + 127
+"""Of a controller of CiA 402: no tick needs it."""
 
 
 def several(**family: Any) -> Any:
@@ -60,3 +66,18 @@ def test_what_it_is_asked_the_family_is_asked_with_the_same_words(name):
 
     assert getattr(several(**{name: answered}), name)(*ASKED[name]) is answer
     assert asked == [ASKED[name]]
+
+
+@pytest.mark.parametrize("name", ["legs", "cia402", "moteus"])
+def test_the_frames_of_a_tick_are_those_that_the_time_of_each_bus_counts(name):
+    ends = Ends(family(name, ODD))
+    run = Command(DriveMode.RUN, FORCE)
+    ends.running(FORCE)
+    ends.step(run, set_up=False)
+    protocol = ends.protocol
+    answers = [each.frame for each in ends.received if protocol.fresh(each, ends.tick, ends.tick * PERIOD_NS)]
+    sent = [frame for frame in ends.sent if frame.id != HEARTBEAT]
+    named = not protocol.shares_identifiers
+    found = shapes((*ends.opening, *sent, *answers), named=named)
+    assert found == shapes(protocol.cyclic_frames(), named=named)
+    assert {flags // BUS for _, _, flags in found} == {0, 1}

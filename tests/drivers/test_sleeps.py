@@ -5,6 +5,7 @@ import time
 import pytest
 
 from drivers.can.localcan import participant
+from drivers.clock import MONOTONIC
 
 
 @pytest.mark.usefixtures("runtime")
@@ -34,3 +35,10 @@ def test_a_participant_sleeps_to_its_deadline_in_slices_and_in_short_ones_while_
     monkeypatch.setattr(node.clock, "stands", lambda: stands)
     node.block(node.clock.now() + 1_000_000 * left_ms, frozenset())
     assert waited == [pytest.approx(expected_s, abs=2e-3 if not stands and left_ms == 5 else 0.0)]
+
+
+def test_the_clock_of_the_machine_has_never_stood_still():
+    assert MONOTONIC.stretched() == 0
+    MONOTONIC.working()
+    MONOTONIC.leave()
+    assert MONOTONIC.stretched() == 0

@@ -19,6 +19,7 @@ from drivers.compiled.compiler import (
     VECTOR,
     direct,
     kernel,
+    record,
 )
 
 
@@ -210,3 +211,25 @@ def _change_beside_others(vector: Any) -> None:
 def test_no_other_thread_of_the_interpreter_runs_beside_a_kernel_that_does_not_say_so():
     locks: Any = [_change, _change_beside_others]
     assert [bool(each.targetoptions["nogil"]) for each in locks] == [False, True]
+
+
+POINT = np.dtype([("x", np.float64), ("n", np.int64), ("unseen", np.int64)])
+
+
+@direct(record(POINT, "x", "n"))
+def _count_up(point: Any) -> float:
+    point.n += 1
+    return float(point.x)
+
+
+def test_a_record_is_seen_and_written_and_one_of_another_dtype_is_refused():
+    points = np.zeros(3, POINT)
+    points["x"], points["n"] = (1.5, 2.5, 3.5), 7
+    for k, x in enumerate((1.5, 2.5, 3.5)):
+        assert _count_up(points[k : k + 1].reshape(())) == x
+    assert points["n"].tolist() == [8] * 3
+    assert points["unseen"].tolist() == [0] * 3
+    other = np.dtype([("x", np.float64), ("n", np.int64), ("seen", np.int64)])
+    for wrong in (np.zeros((), other), np.zeros((), np.float64), np.zeros(1, POINT), 1.0):
+        with pytest.raises(TypeError, match="an argument of a kernel is no"):
+            _count_up(wrong)

@@ -51,10 +51,13 @@ def shown(protocol, leg, at, value):
     """Return the step that a drive is at which answers the reading of step `at` with a value."""
     dialogue = moved(protocol.start(SETUP), leg, at)
     step = dialogue.step(leg)
+    assert step is not None
     dialogue = dialogue._replace(asked=tuple(3 if each == leg else -1 for each in range(LEGS)))
     index, sub = step.key
     data = bytes((0x43, index & 0xFF, index >> 8, sub)) + value.to_bytes(4, "little")
-    return answered(dialogue, leg, data, 4).at[leg]
+    after = answered(dialogue, leg, data, 4)
+    assert after is not None
+    return after.at[leg]
 
 
 @pytest.mark.parametrize("leg", [0, 5])

@@ -58,4 +58,4 @@ def test_a_message_of_python_can_says_of_each_kind_of_frame_what_it_is_and_nothi
 @pytest.mark.parametrize("flags", KINDS)
 def test_a_message_that_another_program_made_becomes_the_same_kind_of_frame(flags):
     words = {name: bool(flags & flag) for flag, name in WORDS.items()}
-    assert from_message(can.Message(arbitration_id=0x123, data=b"\x11", **words)).flags == flags  # type: ignore[arg-type]
+    assert from_message(can.Message(arbitration_id=0x123, data=b"\x11", **words)).flags == flags

@@ -47,3 +47,14 @@ def test_a_frame_that_is_still_on_the_wire_has_not_ended_yet_and_counts_from_whe
     monkeypatch.setattr(sender.clock, "now", lambda: 7)
     assert sender.send(FRAMES) == len(FRAMES)
     assert (sender.first_sent_ns(), sender.sent_ns()) == (None, [7, 7, 7])
+
+
+def test_a_flush_tells_how_many_frames_it_has_dropped_each_time(join, monkeypatch):
+    sender, other = join(), join()
+    for node in (sender, other):  # so early that no frame has started
+        monkeypatch.setattr(node.clock, "now", lambda: 7)
+    assert other.send(FRAMES[:2]) == 2
+    for frames in (FRAMES, [], FRAMES[:2], FRAMES[:1]):
+        assert sender.send(frames) == len(frames)
+        assert sender.flush_tx() == len(frames)
+    assert other.flush_tx() == 2

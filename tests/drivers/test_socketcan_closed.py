@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import socket
 
 import pytest
 
@@ -43,7 +44,7 @@ def test_a_socket_whose_interface_is_not_there_or_cannot_be_bound_is_closed(monk
             raise OSError(errno.ENODEV, "made")
         return b""
 
-    monkeypatch.setattr(socketcan.socket, "socket", lambda *_: sock)
+    monkeypatch.setattr(socket, "socket", lambda *_: sock)
     monkeypatch.setattr(netlink, "get_link", get_link)
     monkeypatch.setattr(socketcan, "parse", lambda *_: CAN0)
     with pytest.raises(BusError, match="does not open" if there else "no such network interface"):

@@ -1,0 +1,58 @@
+"""CiA 402: how many bytes of an expedited SDO answer count, and which objects are signed numbers."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.cia402 import objects as o
+from drivers.cia402.dictionary import ENTRIES, signed
+from drivers.cia402.objects import read_reply
+
+BYTES = "78563412"
+
+
+@pytest.mark.parametrize(
+    ("head", "value"),
+    [
+        pytest.param(0x43, 0x12345678, id="4 bytes"),
+        pytest.param(0x47, 0x345678, id="3 bytes"),
+        pytest.param(0x4B, 0x5678, id="2 bytes"),
+        pytest.param(0x4F, 0x78, id="1 byte"),
+        pytest.param(0x42, 0x12345678, id="no size"),
+        # without the bit that says so, the two bits of the size say nothing
+        pytest.param(0x46, 0x12345678, id="no size, bit 2"),
+        pytest.param(0x4A, 0x12345678, id="no size, bit 3"),
+        pytest.param(0x4E, 0x12345678, id="no size, both bits"),
+    ],
+)
+def test_the_bytes_that_are_read_are_those_of_the_size_where_one_is_said_else_all_four(head, value):
+    reply = read_reply(bytes.fromhex(f"{head:02x}646000{BYTES}"))
+    assert reply == ((0x6064, 0), 0, False, value)
+
+
+@pytest.mark.parametrize("head", [0x40, 0x41, 0x44, 0x49, 0x4D])
+def test_an_answer_that_is_to_come_in_segments_is_none(head):
+    assert read_reply(bytes.fromhex(f"{head:02x}646000{BYTES}")) is None
+
+
+SIGNED = {
+    o.ABORT_CONNECTION,
+    o.QUICK_STOP,
+    o.FAULT_REACTION,
+    o.MODE,
+    o.MODE_SHOWN,
+    o.POSITION,
+    o.VELOCITY,
+    o.TARGET_TORQUE,
+    o.TORQUE,
+    o.PERIOD_EXPONENT,
+}
+"""INTEGER8, 16 and 32 of CiA 402-2; the others are UNSIGNED."""
+
+
+def test_an_object_of_all_ones_is_minus_one_where_it_is_signed_else_the_largest_number():
+    assert set(ENTRIES) > SIGNED
+    for key, entry in ENTRIES.items():
+        ones = (1 << 8 * entry.size) - 1
+        assert signed(key, ones) == (-1 if key in SIGNED else ones), o.place(key)
+        assert signed(key, ones >> 1) == ones >> 1, o.place(key)

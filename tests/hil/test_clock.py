@@ -7,6 +7,7 @@ import itertools
 import os
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -21,6 +22,7 @@ from hil.loop.clock import (
     holdable_rate,
     late_share,
     real_time,
+    resident_MB,
 )
 
 
@@ -255,3 +257,8 @@ def test_the_collector_is_afterwards_as_it_was(enabled: bool) -> None:
             assert gc.isenabled() == enabled
     finally:
         (gc.enable if was else gc.disable)()
+
+
+def test_the_peak_resident_memory_is_that_of_the_kernels_status_in_MB() -> None:
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    assert resident_MB() == pytest.approx(int(lines["VmHWM"].split()[0]) / 1024, rel=0.1)

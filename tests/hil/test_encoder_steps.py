@@ -111,6 +111,29 @@ def test_a_gap_of_slopes_lags_by_the_steps_of_its_own_leg_and_not_of_one_that_wa
     assert doubted(bench.tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, limit)
 
 
+@pytest.mark.parametrize("missed", range(6))
+@pytest.mark.parametrize("between", [1, 4])
+def test_the_rate_of_a_leg_is_judged_beside_one_whose_spacing_nobody_knows(missed, between):
+    """Each drive latches by itself, and no answer says which poll it answers."""
+    for leg in range(6):
+        bench = Bench(unnamed=1, apart=1, open_ticks=0, length_noise_m=1.0)
+        bench.ticks(60, rate=RATES)
+        bench.ticks(1, unseen=[missed])
+        bench.ticks(between)
+        found = bench.tick(rate=RATES + six(3.0, leg))
+        assert found["doubt"] == (Doubt.NONE if leg == missed else Doubt.LEAP)
+
+
+@ON_ONE_LEG
+def test_no_leap_is_seen_in_the_first_rate_after_a_long_silence_of_its_leg(leg):
+    bench = Bench(open_ticks=0, length_noise_m=1e3, rate_noise_m_s=1e-3)
+    bench.ticks(3)
+    bench.ticks(9, unseen=[leg])
+    bench.ticks(1)
+    bench.ticks(1, rate=six(9.0, leg))
+    assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, leg, -18.0, 4e-3)
+
+
 FASTEST = 5
 """Of RATES, at 8 m/s; the next one has 4 m/s."""
 

@@ -179,6 +179,17 @@ def test_a_leg_beyond_the_limit_is_refused_whether_it_has_got_longer_or_shorter(
     assert not legs.homing.known
 
 
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_leg_may_be_as_far_from_where_it_was_as_its_limit_to_the_last_bit(leg, side):
+    limit, there = 2.0**-12, np.full(6, 0.25)
+    even = {"length": there, "limit_m": np.full(6, limit), "step_m": np.full(6, 2.0**-8)}
+    for beyond, known in ((0.0, True), (2.0**-40, False)):
+        legs = Leg(**even)
+        legs.hear(there + side * (limit + beyond) * (np.arange(6) == leg))
+        assert legs.homing.known is known
+
+
 def test_a_leg_that_moves_by_most_of_a_turn_a_tick_is_followed_by_its_rate():
     legs = Leg()
     moved = PARKED.copy()

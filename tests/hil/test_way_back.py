@@ -14,7 +14,7 @@ from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.loop.operating import Operating
 from hil.loop.run_end import Course
 from hil.loop.status import waits_for
-from hil.loop.way_back import APART_M, PER_TICK, Inspection
+from hil.loop.way_back import APART_M, Inspection
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 from tests.hil.test_operating import EYE, HERE, HOLD, PARK, START, made, no_jogging
@@ -71,7 +71,7 @@ def test_every_pose_of_a_way_is_judged_a_few_a_tick_and_none_far_from_the_next()
     assert not inspection.refusal
     np.testing.assert_allclose((seen[0], seen[-1]), (0.0, 0.1), atol=1e-12)
     assert np.diff(seen).max() < 1.875 * APART_M * 1.01, "evenly in time, fastest in the middle"
-    assert ticks == -(-len(seen) // PER_TICK)
+    assert ticks == -(-len(seen) // 2), "two a tick"
 
 
 UNEVEN = replace(PLATFORM, platform_joints=PLATFORM.platform_joints * np.array([[0.2], *[[1.0]] * 4, [1.5]]))

@@ -71,6 +71,7 @@ AREAS = {
             "tests/hil/test_fusion*.py",
             "tests/hil/test_effort.py",
             "tests/hil/test_sight.py",
+            "tests/hil/test_waiting.py",
             "tests/hil/test_learned.py",
             "tests/hil/test_drives_say.py",
             "tests/hil/test_latches.py",

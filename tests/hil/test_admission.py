@@ -114,6 +114,15 @@ def test_more_than_half_a_turn_is_no_pose():
     assert admission()(off(0, 0, 0, 0, 3.2, 0)) == Refusal.NOT_A_POSE
 
 
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8), (0, 0.8, 0.6), (0.6, 0.8, 0)])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_half_a_turn_about_any_axis_is_a_pose_and_more_is_none(axis, way):
+    roomy = {"force_N": 1e99, "rated": 1e99, "low": -1e9, "high": 1e9, "condition": 1e99}
+    for turns, is_pose in ((0.50005, False), (0.49995, True)):
+        found = admission(**roomy)(off(0, 0, 0, *(way * turns * 2.0 * np.pi * np.array(axis))))
+        assert (found != Refusal.NOT_A_POSE) == is_pose
+
+
 @pytest.mark.parametrize(("fall", "sign"), [(0.0, 1.0), (3.0, -1.0)], ids=["pushes", "pulls"])
 def test_a_leg_may_push_and_pull_on_the_way_with_no_more_than_its_force(fall, sign):
     """At rest all legs push; down with three times the acceleration of free fall they pull."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import itertools
 import os
@@ -213,7 +214,8 @@ class Scheduler:
         monkeypatch.setattr(os, "sched_setscheduler", self.set)
         monkeypatch.setattr(clock, "_mlockall", lambda _: None)
 
-    def set(self, _pid: int, policy: int, parameters: os.sched_param) -> None:
+    def set(self, pid: int, policy: int, parameters: os.sched_param) -> None:
+        assert pid == 0, "this process"
         if self.ordinary and self.now[0] & ~policy & os.SCHED_RESET_ON_FORK:
             raise PermissionError(1, "no right")
         self.now = policy, parameters.sched_priority
@@ -244,6 +246,30 @@ def test_a_process_goes_back_to_the_policy_and_priority_that_it_had(
         assert report.fifo
         assert scheduler.now == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 80)
     assert scheduler.now == (policy | kept, priority)
+
+
+def test_the_latency_that_is_asked_of_the_kernel_is_none_and_holds_until_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said: list[tuple[object, ...]] = []
+    monkeypatch.setattr(clock, "_fifo", lambda _: None)
+    monkeypatch.setattr(clock, "_reschedule", lambda *_: None)
+    monkeypatch.setattr(clock, "_mlockall", lambda _: None)
+    monkeypatch.setattr(os, "open", lambda *asked: said.append(asked) or 99)
+    monkeypatch.setattr(os, "write", lambda *asked: said.append(asked) or 4)
+    monkeypatch.setattr(os, "close", lambda *asked: said.append(asked))
+    with clock.real_time_rights(1, None) as report:
+        assert said == [("/dev/cpu_dma_latency", os.O_WRONLY), (99, bytes(4))]
+        assert "cpu_dma_latency 0" in report.granted
+    assert said[2:] == [(99,)]
+    monkeypatch.undo()
+
+
+def test_what_the_kernel_refuses_to_lock_is_told_with_its_reason_and_what_it_does_is_not() -> None:
+    clock._mlockall(0)
+    with pytest.raises(OSError, match="Invalid argument") as caught:
+        clock._mlockall(1 << 20)
+    assert caught.value.errno == errno.EINVAL
 
 
 @pytest.mark.parametrize("enabled", [False, True])

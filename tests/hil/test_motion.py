@@ -146,3 +146,13 @@ def test_a_stop_of_a_motion_that_is_held_is_overdue_from_the_tick_of_the_stop_on
     motion.stop(begins + 200, 0.5)
     assert not motion.overdue(begins + 299, 0.1)
     assert motion.overdue(begins + 301, 0.1)
+
+
+@pytest.mark.parametrize("stops", [0, 1, 50])
+def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
+    motion = Motion(T, HERE, EYE, 0.5)
+    motion.start(Turn(None), 0)
+    motion.settle(0, 0.0)
+    assert not motion.finished(stops)
+    motion.stop(stops, 0.5)
+    assert [motion.finished(tick) for tick in (stops - 1, stops, stops + 1)] == [False, True, True]

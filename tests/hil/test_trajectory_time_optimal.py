@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from hil.config.reference import TimeOptimalReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.time_optimal import plan
+from hil.trajectory.time_optimal import plan, planned_trajectory
 
 HOME = Pose(position_m=(0, 0, 1))
 LIMITS = {
@@ -166,3 +166,21 @@ def test_a_recorded_plan_is_read_in_whatever_order_its_file_holds_it():
     np.save(file, np.asfortranarray(table))
     t = np.linspace(0.0, build().duration_s, 20)
     np.testing.assert_array_equal(six_words(build(recorded=file.getvalue()), t), six_words(build(), t))
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value"),
+    [(0, 0, 0.0), (0, 0, -0.1), (1, 0, None), (1, 0, 1e-3), (2, 5, np.nan), (2, 0, np.inf)],
+    ids=["begins at its end", "before it begins", "no time", "back", "no number", "no end"],
+)
+def test_a_recorded_plan_whose_times_do_not_increase_or_that_has_no_numbers_is_refused(row, column, value):
+    settings = {"type": "time_optimal", "limits": LIMITS, "periods": 1}
+    poses = [{"position_m": p, "rotation_vector_deg": r} for p, r in POINTS]
+    good = plan(TimeOptimalReference.model_validate({**settings, "points": poses}))
+    assert planned_trajectory(good, 1).duration_s == build().duration_s
+    table = np.load(io.BytesIO(good))
+    table[row, column] = table[row - 1, 0] if value is None else value
+    file = io.BytesIO()
+    np.save(file, table)
+    with pytest.raises(LogError, match="its numbers must be finite, its times increase"):
+        planned_trajectory(file.getvalue(), 1)

@@ -119,3 +119,10 @@ def test_what_was_before_a_fault_does_not_count(watch):
     watch.obedience.forget()
     assert not watch(only(5, 0.9), only(5, -1.0))
     assert watch(only(5, 1.1), only(5, -1.0))
+
+
+def test_what_was_before_a_reset_does_not_count_either(watch):
+    watch(only(5, 0.1), only(5, -1.0))
+    watch.obedience.reset()
+    assert not watch(only(5, 0.9), only(5, -1.0))
+    assert watch(only(5, 1.1), only(5, -1.0))

@@ -114,7 +114,9 @@ def test_more_than_half_a_turn_is_no_pose():
     assert admission()(off(0, 0, 0, 0, 3.2, 0)) == Refusal.NOT_A_POSE
 
 
-@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8), (0, 0.8, 0.6), (0.6, 0.8, 0)])
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8), (0, 0.8, 0.6), (0.6, 0.8, 0)]
+)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_half_a_turn_about_any_axis_is_a_pose_and_more_is_none(axis, way):
     roomy = {"force_N": 1e99, "rated": 1e99, "low": -1e9, "high": 1e9, "condition": 1e99}

@@ -8,8 +8,18 @@ from drivers.signals import Refusal
 from hil.loop.jog_paths import LegJog, setup_share
 from hil.signals import Operator, Order
 from tests.hil.test_jogging import (
-    HOLD, KEY, PLATFORM, Q, SPEED, START, Box, Held, jog, lengths, speed,
-)  # fmt: skip
+    HOLD,
+    KEY,
+    PLATFORM,
+    SPEED,
+    START,
+    Box,
+    Held,
+    Q,
+    jog,
+    lengths,
+    speed,
+)
 
 
 def near(chi):

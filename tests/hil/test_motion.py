@@ -126,7 +126,12 @@ def test_a_motion_is_overdue_once_it_has_ended_longer_ago_than_it_is_waited_for(
     motion.start(Turn(1.0), begins)
     ends = begins + 1000
     last = ends + round(patience_s / T)
-    assert [motion.finished(tick) for tick in (begins, ends - 1, ends, last + 900)] == [False, False, True, True]
+    assert [motion.finished(tick) for tick in (begins, ends - 1, ends, last + 900)] == [
+        False,
+        False,
+        True,
+        True,
+    ]
     assert not any(motion.overdue(tick, patience_s) for tick in (begins, ends - 1, last - 1))
     assert all(motion.overdue(tick, patience_s) for tick in (last + 1, last + 900))
 

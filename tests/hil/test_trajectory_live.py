@@ -276,7 +276,9 @@ def test_a_jerk_too_small_for_its_acceleration_is_refused():
 def test_a_jerk_too_small_on_one_axis_alone_is_refused_and_one_that_just_suffices_is_not(word):
     limits = LIMITS.copy()
     limits[1:, word] = 5.0, 2.0
-    with pytest.raises(ConfigurationError, match=r"acceleration over jerk is 2.5 s on some axis.* at most 2 s"):
+    with pytest.raises(
+        ConfigurationError, match=r"acceleration over jerk is 2.5 s on some axis.* at most 2 s"
+    ):
         live(limits)
     limits[1:, word] = 4.0, 2.0
     np.testing.assert_array_equal(live(limits).sample(0.0).p, START[:3])

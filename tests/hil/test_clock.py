@@ -252,12 +252,17 @@ def test_the_latency_that_is_asked_of_the_kernel_is_none_and_holds_until_the_end
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     said: list[tuple[object, ...]] = []
+
+    def told(*asked: object) -> int:
+        said.append(asked)
+        return 99
+
     monkeypatch.setattr(clock, "_fifo", lambda _: None)
     monkeypatch.setattr(clock, "_reschedule", lambda *_: None)
     monkeypatch.setattr(clock, "_mlockall", lambda _: None)
-    monkeypatch.setattr(os, "open", lambda *asked: said.append(asked) or 99)
-    monkeypatch.setattr(os, "write", lambda *asked: said.append(asked) or 4)
-    monkeypatch.setattr(os, "close", lambda *asked: said.append(asked))
+    monkeypatch.setattr(os, "open", told)
+    monkeypatch.setattr(os, "write", told)
+    monkeypatch.setattr(os, "close", told)
     with clock.real_time_rights(1, None) as report:
         assert said == [("/dev/cpu_dma_latency", os.O_WRONLY), (99, bytes(4))]
         assert "cpu_dma_latency 0" in report.granted

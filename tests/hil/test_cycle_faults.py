@@ -118,7 +118,7 @@ def test_the_stop_is_repeated_where_drives_keep_it_or_another_controller_command
     monkeypatch.setattr(LegsProtocol, "stop_latches", latches)
     bench = a_bench()
     bench.until(Mode.APPROACH)
-    told = []
+    told: list[int] = []
     for _ in range(4):
         if rivals:
             bench.cycle.faults |= Fault.SECOND_CONTROLLER

@@ -47,13 +47,13 @@ def test_a_leg_that_sticks_turns_round_as_steeply_as_its_own_push_rises(push_leg
     """From the whole force to the other one in 2 x rise - 1 ticks, whatever the other legs are pushed by."""
     ticks = 20
     limits = SimpleNamespace(push_ticks=ticks, push_N=FORCES_N, sticks=1, rise_ticks=rise)
-    memory, found = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(0.0)), []
+    memory, pushes = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(0.0)), []
     for tick in range(1, 2 * ticks + 1):
         memory.push[leg], tau = sign * tick, six(0.0)
         push_legs(tau, limits, memory)
-        found.append(sign * tau)
+        pushes.append(sign * tau)
     whole, there = FORCES_N[leg], np.arange(6) == leg
-    found = np.array(found)
+    found = np.array(pushes)
     np.testing.assert_allclose(found[:, ~there], 0.0)
     np.testing.assert_allclose(found[rise - 1 : ticks, leg], whole)
     np.testing.assert_allclose(np.diff(found[ticks - 1 : ticks + turns, leg]), -2.0 * whole / turns)

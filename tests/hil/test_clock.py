@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -257,17 +258,17 @@ def test_the_latency_that_is_asked_of_the_kernel_is_none_and_holds_until_the_end
         said.append(asked)
         return 99
 
-    monkeypatch.setattr(clock, "_fifo", lambda _: None)
-    monkeypatch.setattr(clock, "_reschedule", lambda *_: None)
-    monkeypatch.setattr(clock, "_mlockall", lambda _: None)
-    monkeypatch.setattr(os, "open", told)
-    monkeypatch.setattr(os, "write", told)
-    monkeypatch.setattr(os, "close", told)
+    kernel = SimpleNamespace(
+        O_WRONLY=os.O_WRONLY, open=told, write=told, close=told,
+        sched_getaffinity=lambda _: {0}, sched_setaffinity=lambda *_: None,
+    )  # fmt: skip
+    for name in ("_fifo", "_scheduling", "_reschedule", "_mlockall"):
+        monkeypatch.setattr(clock, name, lambda *_: ())
+    monkeypatch.setattr(clock, "os", kernel)
     with clock.real_time_rights(1, None) as report:
         assert said == [("/dev/cpu_dma_latency", os.O_WRONLY), (99, bytes(4))]
         assert "cpu_dma_latency 0" in report.granted
     assert said[2:] == [(99,)]
-    monkeypatch.undo()
 
 
 def test_what_the_kernel_refuses_to_lock_is_told_with_its_reason_and_what_it_does_is_not() -> None:

@@ -216,3 +216,22 @@ def test_a_step_is_a_whole_number_of_internal_ones_within_1e_9_and_fewer_than_a_
     for n in (0.0, 1e9, 2e9):  # of so many any length would be a multiple
         with pytest.raises(PlantError, match="multiple"):
             whole_steps(n * step_s, step_s)
+
+
+def test_the_true_twist_is_the_motion_of_the_true_pose(plant):
+    """Over 0.2 ms about the middle: p' = v, R' R^T = [omega] in the base frame."""
+    plant.reset()
+    plant.step(FORCE + 500.0, OPEN, np.array([300.0, 0, 0, 100.0, 200.0, 300.0]), 0.02)
+    truths = []
+    for _ in range(3):
+        plant.step(FORCE, OPEN, CALM, 1e-4)
+        truths.append(plant.truth())
+    if truths[0] is None:
+        assert truths == [None] * 3
+        return
+    before, now, after = truths
+    turned = (after.R - before.R) / 2e-4 @ now.R.T
+    moved = [*((after.p - before.p) / 2e-4), turned[2, 1], turned[0, 2], turned[1, 0]]
+    assert now.twist.shape == (6,)
+    assert np.abs(now.twist).min() > 1e-4
+    assert now.twist == pytest.approx(moved, rel=1e-3, abs=1e-5)

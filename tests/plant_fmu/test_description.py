@@ -9,7 +9,7 @@ import pytest
 
 from plant_fmu.stewart.build import build
 from plant_fmu.stewart.description import terminals
-from plant_fmu.stewart.variables import VARIABLES
+from plant_fmu.stewart.variables import TYPES, VARIABLES
 
 VERSIONS = pytest.mark.parametrize("version", ["2.0", "3.0"])
 ALL = {v.name for v in VARIABLES if v.causality == "parameter"}
@@ -90,3 +90,11 @@ def test_a_terminal_holds_what_belongs_to_its_leg_and_one_more_the_platform():
     names = ("wrench", "position", "rotation", "twist", "acceleration")
     expected["platform"] = ("Motion of the platform, wrench on it", {name: name for name in names})
     assert found == expected
+
+
+@VERSIONS
+def test_the_types_that_are_defined_are_those_of_single_elements(version):
+    description = fmpy.read_model_description(str(build(version)))
+    defined = [each.name for each in description.typeDefinitions]
+    assert set(defined) == set(TYPES) - {"Mixed"} | {"LegSpin"}
+    assert len(defined) == len(set(defined))

@@ -7,12 +7,14 @@ from math import exp, pi
 import numpy as np
 import pytest
 
+from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.reading import Reading
 from plant_fmu.faults.drive import DriveReset
 from plant_fmu.faults.encoder import EncoderJump
@@ -144,3 +146,33 @@ def test_of_late_readings_no_more_are_kept_than_the_longest_delay_needs():
         assert len(reading._read) == min(t_ms + 1, 6)
         expected = [t_ms - late for late in (0, 2, 0, 5, 0, 0)]
         np.testing.assert_allclose(length, np.maximum(expected, 0.0), rtol=0, atol=1e-9)
+
+
+def test_late_legs_that_move_unlike_have_each_its_own_reading_carried_on_by_its_own_rate():
+    reading, present = Reading(), Present()
+    late_ms = [0.5, 1.5, 2.5, 0.0, 3.5, 4.5]
+    present.late_ns = [round(late * MS) for late in late_ms]
+    speeds = np.array([1.0, -2.0, 3.0, -4.0, 5.0, -6.0])
+    for t_ms in range(20):
+        length, rate = speeds * t_ms, speeds * 1e3
+        reading.spoil(present, t_ms * MS, length, rate)
+    np.testing.assert_allclose(length, speeds * (19.0 - np.array(late_ms)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rate, speeds * 1e3, rtol=0, atol=1e-9)
+
+
+def test_a_drive_that_was_just_powered_up_has_the_configured_watchdog():
+    drives = Drives(DriveSettings(watchdog_ms=7.0), DriveEmulation(), 1e-4)
+    assert drives.watchdog_ns.tolist() == [7 * MS] * 6
+
+
+def test_a_plant_that_fails_as_a_watchdog_ends_has_come_to_that_instant(monkeypatch):
+    rig = Rig()
+    rig.run()
+
+    def refuse(*_given: object) -> None:
+        raise PlantError("refused")
+
+    monkeypatch.setattr(rig.plant, "step", refuse)
+    with pytest.raises(PlantError, match="refused"):
+        rig.at(30 * MS)
+    assert rig.nodes.now_ns == 10 * MS

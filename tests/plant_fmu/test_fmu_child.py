@@ -286,7 +286,7 @@ def test_a_process_that_had_more_than_four_fifths_of_its_memory_is_said_to_be_fu
     assert ChildHost._full(host, most_kB + 1) == said
 
 
-def test_a_child_is_asked_once_to_free_its_fmu(monkeypatch):
+def test_a_child_has_a_session_of_its_own_and_is_asked_once_to_free_its_fmu(monkeypatch):
     asked: list[tuple[int, float, str]] = []
     ask = ChildHost._ask
 
@@ -296,6 +296,7 @@ def test_a_child_is_asked_once_to_free_its_fmu(monkeypatch):
 
     monkeypatch.setattr(ChildHost, "_ask", asking)
     host = ChildHost(spec(build("3.0")), step_timeout_s=7.0)
+    assert os.getsid(host._process.pid) == host._process.pid, "Ctrl-C does not reach it"
     host.close()
     host.close()
     assert asked == [(3, 7.0, "close")]

@@ -318,3 +318,16 @@ def test_parameters_are_fixed_after_initialisation(direct):
     with pytest.raises(FMICallException):
         plant.set(mass=10.0)
     assert "fixed" in plant.messages[-1]
+
+
+def test_parameters_and_inputs_can_be_read_at_any_time_and_outputs_once_it_is_initialised(direct):
+    plant = direct()
+    plant.set(mass=900.0, force=np.arange(6.0))
+    assert plant.get("mass") == [900.0]
+    assert plant.get("force").tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    for output in ("length", "potential_energy"):
+        with pytest.raises(FMICallException):
+            plant.get(output)
+        assert "no value before initialisation" in plant.messages[-1]
+    plant.start()
+    assert plant.get("length").min() > 0.0

@@ -14,13 +14,13 @@ from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Answer, Configure, Frame, Received, Status
-from drivers.signals import LEGS, DriveState, Reaction
+from drivers.protocol import EXTENDED, REMOTE, Answer, Configure, DeviceCommand, Frame, Received, Status
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.rehearsal.wired_drives import WiredDrives
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.cia402_drives import drives
-from tests.drivers.legs_frames import decode
+from tests.drivers.legs_frames import command_frames, decode
 
 NODES = (1, 2, 3, 4, 5, 6)
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1))
@@ -129,6 +129,7 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
         assert isinstance(told, Configure)
         assert (told.leg, told.reaction) == (drive, Reaction.DAMP)
         assert told.watchdog_s == pytest.approx(waits, rel=1e-12)
+        assert wired._told(drive, told.watchdog_s) == pytest.approx(0.01, rel=1e-12)
         _, confirmed = wired.report(memory, Status(drive, DriveState.OFF, 0, told))
         assert confirmed == protocol.report(memory, Status(said.leg, DriveState.OFF, 0, said))[1]
 
@@ -146,3 +147,24 @@ def test_a_drive_as_delivered_says_that_it_is_pre_operational_under_its_number_a
     sync: Any = protocol.parse(memory, protocol.begin(None, 1)[0])[1][0]
     _, answers = wired.answer(memory, sync, *np.zeros((3, LEGS)), np.zeros(LEGS, int))
     assert [drive for drive, _ in answers] == [leg for leg in range(LEGS) if leg != mute]
+
+
+@pytest.mark.parametrize("layout", ["classic", "fd"])
+def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_meant_for_that(layout):
+    """Two answer to number 3, nobody to 2; one has no power, and one speaks another protocol."""
+    number = (1, 0, 3, 3, 4, 5)
+    wiring = Wiring(
+        answers_as=number,
+        present=(True, True, True, True, False, True),
+        other_protocol=(False, False, False, False, False, True),
+    )
+    protocol = LegsProtocol(layout, NODES)
+    wired = WiredDrives(protocol, wiring, NODES)
+    memory, _ = protocol.parse(protocol.power_up(), protocol.begin(None, 7)[0])
+    given: dict[int, float] = {}
+    for frame in command_frames(protocol, Command(DriveMode.RUN, 100.0 * np.arange(6.0) - 250.0), 7):
+        (message,) = wired.parse(memory, frame)[1]
+        assert isinstance(message, DeviceCommand)
+        assert message.mode == DriveMode.RUN
+        given |= dict(zip(message.legs, message.force.tolist(), strict=True))
+    assert given == pytest.approx({0: -150.0, 1: -250.0, 2: 50.0, 3: 50.0}, abs=2.0)

@@ -157,3 +157,19 @@ def test_brakes_of_three_legs_alone_open_and_close_on_time_while_the_others_stay
         free = [free_ms(a, leg) for leg in range(6)]
         np.testing.assert_allclose(free, np.where(asked, free_for_ms, 0.0), rtol=0, atol=1e-9)
     assert a.brakes == [1.0] * 6
+
+
+def test_each_drive_ends_its_own_reaction_in_the_brake_if_it_damps_or_holds():
+    """1 s after the fault at 10 ms; legs 0 and 4 brake at once, and those that let go never do."""
+    a = Rig(emulation=DriveEmulation(encoder_resolution_m=0.0))
+    kinds = (Reaction.BRAKE, Reaction.DAMP, Reaction.HOLD, Reaction.ZERO, Reaction.BRAKE, Reaction.HOLD)
+    a.at(0, *[a.protocol.configure(0.01, kind)[leg] for leg, kind in enumerate(kinds)])
+    a.command(0, DriveMode.READY)
+    a.command(0, DriveMode.RUN)
+    a.at(1009 * MS)
+    assert a.states == [DriveState.FAULT] * 6
+    assert a.brakes == [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    a.at(1011 * MS)
+    assert a.brakes == [1.0, 1.0, 1.0, 0.0, 1.0, 1.0]
+    a.at(3000 * MS)
+    assert a.brakes == [1.0, 1.0, 1.0, 0.0, 1.0, 1.0]

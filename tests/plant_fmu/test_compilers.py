@@ -6,6 +6,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -104,7 +105,7 @@ def test_a_machine_has_its_target_and_the_flags_that_its_libraries_need(monkeypa
     system = key.split("-")[0]
     assert ("-fPIC" in command) == (system == "linux")
     assert ("-lm" in command) == (system != "windows")
-    targets = [after for flag, after in zip(command, command[1:], strict=False) if flag == "-target"]
+    targets = [after for flag, after in pairwise(command) if flag == "-target"]
     assert targets == ([builder.TARGETS[key].zig] if zig else [])
     machine = {"x86_64": "x86_64-", "aarch64": "aarch64-"}[key.split("-")[1]]
     assert builder.TARGETS[key].zig.startswith(machine + {"darwin": "macos"}.get(system, system))

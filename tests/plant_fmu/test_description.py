@@ -30,7 +30,7 @@ BEHIND: dict[str, tuple[set[str], set[str]]] = {
 
 
 def base(name: str) -> str:
-    return name.split("[")[0]
+    return name.split("[", maxsplit=1)[0]
 
 
 @VERSIONS

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plant_fmu.fmu import call as fmu_call
-from plant_fmu.fmu.call import DONE, INPUTS_REFUSED, NOT_FINITE, STEP_REFUSED
+from plant_fmu.fmu.call import DONE, INPUTS_REFUSED, INTERRUPTED, NOT_FINITE, STEP_REFUSED
 
 INSTANCE = 0x1234
 ERROR = 3
@@ -22,6 +22,10 @@ class Functions:
         self.sets: list[list[float]] = []
         self.steps: list[tuple[float, float]] = []
         self.set_status = self.step_status = 0
+        self.flagged: int | None = None
+        """Which of DoStep's flags the next steps set."""
+        self.given: set[tuple[int, ...]] = set()
+        """What was given besides the values."""
         self.references = np.arange(12, dtype=np.uint32) + 40
         self.inputs, self.outputs, self.held = np.zeros(12), np.zeros(12), np.zeros(12, np.int64)
         self.flags, self.last = np.zeros(3, np.uint8), np.zeros(1)
@@ -43,21 +47,20 @@ class Functions:
         call[fmu_call.SLOTS :] = 0, -1, 6
 
     def _set(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
-        assert (instance, references, count) == (INSTANCE, self.references.ctypes.data, 12)
-        assert set(sizes) <= {12}
+        self.given.add((instance, references, count, *sizes))
         self.sets.append(list((ct.c_double * 12).from_address(values)))
         return self.set_status
 
     def _get(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
-        assert (instance, references, count) == (INSTANCE, self.references.ctypes.data, 12)
-        assert set(sizes) <= {12}
+        self.given.add((instance, references, count, *sizes))
         (ct.c_double * 12).from_address(values)[:] = range(1, 13)
         return 0
 
     def _step(self, instance: int, t_s: float, dt_s: float, never_back: int, *places: int) -> int:
-        assert (instance, never_back) == (INSTANCE, 1)
-        assert len(places) in (0, 4)
+        self.given.add((instance, never_back, *places))
         self.steps.append((t_s, dt_s))
+        for k, place in enumerate(places[:3]):
+            ct.c_uint8.from_address(place).value = k == self.flagged
         return self.step_status
 
     def exchange(self, force: float, wrench: float, t_s: float = 0.0) -> int:
@@ -80,6 +83,12 @@ def test_inputs_are_set_when_one_has_changed_and_each_step_and_its_outputs_follo
     assert fmu.sets == [given(1.0, 2.0), given(1.0, 2.5), given(1.5, 2.5)]
     assert fmu.steps == [(0.25 * k, 0.25) for k in range(5)]
     assert fmu.outputs.tolist() == [float(k) for k in range(1, 13)]
+    moved = (INSTANCE, fmu.references.ctypes.data, 12, *([12] if counted else []))
+    at = fmu.flags.ctypes.data
+    assert fmu.given == {
+        moved,
+        (INSTANCE, 1, *([at, at + 1, at + 2, fmu.last.ctypes.data] if counted else [])),
+    }
 
 
 @pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
@@ -95,3 +104,14 @@ def test_inputs_that_were_refused_are_set_anew_and_no_step_is_taken_with_them(co
     fmu.step_status = ERROR
     assert fmu.exchange(1.0, 2.0) == STEP_REFUSED
     assert len(fmu.sets) == 3, "the FMU has them"
+
+
+@pytest.mark.parametrize(("flag", "ended"), [(0, DONE), (1, INTERRUPTED), (2, INTERRUPTED)])
+def test_a_step_whose_simulation_ended_or_that_returned_early_was_interrupted_and_an_event_is_none(
+    flag, ended
+):
+    fmu = Functions(counted=True)
+    assert fmu.exchange(1.0, 2.0) == DONE
+    fmu.flagged = flag
+    assert fmu.exchange(1.0, 2.0) == ended
+    assert fmu.flags.tolist() == [k == flag for k in range(3)]

@@ -295,8 +295,9 @@ def test_a_child_has_a_session_of_its_own_and_is_asked_once_to_free_its_fmu(monk
         ask(host, command, timeout_s, what)
 
     monkeypatch.setattr(ChildHost, "_ask", asking)
-    host = ChildHost(spec(build("3.0")), step_timeout_s=7.0)
+    host = ChildHost(spec(build("3.0")))
     assert os.getsid(host._process.pid) == host._process.pid, "Ctrl-C does not reach it"
+    host.reset()
     host.close()
     host.close()
-    assert asked == [(3, 7.0, "close")]
+    assert asked == [(0, 60.0, "reset"), (3, 5.0, "close")]

@@ -160,8 +160,10 @@ def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_
 
 @pytest.mark.parametrize(
     ("gravity", "presses", "way"),
-    [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]
-    + [(1.0, 0.31, 1.0), (1.0, 0.29, 0.0), (-1.0, 0.31, -1.0), (-1.0, 0.29, 0.0), (1.0, 0.0, 0.0)],
+    [
+        *[(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)],
+        *[(1.0, 0.31, 1.0), (1.0, 0.29, 0.0), (-1.0, 0.31, -1.0), (-1.0, 0.29, 0.0), (1.0, 0.0, 0.0)],
+    ],
 )
 def test_a_weight_presses_or_pulls_where_gravity_is_along_the_legs_and_does_neither_across(
     gravity, presses, way

@@ -331,3 +331,36 @@ def test_parameters_and_inputs_can_be_read_at_any_time_and_outputs_once_it_is_in
         assert "no value before initialisation" in plant.messages[-1]
     plant.start()
     assert plant.get("length").min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [
+        *[(f"{part}mass", 0.0) for part in ("", "cylinder_", "rod_", "reflected_")],
+        *[(f"{half}_{key}", 0.0) for half in ("cylinder", "rod") for key in ("com", "inertia")],
+        *[(f"{kind}_friction", 0.0) for kind in ("viscous", "coulomb")],
+        *[(name, 0.0) for name in ("force_bandwidth", "length_min", "length_max", "stop_damping")],
+        ("brake_force", 0.0),
+        ("stop_stiffness", 1.0),
+        ("brake", 0.0),
+    ],
+)
+def test_a_value_below_the_least_of_its_kind_is_refused_by_name_and_the_least_is_taken(direct, name, least):
+    plant = direct()
+    plant.set(**{name: np.full(plant.size[name], least)})
+    for element in range(plant.size[name]):
+        values = np.full(plant.size[name], least + 0.5)
+        values[element] = least - 1e-9
+        with pytest.raises(FMICallException):
+            plant.set(**{name: values})
+        assert name in plant.messages[-1]
+    assert plant.get(name).tolist() == [least] * plant.size[name]
+
+
+def test_a_brake_is_engaged_by_no_more_than_all_of_it(direct):
+    plant = direct()
+    plant.set(brake=np.ones(6))
+    for leg in range(6):
+        with pytest.raises(FMICallException):
+            plant.set(brake=1.0 + 1e-9 * (np.arange(6) == leg))
+        assert f"brake[{leg + 1}]" in plant.messages[-1]

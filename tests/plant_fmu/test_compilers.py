@@ -151,7 +151,9 @@ def test_the_token_changes_with_each_source_and_with_what_is_made_of_the_table(m
     assert {"model.c", "model.h", f"fmi{version[0]}.c"} < set(files)
     for name, data in files.items():
         with monkeypatch.context() as changed:
-            changed.setattr(builder, "_source_files", lambda _, name=name, data=data: {**files, name: data + b"\n"})
+            changed.setattr(
+                builder, "_source_files", lambda _, name=name, data=data: {**files, name: data + b"\n"}
+            )
             tokens.add(builder.token(version))
     assert len(tokens) == 1 + len(files)
     for name in ("tables", "header"):

@@ -72,4 +72,3 @@ def test_where_one_push_moves_nothing_nobody_can_tell(leg):
         own = np.ones(6)
         own[leg] = answer
         assert Probe(CALM, CALM, np.diag(own)).uncoupled is None
-

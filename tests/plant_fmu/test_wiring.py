@@ -8,7 +8,16 @@ from typing import Any
 
 import pytest
 
-from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, RANGES, Mistake, Wiring, legs_of, stroke_short, wired
+from plant_fmu.rehearsal.wiring import (
+    MISTAKES,
+    OF_WATCHDOG,
+    RANGES,
+    Mistake,
+    Wiring,
+    legs_of,
+    stroke_short,
+    wired,
+)
 
 SWAPPED, ROTATED = (0, 1, 4, 3, 2, 5), (0, 1, 4, 3, 5, 2)
 """Legs 2 and 4 exchanged; 2, 4 and 5 handed round: each has what the next one had."""

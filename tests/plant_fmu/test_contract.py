@@ -213,7 +213,7 @@ def test_a_step_is_a_whole_number_of_internal_ones_within_1e_9_and_fewer_than_a_
         for off in (2e-9, -2e-9, 0.4 / n, -0.4 / n):
             with pytest.raises(PlantError, match="multiple"):
                 whole_steps(n * step_s * (1.0 + off), step_s)
-    for n in (0.0, 1e9, 2e9):  # of so many any length would be a multiple
+    for n in (0, 10**9, 2 * 10**9):  # of so many any length would be a multiple
         with pytest.raises(PlantError, match="multiple"):
             whole_steps(n * step_s, step_s)
 

@@ -367,9 +367,10 @@ def test_a_bus_that_is_off_is_the_one_that_is_named_or_else_every_one():
 
 
 def test_a_fault_without_a_seed_has_the_seed_0():
-    frames = [Schedule(FaultPlan([FramesLoss(probability=0.5, **seed)]), 0) for seed in ({}, {"seed": 0})]
-    passed = [[len(carry(schedule, 0)) for _ in range(100)] for schedule in frames]
+    losses = FramesLoss(probability=0.5), FramesLoss(probability=0.5, seed=0)
+    schedules = [Schedule(FaultPlan([each]), 0) for each in losses]
+    passed = [[len(carry(schedule, 0)) for _ in range(100)] for schedule in schedules]
     assert passed[0] == passed[1]
-    noises = [EncoderNoise(leg=0, sigma_m=1.0, **seed) for seed in ({}, {"seed": 0})]
+    noises = EncoderNoise(leg=0, sigma_m=1.0), EncoderNoise(leg=0, sigma_m=1.0, seed=0)
     drawn = [Schedule(FaultPlan([each]), 0).present(0).noise[0][2].random() for each in noises]
     assert drawn[0] == drawn[1]

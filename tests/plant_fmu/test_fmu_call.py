@@ -29,17 +29,23 @@ class Functions:
         self.references = np.arange(12, dtype=np.uint32) + 40
         self.inputs, self.outputs, self.held = np.zeros(12), np.zeros(12), np.zeros(12, np.int64)
         self.flags, self.last = np.zeros(3, np.uint8), np.zeros(1)
-        place, size = ct.c_int64, ct.c_int64
-        moved = (place, place, size, place, *([size] if counted else []))
-        stepped = (place, ct.c_double, ct.c_double, ct.c_int32, *([place] * 4 if counted else []))
+        place = size = ct.c_int64
+        moved: tuple[Any, ...] = (place, place, size, place, *([size] if counted else []))
+        stepped: tuple[Any, ...] = (
+            place,
+            ct.c_double,
+            ct.c_double,
+            ct.c_int32,
+            *([place] * 4 if counted else []),
+        )
         self._kept: Any = (
             ct.CFUNCTYPE(ct.c_int32, *moved)(self._set),
             ct.CFUNCTYPE(ct.c_int32, *moved)(self._get),
             ct.CFUNCTYPE(ct.c_int32, *stepped)(self._step),
         )
         self.call = call = np.zeros(fmu_call.CALL, np.int64)
-        addresses = [ct.cast(each, ct.c_void_p).value for each in self._kept]
-        call[[fmu_call.SET, fmu_call.GET, fmu_call.STEP]] = addresses
+        for at, each in zip((fmu_call.SET, fmu_call.GET, fmu_call.STEP), self._kept, strict=True):
+            call[at] = ct.cast(each, ct.c_void_p).value or 0
         call[[fmu_call.INSTANCE, fmu_call.COUNTED]] = INSTANCE, counted
         call[[fmu_call.FLAGS, fmu_call.LAST]] = self.flags.ctypes.data, self.last.ctypes.data
         for at in (fmu_call.INPUTS, fmu_call.OUTPUTS):
@@ -53,7 +59,7 @@ class Functions:
 
     def _get(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
         self.given.add((instance, references, count, *sizes))
-        (ct.c_double * 12).from_address(values)[:] = range(1, 13)
+        (ct.c_double * 12).from_address(values)[:] = [float(k) for k in range(1, 13)]
         return 0
 
     def _step(self, instance: int, t_s: float, dt_s: float, never_back: int, *places: int) -> int:

@@ -64,7 +64,8 @@ def test_a_unit_is_told_by_its_exponents_whatever_it_is_called(needed):
 def test_a_unit_with_a_factor_an_offset_or_another_base_is_not_taken(needed):
     exponents = dict(zip(("kg", "m", "s"), EXPONENTS[needed], strict=True))
     changes: list[dict[str, float]] = [{"factor": 1e3}, {"factor": 1e-3}, {"offset": 1.0}]
-    changes += [{base: 1} for base in ("A", "K", "mol", "cd")] + [{base: 9} for base in ("kg", "m", "s")]
+    changes += [{base: 1.0} for base in ("A", "K", "mol", "cd")]
+    changes += [{base: 9.0} for base in ("kg", "m", "s")]
     for change in changes:
         assert not taken((needed,), needed, **{**exponents, **change}), change
 

@@ -145,7 +145,8 @@ def test_a_drive_as_delivered_says_that_it_is_pre_operational_under_its_number_a
     for leg in set(range(LEGS)) - {mute}:
         assert said[leg] == protocol.report(memory, Status(leg, DriveState.OFF, 0))[1]
     sync: Any = protocol.parse(memory, protocol.begin(None, 1)[0])[1][0]
-    _, answers = wired.answer(memory, sync, *np.zeros((3, LEGS)), np.zeros(LEGS, int))
+    zeros = np.zeros(LEGS)
+    _, answers = wired.answer(memory, sync, zeros, zeros, zeros, zeros.astype(int))
     assert [drive for drive, _ in answers] == [leg for leg in range(LEGS) if leg != mute]
 
 

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.clock import MONOTONIC
 from drivers.protocol import DriveSetup, Received
 from drivers.signals import NEVER, BusState, DriveState, Fault, Mode, Reaction, Stop
 from drivers.tick_columns import FIRST
@@ -340,8 +339,11 @@ class Wire:
         self.nodes, self.period_ns, self.tick = nodes, period_ns, -1
         self.period_s = 0.0
         self.commands, self.answers, self.late = [], [], []
-        self.clock = MONOTONIC
+        self.clock = SimpleNamespace(stretched=lambda: 0, working=lambda _: None, now=self.now)
         nodes.start(0)
+
+    def now(self):
+        return self.tick * self.period_ns
 
     # what the daemon asks of its deadlines
     def wait(self):
@@ -438,8 +440,6 @@ class Stalled(Stamped):
     def __init__(self, nodes, period_ns):
         super().__init__(nodes, period_ns)
         self.given = False
-        stands = SimpleNamespace(stretched=lambda: 0, working=lambda _: None, now=self.now)
-        self.clock = stands  # type: ignore[assignment]
 
     def now(self):
         return self.tick * self.period_ns + 300_000 * self.given

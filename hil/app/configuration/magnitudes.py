@@ -6,7 +6,8 @@ from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
 
 LEAST, MOST = 1e-60, 1e15
 """Of a number that is not 0, in any unit; rounding may leave 1e-17 or less of a zero."""
-MOST_SEED = 2**64
+NO_LIMIT, MOST_SEED = 1e30, 2**64
+"""In section `limits`, where a large number stands for none; of a seed."""
 _OTHERS = ("plant", "model", "parameters")
 """Those of a foreign FMU are its own."""
 
@@ -28,6 +29,6 @@ def _found(value: Value, path: Path) -> Iterator[tuple[Path, str]]:
         for k, each in enumerate(value):
             yield from _found(each, (*path, k))
     elif isinstance(value, int | float) and value:
-        most = MOST_SEED if path[-1] == "seed" else MOST
+        most = MOST_SEED if path[-1] == "seed" else NO_LIMIT if path[0] == "limits" else MOST
         if not LEAST <= abs(value) <= most:
             yield path, f"allowed in size: 0, and {LEAST:g} to {most:g}, given: {float(value):g}"

@@ -35,13 +35,28 @@ def changed(text: str, path: tuple[str | int, ...], number: float) -> str:
 PLACES = [(name, path) for name in ("virtual", "lab") for path in numbers(yaml.safe_load(load(name).text))]
 
 
-@pytest.mark.parametrize("number", [-1.1e15, 2 * 10**15, 0.9e-60, 10**300])
+@pytest.mark.parametrize("number", [-1.1e30, 2 * 10**30, 0.9e-60, 10**300])
 def test_a_number_beyond_all_reason_is_refused_with_its_place_wherever_it_stands(number):
     assert len(PLACES) > 50
     for name, path in PLACES:
         with pytest.raises(ConfigurationError) as refused:
             loads(changed(load(name).text, path, number), "a.yaml", CONFIGS)
         assert f": {path_text(path)}: " in str(refused.value), (name, path)
+
+
+@pytest.mark.parametrize("number", [-1.1e15, 2 * 10**15])
+def test_outside_of_the_limits_a_number_beyond_1e15_is_refused(number):
+    places = [(name, path) for name, path in PLACES if path[0] != "limits"]
+    assert len(places) > 40
+    for name, path in places:
+        with pytest.raises(ConfigurationError) as refused:
+            loads(changed(load(name).text, path, number), "a.yaml", CONFIGS)
+        assert f": {path_text(path)}: " in str(refused.value), (name, path)
+
+
+def test_a_limit_of_1e30_stands_for_none():
+    text = changed(load("virtual").text, ("limits", "condition"), 1e30)
+    assert loads(text, "a.yaml", CONFIGS).limits.condition == 1e30
 
 
 @pytest.mark.parametrize(("number", "taken"), [(1e15, True), (1e-60, True), (0.0, True), (10**15, True)])

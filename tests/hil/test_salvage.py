@@ -1,18 +1,18 @@
 import struct
 import zlib
-from itertools import accumulate
 
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap.records import Attachment, Chunk, Metadata
+from mcap.records import Attachment, Chunk
 
 from drivers.errors import LogError
 from hil.record.log import Log
-from hil.record.mcap_file import MAGIC, record_bytes
+from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import MAX_CHUNK, Record
 from hil.record.salvage import salvage
 from hil.record.surviving import Lost, surviving
+from tests.hil.mcap_records import metadata, placed
 from tests.hil.rewrite import mcap_summary, rewrite_log
 from tests.hil.samples import assert_same, log_of, random_ticks
 
@@ -197,18 +197,6 @@ def test_a_bit_that_turned_over_where_no_record_has_a_checksum_of_its_own_is_sai
     assert report.ticks == COUNT
     assert not report.complete
     assert any("checksum of the data section" in remark for remark in report.remarks), report.remarks
-
-
-def metadata(name, **values):
-    return record_bytes(Metadata(name=name, metadata=values))
-
-
-def placed(tmp_path, *records):
-    """A file of these records, and where each begins."""
-    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
-    path = tmp_path / "records.mcap"
-    path.write_bytes(MAGIC + b"".join(records))
-    return path, starts
 
 
 def test_a_last_record_that_the_file_ends_with_is_whole_whatever_records_its_text_resembles(tmp_path):

@@ -1,28 +1,16 @@
 """Where the records of a damaged file begin and end: borders of the file, of the pieces read, of its data."""
 
 import struct
-from itertools import accumulate
 
 import pytest
-from mcap.records import DataEnd, Footer, MessageIndex, Metadata
+from mcap.records import DataEnd, Footer, MessageIndex
 
 from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.mcap_read import Record
 from hil.record.surviving import Lost, surviving
+from tests.hil.mcap_records import metadata, placed
 
 DATA_END = record_bytes(DataEnd(data_section_crc=0))
-
-
-def metadata(name, **values):
-    return record_bytes(Metadata(name=name, metadata=values))
-
-
-def placed(tmp_path, *records):
-    """A file of these records, and where each begins."""
-    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
-    file = tmp_path / "records.mcap"
-    file.write_bytes(MAGIC + b"".join(records))
-    return file, starts
 
 
 @pytest.mark.parametrize("window", [1, 16, 64])

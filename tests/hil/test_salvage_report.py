@@ -3,7 +3,6 @@
 import errno
 import os
 import struct
-from itertools import accumulate
 
 import pytest
 from mcap.reader import make_reader
@@ -28,6 +27,7 @@ from hil.record.mcap_read import Record
 from hil.record.salvage import salvage
 from hil.record.schema import SALVAGE
 from hil.record.surviving import Lost, surviving
+from tests.hil.mcap_records import metadata, placed
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import log_of, random_ticks
 from tools.fuzz import container
@@ -41,20 +41,8 @@ def path(tmp_path_factory):
     return log_of(TICKS, tmp_path_factory)
 
 
-def metadata(name, **values):
-    return record_bytes(Metadata(name=name, metadata=values))
-
-
 def message(channel=99, data=b""):
     return record_bytes(Message(channel_id=channel, log_time=1, data=data, publish_time=1, sequence=0))
-
-
-def placed(tmp_path, *records):
-    """A file of these records, and where each begins."""
-    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
-    file = tmp_path / "records.mcap"
-    file.write_bytes(MAGIC + b"".join(records))
-    return file, starts
 
 
 def inserted(path, tmp_path, *records):

@@ -26,6 +26,18 @@ NOT_BELIEVED = (
 BELIEVED = (Fault.NONE, Fault.DRIVE, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING, Fault.ESTOP, Fault.BRAKE)
 
 
+def kept(c, mode, fault, *, known=True, opened=True):
+    """The keeper of a run whose legs rest, which has begun."""
+    state(c)
+    tick = new_record()
+    tick["age"], tick["rate"], tick["length"] = 0, 0.0, 0.33
+    tick["drive_state"] = DriveState.OFF
+    homing = SimpleNamespace(known=known, raw=np.full(6, 0.5), opened=opened)
+    keeper = Keeper(c, emulated=True)
+    keeper.begin(SimpleNamespace(tick=tick, homing=homing, faults=fault, mode=mode))  # type: ignore[arg-type]
+    return keeper
+
+
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory):
     """A function that ends a run whose legs rest, with a fault and one more change; the file's state."""
@@ -33,15 +45,7 @@ def ended(tmp_path_factory):
     c = configuration(folder)
 
     def end(fault, *, known=True):
-        state(c)
-        tick = new_record()
-        tick["age"], tick["rate"], tick["length"] = 0, 0.0, 0.33
-        tick["drive_state"] = DriveState.OFF
-        homing = SimpleNamespace(known=known, raw=np.full(6, 0.5), opened=True)
-        keeper = Keeper(c, emulated=True)
-        mode = Mode.FAULT if fault else Mode.PARKED
-        keeper.begin(SimpleNamespace(tick=tick, homing=homing, faults=fault, mode=mode))  # type: ignore[arg-type]
-        keeper.close()
+        kept(c, Mode.FAULT if fault else Mode.PARKED, fault, known=known).close()
         return read_homing(c, folder / "bench.yaml")
 
     return end
@@ -67,14 +71,7 @@ def test_a_run_whose_homing_file_cannot_be_written_in_the_end_is_told_and_the_fi
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     c = configuration(tmp_path)
-    state(c)
-    tick = new_record()
-    tick["age"], tick["rate"], tick["length"] = 0, 0.0, 0.33
-    tick["drive_state"] = DriveState.OFF
-    homing = SimpleNamespace(known=True, raw=np.full(6, 0.5), opened=opened)
-    keeper = Keeper(c, emulated=True)
-    mode = Mode.PARKED if opened else Mode.LOADING
-    keeper.begin(SimpleNamespace(tick=tick, homing=homing, faults=Fault.NONE, mode=mode))  # type: ignore[arg-type]
+    keeper = kept(c, Mode.PARKED if opened else Mode.LOADING, Fault.NONE, opened=opened)
     assert keeper.trouble == ""
     monkeypatch.setattr("hil.app.configuration.section_file.write_whole", full)
     keeper.close()

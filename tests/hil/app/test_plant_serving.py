@@ -76,6 +76,22 @@ def test_the_bench_wakes_up_when_the_next_drive_speaks_by_its_timer():
     assert bus.deadlines == [301_000, 601_000, 901_000]
 
 
+def test_a_bench_that_hangs_while_a_timer_is_due_waits_and_does_not_spin():
+    """No drive speaks meanwhile: the instant of the next one lies in the past."""
+    bus, stop, readings = Waited(), plant._Stop(), Timer(6 * 300_000.0, 1_000, 1)
+
+    def step(_now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
+        if len(bus.deadlines) == 4:
+            stop.reason = "enough"
+        return []
+
+    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
+    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
+    faults = SimpleNamespace(strike=lambda _: None)
+    plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
+    assert bus.deadlines == [301_000 + k * plant.IDLE_NS for k in range(4)]
+
+
 @pytest.mark.parametrize(("supervisor", "patience_s"), [(None, 0.0), (3, plant.ORPHAN_S + plant.CLOSING_S)])
 def test_the_plant_of_a_run_waits_for_the_orphan_of_the_one_before_and_any_other_is_refused_at_once(
     monkeypatch, supervisor, patience_s

@@ -1,6 +1,7 @@
 """The end of a bring-up: what its files say once six legs are to move, and what a full disk leaves."""
 
 import contextlib
+import errno
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ from hil.app.bringup import command
 from hil.app.bringup.store import Store
 from hil.app.bringup.terminal import Terminal
 from hil.app.configuration.configuration import load
+from hil.app.files import write_whole
 from hil.bringup.context import Finding, RefusedError
 from hil.bringup.procedure import Outcome
 from hil.record.recording import LogSummary
@@ -196,6 +198,26 @@ def test_a_log_that_was_cut_is_said_once_and_six_legs_do_not_move(ended, tmp_pat
 def test_a_log_that_was_cut_at_the_end_is_no_success(ended):
     summary, _ = ended(ran(), fails_at=4)
     assert (summary["success"], FULL in summary["trouble"]) == (False, True)
+
+
+@pytest.mark.parametrize(
+    "findings", [(), (Finding("absent", (3,), "drive 3 is silent", "Look at its cable."),)]
+)
+def test_a_disk_that_is_full_once_all_is_done_takes_no_result_with_it(ended, monkeypatch, findings):
+    """The file of what was found cannot be written again; with findings not at all. The checklist can."""
+    written: list[str] = []
+
+    def write(path, text):
+        written.append(path.name)
+        if path.name == FOUND and written.count(FOUND) == 2 - bool(findings):
+            raise OSError(errno.ENOSPC, FULL, str(path))
+        write_whole(path, text)
+
+    monkeypatch.setattr(command, "write_whole", write)
+    summary, _ = ended(ran(), findings=findings)
+    assert not summary["success"]
+    assert [FULL in why and FOUND in why for why in summary["unwritten"]] == [True]
+    assert written[-1] != FOUND
 
 
 @pytest.mark.parametrize("served", [True, False])

@@ -40,6 +40,14 @@ class Waited:
         self.sent += [(self.t_ns, frame) for frame in frames]
 
 
+def serve(bus: Waited, stop: plant._Stop, step: Any, readings: Timer) -> None:
+    """Serve until the stop, with `step` for what the drives do, and their timer."""
+    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
+    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
+    faults = SimpleNamespace(strike=lambda _: None)
+    plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
+
+
 def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
     bus, stop = Waited(), plant._Stop()
     steps = iter([[(301_000, LATER)], [], []])
@@ -50,10 +58,7 @@ def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
             stop.reason = "enough"
         return [(now_ns + t_ns, frame) for t_ns, frame in found]
 
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=Timer(0.0, 0))
-    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
-    faults = SimpleNamespace(strike=lambda _: None)
-    plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
+    serve(bus, stop, step, Timer(0.0, 0))
     idle = plant.IDLE_NS
     first = 1_000 + idle
     assert bus.deadlines == [first, first + 301_000, first + 301_000 + idle]
@@ -69,10 +74,7 @@ def test_the_bench_wakes_up_when_the_next_drive_speaks_by_its_timer():
             stop.reason = "enough"
         return []
 
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
-    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
-    faults = SimpleNamespace(strike=lambda _: None)
-    plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
+    serve(bus, stop, step, readings)
     assert bus.deadlines == [301_000, 601_000, 901_000]
 
 
@@ -85,10 +87,7 @@ def test_a_bench_that_hangs_while_a_timer_is_due_waits_and_does_not_spin():
             stop.reason = "enough"
         return []
 
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
-    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
-    faults = SimpleNamespace(strike=lambda _: None)
-    plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
+    serve(bus, stop, step, readings)
     assert bus.deadlines == [301_000 + k * plant.IDLE_NS for k in range(4)]
 
 

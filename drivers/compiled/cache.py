@@ -149,8 +149,8 @@ def _began_ns() -> int:
         # This clock first: what passes until the next is read makes the process seem older, which is safe.
         now_ns = time.time_ns()
         since_boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-        # In whole ticks of the clock, rounded down; no interpreter reads a source within its first one.
-        return now_ns - since_boot_ns + (began + 1) * 10**9 // os.sysconf("SC_CLK_TCK")
+        # In whole ticks of the clock, rounded down: this too makes the process seem older.
+        return now_ns - since_boot_ns + began * 10**9 // os.sysconf("SC_CLK_TCK")
     except (OSError, AttributeError, ValueError, IndexError):
         return time.time_ns()
 

@@ -2,6 +2,7 @@
 # ruff: noqa: E402
 
 import signal
+import sys
 
 _handler = signal.getsignal(signal.SIGINT)
 if _handler is signal.default_int_handler:  # Ctrl-C during these imports ends the process without a word
@@ -18,7 +19,7 @@ from hil.cli.interrupts import OF_THIS_PROCESS, one_line_of_interrupt
 from hil.cli.pipes import quiet_pipe
 from hil.cli.streams import own_streams
 
-if _handler is signal.default_int_handler:
+if os.path.basename(sys.argv[0]) not in ("-m", "hil"):  # noqa: PTH119 - else it is so until the command begins
     signal.signal(signal.SIGINT, _handler)
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.

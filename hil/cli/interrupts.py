@@ -62,7 +62,7 @@ class Interrupts:
     def attached(self) -> Iterator[None]:
         """Route SIGINT here for a whole process; at its end nothing disturbs how Python leaves."""
         self._in_vain, self._settled, self.raised = 0, False, False
-        if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        if signal.getsignal(signal.SIGINT) not in {signal.default_int_handler, signal.SIG_DFL}:
             yield  # it is ignored, as in the background of a shell script
             return
         for number in (signal.SIGINT, signal.SIGALRM):

@@ -15,7 +15,11 @@ pytestmark = pytest.mark.long
 def test_an_interrupt_leaves_no_traceback_no_process_and_no_half_file(command, tmp_path):
     stock = tmp_path / "stock.mcap"
     assert perform((*HIL, "sim", "--duration", "1", "--log", str(stock)), tmp_path).code == 0
-    wrong = [(case.moments_s, case.wrong) for case in interrupted(command, stock, tmp_path, 40) if case.wrong]
+    wrong = [
+        (case.moments_s, case.wrong, case.outcome.out, case.outcome.err)
+        for case in interrupted(command, stock, tmp_path, 40)
+        if case.wrong
+    ]
     assert not wrong
 
 

@@ -7,9 +7,11 @@ import errno
 import os
 import resource
 import signal
+import subprocess
 import sys
 import time
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -259,3 +261,30 @@ def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, mo
     assert process("bringup", "virtual", "--rehearse", "--yes") == (INTERRUPTED, "hil: interrupted\n")
     assert let_go == [number]
     assert signal.getsignal(number) is before
+
+
+PRESSES = """
+import os, signal, sys
+
+def called(frame, event, argument):
+    if event == "call" and frame.f_code.co_name == "__call__" and frame.f_code.co_filename.endswith(END):
+        sys.setprofile(None)
+        os.kill(os.getpid(), signal.SIGINT)
+
+END = os.path.join("hil", "cli", "__init__.py")
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.setprofile(called)
+"""
+
+
+@pytest.mark.parametrize(
+    "words", [("-m", "hil.cli"), (str(Path(sys.executable).with_name("hil")),)], ids=["module", "script"]
+)
+def test_an_interrupt_between_the_imports_and_the_command_ends_it_without_a_word(words, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(PRESSES)
+    path = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])])
+    done = subprocess.run(
+        [sys.executable, *words, "--help"],
+        env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")

@@ -7,6 +7,8 @@ import pytest
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import Configuration, load
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 HOLDS_N = 3619
 """What the legs of `virtual` carry at rest, at most."""
 

@@ -11,6 +11,8 @@ from hil.app.check.dangers import _coarse, _implausible
 from hil.app.configuration.configuration import load, loads
 from hil.app.force_steps import stepped_error_m
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
 HEAVY = (("force_limit_N: 30000 ", "force_limit_N: 70000 "),)
 """Drives that can do more than the limits below."""

@@ -16,6 +16,8 @@ from hil.safety import Safety
 from tests.hil.encoder_bench import WIDE, six
 from tests.records import record_of
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 
 @pytest.mark.parametrize("name", ["virtual", "lab", "socketcan"])
 def test_the_limits_are_printed_and_what_is_not_observable_is_named_with_its_error(name):

@@ -17,6 +17,8 @@ from plant_fmu.stewart.build import build
 from tests.broad import broad
 from tests.plant_fmu.test_own_fmu import rewritten
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 OURS = """
 plant:
   model:

@@ -7,6 +7,8 @@ import pytest
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 TITLE = "fused pose, standard deviations"
 PLANT = "\nplant:\n"
 ASSUMED = "(assumed); state monitor.friction_N or estimation.fusion.leg_force_std_N as measured"

@@ -19,6 +19,8 @@ from hil.trajectory.build import build_trajectory
 from tests.broad import broad
 from tests.hil.app.test_configs import NAMES
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 OFTEN = ["virtual", "bench", "vcan50"]
 
 

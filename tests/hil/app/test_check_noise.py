@@ -8,6 +8,8 @@ from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
 from tests.broad import broad
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 STROKE_m = 0.45
 """Of `lab`."""
 

@@ -20,6 +20,8 @@ from hil.trajectory.build import build_trajectory
 from hil.trajectory.override import Override
 from hil.trajectory.stopping import slowed
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 RATE_Hz = 1000.0
 
 

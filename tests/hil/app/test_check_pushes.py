@@ -14,6 +14,8 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.encoder_limits import encoder_limits, friction_N
 from hil.app.reachability import Walk
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 
 def edited(name, *changes):
     c = load(name)

@@ -9,6 +9,8 @@ from hil.app.check.command import inspect
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 EFFICIENCY = [0.9, 0.85, 0.8, 0.9, 1, 0.7]
 MIXED = {
     "lead_m": [0.1, 0.1, 0.16, 0.1, 0.12, 0.1],

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hil.app.check.command import inspect
 from hil.app.configuration import schema
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import platform_dict
@@ -57,6 +58,16 @@ def test_a_shipped_file_names_its_schema_and_an_editor_accepts_it(name):
     text = load(name).text
     assert text.splitlines()[0] == "# yaml-language-server: $schema=hil.schema.json"
     validator().validate(yaml.load(text, Floats))
+
+
+@pytest.mark.parametrize("name", ["bench", "ideal", "lab", "socketcan", "vcan50", "virtual"])
+def test_every_shipped_configuration_passes(name):
+    report = inspect(load(name))
+    json.dumps(report.to_dict())
+    text = "\n".join(report.lines)
+    for word in ("robot at home", "bus", "watchdog", "reference", "real time on this machine"):
+        assert word in text
+    assert [w for w in report.warnings if "SCHED_FIFO" not in w] == []
 
 
 def test_the_committed_schema_is_current():

@@ -27,6 +27,8 @@ from hil.config.feedforward import FeedforwardHead
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 
+pytestmark = pytest.mark.usefixtures("unproven")
+
 VIRTUAL = load("virtual")
 ROWS = np.round(100.0 * np.sin(np.arange(60.0)).reshape(10, 6), 4)
 

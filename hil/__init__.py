@@ -4,10 +4,14 @@ What stands here is stable: `Log` reads a recorded run, `sim` makes one, `Operat
 Nothing is imported before it is asked for, so that `import hil` and a log cost no compilation.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from drivers.errors import (
         BusError,
         ConfigurationError,

@@ -100,7 +100,7 @@ class _Table(click.Group):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Be the work of this process."""
-        with own_streams(), OF_THIS_PROCESS.attached():
+        with own_streams(), one_line_of_interrupt(), OF_THIS_PROCESS.attached():
             return super().__call__(*args, **kwargs)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

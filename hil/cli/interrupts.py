@@ -16,6 +16,8 @@ _ENOUGH = 3
 """Presses after which nothing is closed any more."""
 _AGAIN_S = 0.02
 _OURS = frozenset({"hil", "drivers", "plant_fmu"})
+_FRAGILE = frozenset({"llvmlite", "numba"})
+"""Libraries that, interrupted while they free something, free it again: the process would crash."""
 
 
 class Interrupts:
@@ -23,8 +25,8 @@ class Interrupts:
 
     The first press raises KeyboardInterrupt. While that is on its way, files are closed and processes ended;
     a further press does not disturb it, and neither does one after the result is there. The third one in
-    vain ends the process at once. A press that struck where Python drops exceptions, or in an import, where
-    a library's own code may not bear one, is repeated.
+    vain ends the process at once. A press that struck where Python drops exceptions, or where a library's
+    own code may not bear one, is repeated.
     Mutable state: how many presses were in vain, whether one was not, whether the result is there.
     """
 
@@ -42,7 +44,7 @@ class Interrupts:
         """Handle SIGINT, and the timer that repeats it."""
         del signum
         if not self._settled and not comes_of_interrupt(sys.exc_info()[1]):
-            if importing(frame):
+            if bears_none(frame):
                 signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
                 return
             self.raised = True
@@ -91,12 +93,13 @@ class Interrupts:
 OF_THIS_PROCESS = Interrupts()
 
 
-def importing(frame: FrameType | None) -> bool:
-    """Tell whether what runs here is the import of a module, and no line of this project in it."""
+def bears_none(frame: FrameType | None) -> bool:
+    """Tell whether an import or a fragile library runs here, and no line of this project in it."""
     while frame is not None:
-        if str(frame.f_globals.get("__name__")).partition(".")[0] in _OURS:
+        root = str(frame.f_globals.get("__name__")).partition(".")[0]
+        if root in _OURS:
             return False
-        if frame.f_code.co_filename.startswith("<frozen importlib._bootstrap"):
+        if root in _FRAGILE or frame.f_code.co_filename.startswith("<frozen importlib._bootstrap"):
             return True
         frame = frame.f_back
     return False

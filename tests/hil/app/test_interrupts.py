@@ -159,6 +159,40 @@ def test_a_press_in_the_import_of_a_library_is_repeated_behind_it(monkeypatch, t
     assert interrupts.raised
 
 
+@pytest.mark.parametrize(
+    ("library", "finishes"),
+    [("llvmlite.binding.ffi", True), ("numba.core.dispatcher", True), ("scipy", False)],
+)
+def test_a_press_while_a_library_frees_what_it_would_free_twice_is_repeated_behind_it(
+    library, finishes, process, monkeypatch
+):
+    steps = []
+    frees = compile("steps.append('begun'); press(); steps.append('freed')", "a library", "exec")
+
+    def work():
+        exec(frees, {"__name__": library, "steps": steps, "press": press})  # noqa: S102
+        time.sleep(1.0)
+        steps.append("not interrupted")
+
+    interrupted_in(monkeypatch, work)
+    assert process("check") == (INTERRUPTED, "hil: interrupted\n")
+    assert steps == (["begun", "freed"] if finishes else ["begun"])
+
+
+def test_an_interrupt_before_the_words_are_read_is_one_line_too(process, monkeypatch):
+    monkeypatch.setattr(main, "_main_shell_completion", lambda *_: press())
+    assert process("check") == (INTERRUPTED, "hil: interrupted\n")
+
+
+def test_before_the_command_line_has_its_answer_to_an_interrupt_the_package_imports_next_to_nothing():
+    program = "import sys; before = {*sys.modules}; import hil; print(*sorted({*sys.modules} - before))"
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", "import importlib, __future__; " + program],
+        cwd=Path(__file__).parents[3], capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["hil"]
+
+
 def test_only_what_comes_of_an_interrupt_is_taken_for_one():
     cause = ImportError("numpy")
     cause.__cause__ = KeyboardInterrupt()

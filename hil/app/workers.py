@@ -133,10 +133,11 @@ def _await_parent() -> None:
 def _undisturbed() -> Iterator[None]:
     """Let Ctrl-C wait while processes are started: one that is half started could not be ended.
 
-    They inherit that. A terminal sends Ctrl-C to all, and it is for this process alone, which ends them.
+    And the timer that repeats one. They inherit that. A terminal sends Ctrl-C to all, and it is for this
+    process alone, which ends them.
     """
     ensure_tracker()  # started later it would let Ctrl-C through
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGALRM})
     try:
         yield
     finally:

@@ -10,11 +10,14 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from hil.app import workers
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
 from hil.cli import check, main
@@ -166,7 +169,7 @@ def test_a_press_in_the_import_of_a_library_is_repeated_behind_it(monkeypatch, t
 def test_a_press_while_a_library_frees_what_it_would_free_twice_is_repeated_behind_it(
     library, finishes, process, monkeypatch
 ):
-    steps = []
+    steps: list[str] = []
     frees = compile("steps.append('begun'); press(); steps.append('freed')", "a library", "exec")
 
     def work():
@@ -191,6 +194,26 @@ def test_before_the_command_line_has_its_answer_to_an_interrupt_the_package_impo
         cwd=Path(__file__).parents[3], capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert done.stdout.split() == ["hil"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGALRM], ids=["pressed", "repeated"])
+@pytest.mark.parametrize("starting", ["worker", "recorder"])
+def test_a_press_while_a_process_is_started_waits_until_it_is(starting, number, monkeypatch):
+    order: list[str] = []
+
+    def start(*_: object, **__: object) -> None:
+        signal.raise_signal(number)
+        order.append("started")
+
+    signal.signal(number, lambda *_: order.append("interrupted"))
+    if starting == "worker":
+        monkeypatch.setattr(ProcessPoolExecutor, "submit", start)
+        with pytest.raises(AttributeError, match="_condition"):  # of the outcome, which it has none of
+            list(workers.perform([1, 2], abs, abs, 2, None))
+    else:
+        monkeypatch.setattr(child, "start", start)
+        child.spawn(SimpleNamespace(fd=-1))  # type: ignore[arg-type]
+    assert order[:2] == ["started", "interrupted"]
 
 
 def test_only_what_comes_of_an_interrupt_is_taken_for_one():

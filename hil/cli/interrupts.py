@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any
 
 import click
@@ -60,6 +60,11 @@ class Interrupts:
         else:
             sys.__unraisablehook__(what)
 
+    def printed(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """Take the place of `sys.excepthook`: what is compiled by Cython prints what it then drops."""
+        if not isinstance(error, KeyboardInterrupt):
+            sys.__excepthook__(kind, error, trace)
+
     @contextmanager
     def attached(self) -> Iterator[None]:
         """Route SIGINT here for a whole process; at its end nothing disturbs how Python leaves."""
@@ -69,10 +74,12 @@ class Interrupts:
             return
         for number in (signal.SIGINT, signal.SIGALRM):
             signal.signal(number, self.pressed)
-        sys.unraisablehook = self.dropped
+        hooks = sys.unraisablehook, sys.excepthook
+        sys.unraisablehook, sys.excepthook = self.dropped, self.printed
         try:
             yield
         finally:
+            sys.unraisablehook, sys.excepthook = hooks
             for number in (signal.SIGINT, signal.SIGALRM):  # a press that is repeated would end Python's end
                 signal.signal(number, signal.SIG_IGN)
 

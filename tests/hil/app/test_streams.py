@@ -136,12 +136,13 @@ def test_a_sign_that_the_locale_has_not_is_shown_as_its_number(
     form: str,
 ) -> None:
     out, text = tmp_path / "out.txt", "\xe9 \u2013"
-    monkeypatch.setattr("sys.stdout", out.open("w", encoding=encoding))
     work = {
         "figures": lambda file: finish("check", GOOD | {"text": text}, file),
         "lines": lambda file: finish_lines([text], GOOD, file),
     }[form]
-    assert invoked(work) == 0
+    with out.open("w", encoding=encoding) as stream, monkeypatch.context() as patch:
+        patch.setattr("sys.stdout", stream)
+        assert invoked(work) == 0
     assert shown in out.read_text(encoding=encoding)
     assert json_file.exists()
 

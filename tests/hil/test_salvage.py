@@ -227,15 +227,20 @@ def attachment(data, *, checked=True):
     return whole[:9] + bytes(content)
 
 
-def unpacked(data, *, crc, spare=b""):
-    """A chunk that is not compressed."""
+def unpacked(data, *, crc, spare=b"", compression=""):
+    """A chunk in which the records can be read as they are, though it may have the form of a packed one."""
     content = record_bytes(
         Chunk(
             message_start_time=0, message_end_time=1, uncompressed_size=len(data), uncompressed_crc=crc,
-            compression="", data=data,
+            compression=compression, data=stored(data) if compression else data,
         )
     )[9:]  # fmt: skip
     return struct.pack("<BQ", 6, len(content) + len(spare)) + content + spare
+
+
+def stored(data):
+    """A frame of Zstandard with one block that is not compressed."""
+    return b"\x28\xb5\x2f\xfd\x20" + bytes([len(data)]) + (len(data) << 3 | 1).to_bytes(3, "little") + data
 
 
 INNER = metadata("x", x="1") + metadata("y", y="2")
@@ -249,9 +254,11 @@ JUNK = b"\xff" * 50
         (attachment(INNER, checked=False), False),
         (attachment(INNER)[:-1] + b"\0", False),
         (unpacked(INNER, crc=zlib.crc32(INNER)), True),
+        (unpacked(INNER, crc=zlib.crc32(INNER), compression="zstd"), True),
         (unpacked(INNER, crc=0), False),
         (unpacked(INNER, crc=zlib.crc32(INNER) ^ 1), False),
         (unpacked(INNER, crc=zlib.crc32(INNER), spare=b"\0"), False),
+        (unpacked(INNER, crc=zlib.crc32(INNER), spare=b"\0" * 8, compression="zstd"), False),
         (metadata("b", b=INNER.decode("latin-1")), False),
     ],
     ids=[
@@ -259,9 +266,11 @@ JUNK = b"\xff" * 50
         "no sum",
         "wrong sum",
         "chunk",
+        "chunk of zstd",
         "chunk, no sum",
         "wrong",
         "spare byte",
+        "spare bytes",
         "no sum by kind",
     ],
 )

@@ -27,9 +27,9 @@ class Component(NamedTuple):
     """Its place in the column, row by row."""
 
     def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.float64 | np.int64]]:
-        """Return its values (n,) in rows."""
-        values = np.ascontiguousarray(rows[self.column.name])
-        return values.reshape(len(rows), self.column.size)[:, self.element]
+        """Return its values (n,) in rows; those of the other elements are not kept with them."""
+        values = rows[self.column.name].reshape(len(rows), self.column.size)
+        return np.ascontiguousarray(values[:, self.element])
 
 
 class Selection(NamedTuple):

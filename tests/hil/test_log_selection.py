@@ -1,0 +1,100 @@
+"""Which rows and columns of a log a selection takes, and how parts of a log become one array."""
+
+import weakref
+
+import numpy as np
+import pytest
+
+from drivers.errors import LogError
+from drivers.tick_columns import Column
+from hil.record.selection import Selection, joined
+
+COLUMNS = (
+    Column("output", "tick", int, "", "number of the tick"),
+    Column("output", "t_ns", int, "ns", "time"),
+    Column("output", "q", float, "m", "lengths", (), (3,)),
+)
+TICKS = np.dtype([("tick", "<i8")])
+
+
+def rows_of(count):
+    rows = np.zeros(count, Selection.of(COLUMNS, (), "a.mcap").dtype)
+    rows["tick"] = np.arange(count)
+    rows["t_ns"] = 10 * rows["tick"]
+    return rows
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 9, 11])
+def test_parts_stand_behind_each_other_in_their_order_however_many_there_are(count):
+    """Of eleven with 5500 rows each, nine are put together by three before the end."""
+    whole = np.zeros(5500 * count, TICKS)
+    whole["tick"] = np.arange(len(whole)) + 1
+    found = joined(iter([whole[a : a + 5500] for a in range(0, len(whole), 5500)]), TICKS)
+    np.testing.assert_array_equal(found, whole)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "kept"),
+    [
+        ([16383], [True]),
+        ([16384], [False]),
+        ([8192, 8191], [True, True]),
+        ([8192, 8192], [False, False]),
+        ([1, 20_000, 1], [False, False, True]),
+        ([8192, 8192, 8192, 8191], [False, False, True, True]),
+    ],
+    ids=str,
+)
+def test_parts_are_let_go_as_soon_as_they_have_16384_rows_together_and_not_before(sizes, kept):
+    """A few large pieces go back to the system; many small ones stay with the process."""
+    there: list[bool] = []
+
+    def parts():
+        known = []
+        for size in sizes:
+            part = np.zeros(size, TICKS)
+            known.append(weakref.ref(part))
+            yield part
+            del part
+        yield np.zeros(0, TICKS)  # in the place of the last one
+        there.extend(each() is not None for each in known)
+
+    assert len(joined(parts(), TICKS)) == sum(sizes)
+    assert there == kept
+
+
+def test_of_a_log_that_is_wanted_as_it_is_no_row_is_copied():
+    rows = rows_of(4)
+    selection = Selection.of(COLUMNS, (), "a.mcap")
+    assert selection.within(rows) is rows
+    assert selection.of_rows(rows) is rows
+
+
+@pytest.mark.parametrize(
+    ("span", "ticks"),
+    [
+        ({"first_ns": 20.0}, [2, 3, 4]),
+        ({"last_ns": 20.0}, [0, 1, 2]),
+        ({"first_ns": 10.0, "last_ns": 30.0}, [1, 2, 3]),
+        ({"first_ns": 30.5}, [4]),
+        ({"last_ns": -0.5}, []),
+    ],
+    ids=str,
+)
+def test_a_span_has_its_first_and_its_last_instant_in_it_and_may_have_one_end(span, ticks):
+    selection = Selection.of(COLUMNS, (), "a.mcap")._replace(**span)
+    assert selection.within(rows_of(5))["tick"].tolist() == ticks
+
+
+def test_columns_come_once_each_in_the_order_asked_for_with_the_values_of_their_rows():
+    rows = rows_of(3)
+    rows["q"] = np.arange(9).reshape(3, 3)
+    found = Selection.of(COLUMNS, ("q", "tick", "q"), "a.mcap").of_rows(rows)
+    assert found.dtype.names == ("q", "tick")
+    assert found["q"].tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]]
+    assert found["tick"].tolist() == [0, 1, 2]
+
+
+def test_of_several_unknown_columns_the_first_is_said_with_the_log():
+    with pytest.raises(LogError, match=r"^a\.mcap: no column 'legs'; there are tick, t_ns, q \.\.\.$"):
+        Selection.of(COLUMNS, ("tick", "legs", "arms"), "a.mcap")

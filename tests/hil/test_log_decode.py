@@ -1,0 +1,181 @@
+"""What messages give that are not laid out as ours are: rows, frames, ticks; and which of them are refused."""
+
+import numpy as np
+import pytest
+from mcap.records import Channel, Message
+from mcap.records import Schema as SchemaRecord
+
+from drivers.errors import LogError
+from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
+from drivers.tick_columns import RECORDED, ROW
+from hil.record.decode import ITEM, Decoder
+from hil.record.entries import LoggedFrame, assemble, logged
+from hil.record.layout import varint
+from hil.record.mcap_file import record_bytes
+from hil.record.mcap_read import split
+from hil.record.row import TICKS, RowCodec, row_schema
+from hil.record.schema import frame_schema, message_class
+from hil.signals import Operator, Order, SetPoint
+from tests.hil.samples import random_rows
+
+HEAD = 31
+"""Bytes of the record in front of the data of a message."""
+ROWS, FRAMES = 1, 2
+"""Channels."""
+
+
+@pytest.fixture(scope="module")
+def decoder():
+    found = Decoder("a.mcap")
+    for number, topic, schema in ((ROWS, "/tick", row_schema(TICKS)), (FRAMES, "/can", frame_schema())):
+        found.learn(SchemaRecord(id=number, name=schema.name, encoding="protobuf", data=schema.descriptors))
+        found.learn(
+            Channel(id=number, topic=topic, message_encoding="protobuf", metadata={}, schema_id=number)
+        )
+    found.expect("/tick", RECORDED, ["can0"], 5_000_000_000)
+    return found
+
+
+def buffer(channel, payloads):
+    data = b"".join(
+        record_bytes(Message(channel_id=channel, log_time=0, publish_time=0, sequence=0, data=payload))
+        for payload in payloads
+    )
+    return data, split(data)[0]
+
+
+def laid_out(rows):
+    """Messages of rows as ours are."""
+    codec = RowCodec(RECORDED)
+    records = codec.layout.new(len(rows))
+    codec.write(rows, records)
+    return [each.tobytes()[HEAD:] for each in records]
+
+
+def padding(size):
+    """A field of no meaning, of so many bytes, from 132 on."""
+    return varint(2000 << 3 | 2) + varint(size - 4) + bytes(size - 4)
+
+
+# -- rows ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_field_that_stands_twice_in_a_message_has_its_last_value_beside_rows_as_ours_are(decoder, place):
+    rows = random_rows(3)
+    payloads = laid_out(rows)
+    number = 1 + ROW.names.index("tick")
+    payloads[place] += varint(number << 3 | 1) + (777).to_bytes(8, "little")
+    rows["tick"][place] = 777
+    assert decoder.rows(*buffer(ROWS, payloads)).tobytes() == rows.tobytes()
+
+
+def empty_rows(more):
+    """Messages in which all is left out, so many that rows may have 1 MiB beyond 8 times their bytes, and `more`.
+
+    The last one has a field of no meaning, which makes up for the rest.
+    """
+    count = (1 << 20) // (ROW.itemsize - 8 * HEAD) + 4
+    most, rest = divmod(count * ROW.itemsize - (1 << 20), 8)
+    assert rest == 0
+    data, table = buffer(ROWS, [b""] * (count - 1) + [padding(most - count * HEAD + more)])
+    assert len(data) == most + more
+    return count, data, table
+
+
+def test_rows_may_take_8_times_the_bytes_of_their_messages_and_1_MiB_more(decoder):
+    count, data, table = empty_rows(0)
+    assert decoder.rows(data, table).tobytes() == bytes(count * ROW.itemsize)
+
+
+def test_rows_of_messages_that_are_a_byte_too_short_are_refused_with_both_sizes(decoder):
+    count, data, table = empty_rows(-1)
+    with pytest.raises(LogError) as refused:
+        decoder.rows(data, table)
+    assert str(refused.value) == (
+        f"a.mcap: {count} messages of /tick of {len(data)} bytes together are too short for rows of "
+        f"{ROW.itemsize} bytes"
+    )
+
+
+# -- frames --------------------------------------------------------------------------------------------------
+
+
+def frame(**values):
+    message = message_class(frame_schema())(**values)
+    message.header.stamp.seconds, message.header.stamp.nanos = 5, 3
+    return message.SerializeToString()
+
+
+@pytest.mark.parametrize("size", [0, 1, 63, 64])
+def test_a_frame_of_another_layout_has_up_to_64_bytes_and_all_that_was_said_of_it(decoder, size):
+    data = bytes(range(1, size + 1))
+    said = frame(data=data, id=9, is_extended=True, fdf=True, direction=2, tick=7, index=4, bus=3)
+    items = decoder.frames(*buffer(FRAMES, [frame(), said]))
+    assert items["index"].tolist() == [0, 4]
+    assert list(logged(items)) == [
+        LoggedFrame(3, 0, False, 0, 0, b"", 0),
+        LoggedFrame(3, 7, True, 3, 9, data, EXTENDED | FD),
+    ]
+
+
+@pytest.mark.parametrize("size", [65, 200])
+def test_a_frame_of_more_bytes_than_can_carries_is_refused_with_their_number(decoder, size):
+    with pytest.raises(LogError, match=f"^a.mcap: a frame with {size} data bytes: at most 64$"):
+        decoder.frames(*buffer(FRAMES, [frame(), frame(data=bytes(size))]))
+
+
+# -- ticks ---------------------------------------------------------------------------------------------------
+
+
+def items_of(*entries):
+    """Items in the order given: tick, direction, index; their identifiers count from 1."""
+    items = np.zeros(len(entries), ITEM)
+    for k, (tick, direction, index) in enumerate(entries):
+        items[k]["tick"], items[k]["direction"], items[k]["index"] = tick, direction, index
+        items[k]["id"], items[k]["t_ns"] = k + 1, 10 * (k + 1)
+    return items
+
+
+def test_a_tick_has_the_frames_that_are_said_to_be_received_or_sent_and_no_others():
+    """Another program may have written directions that nothing names, and frames of ticks that have no row."""
+    items = items_of(*[(tick, direction, 0) for tick in (4, 5, 6, 7) for direction in (0, 1, 2, 3)])
+    found = list(assemble(random_rows(7)[5:], items, {}))
+    assert [tick.received for tick in found] == [
+        (Received(60, Frame(6, b"", 0)),),
+        (Received(100, Frame(10, b"", 0)),),
+    ]
+    assert [tick.sent for tick in found] == [(Frame(7, b"", 0),), (Frame(11, b"", 0),)]
+
+
+def test_frames_of_a_tick_stand_by_their_index_each_way_for_itself_wherever_they_lay():
+    items = items_of((0, 2, 9), (0, 1, 5), (0, 2, 1), (0, 1, 2), (0, 1, 7))
+    items["length"], items["bus"] = [1, 2, 3, 64, 0], [0, 5, 1, 0, 255]
+    items["data"] = np.arange(5 * 64).reshape(5, 64) % 250
+    (tick,) = assemble(random_rows(1), items, {})
+    data = [bytes((64 * k + b) % 250 for b in range(n)) for k, n in enumerate([1, 2, 3, 64, 0])]
+    assert tick.received == (
+        Received(40, Frame(4, data[3], 0)),
+        Received(20, Frame(2, data[1], 5 * BUS)),
+        Received(50, Frame(5, b"", 255 * BUS)),
+    )
+    assert tick.sent == (Frame(3, data[2], BUS), Frame(1, data[0], 0))
+
+
+def test_commands_of_a_tick_stand_by_their_index_each_kind_for_itself():
+    pose = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    commands = {
+        1: [
+            (9, int(Operator.HOLD), ()),
+            (2, int(Operator.STOP), ()),
+            (8, int(Operator.SETPOINT), pose[::-1]),
+            (1, int(Operator.RESET), ()),
+            (4, int(Operator.SPEED), (0.5,)),
+            (3, int(Operator.SETPOINT), pose),
+        ]
+    }
+    before, tick = assemble(random_rows(2), items_of(), commands)
+    assert (before.operator, before.setpoints, before.orders) == ((), (), ())
+    assert tick.operator == (Operator.RESET, Operator.STOP)
+    assert tick.setpoints == (SetPoint(*pose), SetPoint(*pose[::-1]))
+    assert tick.orders == (Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD))

@@ -82,13 +82,14 @@ def logged(items: Rows) -> Iterator[LoggedFrame]:
 
 def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
     """Yield the ticks of `rows`, with their items."""
+    items = items[np.isin(items["direction"], (RX, TX))]
     items = items[np.lexsort((items["index"], items["direction"], items["tick"]))]
     flags = items["flags"] + items["bus"].astype(np.int64) * BUS
     frames = list(map(Frame, items["id"].tolist(), _contents(items), flags.tolist()))
     received = list(map(Received, items["t_ns"].tolist(), frames))
-    key = items["tick"] * 4 + items["direction"]
-    wanted = rows["tick"] * 4
-    first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in (RX, TX, TX + 1))
+    key = items["tick"] * 2 + (items["direction"] == TX)
+    wanted = rows["tick"] * 2
+    first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in range(3))
     for row, tick, a, b, c in zip(rows, rows["tick"].tolist(), first, middle, last, strict=True):
         tick_received, tick_sent = tuple(received[a:b]), tuple(frames[b:c])
         if tick not in commands:

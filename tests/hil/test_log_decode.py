@@ -139,13 +139,14 @@ def items_of(*entries):
 
 def test_a_tick_has_the_frames_that_are_said_to_be_received_or_sent_and_no_others():
     """Another program may have written directions that nothing names, and frames of ticks that have no row."""
-    items = items_of(*[(tick, direction, 0) for tick in (4, 5, 6, 7) for direction in (0, 1, 2, 3)])
+    directions = (0, 1, 2, 3, 4, 5, 6, 9, 255)
+    items = items_of(*[(tick, direction, 0) for tick in (4, 5, 6, 7) for direction in directions])
     found = list(assemble(random_rows(7)[5:], items, {}))
     assert [tick.received for tick in found] == [
-        (Received(60, Frame(6, b"", 0)),),
-        (Received(100, Frame(10, b"", 0)),),
+        (Received(110, Frame(11, b"", 0)),),
+        (Received(200, Frame(20, b"", 0)),),
     ]
-    assert [tick.sent for tick in found] == [(Frame(7, b"", 0),), (Frame(11, b"", 0),)]
+    assert [tick.sent for tick in found] == [(Frame(12, b"", 0),), (Frame(21, b"", 0),)]
 
 
 def test_frames_of_a_tick_stand_by_their_index_each_way_for_itself_wherever_they_lay():

@@ -10,7 +10,7 @@ from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import RECORDED, ROW
 from hil.record.decode import ITEM, Decoder
 from hil.record.entries import LoggedFrame, assemble, logged
-from hil.record.layout import varint
+from hil.record.layout import frame_layout, pack_varint5, varint
 from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import split
 from hil.record.row import TICKS, RowCodec, row_schema
@@ -22,6 +22,7 @@ HEAD = 31
 """Bytes of the record in front of the data of a message."""
 ROWS, FRAMES = 1, 2
 """Channels."""
+BUSES = ["can0", "the_second_can"]
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def decoder():
         found.learn(
             Channel(id=number, topic=topic, message_encoding="protobuf", metadata={}, schema_id=number)
         )
-    found.expect("/tick", RECORDED, ["can0"], 5_000_000_000)
+    found.expect("/tick", RECORDED, BUSES, 5_000_000_000)
     return found
 
 
@@ -98,6 +99,24 @@ def test_rows_of_messages_that_are_a_byte_too_short_are_refused_with_both_sizes(
     )
 
 
+def test_rows_as_ours_are_read_from_between_the_messages_of_other_topics(decoder):
+    rows = random_rows(3)
+    first, second, third = laid_out(rows)
+    parts = [
+        (FRAMES, frame()),
+        (ROWS, first),
+        (FRAMES, b""),
+        (ROWS, second),
+        (ROWS, third),
+        (FRAMES, frame()),
+    ]
+    data = b"".join(buffer(channel, [payload])[0] for channel, payload in parts)
+    assert decoder.rows(data, split(data)[0]).tobytes() == rows.tobytes()
+    parts[3] = ROWS, second + padding(200)
+    data = b"".join(buffer(channel, [payload])[0] for channel, payload in parts)
+    assert decoder.rows(data, split(data)[0]).tobytes() == rows.tobytes()
+
+
 # -- frames --------------------------------------------------------------------------------------------------
 
 
@@ -119,10 +138,70 @@ def test_a_frame_of_another_layout_has_up_to_64_bytes_and_all_that_was_said_of_i
     ]
 
 
+def frame_as_ours(channel, size, **values):
+    """A message whose layout is that of ours; its data count from 1, its time is 7 s and 123456789 ns."""
+    layout = frame_layout(size, channel)
+    record = layout.new(1)
+    for name in layout.payload.names:
+        record[name] = values.get(name, 0)
+    record["seconds"], record["nanos"] = pack_varint5(np.array([7, 123_456_789]))[:, None]
+    if size:
+        record["data"] = np.arange(1, size + 1)
+    return record.tobytes()[HEAD:]
+
+
+def test_frames_as_ours_have_all_that_was_said_of_them_on_buses_of_long_and_short_names(decoder, monkeypatch):
+    def parsed(*_):
+        raise AssertionError("a parser was asked")
+
+    monkeypatch.setattr(Decoder, "_protobuf", parsed)
+    sizes = [0, 64, 1, 63, 8, 8]
+    flags = {"is_extended": 1, "fdf": 2, "brs": 4, "esi": 8, "is_rtr": 16, "is_error": 32}
+    payloads = [
+        frame_as_ours(
+            BUSES[k % 2].encode(), size, id=100 + k, direction=1 + k // 3, tick=200 + k, index=300 + k, bus=k,
+            **{name: 1},
+        )
+        for k, (size, name) in enumerate(zip(sizes, flags, strict=True))
+    ]  # fmt: skip
+    items = decoder.frames(*buffer(FRAMES, payloads))
+    assert items["index"].tolist() == [300, 301, 302, 303, 304, 305]
+    assert list(logged(items)) == [
+        LoggedFrame(
+            2_123_456_789, 200 + k, k >= 3, k, 100 + k, bytes(range(1, sizes[k] + 1)), list(flags.values())[k]
+        )
+        for k in range(6)
+    ]
+
+
 @pytest.mark.parametrize("size", [65, 200])
 def test_a_frame_of_more_bytes_than_can_carries_is_refused_with_their_number(decoder, size):
-    with pytest.raises(LogError, match=f"^a.mcap: a frame with {size} data bytes: at most 64$"):
+    with pytest.raises(LogError, match=rf"^a\.mcap: a frame with {size} data bytes: at most 64$"):
         decoder.frames(*buffer(FRAMES, [frame(), frame(data=bytes(size))]))
+
+
+# -- damage --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("payload", [b"\xff", b"\x0a\x7f", laid_out(random_rows(1))[0][:-1]], ids=len)
+def test_a_message_that_its_schema_does_not_read_is_refused_with_its_topic(decoder, payload):
+    for read, channel, topic in (
+        (decoder.rows, ROWS, "/tick"),
+        (decoder.frames, FRAMES, "/can"),
+        (lambda data, table: list(decoder.messages(data, table, "/can")), FRAMES, "/can"),
+    ):
+        with pytest.raises(
+            LogError, match=rf"^a\.mcap: a message of {topic} is damaged or of another kind: "
+        ):
+            read(*buffer(channel, [b"", payload]))
+
+
+def test_messages_whose_schema_is_missing_are_refused_with_their_topic():
+    lone = Decoder("a.mcap")
+    lone.learn(Channel(id=FRAMES, topic="/can", message_encoding="", metadata={}, schema_id=FRAMES))
+    lone.expect("/tick", RECORDED, ["can0"], 0)
+    with pytest.raises(LogError, match=r"^a\.mcap: a message of /can is damaged or of another kind: "):
+        lone.frames(*buffer(FRAMES, [frame()]))
 
 
 # -- ticks ---------------------------------------------------------------------------------------------------

@@ -99,22 +99,32 @@ def test_rows_of_messages_that_are_a_byte_too_short_are_refused_with_both_sizes(
     )
 
 
-def test_rows_as_ours_are_read_from_between_the_messages_of_other_topics(decoder):
+def among_frames(first, second, third):
+    """A buffer with three messages of rows, and those of frames between them."""
+    of_frames = buffer(FRAMES, [frame()])[0]
+    one, two, three = (buffer(ROWS, [payload])[0] for payload in (first, second, third))
+    data = of_frames + one + buffer(FRAMES, [b""])[0] + two + three + of_frames
+    return data, split(data)[0]
+
+
+@pytest.fixture
+def without_parser(monkeypatch):
+    def parsed(*_):
+        raise AssertionError("a parser was asked")
+
+    monkeypatch.setattr(Decoder, "_protobuf", parsed)
+
+
+def test_rows_as_ours_are_taken_from_among_frames_without_a_parser(decoder, without_parser):
+    rows = random_rows(3)
+    assert decoder.rows(*among_frames(*laid_out(rows))).tobytes() == rows.tobytes()
+
+
+def test_rows_of_which_one_is_longer_are_taken_from_among_frames(decoder):
     rows = random_rows(3)
     first, second, third = laid_out(rows)
-    parts = [
-        (FRAMES, frame()),
-        (ROWS, first),
-        (FRAMES, b""),
-        (ROWS, second),
-        (ROWS, third),
-        (FRAMES, frame()),
-    ]
-    data = b"".join(buffer(channel, [payload])[0] for channel, payload in parts)
-    assert decoder.rows(data, split(data)[0]).tobytes() == rows.tobytes()
-    parts[3] = ROWS, second + padding(200)
-    data = b"".join(buffer(channel, [payload])[0] for channel, payload in parts)
-    assert decoder.rows(data, split(data)[0]).tobytes() == rows.tobytes()
+    found = decoder.rows(*among_frames(first, second + padding(200), third))
+    assert found.tobytes() == rows.tobytes()
 
 
 # -- frames --------------------------------------------------------------------------------------------------
@@ -150,12 +160,10 @@ def frame_as_ours(channel, size, **values):
     return record.tobytes()[HEAD:]
 
 
-def test_frames_as_ours_have_all_that_was_said_of_them_on_buses_of_long_and_short_names(decoder, monkeypatch):
-    def parsed(*_):
-        raise AssertionError("a parser was asked")
-
-    monkeypatch.setattr(Decoder, "_protobuf", parsed)
-    sizes = [0, 64, 1, 63, 8, 8]
+def test_frames_as_ours_have_all_that_was_said_of_them_on_buses_of_long_and_short_names(
+    decoder, without_parser
+):
+    sizes = [8, 64, 0, 63, 8, 1]
     flags = {"is_extended": 1, "fdf": 2, "brs": 4, "esi": 8, "is_rtr": 16, "is_error": 32}
     payloads = [
         frame_as_ours(
@@ -172,6 +180,19 @@ def test_frames_as_ours_have_all_that_was_said_of_them_on_buses_of_long_and_shor
         )
         for k in range(6)
     ]
+
+
+def test_a_frame_as_ours_on_a_bus_of_another_name_is_read_between_those_of_ours(decoder):
+    payloads = [
+        frame_as_ours(channel, 8, id=100 + k, tick=200 + k, is_extended=min(k, 1))
+        for k, channel in enumerate([b"canX", b"can0", b"canX", b"can0"])
+    ]
+    payloads[3] = payloads[3].replace(bytes(range(1, 9)), b"12345678")
+    found = list(logged(decoder.frames(*buffer(FRAMES, payloads))))
+    assert [(f.id, f.tick, f.t_ns, f.flags) for f in found] == [
+        (100 + k, 200 + k, 2_123_456_789, min(k, 1)) for k in range(4)
+    ]
+    assert [f.data for f in found] == [bytes(range(1, 9))] * 3 + [b"12345678"]
 
 
 @pytest.mark.parametrize("size", [65, 200])

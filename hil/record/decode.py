@@ -152,7 +152,7 @@ class Decoder:
         for name in _NUMBERS:
             items[name] = frames[name]
         for name, bit in FRAME_FLAGS.items():
-            items["flags"] |= frames[name] * np.uint8(bit)
+            items["flags"] |= (frames[name] != 0) * np.uint8(bit)
         items["length"] = length
         if length:
             items["data"][:, :length] = frames["data"]

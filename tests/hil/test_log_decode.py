@@ -6,7 +6,7 @@ from mcap.records import Channel, Message
 from mcap.records import Schema as SchemaRecord
 
 from drivers.errors import LogError
-from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
+from drivers.protocol import BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import RECORDED, ROW
 from hil.record.decode import ITEM, Decoder
 from hil.record.entries import LoggedFrame, assemble, logged
@@ -193,6 +193,16 @@ def test_a_frame_as_ours_on_a_bus_of_another_name_is_read_between_those_of_ours(
         (100 + k, 200 + k, 2_123_456_789, min(k, 1)) for k in range(4)
     ]
     assert [f.data for f in found] == [bytes(range(1, 9))] * 3 + [b"12345678"]
+
+
+def test_a_flag_of_a_frame_is_set_whatever_number_stands_for_true(decoder):
+    """Protobuf takes each number but 0 for true, on whichever bus."""
+    payloads = [
+        frame_as_ours(channel, 8, is_extended=number, fdf=0, esi=number)
+        for channel in (b"can0", b"canX")
+        for number in (0, 1, 2, 3, 127)
+    ]
+    assert decoder.frames(*buffer(FRAMES, payloads))["flags"].tolist() == [0, *[EXTENDED | ESI] * 4] * 2
 
 
 @pytest.mark.parametrize("size", [65, 200])

@@ -2,6 +2,7 @@
 
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ class Held:
         self.metadata = {"hil": told.get("said", {})}
         self.attachments = {"config.yaml": told.get("configuration", b"a: 1\n")}
         self.epoch_ns, self.lockstep = told.get("epoch_ns", 0), told.get("lockstep", True)
-        self.plant = told.get("plant")
+        self.plant: Any = told.get("plant")
 
     def rows(self, *names, start_s=None, stop_s=None):
         t_s = self.held["t_ns"] * 1e-9

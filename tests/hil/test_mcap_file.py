@@ -13,9 +13,16 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Schema
 from mcap.stream_reader import StreamReader
 
-from hil.record.mcap_file import McapFile, being_written
+from hil.record.mcap_file import MAGIC, McapFile, being_written
 
 MESSAGES = 40
+
+
+def add(file: McapFile, channel: int, times: list[int]) -> None:
+    """Write a chunk of messages whose values are their times."""
+    records = [struct.pack("<BQHIQQI", 5, 22 + 4, channel, t, t, t, t) for t in times]
+    count = len(times)
+    file.add_chunk(b"".join(records), np.full(count, channel), np.array(times), np.arange(count) * 35)
 
 
 def with_chunks(path: Path, chunks: int) -> McapFile:
@@ -23,10 +30,7 @@ def with_chunks(path: Path, chunks: int) -> McapFile:
     file.add_schema(Schema(id=1, name="none", encoding="", data=b""))
     file.add_channel(Channel(id=1, topic="/a", message_encoding="raw", metadata={}, schema_id=1))
     for k in range(chunks):
-        times = np.arange(MESSAGES) + k * MESSAGES
-        head = [struct.pack("<BQHIQQ", 5, 22 + 4, 1, t, t, t) + struct.pack("<I", t) for t in times.tolist()]
-        offsets = np.cumsum([0, *map(len, head[:-1])])
-        file.add_chunk(b"".join(head), np.ones(MESSAGES, np.int64), times, offsets)
+        add(file, 1, list(range(k * MESSAGES, (k + 1) * MESSAGES)))
     return file
 
 
@@ -125,3 +129,181 @@ def test_a_file_that_is_finished_is_on_the_disk_to_its_last_byte(tmp_path, monke
     assert synced == []
     file.finish()
     assert synced[-1:] == [path.stat().st_size]
+
+
+# -- the descriptor ------------------------------------------------------------------------------------------
+
+
+def held(path):
+    """Return how many descriptors of a file this process has, be the file there or gone."""
+    links = [str(fd.readlink()) for fd in Path("/proc/self/fd").iterdir() if fd.is_symlink()]
+    assert len(links) > 2
+    return sum(link.removesuffix(" (deleted)") == str(path) for link in links)
+
+
+def test_a_look_whether_a_file_is_written_leaves_nothing_open(tmp_path):
+    idle = tmp_path / "idle.mcap"
+    idle.write_bytes(b"x")
+    assert (being_written(idle), held(idle)) == (False, 0)
+    file = McapFile(tmp_path / "a.mcap", "a test")
+    assert [(being_written(file.path), held(file.path)) for _ in range(2)] == [(True, 1)] * 2
+    file.close()
+
+
+@pytest.mark.parametrize("end", [McapFile.finish, McapFile.close])
+def test_a_file_is_open_until_its_end(end, tmp_path):
+    file = with_chunks(tmp_path / "a.mcap", 1)
+    assert held(file.path) == 1
+    end(file)
+    assert held(file.path) == 0
+
+
+@pytest.mark.parametrize("number", [0, 1, 7])
+def test_each_descriptor_is_closed_once_the_lowest_one_as_well(number, tmp_path, monkeypatch):
+    """Where standard input is closed the system gives 0; a number that is closed twice may be of another file."""
+    closed: list[int] = []
+    file = with_chunks(tmp_path / "a.mcap", 1)
+    file.close()
+    monkeypatch.setattr(file, "_fd", number)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "close", closed.append)
+        for _ in range(3):
+            file.close()
+    assert closed == [number]
+
+
+def test_a_file_that_is_discarded_is_closed_and_gone(tmp_path):
+    file = with_chunks(tmp_path / "a.mcap", 1)
+    assert held(file.path) == 1
+    file.discard()
+    assert held(file.path) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_whose_first_bytes_find_no_room_is_closed_and_gone(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        McapFile(tmp_path / "a.mcap", "a test")
+    assert held(tmp_path / "a.mcap") == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_exists_is_never_overwritten(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"another one")
+    with pytest.raises(FileExistsError):
+        McapFile(path, "a test")
+    assert path.read_bytes() == b"another one"
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0, 0o666), (0o027, 0o640)])
+def test_a_file_may_be_read_and_written_by_those_whom_the_umask_leaves(umask, mode, tmp_path):
+    before = os.umask(umask)
+    try:
+        file = with_chunks(tmp_path / "a.mcap", 1)
+    finally:
+        os.umask(before)
+    file.close()
+    assert file.path.stat().st_mode & 0o7777 == mode
+
+
+@pytest.mark.parametrize(("there", "synced"), [(True, "fdatasync"), (False, "fsync")])
+def test_what_was_written_is_put_onto_the_disk_when_asked_by_the_shorter_way_where_there_is_one(
+    there, synced, tmp_path, monkeypatch
+):
+    calls = []
+    file = with_chunks(tmp_path / "a.mcap", 1)
+    for name in ("fdatasync", "fsync"):
+        monkeypatch.setattr(os, name, lambda fd, name=name: calls.append((name, os.fstat(fd).st_size)), False)
+    if not there:
+        monkeypatch.delattr(os, "fdatasync")
+    file.sync()
+    assert calls == [(synced, file.path.stat().st_size)]
+    file.close()
+
+
+def test_messages_are_counted_by_channel_and_of_one_that_has_none_there_are_none(tmp_path):
+    file = with_chunks(tmp_path / "a.mcap", 0)
+    assert (file.messages, file.messages_of(1), file.messages_of(0)) == (0, 0, 0)
+    file.add_chunk(b"", np.array([1, 9, 9, 1, 9]), np.arange(5), np.arange(5))
+    add(file, 9, [8, 9])
+    assert (file.messages, file.messages_of(1), file.messages_of(9), file.messages_of(2)) == (7, 2, 5, 0)
+    file.close()
+
+
+# -- a full disk ---------------------------------------------------------------------------------------------
+
+
+def test_without_a_chunk_a_full_disk_takes_nothing_back(tmp_path):
+    file = with_chunks(tmp_path / "a.mcap", 0)
+    before = file.path.read_bytes()
+    file.finish_within("end", lambda: pytest.fail("there is nothing to say of the end"))
+    assert file.path.read_bytes() == before
+    assert held(file.path) == 1
+    file.close()
+
+
+def test_a_full_disk_takes_back_256_chunks_at_most(tmp_path, monkeypatch):
+    """What is known of their places stays in memory."""
+    file, asked = with_chunks(tmp_path / "a.mcap", 260), []
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def end():
+        asked.append(file.messages)
+        return {}
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        file.finish_within("end", end)
+    assert asked == [k * MESSAGES for k in reversed(range(4, 260))]
+    file.close()
+
+
+@pytest.mark.parametrize("failures", [0, 1, 2])
+def test_a_file_that_was_taken_back_says_of_itself_what_was_true_before(failures, tmp_path, monkeypatch):
+    """Of each chunk taken back the times, the messages of its channels and all that came behind it are gone."""
+    file = with_chunks(tmp_path / "a.mcap", 1)
+    file.add_attachment("a", b"123", 7, "text/plain")
+    for k, (channel, times) in enumerate([(5, [90, 91]), (6, [3]), (5, [99, 100, 101])]):
+        add(file, channel, times)
+        file.add_metadata(f"behind {k}", {})
+        file.add_schema(Schema(id=2 + k, name="none", encoding="", data=b""))
+        file.add_channel(Channel(id=5 + k, topic=f"/{k}", message_encoding="", metadata={}, schema_id=1))
+        file.add_attachment(f"behind {k}", bytes(k), 5, "")
+    real, left = os.write, [failures]
+
+    def write(fd, view):
+        if left[0] and bytes(view[-8:]) == MAGIC:
+            left[0] -= 1
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(fd, view)
+
+    monkeypatch.setattr(os, "write", write)
+    file.finish_within("end", lambda: {"messages": str(file.messages)})
+    kept = 3 - failures - 1
+    with file.path.open("rb") as stream:
+        for _ in StreamReader(stream, validate_crcs=True).records:
+            pass
+        stream.seek(0)
+        reader = SeekingReader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        metadata = [(each.name, each.metadata) for each in reader.iter_metadata()]
+        attachments = [each.name for each in reader.iter_attachments()]
+    assert summary is not None
+    found = summary.statistics
+    assert found is not None
+    counts = [{1: MESSAGES}, {1: MESSAGES, 5: 2}, {1: MESSAGES, 5: 2, 6: 1}][kept]
+    assert found.channel_message_counts == counts
+    assert (found.message_start_time, found.message_end_time) == (0, [39, 91, 91][kept])
+    assert (found.chunk_count, found.attachment_count, found.metadata_count) == (1 + kept, 1 + kept, 1 + kept)
+    assert (found.schema_count, found.channel_count) == (1 + kept, 1 + kept)
+    behind = [f"behind {k}" for k in range(kept)]
+    assert metadata == [*((name, {}) for name in behind), ("end", {"messages": str(found.message_count)})]
+    assert attachments == ["a", *behind]
+    assert (len(summary.chunk_indexes), sorted(summary.schemas)) == (1 + kept, list(range(1, 2 + kept)))
+    assert sorted(summary.channels) == [1, *range(5, 5 + kept)]

@@ -230,9 +230,7 @@ class McapFile:
     def finish(self) -> None:
         """Write summary and footer, put all onto the disk and close."""
         self._write(record_bytes(DataEnd(self._crc)))
-        statistics = self._summary[Opcode.STATISTICS]
-        statistics.cut(0, 0)
-        statistics.add(record_bytes(self._statistics()))
+        self._summary[Opcode.STATISTICS].add(record_bytes(self._statistics()))
         summary_start, crc, groups = self.position, 0, b""
         for opcode, records in self._summary.items():
             if records.count:

@@ -171,7 +171,7 @@ def records(path: Path, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
                 raise LogError(
                     f"damaged at byte {offset}: a record of {length} bytes, allowed: {longest(opcode)}"
                 )
-            content = file.read(min(length, size - offset - HEAD.size, longest(opcode)))
+            content = file.read(min(length, longest(opcode)))
             yield Record(opcode, offset, content, len(content) == length)
             if len(content) < length:
                 return

@@ -80,7 +80,7 @@ class _Place(NamedTuple):
     summarised: dict[Opcode, tuple[int, int]]
     """Bytes and number of the records of each kind."""
     counts: dict[int, int]
-    times: tuple[int, int]
+    span: tuple[int, int] | None
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -122,7 +122,7 @@ class McapFile:
         self._crc = 0
         self._summary = {opcode: _Records() for opcode in _SUMMARY_ORDER}
         self._counts: dict[int, int] = {}
-        self._start, self._stop = 2**64 - 1, 0
+        self._span: tuple[int, int] | None = None
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._chunks: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
         try:
@@ -210,8 +210,8 @@ class McapFile:
         )
         self._summary[Opcode.CHUNK_INDEX].add(record_bytes(index))
         if len(channel):
-            self._start = min(self._start, chunk.message_start_time)
-            self._stop = max(self._stop, chunk.message_end_time)
+            start, stop = self._span or (chunk.message_start_time, chunk.message_end_time)
+            self._span = min(start, chunk.message_start_time), max(stop, chunk.message_end_time)
         self._write(b"".join(parts))
 
     def sync(self) -> None:
@@ -267,14 +267,14 @@ class McapFile:
             self._crc,
             {kind: (len(records.data), records.count) for kind, records in self._summary.items()},
             dict(self._counts),
-            (self._start, self._stop),
+            self._span,
         )
 
     def _take_back(self, place: _Place) -> None:
         os.ftruncate(self._fd, place.position)
         os.lseek(self._fd, place.position, os.SEEK_SET)
         self.position, self._crc, self._counts = place.position, place.crc, dict(place.counts)
-        self._start, self._stop = place.times
+        self._span = place.span
         for kind, records in self._summary.items():
             records.cut(*place.summarised[kind])
 
@@ -291,14 +291,15 @@ class McapFile:
 
     def _statistics(self) -> Statistics:
         counts = {kind: records.count for kind, records in self._summary.items()}
+        start, stop = self._span or (0, 0)
         return Statistics(
             attachment_count=counts[Opcode.ATTACHMENT_INDEX],
             channel_count=counts[Opcode.CHANNEL],
             channel_message_counts=dict(self._counts),
             chunk_count=counts[Opcode.CHUNK_INDEX],
             message_count=self.messages,
-            message_end_time=self._stop,
-            message_start_time=self._start if self._counts else 0,
+            message_end_time=stop,
+            message_start_time=start,
             metadata_count=counts[Opcode.METADATA_INDEX],
             schema_count=counts[Opcode.SCHEMA],
         )

@@ -4,6 +4,8 @@ import struct
 import zlib
 from io import BytesIO
 from itertools import accumulate
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,9 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from hil.record.encode import Messages
 from hil.record.mcap_file import MAGIC, McapFile
+from hil.record.recorder import Recorder
 from tools.fuzz import container
 
 CHUNKS = (
@@ -241,3 +245,14 @@ def test_a_chunk_without_a_message_leaves_the_times_as_they_are(tmp_path):
     found = ended(tmp_path / "a.mcap", (plain(50, 60), [50, 60]), (plain(1, 99), []), (plain(55, 58), [56]))
     assert (found.message_start_time, found.message_end_time) == (50, 60)
     assert (found.message_count, found.chunk_count) == (3, 3)
+
+
+@pytest.mark.parametrize(("more", "chunks"), [(0, 1), (1, 2)])
+def test_messages_of_256_KiB_are_one_chunk_and_those_of_a_byte_more_are_two(more, chunks):
+    found: list[int] = []
+    recorder: Any = Recorder.__new__(Recorder)
+    recorder.file = SimpleNamespace(add_chunk=lambda data, *_: found.append(len(data)))
+    data: list[memoryview | bytes] = [bytes(32 * 1024 + (more if k == 7 else 0)) for k in range(8)]
+    size = np.array([len(each) for each in data])
+    recorder._write(Messages(data, size, size, size, np.arange(8)))
+    assert (len(found), sum(found)) == (chunks, 256 * 1024 + more)

@@ -150,6 +150,19 @@ def test_a_look_whether_a_file_is_written_leaves_nothing_open(tmp_path):
     file.close()
 
 
+def test_a_look_at_a_pipe_does_not_wait_for_its_other_end(tmp_path, monkeypatch):
+    real, given = os.open, []
+
+    def opened(path, flags):
+        given.append(flags & os.O_NONBLOCK)
+        return real(path, flags | os.O_NONBLOCK)
+
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr(os, "open", opened)
+    assert not being_written(tmp_path / "pipe")
+    assert given == [os.O_NONBLOCK]
+
+
 @pytest.mark.parametrize("end", [McapFile.finish, McapFile.close])
 def test_a_file_is_open_until_its_end(end, tmp_path):
     file = with_chunks(tmp_path / "a.mcap", 1)

@@ -28,7 +28,6 @@ _MESSAGE = struct.Struct("<BQHIQ")
 _CHUNK = struct.Struct("<QQQII")
 _SHORTEST = 22
 """Bytes of a message's record before its data, without opcode and length."""
-_PIECE = 1 << 20
 _DESCRIPTIONS, _MOST_DESCRIPTIONS = frozenset({3, 4}), 1024
 """Schemas and channels may stand in a chunk beside the messages, and so many of them."""
 OPCODES = frozenset(int(code) for code in Opcode)
@@ -225,16 +224,13 @@ def decompress_part(content: bytes) -> bytes:
     compression, data = content[_CHUNK.size : _CHUNK.size + name_length], content[start:]
     if compression == b"":
         return data[:MAX_CHUNK]
-    if compression != b"zstd" or not data:
+    if compression != b"zstd":
         return b""
-    reader = zstandard.ZstdDecompressor().stream_reader(data)
-    parts: list[bytes] = []
     try:
-        while len(parts) < MAX_CHUNK // _PIECE and (part := reader.read(_PIECE)):
-            parts.append(part)
+        found: bytes = zstandard.ZstdDecompressor().stream_reader(data).read(MAX_CHUNK)
     except (zstandard.ZstdError, MemoryError):
         return b""
-    return b"".join(parts)
+    return found
 
 
 def split(data: bytes, *, part: bool = False) -> tuple[MessageTable, list[Record]]:

@@ -4,6 +4,7 @@ Unlike the `mcap` library's readers it goes through a file that has no summary o
 messages as positions in one buffer instead of one object each, and takes no size on trust.
 """
 
+import os
 import struct
 import zlib
 from array import array
@@ -150,7 +151,7 @@ def records(path: Path, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
 
     """
     with open_regular(path) as file:
-        size = file.seek(0, 2)
+        size = file.seek(0, os.SEEK_END)
         file.seek(0)
         crc = zlib.crc32(file.read(len(MAGIC)))
         offset = len(MAGIC)

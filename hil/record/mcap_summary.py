@@ -1,5 +1,6 @@
 """The index at the end of an MCAP file, as far as a log's figures need it."""
 
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -30,7 +31,7 @@ def read_summary(path: Path) -> tuple[Statistics, dict[int, str]]:
 
     """
     with open_regular(path) as file:
-        size = file.seek(0, 2)
+        size = file.seek(0, os.SEEK_END)
         end = max(size - _TAIL, 0)
         file.seek(end)
         tail = file.read(_TAIL)

@@ -69,6 +69,10 @@ def test_reading_ends_at_what_is_no_record_and_names_its_place(tmp_path, opcode)
     assert len(found_in(file)) == 3
 
 
+def test_no_record_is_of_the_kind_that_stands_for_none():
+    assert NOTHING not in {int(kind) for kind in Opcode}
+
+
 def test_nothing_comes_behind_the_end_of_the_data_and_a_cut_one_is_a_record_that_is_cut(tmp_path):
     end = record_bytes(DataEnd(0))
     file, starts = placed(tmp_path, metadata("a"), end, metadata("b"))

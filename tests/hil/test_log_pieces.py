@@ -1,0 +1,211 @@
+"""What a reader holds back of a log that it reads piece by piece, what it hands out, and what it has in memory."""
+
+import struct
+import tracemalloc
+
+import pytest
+
+from drivers.errors import LogError
+from drivers.protocol import Frame, Received
+from hil.record import log_file
+from hil.record.log import Log, LogStatistics, Tick
+from hil.record.mcap_file import MAGIC
+from tests.hil.samples import log_of, random_rows
+from tools.fuzz import container
+
+COUNT = 300
+TIMES = (1_999_999_999, 2_000_000_000, 3_000_000_000, 2_000_000_000, 3_000_000_000, 3_500_000_000)
+"""t_ns of the frames that tick 0 has received, in the order of the log."""
+
+
+class Parts:
+    """A log taken apart: what stands before its messages and behind them, its rows and its frames."""
+
+    def __init__(self, path):
+        parts = container.split(path.read_bytes())
+        kinds = [kind for kind, _ in parts]
+        first = kinds.index(container.CHUNK)
+        self.head, self.chunk = parts[:first], parts[first][1]
+        self.tail = [
+            part for part in parts[first:] if part[0] not in {container.CHUNK, container.MESSAGE_INDEX}
+        ]
+        inside = [
+            each
+            for kind, content in parts
+            if kind == container.CHUNK
+            for each in container.split(container.unpacked(content))
+        ]
+        channels = [content[:2] for _, content in inside]
+        self.rows, self.frames = (
+            [each for each, channel in zip(inside, channels, strict=True) if channel == wanted]
+            for wanted in channels[:2]
+        )
+
+    def write(self, path, *records):
+        """Write a whole log of these records between head and tail; return its path."""
+        path.write_bytes(container.whole([*self.head, *records, *self.tail]))
+        return path
+
+    def packed(self, messages):
+        return container.CHUNK, container.packed(self.chunk, container.joined(messages))
+
+    def cut(self, path, messages, left_out):
+        """Write a log that is cut `left_out` bytes before the end of a chunk without compression."""
+        inside = container.joined(messages)
+        content = struct.pack("<QQQIIQ", 0, 1, len(inside), 0, 0, len(inside)) + inside
+        whole = MAGIC + container.joined([*self.head, (container.CHUNK, content)])
+        path.write_bytes(whole[: len(whole) - left_out])
+        return path
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """Of a log whose every tick has sent one frame, its identifier one more than the number of the tick."""
+    rows = random_rows(COUNT)
+    ticks = [Tick(row, (), (Frame(k + 1, b"", 0),), (), (), ()) for k, row in enumerate(rows)]
+    return Parts(log_of(ticks, tmp_path_factory))
+
+
+@pytest.fixture(scope="module")
+def received(tmp_path_factory):
+    """Of a log whose first tick has received frames at TIMES, its second one none."""
+    first, second = random_rows(2)
+    frames = tuple(Received(t_ns, Frame(k, b"", 0)) for k, t_ns in enumerate(TIMES))
+    ticks = [Tick(first, frames, (), (), (), ()), Tick(second, (), (), (), (), ())]
+    return Parts(log_of(ticks, tmp_path_factory))
+
+
+@pytest.fixture
+def chunked(parts, tmp_path):
+    """Write the log with its messages in other chunks; return it."""
+    return lambda *groups: Log(parts.write(tmp_path / "a.mcap", *map(parts.packed, groups)))
+
+
+# -- rows and ticks ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("read", ["ticks", "blocks"])
+def test_a_row_that_comes_64_ticks_late_is_put_in_its_place_and_one_that_comes_65_late_is_refused(
+    parts, chunked, read
+):
+    def late(tick):
+        first = [row for k, row in enumerate(parts.rows[:257]) if k != tick]
+        return chunked(first, [parts.rows[tick], *parts.rows[257:]])
+
+    log = late(192)
+    assert [int(tick.row["tick"]) for tick in log.ticks()] == list(range(COUNT))
+    assert [int(t) for block in log.blocks("tick") for t in block["tick"]] == list(range(COUNT))
+    with pytest.raises(LogError, match="messages stand more than 64 ticks out of order"):
+        list(getattr(late(191), read)())
+
+
+@pytest.mark.parametrize("read", ["ticks", "blocks"])
+def test_a_tick_that_was_handed_out_does_not_come_again(parts, chunked, read):
+    log = chunked(parts.rows[:256], [parts.rows[191], *parts.rows[256:]])
+    with pytest.raises(LogError, match="out of order"):
+        list(getattr(log, read)())
+
+
+@pytest.mark.parametrize("read", ["ticks", "blocks"])
+def test_no_row_is_handed_out_before_256_are_there(parts, chunked, read):
+    def late(there):
+        first = [row for k, row in enumerate(parts.rows[: there + 1]) if k != 10]
+        return chunked(first[:100], first[100:], [parts.rows[10], *parts.rows[there + 1 :]])
+
+    assert len(late(255).rows("tick")) == COUNT
+    assert sum(1 for _ in late(255).ticks()) == COUNT
+    assert sum(len(block) for block in late(255).blocks("tick")) == COUNT
+    with pytest.raises(LogError, match="out of order"):
+        list(getattr(late(256), read)())
+
+
+def test_a_frame_finds_its_tick_in_a_later_chunk_unless_that_was_handed_out(parts, chunked):
+    def late(tick):
+        frames = [frame for k, frame in enumerate(parts.frames) if k != tick]
+        return chunked(
+            [*parts.rows[:256], *frames[:250]], [parts.frames[tick], *frames[250:], *parts.rows[256:]]
+        )
+
+    assert [frame.id for tick in late(192).ticks() for frame in tick.sent] == list(range(1, COUNT + 1))
+    with pytest.raises(LogError, match="out of order"):
+        list(late(191).ticks())
+
+
+# -- frames --------------------------------------------------------------------------------------------------
+
+
+def test_a_frame_is_handed_out_when_one_more_than_a_second_later_was_read(received, tmp_path):
+    broken = (container.CHUNK, b"")
+    log = Log(received.write(tmp_path / "a.mcap", received.packed(received.frames[:3]), broken))
+    frames = log.can_frames()
+    assert next(frames).t_ns == 1_999_999_999
+    with pytest.raises(LogError, match="damaged at byte"):
+        next(frames)
+
+
+def test_frames_of_several_chunks_come_by_their_times_and_of_one_time_in_the_order_of_the_log(
+    received, tmp_path
+):
+    groups = (received.rows, received.frames[:3], received.frames[3:])
+    log = Log(received.write(tmp_path / "a.mcap", *map(received.packed, groups)))
+    found = [(frame.t_ns, frame.id) for frame in log.can_frames()]
+    assert found == [(TIMES[k], k) for k in (0, 1, 3, 2, 4, 5)]
+
+
+# -- the chunk where a log is cut ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("left_out", "ticks"), [(1, 4), (60, 4), (400, 3)])
+def test_of_the_chunk_where_a_log_is_cut_every_tick_counts_but_the_last_that_has_begun(
+    parts, tmp_path, left_out, ticks
+):
+    """The frame of the fifth tick is cut off, or some of its row."""
+    inside = [each for pair in zip(parts.rows[:5], parts.frames[:5], strict=True) for each in pair]
+    log = Log(parts.cut(tmp_path / "a.mcap", inside, left_out))
+    found = list(log.ticks())
+    assert [int(tick.row["tick"]) for tick in found] == list(range(ticks))
+    assert [frame.id for frame in log.can_frames()] == list(range(1, ticks + 1))
+    assert log.summary == LogStatistics(ticks, ticks, pytest.approx((ticks - 1) * 1e-3), 0, "cut")
+
+
+def test_a_cut_log_without_a_message_or_with_one_at_time_0_lasts_no_time(parts, tmp_path):
+    (tmp_path / "a.mcap").write_bytes(MAGIC + container.joined(parts.head))
+    assert Log(tmp_path / "a.mcap").summary == LogStatistics(0, 0, 0.0, 0, "cut")
+    kind, content = parts.rows[0]
+    early = kind, content[:6] + bytes(8) + content[14:]
+    log = Log(parts.cut(tmp_path / "b.mcap", [early, parts.rows[1], parts.rows[2]], 1))
+    assert log.summary == LogStatistics(1, 0, 0.0, 0, "cut")
+
+
+# -- messages outside chunks ---------------------------------------------------------------------------------
+
+
+def test_messages_outside_chunks_are_taken_apart_together(parts, tmp_path, monkeypatch):
+    """One by one they take a hundred times as long."""
+    path = parts.write(tmp_path / "a.mcap", *parts.rows, *parts.frames)
+    sizes = []
+
+    def counted(data):
+        found = split(data)
+        sizes.append(len(found[0].channel))
+        return found
+
+    split = log_file.split
+    monkeypatch.setattr(log_file, "split", counted)
+    assert len(Log(path).rows("tick")) == COUNT
+    assert sizes == [2 * COUNT]
+
+
+def test_large_messages_outside_chunks_are_in_memory_a_few_at_a_time(parts, tmp_path, monkeypatch):
+    monkeypatch.setattr(log_file, "MAX_CHUNK", 100_000)
+    unknown = struct.pack("<HIQQ", 77, 0, 9, 9)
+    large = [(container.MESSAGE, unknown + bytes(10_000))] * 300
+    log = Log(parts.write(tmp_path / "a.mcap", parts.rows[0], *large, parts.rows[1]))
+    tracemalloc.start()
+    try:
+        rows = log.rows("tick")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert rows["tick"].tolist() == [0, 1]
+    assert peak < 1_000_000, "bytes of 3 MB"

@@ -31,7 +31,8 @@ _BATCH, _LOOKAHEAD = 256, 64
 """Ticks read before any is handed out, and how far other writers may have moved a message."""
 _SETTLED_NS = 1_000_000_000
 """A frame is handed out when one so much later has been read."""
-_LEVELS = {1: "debug", 2: "info", 3: "warning", 4: "error", 5: "error"}
+_LEVELS = {1: "debug", 3: "warning", 4: "error", 5: "error"}
+"""Of events by number; any other is `info`."""
 
 
 PLANT_TOPIC = "/plant"

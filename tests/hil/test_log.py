@@ -1,6 +1,7 @@
 import time
 
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -146,6 +147,24 @@ def test_a_damaged_chunk_is_reported_with_its_place(path, tmp_path):
     bad.write_bytes(content)
     with pytest.raises(LogError, match=f"damaged at byte {index.chunk_start_offset}"):
         list(Log.open(bad).ticks())
+
+
+def test_an_event_has_the_level_that_its_number_names_and_any_other_is_an_info(tmp_path):
+    """Other programs may write 0, 5 and more."""
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        for k in range(8):
+            recording.event(k, "info", str(k))
+
+    def levelled(topic, data, sequence):
+        if topic != "/events":
+            return data
+        message = LogMessage.FromString(data)
+        message.level = int(message.message)
+        return message.SerializeToString()
+
+    rewrite_log(tmp_path / "a.mcap", tmp_path / "b.mcap", levelled)
+    levels = ["info", "debug", "info", "warning", "error", "error", "info", "info"]
+    assert Log(tmp_path / "b.mcap").events() == [(k, levels[k], str(k)) for k in range(8)]
 
 
 def test_messages_far_out_of_order_are_refused(path, tmp_path):

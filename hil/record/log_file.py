@@ -137,7 +137,7 @@ class LogFile:
             raise LogError(f"{path}: cannot be read: {error.strerror}") from error
         if not head:
             raise LogError(f"{path}: the file is empty")
-        if head != MAGIC[: len(head)] or (len(head) == len(MAGIC) and head != MAGIC):
+        if not MAGIC.startswith(head):
             raise LogError(f"{path}: not an MCAP file")
         if size < len(MAGIC) + _FOOTER or tail != MAGIC:
             return (
@@ -167,18 +167,17 @@ class LogFile:
         """Yield the records as far as they go; refuse a file that is not cut and stops making sense."""
         try:
             for record in records(self.path, skip):
-                if record.complete or (self.cut and record.opcode != NOTHING):
-                    yield record
-                elif not self.cut:
+                if not (record.complete or self.cut):
                     raise _no_record(record)
+                yield record
         except LogError as error:
             raise LogError(f"{self.path}: {error}; {MEND}") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def _learn(self, record: Record) -> None:
-        """Keep what is not a message."""
-        if record.opcode in _MESSAGES or not record.complete:
+        """Keep what is whole and not a message."""
+        if not record.complete:
             return
         found = self._parse(record)
         match type(found).__name__:

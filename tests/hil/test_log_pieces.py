@@ -131,6 +131,28 @@ def test_a_frame_finds_its_tick_in_a_later_chunk_unless_that_was_handed_out(part
         list(late(191).ticks())
 
 
+@pytest.mark.parametrize("order", [[3, 2, 1, 0], [0, 3, 3, 1], [2, 2, 1, 1]])
+def test_rows_come_in_tick_order_however_they_stand(parts, chunked, order):
+    log = chunked(*([parts.rows[k]] for k in order))
+    assert log.rows("tick", "q")["tick"].tolist() == sorted(order)
+    assert [int(t) for block in log.blocks("tick") for t in block["tick"]] == sorted(order)
+    assert [int(tick.row["tick"]) for tick in log.ticks()] == sorted(order)
+
+
+@pytest.mark.parametrize("first", [0, 40])
+def test_a_span_begins_and_ends_so_long_after_the_first_row_that_stands_in_the_log(parts, chunked, first):
+    """The first row of all is at 12 345 ns; there is one each ms."""
+    log = chunked(parts.rows[first : first + 9], parts.rows[first + 9 : first + 12])
+    for span, ticks in (
+        ({"start_s": 1e-5}, range(first + 1, first + 12)),
+        ({"start_s": -1e-5}, range(first, first + 12)),
+        ({"stop_s": 0.003 - 1e-5}, range(first, first + 3)),
+        ({"start_s": 0.002, "stop_s": 0.003 + 1e-5}, range(first + 2, first + 4)),
+    ):
+        assert log.rows("tick", **span)["tick"].tolist() == list(ticks)
+        assert [int(t) for block in log.blocks("tick", **span) for t in block["tick"]] == list(ticks)
+
+
 # -- frames --------------------------------------------------------------------------------------------------
 
 

@@ -190,3 +190,12 @@ def test_counts_of_what_the_index_does_not_name_are_0(path, tmp_path):
     (tmp_path / "b.mcap").write_bytes(container.whole([*parts[:end], *index]))
     assert Log(tmp_path / "b.mcap").summary[:2] == (0, 0)
     assert Log(tmp_path / "b.mcap").rows("tick")["tick"].tolist() == [0, 1, 2, 3]
+
+
+def test_how_a_log_was_closed_is_unknown_where_its_end_does_not_say_it(path, tmp_path):
+    parts = container.split(path.read_bytes())
+    kept = [part for part in parts if part[0] != container.METADATA or b"summary" not in part[1][:11]]
+    assert len(kept) == len(parts) - 1
+    (tmp_path / "b.mcap").write_bytes(container.whole(kept))
+    found = Log(tmp_path / "b.mcap").summary
+    assert (found.ticks, found.dropped, found.closed) == (4, 0, "unknown")

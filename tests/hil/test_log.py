@@ -159,7 +159,7 @@ def test_an_event_has_the_level_that_its_number_names_and_any_other_is_an_info(t
         if topic != "/events":
             return data
         message = LogMessage.FromString(data)
-        message.level = int(message.message)
+        message.level = LogMessage.Level.ValueType(int(message.message))
         return message.SerializeToString()
 
     rewrite_log(tmp_path / "a.mcap", tmp_path / "b.mcap", levelled)

@@ -10,6 +10,7 @@ from drivers.protocol import Frame, Received
 from hil.record import log_file
 from hil.record.log import Log, LogStatistics, Tick
 from hil.record.mcap_file import MAGIC
+from hil.record.mcap_read import split
 from tests.hil.samples import log_of, random_rows
 from tools.fuzz import container
 
@@ -187,7 +188,8 @@ def test_of_the_chunk_where_a_log_is_cut_every_tick_counts_but_the_last_that_has
     found = list(log.ticks())
     assert [int(tick.row["tick"]) for tick in found] == list(range(ticks))
     assert [frame.id for frame in log.can_frames()] == list(range(1, ticks + 1))
-    assert log.summary == LogStatistics(ticks, ticks, pytest.approx((ticks - 1) * 1e-3), 0, "cut")
+    assert log.summary._replace(duration_s=0.0) == LogStatistics(ticks, ticks, 0.0, 0, "cut")
+    assert log.summary.duration_s == pytest.approx((ticks - 1) * 1e-3)
 
 
 def test_a_cut_log_without_a_message_or_with_one_at_time_0_lasts_no_time(parts, tmp_path):
@@ -205,14 +207,13 @@ def test_a_cut_log_without_a_message_or_with_one_at_time_0_lasts_no_time(parts, 
 def test_messages_outside_chunks_are_taken_apart_together(parts, tmp_path, monkeypatch):
     """One by one they take a hundred times as long."""
     path = parts.write(tmp_path / "a.mcap", *parts.rows, *parts.frames)
-    sizes = []
+    sizes: list[int] = []
 
     def counted(data):
         found = split(data)
         sizes.append(len(found[0].channel))
         return found
 
-    split = log_file.split
     monkeypatch.setattr(log_file, "split", counted)
     assert len(Log(path).rows("tick")) == COUNT
     assert sizes == [2 * COUNT]

@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
     cut: int
     """Rows in which a force was cut at the limit."""
     predicted_mm: float
-    """Error of the next run by the nominal axes."""
+    """Error of the next run by the nominal axes, with the forces as they are cut."""
 
 
 def learn(paths: Sequence[Path], known: Knowledge) -> Outcome:
@@ -110,7 +110,8 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
                 f"{last.path}: its feed-forward takes {len(text)} bytes, allowed: {MOST_BYTES}; learn on a "
                 "shorter reference"
             )
-    ahead = 1e3 * _rms(predicted(last.trial, a, loops))
+    acts = np.linalg.solve(last.force_per_acceleration, tau[:, :, None])[:, :, 0]
+    ahead = 1e3 * _rms(predicted(last.trial, acts, loops))
     return Outcome(steps, model, least, goes, text, cut, ahead)
 
 

@@ -30,9 +30,14 @@ def table(steps: list[Step]) -> list[str]:
 
 
 def cause(floor: Floor) -> str:
-    """Return what makes most of a floor."""
+    """Return the largest part of a floor."""
     name = max(CAUSES, key=lambda name: float(getattr(floor, name)))
     return CAUSES[name]
+
+
+def _share(floor: Floor) -> str:
+    """Return how much of a floor its largest part is; the parts add up by their squares."""
+    return "most of it" if 2.0 * max(floor) ** 2 > floor.total_m**2 else "the largest part of it"
 
 
 def lines(outcome: Outcome, limit_N: float, out: Path | None, *, series: bool = False) -> list[str]:
@@ -44,7 +49,8 @@ def lines(outcome: Outcome, limit_N: float, out: Path | None, *, series: bool = 
         f"|Q (1 - L P)| <= {choice.contraction:.2f} (largest at {choice.at_Hz:.3g} Hz)"
     )
     parts = (f"{_words(name)} {1e3 * value:.2g}" for name, value in floor._asdict().items())
-    floor_line = f"Floor      {1e3 * floor.total_m:.2g} mm rms, most of it {cause(floor)}: {', '.join(parts)}"
+    largest = f"{_share(floor)} {cause(floor)}"
+    floor_line = f"Floor      {1e3 * floor.total_m:.2g} mm rms, {largest}: {', '.join(parts)}"
     found = [*table(outcome.steps), filter_line, f"Plants     {model.belief.source}", floor_line]
     last = outcome.steps[-1]
     if outcome.state == "contradicted":

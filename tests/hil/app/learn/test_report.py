@@ -11,7 +11,8 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.learn.command import Knowledge, Outcome, learned
 from hil.app.learn.rehearsal import Rehearsal, with_scale
-from hil.app.learn.report import series_summary, summary
+from hil.app.learn.report import lines, series_summary, summary
+from hil.learning.judgement import Floor
 from tests.hil.app.learn.test_learned_from import run_of
 
 OUT = Path("next.csv")
@@ -71,3 +72,21 @@ def test_a_law_without_masses_has_none_to_scale() -> None:
     c = loads(with_changes(c.text, {"name": "virtual", "controller": pd}), "virtual", c.folder)
     with pytest.raises(ConfigurationError, match="--inertia-scale: law pd has no model"):
         with_scale(c, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("parts", "share", "of_what"),
+    [
+        ((0.6, 0.6, 0.5, 0.0), "the largest part of it", "steps of the encoders"),
+        ((0.48**0.5, 0.49**0.5, 0.03**0.5, 0.0), "the largest part of it", "noise of the leg rates"),
+        ((0.0, 0.1, 0.7, 0.75), "most of it", "what is faster than the filter"),
+        ((0.1, 0.2, 0.71, 0.67), "most of it", "what does not repeat"),
+        ((0.1, 0.2, 0.7, 0.69), "the largest part of it", "what does not repeat"),
+    ],
+)
+def test_a_cause_is_called_most_of_the_floor_where_it_has_more_than_half_of_the_squares(
+    outcomes: dict[str, Outcome], parts: tuple[float, float, float, float], share: str, of_what: str
+) -> None:
+    floor = Floor(*(1e-6 * part for part in parts))
+    said = [line for line in lines(outcomes["learned"]._replace(floor=floor), 300.0, None) if "Floor" in line]
+    assert [f" mm rms, {share} {of_what}" in line for line in said] == [True]

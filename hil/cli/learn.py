@@ -165,8 +165,10 @@ def _rehearse(
 
     runs, scale, logs = how
     c = load(str(configuration), "sim")
+    believed = None
     if scale is not None:
         c = with_scale(c, scale)
+        believed = c.controller.believed
     with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, console.status("run 0") as status:
         made = rehearse(
             c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
@@ -177,4 +179,4 @@ def _rehearse(
             write_whole(out, made.best)
     written = None if unwritten else out
     summary = report.series_summary(made, written) | unwritten
-    finish_lines(report.series(made, written), summary, json_file)
+    finish_lines(report.series(made, written, believed), summary, json_file)

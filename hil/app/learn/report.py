@@ -5,6 +5,7 @@ from typing import Any
 
 from hil.app.learn.command import Outcome, Step
 from hil.app.learn.rehearsal import Rehearsal
+from hil.config.model import ModelSettings
 from hil.learning.convergence import FLAT
 from hil.learning.judgement import Floor
 
@@ -130,8 +131,8 @@ def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
     }
 
 
-def series(made: Rehearsal, out: Path | None) -> list[str]:
-    """Return what the user reads of a series of runs."""
+def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = None) -> list[str]:
+    """Return what the user reads of a series of runs; believed: those of --inertia-scale."""
     if made.outcome is None:
         return [f"Stopped    {made.trouble}"]
     found = lines(made.outcome._replace(steps=made.steps), made.limit_N, None, series=True)
@@ -146,6 +147,12 @@ def series(made: Rehearsal, out: Path | None) -> list[str]:
         found.append(f"Stopped    {made.trouble}")
     if made.best and out is not None:
         found += written(out, made.limit_N, ", of the run with the smallest error")
+        if believed is not None:
+            found.append(
+                f"           The file belongs to a law with controller.model.inertia_scale: "
+                f"{believed.inertia_scale!r} of --inertia-scale, and is refused with another: set that key, "
+                "too, or learn without --inertia-scale"
+            )
     elif out is not None:
         none = "the only run" if last is first else "the run with the smallest error"
         found.append(f"{out} is not written: {none} was the one without a feed-forward")

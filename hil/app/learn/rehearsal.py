@@ -30,9 +30,17 @@ class Rehearsal(NamedTuple):
 
 
 def rehearse(
-    c: Configuration, runs: int, known: Knowledge, folder: Path, tell: Callable[[Step], None]
+    c: Configuration,
+    runs: int,
+    known: Knowledge,
+    folder: Path,
+    tell: Callable[[Step], None],
+    *,
+    kept: bool = True,
 ) -> Rehearsal:
     """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
+
+    kept: the folder stays behind the series, so that the log of a run that failed is there to be read.
 
     It ends early at the floor, where a run contradicts the condition, where one fails, cannot begin or cannot
     teach, and by an interrupt behind the first run.
@@ -59,7 +67,8 @@ def rehearse(
                 made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
                 if not made["success"]:
                     why = made["trouble"] or ", ".join(made["faults"])
-                    trouble = f"run {number}: {why}; its log is {log.name}, kept with --logs"
+                    where = str(log) if kept else "not kept, --logs FOLDER keeps it"
+                    trouble = f"run {number}: {why}; its log is {where}"
                     break
                 past = [*past[-1:], learning_run(log)]
                 limit_N = limit_of(past[-1], known)

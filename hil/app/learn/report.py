@@ -149,9 +149,9 @@ def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = N
         found += written(out, made.limit_N, ", of the run with the smallest error")
         if believed is not None:
             found.append(
-                f"           The file belongs to a law with controller.model.inertia_scale: "
-                f"{believed.inertia_scale!r} of --inertia-scale, and is refused with another: set that key, "
-                "too, or learn without --inertia-scale"
+                "           The file belongs to a law with controller.model.inertia_scale: "
+                f"{believed.inertia_scale!r} (from --inertia-scale), and is refused with another: set that "
+                "key, too, or learn without --inertia-scale"
             )
     elif out is not None:
         none = "the only run" if last is first else "the run with the smallest error"

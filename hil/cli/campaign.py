@@ -30,7 +30,8 @@ def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: P
     """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
 
     With --log the run is recorded, and the figures of the log are compared, too: `hil report` then tells what
-    went on in this row. Put --log last, or name its file.
+    went on in this row. Put --log last, or name its file. Without --out a row that is not stored can be
+    recorded, too: nothing stored is compared then, and the summary says so.
 
     \b
     Examples:
@@ -39,15 +40,15 @@ def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: P
 
     \b
     Exit code:
-      0  the figures are the same, to the bit
+      0  the figures are the same, to the bit; or the row is recorded, and none is stored
       1  they differ; the message says which
-      2  not run: campaign file, row or log file; the message says what
+      2  not run: campaign file, row, log file, or no row is stored to compare it with; the message says what
     """
     from hil.app.campaign.plan import read_plan
     from hil.app.campaign.rerun import rerun
 
     plan = read_plan(file)
-    summary = rerun(plan, out or plan.folder, row, log)
+    summary = rerun(plan, out, row, log)
     finish("campaign rerun", summary, json_file)
 
 

@@ -21,22 +21,26 @@ from hil.record.log import Log
 from plant_fmu.faults.plan import FaultPlan
 
 
-def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, Any]:
+def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[str, Any]:
     """Run a row again, and return the summary (key `success`: the same figures to the bit).
 
+    out : the campaign's results, None: the default place.
     log : where to record it, too, `Path()`: under a new name beside the other logs; None: nowhere.
 
-    What is compared: with the row in `folder`, where the campaign has come so far; the run without a log with
-    that from its log.
+    What is compared: with the row that is stored; the run without a log with that from its log. Where no row
+    is stored, only what is recorded runs, and at the default place alone.
 
-    Raises ConfigurationError: no such row, or one that has no run to record; LogError: other campaign, log
-    exists.
+    Raises ConfigurationError: no such row, or one that has no run to record; LogError: no such row is stored,
+    other campaign, log exists.
     """
     parquet.require()
     if not 0 <= number < len(plan):
         raise ConfigurationError(f"row {number}: allowed: 0 to {len(plan) - 1}, the rows of {plan.path}")
     columns = parquet.columns(plan)
+    folder = out or plan.folder
     stored = stored_rows(folder, identity(plan)).get(number)
+    if stored is None and (out is not None or log is None):
+        raise _nothing_stored(plan, out, number)
     job = plan.job(number)
     if log is not None:
         log_folder = row_configuration(job).recording.folder
@@ -68,10 +72,22 @@ def rerun(plan: Plan, folder: Path, number: int, log: Path | None) -> dict[str, 
         "ended": row["ended"],
         "faults": row["faults"] or None,
         "metrics": {name: row[name] for name in METRICS},
-        "compared_with": "the stored row" if stored else "no stored row",
-        "different": len(different),
+        "compared_with": "the stored row" if stored else f"nothing: no row is stored in {folder}",
+        "different": len(different) if stored or different else None,
         "log": None if log is None else str(log),
     }
+
+
+def _nothing_stored(plan: Plan, out: Path | None, number: int) -> LogError:
+    """Return what is wrong with a row that would be compared with nothing."""
+    where, mend = f"--out {out}", "name the folder of its results, or run `hil campaign` first"
+    if out is None:
+        where = str(plan.folder)
+        mend = (
+            "name the folder of its results with --out, run `hil campaign` first, or add --log to record the "
+            "row alone"
+        )
+    return LogError(f"{where}: row {number} of {plan.path} is not stored there; {mend}")
 
 
 def _same(a: Any, b: Any) -> bool:

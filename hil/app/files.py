@@ -33,14 +33,15 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
     with whole_file(path) as temporary:
         yield temporary
         if not overwrite and path.resolve().exists():
-            raise LogError(f"{path}: exists and is not overwritten; name another file, or add --force")
+            raise LogError(f"{path}: exists and is not overwritten; name another file")
 
 
-def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b"") -> Path:
+def new_file(path: Path, *, force: bool | None, option: str = "--out", own: bytes = b"") -> Path:
     """Return the output file `path`, checked before the work begins.
 
-    option: what the file was named with, empty for an argument. A file that begins with `own` is an earlier
-    one of the same command, and is replaced without `force`, too.
+    force: whether --force is given; None: the command has none. option: what the file was named with, empty
+    for an argument. A file that begins with `own` is an earlier one of the same command, and is replaced
+    without `force`, too.
 
     Raises LogError: it exists and `force` is not set, is a log, a folder or a device, or its folder cannot be
     written.
@@ -51,7 +52,7 @@ def new_file(path: Path, *, force: bool, option: str = "--out", own: bytes = b""
     if path.exists() and not path.is_file():
         raise LogError(f"{where}: is a device or a pipe, which no file replaces; name a file")
     if os.path.lexists(path) and not force and not (own and _begins(path, own)):
-        hint = "name another file, or add --force"
+        hint = "name another file" if force is None else "name another file, or add --force"
         if own:
             hint = "no earlier file of this command; name another file"
         raise LogError(f"{where}: exists and is not overwritten; {hint}")

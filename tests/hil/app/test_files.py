@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import shutil
 import signal
@@ -140,6 +141,23 @@ def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_pa
         new_file(other, force=False, option="-o", own=REMARK.encode())
     with pytest.raises(LogError, match="add --force"):
         new_file(mine, force=False)
+
+
+def test_a_command_without_force_does_not_advise_it(tmp_path):
+    page = tmp_path / "page.html"
+    page.touch()
+    done = hil("campaign", "payload", "--page", page)
+    said = f"hil: --page {page}: exists and is not overwritten; name another file\n"
+    assert (done.exit_code, done.stderr) == (2, said)
+
+
+def test_a_file_that_comes_while_one_is_made_stays_and_no_option_is_advised(tmp_path):
+    """Also the file of a command without --force."""
+    out = tmp_path / "a.yaml"
+    said = f"^{re.escape(str(out))}: exists and is not overwritten; name another file$"
+    with pytest.raises(LogError, match=said), made_whole(out, overwrite=False):
+        out.write_text("theirs")
+    assert out.read_text() == "theirs"
 
 
 @pytest.mark.parametrize("words", [["export"], ["report", "--out"], ["plot", "--out"]], ids=" ".join)

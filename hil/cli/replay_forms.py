@@ -32,9 +32,12 @@ def chosen_form(log: Path | None, given: dict[str, Any]) -> str:
     """Return which form is asked for: its option, or nothing. Raises UsageError for what excludes another."""
     there = [option for option, key in _KEYS.items() if given[key] not in (None, ())]
     forms = [option for option in ("--what-if", "--against", "--suite") if option in there]
+    asked = list(forms)
+    if "--set" in there and "--what-if" not in there:
+        forms, asked = ["--what-if", *forms], ["--set (a what-if)", *asked]
     if len(forms) > 1:
-        raise click.UsageError(f"{' and '.join(forms)} are answers to different questions: give one of them.")
-    form = forms[0] if forms else "--what-if" if "--set" in there else ""
+        raise click.UsageError(f"{' and '.join(asked)} are different questions: give one of them.")
+    form = forms[0] if forms else ""
     for option in there:
         wanted = OF_FORM.get(option, form)
         if wanted != form:

@@ -23,6 +23,8 @@ from hil.loop.replay import Comparison
 from hil.record.log import Log
 from tests.hil.rewrite import rewrite_log
 
+ONE = "are different questions: give one of them"
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
@@ -136,9 +138,16 @@ def test_two_processes_find_the_same(folder):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["a.mcap", "--what-if", "virtual", "--against", "b.mcap"], "--what-if and --against"),
-        (["--suite", ".", "--set", "limits.force_N=1"], "--set belongs to --what-if CONFIG"),
-        (["a.mcap", "--against", "b.mcap", "--suite", "."], "--against and --suite"),
+        (["a.mcap", "--what-if", "virtual", "--against", "b.mcap"], f"--what-if and --against {ONE}"),
+        (["--suite", ".", "--set", "limits.force_N=1"], f"--set (a what-if) and --suite {ONE}"),
+        (["a.mcap", "--set", "a=1", "--against", "b.mcap"], f"--set (a what-if) and --against {ONE}"),
+        (
+            ["a.mcap", "--what-if", "virtual", "--set", "a=1", "--against", "b.mcap"],
+            f"--what-if and --against {ONE}",
+        ),
+        (["a.mcap", "--set", "a=1", "--align", "tick"], "--align belongs to --against, which is not given"),
+        (["a.mcap", "--set", "a=1", "--jobs", "2"], "--jobs belongs to --suite, which is not given"),
+        (["a.mcap", "--against", "b.mcap", "--suite", "."], f"--against and --suite {ONE}"),
         (["a.mcap", "--tolerance", "tau=1"], "--tolerance belongs to --against"),
         (["a.mcap", "--align", "motion"], "--align belongs to --against"),
         (["a.mcap", "--jobs", "2"], "--jobs belongs to --suite"),

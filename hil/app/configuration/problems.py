@@ -67,9 +67,12 @@ def describe(schema: Schema, root: Schema) -> str:
             )
         if entry.get("type") == "array":
             return f"a list of {count}lists, each {describe(entry, root)}"
-        return f"a list of {count}entries"
+        return "a list of at least 1 entry" if low == 1 != high else f"a list of {count}entries"
     if kind == "string" and "pattern" in schema:
         return f"text of the form {schema['pattern'].strip('^$')}"
+    if kind == "object" and "minProperties" in schema:
+        low = schema["minProperties"]
+        return f"a section of at least {low} {'entry' if low == 1 else 'entries'}"
     names = {"string": "text", "boolean": "true or false", "null": "null"}
     if kind == "object" and "properties" in schema:
         return "a section with the keys " + ", ".join(schema["properties"])
@@ -87,7 +90,9 @@ def at(path: Path, data: Value, root: Schema) -> Schema:
             data = data[item] if isinstance(data, list) and item < len(data) else None
         else:
             extra = schema.get("additionalProperties")
-            schema = schema.get("properties", {}).get(item, extra if isinstance(extra, dict) else {})
+            named = [s for form, s in schema.get("patternProperties", {}).items() if re.search(form, item)]
+            other = next(iter(named), extra if isinstance(extra, dict) else {})
+            schema = schema.get("properties", {}).get(item, other)
             data = data.get(item) if isinstance(data, dict) else None
     return _choose(_dereference(schema, root), data, root)
 
@@ -171,6 +176,10 @@ def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schem
         given = _show(item["input"].get(path[-1]))
         message = f"unknown value, allowed: {allowed}, given: {given}"
         return "value", Problem(document.value_position(path), path, message)
+    if kind == "string_pattern_mismatch" and item["loc"][-1] == "[key]":
+        allowed = describe({"type": "string", **item["ctx"]}, schema)
+        message = f"{_WHAT[kind]}, allowed: {allowed}, given: {_show(item['input'])}"
+        return "key", Problem(document.key_position(path), path, message)
     position = document.value_position(path)
     if kind in ("value_error", "assertion_error"):
         return "value", Problem(position, path, str(item["ctx"]["error"]))
@@ -179,7 +188,7 @@ def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schem
     if kind == "finite_number" or (isinstance(item["input"], float) and not math.isfinite(item["input"])):
         return "value", Problem(position, path, f"not a finite number, allowed: {allowed}, given: {given}")
     what = _WHAT.get(kind)
-    if what == "wrong number of entries" and isinstance(item["input"], list):
+    if what == "wrong number of entries" and isinstance(item["input"], list | dict):
         given = f"{len(item['input'])} entries"
     if what:
         return "value", Problem(position, path, f"{what}, allowed: {allowed}, given: {given}")

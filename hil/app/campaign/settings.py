@@ -94,6 +94,8 @@ class Limit(Section):
     def _an_end(self) -> Self:
         if self.min is None and self.max is None:
             raise ValueError("no limit, allowed: min, max or both")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise ValueError(f"min is above max, allowed: min <= max, given: {self.min}, {self.max}")
         return self
 
 

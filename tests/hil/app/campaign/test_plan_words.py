@@ -90,3 +90,16 @@ def test_a_name_of_brackets_is_told_so_where_its_axis_is_wrong_too(tmp_path):
 def test_a_name_of_an_axis_is_told_of_which_characters_it_may_be(tmp_path, text, place):
     said = f'{place}: wrong form, allowed: {NAME}, given: "a b-c/d"'
     assert refused(tmp_path, text.replace("AXIS", "{key: x.y, values: [1]}")) == said
+
+
+def test_a_limit_that_no_value_keeps_is_refused_before_anything_runs(tmp_path):
+    text = "grid: {a: {key: seed, values: [1]}}\nlimits: {tracked_s: {min: 1, max: 0.1}}"
+    said = "3:21: limits.tracked_s: min is above max, allowed: min <= max, given: 1.0, 0.1"
+    assert refused(tmp_path, text) == said
+
+
+def test_a_limit_may_be_one_value(tmp_path):
+    """As where each run has to end in a fault."""
+    text = "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {faulted: {min: 1, max: 1}}\n"
+    limit = read_plan(written(tmp_path, text)).subject.limits["faulted"]
+    assert (limit.min, limit.max) == (1.0, 1.0)

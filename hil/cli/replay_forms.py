@@ -31,8 +31,8 @@ _KEYS = {
 def chosen_form(log: Path | None, given: dict[str, Any]) -> str:
     """Return which form is asked for: its option, or nothing. Raises UsageError for what excludes another."""
     there = [option for option, key in _KEYS.items() if given[key] not in (None, ())]
-    forms = [option for option in ("--what-if", "--against", "--suite") if option in there]
-    asked = list(forms)
+    forms: list[str] = [option for option in ("--what-if", "--against", "--suite") if option in there]
+    asked = forms
     if "--set" in there and "--what-if" not in there:
         forms, asked = ["--what-if", *forms], ["--set (a what-if)", *asked]
     if len(forms) > 1:

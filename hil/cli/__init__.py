@@ -19,7 +19,8 @@ from hil.cli.interrupts import OF_THIS_PROCESS, one_line_of_interrupt
 from hil.cli.pipes import quiet_pipe
 from hil.cli.streams import own_streams
 
-if os.path.basename(sys.argv[0]) not in ("-m", "hil"):  # noqa: PTH119 - else it is so until the command begins
+# Of our own process it stays so until the command begins.
+if _handler is signal.default_int_handler and os.path.basename(sys.argv[0]) not in ("-m", "hil"):  # noqa: PTH119
     signal.signal(signal.SIGINT, _handler)
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.

@@ -44,7 +44,7 @@ class Interrupts:
         """Handle SIGINT, and the timer that repeats it."""
         del signum
         if not self._settled and not comes_of_interrupt(sys.exc_info()[1]):
-            if bears_none(frame):
+            if bears_no_interrupt(frame):
                 signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
                 return
             self.raised = True
@@ -79,9 +79,9 @@ class Interrupts:
         try:
             yield
         finally:
-            sys.unraisablehook, sys.excepthook = hooks
             for number in (signal.SIGINT, signal.SIGALRM):  # a press that is repeated would end Python's end
                 signal.signal(number, signal.SIG_IGN)
+            sys.unraisablehook, sys.excepthook = hooks
 
     @contextmanager
     def also_where_the_terminal_goes(self) -> Iterator[None]:
@@ -100,7 +100,7 @@ class Interrupts:
 OF_THIS_PROCESS = Interrupts()
 
 
-def bears_none(frame: FrameType | None) -> bool:
+def bears_no_interrupt(frame: FrameType | None) -> bool:
     """Tell whether an import or a fragile library runs here, and no line of this project in it."""
     while frame is not None:
         root = str(frame.f_globals.get("__name__")).partition(".")[0]

@@ -350,3 +350,13 @@ def test_an_interrupt_between_the_imports_and_the_command_ends_it_without_a_word
         env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
+def test_another_program_that_answers_an_interrupt_itself_may_import_the_command_line_in_a_thread():
+    program = (
+        "import signal, threading; signal.signal(signal.SIGINT, signal.SIG_IGN); done = []\n"
+        "def work():\n    import hil.cli; done.append(signal.getsignal(signal.SIGINT))\n"
+        "thread = threading.Thread(target=work); thread.start(); thread.join()\n"
+        "assert done == [signal.SIG_IGN], done"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=Path(__file__).parents[3], check=True)

@@ -64,7 +64,7 @@ def refuse_changed(files: Mapping[str, str]) -> None:
             raise ConfigurationError(
                 f"{name}: has changed since this campaign was read: the next rows would be of another one, "
                 "allowed: the same file for all rows. Restore it and repeat the command, or discard the rows "
-                "with --fresh"
+                "with `hil campaign --fresh`"
             )
 
 

@@ -207,7 +207,7 @@ def _refuse_other(folder: Path, identity: dict[str, str]) -> None:
         raise LogError(
             f"{folder}: its rows are of another campaign, changed since: {', '.join(changed)}; "
             "allowed: to go on with the same ones. Restore them, name another folder with --out, or "
-            "discard these rows with --fresh"
+            "discard these rows with `hil campaign --fresh`"
         )
 
 

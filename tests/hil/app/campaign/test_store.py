@@ -240,7 +240,9 @@ def test_rows_that_say_they_are_of_another_campaign_are_refused_wherever_they_co
     )
     with opened(tmp_path / "one", MADE_OF | {"configuration": "c"}) as store, refused:
         store.rows()
-    with pytest.raises(LogError, match="its rows are of another campaign, changed since: configuration;"):
+    with pytest.raises(
+        LogError, match=r"of another campaign, changed since: configuration; .* `hil campaign --fresh`$"
+    ):
         stored_rows(tmp_path / "two", MADE_OF)
     assert list(stored_rows(tmp_path / "two", MADE_OF | {"configuration": "c"})) == [0]
 

@@ -97,6 +97,8 @@ class MotorDialogue(NamedTuple):
     """What the last answer held that was not the right one."""
     said: tuple[int, ...] = (0,) * LEGS
     """Tick in which it last said whether it is enabled."""
+    owed: tuple[int, ...] = (0,) * LEGS
+    """Polls that a drive that is heard has not answered, RESTART_TICKS at most."""
     patience_ticks: int = NEVER
     """After which a drive that does not say so is in BOOT: nobody knows what it does."""
 
@@ -226,9 +228,9 @@ class MotorProtocol(MotorRoutes, MotorDrives):
 
         Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set
         up, and measures at its age where the drive owed it, so that a stall makes no leg stale. A second
-        answer that says something else makes its node `doubled`, unless the drive owes the one of the tick
-        before: then the first one may be that, and the second counts. Of drives that send readings unasked,
-        too, the newest counts; the others say nothing of them.
+        answer that says something else makes its node `doubled`, unless the drive owes answers of the ticks
+        before: then the first ones may be those, and the last one counts. Of drives that send readings
+        unasked, too, the newest counts; the others say nothing of them.
         """
         unasked = self.unasked_s > 0.0
         for name in _KEPT:
@@ -240,6 +242,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         answers: dict[int, Heard] = {}
         late: dict[int, Heard] = {}
         faults = tick["drive_fault"]
+        owed = [owes + 1 if done else 2 for owes, done in zip(dialogue.owed, dialogue.done, strict=True)]
         power, said = list(dialogue.power), list(dialogue.said)
         asked = int(_RUN if dialogue.mode == DriveMode.RUN else _OFF)
         for t_ns, frame in frames_of(run):
@@ -254,10 +257,11 @@ class MotorProtocol(MotorRoutes, MotorDrives):
             elif heard.answer is not None:
                 dialogue = self._confirm(dialogue, leg, *heard.answer)
             elif heard.feedback and t_ns < since_ns:
+                owed[leg] -= 1
                 rejected += not unasked and dialogue.done[leg] > len(dialogue.exchanges[leg])
                 if last["age"][leg] > 0 and before >= 0:
                     late[leg] = heard
-            elif heard.feedback and leg in answers and last["age"][leg] == 0 and not unasked:
+            elif heard.feedback and leg in answers and owed[leg] <= 0 and not unasked:
                 doubled |= (answers[leg] != heard) << leg
             else:
                 if heard.power is not None or not self.reports_power:
@@ -265,7 +269,13 @@ class MotorProtocol(MotorRoutes, MotorDrives):
                     faults[leg] = heard.fault
                     said[leg] = number
                 if heard.feedback:
+                    owed[leg] -= 1
                     answers[leg] = heard
+        left = [
+            min(max(owes, 0), RESTART_TICKS) * (done > 0)
+            for owes, done in zip(owed, dialogue.done, strict=True)
+        ]
+        dialogue = dialogue._replace(owed=tuple(left))
         if answers or late or (tuple(power), tuple(said)) != (dialogue.power, dialogue.said):
             dialogue = dialogue._replace(power=tuple(power), said=tuple(said))
             dialogue = self._measure(dialogue, late | answers, tick)

@@ -443,8 +443,9 @@ class ProtocolContract:
         ends.step()
         strange = [each._replace(frame=_other(each.frame, flag)) for each in ends.received]
         m = at_tick(ends.tick + 1)
+        nothing = protocol.decode(ends.dialogue, b"", ends.measurement, at_tick(ends.tick + 1))
         dialogue = protocol.decode(ends.dialogue, run_of(strange), ends.measurement, m)
-        assert (dialogue, m["rejected"], m["age"].tolist()) == (ends.dialogue, 0, [1] * LEGS)
+        assert (dialogue, m["rejected"], m["age"].tolist()) == (nothing, 0, [1] * LEGS)
         assert not any(protocol.fresh(each, ends.tick, 0) for each in strange)
         memory = protocol.power_up()
         for frame in (*ends.opening, *ends.sent, *protocol.emergency_stop()):

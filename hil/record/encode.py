@@ -89,9 +89,8 @@ class Encoder:
         key = position * _LAST + 1 + index
         blocks = [self._rows(rows)] if count else []
         frames = items["kind"] <= SENT
-        lengths = np.where(frames, items["length"], 255)
-        for length in np.unique(lengths[frames]).tolist():
-            of_length = np.flatnonzero(lengths == length)
+        for length in np.unique(items["length"][frames]).tolist():
+            of_length = np.flatnonzero(frames & (items["length"] == length))
             for bus, name in enumerate(self._buses):
                 mine = of_length[np.minimum(items["bus"][of_length], len(self._buses) - 1) == bus]
                 at = position[mine]
@@ -144,7 +143,7 @@ class Encoder:
         return _Block(key, channel, log_time, [data[i : i + size] for i in range(0, len(data), size)])
 
     def _rare(self, items: Rows, i: int, tick: int, t_ns: int, index: int, key: Ints) -> list[_Block]:
-        """Return the message of an operator command or of the last piece of an event."""
+        """Return the message of an operator command, or of an event at its last piece."""
         item = items[i]
         time_ns = int(item["t_ns"]) + self._epoch
         if item["kind"] == OPERATOR:
@@ -153,7 +152,7 @@ class Encoder:
             message = self._operator(command=int(item["id"]), tick=tick, index=index, setpoint=numbers)
             message.stamp.seconds, message.stamp.nanos = divmod(time_ns, 1_000_000_000)
             return [_single(COMMANDS, tick, time_ns, t_ns + self._epoch, message, key)]
-        if item["kind"] != EVENT or item["id"] != 0:
+        if item["id"]:  # more pieces follow
             return []
         message = Log(
             timestamp=_stamp(time_ns),

@@ -105,7 +105,6 @@ class Ring:
         self.rows: Rows = np.ndarray(capacity, dtype, self._map, rows)
         self._items: Rows = np.ndarray(self.item_capacity, ITEM, self._map, items)
         self.item_bytes = self._view[items:size]
-        self._end = 0
 
     @classmethod
     def create(cls, dtype: np.dtype[np.void], capacity: int) -> Ring:
@@ -126,7 +125,7 @@ class Ring:
         """Return whether `limit` rows wait, or a quarter of the room for items is taken."""
         events = self.counters[EVENTS]
         written, read = self.counters[WRITTEN], self.counters[READ]
-        end = self.ends[(written - 1) % self.capacity] if written > read else 0
+        end = self.ends[(written - 1) % self.capacity]
         return (
             written - read >= limit or max(end, events) - self.counters[READ_ITEMS] >= self.item_capacity // 4
         )
@@ -154,7 +153,6 @@ class Ring:
         if read + count == written and events > end:
             tick = np.concatenate((tick, np.full(events - end, count)))
             end = events
-        self._end = end
         return Batch(rows, _span(self._items, first, end), tick)
 
     def since(self, row: int) -> Rows:
@@ -166,7 +164,7 @@ class Ring:
     def release(self, batch: Batch) -> None:
         """Give the room of the batch taken last back to the producer."""
         fence()
-        self.counters[READ_ITEMS] = self._end
+        self.counters[READ_ITEMS] += len(batch.items)
         self.counters[READ] += len(batch.rows)
 
 

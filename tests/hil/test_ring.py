@@ -1,6 +1,9 @@
+import os
+import platform
 import random
+import runpy
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -8,7 +11,9 @@ import pytest
 from drivers.protocol import Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
-from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, SENT, WRITTEN, Ring, pack_item
+from hil.record import recording as producer
+from hil.record import ring as module
+from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, READ_ITEMS, SENT, WRITTEN, Ring, pack_item
 from hil.signals import Operator, Order, SetPoint
 
 DTYPE = np.dtype([("tick", "<i8"), ("t_ns", "<i8"), ("x", "<f8", (3,))])
@@ -208,4 +213,123 @@ def test_a_tick_with_two_items_of_any_kinds_takes_room_for_two(first, second):
     assert (recording.ticks, recording.dropped, recording._items) == (2, 0, 4096)
     recording.tick(ROW_0, *given)
     assert (recording.ticks, recording.dropped, recording._items) == (2, 1, 4096)
+    ring.close_fd()
+
+
+@pytest.mark.parametrize("capacity", [64, 256, 4096])
+def test_the_parts_of_the_memory_begin_on_pages_lie_apart_and_are_as_large_as_they_must_be(capacity):
+    ring = Ring.create(DTYPE, capacity)
+    ends, items = np.asarray(ring.ends), np.asarray(ring.item_bytes)
+    parts = [np.asarray(ring.counters), ends, ring.rows.view(np.uint8), items]
+    begins = [part.__array_interface__["data"][0] for part in parts]
+    sizes = [part.nbytes for part in parts]
+    assert sizes[1:] == [8 * capacity, DTYPE.itemsize * capacity, 16 * ITEM.itemsize * capacity]
+    assert [begin % 4096 for begin in begins] == [0] * 4
+    gaps = [begin - before - size for before, size, begin in zip(begins, sizes, begins[1:], strict=False)]
+    assert all(0 <= gap < 4096 for gap in gaps)
+    assert os.fstat(ring.fd).st_size == begins[-1] + sizes[-1] - begins[0], "and nothing lies behind"
+    for part, other in [(ends, ring._ends_array), (items, ring._items.view(np.uint8))]:
+        assert part.__array_interface__["data"] == other.__array_interface__["data"]
+        assert part.nbytes == other.nbytes
+    ring.close_fd()
+
+
+@pytest.mark.parametrize("memfd", [True, False])
+def test_a_ring_lies_in_memory_where_the_system_has_such_files_and_is_nowhere_to_be_found(memfd, monkeypatch):
+    if not memfd:
+        monkeypatch.delattr(os, "memfd_create")
+    ring = Ring.create(DTYPE, 256)
+    place = str(Path(f"/proc/self/fd/{ring.fd}").readlink())
+    assert place.startswith("/memfd:hil-ring") is memfd
+    assert "(deleted)" in place
+    assert os.fstat(ring.fd).st_nlink == 0
+    ring.close_fd()
+
+
+def test_a_descriptor_of_number_0_is_closed_too(ring, monkeypatch):
+    closed: list[int] = []
+    number = ring.fd
+    monkeypatch.setattr(os, "close", closed.append)
+    ring.fd = 0
+    ring.close_fd()
+    monkeypatch.undo()
+    ring.fd = number
+    assert closed == [0]
+
+
+def test_a_ring_that_is_full_comes_out_whole(ring):
+    writer = Writer(ring)
+    for _ in range(100):
+        writer.row(1)
+    ring.release(ring.take(100))
+    for _ in range(256):
+        writer.row(0)
+    assert ring.since(100)["tick"].tolist() == list(range(100, 356))
+    batch = ring.take(256)
+    assert batch.rows["tick"].tolist() == list(range(100, 356))
+    ring.release(batch)
+    for k in range(4096):
+        writer.item(EVENT, k)
+    ring.counters[EVENTS] = writer.items
+    batch = ring.take(256)
+    assert batch.items["t_ns"].tolist() == list(range(4096))
+    assert batch.tick.tolist() == [0] * 4096
+
+
+@pytest.mark.parametrize(
+    ("machine", "kind"),
+    [("x86_64", "no"), ("AMD64", "no"), ("i686", "no"), ("aarch64", "lock"), ("", "lock")],
+)
+def test_memory_is_put_in_order_by_locks_on_machines_that_do_not_keep_it(machine, kind, monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    made = runpy.run_path(module.__file__)
+    assert made["fence"].__name__ == f"_{kind}_fence"
+    made["fence"]()
+    assert not made["_lock"].locked()
+
+
+class Watched:
+    """The counters of a ring; what is done to them is told, and so is each fence."""
+
+    def __init__(self, ring, told, monkeypatch):
+        self.counters, self.told = ring.counters, told
+        ring.counters = self
+        for place in (module, producer):
+            monkeypatch.setattr(place, "fence", lambda: told.append("fence"))
+
+    def __getitem__(self, number):
+        self.told.append(f"read {NAMES[number]}")
+        return self.counters[number]
+
+    def __setitem__(self, number, value):
+        self.told.append(f"store {NAMES[number]}")
+        self.counters[number] = value
+
+
+NAMES = {WRITTEN: "rows", EVENTS: "events", READ: "rows read", READ_ITEMS: "items read"}
+
+
+def test_each_end_orders_its_counters_and_what_they_speak_of_by_fences(monkeypatch):
+    """The producer stores a counter behind its data; the consumer reads data behind their counter."""
+    told: list[str] = []
+    ring, nobody = Ring.create(ROW, 256), cast("Any", None)
+    Watched(ring, told, monkeypatch)
+
+    def steps():
+        found, told[:] = [*told], []
+        return found
+
+    recording = Recording(ring, nobody, Path("a.mcap"), lockstep=False)
+    recording.tick(ROW_0, *ITEMS["sent"])
+    assert steps()[-2:] == ["fence", "store rows"]
+    recording.event(0, "info", "")
+    assert steps()[-2:] == ["fence", "store events"]
+    batch = ring.take(5)
+    assert steps()[:4] == ["read events", "fence", "read rows", "fence"]
+    ring.since(0)
+    assert steps() == ["read rows", "fence"]
+    ring.release(batch)
+    said = steps()
+    assert said[0] == "fence"
+    assert {each for each in said if each.startswith("store")} == {"store items read", "store rows read"}
     ring.close_fd()

@@ -1,0 +1,203 @@
+"""What the recorder makes of a batch: each message as it stands in the file, and in which order."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
+from hil.record.encode import Encoder, event_text
+from hil.record.recording import Scene
+from hil.record.ring import EVENT, ITEM, OPERATOR, RECEIVED, SENT, Batch
+from hil.record.row import TICKS
+from hil.record.schema import message_class
+
+HEADER = struct.Struct("<BQHIQQ")
+"""Of an MCAP Message record: opcode, bytes that follow, channel, sequence, log time, publish time."""
+EPOCH = 1_700_000_000_123_456_789
+S = 1_000_000_000
+TICK, T_NS = 2**32 + 7, 2 * S - 1
+"""Of the first row; each further one is a tick and a second later."""
+
+
+class Message(NamedTuple):
+    topic: str
+    sequence: int
+    log_time: int
+    publish_time: int
+    content: Any
+
+
+def encoder(**options):
+    return Encoder(TICKS, epoch_ns=EPOCH, **{"can_channel": "can0", "scene": None, **options})
+
+
+def batch(rows, *items):
+    """Return a batch of so many rows, nothing to draw in them; an item: its row and its fields."""
+    made = np.zeros(rows, TICKS.dtype)
+    made["tick"] += TICK + np.arange(rows)
+    made["t_ns"] += T_NS + S * np.arange(rows)
+    table = np.zeros(len(items), ITEM)
+    for each, (_, t_ns, number, kind, data, flags, bus) in zip(table, items, strict=True):
+        each["t_ns"], each["id"], each["kind"], each["length"] = t_ns, number, kind, len(data)
+        each["flags"], each["bus"] = flags, bus
+        each["data"] = np.frombuffer(data + b"\xee" * (64 - len(data)), np.uint8)
+    return Batch(made, table, np.array([row for row, *_ in items], np.int64))
+
+
+def encoded(by, of):
+    """Return the messages of a batch; what the index is told of each is compared with it on the way."""
+    made = by.encode(of)
+    found = []
+    classes: dict[int, Any] = {}
+    for data, channel, log_time, length in zip(
+        made.data, made.channel.tolist(), made.log_time.tolist(), made.length.tolist(), strict=True
+    ):
+        opcode, size, number, sequence, logged, published = HEADER.unpack_from(data)
+        assert (opcode, size, number, logged) == (5, len(data) - 9, channel, log_time)
+        assert length == len(data)
+        topic, schema, _ = by.channels[channel]
+        kind = classes.get(number) or classes.setdefault(number, message_class(schema))
+        content = kind.FromString(bytes(data[HEADER.size :]))
+        found.append(Message(topic, sequence, logged, published, content))
+    return found, made.tick.tolist()
+
+
+ITEMS = (
+    (0, 11, 0x123, RECEIVED, b"abc", EXTENDED, 0),
+    (0, S, 0x1FFFFFFF, SENT, b"", REMOTE, 1),
+    (0, 13, 0x7FF, RECEIVED, bytes(range(64)), FD | BRS, 1),
+    (1, 14, 3, SENT, b"xyz", ERROR, 1),
+    (1, 15, 4, RECEIVED, b"ABC", 0, 0),
+    (1, 5 * S + 16, 5, SENT, b"0123456789ab", FD | ESI, 1),
+)
+"""Frames of two ticks, those of one length neither side by side nor of one bus."""
+
+
+def test_frames_of_several_buses_stand_in_their_order_each_with_all_that_was_on_the_wire():
+    found, ticks = encoded(encoder(can_channels=["front", "rear bus"]), batch(2, *ITEMS))
+    assert [m.topic for m in found] == ["/tick", *["/can"] * 3] * 2
+    assert ticks == [0] * 4 + [1] * 4
+    frames = [m for m in found if m.topic == "/can"]
+    names = ["is_rtr", "is_extended", "is_error", "fdf", "brs", "esi"]
+    bits = [REMOTE, EXTENDED, ERROR, FD, BRS, ESI]
+    for m, (row, t_ns, number, kind, data, flags, bus), index in zip(
+        frames, ITEMS, [0, 1, 2, 0, 1, 2], strict=True
+    ):
+        f = m.content
+        assert (f.id, bytes(f.data)) == (number, data)
+        assert [getattr(f, name) for name in names] == [flags & bit != 0 for bit in bits]
+        assert (f.channel, f.bus) == (["front", "rear bus"][bus], bus)
+        assert f.direction == (1 if kind == RECEIVED else 2)
+        assert (f.tick, f.index) == (TICK + row, index)
+        assert m.log_time == EPOCH + t_ns
+        assert (f.header.stamp.seconds, f.header.stamp.nanos) == divmod(EPOCH + t_ns, S)
+        assert m.publish_time == EPOCH + T_NS + S * row
+        assert m.sequence == 7 + row
+
+
+@pytest.mark.parametrize(("names", "expected"), [((), "can0"), (("a",), "a"), (("a", "b"), "b")])
+def test_a_frame_of_a_bus_that_has_no_name_is_said_to_be_of_the_last_one(names, expected):
+    found, _ = encoded(encoder(can_channels=names), batch(1, (0, 0, 1, SENT, b"", 0, 2)))
+    assert [(m.content.channel, m.content.bus) for m in found if m.topic == "/can"] == [(expected, 2)]
+
+
+@pytest.mark.parametrize(
+    ("length", "code"),
+    [*((n, n) for n in range(9)), *zip((12, 16, 20, 24, 32, 48, 64), range(9, 16), strict=True)],
+)
+def test_a_frame_has_the_code_of_its_length_and_its_own_bytes_alone(length, code):
+    found, _ = encoded(encoder(), batch(1, (0, 0, 1, RECEIVED, b"\x55" * length, FD, 0)))
+    (frame,) = [m.content for m in found if m.topic == "/can"]
+    assert (frame.dlc, bytes(frame.data)) == (code, b"\x55" * length)
+
+
+def test_commands_and_events_stand_among_the_frames_of_their_tick_and_count_in_its_order():
+    words = (
+        (0, 11, 1, SENT, b"", 0, 0),
+        (0, S + 12, 5, OPERATOR, struct.pack("<2d", 0.25, -3.0), 0, 0),
+        (0, 13, 1, EVENT, b"a" * 64, 3, 0),
+        (0, 2 * S + 14, 0, EVENT, b"b\xff", 4, 0),
+        (0, 15, 2, OPERATOR, b"", 0, 0),
+        (1, 16, 2, SENT, b"", 0, 0),
+        (1, 17, 3, OPERATOR, b"", 0, 0),
+        (2, 18, 0, EVENT, b"behind", 1, 0),
+    )
+    found, ticks = encoded(encoder(), batch(2, *words))
+    topics = ["/tick", "/can", "/operator", "/events", "/operator", "/tick", "/can", "/operator", "/events"]
+    assert [m.topic for m in found] == topics
+    assert ticks == [0] * 5 + [1] * 3 + [2]
+    assert [m.sequence for m in found] == [7] * 5 + [8] * 3 + [9]
+    commands = [m for m in found if m.topic == "/operator"]
+    assert [
+        (m.content.command, m.content.tick, m.content.index, [*m.content.setpoint]) for m in commands
+    ] == [
+        (5, TICK, 1, [0.25, -3.0]),
+        (2, TICK, 4, []),
+        (3, TICK + 1, 1, []),
+    ]
+    times = [EPOCH + S + 12, EPOCH + 15, EPOCH + 17]
+    assert [m.log_time for m in commands] == times
+    assert [m.publish_time - EPOCH for m in commands] == [T_NS, T_NS, T_NS + S]
+    assert [m.content.stamp.seconds * S + m.content.stamp.nanos for m in commands] == times
+    assert all(0 < m.content.stamp.nanos < S for m in commands)
+    events = [m for m in found if m.topic == "/events"]
+    assert [(m.content.message, m.content.level, m.content.name) for m in events] == [
+        ("a" * 64 + "b�", 4, "hil"),
+        ("behind", 1, "hil"),
+    ]
+    times = [EPOCH + 2 * S + 14, EPOCH + 18]
+    assert [m.log_time for m in events] == [m.publish_time for m in events] == times
+    assert [m.content.timestamp.seconds * S + m.content.timestamp.nanos for m in events] == times
+    assert all(0 < m.content.timestamp.nanos < S for m in events)
+
+
+def test_the_text_of_an_event_ends_at_what_is_no_piece_of_it():
+    pieces = [(EVENT, 0, b"before"), (EVENT, 2, b"a"), (EVENT, 1, b"b"), (EVENT, 0, b"c"), (OPERATOR, 1, b"x"),
+              (EVENT, 1, b"d"), (EVENT, 0, b"e")]  # fmt: skip
+    items = batch(0, *((0, 0, number, kind, data, 0, 0) for kind, number, data in pieces)).items
+    assert [event_text(items, i) for i in (0, 3, 6)] == ["before", "abc", "de"]
+    assert event_text(items[1:], 2) == "abc", "though its first piece is the first item"
+
+
+@pytest.mark.parametrize(("scene", "every"), [(None, 33), (3, 3)])
+def test_views_stand_behind_all_else_of_every_so_many_ticks(scene, every):
+    corners = [[1.0, k, 0.0] for k in range(6)]
+    by = encoder(scene=Scene(corners, corners, every=scene) if scene else None)
+    at = [every - 1, every, every + 1, 2 * every, 2 * every + 1]
+    of = batch(len(at), *((row, 0, 1, SENT, b"", 0, 0) for row in range(len(at))))
+    of.rows["tick"] = at
+    of.rows["R"] = of.rows["R_d"] = np.eye(3).reshape(of.rows["R"].shape[1:])
+    of.rows["p"], of.rows["p_d"] = 0.5, 0.25
+    found, ticks = encoded(by, of)
+    views = ["/tf", "/tf", *(["/scene"] if scene else [])]
+    for row, tick in enumerate(at):
+        here = [m for m, place in zip(found, ticks, strict=True) if place == row]
+        assert [m.topic for m in here] == ["/tick", "/can", *(views if row in {1, 3} else [])]
+        assert {m.sequence for m in here} == {tick}
+        assert {m.log_time for m in here[2:]} <= {EPOCH + T_NS + S * row}
+        assert {m.publish_time for m in here} == {EPOCH + T_NS + S * row}
+
+
+def test_a_batch_of_nothing_has_no_messages():
+    made = encoder().encode(batch(0))
+    assert made.data == []
+    assert [len(each) for each in made[1:]] == [0] * 4
+
+
+@pytest.mark.parametrize(
+    ("names", "channel"), [((), "can0"), (("front",), "front"), (("front", "rear"), "front, rear")]
+)
+def test_the_channels_are_those_of_the_topics_and_the_frames_say_their_buses(names, channel):
+    channels = encoder(can_channels=names).channels
+    assert {number: (topic, schema.name, said) for number, (topic, schema, said) in channels.items()} == {
+        1: ("/tick", "hil.Tick", {}),
+        2: ("/can", "hil.Frame", {"channel": channel}),
+        3: ("/operator", "hil.OperatorCommand", {}),
+        4: ("/events", "foxglove.Log", {}),
+        5: ("/tf", "foxglove.FrameTransform", {}),
+        6: ("/scene", "foxglove.SceneUpdate", {}),
+    }

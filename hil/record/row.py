@@ -235,7 +235,7 @@ def _lay_out(builder: Builder, number: int, name: str, c: Column, *, names: bool
         builder.fields_of_message(name, number, kind, count, wire_type)
     elif c.shape:
         builder.tag(number, LENGTH)
-        builder.bytes(varint(8 * c.size))
+        builder.bytes(varint(np.dtype(kind).itemsize * c.size))
         builder.field(name, (kind, (c.size,)))
     else:
         builder.tag(number, wire_type)

@@ -1,13 +1,15 @@
 """The table of columns of a log: what it has to have, and how protobuf and its schema show a column."""
 
+import json
+from enum import IntEnum, IntFlag
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from drivers.tick_columns import RECORDED, Column
-from hil.record.row import TICKS, RowCodec, Table, columns_of, describe, row_schema
+from drivers.tick_columns import RECORDED, ROW, Column
+from hil.record.row import TICKS, RowCodec, Table, columns_of, columns_of_0_1_0, describe, row_schema
 from hil.record.schema import message_class
 
 
@@ -66,3 +68,178 @@ def test_the_comments_of_the_fields_stand_on_lines_of_their_own_in_the_order_of_
     for field, at in zip(fields, places, strict=True):
         c = columns[field.name.removesuffix("_number")]
         assert at.leading_comments == (f" {c.meaning} [{c.unit}]\n" if c.unit else f" {c.meaning}\n")
+
+
+# -- what a log may say of its columns ----------------------------------------------------------------------
+
+ONE = {
+    "name": "x", "type": "int", "flags": False, "names": {}, "unit": "m", "meaning": "what", "elements": [], "shape": [],
+}  # fmt: skip
+LONG = "é" * 500
+
+
+def read_with(**changes):
+    """Return the last of three columns as it is read, some entries of its description changed."""
+    return columns_of(describe_with(**changes))[-1]
+
+
+def describe_with(**changes):
+    return json.dumps([{**ONE, "name": "tick"}, {**ONE, "name": "t_ns"}, {**ONE, **changes}])
+
+
+@pytest.mark.parametrize("key", ["name", "unit", "meaning", "type", "element"])
+def test_each_text_of_a_column_is_a_printable_one_of_at_most_500_signs(key):
+    def taken(text):
+        if key == "type":
+            return read_with(type=text, names={"A": 0}).type.__name__
+        if key == "element":
+            return read_with(elements=["a", text], shape=[2]).elements[1]
+        return getattr(read_with(**{key: text}), key)
+
+    assert taken(LONG) == LONG
+    for wrong in (f"{LONG}é", "a\nb", "\x1b[2J", 7, None, ["x"]):
+        with pytest.raises((ValueError, TypeError)) as caught:
+            taken(wrong)
+        assert wrong == ["x"] or "allowed: a printable text of at most 500 signs" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["A", "z9_Z", "b" * 100])
+@pytest.mark.parametrize("number", [1, 126])
+@pytest.mark.parametrize("flags", [False, True])
+def test_values_have_plain_names_and_numbers_from_0_on(name, number, flags):
+    kind = read_with(type="Kind", flags=flags, names={"NONE": 0, name: number}).type
+    assert issubclass(kind, IntFlag if flags else IntEnum)
+    assert kind(number) is kind[name]
+    for other, wrong in [
+        ("9", number), ("_a", number), ("a-b", number), ("b" * 101, number), ("", number), (f"{name}\n", number),
+        (name, -1), (name, 1 << 63), (name, True), (name, float(number)), (name, str(number)), (name, None),
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match="allowed: a plain name and a number from 0 on"):
+            read_with(type="Kind", flags=flags, names={"NONE": 0, other: wrong})
+
+
+def test_a_flag_may_be_the_highest_bit_and_there_are_63_of_them():
+    names = {f"B{k}": 1 << k for k in range(63)}
+    assert list(read_with(type="Bits", flags=True, names=names).names.values()) == [1 << k for k in range(63)]
+    more = Column("output", "x", IntFlag("More", {f"B{k}": 1 << k for k in range(64)}), "", "")
+    with pytest.raises(ValueError, match="column x of the row: at most 63 elements or flags"):
+        Table("/tick", (TICK, TIME, more)).check()
+    with pytest.raises(ValueError, match="column x of the row: flags are scalar"):
+        read_with(type="Bits", flags=True, names={"A": 1}, shape=[1])
+
+
+@pytest.mark.parametrize("kind", ["int", "float"])
+def test_a_column_has_63_elements_with_names_at_most_and_a_name_for_each_or_for_none(kind):
+    names = [f"e{k}" for k in range(64)]
+    assert read_with(type=kind, elements=names[:63], shape=[63]).elements == tuple(names[:63])
+    with pytest.raises(ValueError, match="column x of the row: at most 63 elements or flags"):
+        read_with(type=kind, elements=names, shape=[64])
+    assert read_with(type=kind, elements=names[:6], shape=[2, 3]).shape == (2, 3)
+    assert read_with(type=kind, shape=[64]).size == 64
+    for elements in (names[:5], names[:7], names[:1]):
+        with pytest.raises(
+            ValueError, match=rf"column x: shape \(2, 3\), {len(elements)} names, allowed: rows of"
+        ):
+            read_with(type=kind, elements=elements, shape=[2, 3])
+
+
+@pytest.mark.parametrize(
+    "names", [{"A": 1, "B": 2}, {"NONE": 0, "A": 127}, {"NONE": 0, "A": 126, "B": 1000}, {"A": 127}]
+)
+def test_an_enumeration_has_0_and_nothing_that_is_shown_as_a_number_without_a_name(names):
+    with pytest.raises(ValueError, match="column x of the row: its enumeration lacks 0, or reaches 127"):
+        read_with(type="Kind", names=names)
+
+
+@pytest.mark.parametrize(
+    ("shape", "taken"),
+    [
+        ([1], True), ([8190], True), ([8191], False), ([65536], False), ([65537], False), ([1, 1, 1, 1], True),
+        ([1, 1, 1, 1, 1], False), ([0], False), ([-1], False), ([True], False), ([2.0], False), (["2"], False),
+        ([91, 90], True), ([91, 91], False),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_row_has_64_KiB_and_a_column_four_axes_at_most(shape, taken):
+    """Two columns of eight bytes stand in front."""
+    if taken:
+        assert read_with(shape=shape).shape == tuple(shape)
+    else:
+        with pytest.raises(ValueError, match="allowed"):
+            read_with(shape=shape)
+    for wide in ([8189], [8190]):
+        text = json.dumps([*json.loads(describe_with(shape=wide)), {**ONE, "name": "y"}])
+        if wide == [8189]:
+            assert len(columns_of(text)) == 4
+        else:
+            with pytest.raises(ValueError, match=r"column y: shape .* allowed: rows of 65536 bytes, 4 axes"):
+                columns_of(text)
+
+
+@pytest.mark.parametrize("length", [1, 65536, 65537, 0, True, 2.0])
+def test_a_log_of_version_0_1_0_has_axes_of_1_to_65536(length):
+    """The row has no room for the longest one; what refuses it is the row."""
+    text = json.dumps([["tick", "<i8", []], ["t_ns", "<i8", []], ["x", "<f8", [length]]])
+    if length == 1 and length is not True:
+        assert [(c.name, c.type, c.shape) for c in columns_of_0_1_0(text)][1:] == [
+            ("t_ns", int, ()),
+            ("x", float, (1,)),
+        ]
+        return
+    says = "allowed: rows of 65536 bytes" if length == 65536 else "in a shape, allowed: 1 to 65536"
+    with pytest.raises(ValueError, match=says):
+        columns_of_0_1_0(text)
+
+
+def test_what_is_described_is_read_back_and_rows_of_our_own_have_the_one_type():
+    columns = columns_of(describe(RECORDED))
+    assert [c._replace(part="output", type=int) for c in RECORDED] == [c._replace(type=int) for c in columns]
+    for ours, read in zip(RECORDED, columns, strict=True):
+        assert (read.names, read.type.__name__) == (ours.names, ours.type.__name__)
+        assert issubclass(read.type, IntFlag) is issubclass(ours.type, IntFlag)
+    assert TICKS.dtype is Table("/other", tuple(RECORDED)).dtype is ROW
+    assert Table("/tick", columns[:9]).dtype == np.dtype([(c.name, c.kind, c.shape) for c in columns[:9]])
+
+
+class Kind(IntEnum):
+    NONE = 0
+    FEW = 3
+    MOST = 126
+
+
+class Bits(IntFlag):
+    LOW = 1
+    MIDDLE = 4
+    HIGH = 1 << 62
+
+
+def test_a_viewer_sees_the_name_of_a_number_that_has_one_and_the_flags_that_are_set():
+    table = Table(
+        "/tick", (TICK, TIME, column("kind", Kind), column("bits", Bits), column("several", Kind, (), (2,)))
+    )
+    table.check()
+    numbers = [0, 3, 126, 127, 128, -1, 1 << 40]
+    rows = np.zeros(len(numbers), table.dtype)
+    rows["kind"] = numbers
+    rows["several"] = np.transpose([numbers[::-1], numbers])
+    rows["bits"] = [0, 1, 4, 5, 1 << 62, -1, 2]
+    codec = RowCodec(table.columns)
+    records = codec.layout.new(len(rows))
+    codec.write(rows, records)
+    schema = row_schema(table)
+    found = [message_class(schema).FromString(record.tobytes()[31:]) for record in records]
+    shown = [0, 3, 126, 127, 127, 127, 127]
+    assert [m.kind_number for m in found] == numbers
+    assert [m.kind for m in found] == shown
+    assert [list(m.several) for m in found] == [list(pair) for pair in zip(shown[::-1], shown, strict=True)]
+    assert [(m.bits.LOW, m.bits.MIDDLE, m.bits.HIGH) for m in found] == [
+        (False, False, False), (True, False, False), (False, True, False), (True, True, False), (False, False, True),
+        (True, True, True), (False, False, False),
+    ]  # fmt: skip
+    assert codec.read(records).tobytes() == rows.tobytes()
+    assert np.array([codec.parse(m) for m in found]).tobytes() == rows.tobytes()
+    (file,) = FileDescriptorSet.FromString(schema.descriptors).file
+    nested = {each.name: each for each in file.message_type[0].nested_type}
+    values = [(v.name, v.number) for v in nested["kind_type"].enum_type[0].value]
+    assert values == [("NONE", 0), ("FEW", 3), ("MOST", 126), ("UNNAMED", 127)]
+    assert [(f.name, f.number) for f in nested["bits_type"].field] == [("LOW", 1), ("MIDDLE", 2), ("HIGH", 3)]

@@ -35,7 +35,7 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
     trace = float(R[0, 0] + R[1, 1] + R[2, 2])
     squares = (float(R[0, 0]), float(R[1, 1]), float(R[2, 2]), trace)
     largest = int(np.argmax(squares))
-    s = 2.0 * sqrt(max(1.0 + 2.0 * squares[largest] - trace, 0.0)) if largest < 3 else 2.0 * sqrt(1.0 + trace)
+    s = 2.0 * sqrt(1.0 + (2.0 * squares[largest] - trace))
     if largest == 3:
         return (R[2, 1] - R[1, 2]) / s, (R[0, 2] - R[2, 0]) / s, (R[1, 0] - R[0, 1]) / s, s / 4.0
     i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3

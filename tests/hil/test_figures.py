@@ -220,3 +220,27 @@ def test_the_axes_of_the_picture_say_what_they_show_and_in_which_unit(drawn):
         ("leg forces sent", "s", "N"),
         ("wake-ups later than", "us", "share of ticks"),
     ]
+
+
+def test_the_picture_is_1200_by_800_pixels_with_thin_lines_a_pale_grid_and_a_logarithmic_share(
+    tmp_path, monkeypatch
+):
+    found: list[tuple[Figure, dict[str, object]]] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **how: found.append((figure, how)))
+    assert picture(rows_of(3), tmp_path / "a.png", "a run") == tmp_path / "a.png"
+    ((figure, how),) = found
+    assert (figure.get_size_inches() * how["dpi"]).tolist() == [1200.0, 800.0]
+    assert figure.get_suptitle() == "a run"
+    path, error, force, wake = figure.axes
+    for axes in (error, force):
+        assert [line.get_linewidth() for line in axes.lines] == [0.8] * 6
+    dotted = path.lines[1::2]
+    assert [(line.get_color(), line.get_linestyle(), line.get_linewidth()) for line in dotted] == [
+        ("k", ":", 0.8)
+    ] * 3
+    assert [text.get_text() for text in path.get_legend().get_texts()] == ["x", "y", "z"]
+    assert wake.get_yscale() == "log"
+    for axes in figure.axes:
+        lines = [*axes.get_xgridlines(), *axes.get_ygridlines()]
+        assert lines
+        assert {(line.get_alpha(), line.get_visible()) for line in lines} == {(0.3, True)}

@@ -81,6 +81,9 @@ def test_frames_of_several_buses_stand_in_their_order_each_with_all_that_was_on_
     found, ticks = encoded(encoder(can_channels=["front", "rear bus"]), batch(2, *ITEMS))
     assert [m.topic for m in found] == ["/tick", *["/can"] * 3] * 2
     assert ticks == [0] * 4 + [1] * 4
+    rows = [m for m in found if m.topic == "/tick"]
+    assert [(m.content.tick, m.content.t_ns) for m in rows] == [(TICK, T_NS), (TICK + 1, T_NS + S)]
+    assert [m.log_time - EPOCH for m in rows] == [m.publish_time - EPOCH for m in rows] == [T_NS, T_NS + S]
     frames = [m for m in found if m.topic == "/can"]
     names = ["is_rtr", "is_extended", "is_error", "fdf", "brs", "esi"]
     bits = [REMOTE, EXTENDED, ERROR, FD, BRS, ESI]
@@ -161,6 +164,7 @@ def test_the_text_of_an_event_ends_at_what_is_no_piece_of_it():
     items = batch(0, *((0, 0, number, kind, data, 0, 0) for kind, number, data in pieces)).items
     assert [event_text(items, i) for i in (0, 3, 6)] == ["before", "abc", "de"]
     assert event_text(items[1:], 2) == "abc", "though its first piece is the first item"
+    assert event_text(items[:2], 0) == "before", "though the last item is the piece of another"
 
 
 @pytest.mark.parametrize(("scene", "every"), [(None, 33), (3, 3)])

@@ -223,7 +223,7 @@ def test_the_parts_of_the_memory_begin_on_pages_lie_apart_and_are_as_large_as_th
     parts = [np.asarray(ring.counters), ends, ring.rows.view(np.uint8), items]
     begins = [part.__array_interface__["data"][0] for part in parts]
     sizes = [part.nbytes for part in parts]
-    assert sizes[1:] == [8 * capacity, DTYPE.itemsize * capacity, 16 * ITEM.itemsize * capacity]
+    assert sizes == [4096, 8 * capacity, 40 * capacity, 16 * 80 * capacity]
     assert [begin % 4096 for begin in begins] == [0] * 4
     gaps = [begin - before - size for before, size, begin in zip(begins, sizes, begins[1:], strict=False)]
     assert all(0 <= gap < 4096 for gap in gaps)
@@ -232,6 +232,13 @@ def test_the_parts_of_the_memory_begin_on_pages_lie_apart_and_are_as_large_as_th
         assert part.__array_interface__["data"] == other.__array_interface__["data"]
         assert part.nbytes == other.nbytes
     ring.close_fd()
+
+
+def test_each_counter_has_a_word_and_neither_end_stores_into_a_line_of_the_other():
+    producer_s, consumer_s = {WRITTEN, EVENTS, DROPPED}, {READ, READ_ITEMS}
+    assert (len(producer_s), len(consumer_s)) == (3, 2)
+    assert all(0 <= word < 512 for word in producer_s | consumer_s)
+    assert not {word // 8 for word in producer_s} & {word // 8 for word in consumer_s}, "64 bytes a line"
 
 
 @pytest.mark.parametrize("memfd", [True, False])

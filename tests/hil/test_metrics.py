@@ -142,6 +142,16 @@ def test_an_answer_has_settled_within_two_per_cent_of_its_way(by, settled):
     assert step_response(t, y, 0.0).settled is settled
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("by", "settled"), [(0.019, True), (0.021, False)])
+def test_an_answer_that_swings_out_to_one_side_alone_has_not_settled_either(by, settled, sign):
+    """Nine of ten samples lie a little on the other side of their mean."""
+    t, y = np.linspace(0.0, 0.1, 100), np.ones(100)
+    y[-10:] = 1.0 - sign * by / 9
+    y[-4] = 1.0 + sign * by
+    assert step_response(t, y, 0.0).settled is settled
+
+
 def test_what_does_not_answer_has_no_rise_and_no_bandwidth():
     still = np.full_like(T, 2.0)
     found = step_response(T, still, 2.0)

@@ -13,7 +13,8 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Warn
 from drivers.tick_columns import ROW
 from hil.record import Recording
-from hil.record.publish import LAST_EVENTS, Publisher
+from hil.record import publish as module
+from hil.record.publish import Publisher
 from hil.record.ring import Ring
 from hil.record.row import TICKS
 
@@ -24,13 +25,16 @@ class Shown:
     def __init__(self) -> None:
         self.tick, self.waiting, self.closed = -1, -1, False
         self.events: list[tuple[int, str]] = []
+        self.told: list[dict[str, Any]] = []
+        self.size = 0
         self.figures: dict[str, int] = {}
 
     def write(self, row, figures, text):
         assert not self.closed
         self.tick, self.waiting = int(row["tick"]), int(figures["waiting"])
         self.figures = {name: int(figures[name]) for name in figures.dtype.names}
-        self.events = [(each["number"], each["text"]) for each in json.loads(text)]
+        self.told, self.size = json.loads(text), len(text)
+        self.events = [(each["number"], each["text"]) for each in self.told]
 
     def close(self):
         self.closed = True
@@ -111,7 +115,7 @@ def test_every_tick_is_counted_once_whether_it_was_looked_at_before_it_was_writt
 
 
 def test_of_many_events_the_last_ones_are_shown(bench):
-    count = LAST_EVENTS + 25
+    count = 40 + 25
     for k in range(count):
         bench.recording.event(k, "info", f"event {k}")
         bench.run(1)
@@ -119,7 +123,7 @@ def test_of_many_events_the_last_ones_are_shown(bench):
             bench.drain()
     bench.drain()
     bench.publisher.publish(0)
-    assert bench.shown.events == [(k + 1, f"event {k}") for k in range(count - LAST_EVENTS, count)]
+    assert bench.shown.events == [(k + 1, f"event {k}") for k in range(count - 40, count)]
 
 
 def test_events_of_several_pieces_that_follow_each_other_are_shown_each_with_its_own_text(bench):
@@ -146,3 +150,73 @@ def test_the_end_of_a_run_is_shown_before_its_picture_is_closed(bench):
     bench.publisher.close()
     assert (bench.shown.tick, bench.shown.events) == (4, [(1, "why it ended")])
     assert bench.shown.closed
+
+
+def test_an_event_is_shown_with_its_time_its_level_and_600_signs_of_its_text(bench):
+    levels = ["debug", "info", "warning", "error"]
+    for k, level in enumerate(levels):
+        bench.recording.event(1000 + k, level, "é" * (599 + k))
+    bench.run(1)
+    batch = bench.ring.take(256)
+    of_another_version = np.flatnonzero(batch.items["id"] == 0)[0]
+    batch.items["flags"][of_another_version] = 77
+    bench.publisher.drained(batch)
+    bench.ring.release(batch)
+    bench.publisher.publish(0)
+    texts = ["é" * 599, "é" * 600, "é" * 600 + " …", "é" * 600 + " …"]
+    assert bench.shown.told == [
+        {"number": k + 1, "t_ns": 1000 + k, "level": level, "text": text}
+        for k, (level, text) in enumerate(zip(["info", *levels[1:]], texts, strict=True))
+    ]
+
+
+def test_the_oldest_events_go_where_all_that_are_shown_take_more_than_24000_bytes(bench):
+    """Each takes 7 bytes a sign of its text, and so many more; the last one is as long as fits, and one longer."""
+
+    def show(*texts):
+        for text in texts:
+            bench.recording.event(1, "info", text)
+        bench.run(1)
+        bench.drain()
+        bench.publisher.publish(0)
+
+    show(*["\x01" * 500] * 7)
+    assert len(bench.shown.told) == 7
+    per_event = (bench.shown.size - 2 - 6 * 2) // 7
+    room = 24000 - bench.shown.size - 2 - (per_event - 6 * 500)
+    full = ["\x01" * (room // 6) + "x" * (room % 6)]
+    show(*full)
+    assert (len(bench.shown.told), bench.shown.size) == (8, 24000)
+    show("one more")
+    assert [number for number, _ in bench.shown.events] == list(range(2, 10))
+
+
+def test_the_largest_delays_are_those_of_the_last_one_to_two_seconds(bench, monkeypatch):
+    now = [50 * 10**9]
+    monkeypatch.setattr(module.time, "monotonic_ns", lambda: now[0])
+    found = []
+    steps = [(0, 9, 5), (10**9, 4, 7), (1, 3, 1), (10**9 - 1, 2, 2), (2, 1, 8), (10**9 + 1, 2, 3)]
+    for after_ns, lateness_ns, compute_ns in steps:
+        now[0] += after_ns
+        bench.run(1, lateness_ns=lateness_ns, compute_ns=compute_ns)
+        bench.publisher.publish(0)
+        found.append((bench.shown.figures["late_ns"], bench.shown.figures["compute_ns"]))
+        assert bench.shown.figures["seen_ns"] == now[0]
+    assert found == [(9, 5), (9, 7), (9, 7), (9, 7), (3, 8), (2, 8)]
+
+
+def test_ticks_that_were_lost_are_told_and_the_row_shown_is_the_newest_when_the_ring_has_turned(bench):
+    bench.run(256)
+    bench.drain(200)
+    bench.run(200)
+    bench.publisher.publish(9)
+    assert (bench.shown.tick, bench.shown.waiting, bench.shown.figures["dropped"]) == (455, 256, 0)
+    bench.run(3)
+    bench.publisher.publish(10)
+    assert (bench.shown.tick, bench.shown.figures["dropped"], bench.shown.figures["log_bytes"]) == (
+        455,
+        3,
+        10,
+    )
+    bench.publisher.close()
+    assert (bench.shown.figures["log_bytes"], bench.shown.closed) == (10, True)

@@ -13,6 +13,7 @@ import pytest
 
 from drivers.signals import Mode, Warn
 from drivers.tick_columns import ROW
+from hil.record import live as module
 from hil.record.live import LiveView
 
 
@@ -108,3 +109,98 @@ def test_a_terminal_that_becomes_narrower_is_asked_again(terminal):
         view._due = 0.0
         view.show(tracking)
         assert len(written()) == len("\r\x1b[K") + columns - 1
+
+
+class Out(io.StringIO):
+    """Keeps what was written, and how much of it had been flushed; a terminal if it is told to."""
+
+    def __init__(self, terminal=False, broken=False):
+        super().__init__()
+        self.terminal, self.broken, self.tries, self.seen = terminal, broken, 0, ""
+
+    def isatty(self):
+        return self.terminal
+
+    def write(self, text):
+        self.tries += 1
+        if self.broken:
+            raise BrokenPipeError
+        return super().write(text)
+
+    def flush(self):
+        self.seen = self.getvalue()
+
+
+@pytest.mark.parametrize(("terminal", "apart_s"), [(True, 0.2), (False, 5.0)])
+def test_a_line_comes_at_once_and_then_five_times_a_second_on_a_terminal_and_every_five_seconds_elsewhere(
+    monkeypatch, terminal, apart_s
+):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    out = Out(terminal)
+    view = LiveView(out, None)
+    drawn = []
+    for k in range(33):
+        now[0] = k * apart_s / 16
+        view.show(rows(0))
+        before = out.tries
+        view.show(rows(1))
+        drawn += [k] if out.tries > before else []
+        assert out.seen == out.getvalue()
+    assert drawn == [0, 16, 32]
+
+
+def test_a_terminal_that_breaks_is_not_written_to_again(monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    out = Out(broken=True)
+    view = LiveView(out, None)
+    for _ in range(5):
+        view.show(rows(1))
+        now[0] += 1e6
+    assert out.tries == 1
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_end_leaves_no_line_on_a_terminal_and_every_line_elsewhere(terminal):
+    out = Out(terminal)
+    view = LiveView(out, None)
+    view.show(rows(1))
+    line = out.getvalue()
+    view.end()
+    assert out.getvalue() == line + ("\r\x1b[K" if terminal else "")
+
+
+@pytest.mark.parametrize(
+    ("done_s", "of_s", "said"),
+    [
+        (0.0, 20.0, "tracking                       |   0.0 of 20 s"),
+        (0.4, 20.0, "tracking                       |   0.4 of 20 s"),
+        (0.6, 20.0, "tracking   #                   |   0.6 of 20 s"),
+        (10.0, 20.0, "tracking   ##########          |  10.0 of 20 s"),
+        (20.0, 20.0, "tracking   ####################|  20.0 of 20 s"),
+        (30.0, 20.0, "tracking   ####################|  30.0 of 20 s"),
+        (12.34, None, "tracking     12.3 s"),
+        (12.34, 0.0, "tracking     12.3 s"),
+    ],
+)
+def test_a_line_has_the_share_of_the_reference_that_is_done_or_the_time_of_one_without_an_end(
+    done_s, of_s, said
+):
+    (row,) = rows(1, mode=Mode.TRACKING, reference_time_s=done_s)
+    row["q"][:2] = [3e-3, -1e-3]
+    assert LiveView(Out(), of_s).line(row) == (
+        f"{said}  leg error  3.000 mm  force     0.0 N  late    0 us  stale 0, skipped 0"
+    )
+
+
+def test_a_line_outside_of_tracking_has_mode_and_force_and_what_was_counted_since_the_start():
+    out = Out()
+    view = LiveView(out, 20.0)
+    given = rows(4, mode=Mode.IDLE, skipped=[1, 0, 2, 0], lateness_ns=[1000, 9600, 0, 2000])
+    given["warnings"][[0, 3]] = int(Warn.STALE), int(Warn.STALE | Warn.FORCE_LIMIT)
+    given["warnings"][1] = int(Warn.FORCE_LIMIT)
+    given["tau"][-1] = [1.0, -250.25, 3.0, 0.0, 0.0, 200.0]
+    given["mode"][-1], given["tau"][:-1] = Mode.HELD, 9e9
+    view.show(given)
+    assert out.getvalue() == "held       force   250.2 N  late   10 us  stale 2, skipped 3\n"

@@ -137,7 +137,7 @@ AREAS = {
         ),
         (
             "tests/hil/test_ring.py",
-            "tests/hil/test_mirror.py",
+            "tests/hil/test_mirror*.py",
             "tests/hil/test_figures.py",
             "tests/hil/test_alignment.py",
             "tests/hil/test_metrics.py",

@@ -138,6 +138,55 @@ def test_what_went_wrong_on_the_bus_is_counted_and_a_state_where_a_better_one_wa
     assert "bus" not in figures(rows_of(9, bus_state=int(BusState.ACTIVE)))
 
 
+@pytest.mark.parametrize("column", ["bus_errors", "sends_failed", "bus_overflow", "bus_off", "bus_state"])
+def test_one_trouble_on_the_bus_is_told_though_there_was_no_other(column):
+    rows = rows_of(3)
+    rows[column][1] = BusState.WARNING if column == "bus_state" else 1
+    assert sum(figures(rows)["bus"].values()) == 1
+
+
+def test_a_run_of_no_tick_has_figures_that_say_so():
+    assert figures(rows_of(0)) == {
+        "ticks": 0, "duration_s": 0.0, "final_mode": None, "faults": [], "tracking": {"ticks": 0}, "peak_force_N": 0.0,
+        "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 0, "FORCE_WINDOW": 0}, "wake_up_us": {}, "compute_us": {},
+        "stale_ticks": 0, "skipped_ticks": 0, "rejected_frames": 0, "dropped_ticks": 0,
+    }  # fmt: skip
+
+
+def test_each_limit_of_the_force_is_counted_by_the_ticks_in_which_it_acted():
+    limits = [Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW]
+    rows = rows_of(7)
+    for k, (limit, ticks) in enumerate(zip(limits, ([0, 1, 2], [2], [5, 6]), strict=True)):
+        rows["warnings"][ticks] |= int(limit)
+        found = [figures(rows)["limited_ticks"][str(each.name)] for each in limits]
+        assert found == [3, 1, 2][: k + 1] + [0] * (2 - k)
+
+
+def test_delays_are_told_by_their_middle_their_highest_hundredth_and_the_largest_one():
+    late = np.arange(101)
+    found = figures(rows_of(101, lateness_ns=1000 * late, compute_ns=2000 * np.roll(late, 1)))
+    assert found["wake_up_us"] == pytest.approx({"p50": 50.0, "p99": 99.0, "max": 100.0})
+    assert found["compute_us"] == pytest.approx({"p50": 99.0, "p99": 196.02, "max": 198.0})
+
+
+def test_a_run_ends_in_the_mode_of_its_last_tick_and_moves_from_its_first_tick_of_tracking_on():
+    rows = rows_of(4, [Mode.IDLE, Mode.TRACKING, Mode.TRACKING, Mode.HELD])
+    found = figures(rows)
+    assert (found["final_mode"], found["ticks"], found["tracking"]["ticks"]) == ("HELD", 4, 2)
+    assert found["first_motion_s"] == pytest.approx(1e-3)
+    still = figures(rows_of(2, Mode.IDLE))
+    assert "first_motion_s" not in still
+    assert still["tracking"] == {"ticks": 0}
+
+
+def test_the_certificate_is_told_where_one_tick_was_watched_and_nowhere_else():
+    rows = rows_of(4)
+    assert "certificate" not in figures(rows)
+    rows["lyapunov_share"] = np.nan
+    rows["lyapunov"][2] = 5.0
+    assert figures(rows)["certificate"] == {"peak_V_m2_s4": 5.0, "watched_ticks": 0, "alarms": 0}
+
+
 @pytest.mark.parametrize(("taken", "refused"), [(0, 0), (3, 0), (0, 2), (3, 2)])
 def test_set_points_are_those_until_the_last_tick_and_why_some_were_refused_is_said(taken, refused):
     rows = rows_of(3, setpoints_taken=[0, 0, taken], setpoints_refused=[0, refused, refused])

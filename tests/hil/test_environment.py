@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import PosixPath
 
 import pytest
@@ -87,11 +87,67 @@ def git(monkeypatch):
     module._git.cache_clear()
 
 
-def test_the_state_of_the_sources_is_what_git_says_in_one_line(git):
-    git.setattr(
-        module.subprocess, "run", lambda *_, **__: subprocess.CompletedProcess([], 0, "1a2b-dirty\n", "")
+def test_the_state_of_the_sources_is_what_git_says_in_one_line_asked_once_and_for_two_seconds(git):
+    asked = []
+
+    def run(command, **how):
+        asked.append((command, how))
+        return subprocess.CompletedProcess([], 0, "1a2b-dirty\n", "")
+
+    git.setattr(module.subprocess, "run", run)
+    assert module._git() == module._git() == "1a2b-dirty"
+    root = str(PosixPath(__file__).resolve().parents[2])
+    command = ["git", "-C", root, "describe", "--always", "--dirty", "--abbrev=40"]
+    assert asked == [(command, {"capture_output": True, "text": True, "timeout": 2.0, "check": True})]
+
+
+def test_sources_in_no_repository_of_their_own_have_no_state(git):
+    git.setattr(module.Path, "exists", lambda self: False)
+    assert module._git() == ""
+
+
+def test_a_program_that_is_not_installed_has_an_unknown_version_and_a_package_that_is_not_there_none(
+    monkeypatch,
+):
+    module._version.cache_clear()
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "2.0" if name == "numpy" else gone(name))
+    try:
+        assert product_version() == "unknown"
+        found = environment()
+        assert found["version"] == "unknown"
+        assert {name: value for name, value in found.items() if name.startswith("package.")} == {
+            "package.numpy": "2.0"
+        }
+    finally:
+        module._version.cache_clear()
+
+
+def gone(name):
+    raise PackageNotFoundError(name)
+
+
+def test_a_system_without_schedulers_says_nothing_of_them(monkeypatch):
+    monkeypatch.delattr(os, "sched_getscheduler")
+    monkeypatch.delattr(os, "sched_getaffinity")
+    assert scheduling() == {}
+
+
+def test_the_scheduler_is_that_of_this_process_and_bytes_that_are_no_text_do_not_matter(
+    monkeypatch, tmp_path
+):
+    asked: list[tuple[str, int]] = []
+    monkeypatch.setattr(
+        os, "sched_getscheduler", lambda pid: (asked.append(("scheduler", pid)), os.SCHED_BATCH)[1]
     )
-    assert module._git() == "1a2b-dirty"
+    monkeypatch.setattr(
+        os, "sched_getparam", lambda pid: (asked.append(("priority", pid)), os.sched_param(0))[1]
+    )
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: (asked.append(("affinity", pid)), {1})[1])
+    assert scheduling() == {"scheduler": "batch 0", "affinity": "1"}
+    assert asked == [("scheduler", 0), ("priority", 0), ("affinity", 0)]
+    (tmp_path / "clock").write_bytes(b"ts\xffc\n")
+    monkeypatch.setattr(module, "_CLOCKSOURCE", tmp_path / "clock")
+    assert module._clock() == "ts\ufffdc"
 
 
 @pytest.mark.parametrize(

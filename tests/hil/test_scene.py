@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.tick_columns import ROW
 from hil.record import Scene
-from hil.record.scene import SceneDrawer, transforms
+from hil.record.scene import SceneDrawer, quaternion, transforms
 
 ANGLES = np.deg2rad([0, 50, 120, 170, 240, 290])
 BASE = np.column_stack([2.0 * np.cos(ANGLES), 2.0 * np.sin(ANGLES), 0.1 * np.arange(6)])
@@ -133,3 +133,45 @@ def test_the_outlines_of_upright_rings_do_not_cross_themselves(row, tilt):
     for name, radius in (("base", 2.0), ("platform", 1.0)):
         ring = np.array([xyz(point) for point in lines[name].points])
         assert np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) == pytest.approx(6 * [radius])
+
+
+def test_lines_and_legs_are_as_thick_as_a_fiftieth_of_the_distance_of_the_farthest_base_joint(row):
+    base = BASE + np.array([0.5, 0.0, 0.0])
+    thick = 0.02 * max(np.sqrt(x * x + y * y + z * z) for x, y, z in base)
+    drawn = SceneDrawer(Scene(base.tolist(), PLATFORM.tolist())).update(row, Timestamp())
+    assert drawn is not None
+    entities = {e.id: e for e in SceneUpdate.FromString(drawn).entities}
+    lines = [*entities["base"].lines, *entities["platform"].lines]
+    assert [(line.type, line.thickness) for line in lines] == [(1, pytest.approx(thick))] * 2, "closed loops"
+    for leg in entities["legs"].cylinders:
+        assert (leg.size.x, leg.size.y) == pytest.approx((thick, thick))
+        assert (leg.bottom_scale, leg.top_scale) == (1.5, 1.0), "it is seen which end is on the base"
+
+
+@pytest.mark.parametrize("gap", [0.0, -1e-200])
+def test_legs_too_short_to_have_a_direction_are_drawn_all_the_same(row, gap):
+    row["p"], row["R"] = [0.0, 0.0, gap], np.eye(3).reshape(row["R"].shape)
+    flat = BASE * [1.0, 1.0, 0.0]
+    assert [leg.size.z for leg in legs_of(flat, flat, row)] == [0.0] * 6
+
+
+@pytest.mark.parametrize("missing", ["p", "R", "p_d", "R_d"])
+def test_a_table_without_a_column_of_a_pose_has_the_other_pose_alone(row, missing):
+    names = [name for name in ("p", "R", "p_d", "R_d") if name != missing]
+    found = [FrameTransform.FromString(t).child_frame_id for t in transforms(row[names], Timestamp())]
+    assert found == (["platform"] if missing.endswith("_d") else ["reference"])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("largest", range(4))
+def test_a_quaternion_is_found_by_its_largest_component_and_has_a_real_part_that_is_not_negative(
+    largest, sign
+):
+    q = np.array([0.1, -0.2, 0.3, 0.25])
+    q[largest] = 2.0 * sign
+    q /= np.linalg.norm(q)
+    expected = q if q[3] >= 0.0 else -q
+    np.testing.assert_allclose(quaternion(Rotation.from_quat(q).as_matrix()), expected, atol=1e-15)
+    half = np.zeros(4)
+    half[largest] = 1.0
+    np.testing.assert_allclose(quaternion(Rotation.from_quat(half).as_matrix()), half, atol=1e-15)

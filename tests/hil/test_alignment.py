@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from hil.record.alignment import CLOCK_NS, Side, plant_rows_of, require_one_run
+from hil.record.alignment import Side, plant_rows_of, require_one_run
 
 PERIOD_NS = 1_000_000
+CLOCK_NS = 10_000_000_000
+"""The clocks of one run started at most so far apart."""
 LOG = Side("a.mcap", 0, lockstep=True, configuration=b"x: 1\n", run="7")
 PLACES = np.array([0, 1])
 
@@ -114,3 +116,24 @@ def test_a_row_from_long_before_or_after_is_no_ticks_own_although_none_is_nearer
     assert plant_rows_of(ticks_at([tick_ns]), plant_at([row_ns], [1]), PERIOD_NS).tolist() == [-1]
     counted = plant_at([row_ns, row_ns + 10], [0, 0])
     assert plant_rows_of(ticks_at([tick_ns]), counted, PERIOD_NS).tolist() == [-1]
+
+
+def test_of_two_that_are_equally_near_the_later_one_counts():
+    plant = plant_at([PERIOD_NS - 400, PERIOD_NS + 400], [1, 2])
+    assert plant_rows_of(ticks_at([PERIOD_NS]), plant, PERIOD_NS).tolist() == [1]
+    assert plant_rows_of(ticks_at([0, PERIOD_NS]), plant_at([PERIOD_NS // 2], [1]), PERIOD_NS).tolist() == [
+        -1,
+        0,
+    ]
+
+
+def test_a_tick_before_the_first_row_and_one_behind_the_last_have_the_one_at_the_end_or_none():
+    plant = plant_at([5_000, 2_000_000, 2_500_000], [1, 2, 3])
+    ticks = ticks_at([-400_000, 2_000_100, 2_900_000, 9_000_000])
+    assert plant_rows_of(ticks, plant, PERIOD_NS).tolist() == [0, 1, 2, -1]
+
+
+def test_a_plant_whose_count_begins_again_is_read_where_it_rises():
+    plant = plant_at([0, 1_000_000, 2_000_000, 3_000_000], [7, 8, 1, 2])
+    found = plant_rows_of(ticks_at([0, 1_000_000, 2_000_000, 3_000_000]), plant, PERIOD_NS)
+    assert found.tolist() == [0, 1, -1, 3]

@@ -112,7 +112,9 @@ def test_after_a_look_that_took_a_second_none_is_made_up_for(monkeypatch):
 
 def test_in_real_time_there_is_a_chunk_every_tenth_of_a_second(monkeypatch):
     """A look that comes a little early counts: the next one would come too late."""
-    drained = Day(monkeypatch).run(2.0)["drain"]
+    day = Day(monkeypatch)
+    drained = day.run(2.0)["drain"]
+    assert day.limits == {2048}, "ticks in one go at most"
     np.testing.assert_allclose(np.diff(drained)[:-1], 0.1, atol=1e-3)
     assert len(drained) >= 20
 

@@ -124,7 +124,16 @@ def test_the_set_up_says_what_the_bus_is_called_what_is_drawn_and_what_is_shown(
 
 @pytest.mark.parametrize(
     ("row_bytes", "capacity", "ticks"),
-    [(16, 1024, 252), (16, 504, 252), (16, 503, 251), (16, 256, 128), (3072, 1024, 64), (40_000, 256, 16)],
+    [
+        (16, 1024, 252),
+        (16, 504, 252),
+        (16, 503, 251),
+        (16, 256, 128),
+        (64, 1024, 240),
+        (1024, 1024, 128),
+        (3072, 1024, 64),
+        (40_000, 256, 16),
+    ],
 )
 def test_a_batch_is_about_a_chunk_of_rows_with_a_kilobyte_of_frames_each(
     tmp_path, row_bytes, capacity, ticks
@@ -227,6 +236,16 @@ def test_what_is_drained_is_written_counted_shown_and_only_then_given_back_and_s
     assert did == [("write", 1), ("show", []), ("drained", []), ("release", 0), ("send", 1)]
     assert recorder._drain(2) is False
     recorder.file.discard()
+
+
+@pytest.mark.parametrize(("mode", "first_s"), [("lockstep", 0.004), ("realtime", 0.0)])
+def test_the_set_up_says_whether_time_is_simulated_then_the_first_look_waits_too(tmp_path, mode, first_s):
+    bench = Bench(tmp_path, identity={"mode": mode})
+    waited: list[float] = []
+    control: Any = SimpleNamespace(ended=lambda timeout_s: waited.append(timeout_s) is None)
+    bench.recorder.run(control)
+    bench.recorder.file.discard()
+    assert waited == [first_s]
 
 
 def test_a_run_that_ends_is_shown_no_more_and_that_once():

@@ -1,0 +1,170 @@
+"""The schemas of frames and commands as other programs read them, and the bytes that a layout is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from hil.record.layout import (
+    FIXED32,
+    FIXED64,
+    LENGTH,
+    VARINT,
+    Builder,
+    frame_layout,
+    pack_varint5,
+    unpack_varint5,
+    varint,
+)
+from hil.record.schema import frame_schema, message_class, operator_schema
+from hil.signals import Operator
+
+FRAME = {
+    "header": (1, "MESSAGE", "Header", "received: end of the frame; sent: the tick, or the send"),
+    "id": (2, "FIXED32", "", "without flags"),
+    "is_rtr": (3, "BOOL", "", ""),
+    "is_extended": (4, "BOOL", "", ""),
+    "is_error": (5, "BOOL", "", ""),
+    "dlc": (6, "UINT32", "", "code of ISO 11898-1: 9 is 12 bytes, 15 is 64"),
+    "data": (7, "BYTES", "", ""),
+    "channel": (8, "STRING", "", ""),
+    "direction": (9, "ENUM", "Direction", "seen from who wrote the log"),
+    "fdf": (10, "BOOL", "", "CAN FD format"),
+    "brs": (11, "BOOL", "", "bit rate switch"),
+    "esi": (12, "BOOL", "", "error state indicator"),
+    "tick": (13, "SFIXED64", "", "tick that consumed or sent the frame"),
+    "index": (14, "FIXED32", "", "order within the tick"),
+    "bus": (15, "UINT32", "", "which of the buses, from 0"),
+}
+COMMAND = {
+    "stamp": (1, "MESSAGE", "Timestamp", ""),
+    "command": (2, "ENUM", "Operator", ""),
+    "tick": (3, "SFIXED64", "", ""),
+    "index": (4, "FIXED32", "", ""),
+    "setpoint": (5, "DOUBLE", "", "of SETPOINT: x, y, z in m and the rotation vector in rad; else the command's numbers"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("schema", "name", "fields"),
+    [(frame_schema(), "hil.Frame", FRAME), (operator_schema(), "hil.OperatorCommand", COMMAND)],
+    ids=["frame", "command"],
+)
+def test_a_message_has_its_fields_under_their_numbers_with_what_they_mean(schema, name, fields):
+    times, file = FileDescriptorSet.FromString(schema.descriptors).file
+    assert times.name == Timestamp.DESCRIPTOR.file.name
+    assert list(file.dependency) == [times.name]
+    assert (schema.name, file.package, file.syntax) == (name, "hil", "proto3")
+    assert file.name == f"{name.replace('.', '/')}.proto"
+    message = file.message_type[0]
+    said = {at.path[3]: at.leading_comments for at in file.source_code_info.location}
+    assert {tuple(at.path[:3]) for at in file.source_code_info.location} == {(4, 0, 2)}
+    assert {at.path[3]: list(at.span) for at in file.source_code_info.location} == {
+        k: [k + 1, 0, 0] for k in said
+    }
+    found = {}
+    for k, field in enumerate(message.field):
+        kind = FieldDescriptorProto.Type.Name(field.type).removeprefix("TYPE_")
+        text = said.get(k, "").removeprefix(" ").removesuffix("\n")
+        found[field.name] = (field.number, kind, field.type_name.rpartition(".")[2], text)
+    assert found == fields
+    assert [f.name for f in message.field if f.label == FieldDescriptorProto.LABEL_REPEATED] == (
+        ["setpoint"] if fields is COMMAND else []
+    )
+
+
+def test_directions_and_commands_have_their_names_and_0_is_unknown():
+    _, frames = FileDescriptorSet.FromString(frame_schema().descriptors).file
+    _, commands = FileDescriptorSet.FromString(operator_schema().descriptors).file
+    assert [(v.name, v.number) for v in frames.enum_type[0].value] == [
+        ("UNKNOWN_DIRECTION", 0),
+        ("RX", 1),
+        ("TX", 2),
+    ]
+    assert [(v.name, v.number) for v in commands.enum_type[0].value] == [
+        ("UNKNOWN_OPERATOR", 0), *((each.name, each.value) for each in Operator)
+    ]  # fmt: skip
+    assert [f.name for f in frames.message_type[1].field] == ["stamp"]
+    assert frames.message_type[1].field[0].number == 1
+    assert message_class(frame_schema())().header.stamp.seconds == 0
+
+
+# -- bytes ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0, "00"), (1, "01"), (127, "7f"), (128, "8001"), (300, "ac02"), (16383, "ff7f"), (16384, "808001"), (1 << 35, "808080808001")],
+)  # fmt: skip
+def test_a_varint_has_seven_bits_a_byte_the_low_ones_first(value, expected):
+    assert varint(value).hex() == expected
+
+
+def test_varints_of_five_bytes_carry_35_bits_and_are_read_back():
+    values = np.array([0, 1, 127, 128, 999_999_999, (1 << 35) - 1])
+    packed = pack_varint5(values)
+    assert [bytes(row).hex() for row in packed] == [
+        "8080808000", "8180808000", "ff80808000", "8081808000", "ff93ebdc03", "ffffffff7f",
+    ]  # fmt: skip
+    assert packed.dtype == np.uint8
+    assert unpack_varint5(packed).tolist() == values.tolist()
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 63])
+@pytest.mark.parametrize(("kind", "wire_type"), [("<f8", FIXED64), ("u1", VARINT)])
+def test_a_message_of_elements_has_a_tag_before_each_of_two_bytes_where_there_are_more_than_15(
+    count, kind, wire_type
+):
+    builder = Builder()
+    builder.bytes(b"\xaa")
+    builder.fields_of_message("x", 3, kind, count, wire_type)
+    builder.tag(4, FIXED32)
+    builder.field("y", "<u4")
+    made = builder.layout()
+    records = made.new(2)
+    records["x"]["value"] = np.arange(2 * count).reshape(2, count)
+    records["y"] = [7, 8]
+    for k, record in enumerate(records):
+        tags = [varint(n << 3 | wire_type) for n in range(1, count + 1)]
+        if count > 15:
+            tags = [tag if len(tag) == 2 else bytes([tag[0] | 0x80, 0]) for tag in tags]
+        values = [np.array(k * count + n, kind).tobytes() for n in range(count)]
+        inner = b"".join(tag + value for tag, value in zip(tags, values, strict=True))
+        expected = b"\xaa" + varint(3 << 3 | LENGTH) + varint(len(inner)) + inner
+        expected += b"\x25" + (7 + k).to_bytes(4, "little")
+        data = record.tobytes()
+        assert data[31:] == expected
+        assert data[:9] == b"\x05" + (22 + len(expected)).to_bytes(8, "little")
+        assert not any(data[9:31])
+
+
+def test_the_head_of_a_record_has_its_numbers_where_mcap_has_them():
+    records = frame_layout(0, b"can0").new(1)
+    records["@channel"], records["@sequence"] = 0x0102, 0x03040506
+    records["@log_time"], records["@publish_time"] = 0x0708090A0B0C0D0E, 0x0F10111213141516
+    head = bytes.fromhex("0201 06050403 0e0d0c0b0a090807 161514131211100f")
+    assert records[0].tobytes()[9:31] == head
+
+
+@pytest.mark.parametrize("length", [0, 1, 64])
+@pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
+def test_a_frame_as_ours_is_told_from_one_in_which_a_constant_byte_differs(length, name):
+    layout = frame_layout(length, name)
+    records = layout.new(3)
+    for k, field in enumerate(layout.payload.names or ()):
+        records[field] = k + 1
+    payloads = np.array([list(record.tobytes()[31:]) for record in records], np.uint8)
+    free = sorted(set(range(payloads.shape[1])) - set(layout.constant.tolist()))
+    assert len(free) == 5 + 5 + 4 + 3 + 1 + length + 1 + 3 + 8 + 4 + 1
+    assert layout.fits(payloads)
+    payloads[:, free] = 0xEE
+    assert layout.fits(payloads)
+    for at in layout.constant.tolist():
+        one = payloads.copy()
+        one[1, at] ^= 1
+        assert layout.fitting(one).tolist() == [True, False, True]
+        assert not layout.fits(one)
+    assert layout.fitting(payloads[:, :-1]).tolist() == [False] * 3
+    assert layout.fits(payloads[:0])

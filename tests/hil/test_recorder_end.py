@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import subprocess
+from types import SimpleNamespace
 
 import pytest
 
@@ -77,3 +78,36 @@ def test_a_recorder_that_has_closed_its_log_ends_without_a_word(tmp_path, capfd)
     assert recording.close().complete
     assert recording._process.returncode == 0
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_look_for_the_end_waits_as_long_as_it_is_told_in_milliseconds(held, producer):
+    control = _Control(held[0], producer.pid)
+    asked: list[float] = []
+    control._poll = SimpleNamespace(poll=lambda ms: asked.append(ms) or [])  # type: ignore[assignment]
+    assert not control.ended(0.25)
+    assert asked == [250.0]
+
+
+@pytest.mark.parametrize("lacks", [AttributeError, ProcessLookupError])
+def test_where_processes_cannot_be_watched_the_pipe_says_when_the_producer_has_ended(
+    held, producer, monkeypatch, lacks
+):
+    def refuse(_):
+        raise lacks
+
+    monkeypatch.setattr(os, "pidfd_open", refuse)
+    control = _Control(held[0], producer.pid)
+    assert not control.ended(0.0)
+    os.close(held[1])
+    assert control.ended(LONG_S)
+
+
+def test_a_summary_of_a_megabyte_is_read_in_pieces(held, producer):
+    control = _Control(held[0], producer.pid)
+    line = json.dumps({"ending": "PARKED", "long": "x" * (1 << 20)}).encode() + b"\n"
+    looks = 0
+    for at in range(0, len(line), 40_000):
+        os.write(held[1], line[at : at + 40_000])
+        looks += control.ended(LONG_S)
+    assert looks == 1
+    assert control.summary == json.loads(line)

@@ -119,8 +119,6 @@ class Homing:
     def _leaps(self, leg: int, raw: Array, tick: Record, last: Record) -> bool:
         """Tell whether a reading is half a step or more from where the last one and its rate lead."""
         assert self._pose is not None
-        if last["age"][leg] > SILENT_TICKS or tick["age"][leg] > last["age"][leg]:
-            return False
         ticks = int(tick["tick"]) - int(last["tick"]) + int(last["age"][leg]) - int(tick["age"][leg])
         expected = self.raw[leg] + last["rate"][leg] * ticks * self._period_s
         return bool(abs(raw[leg] - expected) >= 0.5 * self._pose.step_m[leg])

@@ -29,7 +29,7 @@ class Leg:
         self.last["age"] = NEVER
         self.number = -1
 
-    def hear(self, reported, *, braked=True, silent=(), rate=0.0, skipped=0, late=()):
+    def hear(self, reported, *, braked=True, silent=(), rate=0.0, skipped=0, late=(), by=1):
         self.number += 1 + skipped
         tick = new_record()
         tick["tick"] = self.number
@@ -37,7 +37,7 @@ class Leg:
         before = self.homing.before(self.last)
         for leg in range(6):
             quiet = leg in silent
-            tick["age"][leg] = self.last["age"][leg] + 1 if quiet else int(leg in late)
+            tick["age"][leg] = self.last["age"][leg] + 1 if quiet else by * (leg in late)
             tick["length"][leg] = before["length"][leg] if quiet else reported[leg]
         self.homing.correct(tick, self.last, braked=braked)
         self.last = tick
@@ -141,13 +141,15 @@ def test_a_drive_that_was_switched_off_with_its_brake_open_is_lost(silent_ticks)
     assert "leg 4: its drive was switched off" in legs.homing.refusal
 
 
-def test_a_drive_that_was_silent_for_less_keeps_its_turn():
+@pytest.mark.parametrize(("ticks", "known"), [(20, True), (21, False)])
+def test_a_drive_that_was_silent_for_20_ticks_keeps_its_turn_and_for_one_more_may_have_been_off(ticks, known):
     legs = Leg()
     legs.hear(forgotten(PARKED))
-    for _ in range(SILENT_TICKS):
+    for _ in range(ticks):
         legs.hear(forgotten(PARKED), silent=(1,), braked=False)
     np.testing.assert_allclose(legs.hear(forgotten(PARKED), braked=False), PARKED, atol=1e-12)
-    assert legs.homing.known
+    assert legs.homing.known is known
+    assert ("leg 1: its drive was switched off, or silent for 20 ticks" in legs.homing.refusal) is not known
 
 
 def test_a_drive_whose_position_ends_inside_the_stroke_is_refused():
@@ -210,6 +212,29 @@ def test_after_a_silent_tick_the_rate_leads_over_the_time_of_both():
     np.testing.assert_allclose(found, moved, atol=1e-12)
     assert legs.homing.known
     assert not legs.homing.refusal
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_each_leg_is_led_by_its_own_rate_over_its_own_silence(leg):
+    """0.7 of a turn a tick, each leg as fast as its step is long; the others are heard in every tick."""
+    legs, speed, moved = Leg(), 0.7 * STEP / PERIOD_S, PARKED.copy()
+    legs.hear(forgotten(moved), braked=False, rate=speed)
+    for changes in ({"silent": (leg,)}, {}, {"silent": (leg,)}, {"silent": (leg,)}, {"late": (leg,)}, {}):
+        moved = moved + speed * PERIOD_S
+        reads = moved - speed * PERIOD_S * (np.arange(6) == leg) * ("late" in changes)
+        legs.hear(forgotten(reads), braked=False, rate=speed, **changes)
+    np.testing.assert_allclose(legs.last["length"], moved, atol=1e-12)
+    assert legs.homing.known
+    assert not legs.homing.refusal
+
+
+@pytest.mark.parametrize(("old", "known"), [(1, True), (2, False)])
+def test_a_first_reading_tells_the_turn_if_it_is_a_tick_old_and_not_if_it_is_older(old, known):
+    legs = Leg()
+    legs.hear(forgotten(PARKED), late=(3,), by=old)
+    assert legs.homing.known is known
+    legs.hear(forgotten(PARKED))
+    assert legs.homing.known
 
 
 @pytest.mark.parametrize("skipped", [1, 2, 4])

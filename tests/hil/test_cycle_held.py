@@ -8,13 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
+from drivers.signals import DriveState, Fault, Mode
 from hil.app.compose import build_cycle
-from hil.loop import modes
 from hil.loop.cycle import REST_PATIENCE_S, Cycle
-from hil.safety.guard import Verdict
 from hil.safety.standstill import REST_m_s
-from hil.signals import Operator, TickInput
 from tests.hil.test_cycle_again import VIRTUAL
 from tests.records import record_of
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from hil.loop.homing import Homing, LastPose, Stroke
 from hil.loop.modes import Durations
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.override import PEAK
-from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import LIVE, VIRTUAL, a_bench
 from tests.records import record_of
 

@@ -1,0 +1,330 @@
+"""What a tick decides: what a RESET clears, what a transition is told, where faults lead, what drives are told."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
+from hil.app.compose import build_cycle
+from hil.loop import cycle as cycle_module
+from hil.loop.cycle import Cycle
+from hil.safety.guard import Verdict
+from hil.safety.standstill import REST_m_s
+from hil.signals import Operator
+from tests.hil.test_cycle_again import VIRTUAL
+from tests.hil.test_cycle_held import LAST, aside, measured
+from tests.records import record_of
+
+OPERATOR_STAYS = VIRTUAL.operator.model_copy(update={"stays": True})
+
+
+@pytest.fixture(scope="module")
+def made() -> Cycle:
+    return build_cycle(VIRTUAL, 1000.0, 0.01)
+
+
+@pytest.fixture(scope="module")
+def staying() -> Cycle:
+    return build_cycle(VIRTUAL.model_copy(update={"operator": OPERATOR_STAYS}), 1000.0, 0.01)
+
+
+@pytest.fixture
+def cycle(made: Cycle) -> Cycle:
+    made.reset()
+    return made
+
+
+def said(*operator: Operator, tick: int = 50) -> Any:
+    return SimpleNamespace(tick=tick, operator=operator, setpoints=(), orders=())
+
+
+# -- RESET
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("stays", [False, True])
+def test_a_reset_clears_what_is_latched_where_nothing_is_held_and_nowhere_else(
+    made, staying, monkeypatch, mode, stays
+):
+    cycle, told = staying if stays else made, list[str]()
+    cycle.reset()
+    for name in ("sight.forget", "obedience.reset", "parts.wrench.forget", "parts.safety.reset"):
+        *way, last = name.split(".")
+        owner: Any = cycle
+        for each in way:
+            owner = getattr(owner, each)
+        monkeypatch.setattr(owner, last, lambda name=name: told.append(name))
+    monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
+    cycle.mode, cycle.mode_tick, cycle.estop, cycle.stop_requested = mode, 50, True, Stop.MISSED
+    cycle.faults, fresh = Fault.DRIVE, cycle.dialogue
+    cycle.dialogue = cycle.parts.protocol.start(cycle.parts.setup._replace(watchdog_s=0.5))
+    cycle._change_mode(said(Operator.RELEASE), measured(cycle))
+    assert not told
+    cycle._change_mode(said(Operator.STOP, Operator.RESET), measured(cycle))
+    if mode in {Mode.FAULT, Mode.WAITING} or (stays and mode is Mode.PARKED):
+        assert told == ["sight.forget", "obedience.reset", "parts.wrench.forget", "parts.safety.reset"]
+        assert (cycle.faults, cycle.estop, cycle.stop_requested) == (Fault.NONE, False, Stop.NONE)
+        assert cycle.reset_tick == 50
+        assert cycle.dialogue == fresh
+    else:
+        assert not told
+        assert (cycle.faults, cycle.estop, cycle.stop_requested) == (Fault.DRIVE, True, Stop.MISSED)
+        assert cycle.reset_tick is None
+        assert cycle.dialogue != fresh
+
+
+# -- what a transition is told
+
+
+def facts_of(cycle: Cycle, monkeypatch: pytest.MonkeyPatch, tick: Any, *operator: Operator) -> Any:
+    """Return what the table of transitions is told."""
+    told: list[Any] = []
+
+    def next_mode(mode: Mode, facts: Any, durations: Any) -> Mode:
+        assert durations is cycle.durations
+        told.append(facts)
+        return mode
+
+    monkeypatch.setattr(cycle_module, "next_mode", next_mode)
+    cycle._change_mode(said(*operator), tick)
+    assert len(told) == 1
+    return told[0]
+
+
+@pytest.mark.parametrize("lacks", ["", "turns", "set-up", "pose"])
+@pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.PARKED])
+def test_drives_are_ready_with_their_turns_known_and_set_up_and_a_pose_before_the_platform_is_armed(
+    cycle, monkeypatch, mode, lacks
+):
+    cycle.mode = mode
+    cycle.sight.located = lacks != "pose"
+    monkeypatch.setattr(type(cycle.homing), "known", lacks != "turns")
+    legs = [lacks != "set-up"] * 6
+    monkeypatch.setattr(cycle.parts.protocol, "legs_set_up", lambda dialogue: legs)
+    needed = {Mode.WAITING: {"turns", "set-up", "pose"}, Mode.IDLE: {"turns", "set-up"}}
+    ready = facts_of(cycle, monkeypatch, measured(cycle)).ready
+    assert ready == (mode in needed and lacks not in needed[mode])
+
+
+def test_a_transition_is_told_states_words_and_the_time_in_the_mode(cycle, staying, monkeypatch):
+    cycle.mode, cycle.mode_tick = Mode.IDLE, 20
+    states = [1, 2, 3, 4, 2, 1]
+    facts = facts_of(cycle, monkeypatch, measured(cycle, drive_state=states), Operator.ENGAGE)
+    assert facts.operator == (Operator.ENGAGE,)
+    assert facts.drive_state == states
+    assert facts.elapsed == pytest.approx(0.03)
+    assert (facts.stop, facts.stays, facts.provable) == (False, False, False)
+    cycle.stop_requested = Stop.RECORDER
+    assert facts_of(cycle, monkeypatch, measured(cycle)).stop
+    staying.reset()
+    assert facts_of(staying, monkeypatch, measured(staying)).stays
+
+
+@pytest.mark.parametrize("mode", [Mode.HELD, Mode.TRACKING])
+@pytest.mark.parametrize("lacks", ["", "rest", "no brake", "ramp"])
+def test_only_a_held_platform_at_rest_whose_brakes_have_not_failed_can_have_them_proven(
+    cycle, monkeypatch, mode, lacks
+):
+    cycle.mode = mode
+    cycle.faults = Fault.BRAKE if lacks == "no brake" else Fault.DRIVE
+    if lacks == "ramp":
+        monkeypatch.setattr(cycle, "durations", cycle.durations._replace(load=0.0))
+    tick = measured(cycle, rate=0.0 if lacks != "rest" else 1.0)
+    assert facts_of(cycle, monkeypatch, tick).provable == (mode is Mode.HELD and not lacks)
+
+
+@pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
+@pytest.mark.parametrize("lacks", ["", "end", "on hold", "rest", "way back"])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_motion_is_over_at_its_end_with_nothing_to_follow_and_the_legs_at_rest(
+    cycle, monkeypatch, mode, lacks, way
+):
+    cycle.mode = mode
+    asked: list[int] = []
+    monkeypatch.setattr(cycle.motion, "finished", lambda tick: not asked.append(tick) and lacks != "end")  # type: ignore[func-returns-value]
+    cycle.operating.go = lacks != "on hold"
+    cycle.operating.parks = lacks == "on hold" and mode is Mode.STOPPING
+    if lacks == "way back":
+        cycle.motion._left = cycle.parts.trajectory, 0.0
+    dq = way * REST_m_s * (0.99 if lacks != "rest" else 1.0) * (np.arange(6) == 3)
+    assert cycle._finished(measured(cycle, dq=dq)) == (not lacks)
+    assert set(asked) == {50}
+
+
+# -- waited too long
+
+
+@pytest.mark.parametrize("mode", [Mode.LOADING, Mode.RELEASING, Mode.PARKING])
+def test_a_drive_that_is_waited_for_too_long_is_faulty_and_what_it_may_not_have_braked_is_held(cycle, mode):
+    leads = {Mode.LOADING: Mode.FAULT, Mode.RELEASING: Mode.PARKING, Mode.PARKING: Mode.HELD}
+    cycle.mode = mode
+    patience = round(1000.0 * (cycle.durations.least(mode) + 1.0))
+    cycle._change_mode(said(tick=patience), measured(cycle, tick=patience, drive_state=int(DriveState.OFF)))
+    assert (cycle.mode, cycle.faults) == (mode, Fault.NONE)
+    cycle.faults = Fault.SET_UP
+    cycle._change_mode(said(tick=patience + 2), measured(cycle, tick=patience + 2))
+    assert cycle.mode is leads[mode]
+    assert cycle.faults == Fault.DRIVE | Fault.SET_UP
+    assert cycle.mode_tick == patience + 2
+
+
+# -- where faults lead
+
+
+@pytest.mark.parametrize(
+    ("ages", "blind", "mode"),
+    [
+        ([1000, 1000, 999, 1000, 1000, 1000], 0, Mode.PARKING),
+        ([1000] * 6, 0, Mode.FAULT),
+        ([5000] * 6, [0, 0, 0, 0, 0, 1], Mode.PARKING),
+    ],
+    ids=str,
+)
+def test_drives_that_none_of_them_was_heard_of_for_a_second_cannot_hold(cycle, ages, blind, mode):
+    cycle.mode, cycle.tick = Mode.PARKING, measured(cycle, age=ages, blind=blind)
+    cycle._react(said(), Fault.DRIVE)
+    assert cycle.mode is mode
+
+
+@pytest.mark.parametrize(
+    ("mode", "state", "fault", "latched", "stops"),
+    [
+        (Mode.IDLE, DriveState.OFF, Fault.SECOND_CONTROLLER, Fault.NONE, False),
+        (Mode.IDLE, DriveState.RUN, Fault.SECOND_CONTROLLER, Fault.NONE, True),
+        (Mode.TRACKING, DriveState.OFF, Fault.SECOND_CONTROLLER, Fault.NONE, True),
+        (Mode.FAULT, DriveState.RUN, Fault.NONE, Fault.SECOND_CONTROLLER, True),
+        (Mode.FAULT, DriveState.OFF, Fault.NONE, Fault.SECOND_CONTROLLER, False),
+        (Mode.TRACKING, DriveState.RUN, Fault.DRIVE, Fault.NONE, False),
+        (Mode.TRACKING, DriveState.RUN, Fault.ESTOP, Fault.NONE, True),
+        (Mode.FAULT, DriveState.RUN, Fault.NONE, Fault.ESTOP, False),
+        (Mode.IDLE, DriveState.OFF, Fault.ESTOP, Fault.NONE, True),
+    ],
+)
+def test_an_emergency_stop_is_asked_for_by_its_fault_or_where_another_controller_has_powered_drives(
+    cycle, mode, state, fault, latched, stops
+):
+    cycle.mode, cycle.faults = mode, latched
+    cycle.tick = measured(cycle, drive_state=int(state))
+    cycle._latch(said(), Verdict(Warn.NONE, fault, Stop.NONE))
+    assert cycle.estop is stops
+    assert cycle.faults == fault | latched
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.TRACKING, Mode.FAULT])
+def test_the_operators_emergency_stop_is_a_fault_of_its_own_in_every_mode(cycle, mode):
+    cycle.mode, cycle.tick = mode, measured(cycle)
+    cycle._latch(said(Operator.ESTOP), Verdict(Warn.NONE, Fault.NONE, Stop.NONE))
+    assert (cycle.mode, cycle.faults, cycle.estop) == (Mode.FAULT, Fault.ESTOP, True)
+
+
+@pytest.mark.parametrize(
+    ("mode", "latched", "fault", "holds"),
+    [
+        (Mode.HELD, Fault.DRIVE, Fault.STALE, True),
+        (Mode.HELD, Fault.DRIVE, Fault.BRAKE, False),
+        (Mode.HELD, Fault.STALE, Fault.STALE, False),
+        (Mode.UNLOADING, Fault.DRIVE, Fault.DRIVE, False),
+    ],
+)
+def test_a_held_platform_that_is_measured_no_longer_keeps_the_force_of_that_tick(
+    cycle, mode, latched, fault, holds
+):
+    cycle.mode, cycle.faults, cycle.tick = mode, latched, measured(cycle)
+    cycle.effort.last_tau, cycle.effort.holding = LAST, 2.0 * LAST
+    cycle._react(said(), fault)
+    np.testing.assert_array_equal(cycle.effort.holding, LAST if holds else 2.0 * LAST)
+    assert cycle.mode is mode
+
+
+# -- what the law is asked, and what the drives are told
+
+
+@pytest.mark.parametrize(
+    ("mode", "faults", "yields", "fixed", "watched"),
+    [
+        (Mode.HELD, Fault.STALE, False, True, True),
+        (Mode.HELD, Fault.ENCODER, False, True, False),
+        (Mode.HELD, Fault.DRIVE, False, False, True),
+        (Mode.HELD, Fault.BRAKE, True, False, False),
+        (Mode.PARKING, Fault.DRIVE, True, True, True),
+        (Mode.PARKING, Fault.STALE, False, False, False),
+        (Mode.TRACKING, Fault.NONE, True, False, False),
+    ],
+)
+def test_the_law_is_left_out_and_the_drives_are_watched_where_they_are_to_be(
+    cycle, monkeypatch, mode, faults, yields, fixed, watched
+):
+    seen, told = [], list[Any]()
+    monkeypatch.setattr(cycle.effort, "fill", lambda *_, **how: seen.append(how))
+    monkeypatch.setattr(cycle.parts.safety, "resume", told.append)
+
+    def watch(tick: Any, tau: Any) -> bool:
+        np.testing.assert_array_equal(tau, LAST)
+        seen.append("watched")
+        cycle.obedience.refused = 4
+        return True
+
+    monkeypatch.setattr(cycle.obedience, "watch", watch)
+    cycle.mode, cycle.faults, cycle._yields = mode, faults, yields
+    cycle.effort.last_tau = LAST
+    tick = measured(cycle, tau_asked=LAST, drive_state=int(DriveState.RUN))
+    cycle._effort(tick)
+    assert seen == [{"free": True, "fixed": fixed, "faulty": bool(faults)}, *["watched"] * watched]
+    held = np.where(np.arange(6) == 4, 0.0, LAST)
+    np.testing.assert_array_equal(tick["tau_asked"], held if watched else LAST)
+    assert tick["legs_refused"] == (16 if watched else 0)
+    assert cycle.faults == faults | (Fault.DRIVE if watched else Fault.NONE)
+    np.testing.assert_array_equal(told, [held] * watched if watched else [])
+    np.testing.assert_array_equal(cycle.effort.last_tau, LAST)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_drives_that_are_not_to_be_powered_are_told_no_force(cycle, mode):
+    cycle.mode = mode
+    tick = measured(cycle, tau=LAST)
+    command = cycle._command(tick, stops=mode is Mode.FAULT)
+    powered = command.mode in {DriveMode.READY, DriveMode.RUN}
+    assert powered == (mode not in {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
+    for force in (command.force, tick["tau"], cycle.effort.last_tau):
+        np.testing.assert_array_equal(force, LAST * powered)
+    assert tick["command_mode"] == command.mode
+    assert command.stop is (mode is Mode.FAULT)
+
+
+@pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.FAULT])
+def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(cycle, mode):
+    cycle.mode = mode
+    ticks = cycle.parts.protocol.reset_ticks
+    assert cycle._command(measured(cycle), stops=False).mode == DriveMode.OFF
+    cycle.reset_tick = 50
+    modes = [
+        cycle._command(record_of(tick=50 + k), stops=False).mode for k in (0, ticks - 1, ticks, 9 * ticks)
+    ]
+    sent = DriveMode.RESET if mode is Mode.WAITING else DriveMode.OFF
+    assert modes == [sent, sent, DriveMode.OFF, DriveMode.OFF]
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_drives_are_set_up_while_they_are_waited_for_and_after_a_fault(cycle, monkeypatch, mode):
+    monkeypatch.setattr(cycle.parts.protocol, "set_up", lambda dialogue, tick: ("gone on", ("frame",)))
+    cycle.mode, before = mode, cycle.dialogue
+    frames = cycle._set_up(measured(cycle))
+    begun = mode in {Mode.WAITING, Mode.FAULT}
+    assert frames == (("frame",) if begun else ())
+    assert cycle.dialogue == ("gone on" if begun else before)
+
+
+def test_a_platform_that_yields_takes_its_reference_along(cycle, monkeypatch):
+    monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
+    for mode, yields in ((Mode.PARKING, True), (Mode.PARKING, False), (Mode.HELD, True)):
+        cycle.reset()
+        cycle.mode, cycle.mode_tick, cycle._yields = mode, 50, yields
+        cycle._change_mode(said(), measured(cycle, p=aside(cycle)))
+        follows = mode is Mode.PARKING and yields
+        there = aside(cycle) if follows else cycle.parts.home_p
+        np.testing.assert_array_equal(cycle.motion.sample(60).p, there)
+        assert cycle.motion.tick == (50 if follows else 0)

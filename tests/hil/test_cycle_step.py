@@ -1,0 +1,168 @@
+"""What one step hands from stage to stage, and what of it the row says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arrays import ZERO6
+from drivers.signals import Fault, Mode, Stop, Warn
+from hil.app.compose import build_cycle
+from hil.loop.cycle import Cycle
+from hil.loop.steering import Counts
+from hil.safety.guard import Verdict
+from hil.signals import TickInput
+from tests.hil.test_cycle_again import LIVE, VIRTUAL
+from tests.hil.test_cycle_held import LAST, aside
+
+ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])
+
+
+@pytest.fixture(scope="module")
+def made() -> Cycle:
+    return build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
+
+
+@pytest.fixture
+def cycle(made: Cycle, monkeypatch: pytest.MonkeyPatch) -> Cycle:
+    """A cycle that stays in its mode, asks for a force, and is judged well."""
+    made.reset()
+    monkeypatch.setattr(made, "_change_mode", lambda *_: None)
+
+    def fill(tick: Any, *_: Any, **__: Any) -> None:
+        tick["tau_asked"] = ASKED
+
+    monkeypatch.setattr(made.effort, "fill", fill)
+    judged(made, monkeypatch)
+    return made
+
+
+def judged(
+    cycle: Cycle,
+    monkeypatch: pytest.MonkeyPatch,
+    warnings: Warn = Warn.NONE,
+    faults: Fault = Fault.NONE,
+    share: float = 1.0,
+) -> list[Any]:
+    """Let safety find this, and leave a share of the force; return the ticks that it sees."""
+    seen: list[Any] = []
+
+    def judge(tick: Any) -> Verdict:
+        seen.append((int(tick["mode"]), tick["tau_asked"].copy()))
+        tick["tau"] = share * tick["tau_asked"]
+        return Verdict(warnings, faults, Stop.NONE)
+
+    monkeypatch.setattr(cycle.parts.safety, "judge", judge)
+    return seen
+
+
+def step(cycle: Cycle, number: int = 50, **changes: Any) -> Any:
+    return cycle.step(TickInput(number, 1_000_000 * number, **changes)).row
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING])
+@pytest.mark.parametrize("elsewhere", [False, True])
+@pytest.mark.parametrize("what", ["goes", "on hold", "parks"])
+def test_a_live_reference_moves_on_its_own_way_alone_and_takes_set_points_where_it_may_go(
+    cycle, monkeypatch, mode, elsewhere, what
+):
+    told: list[Any] = []
+    steering: Any = cycle.parts.steering
+    monkeypatch.setattr(steering, "step", lambda points, along, *, tracking: told.append((along, tracking)))
+    cycle.mode = mode
+    if elsewhere:
+        cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
+    else:
+        cycle.motion.start(cycle.parts.trajectory, 20)
+    cycle.operating.go, cycle.operating.parks = what != "on hold", what == "parks"
+    step(cycle)
+    under_way = mode in {Mode.TRACKING, Mode.STOPPING} and not elsewhere
+    assert told == [(30 if under_way else None, mode is Mode.TRACKING and what == "goes")]
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
+@pytest.mark.parametrize("away", [False, True])
+def test_the_time_along_the_reference_is_told_to_the_law_only_on_it_and_to_the_log_always(cycle, mode, away):
+    cycle.mode = mode
+    cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
+    if away:
+        cycle.motion._left = cycle.parts.trajectory, 0.0
+    row = step(cycle)
+    assert row["reference_time_s"] == pytest.approx(0.03)
+    np.testing.assert_array_equal(row["p_d"], aside(cycle))
+    if mode is Mode.TRACKING and not away:
+        assert cycle.tick["t_d"] == row["reference_time_s"]
+    else:
+        assert np.isnan(cycle.tick["t_d"])
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_the_reference_is_where_the_motion_is_as_long_as_legs_must_follow_it_and_else_where_they_are(
+    cycle, mode
+):
+    cycle.mode = mode
+    cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
+    row = step(cycle)
+    follows = mode not in {Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.PARKED, Mode.FAULT}
+    np.testing.assert_array_equal(row["p_d"], aside(cycle) if follows else cycle.parts.home_p)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_safety_judges_the_force_that_is_asked_for_in_the_mode_of_this_tick(cycle, monkeypatch, mode):
+    seen = judged(cycle, monkeypatch)
+    cycle.mode = mode
+    step(cycle)
+    assert seen[0][0] == mode
+    np.testing.assert_array_equal(seen[0][1], ASKED)
+
+
+@pytest.mark.parametrize(
+    ("mode", "warnings", "limited"),
+    [
+        (Mode.TRACKING, Warn.FORCE_STEP, True),
+        (Mode.HELD, Warn.FORCE_LIMIT, True),
+        (Mode.TRACKING, Warn.NONE, False),
+        (Mode.LOADING, Warn.FORCE_LIMIT, False),
+    ],
+)
+def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(
+    cycle, monkeypatch, mode, warnings, limited
+):
+    judged(cycle, monkeypatch, warnings, share=0.5)
+    cycle.mode, cycle.effort.shortfall = mode, LAST
+    step(cycle)
+    if limited:
+        np.testing.assert_array_equal(cycle.effort.shortfall, -0.5 * ASKED)
+    else:
+        assert cycle.effort.shortfall is ZERO6
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("refusal", [0, 4])
+def test_the_row_has_what_safety_warns_of_and_beside_it_silent_sensors_and_refused_set_points(
+    cycle, monkeypatch, late, refusal
+):
+    judged(cycle, monkeypatch, Warn.STALE)
+    wrench = SimpleNamespace(late=late, fill=lambda *_, **__: None)
+    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench))  # type: ignore[arg-type]
+    steering: Any = cycle.parts.steering
+    monkeypatch.setattr(steering, "step", lambda *_, **__: None)
+    steering.counts = Counts(7, 9, refusal)
+    row = step(cycle)
+    expected = Warn.STALE | (Warn.SENSOR if late else Warn.NONE) | (Warn.SETPOINT if refusal else Warn.NONE)
+    assert Warn(int(row["warnings"])) == expected
+    assert [int(row[name]) for name in ("setpoints_taken", "setpoints_refused", "setpoint_refusal")] == [
+        *(7, 9, refusal)
+    ]
+
+
+def test_the_row_has_the_mode_and_the_faults_that_the_tick_has_led_to(cycle, monkeypatch):
+    judged(cycle, monkeypatch, faults=Fault.BUS)
+    cycle.mode = Mode.TRACKING
+    row = step(cycle)
+    assert (Mode(int(row["mode"])), Fault(int(row["faults"]))) == (Mode.FAULT, Fault.BUS)
+    assert not row["tau"].any()

@@ -103,3 +103,106 @@ def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, leg
     sight.estimate(tick, record_of(), 0)
     np.testing.assert_array_equal(sight.estimator.p, fusing.p if agreed else parts.home_p)
     np.testing.assert_array_equal(tick["p"], fusing.p)
+
+
+# -- the first pose
+
+
+class Looking:
+    """An estimator that finds the pose when it is told to. State: which lengths it was asked about."""
+
+    def __init__(self, sight: Sight) -> None:
+        self.p, self.R, self.finds = sight.estimator.p, sight.estimator.R, False
+        self.asked: list[float] = []
+
+    def acquire(self, q: Any) -> bool:
+        self.asked.append(float(q[0]))
+        return self.finds
+
+    def update(self, tick: Any) -> None:
+        tick["p"] = 7.0
+
+
+def looking(parts: Any, rate_Hz: float = 1000.0) -> tuple[Sight, Looking]:
+    sight = Sight(replace(parts, rate_Hz=rate_Hz))
+    sight.estimator = looks = Looking(sight)  # type: ignore[assignment]
+    return sight, looks
+
+
+@pytest.mark.parametrize(("rate_Hz", "every"), [(1000.0, 20), (400.0, 8), (250.0, 6), (100.0, 6)])
+def test_the_first_pose_is_looked_for_every_20_ms_but_not_in_more_than_one_tick_of_six(parts, rate_Hz, every):
+    sight, looks = looking(parts, rate_Hz)
+    for number in range(1, 4 * every + 1):
+        sight.estimate(record_of(tick=number, age=0, length=float(number)), record_of(), 0)
+    assert looks.asked == [every, 2 * every, 3 * every, 4 * every]
+
+
+@pytest.mark.parametrize("leg", [0, 3, 5])
+def test_a_look_that_is_due_waits_for_a_tick_in_which_all_six_were_heard(parts, leg):
+    sight, looks = looking(parts)
+    late = 1 * (np.arange(6) == leg)
+    for number in range(15, 31):
+        tick = record_of(tick=number, age=0 if number == 27 else late, length=float(number))
+        sight.estimate(tick, record_of(), 0)
+        assert sight.sought is (number >= 27)
+        np.testing.assert_array_equal(tick["p"], looks.p)
+        np.testing.assert_array_equal(tick["R"], looks.R)
+        assert (tick["fk_residual"], tick["condition"]) == (np.inf, np.inf)
+        assert (tick["q"][0], sight.located) == (number, False)
+    assert looks.asked == [27]
+    assert sight.in_time == [27 if k == leg else 30 for k in range(6)]
+
+
+def test_a_pose_that_was_found_is_followed_from_that_tick_on_and_looked_for_no_more(parts):
+    sight, looks = looking(parts)
+    for number in range(40, 100):
+        looks.finds = number >= 60
+        tick = record_of(tick=number, age=0)
+        sight.estimate(tick, record_of(), 0)
+        assert sight.located is (number >= 60)
+        assert (float(tick["p"][0]) == 7.0) is (number >= 60)
+    assert len(looks.asked) == 2
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_age(parts, leg):
+    sight, _ = looking(parts)
+    sight.located = True
+    rates, ages = 0.1 * (1.0 + np.arange(6)), (3 + leg) * (np.arange(6) == leg)
+    tick = record_of(tick=9, length=1.5, rate=rates, age=ages)
+    sight.estimate(tick, record_of(), 0)
+    np.testing.assert_allclose(tick["q"], 1.5 + 1e-3 * rates * ages, rtol=0.0, atol=1e-15)
+    np.testing.assert_array_equal(tick["dq"], rates)
+    np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
+
+
+def test_the_filter_begins_at_the_pose_of_the_legs_and_fills_the_ticks_that_follow(parts):
+    begun: list[Any] = []
+    fusing: Any = Fusing()
+    fusing.start = lambda number, ns, p, R: begun.append((number, ns, p.copy(), R.copy()))
+    sight, looks = looking(replace(parts, wrench=Hearing(), fusion=fusing))
+    looks.finds = True
+    ticks = [record_of(tick=number, age=0, length=1.5) for number in (20, 21)]
+    for tick in ticks:
+        sight.estimate(tick, record_of(), 1234)
+        assert sight.fusing
+    assert begun[0][:2] == (20, 1234)
+    np.testing.assert_array_equal(begun[0][2], ticks[0]["p"])
+    np.testing.assert_array_equal(begun[0][3], ticks[0]["R"])
+    assert len(begun) == 1
+    np.testing.assert_array_equal([ticks[0]["p"], ticks[1]["p"]], [np.full(3, 7.0), fusing.p])
+
+
+def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts):
+    sight = Sight(parts)
+    p = parts.home_p + 0.1
+    for back, stays in ((sight.forget, True), (sight.reset, False)):
+        sight.estimator.p, sight.estimator.R = p, TURNED
+        sight.located = sight.sought = sight._due = sight.fusing = True
+        sight.in_time, sight.readings = [4] * 6, Readings(rejected=3)
+        back()
+        assert not (sight.located or sight.sought or sight._due or sight.fusing)
+        assert sight.in_time == [None] * 6
+        assert (sight.readings == Readings()) is not stays
+        np.testing.assert_array_equal(sight.estimator.p, p if stays else parts.home_p)
+        np.testing.assert_array_equal(sight.estimator.R, TURNED if stays else parts.home_R)

@@ -75,7 +75,7 @@ AREAS = {
             "tests/hil/test_learned.py",
             "tests/hil/test_drives_say.py",
             "tests/hil/test_latches.py",
-            "tests/hil/test_daemon_answers.py",
+            "tests/hil/test_daemon*.py",
             "tests/hil/test_panel.py",
             "tests/hil/test_unheard.py",
             "tests/loop/test_daemon_inputs.py",

@@ -1,0 +1,201 @@
+"""What the real-time loop says, records and hands on, with all that it talks to put in its place."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.errors import BusError
+from drivers.protocol import Frame, Received
+from drivers.signals import DriveMode, Fault, Mode
+from hil.loop import daemon
+from hil.loop.clock import Wake
+from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, run
+from hil.loop.panel import OperatorPanel
+from hil.signals import Operator, Order, SetPoint
+
+PERIOD_NS = 1_000_000
+OPENING, COMMANDS = (Frame(0x80, b""),), (Frame(0x201, b"\1"), Frame(0x202, b"\2"))
+POINT, ORDER = SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), Order(Operator.HOLD)
+
+
+class World:
+    """A bus, a clock, a recorder, a cycle and a course that do what is written for each tick."""
+
+    def __init__(self, *ticks: dict[str, Any], stops_unrecorded: bool = False) -> None:
+        self.ticks, self.now = ticks, -1
+        self.said: list[str] = []
+        self.rows: list[tuple[Any, ...]] = []
+        self.events: list[tuple[Any, ...]] = []
+        self.inputs: list[Any] = []
+        self.done: list[str] = []
+        self.panel = OperatorPanel()
+        protocol = SimpleNamespace(
+            feedback_ids=frozenset(), shares_identifiers=False, addressed=lambda _: (), fresh=None, awaited=None,
+            command_delay_ticks=0, has_watchdog=True, begin=lambda *_: OPENING,
+            command=lambda dialogue, command, _tick: (dialogue, (command.mode,)),
+        )  # fmt: skip
+        safety = SimpleNamespace(stops_unrecorded=stops_unrecorded)
+        setup = SimpleNamespace(watchdog_s=0.02)
+        parts = SimpleNamespace(protocol=protocol, safety=safety, rate_Hz=1000.0, steering=None, setup=setup)
+        self.cycle: Any = SimpleNamespace(
+            parts=parts, begin=lambda _: OPENING, step=self.step, mode=Mode.WAITING, dialogue="the last one",
+            faults=Fault.SPEED, operating=SimpleNamespace(answers=[]), tick={"tick": 0},
+        )  # fmt: skip
+        self.clock: Any = SimpleNamespace(now=lambda: 0, stretched=lambda: 0, working=lambda _: None)
+        self.recording: Any = SimpleNamespace(
+            dropped=0, trouble="the recorder is gone", alive=True,
+            tick=lambda *what: self.rows.append(what), event=lambda *what: self.events.append(what),
+        )  # fmt: skip
+        self.ending: Any = SimpleNamespace(name="the end")
+
+    def of(self, name: str, default: Any) -> Any:
+        return self.ticks[self.now].get(name, default)
+
+    def wait(self) -> Wake:
+        self.now += 1
+        self.cycle.mode = self.of("mode", Mode.WAITING)
+        self.recording.alive = self.of("alive", True)
+        self.course.waits_for_consent = self.of("waits", False)
+        self.course.stays_for = self.of("stays_for", "")
+        return Wake(self.now, self.now * PERIOD_NS, 0, 0)
+
+    def step(self, inp: Any) -> Any:
+        self.inputs.append(inp)
+        if "error" in self.ticks[self.now]:
+            raise self.ticks[self.now]["error"]
+        return SimpleNamespace(frames=COMMANDS, row=f"row {inp.tick}")
+
+    def send(self, frames: Any) -> int:
+        self.done += [frame.name for frame in frames if isinstance(frame, DriveMode)]
+        return self.of("refused", 0) if isinstance(frames[-1], DriveMode) else 0
+
+    def flush_tx(self) -> None:
+        self.done.append("flushed")
+        raise BusError("no right to flush")
+
+    def run(self, *, consent: bool = False, heard: Any = None) -> Any:
+        ended = len(self.ticks) - 1
+        self.course: Any = SimpleNamespace(
+            cycle=self.cycle, goes_on=False, commands=lambda _tick, said: said + self.of("operator", ()),
+            ending=lambda tick: self.ending if tick == ended else None, story=lambda: ("its story",),
+        )  # fmt: skip
+        bus: Any = SimpleNamespace(
+            clock=self.clock, drain_now=lambda: [Received(7, Frame(0x181, b""))], send=self.send,
+            sent_ns=list, skew_ns=lambda: 0, flush_tx=self.flush_tx,
+            events=lambda: SimpleNamespace(errors=0, off=0, overflow=0, state=0),
+        )  # fmt: skip
+        deadlines: Any = SimpleNamespace(wait=self.wait, period_ns=PERIOD_NS, tick=ended)
+        channel: Any = None
+        if heard is not None:
+            channel = SimpleNamespace(take=lambda **_: heard, waited_for=False, old=frozenset())
+        shell = Shell(
+            bus, deadlines, self.recording, self.panel, 0, channel, (lambda: False) if consent else None,
+            self.said.append,
+        )  # fmt: skip
+        return run(self.course, shell)
+
+
+@pytest.fixture(autouse=True)
+def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    times: list[float] = []
+    monkeypatch.setattr(daemon.time, "sleep", times.append)
+    return times
+
+
+@pytest.mark.parametrize("consent", [False, True])
+def test_the_operator_is_told_once_each_what_is_waited_for_and_why_it_goes_on_after_a_fault(consent):
+    ready = {"mode": Mode.IDLE, "waits": True}
+    world = World(
+        {},
+        ready,
+        ready,
+        {"mode": Mode.HELD, "stays_for": "leg 1 moved"},
+        {"mode": Mode.HELD, "stays_for": "leg 1 moved"},
+        {"mode": Mode.HELD},
+        {"mode": Mode.HELD, "stays_for": "leg 2 moved"},
+        {"mode": Mode.TRACKING, "stays_for": "nothing"},
+        {"mode": Mode.FAULT, "stays_for": "it still moves"},
+        ready,
+        {},
+    )
+    assert world.run(consent=consent) is world.ending
+    ask = CONSENT if consent else WORD
+    assert world.said == [ask, "leg 1 moved", "leg 2 moved", "it still moves", ask]
+    assert ("Enter" in ask, "`hil ctl CONFIG arm`" in ask) == (consent, not consent)
+    assert world.events == [
+        (3 * PERIOD_NS, "error", "leg 1 moved"),
+        (6 * PERIOD_NS, "error", "leg 2 moved"),
+        (8 * PERIOD_NS, "error", "it still moves"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stops", "what"),
+    [(False, "the run goes on without a log"), (True, "the platform stops along the path and parks")],
+)
+def test_a_recorder_that_is_lost_stays_lost_and_what_comes_of_it_is_said_once(stops, what):
+    gone = {"alive": False}
+    world = World({}, gone, {}, gone, {}, stops_unrecorded=stops)
+    world.run()
+    assert [inp.recorder_alive for inp in world.inputs] == [True, False, False, False, False]
+    assert len(world.said) == 1
+    assert world.said[0].startswith(f"the recorder is gone: {what} (recording.on_recorder_loss: ")
+
+
+def test_the_log_has_of_a_tick_what_was_read_sent_and_said():
+    heard = SimpleNamespace(operator=(), setpoints=(POINT,), orders=(ORDER,))
+    heard._replace = lambda **new: SimpleNamespace(**{**vars(heard), **new})  # type: ignore[attr-defined]
+    world = World({"operator": (Operator.STOP,)}, {})
+    world.cycle.parts.steering = SimpleNamespace(counts=SimpleNamespace(refusal=0))
+    world.run(heard=heard)
+    frames = (Received(7, Frame(0x181, b"")),)
+    said = (Operator.STOP,), (POINT,), (ORDER,)
+    assert world.rows[0] == ("row 0", frames, OPENING + COMMANDS, *said)
+    assert (world.inputs[0].frames, world.inputs[0].setpoints) == (frames, (POINT,))
+
+
+def test_from_its_first_tick_on_a_signal_waits_for_the_next_and_the_step_is_told_how_long_the_last_one_took(
+    monkeypatch,
+):
+    times = iter([1_000, 1_300, 5_000, 5_700, 9_000, 9_001])
+    monkeypatch.setattr(daemon.time, "perf_counter_ns", lambda: next(times))
+    world = World({}, {}, {})
+    world.run()
+    assert [inp.compute_ns for inp in world.inputs] == [0, 300, 700]
+    world.panel.interrupt(2, None)
+    assert world.panel.take() == (Operator.STOP,)
+
+
+def test_a_bus_that_cannot_be_flushed_at_a_reset_is_written_down_and_the_run_goes_on():
+    world = World({}, {"operator": (Operator.RESET,)}, {})
+    assert world.run() is world.ending
+    assert world.done == ["flushed"]
+    assert world.events == [(PERIOD_NS, "error", "no right to flush")]
+
+
+@pytest.mark.parametrize("refused", [0, 1])
+@pytest.mark.parametrize("error", [BusError("the cable is out"), ZeroDivisionError("by nothing")])
+def test_a_loop_that_fails_tells_why_and_what_the_drives_were_told_a_few_times_a_period_apart(
+    slept, error, refused
+):
+    world = World({}, {"error": error, "refused": refused})
+    ended = world.run()
+    times = SAFE_FRAMES * (1 + refused)
+    assert world.done == ["OFF"] * times
+    assert slept == [pytest.approx(1e-3)] * times
+    assert (ended.mode, ended.faults, ended.raised) == (Mode.FAULT, Fault.SPEED, True)
+    assert ended.story == ("its story",)
+    if isinstance(error, BusError):
+        assert (ended.reason, ended.unexpected) == ("tick 1: the cable is out", "")
+    else:
+        what = "defect of this program, ZeroDivisionError: by nothing"
+        assert ended.reason == f"tick 1: {what}; the log has the details"
+        assert "raise self.ticks" in ended.unexpected
+    told = "the drives were told to switch off"
+    untold = (
+        "the drives could not be told to switch off, since the bus takes no frames: the watchdog of each "
+    )
+    assert ended.done == (f"{untold}acts 20 ms after the last command it heard" if refused else told)

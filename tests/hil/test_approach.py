@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
 from hil.loop.reference import farthest_leg_m
-from hil.loop.setup_moves import approach
+from hil.loop.setup_moves import approach, at_setup_speed
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.path import PoseSample
 
@@ -61,3 +61,31 @@ def test_the_leg_that_goes_farthest_does_so_at_the_speed_of_the_approach_either_
 def test_a_short_approach_takes_the_blend_and_without_one_a_period(blend_s: float, takes_s: float) -> None:
     here = at(HOME, [0.0, 0.0, 0.0])
     assert approach(parts_of(here, blend_s), here, PERIOD_S).duration_s == takes_s
+
+
+@pytest.mark.parametrize(
+    ("by_m", "turn_deg", "least_s", "takes_s"),
+    [
+        ([0.03, -0.04, 0.12], 0.0, 0.5, 1.875 * 0.13 / 0.05),
+        ([0.0, 0.0, 0.0], 20.0, 0.5, 1.875 * 20.0 / 10.0),
+        ([0.03, -0.04, 0.12], 20.0, 0.5, 1.875 * 0.13 / 0.05),
+        ([0.03, -0.04, 0.12], 40.0, 0.5, 1.875 * 40.0 / 10.0),
+        ([0.03, -0.04, 0.12], 40.0, 9.5, 9.5),
+    ],
+)
+@pytest.mark.parametrize("back", [False, True])
+def test_a_move_at_set_up_speed_is_as_fast_as_way_and_turn_allow_and_no_shorter_than_its_least_time(
+    by_m: list[float], turn_deg: float, least_s: float, takes_s: float, back: bool
+) -> None:
+    settings: Any = SimpleNamespace(setup_speed_m_s=0.05, setup_speed_deg_s=10.0)
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    ends = at(HOME, [0.0] * 3), at([*(np.array(HOME) + by_m)], [*(np.radians(turn_deg) * axis)])
+    here, there = ends[::-1] if back else ends
+    move = at_setup_speed(settings, least_s, here, there)
+    assert move.duration_s == pytest.approx(takes_s, rel=1e-9)
+    np.testing.assert_allclose(move.sample(0.0).p, here.p, atol=1e-15)
+    np.testing.assert_allclose(move.sample(takes_s).R, there.R, atol=1e-9)
+    fastest = move.sample(0.5 * takes_s).twist
+    speeds = np.linalg.norm(fastest[:3]) / 0.05, np.linalg.norm(fastest[3:]) / np.radians(10.0)
+    assert max(speeds) <= 1.0 + 1e-9
+    assert (max(speeds) == pytest.approx(1.0)) == (takes_s > least_s)

@@ -131,6 +131,43 @@ def test_a_prompt_send_is_not_held_against_its_answers():
     ) == [1_099_999]
 
 
+@pytest.mark.parametrize(("given_ns", "answer_ns"), [(1_100_000, ANSWER), (1_050_000, 50_000)])
+def test_a_send_that_took_as_long_as_an_answer_or_100_us_is_held_against_its_answers(given_ns, answer_ns):
+    answers = [Received(1_000_000 + answer_ns, TPDO[0])]
+    late, prompt = (
+        checked(protocol("virtual-cia402"), [SYNC], [sent_ns], answers, 0, 1_000_000, sent_ns, answer_ns)
+        for sent_ns in (given_ns, given_ns - 1)
+    )
+    assert (late, prompt) == ([1_000_000], [given_ns - 1])
+
+
+class Plain:
+    """A family whose frames are named by a leg; all that came since may be an answer."""
+
+    def __init__(self, unasked_s: float) -> None:
+        self.unasked_s = unasked_s
+
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        return (frame.id,)
+
+    def sender(self, frame: Frame) -> int:
+        return frame.id
+
+    def fresh(self, answer: Received, _tick: int, since_ns: int) -> bool:
+        return answer.t_ns >= since_ns
+
+
+@pytest.mark.parametrize(("unasked_s", "expected"), [(0.0, [1_300, 1_200]), (0.01, [1_700, 1_200])])
+def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_tells_when_its_poll_was_out(
+    unasked_s, expected
+):
+    """A feedback takes 200 ns."""
+    family: Any = Plain(unasked_s)
+    polls = [Frame(4, b""), Frame(5, b"")]
+    answers = [Received(t_ns, Frame(leg, b"")) for t_ns, leg in ((1_500, 4), (1_400, 5), (1_900, 4))]
+    assert checked(family, polls, [9_000, 9_000], answers, 0, 1_000, 9_000, 200) == expected
+
+
 def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus():
     assert shortest_answer_ns(CIA.bus, protocol("virtual-cia402")) == ANSWER
     two = load("two_buses")

@@ -201,7 +201,7 @@ def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts
         sight.located = sight.sought = sight._due = sight.fusing = True
         sight.in_time, sight.readings = [4] * 6, Readings(rejected=3)
         back()
-        assert not (sight.located or sight.sought or sight._due or sight.fusing)
+        assert [sight.located, sight.sought, sight._due, sight.fusing] == [False] * 4
         assert sight.in_time == [None] * 6
         assert (sight.readings == Readings()) is not stays
         np.testing.assert_array_equal(sight.estimator.p, p if stays else parts.home_p)

@@ -66,6 +66,8 @@ AREAS = {
             "tests/hil/test_cycle*.py",
             "tests/hil/test_clock.py",
             "tests/hil/test_homing.py",
+            "tests/hil/test_ramps.py",
+            "tests/hil/test_approach.py",
             "tests/hil/test_reference.py",
             "tests/hil/test_stage_columns.py",
             "tests/hil/test_fusion*.py",

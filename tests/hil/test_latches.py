@@ -81,6 +81,7 @@ def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
         late_ns,
     ]
     assert checked(two, opening, [late_ns, None], other, 0, 1_000_000, late_ns, ANSWER) == [1_089_000, None]
+    assert checked(two, opening, [late_ns], other, 0, 1_000_000, late_ns, ANSWER) == [1_089_000]
 
 
 def answer_of_two(tick):

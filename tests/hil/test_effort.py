@@ -175,3 +175,78 @@ def test_the_external_wrench_comes_in_as_the_entry_offset_goes_out(parts):
         np.testing.assert_allclose(law.seen["wrench"], share * WRENCH, rtol=0.0, atol=1e-9)
         np.testing.assert_array_equal(tick["wrench"], WRENCH)  # safety judges the whole
         np.testing.assert_allclose(tick["tau_asked"], OWN + (1.0 - share) * (HOLDING - OWN))
+
+
+def test_a_reset_forgets_every_force_and_when_one_began_to_fade(parts):
+    effort, _, _ = an_effort(parts)
+    names = ("holding", "offset", "last_tau", "shortfall")
+    for name in names:
+        setattr(effort, name, HOLDING)
+    effort.entry_tick = 7
+    effort.reset()
+    assert [getattr(effort, name).any() for name in names] == [False] * 4
+    assert effort.entry_tick is None
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+def test_what_was_learned_is_asked_for_the_tick_and_its_mode_and_told_of_a_fault(parts, faulty):
+    effort, _, motion = an_effort(parts)
+    told: list[Any] = []
+    effort.learned = SimpleNamespace(step=lambda *what, **how: told.append((what, how)) or LEARNED)  # type: ignore[assignment, func-returns-value]
+    for fixed in (False, True):
+        effort.fill(record_of(tick=9), Mode.PARKING, 4, motion, free=True, fixed=fixed, faulty=faulty)
+    assert told == [((9, Mode.PARKING, 4, motion), {"faulty": faulty})] * 2
+
+
+def test_a_force_that_is_fixed_is_the_holding_force_and_neither_law_nor_what_was_learned_acts(parts):
+    effort, law, motion = an_effort(parts)
+    law.seen = None
+    effort.learned = SimpleNamespace(step=lambda *_, **__: LEARNED)  # type: ignore[assignment]
+    effort.holding, effort.offset = SHORTFALL, OWN
+    tick = record_of(tick=9)
+    effort.fill(tick, Mode.HELD, 4, motion, free=True, fixed=True, faulty=False)
+    np.testing.assert_array_equal(tick["tau_asked"], SHORTFALL)
+    assert law.seen is None
+    assert not tick["tau_learned"].any()
+
+
+@pytest.mark.parametrize(
+    "mode", [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED, Mode.FAULT]
+)
+@pytest.mark.parametrize("load_s", [0.0, 0.2])
+def test_without_the_law_only_a_ramp_asks_for_a_share_of_the_holding_force(parts, mode, load_s):
+    effort, law, motion = an_effort(parts)
+    law.seen, effort.durations = None, effort.durations._replace(load=load_s)
+    tick = record_of(tick=104, tau_asked=LEARNED)
+    effort.fill(tick, mode, 4, motion, free=False, fixed=False, faulty=False)
+    share = {Mode.LOADING: 0.0, Mode.UNLOADING: 0.5}.get(mode) if load_s else None
+    np.testing.assert_allclose(tick["tau_asked"], LEARNED if share is None else share * HOLDING)
+    assert law.seen is None
+
+
+@pytest.mark.parametrize("predicts", [True, False])
+def test_the_tick_has_the_laws_own_force_whatever_it_saw(parts, predicts):
+    effort, _, motion = an_effort(parts, predictor=Predictor() if predicts else None)
+    np.testing.assert_array_equal(filled(effort, motion, Mode.TRACKING)["tau_law"], OWN)
+
+
+def test_the_entry_offset_fades_over_the_blend_and_without_one_is_gone_at_once(parts):
+    for blend_s, shares in (
+        (0.1, {10: 1.0, 35: 1.0 - 0.103515625, 60: 0.5, 110: 0.0, 999: 0.0}),
+        (0.0, {10: 0.0}),
+    ):
+        engage = parts.engage.model_copy(update={"blend_s": blend_s})
+        effort, _, motion = an_effort(parts, engage=engage)
+        np.testing.assert_allclose(filled(effort, motion, Mode.TRACKING, 9)["tau_asked"], HOLDING)
+        effort.entry_tick = 10
+        for number, share in shares.items():
+            tick = filled(effort, motion, Mode.TRACKING, number)
+            np.testing.assert_allclose(tick["tau_asked"], OWN + share * (HOLDING - OWN), rtol=1e-12)
+
+
+def test_what_holds_a_platform_is_the_books_force_for_its_weight_and_more_where_a_load_hangs_on_it(parts):
+    effort, _, _ = an_effort(parts)
+    home = parts.home_p, parts.home_R
+    np.testing.assert_allclose(effort.statics(*home, np.zeros(6)), 3618.625746, atol=1e-4)
+    assert effort.statics(*home, WRENCH).min() > 3618.7
+    assert effort.reach_N == float(parts.safety.limits["force_window_N"])

@@ -1,5 +1,6 @@
 """When learned forces act, and that they come and go without a bump."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -201,3 +202,25 @@ def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
     np.testing.assert_allclose(run.go(100)[-1], last)
     run.faulty = True
     assert not run.go(60)[-1].any()
+
+
+def test_a_reset_forgets_the_fault_the_way_that_was_left_and_the_force_that_acts() -> None:
+    run = Run().tracking(300)
+    run.go(5, speed=0.5)
+    assert run.learned._left
+    run.learned._faulty = run.learned._acts = True
+    run.learned.reset()
+    assert [run.learned._faulty, run.learned._acts, run.learned._left] == [False] * 3
+    assert not run.go(1, speed=0.5).any(), "nothing is left that could fade"
+
+
+def test_of_the_approach_they_act_from_the_very_tick_of_their_first_row() -> None:
+    run = Run()
+    motion: Any = SimpleNamespace(before=lambda tick, then: -0.4 + (tick - 10) * T)
+    shares = []
+    for tick in (8, 9, 10, 11):
+        tau = run.learned.step(tick, Mode.APPROACH, 1, motion, faulty=False)
+        shares.append(float(tau[0]) / PEAK)
+    step = T / FADE_S
+    expected = [0.0, 0.0, *(x**3 * (10.0 - 15.0 * x + 6.0 * x * x) for x in (step, 2.0 * step))]
+    assert shares == pytest.approx(expected, rel=1e-9)

@@ -45,3 +45,29 @@ def test_before_the_loop_it_ends_the_start(asked):
     panel = OperatorPanel()
     with panel.attached(), pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), asked)
+
+
+def test_the_start_is_ended_once_and_what_comes_while_it_ends_is_only_counted():
+    panel = OperatorPanel()
+    try:
+        raise ZeroDivisionError
+    except ZeroDivisionError:
+        with pytest.raises(KeyboardInterrupt):
+            panel.interrupt(2, None)
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        panel.interrupt(2, None)
+    assert panel.interrupts == 2
+    panel.running()
+    panel.interrupt(2, None)
+    assert panel.take() == (Operator.STOP, Operator.ESTOP, Operator.ESTOP)
+    assert panel.take() == ()
+
+
+def test_only_the_first_signal_asks_for_a_stop_and_where_force_alone_holds_every_one():
+    panel = OperatorPanel()
+    panel.interrupts = 2
+    assert panel.take(held=True) == (Operator.STOP,) * 2
+    panel.interrupts = 3
+    assert panel.take() == (Operator.ESTOP,)

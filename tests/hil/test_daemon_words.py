@@ -12,7 +12,7 @@ from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode
 from hil.loop import daemon
 from hil.loop.clock import Wake
-from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, run
+from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, _ask, run
 from hil.loop.panel import OperatorPanel
 from hil.signals import Operator, Order, SetPoint
 
@@ -187,7 +187,7 @@ def test_a_loop_that_fails_tells_why_and_what_the_drives_were_told_a_few_times_a
     assert world.done == ["OFF"] * times
     assert slept == [pytest.approx(1e-3)] * times
     assert (ended.mode, ended.faults, ended.raised) == (Mode.FAULT, Fault.SPEED, True)
-    assert ended.story == ("its story",)
+    assert (ended.ticks, ended.fault_tick, ended.story) == (1, 1, ("its story",))
     if isinstance(error, BusError):
         assert (ended.reason, ended.unexpected) == ("tick 1: the cable is out", "")
     else:
@@ -199,3 +199,36 @@ def test_a_loop_that_fails_tells_why_and_what_the_drives_were_told_a_few_times_a
         "the drives could not be told to switch off, since the bus takes no frames: the watchdog of each "
     )
     assert ended.done == (f"{untold}acts 20 ms after the last command it heard" if refused else told)
+
+
+@pytest.mark.parametrize("answer_ns", [None, 0, 111])
+def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypatch, answer_ns):
+    """The bus is given the frames at 100 ns, and that took until 130."""
+    told: list[Any] = []
+    times = iter([100, 130])
+    bus: Any = SimpleNamespace(
+        clock=SimpleNamespace(now=lambda: next(times)), drain_now=lambda: ["older"], send=lambda _: 2,
+        sent_ns=lambda: ["the clock's"],
+    )  # fmt: skip
+    protocol = SimpleNamespace(name="protocol")
+
+    def answers(*asked: Any) -> list[str]:
+        told.append(asked[1:])
+        return ["an answer"]
+
+    def checked(*asked: Any) -> list[str]:
+        told.append(asked)
+        return ["the answers'"]
+
+    monkeypatch.setattr(daemon, "_answers", answers)
+    monkeypatch.setattr(daemon, "checked", checked)
+    monkeypatch.setattr(daemon, "latch_ns", lambda *asked: asked)
+    shell: Any = SimpleNamespace(bus=bus, feedback_window_ns=700, answer_ns=answer_ns)
+    cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=protocol))
+    heard, latched, refused = _ask(cycle, shell, Wake(9, 50, 30, 0), OPENING)
+    assert told[0] == (bus, 9, 100, 750)
+    assert (heard, refused) == (["older", "an answer"], 2)
+    known = answer_ns is None
+    assert latched == (protocol, OPENING, ["the clock's" if known else "the answers'"], 80)
+    asked = (protocol, OPENING, ["the clock's"], ["an answer"], 9, 100, 130, answer_ns)
+    assert told[1:] == ([] if known else [asked])

@@ -283,8 +283,9 @@ def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_
     assert set(deadlines) == {175}
 
 
+@pytest.mark.parametrize(("window_ns", "last"), [(145, 150), (140, 140), (141, 150)])
 @pytest.mark.parametrize("shared", [False, True])
-def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared):
+def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared, window_ns, last):
     clock, looks = [100], list[int]()
 
     def next_one(deadline_ns: int, _wanted: Any = None) -> list[Received]:
@@ -298,7 +299,7 @@ def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared):
         wait=next_one, drain=next_one,
     )  # fmt: skip
     cycle = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
-    shell = Shell(bus, None, None, OperatorPanel(), 145)  # type: ignore[arg-type]
+    shell = Shell(bus, None, None, OperatorPanel(), window_ns)  # type: ignore[arg-type]
     heard, _, _ = _ask(cycle, shell, Wake(0, 0, 0, 0), (Frame(1, b""),))  # type: ignore[arg-type]
-    assert looks == [110, 120, 130, 140, 150]
+    assert looks == [*range(110, last + 10, 10)]
     assert len(heard) == 2 * len(looks), "what has come by then counts"

@@ -18,7 +18,7 @@ from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.operate.channel import Heard
 from hil.signals import Operator, Order, TickInput
-from tests.loop.test_run_end import Wire
+from tests.loop.test_run_end_daemon import Wire
 
 LATE_NS, OUT_NS = 70_000, 123_000
 TICKS = 6

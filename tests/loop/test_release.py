@@ -26,7 +26,7 @@ from hil.operate.client import OperatorClient
 from hil.signals import Operator
 from plant_fmu.faults.brake import BrakeStuckOpen
 from plant_fmu.faults.plan import FaultPlan
-from tests.loop.test_run_end import Wire
+from tests.loop.test_run_end_daemon import Wire
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from hil.loop.cycle import Cycle
 from hil.signals import Operator
 from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
+from tests.hil.test_modes import FOLLOW
 from tests.records import record_of
 
 
@@ -39,19 +40,12 @@ def test_the_force_stays_on_as_long_as_one_drive_is_heard_and_ends_a_second_afte
     assert (min(bench.drives.commands[-1].force) > 3000.0) == (mode is Mode.HELD)
 
 
-POSE = (
-    *(Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING),
-    *(Fault.NOT_FINITE, Fault.UNCERTAIN, Fault.ENCODER),
-)
-"""Faults that follow by themselves where a leg is not measured."""
-
-
 @pytest.fixture(scope="module")
 def cycle() -> Cycle:
     return build_cycle(VIRTUAL, 1000.0, 0.01)
 
 
-@pytest.mark.parametrize("fault", [*POSE, Fault.DRIVE, Fault.SET_UP])
+@pytest.mark.parametrize("fault", [*FOLLOW, Fault.DRIVE, Fault.SET_UP])
 @pytest.mark.parametrize("before", [Fault.DRIVE, Fault.BRAKE, Fault.STALE, Fault.ENCODER | Fault.BRAKE])
 def test_a_fault_of_the_pose_is_news_to_a_held_platform_unless_a_leg_was_not_measured_before(
     cycle, fault, before
@@ -62,7 +56,7 @@ def test_a_fault_of_the_pose_is_news_to_a_held_platform_unless_a_leg_was_not_mea
     quiet: Any = SimpleNamespace(operator=())
     cycle._react(quiet, fault)
     measured = not before & (Fault.STALE | Fault.ENCODER)
-    assert cycle.faults == (before | fault if measured or fault not in POSE else before)
+    assert cycle.faults == (before | fault if measured or fault not in FOLLOW else before)
     assert cycle.mode == Mode.HELD
 
 

@@ -8,7 +8,25 @@ import pytest
 
 from drivers.signals import DriveMode, DriveState, Fault, Mode
 from hil.config.reactions import ReactionSettings
-from hil.loop.modes import Durations, Facts, after_fault, drive_mode, next_mode, overdue
+from hil.loop.modes import (
+    BEFORE,
+    BRAKED,
+    CONTROLLED,
+    ENDING,
+    MOVING,
+    NO_PROOF,
+    NOBODY_OBEYS,
+    NOT_MEASURED,
+    OF_THE_POSE,
+    STEERED,
+    UNPROVEN,
+    Durations,
+    Facts,
+    after_fault,
+    drive_mode,
+    next_mode,
+    overdue,
+)
 from hil.signals import Operator
 
 DURATIONS = Durations(load=0.3, release=0.1, close=0.2)
@@ -167,12 +185,28 @@ UNSEEN = (
     *(Fault.NOT_FINITE, Fault.LAW, Fault.DUPLICATE_NODE),
 )
 """Where a leg is not measured, or no law can be evaluated, no brake is seen to hold."""
+FOLLOW = (
+    *(Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING),
+    *(Fault.NOT_FINITE, Fault.UNCERTAIN, Fault.ENCODER),
+)
+"""Faults that follow by themselves where a leg is not measured."""
 DEFAULT = ReactionSettings()
 
 
 def leads(mode, fault, reactions=DEFAULT, *, located=True, heard=True):
     ss1, sto = reactions.led_to("ss1"), reactions.led_to("sto")
     return after_fault(mode, fault, ss1, sto, located=located, heard=heard)
+
+
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
+def test_after_each_fault_it_is_known_who_obeys_what_is_measured_what_follows_and_whether_a_brake_is_proven(
+    fault,
+):
+    assert bool(fault & NOBODY_OBEYS) == (fault in NOBODY)
+    assert bool(fault & NOT_MEASURED) == (fault in UNSEEN)
+    assert bool(fault & OF_THE_POSE) == (fault in FOLLOW)
+    heard_again = fault is Fault.STALE
+    assert bool(fault & NO_PROOF) == (fault is Fault.BRAKE or (fault in UNSEEN and not heard_again))
 
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
@@ -247,6 +281,21 @@ DRIVES = {
     Mode.FAULT: DriveMode.OFF,
     Mode.HELD: DriveMode.READY,
 }
+
+
+OPEN = {Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING}
+"""Modes with open brakes."""
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_of_each_mode_it_is_known_what_carries_the_platform_and_what_ends_it(mode):
+    assert (mode in MOVING) == (mode in OPEN)
+    assert (mode in CONTROLLED) == (mode in {*OPEN, Mode.PARKING, Mode.HELD})
+    assert (mode in BRAKED) == (mode in {Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED})
+    assert (mode in UNPROVEN) == (mode in {Mode.PARKING, Mode.UNLOADING, Mode.HELD})
+    assert (mode in BEFORE) == (mode in {Mode.WAITING, Mode.IDLE})
+    assert (mode in ENDING) == (mode in OPEN - {Mode.RELEASING})
+    assert (mode in STEERED) == (mode in OPEN - {Mode.RELEASING, Mode.APPROACH})
 
 
 @pytest.mark.parametrize("mode", Mode)

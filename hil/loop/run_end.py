@@ -102,10 +102,11 @@ class Course:
     with until it rests, or the operator asks for an emergency stop in FAULT. Otherwise both are simulated,
     and end in time. `event` takes what each fault tells in its tick. `goes_on`: parked or after a fault a run
     goes on until it is asked to end: by END, or when `duration_s` is over. A fault takes `armed` back.
-    Mutable state: which commands have been given, and whether consent in the last tick; whether a stop was
-    asked for, and whether `duration_s` was over before the drives were ready; the first fault's tick and the
-    last one's text; since when the platform has been held, closed brakes between counted in; when a leg last
-    moved; which way that is not followed has been told, and whether that the operator is silent.
+    Mutable state: which commands have been given, and whether consent in the last tick; when the run is to
+    stop, and was before the last consent; whether a stop was asked for, and whether `duration_s` was over
+    before the drives were ready; the first fault's tick and the last one's text; since when the platform has
+    been held, closed brakes between counted in; when a leg last moved; which way that is not followed was
+    told of, and whether that the operator is silent.
     """
 
     def __init__(
@@ -131,7 +132,7 @@ class Course:
         self._no_drives, self._not_ready = round(NO_DRIVES_S * rate), round(NOT_READY_S * rate)
         self._tail = max(5, round(TAIL_S * rate))
         self._duration = inf if duration_s is None else round(duration_s * rate)
-        self._stop_tick = self._duration if armed else inf
+        self._stop_tick = self._stop_before = self._duration if armed else inf
         self._armed = armed
         self._reset = reset
         self._engaged = self._just_consented = self._requested = self._late = False
@@ -151,10 +152,11 @@ class Course:
         if self.cycle.mode is Mode.FAULT:
             self._armed = False  # what follows a RESET is the operator's to begin
         if self._just_consented and self.cycle.mode is Mode.WAITING:  # a drive was switched off just then
-            self._engaged = False
+            self._engaged, self._stop_tick = False, self._stop_before
         self._just_consented = False
         if not self._engaged and self.cycle.mode is Mode.IDLE:
             self._just_consented = self._armed or Operator.ENGAGE in operator
+            self._stop_before = self._stop_tick
             if self._armed:
                 self._engaged = True
                 operator = (Operator.ENGAGE, *operator)

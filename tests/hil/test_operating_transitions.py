@@ -1,5 +1,8 @@
 """What the operator allowed, carried from one motion to the next: engagement, entry, stop, and the look ahead."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,6 +16,18 @@ from tests.hil.test_operating import EYE, HERE, HOLD, KEY, PARK, START, made, ru
 
 T = 1e-3
 SLOW = Order(Operator.SPEED, (0.4,))
+
+
+def test_a_reset_forgets_every_order_the_key_the_ways_back_and_the_jog():
+    operating: Any = made(deadman_s=0.05)[0]
+    told: list[str] = []
+    operating.jogging = SimpleNamespace(reset=lambda: told.append("jogging"))
+    names = ("go", "speed", "parks", "_way_back", "_inspection", "trouble", "key_tick", "answers")
+    for name in names:
+        setattr(operating, name, "of the run before")
+    operating.reset()
+    assert [getattr(operating, name) for name in names] == [True, 1.0, False, None, None, "", None, []]
+    assert told == ["jogging"]
 
 
 def test_a_key_frame_in_every_tick_holds_a_key_that_is_shorter_than_a_tick():

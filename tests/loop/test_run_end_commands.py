@@ -14,16 +14,38 @@ ENGAGE, STOP = (Operator.ENGAGE,), (Operator.STOP,)
 
 
 def given(
-    course: Course, until: int, said: dict[int, tuple[Operator, ...]]
+    course: Course, until: int, said: dict[int, tuple[Operator, ...]], since: int = 0
 ) -> dict[int, tuple[Operator, ...]]:
     """Return the commands of the ticks that have any."""
-    found = {tick: course.commands(tick, said.get(tick, ())) for tick in range(until)}
+    found = {tick: course.commands(tick, said.get(tick, ())) for tick in range(since, until)}
     return {tick: commands for tick, commands in found.items() if commands}
 
 
 def test_a_duration_counts_from_the_operators_first_consent_and_stops_once():
     course = Course(cycle(Mode.IDLE), 0.5, armed=False)
     assert given(course, 200, {7: ENGAGE, 20: ENGAGE}) == {7: ENGAGE, 20: ENGAGE, 57: STOP}
+
+
+@pytest.mark.parametrize("said_again", [40, 80])
+def test_a_consent_that_has_to_be_given_again_is_waited_for_and_its_duration_counts_from_then_on(said_again):
+    """A drive was switched off in the tick of the first one."""
+    now = cycle(Mode.IDLE)
+    course = Course(now, 0.5, armed=False)
+    assert course.commands(0, ENGAGE) == ENGAGE
+    now.mode = Mode.WAITING
+    assert course.commands(1) == ()
+    now.mode = Mode.IDLE
+    assert given(course, 200, {said_again: ENGAGE}, 2) == {said_again: ENGAGE, said_again + 50: STOP}
+
+
+def test_a_consent_that_has_to_be_given_again_leaves_the_end_of_the_run_where_it_was():
+    now = cycle(Mode.FAULT, faults=Fault.ESTOP)
+    course = Course(now, 0.5)
+    course.commands(0)
+    now.mode = Mode.IDLE
+    course.commands(10, ENGAGE)
+    now.mode = Mode.WAITING
+    assert given(course, 200, {}, 11) == {50: STOP}
 
 
 def test_a_run_that_was_asked_to_end_is_not_stopped_again_at_its_duration():

@@ -126,3 +126,4 @@ def test_a_platform_counts_as_released_where_it_was_held_when_the_word_came(mode
     ending = first_end(course, 100)
     assert ending is not None
     assert ending.released is released
+    assert ("the platform was released on request" in ending.trouble) is released

@@ -97,7 +97,7 @@ AREAS = {
             "tests/hil/test_operating*.py",
             "tests/hil/test_status.py",
             "tests/hil/test_jogging*.py",
-            "tests/hil/test_admission.py",
+            "tests/hil/test_admission*.py",
             "tests/hil/test_console.py",
             "tests/hil/test_cycle*.py",
             "tests/hil/test_way_back.py",

@@ -81,11 +81,47 @@ def test_legs_that_were_not_all_heard_have_no_lengths_and_a_pose_unknown_is_none
         ({"mode": Mode.FAULT, "goes_on": True}, "reset, then arm"),
         ({"mode": Mode.PARKED, "goes_on": True}, "reset, then arm"),
         ({"mode": Mode.FAULT}, ""),
+        ({"mode": Mode.PARKED}, ""),
+        ({"mode": Mode.PARKING, "go": False}, ""),
+        ({"mode": Mode.PARKING, "speed": 0.0}, ""),
+        ({"mode": Mode.APPROACH, "go": False}, "start"),
+        ({"mode": Mode.APPROACH, "speed": 0.0}, "a speed above 0 %"),
+        ({"go": False, "speed": 0.0}, "start"),
+        ({"speed": 0.001}, ""),
+        ({"mode": Mode.TRACKING, "goes_on": True}, ""),
         ({"mode": Mode.HELD}, "release, once the platform is supported: not all brakes are proven shut"),
     ],
 )
 def test_what_the_operator_could_do_next_is_said(given, text):
     assert waits_for(course(**given)) == text
+
+
+def test_while_the_drives_are_waited_for_it_is_said_which_lack_what(monkeypatch):
+    monkeypatch.setattr("hil.loop.status.waiting_text", lambda cycle: f"{cycle.mode.name}: drive 3 is silent")
+    assert waits_for(course(Mode.WAITING, go=False)) == "WAITING: drive 3 is silent"
+
+
+@pytest.mark.parametrize(
+    ("faults", "names"), [(Fault.STALE | Fault.BRAKE, ["STALE", "BRAKE"]), (Fault.ESTOP, ["ESTOP"])]
+)
+def test_each_fault_that_is_latched_is_named_and_no_other(faults, names):
+    of = course(Mode.FAULT)
+    of.cycle.faults = faults
+    assert sorted(json.loads(status_text(of, 0))["faults"]) == sorted(names)
+
+
+@pytest.mark.parametrize("key", [True, False])
+def test_a_key_that_no_setting_asks_for_is_not_needed(key):
+    of = course(key=key)
+    of.cycle.operating.patience = None
+    assert json.loads(status_text(of, 0))["key"] == "not needed"
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_one_leg_that_was_never_heard_leaves_all_lengths_unknown(leg):
+    age = np.where(np.arange(6) == leg, NEVER, NEVER - 1)
+    assert status(age=age)["leg_lengths_m"] is None
+    assert status(age=NEVER - 1)["leg_lengths_m"] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
 def test_a_platform_on_hold_is_held_only_where_it_could_move():

@@ -22,9 +22,9 @@ def home():
 
 
 class Watch:
-    def __init__(self, home):
+    def __init__(self, home, rate_Hz=1000.0):
         self.model, self.p, self.R, self.J = home
-        self.obedience = Obedience(self.model, 1000.0)
+        self.obedience = Obedience(self.model, rate_Hz)
 
     def __call__(self, rates, tau, age=()):
         tick = new_record()
@@ -126,3 +126,44 @@ def test_what_was_before_a_reset_does_not_count_either(watch):
     watch.obedience.reset()
     assert not watch(only(5, 0.9), only(5, -1.0))
     assert watch(only(5, 1.1), only(5, -1.0))
+
+
+@LEGS
+def test_a_leg_may_get_faster_by_a_tenth_of_a_metre_per_second_to_the_last_bit(home, leg):
+    for faster, refused in ((0.1, False), (np.nextafter(0.1, 1.0), True)):
+        watch = Watch(home)
+        watch(np.zeros(6), only(leg, -1.0))
+        assert watch(only(leg, faster), only(leg, -1.0)) is refused
+
+
+@LEGS
+def test_of_the_change_of_all_rates_three_tenths_may_be_others_to_the_last_bit(home, leg):
+    """Beside 91 of the leg, 25, 13 and 5 of others: 819 of 9100 in squares, which is 0.3^2."""
+    for one_more, refused in ((0.0, True), (1e-9, False)):
+        watch = Watch(home)
+        change = np.roll([91.0, 25.0 + one_more, 13.0, 5.0, 0.0, 0.0], leg) / 512.0
+        watch(np.zeros(6), only(leg, -1.0))
+        assert watch(change, only(leg, -1.0)) is refused
+
+
+def test_a_leg_that_gets_no_force_is_not_refused_one(watch):
+    for speed in (0.0, 0.3, 0.9):
+        assert not watch(only(1, speed), np.zeros(6))
+
+
+@pytest.mark.parametrize("rate_Hz", [20.0, 50.0, 100.0])
+def test_in_a_slow_loop_a_leg_is_held_against_the_tick_before(home, rate_Hz):
+    watch = Watch(home, rate_Hz)
+    tau = only(3, -1.0)
+    for speed in (0.0, 0.09, 0.18, 0.27):
+        assert not watch(only(3, speed), tau)
+    assert watch(only(3, 0.38), tau)
+
+
+@LEGS
+def test_a_tick_in_which_one_leg_is_not_heard_is_none_to_compare_with(watch, leg):
+    tau = only(3, -1.0)
+    assert not watch(only(3, 0.0), tau)
+    assert not watch(only(3, 0.5), tau, age=(leg,))
+    assert not watch(only(3, 0.05), tau)
+    assert watch(only(3, 0.12), tau)

@@ -296,10 +296,10 @@ def test_a_slow_loop_still_tells_the_drives_to_switch_off_five_times():
 
 
 def test_ends_after_two_seconds_without_any_drive():
-    never = FIRST["age"]
-    assert first_end(Course(cycle(Mode.WAITING, age=never)), 3000) == Ending(
-        Mode.WAITING, Fault.NONE, "no drives", 200
-    )
+    ending = first_end(Course(cycle(Mode.WAITING, age=FIRST["age"])), 3000)
+    assert ending == Ending(Mode.WAITING, Fault.NONE, "no drives", 200)
+    assert ending.mode is Mode.WAITING
+    assert ending.faults is Fault.NONE
 
 
 def test_one_drive_heard_is_waited_for_ten_seconds_and_the_others_are_named():

@@ -118,6 +118,8 @@ def test_drives_whose_turns_are_not_known_end_the_wait_after_two_seconds_with_th
     ending = first_end(Course(now), 3000)
     assert ending is not None
     assert ending.ticks == 205
+    assert ending.mode is Mode.WAITING
+    assert ending.faults is Fault.NONE
     assert "leg 3: turn it home" in ending.reason
 
 
@@ -126,7 +128,9 @@ def test_drives_are_waited_for_from_the_tick_in_which_that_began(state, ticks):
     now = cycle(Mode.WAITING, mode_tick=7, drive_state=np.array([DriveState.OFF] * 5 + [state]))
     ending = first_end(Course(now), 3000)
     assert ending is not None
-    assert (ending.ticks, ending.mode, ending.faults) == (ticks, Mode.WAITING, Fault.NONE)
+    assert ending.ticks == ticks
+    assert ending.mode is Mode.WAITING
+    assert ending.faults is Fault.NONE
 
 
 def test_a_run_that_was_over_before_its_drives_were_ready_says_that_and_not_who_stopped_it():

@@ -139,7 +139,8 @@ class Course:
         self.goes_on = goes_on
         self._left_alone = False
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
-        self._after_fault_since = self._held_since = -1
+        self._after_fault_since: int | None = None
+        self._held_since: int | None = None
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
@@ -268,7 +269,7 @@ class Course:
             self._moved_tick = tick
         rested, text = tick - self._moved_tick, self._fault_text
         if mode is Mode.HELD:
-            if self._held_since < 0:
+            if self._held_since is None:
                 self._held_since = tick
             ends = not self.stays and (rested >= self._held or tick - self._held_since >= self._moving)
         else:
@@ -286,7 +287,7 @@ class Course:
         if faults == self._faults:
             return
         if not self._faults or self._faults & ~faults:  # the first ones, or those after a RESET
-            self._fault_tick, self._held_since = tick if faults else -1, -1
+            self._fault_tick, self._held_since = tick if faults else -1, None
         self._faults, self._fault_text = faults, self._narrator.short
 
     @property

@@ -66,3 +66,52 @@ def test_however_early_a_fault_strikes_the_legs_are_watched_for_as_long_from_the
     ending = next((found for tick in range(struck, 500) if (found := course.ending(tick))), None)
     assert ending is not None
     assert ending.ticks == struck + (25 if mode is Mode.FAULT else 100)
+
+
+def test_a_leg_that_moves_is_waited_for_ten_seconds_from_the_fault_on():
+    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.ESTOP, rate=MOVES)
+    course = Course(now)
+    ending = next((found for tick in range(40, 2000) if (found := course.ending(tick))), None)
+    assert ending is not None
+    assert ending.ticks == 1040
+
+
+def test_a_platform_at_rest_that_is_left_by_an_emergency_stop_does_not_still_move():
+    course = Course(cycle(Mode.FAULT, mode_tick=40, faults=Fault.ESTOP), stays=True)
+    assert course.ending(40) is None
+    course.commands(41, (Operator.ESTOP,))
+    ending = course.ending(41)
+    assert ending is not None
+    assert "still moving" not in ending.reason
+
+
+def test_the_tick_of_the_first_fault_counts_and_all_that_followed_are_named():
+    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.ESTOP)
+    course = Course(now)
+    assert course.ending(40) is None
+    now.faults |= Fault.BUS
+    ending = next((found for tick in range(45, 100) if (found := course.ending(tick))), None)
+    assert ending is not None
+    assert ending.fault_tick == 40
+    assert ending.reason.startswith("latched fault ESTOP, BUS")
+
+
+def test_a_fault_that_follows_does_not_begin_the_ten_seconds_of_a_held_platform_anew():
+    now = cycle(Mode.HELD, faults=Fault.ESTOP, rate=MOVES)
+    course, ended = Course(now), None
+    for tick in range(2000):
+        if tick == 600:
+            now.faults |= Fault.BUS
+        ended = ended or course.ending(tick)
+    assert ended is not None
+    assert ended.ticks == 1000
+
+
+def test_a_run_that_parks_after_a_reset_has_no_tick_of_a_fault():
+    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.ESTOP)
+    course = Course(now)
+    assert course.ending(40) is None
+    now.mode, now.mode_tick, now.faults, now.reset_tick = Mode.PARKED, 60, Fault.NONE, 50
+    ending = course.ending(60)
+    assert ending is not None
+    assert (ending.fault_tick, ending.trouble) == (-1, "")

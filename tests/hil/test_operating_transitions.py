@@ -30,6 +30,49 @@ def test_a_reset_forgets_every_order_the_key_the_ways_back_and_the_jog():
     assert told == ["jogging"]
 
 
+@pytest.mark.parametrize("parks", [False, True])
+@pytest.mark.parametrize("mode", Mode)
+def test_the_operator_moves_the_platform_on_its_way_and_on_the_way_back_that_he_asked_for(mode, parks):
+    operating = made()[0]
+    operating.parks = parks
+    back = mode is Mode.STOPPING and parks
+    assert operating.moves(mode) == (mode in {Mode.APPROACH, Mode.TRACKING} or back)
+
+
+@pytest.mark.parametrize(("go", "parks"), [(False, False), (False, True), (True, False), (True, True)])
+@pytest.mark.parametrize("mode", Mode)
+def test_at_the_end_of_a_motion_the_brakes_stay_open_on_hold_and_before_the_way_back(mode, go, parks):
+    operating = made()[0]
+    operating.go, operating.parks = go, parks
+    open_in = {Mode.TRACKING: parks or not go, Mode.STOPPING: parks and not go}
+    assert operating.stays(mode) == open_in.get(mode, False)
+
+
+@pytest.mark.parametrize(
+    ("deadman_s", "ticks"),
+    [
+        (0.0004, 1),
+        (0.001, 1),
+        (0.0019, 1),
+        (0.002, 2),
+        (0.003, 3),
+        (0.1, 100),
+        (0.0289999999995, 29),
+        (0.0289999999985, 28),
+    ],
+)
+def test_a_key_counts_as_held_for_the_whole_ticks_of_its_time_and_for_one_at_least(deadman_s, ticks):
+    operating, motion = made(deadman_s=deadman_s)
+    assert not operating.holds_key(0)
+    operating.step([KEY], 7, Mode.TRACKING, motion)
+    assert [operating.holds_key(7 + n) for n in (0, ticks - 1, ticks, ticks + 1)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
 def test_a_key_frame_in_every_tick_holds_a_key_that_is_shorter_than_a_tick():
     operating, motion = made(deadman_s=0.0004)
     sigma = run((operating, motion), 200, {tick: [KEY] for tick in range(101)})

@@ -113,7 +113,7 @@ AREAS = {
             "hil/trajectory/*.py",
         ),
         (
-            "tests/hil/test_motion.py",
+            "tests/hil/test_motion*.py",
             "tests/hil/test_jogging*.py",
             "tests/hil/test_way_back.py",
             "tests/hil/test_steering.py",

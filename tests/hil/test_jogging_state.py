@@ -1,0 +1,183 @@
+"""What a jog keeps from tick to tick and forgets: its word, its path, the way on which a limit stopped it."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.signals import Refusal
+from hil.config.operator import OperatorSettings
+from hil.loop.jogging import NO_KEY, NOT_RESTING, ON_HOLD, Jogging
+from hil.loop.motion import Motion
+from hil.signals import explain
+from hil.trajectory.move import GeodesicMove
+from tests.hil.test_jogging import HERE, PLATFORM, STOP_S, jog
+
+WORD = jog("y", 0.5)
+STROKE = explain(Refusal.STROKE)
+
+
+def made(admission=lambda _: 0, too_sudden=lambda *_: False, **settings):
+    """A jogging of 1000 Hz, whose words last 100 ticks, and a motion at rest on its path."""
+    jogging = Jogging(OperatorSettings(**settings), 1000.0, PLATFORM, admission, too_sudden)
+    motion = Motion(1e-3, HERE.p, HERE.R, STOP_S)
+    motion.start(GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0), 0)
+    motion.settle(0, 0.0)
+    return jogging, motion
+
+
+def take(both, order, tick, on_hold=True, key=True):
+    jogging, motion = both
+    return jogging.take(order, tick, motion, on_hold=on_hold, key=key)
+
+
+def step(both, first, last, key=True):
+    jogging, motion = both
+    for tick in range(first, last):
+        motion.advance(tick)
+        jogging.step(tick, motion, key=key)
+
+
+@pytest.mark.parametrize("forgets", [Jogging.reset, Jogging.let_go])
+def test_a_word_that_is_forgotten_begins_no_jog(forgets):
+    both = made()
+    assert take(both, WORD, 0) == ""
+    forgets(both[0])
+    step(both, 0, 10)
+    assert not both[1].away
+
+
+@pytest.mark.parametrize("forgets", [Jogging.reset, Jogging.let_go])
+def test_a_limit_that_is_forgotten_refuses_no_word(forgets):
+    both = made(lambda _: int(Refusal.STROKE))
+    assert take(both, WORD, 0) == ""
+    step(both, 0, 1)
+    refusal = f"jog y: it stops, since beyond, {STROKE}"
+    assert both[0].refusal == refusal
+    assert take(both, WORD, 1) == refusal
+    forgets(both[0])
+    assert both[0].refusal == ""
+    assert take(both, WORD, 2) == ""
+
+
+def test_a_reset_forgets_the_path_of_the_jog():
+    both = made()
+    take(both, WORD, 0)
+    step(both, 0, 50)
+    assert both[1].away
+    assert take(both, WORD, 50) == ""
+    both[0].reset()
+    assert take(both, WORD, 51) == NOT_RESTING
+
+
+@pytest.mark.parametrize(("heard", "answered"), [(99, True), (100, False)])
+def test_a_word_counts_again_on_the_way_of_a_limit_once_it_has_been_silent_for_100_ms(heard, answered):
+    both = made(lambda _: int(Refusal.STROKE))
+    take(both, WORD, 7)
+    step(both, 7, 8)
+    assert bool(take(both, WORD, 7 + heard)) is answered
+
+
+def test_words_that_keep_coming_are_refused_on_the_way_of_a_limit_for_as_long_as_they_do():
+    both = made(lambda _: int(Refusal.STROKE))
+    take(both, WORD, 0)
+    step(both, 0, 1)
+    assert all(take(both, WORD, tick) for tick in range(60, 600, 60))
+
+
+def test_a_word_of_another_way_forgets_the_limit_of_the_first_and_both_ways_may_be_refused():
+    both = made(lambda _: int(Refusal.STROKE))
+    for tick, (name, fraction) in enumerate([("y", 0.5), ("y", -0.5), ("z", 0.5), ("y", 0.5)]):
+        assert take(both, jog(name, fraction), tick) == ""
+        assert both[0].refusal == ""
+        step(both, tick, tick + 1)
+        assert both[0].refusal.startswith(f"jog {name}: ")
+
+
+def test_a_jog_that_is_refused_where_it_would_begin_leaves_the_path_alone():
+    both = made(lambda _: int(Refusal.STROKE))
+    path = both[1].trajectory
+    take(both, WORD, 0)
+    step(both, 0, 5)
+    assert both[1].trajectory is path
+    assert not both[1].away
+
+
+def test_a_limit_is_named_before_a_force_and_a_force_where_there_is_no_limit():
+    for admission, against in (
+        (lambda _: int(Refusal.STROKE), STROKE),
+        (lambda _: 0, "a leg's force could change by more than limits.force_window_N"),
+    ):
+        both = made(admission, too_sudden=lambda *_: True)
+        take(both, WORD, 0)
+        step(both, 0, 1)
+        assert f"beyond, {against}" in both[0].refusal
+        assert (STROKE in both[0].refusal) == (against == STROKE)
+
+
+def test_a_leg_that_would_come_to_lengths_of_no_pose_does_not_begin_for_that_reason():
+    both = made(setup_speed_m_s=1e9, setup_speed_deg_s=1e11)
+    take(both, jog("leg2"), 0)
+    step(both, 0, 1)
+    assert both[0].refusal == f"jog leg2: it stops, since beyond, {explain(Refusal.CONDITION)}"
+    assert not both[1].away
+
+
+def test_of_several_reasons_against_a_word_hold_is_named_before_the_key_and_the_key_before_the_rest():
+    both = made()
+    both[1].settle(0, 1.0)
+    assert take(both, WORD, 0, on_hold=False, key=False) == ON_HOLD
+    assert take(both, WORD, 0, key=False) == NO_KEY
+    assert take(both, WORD, 0) == NOT_RESTING
+    both[1].settle(0, 0.0)
+    assert take(both, WORD, 0) == ""
+
+
+def test_a_word_of_the_same_axis_the_other_way_brakes_to_rest_before_it_turns_round():
+    both = made()
+    for tick in range(300):
+        take(both, WORD, tick)
+        step(both, tick, tick + 1)
+    motion = both[1]
+    path, v = motion.trajectory, []
+    for tick in range(300, 1000):
+        assert take(both, jog("y", -0.5), tick) == ""
+        step(both, tick, tick + 1)
+        v.append(motion.sample(tick).twist[1])
+    turns = v.index(0.0)
+    assert all(a >= b for a, b in zip(v[:turns], v[1:turns], strict=False))
+    assert motion.trajectory is not path
+    assert v[-1] == pytest.approx(-0.5 * 0.05)
+
+
+def test_the_key_that_is_let_go_of_ends_a_word_for_good():
+    both = made()
+    take(both, WORD, 0)
+    step(both, 0, 20)
+    step(both, 20, 21, key=False)
+    step(both, 21, 60)
+    assert both[1].override.target == 0.0
+
+
+@pytest.mark.parametrize("name", ["x", "ry", "leg4"])
+def test_the_pose_that_is_judged_is_the_one_to_which_braking_from_the_next_tick_on_leads(name):
+    judged = []
+
+    def note(chi):
+        judged.append(chi)
+        return 0
+
+    both = made(note)
+    step(both, 0, 50)
+    take(both, jog(name), 50)
+    step(both, 50, 140)
+    both[1].advance(140)
+    both[0].let_go()
+    step(both, 140, 700)
+    rests = both[1].sample(700)
+    assert both[1].resting
+    assert len(judged) == 90
+    here = np.r_[HERE.p, Rotation.from_matrix(HERE.R).as_rotvec()]
+    assert np.abs(judged[0] - here).max() < 1e-8, "it begins where it is"
+    np.testing.assert_allclose(judged[-1][:3], rests.p, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_rotvec(judged[-1][3:]).as_matrix(), rests.R, rtol=0, atol=1e-12)
+    assert np.abs(judged[-1] - here).max() > 1e-4

@@ -164,7 +164,7 @@ class Motion:
         """
         duration = self.trajectory.duration_s
         assert duration is not None
-        ticks = max(int((duration - self.time(tick)) / self.period_s) - 1, 0)
+        ticks = max(int((duration - self.time(tick)) / self.period_s), 0)
         while self.time(tick + ticks) < duration:
             ticks += 1
         return ticks

@@ -209,3 +209,18 @@ def test_a_live_trajectory_is_stopped_by_its_own_brake():
     goes(live, 500, ends + 1)
     assert [motion.finished(tick) for tick in (ends - 1, ends + 1)] == [False, True]
     assert motion.resting
+
+
+@pytest.mark.parametrize("left", [1, 7, 4000])
+def test_the_end_of_the_approach_is_found_in_a_few_steps_however_far_it_is(left):
+    asked = []
+
+    class Asked(Motion):
+        def time(self, tick):
+            asked.append(tick)
+            return super().time(tick)
+
+    motion, path = Asked(T, HERE, EYE, 0.5), next_path()
+    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 1000.0), 0, then=path)
+    assert motion.before(4000 - left, path) == -left * T
+    assert len(asked) <= 3

@@ -16,11 +16,11 @@ def evaluate(
     t: float, p0: Array, R0: Array, dp: Array, phi: Array, duration: float,
     p: Array, R: Array, twist: Array, dtwist: Array,
 ) -> None:  # fmt: skip
-    """Fill p, R, twist, dtwist of p = p0 + s dp, R = exp([s phi]) R0, with s the quintic of t/duration."""
-    moving = 0.0 <= t <= duration
+    """Fill p, R, twist, dtwist of p = p0 + s dp, R = exp([s phi]) R0, with s the quintic of t/duration.
+
+    At both its ends, and so before and after them, the quintic rests to the bit.
+    """
     s, ds, dds = quintic(min(max(t / duration, 0.0), 1.0))
-    if not moving:
-        ds = dds = 0.0
     ds /= duration
     dds /= duration * duration
     along = at(phi, 0)

@@ -17,11 +17,14 @@ _TURN = 2.0 * math.pi
 
 @helper
 def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
-    """Envelope e(t) with de/dt, d2e/dt2: quintic from 0 to 1 over `ramp` s, and back before the end."""
-    if ramp > 0.0 and t < ramp:
+    """Envelope e(t) with de/dt, d2e/dt2: quintic from 0 to 1 over `ramp` s, and back before the end.
+
+    t: 0 .. duration; so without a ramp it is 1 throughout.
+    """
+    if t < ramp:
         s, ds, dds = quintic(t / ramp)
         return s, ds / ramp, dds / (ramp * ramp)
-    if ramp > 0.0 and t > duration - ramp:
+    if t > duration - ramp:
         s, ds, dds = quintic((duration - t) / ramp)
         return s, -ds / ramp, dds / (ramp * ramp)
     return 1.0, 0.0, 0.0

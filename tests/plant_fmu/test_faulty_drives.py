@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from math import exp, pi
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,3 +178,24 @@ def test_a_plant_that_fails_as_a_watchdog_ends_has_come_to_that_instant(monkeypa
     with pytest.raises(PlantError, match="refused"):
         rig.at(30 * MS)
     assert rig.nodes.now_ns == 10 * MS
+
+
+def test_readings_are_kept_while_any_one_encoder_is_late_and_forgotten_when_none_is():
+    reading, present, works = Reading(), Present(), Present()
+    present.late_ns[4] = 3 * MS
+    for t_ms in range(3):
+        reading.spoil(present, t_ms * MS, np.ones(6), np.zeros(6))
+        reading.begin(present)
+        assert len(reading._read) == t_ms + 1
+    reading.begin(works)
+    assert len(reading._read) == 0
+
+
+def test_noise_is_added_to_the_lengths_of_its_legs_as_it_is_drawn():
+    present = Present()
+    drawn: Any = SimpleNamespace(standard_normal=lambda: 2.0)
+    present.noise = [(1, 1e-3, drawn), (4, 3e-3, drawn), (1, 1e-2, drawn)]
+    length, rate = np.ones(6), np.zeros(6)
+    Reading().spoil(present, 0, length, rate)
+    np.testing.assert_allclose(length, [1.0, 1.022, 1.0, 1.0, 1.006, 1.0], rtol=1e-15)
+    assert not rate.any()

@@ -1,0 +1,93 @@
+"""Drives that have just been powered up: they hold, read and count from nothing, whoever starts them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.config import DriveSettings
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import Received
+from drivers.signals import Command, DriveFault, DriveMode, DriveState
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.drive import Drives
+from plant_fmu.drives.kernels import NEVER_NS
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
+from tests.drivers.legs_frames import command_frames
+from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig
+
+RATE = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
+FORCE = np.array([100.0, -200.0, 300.0, -400.0, 500.0, -600.0])
+
+
+def powered_up() -> Drives:
+    return Drives(DriveSettings(), DriveEmulation(), 1e-4)
+
+
+def test_drives_that_were_just_powered_up_hold_their_brakes_read_their_legs_and_have_nothing_to_come():
+    drives = powered_up()
+    assert drives.next_move_ns() == NEVER_NS
+    length, rate, state = drives.encoders(REST, RATE)
+    np.testing.assert_array_equal(length, REST)
+    np.testing.assert_array_equal(rate, RATE)
+    assert state.tolist() == [DriveState.BOOT] * 6
+    assert drives.actuate(REST, RATE, False, 0) is False
+    assert drives.brake.tolist() == [1.0] * 6
+    assert drives.force.tolist() == [0.0] * 6
+    assert drives.next_move_ns() == NEVER_NS
+
+
+def test_drives_that_were_just_powered_up_give_all_the_force_that_they_are_told():
+    drives = powered_up()
+    for leg in range(6):
+        drives.enter(leg, int(DriveState.RUN), int(DriveFault.NONE))
+    drives.obey(REST, RATE, np.arange(6), FORCE, int(DriveMode.RUN), 0, MS)
+    np.testing.assert_array_equal(drives.force, FORCE)
+    assert drives.brake.tolist() == [0.0] * 6
+
+
+def test_an_encoder_that_is_frozen_from_power_up_on_reads_the_first_length():
+    rig = Rig("ideal", faults=[EncoderFreeze(leg=leg) for leg in range(6)])
+    rig.run(1000.0)
+    np.testing.assert_array_equal(rig.sync(5 * MS)["length"], REST)
+    assert (rig.nodes.snapshot().length > REST).all()
+
+
+def test_a_fault_of_one_nanosecond_at_power_up_is_over_after_it():
+    rig = Rig("ideal", faults=[EncoderJump(leg=2, by_m=1e-3, for_s=1e-9)])
+    assert rig.sync(0)["length"][2] == pytest.approx(REST[2] + 1e-3)
+    np.testing.assert_array_equal(rig.sync(1 * MS)["length"], REST)
+
+
+def test_drives_that_nobody_has_started_are_powered_up_at_0():
+    nodes = Nodes(Masses(), LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), DriveEmulation(), DriveSettings())
+    assert nodes.now_ns == 0
+    assert [(t, frame.id) for t, frame in nodes.step(0, [])] == [(0, 0x701)]
+
+
+def test_syncs_commands_those_repeated_and_those_refused_are_counted_from_0():
+    rig = Rig()
+    snapshot = rig.nodes.snapshot()
+    assert (snapshot.syncs, snapshot.commands, snapshot.repeated, snapshot.rejected) == (0, 0, 0, 0)
+    rig.configure()
+    frame = command_frames(rig.protocol, Command(DriveMode.READY, np.zeros(6)), 1)[0]
+    damaged = frame._replace(data=frame.data[::-1])
+    rig.at(1 * MS, *rig.protocol.begin(None, 1), frame, frame, frame, *[damaged] * 4)
+    rig.at(2 * MS, *rig.protocol.begin(None, 2))
+    rig.at(3 * MS, *rig.protocol.begin(None, 3))
+    snapshot = rig.nodes.snapshot()
+    assert (snapshot.syncs, snapshot.commands, snapshot.repeated, snapshot.rejected) == (3, 1, 2, 4)
+
+
+def test_two_frames_are_heard_in_the_order_of_their_times():
+    rig = Rig()
+    rig.configure()
+    rig.at(0, *rig.protocol.begin(None, 1))
+    ready, off = (
+        command_frames(rig.protocol, Command(mode, np.zeros(6)), 1)[0]
+        for mode in (DriveMode.READY, DriveMode.OFF)
+    )
+    sent = rig.nodes.step(4 * MS, [Received(3 * MS, off), Received(2 * MS, ready)])
+    assert [t for t, frame in sent if frame.id == 0x701] == [2 * MS]
+    assert rig.states == [DriveState.READY] * 6, "the second has the counter of the first"

@@ -286,3 +286,50 @@ def test_a_sample_enters_the_bus_its_latency_after_its_instant_and_one_of_the_la
     for identifier, period_ms in ((0x407, 5), (0x488, 2), (0x509, 1)):
         due = [k * MS + late_us[identifier] * US for k in range(0, 11, period_ms)]
         assert [t for t, frame in sent if frame.id == identifier] == [t for t in due if t <= 10 * MS]
+
+
+def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation = EXACT) -> SensedNodes:
+    protocol = SensorProtocol(BusSettings(), settings)
+    args = (plant, DRIVES, DriveEmulation(), DriveSettings(), None)
+    return SensedNodes(*args, protocol, settings, noise, G)
+
+
+def test_a_plant_is_asked_for_its_truth_once_at_each_instant_whoever_wants_to_know():
+    class Asked(Mover):
+        def truth(self):
+            asked.append(self.n)
+            return super().truth()
+
+    asked: list[int] = []
+    nodes = sensed(Asked())
+    nodes.start(0)
+    asked.clear()
+    nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    for t_ms in range(1, 11):
+        nodes.step(t_ms * MS, [])
+        assert nodes.snapshot().truth is not None
+    assert len(asked) > 10
+    assert asked == sorted(set(asked))
+
+
+def test_a_sample_is_stamped_up_to_65500_us_after_a_sync_and_not_later():
+    nodes = sensed(Mover(), SensorSettings(imu=ImuSettings(rate_Hz=2000)))
+    nodes.start(0)
+    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    sent += nodes.step(80 * MS, [])
+    taken = [t_ns // US - 200 for t_ns, frame in sent if frame.id == 0x488]
+    assert taken == list(range(0, 65_501, 500))
+
+
+@pytest.mark.parametrize("t0_ns", [0, 3 * MS])
+def test_before_the_plant_has_moved_an_imu_measures_its_weight_alone_at_the_first_start_and_the_next(t0_ns):
+    settings = SensorSettings(imu=ImuSettings())
+    nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
+    for _ in range(2):
+        nodes.start(t0_ns)
+        sent = nodes.step(t0_ns, [Received(t0_ns, DRIVES.begin(None, 0)[0])])
+        sent += nodes.step(t0_ns + MS, [])
+        readings = protocol.decode([Received(*each) for each in sent], 0, Readings())
+        (first,) = readings.imu
+        assert first.values[3:] == pytest.approx(rotation(0.0).T @ [0.0, 0.0, 9.81], abs=2.5e-3)
+        nodes.step(t0_ns + 50 * MS, [])

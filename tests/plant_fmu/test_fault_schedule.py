@@ -1,0 +1,86 @@
+"""When faults are present: at each instant the same ones, in whatever order the instants are asked for."""
+
+from __future__ import annotations
+
+import itertools
+
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import Frame, Received
+from plant_fmu.faults.bus import BusFlood
+from plant_fmu.faults.drive import DriveReset, DriveSilence
+from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.fault import NEVER_NS
+from plant_fmu.faults.frames import FramesDelay, FramesOld
+from plant_fmu.faults.gateway import Gateway
+from plant_fmu.faults.plan import FaultPlan, Schedule
+
+MS = 1_000_000
+FAULTS = (
+    DriveSilence(leg=1, at_s=2e-3, for_s=3e-3),
+    DriveReset(leg=2, at_s=3e-3),
+    EncoderJump(leg=3, by_m=1e-3, at_s=4e-3),
+    DriveSilence(leg=4, mode="TRACKING"),
+)
+BEGIN_END = ((2 * MS, 5 * MS), (3 * MS, 3 * MS + 1), (4 * MS, NEVER_NS), (NEVER_NS, NEVER_NS))
+TIMES = sorted(
+    {max(0, edge + by) for ends in BEGIN_END for edge in ends[:2] for by in (-1, 0, 1) if edge < NEVER_NS}
+)
+
+
+def numbers(schedule: Schedule, t_ns: int) -> list[int]:
+    return [number for number, _ in schedule.active(t_ns)]
+
+
+def test_which_faults_are_present_does_not_depend_on_what_was_asked_before():
+    schedule = Schedule(FaultPlan(FAULTS), 0)
+    for pair in itertools.product(TIMES, TIMES):
+        for t_ns in pair:
+            expected = [n for n, (begin, end) in enumerate(BEGIN_END) if begin <= t_ns < end]
+            assert numbers(schedule, t_ns) == expected, pair
+
+
+def test_a_mode_that_is_reached_counts_at_once_although_the_same_instant_was_asked_for():
+    schedule = Schedule(FaultPlan(FAULTS), 0)
+    assert numbers(schedule, 9 * MS) == [2]
+    assert schedule.reached("TRACKING", 9 * MS)
+    assert numbers(schedule, 9 * MS) == [2, 3]
+
+
+def test_edges_are_each_told_once_rising_from_the_instant_on_and_never_ends_are_none():
+    plan = FaultPlan([*FAULTS, DriveSilence(leg=0), DriveSilence(leg=5, at_s=2e-3, for_s=2e-3)])
+    schedule = Schedule(plan, 0)
+    edges = [0, 2 * MS, 3 * MS, 3 * MS + 1, 4 * MS, 5 * MS]
+    assert schedule.edges_ns(0) == edges
+    assert schedule.edges_ns(2 * MS) == edges[1:]
+    assert schedule.edges_ns(2 * MS + 1) == edges[2:]
+    assert schedule.edges_ns(5 * MS + 1) == []
+
+
+def test_a_fault_has_begun_at_its_instant_and_waits_only_for_a_mode():
+    schedule = Schedule(FaultPlan(FAULTS), 0)
+    begun = [[FAULTS.index(fault) for fault in schedule.begun(t_ns)] for t_ns in (2 * MS - 1, 2 * MS, 4 * MS)]
+    assert begun == [[], [0], [0, 1, 2]]
+    assert schedule.waiting == FAULTS[3:]
+
+
+def test_what_a_stranger_has_sent_stays_his_on_the_way_through_further_faults():
+    """One that repeats the last frame, and one that is late."""
+    schedule = Schedule(FaultPlan([FramesOld(back=1), FramesDelay(by_ms=1.0)]), 0)
+    found = []
+    for k in range(3):
+        frames = schedule.carry(k * MS, Frame(5, bytes([k])), to_drives=True)
+        found.append([(t_ns // MS, frame.data[0], foreign) for t_ns, frame, foreign in frames])
+    assert found == [[(1, 0, False)], [(2, 1, False), (2, 0, True)], [(3, 2, False), (3, 1, True)]]
+
+
+def test_two_senders_count_each_its_own_frames_and_a_late_frame_is_heard_once_at_its_time():
+    floods = [BusFlood(rate_Hz=1000.0, identifier=1), BusFlood(rate_Hz=500.0, identifier=2, at_s=1e-3)]
+    late = FramesDelay(by_ms=2.0, identifier=9)
+    gateway = Gateway(Schedule(FaultPlan([*floods, late]), 0), LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), 0)
+    heard: list[tuple[int, int]] = []
+    for t_ms in range(6):
+        received = [Received(t_ms * MS, Frame(9, b""))] if t_ms == 1 else []
+        heard += [(frame.id, t_ns // MS) for t_ns, frame in gateway.hear(received, t_ms * MS)]
+    assert [t for identifier, t in heard if identifier == 1] == [0, 1, 2, 3, 4, 5]
+    assert [t for identifier, t in heard if identifier == 2] == [1, 3, 5]
+    assert [t for identifier, t in heard if identifier == 9] == [3]

@@ -281,7 +281,6 @@ class Nodes:
         self._memory = self._protocol.restarted(self._memory, np.flatnonzero(self._present.reset).tolist())
         self._weigh()
         self._actuate(t)
-        self._calm_ns = min(self._calm_ns, self._drives.next_move_ns())
 
     def _actuate(self, t: int, *, lag: bool = False) -> None:
         """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
@@ -306,7 +305,7 @@ class Nodes:
                 drives.fault[leg] = fault
                 self._send_status(leg, t, out)
         self._actuate(t)
-        self._calm_ns = min(self._calm_ns, int(drives.deadline_ns.min()), drives.next_move_ns())
+        self._calm_ns = min(self._calm_ns, drives.next_move_ns())
 
     # frames
 

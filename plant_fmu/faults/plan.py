@@ -75,12 +75,9 @@ class Schedule:
 
     def edges_ns(self, since_ns: int) -> list[int]:
         """Return the instants from `since_ns` on at which a fault begins or ends, rising."""
-        ends = (at + fault.lasts_ns for fault, at in self._timed())
-        edges = {*ends, *(at for _, at in self._timed())}
+        faults = zip(self._plan.faults, self._start_ns, strict=True)
+        edges = {edge for fault, at in faults for edge in (at, at + fault.lasts_ns)}
         return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
-
-    def _timed(self) -> Iterator[tuple[Fault, int]]:
-        return ((f, at) for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at < NEVER_NS)
 
     def active(self, t_ns: int) -> tuple[tuple[int, Fault], ...]:
         """Return the faults that are present at an instant, each with its number."""

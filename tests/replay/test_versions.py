@@ -19,6 +19,7 @@ from hil.app.compose import attachments
 from hil.app.configuration.configuration import load
 from hil.app.replay import open_run, replay_log
 from hil.cli import main
+from hil.loop.replay import other_columns
 from hil.record import Recording, environment
 from hil.record.log import Log
 from hil.record.row import Table
@@ -112,6 +113,22 @@ def test_a_log_whose_columns_differ_is_refused_with_the_difference_and_its_rows_
     sentence = " ".join(result.stderr.split())
     assert f"its columns differ ({difference}): replay it with the build of version 0.2.0" in sentence
     assert_same(Log.open(tmp_path / "a.mcap").ticks(), ticks)
+
+
+@pytest.mark.parametrize(
+    ("count", "named"),
+    [
+        (0, ""),
+        (1, "n_0"),
+        (2, "n_0, n_1"),
+        (3, "n_0, n_1, n_2"),
+        (4, "n_0, n_1, n_2 and 1 more"),
+        (9, "n_0, n_1, n_2 and 6 more"),
+    ],
+)
+def test_of_columns_that_differ_in_one_way_three_are_named_and_the_others_counted(count, named):
+    more = [NEW._replace(name=f"n_{n}") for n in range(count)]
+    assert other_columns([*RECORDED, *more]) == (f"only the log has {named}" if count else "")
 
 
 def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_path):

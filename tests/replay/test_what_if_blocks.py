@@ -164,3 +164,9 @@ def test_the_largest_difference_of_a_force_is_that_of_its_own_leg_over_all_block
     assert forces.at == [20, 22, 22, 21, 20, None], "of equal ones the first"
     squares = [163.0, 0.0625, 34.0, 6.0, 0.75, 0.0]
     assert forces.rms == pytest.approx([(each / 3) ** 0.5 for each in squares])
+
+
+def test_the_root_of_the_mean_square_of_one_tick_is_the_size_of_its_difference():
+    forces = kernel.Forces()
+    forces.take(np.array([20]), np.array([[9.0, 0.0, -3.0, 1.0, 0.5, -0.25]]))
+    assert forces.rms.tolist() == [9.0, 0.0, 3.0, 1.0, 0.5, 0.25]

@@ -246,3 +246,12 @@ def test_the_table_of_a_suite_stands_at_the_margin_of_standard_output(tmp_path, 
     assert titles.startswith("log ")
     assert case.startswith("a.mcap ")
     assert case.split() == ["a.mcap", "pass", "1.2", "5", "ticks"]
+
+
+@pytest.mark.parametrize(("wall_s", "speed"), [(0.5, 24.0), (1.0, 12.0), (4.0, 3.0), (0.0, 0.0)])
+def test_the_speed_of_a_suite_is_that_of_all_its_ticks_however_short_it_was(tmp_path, wall_s, speed):
+    good = Case(str(tmp_path / "a.mcap"), "pass", "", {"ticks": 7}, 0.1)
+    bad = good._replace(verdict="fail", summary={"ticks": 5})
+    skipped = good._replace(verdict="skipped", summary={})
+    found = summary(tmp_path, [good, bad, skipped], wall_s)
+    assert (found["ticks"], found["ticks_per_second"]) == (12, speed)

@@ -60,7 +60,7 @@ class Judged(NamedTuple):
 
 
 class Bench:
-    """A Safety and a healthy tick in which single values can be changed."""
+    """A Safety and a healthy tick in which single values can be changed; what it fills was something else."""
 
     def __init__(self, **options):
         settings = {"drive_force_limit": 1000.0, "length_min": 1.0, "length_max": 9.0, "rate_Hz": RATE_HZ}
@@ -71,6 +71,7 @@ class Bench:
             "mode": mode, "recorder_alive": 1, "tau_asked": tau, "condition": 2.0,
             "length": 5.0, "drive_state": DriveState.RUN, "age": 0, "counted_age": columns.get("age", 0),
             "q": 5.0, "R": np.eye(3), "J": np.eye(6), "q_d": 5.0, "R_d": np.eye(3),
+            "tau": 77.0, "legs_moved": 0b111111,
         }  # fmt: skip
         tick = record_of(**{**healthy, **columns})
         verdict = self.safety.judge(tick)
@@ -531,8 +532,8 @@ def test_guard_window_limits_the_way_down_too():
 @pytest.mark.parametrize("mode", OFF)
 def test_guard_starts_from_zero_force_after_the_drives_were_off(mode):
     bench = Bench()
-    for sign in (1.0, -1.0):
-        climb(bench)
+    for before, sign in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+        climb(bench, before)
         tau = bench.tick(mode, tau=leg(100.0)).tau
         np.testing.assert_array_equal(tau, np.zeros(6))
         assert climb(bench, sign) == climb(Bench(), sign)

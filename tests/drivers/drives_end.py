@@ -1,7 +1,9 @@
 """What drives send that have just been powered up."""
 
+from collections.abc import Sequence
+
 from drivers.arrays import Array, Ints
-from drivers.protocol import DriveProtocol, Frame, Status, Sync
+from drivers.protocol import DeviceCommand, DeviceMessage, DriveProtocol, Frame, Status, Sync
 
 
 def answers(
@@ -19,3 +21,18 @@ def answers(
 def reports(protocol: DriveProtocol, status: Status) -> tuple[Frame, ...]:
     """Return what a drive sends of its state."""
     return protocol.report(protocol.power_up(), status)[1]
+
+
+def plain(messages: Sequence[DeviceMessage]) -> tuple[DeviceMessage, ...]:
+    """Return messages that can be compared: forces as lists, rounded."""
+    return tuple(
+        each._replace(force=[round(float(f), 6) for f in each.force])  # type: ignore[arg-type]
+        if isinstance(each, DeviceCommand)
+        else each
+        for each in messages
+    )
+
+
+def command(leg: int, mode: int, counter: int, force: float = 0.0) -> DeviceMessage:
+    """Return the command of one leg, as `plain` has it."""
+    return DeviceCommand((leg,), int(mode), [round(force, 6)], counter)  # type: ignore[arg-type]

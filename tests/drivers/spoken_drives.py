@@ -1,0 +1,122 @@
+"""A family of motor drives whose frames are words: each says what a test writes, and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from drivers.config import TransmissionSettings
+from drivers.motors import Exchange, Heard, MotorDialogue, MotorProtocol
+from drivers.protocol import ALWAYS, DriveSetup, Frame, Received, run_of
+from drivers.signals import DriveMode, DriveState, Reaction
+from drivers.tick_columns import Record, new_record
+from drivers.transmission import Transmission
+
+UNLIKE = Transmission.of(
+    TransmissionSettings(
+        lead_m=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+        gear_ratio=[1.0, 2.0, 3.0, 4.0, 5.0, 7.0],
+        sign=[1, -1, 1, -1, 1, -1],
+        efficiency=0.8,
+        back_driving_efficiency=0.5,
+        full_loss_m_s=0.1,
+        offset_m=[1.1, 1.2, 1.3, 1.4, 1.5, 1.6],
+    )
+)
+SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
+SINCE_NS = 1_000
+
+
+class Spoken(MotorProtocol):
+    """Frames are numbers of what they say."""
+
+    torque_limit = 2.0
+    watchdog_danger = "nobody watches"
+
+    def __init__(
+        self, exchanges: int = 0, *, reports: bool = True, unasked_s: float = 0.0, transmission: Any = UNLIKE
+    ) -> None:
+        super().__init__(transmission)
+        self.reports_power, self.unasked_s, self._exchanges = reports, unasked_s, exchanges
+        self.words: list[Heard | None] = []
+
+    def word(self, heard: Heard | None) -> Frame:
+        """Return the frame that says this."""
+        self.words.append(heard)
+        return Frame(len(self.words) - 1, b"")
+
+    def hear(self, frame: Frame) -> Heard | None:
+        return self.words[frame.id]
+
+    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
+        return Frame(0x100 + leg, bytes((dialogue.mode,)))
+
+    def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
+        return tuple(
+            tuple(
+                Exchange(f"register {k}", 10 + k, (Frame(0x200 + 16 * leg + k, b""),), 0.1 + k + 10 * leg)
+                for k in range(self._exchanges)
+            )
+            for leg in range(6)
+        )
+
+    def fault_text(self, code: int) -> str:
+        return str(code)
+
+    def leg_addressed(self, frame: Frame) -> int | None:
+        return frame.id - 0x100 if 0x100 <= frame.id < 0x106 else None
+
+    def parse(self, _memory: Any, _frame: Any) -> Any:
+        raise NotImplementedError
+
+    def answer(self, *_given: Any) -> Any:
+        raise NotImplementedError
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        raise NotImplementedError
+
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        raise NotImplementedError
+
+    def begun(self, **fields: Any) -> MotorDialogue:
+        """Return the dialogue of drives that are heard and disabled, with other fields."""
+        values: dict[str, Any] = {"done": (1 + self._exchanges,) * 6, "power": (int(DriveState.OFF),) * 6}
+        return self.start(SETUP)._replace(**values | fields)
+
+    def told(
+        self,
+        *words: Heard | None | tuple[int, Heard],
+        last: Record | None = None,
+        number: int = 13,
+        **fields: Any,
+    ) -> tuple[Record, MotorDialogue]:
+        """Return a tick and the dialogue after these words; a word with a time comes then, others in time."""
+        timed = [each if type(each) is tuple else (SINCE_NS, each) for each in words]
+        run = run_of([Received(t_ns, self.word(heard)) for t_ns, heard in timed])  # type: ignore[arg-type]
+        tick = new_record()
+        tick["tick"] = number
+        for name in ("blind", "rejected", "doubled", "foreign"):
+            tick[name] = 9
+        since_ns = SINCE_NS if words else ALWAYS
+        return tick, self.decode(self.begun(**fields), run, last_tick() if last is None else last, tick, since_ns)
+
+
+def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
+    """Return the measurement of the tick before, each leg with numbers of its own."""
+    last = new_record()
+    last["tick"], last["age"] = number, age
+    last["length"] = [2.1, 2.2, 2.3, 2.4, 2.5, 2.6]
+    last["rate"] = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+    last["drive_force"] = [11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    last["drive_state"] = [0, 1, 2, 3, 4, 1]
+    last["drive_fault"] = [0, 1, 2, 3, 4, 5]
+    return last
+
+
+def feedback(leg: int, turns: float = 0.5, speed: float = 0.0, **more: Any) -> Heard:
+    """Return an answer to the poll: of a disabled drive where nothing else is given."""
+    values: dict[str, Any] = {"motion": (turns, speed), "power": int(DriveState.OFF)}
+    return Heard(leg, feedback=True, **values | more)
+
+
+RUNNING: dict[str, Any] = {"mode": int(DriveMode.RUN), "power": (int(DriveState.RUN),) * 6, "ran": (True,) * 6}
+"""Fields of a dialogue whose drives are enabled, as they are asked to be."""

@@ -97,7 +97,9 @@ class Spoken(MotorProtocol):
         for name in ("blind", "rejected", "doubled", "foreign"):
             tick[name] = 9
         since_ns = SINCE_NS if words else ALWAYS
-        return tick, self.decode(self.begun(**fields), run, last_tick() if last is None else last, tick, since_ns)
+        return tick, self.decode(
+            self.begun(**fields), run, last_tick() if last is None else last, tick, since_ns
+        )
 
 
 def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
@@ -118,5 +120,9 @@ def feedback(leg: int, turns: float = 0.5, speed: float = 0.0, **more: Any) -> H
     return Heard(leg, feedback=True, **values | more)
 
 
-RUNNING: dict[str, Any] = {"mode": int(DriveMode.RUN), "power": (int(DriveState.RUN),) * 6, "ran": (True,) * 6}
+RUNNING: dict[str, Any] = {
+    "mode": int(DriveMode.RUN),
+    "power": (int(DriveState.RUN),) * 6,
+    "ran": (True,) * 6,
+}
 """Fields of a dialogue whose drives are enabled, as they are asked to be."""

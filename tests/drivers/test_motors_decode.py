@@ -126,7 +126,10 @@ def test_a_blind_late_answer_makes_no_leg_fresh():
 
 
 def test_of_a_late_answer_and_one_in_time_the_one_in_time_counts():
-    for words in ([(LATE, feedback(1, 0.5)), feedback(1, 0.25)], [feedback(1, 0.25), (LATE, feedback(1, 0.5))]):
+    for words in (
+        [(LATE, feedback(1, 0.5)), feedback(1, 0.25)],
+        [feedback(1, 0.25), (LATE, feedback(1, 0.5))],
+    ):
         tick, _ = Spoken().told(*words, last=last_tick(10, 3))
         assert tick["length"][1] == Spoken().transmission.length(np.full(6, 0.25))[1]
         assert tick["age"][1] == 0
@@ -208,7 +211,10 @@ def test_each_drive_is_in_boot_until_it_is_set_up_and_has_said_whether_it_is_ena
 def test_which_drives_ran_is_remembered_while_run_is_asked_for():
     power = tuple(map(int, (RUN, OFF, RUN, OFF, FAULT, OFF)))
     ran = (False, False, True, True, False, False)
-    for mode, expected in ((DriveMode.RUN, (True, False, True, True, False, False)), (DriveMode.READY, (False,) * 6)):
+    for mode, expected in (
+        (DriveMode.RUN, (True, False, True, True, False, False)),
+        (DriveMode.READY, (False,) * 6),
+    ):
         _, dialogue = Spoken().told(feedback(5), mode=int(mode), power=power, ran=ran)
         assert dialogue.ran == expected
 

@@ -94,7 +94,9 @@ def test_which_drives_ran_is_forgotten_with_another_mode_and_with_no_other_comma
     ran = (True, False, True, False, False, True)
     for before in DriveMode:
         for after in DriveMode:
-            dialogue, _ = protocol.command(protocol.begun(mode=int(before), ran=ran), Command(after, zeros), 3)
+            dialogue, _ = protocol.command(
+                protocol.begun(mode=int(before), ran=ran), Command(after, zeros), 3
+            )
             assert dialogue.ran == (ran if before == after else (False,) * 6)
 
 
@@ -107,11 +109,15 @@ def test_a_force_up_to_the_largest_torque_of_the_field_is_taken_and_one_beyond_i
     dialogue, _ = protocol.command(protocol.begun(), Command(DriveMode.RUN, force), 3)
     assert dialogue.torque[leg] == pytest.approx(sign * 2.0)
     force[leg] = most * (1.0 + 2e-9)
-    with pytest.raises(ProtocolError, match=r"\] N needs 2 N m: up to 2 N m are allowed; lower limits.force_N"):
+    with pytest.raises(
+        ProtocolError, match=r"\] N needs 2 N m: up to 2 N m are allowed; lower limits.force_N"
+    ):
         protocol.command(protocol.begun(), Command(DriveMode.RUN, force), 3)
 
 
-@pytest.mark.parametrize("force", [[1.0] * 5, [1.0] * 5 + [float("nan")], [float("-inf")] + [1.0] * 5, [[1.0] * 6]])
+@pytest.mark.parametrize(
+    "force", [[1.0] * 5, [1.0] * 5 + [float("nan")], [float("-inf")] + [1.0] * 5, [[1.0] * 6]]
+)
 def test_forces_that_are_not_six_finite_ones_are_refused(force):
     with pytest.raises(ProtocolError, match="N: six finite ones are allowed"):
         Spoken().command(Spoken().begun(), Command(DriveMode.RUN, np.array(force)), 3)
@@ -246,4 +252,3 @@ def test_turns_without_an_end_name_no_lengths_and_what_a_family_says_of_safety_i
     assert "no frame of these drives works a brake" in brake
     assert watchdog == "nobody watches"
     assert len(FAMILIES["damiao"].dangers) == 1, "its watchdog is set and read back"
-

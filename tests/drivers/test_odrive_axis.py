@@ -99,19 +99,21 @@ def test_a_stop_of_any_length_stops_its_axis_alone():
         assert memory == enabled._replace(enabled=(True, True, True, True, False, True))
 
 
-@pytest.mark.parametrize("kind", [0x04, 0x0C, 0x0D, 0x0F, 0x10, 0x11, 0x12, 0x13, 0x16, 0x19, 0x1A, 0x1B, 0x1F])
+@pytest.mark.parametrize(
+    "kind", [0x04, 0x0C, 0x0D, 0x0F, 0x10, 0x11, 0x12, 0x13, 0x16, 0x19, 0x1A, 0x1B, 0x1F]
+)
 def test_what_a_controller_may_send_and_an_emulated_axis_does_not_have_is_refused(kind):
     assert told(to(kind, bytes(8)))[1] == [(Rejected(f"command {kind:#x} is not emulated"),)]
 
 
-@pytest.mark.parametrize("kind", [0x00, 0x01, 0x03, 0x05, 0x08, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D, 0x1E])
+@pytest.mark.parametrize(
+    "kind", [0x00, 0x01, 0x03, 0x05, 0x08, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D, 0x1E]
+)
 def test_what_no_controller_sends_is_ignored(kind):
     assert told(to(kind, bytes(8)))[1] == [()]
 
 
-@pytest.mark.parametrize(
-    ("kind", "taken"), [(0x07, (4, 8)), (0x0B, (8,)), (0x0E, (4, 8)), (0x18, (0, 1))]
-)
+@pytest.mark.parametrize(("kind", "taken"), [(0x07, (4, 8)), (0x0B, (8,)), (0x0E, (4, 8)), (0x18, (0, 1))])
 def test_a_command_of_another_length_than_its_own_is_refused(kind, taken):
     for size in range(9):
         (messages,) = told(to(kind, bytes(size)))[1]

@@ -84,7 +84,7 @@ class Spoken(MotorProtocol):
 
     def told(
         self,
-        *words: Heard | None | tuple[int, Heard],
+        *words: Heard | tuple[int, Heard] | None,
         last: Record | None = None,
         number: int = 13,
         **fields: Any,

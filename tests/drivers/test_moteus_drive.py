@@ -60,16 +60,16 @@ def test_a_drive_is_enabled_by_its_first_torque_obeys_the_next_and_resets_by_a_s
             Configure(4, kept, Reaction.DAMP),
             command(4, READY, 1, 0.5 * PER[4]),
             command(4, RUN, 2, 0.5 * PER[4]),
-        )
-        + (Sync(0, (4,)),),
+            Sync(0, (4,)),
+        ),
         (command(4, RUN, 3, -0.25 * PER[4]), Sync(0, (4,))),
         (command(4, RESET, 4), Configure(4, 0.1, Reaction.DAMP), Sync(0, (4,))),
         (
             Configure(4, kept, Reaction.DAMP),
             command(4, READY, 5, 0.5 * PER[4]),
             command(4, RUN, 6, 0.5 * PER[4]),
-        )
-        + (Sync(0, (4,)),),
+            Sync(0, (4,)),
+        ),
     ]
     assert memory.heard == (0, 0, 0, 0, 6, 0)
     assert memory.enabled == (False, False, False, False, True, False)

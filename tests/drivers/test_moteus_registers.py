@@ -122,8 +122,8 @@ def test_the_smallest_integer_is_no_number_where_there_is_a_scale_and_the_next_o
         "20 04",
         "20 81",
         "29 a0",
-    ]
-    + ["23 00 0a 0a", "01 00 0a", "41 00", "21 00 0a 01 00 0a", "21 00 0a 21 00", "20 02 00 0a"],
+        *["23 00 0a 0a", "01 00 0a", "41 00", "21 00 0a 01 00 0a", "21 00 0a 21 00", "20 02 00 0a"],
+    ],
 )
 def test_a_frame_that_is_not_whole_or_of_another_kind_says_nothing(text):
     assert said(text) is None

@@ -232,7 +232,7 @@ def test_each_family_has_its_traits(name):
         protocol.shares_identifiers,
         protocol.has_watchdog,
     )
-    assert not (protocol.force_on_brakes or protocol.answers_name_sync or protocol.latches_together)
+    assert {protocol.force_on_brakes, protocol.answers_name_sync, protocol.latches_together} == {False}
     assert (protocol.unasked_s, protocol.database) == (0.0, None)
     assert protocol.reactions == ((Reaction.DAMP,) if name == "moteus" else (Reaction.BRAKE,))
 

@@ -242,7 +242,7 @@ def test_a_heartbeat_with_one_error_known_by_name_is_that_and_with_more_the_axis
     ):
         said = heard(error, axis)
         assert (said.leg, said.power, said.fault) == (4, power, fault)
-        assert not (said.feedback or said.broken or said.foreign)
+        assert {said.feedback, said.broken, said.foreign} == {False}
 
 
 @pytest.mark.parametrize("size", [0, 4, 7])

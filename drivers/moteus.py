@@ -140,7 +140,6 @@ class MoteusProtocol(MotorProtocol):
     """The tables of six drives."""
 
     set_up_frames = 0
-    reset_ticks = 3
     shares_identifiers = False
 
     def __init__(

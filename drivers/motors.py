@@ -117,7 +117,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
 
     database: tuple[str, str] | None = None
     command_delay_ticks = 1
-    set_up_frames = 1
+    set_up_frames: int
     reset_ticks = 3
     stop_latches = False
     force_on_brakes = False

@@ -119,7 +119,6 @@ class ODriveProtocol(MotorProtocol):
 
     command_delay_ticks = 0
     set_up_frames = 0
-    reset_ticks = 3
     stop_latches = True
     shares_identifiers = False
     power_told = "heartbeat"

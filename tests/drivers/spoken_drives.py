@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from drivers.config import TransmissionSettings
@@ -29,14 +30,21 @@ SINCE_NS = 1_000
 class Spoken(MotorProtocol):
     """Frames are numbers of what they say."""
 
+    set_up_frames = 1
     torque_limit = 2.0
     watchdog_danger = "nobody watches"
 
     def __init__(
-        self, exchanges: int = 0, *, reports: bool = True, unasked_s: float = 0.0, transmission: Any = UNLIKE
+        self,
+        exchanges: int | Sequence[int] = 0,
+        *,
+        reports: bool = True,
+        unasked_s: float = 0.0,
+        transmission: Any = UNLIKE,
     ) -> None:
         super().__init__(transmission)
-        self.reports_power, self.unasked_s, self._exchanges = reports, unasked_s, exchanges
+        self.reports_power, self.unasked_s = reports, unasked_s
+        self._counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
         self.words: list[Heard | None] = []
 
     def word(self, heard: Heard | None) -> Frame:
@@ -54,9 +62,9 @@ class Spoken(MotorProtocol):
         return tuple(
             tuple(
                 Exchange(f"register {k}", 10 + k, (Frame(0x200 + 16 * leg + k, b""),), 0.1 + k + 10 * leg)
-                for k in range(self._exchanges)
+                for k in range(count)
             )
-            for leg in range(6)
+            for leg, count in enumerate(self._counts)
         )
 
     def fault_text(self, code: int) -> str:
@@ -79,7 +87,10 @@ class Spoken(MotorProtocol):
 
     def begun(self, **fields: Any) -> MotorDialogue:
         """Return the dialogue of drives that are heard and disabled, with other fields."""
-        values: dict[str, Any] = {"done": (1 + self._exchanges,) * 6, "power": (int(DriveState.OFF),) * 6}
+        values: dict[str, Any] = {
+            "done": tuple(1 + n for n in self._counts),
+            "power": (int(DriveState.OFF),) * 6,
+        }
         return self.start(SETUP)._replace(**values | fields)
 
     def told(

@@ -143,6 +143,17 @@ def test_late_answers_are_counted_of_a_drive_that_is_set_up_alone(done, counted)
     assert tick["rejected"] == counted
 
 
+def test_each_drive_is_set_up_by_its_own_number_of_exchanges():
+    protocol, once = Spoken(exchanges=(0, 1, 2, 0, 1, 0)), (1,) * 6
+    tick, _ = protocol.told(*((LATE, feedback(leg)) for leg in range(6)), done=once)
+    assert tick["rejected"] == 3, "of the drives without an exchange"
+    tick, dialogue = protocol.told(*map(feedback, range(6)), done=once)
+    assert tick["drive_state"].tolist() == [OFF, BOOT, BOOT, OFF, BOOT, OFF]
+    assert protocol.legs_set_up(dialogue) == (True, False, False, True, False, True)
+    _, dialogue = protocol.told(*(Heard(leg, answer=(10, 0.1 + 10 * leg)) for leg in range(6)), done=once)
+    assert dialogue.done == (1, 2, 2, 1, 2, 1)
+
+
 def test_late_answers_of_drives_that_send_unasked_are_not_counted():
     tick, _ = Spoken(unasked_s=0.01).told((LATE, feedback(3)))
     assert tick["rejected"] == 0
@@ -225,10 +236,16 @@ def test_a_drive_that_ran_and_says_while_run_is_asked_for_that_it_is_off_has_res
     assert dialogue.ran == (True,) * 6, "until RUN is asked for anew"
 
 
+def test_of_drives_that_are_off_while_run_is_asked_for_those_that_ran_have_restarted():
+    ran = (False, True, False, True, True, False)
+    tick, _ = Spoken().told(feedback(0), mode=int(DriveMode.RUN), ran=ran)
+    assert tick["drive_state"].tolist() == [BOOT if each else DriveState.READY for each in ran]
+
+
 @pytest.mark.parametrize(("age", "done"), [(19, 3), (20, 0)])
 def test_a_drive_that_was_silent_for_more_than_twenty_ticks_is_set_up_anew_and_no_other(age, done):
-    _, dialogue = Spoken(exchanges=2).told(last=last_tick(age=[0, 0, 0, age, 0, 0]))
-    assert dialogue.done == (3, 3, 3, done, 3, 3)
+    _, dialogue = Spoken(exchanges=2).told(last=last_tick(age=[0, 0, 0, age, 0, 0]), done=(0, 3, 3, 3, 3, 3))
+    assert dialogue.done == (0, 3, 3, done, 3, 3)
 
 
 def test_what_a_drive_said_counts_for_its_patience_and_then_nobody_knows_what_it_does():

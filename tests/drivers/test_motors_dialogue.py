@@ -247,6 +247,9 @@ def test_answers_that_share_identifiers_are_told_apart_by_their_legs():
 def test_turns_without_an_end_name_no_lengths_and_what_a_family_says_of_safety_is_its_brake_and_its_watchdog():
     protocol = Spoken()
     assert protocol.reported_lengths() is None
+    # a single has 24 bits, and no leg is farther than 2 m from where its drive reads zero
+    length, rate, force, differences = protocol.resolution(250.0)
+    assert (set(length), set(rate), set(force), differences) == ({2.0**-23}, {0.0}, {0.0}, False)
     assert (protocol.power_told, Spoken(reports=False).power_told) == ("feedback", "never")
     brake, watchdog = protocol.dangers
     assert "no frame of these drives works a brake" in brake

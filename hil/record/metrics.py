@@ -83,8 +83,9 @@ def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
 
     t (n,) s, at equal distances after a step of the set-point at t = 0; y (n,) the answer, `initial` before.
     The answer to a step is the integral of the impulse response, so the frequency response is the Fourier
-    transform of its increments, G(f) = sum (y_k - y_{k-1}) exp(-2 pi i f t_k), each increment placed at the
-    middle of its sampling period; the bandwidth is the first frequency where |G(f)| < |G(0)| / sqrt(2).
+    transform of its increments, G(f) = sum (y_k - y_{k-1}) exp(-2 pi i f t_k); where in its sampling period
+    an increment is placed turns the phase alone. The bandwidth is the first frequency where
+    |G(f)| < |G(0)| / sqrt(2).
 
     It is the bandwidth of the *feedback* for a set-point that jumps without rates to feed forward: a law with
     an exact feed-forward follows a smooth reference far beyond it. The law may be nonlinear: then it is a
@@ -96,10 +97,9 @@ def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
     if len(t) < 3 or gain == 0.0:
         return float("nan")
     period = float(t[-1] - t[0]) / (len(t) - 1)
-    middle = t - period / 2
 
     def response(f: float) -> float:
-        return float(abs((increments * np.exp(-2j * np.pi * f * middle)).sum())) / gain
+        return float(abs((increments * np.exp(-2j * np.pi * f * t)).sum())) / gain
 
     lowest = 0.01 / (len(t) * period)
     grid = np.geomspace(lowest, 0.5 / period, 600)

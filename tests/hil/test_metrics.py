@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from hil.record.metrics import (
 )
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
+from hil.robot.kinematics import jacobian
 from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
 
@@ -65,6 +67,12 @@ def test_a_small_rotation_error_keeps_its_digits():
     R_d = (Rotation.from_rotvec(small) * Rotation.from_matrix(R[0])).as_matrix()[None]
     np.testing.assert_allclose(rotation_errors(R_d, R)[0], small, atol=1e-15)
     assert not rotation_errors(R, R).any()
+
+
+def test_without_a_row_nothing_peaks_and_there_is_no_mean():
+    assert peak(np.zeros((0, 6))).tolist() == [0.0] * 6
+    assert np.isnan(rms(np.zeros((0, 6)))).tolist() == [True] * 6
+    assert rms(np.full((1, 2), -3.0)).tolist() == [3.0, 3.0]
 
 
 # -- a step of the set-point, against the second-order loop wn^2 / (s^2 + 2 zeta wn s + wn^2) ----------------
@@ -152,6 +160,49 @@ def test_an_answer_that_swings_out_to_one_side_alone_has_not_settled_either(by, 
     assert step_response(t, y, 0.0).settled is settled
 
 
+@pytest.mark.parametrize(("count", "last"), [(1, 1), (2, 1), (9, 1), (10, 1), (19, 1), (20, 2), (35, 3)])
+def test_an_answer_ends_at_the_mean_of_its_last_tenth_of_one_sample_at_least(count, last):
+    y = np.arange(count) ** 2 + 1.0
+    found = step_response(np.arange(float(count)), y, 0.0)
+    assert found.final == pytest.approx(y[count - last :].mean())
+    assert found.initial == 0.0
+
+
+def test_an_answer_that_waits_at_a_level_has_reached_it_when_it_came():
+    """10 % is reached at 1 s and 90 % at 5 s; both are kept for two seconds."""
+    y = np.array([0.0, 0.1, 0.1, 0.1, 0.5, 0.9, 0.9, 0.9, *[1.0] * 12])
+    assert step_response(np.arange(20.0), y, 0.0).rise_s == pytest.approx(4.0)
+
+
+def test_an_answer_of_which_a_number_is_missing_at_the_end_has_no_rise_time():
+    y = np.array([0.0, *[1.0] * 18, np.nan])
+    assert np.isnan(step_response(np.arange(20.0), y, 0.0).rise_s)
+
+
+@pytest.mark.parametrize(
+    ("y", "over"), [([0.0, 1.3, 1.0], 0.3), ([0.0, 0.7, 1.0], 0.0), ([-1.0, 0.5, 1.0], 0.0)]
+)
+def test_overshoot_is_a_share_of_the_way_and_never_negative(y, over):
+    assert step_response(np.arange(3.0), np.array(y), 0.0).overshoot == pytest.approx(over, abs=1e-15)
+
+
+def test_three_samples_are_the_fewest_that_have_a_bandwidth():
+    y = np.array([0.5, 0.9, 1.0])
+    assert np.isnan(bandwidth_Hz(T[:2], y[:2], 0.0))
+    found = bandwidth_Hz(T[:3], y, 0.0)
+    assert 0.0 < found < 500.0
+    assert abs(
+        0.5 + 0.4 * np.exp(-2e-3j * np.pi * found) + 0.1 * np.exp(-4e-3j * np.pi * found)
+    ) == pytest.approx(np.sqrt(0.5), rel=1e-9)
+
+
+def test_the_bandwidth_is_where_the_gain_first_falls_though_it_rises_again_and_whenever_the_record_begins():
+    """Two equal steps a time D apart: |G| = |cos(pi f D)|, which is 1 / sqrt(2) at f D = 1 / 4, 3 / 4 and so on."""
+    y = np.where(T < 0.1, 0.5, 1.0)
+    assert bandwidth_Hz(T, y, 0.0) == pytest.approx(2.5, rel=1e-9)
+    assert bandwidth_Hz(T + 7.0, -3.0 * y, 0.0) == pytest.approx(2.5, rel=1e-9)
+
+
 def test_what_does_not_answer_has_no_rise_and_no_bandwidth():
     still = np.full_like(T, 2.0)
     found = step_response(T, still, 2.0)
@@ -201,3 +252,31 @@ def test_a_platform_that_hangs_pulls_with_its_whole_weight(book):
     shares = force_shares(model, [PoseSample(-p, R, *rest)])
     assert shares["G"].share == pytest.approx(1.0, rel=1e-12)
     assert shares["G"].force_N > 0.0
+
+
+def test_the_worst_share_and_the_largest_force_of_a_term_are_each_of_their_own_instant(book):
+    model, path = book
+    sample = path.sample(-1.0)
+    J = jacobian(model.platform, sample.p, sample.R)
+    legs = np.array([1.0, -2.0, 0.5, 0.0, 1.0, 1.5])
+    instants = [(8.0, 1.0, 0.25), (1.0, 0.5, 0.25), (0.0, 3.0, 2.0), (40.0, 2.0, -5.0)]
+    at = iter(instants)
+    now: list[tuple[float, float, float]] = []
+
+    def whole(*_):
+        now[:] = [next(at)]
+        return now[0][0] * legs
+
+    stub: Any = SimpleNamespace(
+        platform=model.platform,
+        inverse_dynamics=whole,
+        mass_matrix=lambda *_: np.eye(6),
+        coriolis=lambda *_: J.T @ (now[0][1] * legs),
+        gravity=lambda *_: J.T @ (now[0][2] * legs),
+    )
+    shares = force_shares(stub, [sample] * len(instants))
+    assert shares["H"] == pytest.approx((0.5, 6.0))
+    assert shares["G"] == pytest.approx((0.25, 10.0))
+    assert shares["J_dot"] == (0.0, 0.0)
+    assert list(shares) == ["H", "J_dot", "G"]
+    assert force_shares(stub, []) == dict.fromkeys(shares, (0.0, 0.0))

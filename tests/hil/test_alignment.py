@@ -26,7 +26,7 @@ def plant_at(t_ns, syncs):
 
 
 def test_the_row_of_a_tick_is_that_in_which_its_sync_was_counted_and_no_nearer_one():
-    plant = plant_at([0, 400_000, 800_000, 1_200_000], [1, 1, 1, 2])
+    plant = plant_at([0, 400_000, 950_000, 1_200_000], [1, 1, 1, 2])
     found = plant_rows_of(ticks_at([0, PERIOD_NS], lateness_ns=10_000), plant, PERIOD_NS)
     assert found.tolist() == [0, 3]
 
@@ -43,6 +43,7 @@ def test_without_a_period_it_is_the_usual_distance_of_the_ticks_and_a_single_one
         0, 1, -1, 3,
     ]  # fmt: skip
     assert plant_rows_of(ticks_at([2 * PERIOD_NS]), plant, None).tolist() == [2]
+    assert plant_rows_of(ticks_at([3 * PERIOD_NS, 4 * PERIOD_NS]), plant, None).tolist() == [2, -1]
 
 
 @pytest.mark.parametrize(("away_ns", "place"), [(PERIOD_NS // 2, 1), (PERIOD_NS // 2 + 1, -1)])

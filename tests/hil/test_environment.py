@@ -132,6 +132,13 @@ def test_a_system_without_schedulers_says_nothing_of_them(monkeypatch):
     assert scheduling() == {}
 
 
+def test_a_system_whose_policies_have_no_bit_beside_them_names_them_too(monkeypatch):
+    monkeypatch.delattr(os, "SCHED_RESET_ON_FORK")
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: os.SCHED_FIFO)
+    monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(3))
+    assert scheduling()["scheduler"] == "fifo 3"
+
+
 def test_the_scheduler_is_that_of_this_process_and_bytes_that_are_no_text_do_not_matter(
     monkeypatch, tmp_path
 ):

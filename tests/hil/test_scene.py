@@ -107,13 +107,15 @@ def test_each_leg_leans_from_its_base_joint_to_its_platform_joint(row):
 
 
 @pytest.mark.parametrize("height", [1.0, -1.0])
-def test_a_leg_that_stands_or_hangs_straight_is_drawn_so(row, height):
-    row["p"], row["R"] = [0.0, 0.0, height], np.eye(3).reshape(row["R"].shape)
-    leg = legs_of(BASE, BASE, row)[0]
-    q = leg.pose.orientation
-    np.testing.assert_allclose(
-        Rotation.from_quat([*xyz(q), q.w]).apply([0, 0, 1]), [0, 0, height], atol=1e-12
-    )
+@pytest.mark.parametrize("aside", [0.0, 1e-6, 1e-3])
+def test_a_leg_that_stands_or_hangs_straight_is_drawn_so_and_one_that_leans_a_millionth_leans(
+    row, height, aside
+):
+    row["p"], row["R"] = [aside, -2 * aside, height], np.eye(3).reshape(row["R"].shape)
+    q = legs_of(BASE, BASE, row)[0].pose.orientation
+    found = Rotation.from_quat([*xyz(q), q.w]).apply([0, 0, 1])
+    np.testing.assert_allclose(found / abs(found[2]), [aside, -2 * aside, height], atol=1e-9)
+    assert np.linalg.norm([*xyz(q), q.w]) == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("tilt", [[0.0, 0.0, 0.0], [np.pi / 2, 0.0, 0.0], [0.0, np.pi / 2, 0.3]])

@@ -9,7 +9,8 @@ from hil.record.alignment import Side, plant_rows_of, require_one_run
 PERIOD_NS = 1_000_000
 CLOCK_NS = 10_000_000_000
 """The clocks of one run started at most so far apart."""
-LOG = Side("a.mcap", 0, lockstep=True, configuration=b"x: 1\n", run="7")
+EPOCH = 946_684_800_000_000_000
+LOG = Side("a.mcap", EPOCH, lockstep=True, configuration=b"x: 1\n", run="7")
 PLACES = np.array([0, 1])
 
 
@@ -73,13 +74,19 @@ def test_without_rows_no_tick_has_one(empty):
     "plant",
     [
         {},
-        {"epoch_ns": CLOCK_NS},
+        {"epoch_ns": EPOCH + CLOCK_NS},
+        {"epoch_ns": EPOCH - CLOCK_NS},
         {"configuration": None},
         {"run": None},
     ],
 )
 def test_logs_of_one_simulation_belong_together(plant):
     require_one_run(LOG, LOG._replace(path="b.mcap", **plant), PLACES)
+
+
+@pytest.mark.parametrize("places", [[0], [-1, 0], [3, -1], [-1, -1, 2]], ids=str)
+def test_one_tick_that_is_in_the_plants_log_is_enough(places):
+    require_one_run(LOG, LOG._replace(path="b.mcap"), np.array(places))
 
 
 def test_in_real_time_the_plant_may_have_a_file_of_its_own():
@@ -90,8 +97,8 @@ def test_in_real_time_the_plant_may_have_a_file_of_its_own():
 @pytest.mark.parametrize(
     ("plant", "places", "why"),
     [
-        ({"epoch_ns": CLOCK_NS + 1}, PLACES, "no tick of a.mcap is in it"),
-        ({"epoch_ns": -CLOCK_NS - 1}, PLACES, "no tick of a.mcap is in it"),
+        ({"epoch_ns": EPOCH + CLOCK_NS + 1}, PLACES, "no tick of a.mcap is in it"),
+        ({"epoch_ns": EPOCH - CLOCK_NS - 1}, PLACES, "no tick of a.mcap is in it"),
         ({}, np.array([-1, -1]), "no tick of a.mcap is in it"),
         ({"configuration": b"y: 2\n"}, PLACES, "its configuration is another one"),
         ({"lockstep": False}, PLACES, "its configuration is another one"),

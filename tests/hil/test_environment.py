@@ -143,13 +143,17 @@ def test_the_scheduler_is_that_of_this_process_and_bytes_that_are_no_text_do_not
     monkeypatch, tmp_path
 ):
     asked: list[tuple[str, int]] = []
-    monkeypatch.setattr(
-        os, "sched_getscheduler", lambda pid: (asked.append(("scheduler", pid)), os.SCHED_BATCH)[1]
-    )
-    monkeypatch.setattr(
-        os, "sched_getparam", lambda pid: (asked.append(("priority", pid)), os.sched_param(0))[1]
-    )
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: (asked.append(("affinity", pid)), {1})[1])
+
+    def told(name, result):
+        def ask(pid):
+            asked.append((name, pid))
+            return result
+
+        return ask
+
+    monkeypatch.setattr(os, "sched_getscheduler", told("scheduler", os.SCHED_BATCH))
+    monkeypatch.setattr(os, "sched_getparam", told("priority", os.sched_param(0)))
+    monkeypatch.setattr(os, "sched_getaffinity", told("affinity", {1}))
     assert scheduling() == {"scheduler": "batch 0", "affinity": "1"}
     assert asked == [("scheduler", 0), ("priority", 0), ("affinity", 0)]
     (tmp_path / "clock").write_bytes(b"ts\xffc\n")

@@ -119,6 +119,35 @@ def test_in_real_time_there_is_a_chunk_every_tenth_of_a_second(monkeypatch):
     assert len(drained) >= 20
 
 
+def test_a_look_counts_that_comes_half_the_time_between_two_looks_too_early_and_none_before(monkeypatch):
+    day = Day(monkeypatch)
+    day.clock.now = 0.0
+    early = 0.1 - 0.02 / 2
+    looks = iter([0.05, early - 0.0005, early, 0.1, 2 * early - 0.0005, 2 * early + 0.0005, 0.2])
+
+    def ended(timeout_s: float) -> bool:
+        day.clock.now = next(looks, 0.21)
+        return bool(day.clock.now == 0.21)
+
+    day.recorder.run(SimpleNamespace(ended=ended))
+    np.testing.assert_allclose(np.array(day.did["drain"]) + 100.0, [early, 2 * early + 0.0005, 0.21])
+
+
+def test_the_log_is_put_onto_the_disk_at_the_first_look_that_comes_a_second_after_the_last_time(monkeypatch):
+    day = Day(monkeypatch)
+    day.clock.now = 0.0
+    synced: list[float] = []
+    day.recorder.file.sync = lambda: synced.append(day.clock.now)
+    looks = iter([0.5, 0.9, 1.0, 1.5, 1.9, 2.25, 3.125, 3.25])
+
+    def ended(timeout_s: float) -> bool:
+        day.clock.now = next(looks, 9.0)
+        return bool(day.clock.now == 9.0)
+
+    day.recorder.run(SimpleNamespace(ended=ended))
+    assert synced == [1.0, 2.25, 3.25]
+
+
 def test_in_real_time_there_is_a_chunk_at_once_when_a_quarter_of_the_ring_is_full(monkeypatch):
     day = Day(monkeypatch, ready=lambda limit, now: limit == 64 and 0.13 < now < 0.15)
     drained = day.run(0.5)["drain"]

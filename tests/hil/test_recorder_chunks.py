@@ -72,6 +72,7 @@ def test_a_tick_that_is_larger_than_a_chunk_is_one():
     found = chunks_of([[40, 40], large, [40], [40]])
     (chunk,) = [each for each in found if 1 in {tick for tick, _ in each}]
     assert sum(tick == 1 for tick, _ in chunk) == 3
+    assert chunks_of([large]) == [[(0, 0), (0, 1), (0, 2)]], "also where it is alone"
 
 
 # -- the end -------------------------------------------------------------------------------------------------

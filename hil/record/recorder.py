@@ -62,8 +62,8 @@ class Histogram:
     def add(self, lateness_ns: Ints) -> None:
         """Count a batch."""
         us = np.maximum(lateness_ns, 0) // 1000
-        bins = np.minimum(np.frexp(us.astype(float))[1], self.BINS - 1)
-        self._counts += np.bincount(bins, minlength=self.BINS)
+        _, exponents = np.frexp(us.astype(float))
+        self._counts += np.bincount(np.minimum(exponents, self.BINS - 1), minlength=self.BINS)
 
     def table(self) -> dict[str, int]:
         """Return {upper bound in us: ticks}; the last bin has no bound."""
@@ -205,9 +205,9 @@ class Recorder:
         start = stop - messages.length
         chunks = math.ceil(int(stop[-1]) / CHUNK_SIZE)
         tick_starts = np.flatnonzero(np.diff(messages.tick, prepend=-1))
-        wanted = np.linspace(0, int(stop[-1]), chunks + 1)[1:-1]
+        wanted = np.linspace(0, int(stop[-1]), chunks, endpoint=False)
         inner = tick_starts[np.minimum(np.searchsorted(start[tick_starts], wanted), len(tick_starts) - 1)]
-        cuts = np.unique([0, *inner.tolist(), len(stop)]).tolist()
+        cuts = np.unique([*inner.tolist(), len(stop)]).tolist()
         for first, last in pairwise(cuts):
             self.file.add_chunk(
                 b"".join(messages.data[first:last]),

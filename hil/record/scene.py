@@ -113,13 +113,10 @@ class SceneDrawer:
         x, y, z = (axis / length).tolist()
         # the rotation that takes the z axis to the leg, about z cross leg
         w = sqrt(max((1.0 + z) / 2.0, 0.0))
-        q = (1.0, 0.0, 0.0, 0.0) if w < 1e-9 else (-y / (2.0 * w), x / (2.0 * w), 0.0, w)
-        middle = ((a + b) / 2.0).tolist()
+        q_x, q_y, w = (1.0, 0.0, 0.0) if w < 1e-9 else (-y / (2.0 * w), x / (2.0 * w), w)
+        x, y, z = ((a + b) / 2.0).tolist()
         return CylinderPrimitive(
-            pose=Pose(
-                position=Vector3(x=middle[0], y=middle[1], z=middle[2]),
-                orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
-            ),
+            pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=q_x, y=q_y, z=0.0, w=w)),
             size=Vector3(x=self._thickness, y=self._thickness, z=length),
             bottom_scale=1.5,
             top_scale=1.0,

@@ -73,6 +73,9 @@ def test_a_tick_that_is_larger_than_a_chunk_is_one():
     (chunk,) = [each for each in found if 1 in {tick for tick, _ in each}]
     assert sum(tick == 1 for tick, _ in chunk) == 3
     assert chunks_of([large]) == [[(0, 0), (0, 1), (0, 2)]], "also where it is alone"
+    assert chunks_of([[40], [40], large]) == [[(0, 0), (1, 1)], [(2, 2), (2, 3), (2, 4)]], (
+        "and where it is the last"
+    )
 
 
 # -- the end -------------------------------------------------------------------------------------------------

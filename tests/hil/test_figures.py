@@ -287,7 +287,9 @@ def test_the_picture_is_1200_by_800_pixels_with_thin_lines_a_pale_grid_and_a_log
     assert [(line.get_color(), line.get_linestyle(), line.get_linewidth()) for line in dotted] == [
         ("k", ":", 0.8)
     ] * 3
-    assert [text.get_text() for text in path.get_legend().get_texts()] == ["x", "y", "z"]
+    legend = path.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["x", "y", "z"]
     assert wake.get_yscale() == "log"
     for axes in figure.axes:
         lines = [*axes.get_xgridlines(), *axes.get_ygridlines()]

@@ -7,13 +7,13 @@ import io
 import os
 import struct
 import termios
+import time
 
 import numpy as np
 import pytest
 
 from drivers.signals import Mode, Warn
 from drivers.tick_columns import ROW
-from hil.record import live as module
 from hil.record.live import LiveView
 
 
@@ -136,7 +136,7 @@ def test_a_line_comes_at_once_and_then_five_times_a_second_on_a_terminal_and_eve
     monkeypatch, terminal, apart_s
 ):
     now = [0.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     out = Out(terminal)
     view = LiveView(out, None)
     drawn = []
@@ -152,7 +152,7 @@ def test_a_line_comes_at_once_and_then_five_times_a_second_on_a_terminal_and_eve
 
 def test_a_terminal_that_breaks_is_not_written_to_again(monkeypatch):
     now = [1000.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     out = Out(broken=True)
     view = LiveView(out, None)
     for _ in range(5):

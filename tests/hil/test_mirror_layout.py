@@ -167,7 +167,7 @@ def test_a_reader_tries_a_thousand_times(tmp_path, monkeypatch, torn, read):
         times[0] -= 1
         return 0 if times[0] >= 0 else whole(data)
 
-    monkeypatch.setattr(module.zlib, "crc32", crc)
+    monkeypatch.setattr(zlib, "crc32", crc)
     assert (reader.read() is not None) is read
 
 
@@ -212,9 +212,12 @@ def test_a_mirror_that_cannot_be_made_leaves_neither_a_file_nor_a_descriptor(tmp
 
 def test_room_for_all_of_a_mirror_is_taken_at_once(tmp_path, monkeypatch):
     asked: list[tuple[int, int]] = []
-    monkeypatch.setattr(
-        os, "posix_fallocate", lambda fd, *what: (asked.append(what), os.ftruncate(fd, sum(what)))
-    )
+
+    def allocate(fd, *what):
+        asked.append(what)
+        os.ftruncate(fd, sum(what))
+
+    monkeypatch.setattr(os, "posix_fallocate", allocate)
     Mirror(tmp_path / "m", ABOUT)
     assert asked == [(0, HEAD + 4 * SLOT)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Warn
 from drivers.tick_columns import ROW
 from hil.record import Recording
-from hil.record import publish as module
 from hil.record.publish import Publisher
 from hil.record.ring import Ring
 from hil.record.row import TICKS
@@ -193,7 +193,7 @@ def test_the_oldest_events_go_where_all_that_are_shown_take_more_than_24000_byte
 
 def test_the_largest_delays_are_those_of_the_last_one_to_two_seconds(bench, monkeypatch):
     now = [50 * 10**9]
-    monkeypatch.setattr(module.time, "monotonic_ns", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now[0])
     found = []
     steps = [(0, 9, 5), (10**9, 4, 7), (1, 3, 1), (10**9 - 1, 2, 2), (2, 1, 8), (10**9 + 1, 2, 3)]
     for after_ns, lateness_ns, compute_ns in steps:

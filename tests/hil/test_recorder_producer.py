@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,7 @@ def test_in_lockstep_a_tick_waits_for_room_in_short_naps(monkeypatch, full):
     process, naps = Draining(), []
     recording = recording_of(16, lockstep=True, process=process)
     process.ring = recording._ring
-    monkeypatch.setattr(module.time, "sleep", naps.append)
+    monkeypatch.setattr(time, "sleep", naps.append)
     for number in range(16 if full == "rows" else 1):
         recording.tick(row_of(number), (), (), [1] * (256 if full == "items" else 0))
     assert naps == []

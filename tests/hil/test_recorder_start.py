@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,7 +27,7 @@ def started(monkeypatch, tmp_path):
     )
     monkeypatch.setattr(module, "environment", lambda: {"version": "1"})
     monkeypatch.setattr(module, "scheduling", lambda: {"scheduler": "other 0"})
-    monkeypatch.setattr(module.time, "time_ns", lambda: 5_000)
+    monkeypatch.setattr(time, "time_ns", lambda: 5_000)
     monkeypatch.chdir(tmp_path)
 
     def start(**options):

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import struct
+import sys
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -106,7 +107,7 @@ def test_the_set_up_says_what_the_bus_is_called_what_is_drawn_and_what_is_shown(
     monkeypatch.setattr(module, "Encoder", encoder)
     monkeypatch.setattr(module, "LiveView", lambda out, length: shown.append((out, length)))
     out = io.StringIO()
-    monkeypatch.setattr(module.sys, "stderr", out)
+    monkeypatch.setattr(sys, "stderr", out)
     corners = [[1.0, k, 0.0] for k in range(6)]
     Bench(
         tmp_path, scene={"base_joints": corners, "platform_joints": corners, "every": 5}, live=True,
@@ -301,7 +302,7 @@ def test_an_answer_is_one_line_and_none_where_nobody_listens(capfd, monkeypatch)
     reads, writes = os.pipe()
     os.close(reads)
     with os.fdopen(writes, "w") as out:
-        monkeypatch.setattr(module.sys, "stdout", out)
+        monkeypatch.setattr(sys, "stdout", out)
         answer({"ready": True})
 
 
@@ -342,7 +343,7 @@ class Main:
             monkeypatch.setattr(module, name, value)
         monkeypatch.setattr(signal, "signal", lambda number, what: self.handled.update({number.name: what}))
         monkeypatch.setattr(signal, "pthread_sigmask", lambda how, what: self.did.append((how.name, *what)))
-        monkeypatch.setattr(module.sys, "stdin", SimpleNamespace(fileno=lambda: 11))
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=lambda: 11))
         self.ring, self.recorder, self.setup = ring, recorder, setup
         self.code = module.main(["5", "4242"])
 

@@ -298,7 +298,7 @@ def main(arguments: list[str]) -> int:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
-    ring_fd, producer = int(arguments[0]), int(arguments[1])
+    ring_fd, producer = map(int, arguments)
     control_fd = sys.stdin.fileno()
     file: McapFile | None = None
     try:

@@ -174,7 +174,12 @@ def test_a_reader_tries_a_thousand_times(tmp_path, monkeypatch, torn, read):
 def flags_of(monkeypatch, make):
     found: list[tuple[int, ...]] = []
     opened = os.open
-    monkeypatch.setattr(os, "open", lambda path, *how: (found.append(how), opened(path, *how))[1])
+
+    def watch(path, *how):
+        found.append(how)
+        return opened(path, *how)
+
+    monkeypatch.setattr(os, "open", watch)
     make()
     monkeypatch.undo()
     return found

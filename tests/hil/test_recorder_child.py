@@ -1,18 +1,21 @@
-"""The recorder as a child of the loop: how it is started, what it is sent, how its answer is heard."""
+"""The recorder as a child of the loop: how it is started, what goes through both pipes and how it is read."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import signal
 import struct
 import subprocess
+import sys
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hil.record import child
+from hil.record.recorder import answer, read_exactly, read_setup
 
 HELD = {signal.SIGINT, signal.SIGALRM, signal.SIGTERM, signal.SIGHUP}
 
@@ -125,3 +128,50 @@ def test_a_recorder_without_pipes_is_reaped_all_the_same():
     process.stdin = process.stdout = None
     child.finish(process)
     assert process.did == [5.0]
+
+
+# -- its own end of the pipes ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pipe():
+    reads, writes = os.pipe()
+    with os.fdopen(writes, "wb", buffering=0) as out:
+        yield reads, out
+    os.close(reads)
+
+
+def test_a_set_up_is_a_length_an_object_and_the_attachments_it_names(pipe):
+    reads, out = pipe
+    text = json.dumps({"attachments": [["a", 3], ["empty", 0], ["b", 2]], "x": "y" * 300}).encode()
+    out.write(struct.pack("<Q", len(text)) + text + b"abcdemore")
+    setup, attachments = read_setup(reads)
+    assert setup == json.loads(text)
+    assert attachments == [("a", b"abc"), ("empty", b""), ("b", b"de")]
+    assert read_exactly(reads, 4) == b"more"
+
+
+def test_bytes_that_come_in_pieces_are_read_to_the_last_one_and_no_further(monkeypatch):
+    pieces, asked = [b"ab", b"c", b"def"], []
+
+    def part(fd, count):
+        asked.append((fd, count))
+        return pieces.pop(0)
+
+    monkeypatch.setattr(os, "read", part)
+    assert read_exactly(7, 6) == b"abcdef"
+    assert asked == [(7, 6), (7, 4), (7, 3)]
+    pieces[:] = [b"ab", b""]
+    with pytest.raises(EOFError):
+        read_exactly(7, 3)
+
+
+def test_an_answer_is_one_line_and_none_where_nobody_listens(capfd, monkeypatch):
+    answer({"ready": True})
+    answer({"ticks": 3})
+    assert capfd.readouterr().out == '{"ready": true}\n{"ticks": 3}\n'
+    reads, writes = os.pipe()
+    os.close(reads)
+    with os.fdopen(writes, "w") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        answer({"ready": True})

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -83,7 +84,13 @@ def test_a_recorder_that_has_closed_its_log_ends_without_a_word(tmp_path, capfd)
 def test_a_look_for_the_end_waits_as_long_as_it_is_told_in_milliseconds(held, producer):
     control = _Control(held[0], producer.pid)
     asked: list[float] = []
-    control._poll = SimpleNamespace(poll=lambda ms: asked.append(ms) or [])  # type: ignore[assignment]
+
+    def poll(ms):
+        asked.append(ms)
+        return []
+
+    watch: Any = SimpleNamespace(poll=poll)
+    control._poll = watch
     assert not control.ended(0.25)
     assert asked == [250.0]
 

@@ -22,9 +22,12 @@ SMALL = Table("/small", tuple(Column("output", n, int, "", "", (), ()) for n in 
 def started(monkeypatch, tmp_path):
     """A function that starts a recording with these options; it returns the set-up, the files and the recording."""
     found: list[Any] = []
-    monkeypatch.setattr(
-        module, "_start", lambda ring, setup, files: found.append((ring, setup, files)) or "process"
-    )
+
+    def begin(ring, setup, files):
+        found.append((ring, setup, files))
+        return "process"
+
+    monkeypatch.setattr(module, "_start", begin)
     monkeypatch.setattr(module, "environment", lambda: {"version": "1"})
     monkeypatch.setattr(module, "scheduling", lambda: {"scheduler": "other 0"})
     monkeypatch.setattr(time, "time_ns", lambda: 5_000)

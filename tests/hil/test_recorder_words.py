@@ -1,4 +1,4 @@
-"""What a recorder reads and says: its set-up, its log's beginning and end, and its answers to the producer."""
+"""What a recorder says: its log's beginning and end, and its answers to the producer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import io
 import json
 import os
 import signal
-import struct
 import sys
 from types import SimpleNamespace
 from typing import Any, cast
@@ -22,7 +21,7 @@ from hil.record import Recording
 from hil.record import recorder as module
 from hil.record.encode import Encoder
 from hil.record.mcap_file import McapFile
-from hil.record.recorder import Histogram, Recorder, answer, read_exactly, read_setup
+from hil.record.recorder import Histogram, Recorder
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import TICKS, Table
 from tests.hil.samples import random_rows
@@ -221,9 +220,12 @@ def test_what_is_drained_is_written_counted_shown_and_only_then_given_back_and_s
     recorder._live = SimpleNamespace(show=lambda rows: did.append(("show", rows["tick"].tolist())))
     recorder._publisher = SimpleNamespace(drained=lambda b: did.append(("drained", b.rows["tick"].tolist())))
     recorder.socket = SimpleNamespace(publish=lambda m: did.append(("send", len(m.data))))
-    recorder._ring = SimpleNamespace(
-        take=ring.take, release=lambda b: (did.append(("release", len(b.rows))), ring.release(b))
-    )
+
+    def released(given):
+        did.append(("release", len(given.rows)))
+        ring.release(given)
+
+    recorder._ring = SimpleNamespace(take=ring.take, release=released)
     bench.tick(0, 1, 2)
     bench.producer.event(0, "info", "behind them")
     assert recorder._drain(2) is True
@@ -243,7 +245,12 @@ def test_what_is_drained_is_written_counted_shown_and_only_then_given_back_and_s
 def test_the_set_up_says_whether_time_is_simulated_then_the_first_look_waits_too(tmp_path, mode, first_s):
     bench = Bench(tmp_path, identity={"mode": mode})
     waited: list[float] = []
-    control: Any = SimpleNamespace(ended=lambda timeout_s: waited.append(timeout_s) is None)
+
+    def ended(timeout_s):
+        waited.append(timeout_s)
+        return True
+
+    control: Any = SimpleNamespace(ended=ended)
     bench.recorder.run(control)
     bench.recorder.file.discard()
     assert waited == [first_s]
@@ -257,53 +264,6 @@ def test_a_run_that_ends_is_shown_no_more_and_that_once():
     recorder._stop_showing()
     recorder._stop_showing()
     assert did == ["line", "picture"]
-
-
-# -- the pipes -----------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def pipe():
-    reads, writes = os.pipe()
-    with os.fdopen(writes, "wb", buffering=0) as out:
-        yield reads, out
-    os.close(reads)
-
-
-def test_a_set_up_is_a_length_an_object_and_the_attachments_it_names(pipe):
-    reads, out = pipe
-    text = json.dumps({"attachments": [["a", 3], ["empty", 0], ["b", 2]], "x": "y" * 300}).encode()
-    out.write(struct.pack("<Q", len(text)) + text + b"abcdemore")
-    setup, attachments = read_setup(reads)
-    assert setup == json.loads(text)
-    assert attachments == [("a", b"abc"), ("empty", b""), ("b", b"de")]
-    assert read_exactly(reads, 4) == b"more"
-
-
-def test_bytes_that_come_in_pieces_are_read_to_the_last_one_and_no_further(monkeypatch):
-    pieces, asked = [b"ab", b"c", b"def"], []
-
-    def part(fd, count):
-        asked.append((fd, count))
-        return pieces.pop(0)
-
-    monkeypatch.setattr(os, "read", part)
-    assert read_exactly(7, 6) == b"abcdef"
-    assert asked == [(7, 6), (7, 4), (7, 3)]
-    pieces[:] = [b"ab", b""]
-    with pytest.raises(EOFError):
-        read_exactly(7, 3)
-
-
-def test_an_answer_is_one_line_and_none_where_nobody_listens(capfd, monkeypatch):
-    answer({"ready": True})
-    answer({"ticks": 3})
-    assert capfd.readouterr().out == '{"ready": true}\n{"ticks": 3}\n'
-    reads, writes = os.pipe()
-    os.close(reads)
-    with os.fdopen(writes, "w") as out:
-        monkeypatch.setattr(sys, "stdout", out)
-        answer({"ready": True})
 
 
 class Main:

@@ -266,6 +266,14 @@ def test_a_run_that_ends_is_shown_no_more_and_that_once():
     assert did == ["line", "picture"]
 
 
+def test_an_undisturbed_recorder_closes_its_log_with_the_words_of_the_producer():
+    did: list[Any] = []
+    recorder: Any = SimpleNamespace(run=did.append, close=lambda summary: {"closed with": summary})
+    control: Any = SimpleNamespace(summary={"ending": "PARKED"})
+    assert module._recorded(recorder, control) == {"closed with": {"ending": "PARKED"}}
+    assert did == [control]
+
+
 class Main:
     """The recorder's main function with all it uses in its place; what it answered, and what happened."""
 

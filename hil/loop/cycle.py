@@ -14,7 +14,7 @@ import zlib
 from functools import partial
 from typing import Any
 
-from drivers.arrays import ZERO6
+from drivers.arrays import ZERO6, Array
 from drivers.protocol import Dialogue, Frame, run_of
 from drivers.signals import Command, DriveMode, Fault, Mode, Stop, Warn
 from drivers.tick_columns import INPUT_ELEMENTS, TICK, Record, new_record, row_of
@@ -77,6 +77,7 @@ class Cycle:
         followers = (parts.predictor, parts.wrench.observer)
         self._followers = [each for each in followers if each is not None]
         """Who follows the forces that were sent."""
+        self._last_wrench: Array  # external, of the last tick: each step begins with it
         self.reset()
         self.first = parts.trajectory.sample(0.0)
         """Where the reference begins."""
@@ -87,7 +88,6 @@ class Cycle:
         self.dialogue: Dialogue = parts.protocol.start(parts.setup)
         self.tick = new_record()
         """The last tick's record."""
-        self._last_wrench = ZERO6
         self.sight.reset()
         self.homing.reset()
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R, parts.engage.stop_s)

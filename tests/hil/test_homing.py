@@ -171,6 +171,16 @@ def test_both_ends_of_the_stroke_count():
     )
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "known"),
+    [(0.25, 0.5, True), (0.25 + 2**-20, 0.5, False), (0.25, 0.5 - 2**-20, False)],
+)
+def test_a_position_that_ends_where_the_stroke_does_is_long_enough_to_the_last_bit(low, high, known):
+    legs = Leg(Stroke(0.25, 0.5, (np.full(6, low), np.full(6, high))))
+    legs.hear(PARKED)
+    assert legs.homing.known is known
+
+
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_leg_beyond_the_limit_is_refused_whether_it_has_got_longer_or_shorter(leg, side):

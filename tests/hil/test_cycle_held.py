@@ -10,7 +10,7 @@ import pytest
 
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.compose import build_cycle
-from hil.loop.cycle import REST_PATIENCE_S, Cycle
+from hil.loop.cycle import Cycle
 from hil.safety.standstill import REST_m_s
 from tests.hil.test_cycle_again import VIRTUAL
 from tests.records import record_of
@@ -124,7 +124,7 @@ def test_what_parks_with_its_law_rests_where_its_reference_was(cycle):
 def test_legs_that_do_not_rest_long_after_the_motion_has_ended_are_waited_for_no_longer(
     cycle, monkeypatch, mode, way
 ):
-    asked: list[float] = []
+    asked: list[tuple[int, float]] = []
     monkeypatch.setattr(cycle.motion, "overdue", lambda tick, s: not asked.append((tick, s)))  # type: ignore[func-returns-value]
     monkeypatch.setattr(cycle.motion, "finished", lambda tick: tick == 50)
     cycle.mode = mode
@@ -133,7 +133,7 @@ def test_legs_that_do_not_rest_long_after_the_motion_has_ended_are_waited_for_no
         mode in {Mode.APPROACH, Mode.TRACKING, Mode.STOPPING}
     )
     assert not cycle._restless(measured(cycle, dq=0.999 * rates))
-    assert set(asked) <= {(50, REST_PATIENCE_S)}
+    assert set(asked) <= {(50, 1.0)}
     if mode is Mode.TRACKING:
         cycle.operating.go = False
         assert not cycle._restless(measured(cycle, dq=rates)), "on hold it may wait"

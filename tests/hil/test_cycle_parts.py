@@ -35,7 +35,10 @@ def test_stroke_times_and_reactions_of_the_configuration_each_come_to_their_plac
     assert cycle.homing._period_s == cycle.motion.period_s == cycle.effort.period_s == 0.002
     assert cycle.operating.least_s == 0.9
     assert cycle.motion.override._limit == pytest.approx(PEAK / 0.9)
-    reactions = VIRTUAL.reactions
+    parts, reactions = cycle.parts, VIRTUAL.reactions
+    np.testing.assert_array_equal(cycle.first.p, parts.trajectory.sample(0.0).p)
+    judge: Any = cycle.operating._judged
+    assert judge.args == (parts.platform, parts.admission.on_the_way)
     assert cycle._under_control == reactions.led_to("ss1") != reactions.led_to("sto") == cycle._torque_off
 
 

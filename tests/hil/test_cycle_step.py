@@ -166,3 +166,27 @@ def test_the_row_has_the_mode_and_the_faults_that_the_tick_has_led_to(cycle, mon
     row = step(cycle)
     assert (Mode(int(row["mode"])), Fault(int(row["faults"]))) == (Mode.FAULT, Fault.BUS)
     assert not row["tau"].any()
+
+
+def test_a_tick_begins_with_what_the_dialogue_asks_for_in_it(cycle, monkeypatch):
+    monkeypatch.setattr(cycle.parts.protocol, "begin", lambda *asked: asked)
+    assert cycle.begin(7) == (cycle.dialogue, 7)
+
+
+@pytest.mark.parametrize("sensors", [None, "the sensors"])
+def test_sensors_are_heard_before_the_pose_is_estimated_as_of_the_first_latch_and_the_load_after_it(
+    cycle, monkeypatch, sensors
+):
+    told: list[Any] = []
+    last = cycle.tick
+    wrench = SimpleNamespace(late=False, fill=lambda tick, *, fusing: told.append(("load", tick, fusing)))
+    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench, sensors=sensors))  # type: ignore[arg-type]
+    monkeypatch.setattr(cycle.sight, "hear", lambda *what: told.append(("heard", *what)))
+    monkeypatch.setattr(cycle.sight, "estimate", lambda *what: told.append(("pose", *what)))
+    monkeypatch.setattr(cycle.sight, "fusing", True)
+    inp = TickInput(50, 50_000_000, 300, latch_ns=(0, 9, 7, 8, 0, 9))
+    cycle.step(inp)
+    tick = cycle.tick
+    assert tick is not last
+    heard = [("heard", sensors, inp, tick)] if sensors else []
+    assert told == [*heard, ("pose", tick, last, 50_000_307), ("load", tick, True)]

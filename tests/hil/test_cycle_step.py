@@ -15,7 +15,7 @@ from hil.app.compose import build_cycle
 from hil.loop.cycle import Cycle
 from hil.loop.steering import Counts
 from hil.safety.guard import Verdict
-from hil.signals import TickInput
+from hil.signals import Operator, Order, TickInput
 from tests.hil.test_cycle_again import LIVE, VIRTUAL
 from tests.hil.test_cycle_held import LAST, aside
 
@@ -190,3 +190,13 @@ def test_sensors_are_heard_before_the_pose_is_estimated_as_of_the_first_latch_an
     assert tick is not last
     heard = [("heard", sensors, inp, tick)] if sensors else []
     assert told == [*heard, ("pose", tick, last, 50_000_307), ("load", tick, True)]
+
+
+def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(cycle, monkeypatch):
+    told: list[Any] = []
+    monkeypatch.setattr(cycle.operating, "step", lambda *what: told.append(what))
+    monkeypatch.setattr(cycle, "_change_mode", lambda *what: told.append(what))
+    cycle.mode, orders = Mode.TRACKING, (Order(Operator.HOLD),)
+    inp = TickInput(50, 50_000_000, orders=orders)
+    cycle.step(inp)
+    assert told == [(orders, 50, Mode.TRACKING, cycle.motion), (inp, cycle.tick)]

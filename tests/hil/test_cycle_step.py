@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.arrays import ZERO6
-from drivers.signals import Fault, Mode, Stop, Warn
+from drivers.signals import DriveMode, Fault, Mode, Stop, Warn
 from hil.app.compose import build_cycle
+from hil.loop import cycle as cycle_module
 from hil.loop.cycle import Cycle
 from hil.loop.steering import Counts
 from hil.safety.guard import Verdict
@@ -200,3 +201,47 @@ def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(cycl
     inp = TickInput(50, 50_000_000, orders=orders)
     cycle.step(inp)
     assert told == [(orders, 50, Mode.TRACKING, cycle.motion), (inp, cycle.tick)]
+
+
+@pytest.mark.parametrize(
+    ("what", "told_last", "stops", "sent"),
+    [
+        ({"said"}, DriveMode.RUN, True, True),
+        ({"said"}, DriveMode.OFF, True, False),
+        ({"said", "latches"}, DriveMode.OFF, True, True),
+        ({"said", "rivals"}, DriveMode.OFF, True, True),
+        ({"said", "confirmed"}, DriveMode.RUN, True, True),
+        ({"asked", "latches"}, DriveMode.OFF, True, True),
+        ({"asked"}, DriveMode.READY, True, True),
+        ({"asked", "latches", "confirmed"}, DriveMode.RUN, False, False),
+        ({"latches"}, DriveMode.RUN, False, False),
+        ({"rivals", "latches", "confirmed"}, DriveMode.RUN, False, False),
+    ],
+    ids=str,
+)
+def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone_is_the_stop(
+    cycle, monkeypatch, what, told_last, stops, sent
+):
+    protocol, told, asked = cycle.parts.protocol, list[Any](), list[Any]()
+
+    def command(dialogue: Any, command: Any, number: int) -> Any:
+        told.append((command.stop, command.mode, number))
+        return dialogue, ("command",)
+
+    monkeypatch.setattr(type(protocol), "stop_latches", "latches" in what)
+    monkeypatch.setattr(protocol, "command", command)
+    monkeypatch.setattr(protocol, "emergency_stop", lambda: ("stop",))
+    monkeypatch.setattr(protocol, "set_up", lambda dialogue, _tick: (dialogue, ("set-up",)))
+    monkeypatch.setattr(
+        cycle_module,
+        "confirmed",
+        lambda *args: asked.append(args) or "confirmed" in what,  # type: ignore[func-returns-value]
+    )
+    cycle.mode, cycle.estop = Mode.FAULT, "asked" in what
+    cycle.faults = Fault.SECOND_CONTROLLER if "rivals" in what else Fault.DRIVE
+    cycle.tick["command_mode"] = told_last
+    operator = (Operator.STOP, Operator.ESTOP) if "said" in what else ()
+    frames = cycle.step(TickInput(50, 50_000_000, operator=operator)).frames
+    assert frames == (*("stop",) * sent, "command", "set-up")
+    assert told == [(stops, DriveMode.OFF, 50)]
+    assert asked == [(cycle.tick, "latches" in what)] * ("asked" in what)

@@ -108,12 +108,13 @@ def test_while_parking_the_law_goes_on_after_a_fault_that_a_stop_along_the_path_
     assert cycle.faults == fault
 
 
-def test_what_parks_with_its_law_rests_where_its_reference_was(cycle):
-    cycle.mode = Mode.STOPPING
+def test_what_parks_without_a_fault_does_so_by_its_law_and_rests_where_its_reference_was(cycle):
+    cycle.mode, cycle._yields = Mode.STOPPING, True
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 40)
     cycle._enter(Mode.PARKING, measured(cycle))
     np.testing.assert_array_equal(cycle.motion.sample(60).p, aside(cycle))
     assert cycle.motion.tick == 50
+    assert not cycle._yields
 
 
 # -- the fault that comes of waiting

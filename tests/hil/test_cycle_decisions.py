@@ -240,6 +240,15 @@ def test_a_held_platform_that_is_measured_no_longer_keeps_the_force_of_that_tick
     assert cycle.mode is mode
 
 
+@pytest.mark.parametrize("first", [Stop.MISSED, Stop.RECORDER])
+def test_the_first_stop_that_safety_asks_for_is_kept_whatever_it_asks_for_later(cycle, first):
+    cycle.tick, kept = measured(cycle), []
+    for stop in (Stop.NONE, first, Stop.NONE, Stop.MISSED, Stop.RECORDER):
+        cycle._latch(said(), Verdict(Warn.NONE, Fault.NONE, stop))
+        kept.append(cycle.stop_requested)
+    assert kept == [Stop.NONE, *[first] * 4]
+
+
 # -- what the law is asked, and what the drives are told
 
 

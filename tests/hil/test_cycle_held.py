@@ -72,9 +72,16 @@ def test_what_begins_to_hold_is_told_to_safety_and_the_drives_are_watched_anew(c
     told: list[Any] = []
     monkeypatch.setattr(cycle.parts.safety, "resume", lambda force: told.append(force.copy()))
     monkeypatch.setattr(cycle.obedience, "forget", lambda: told.append("anew"))
+    asked: list[Any] = []
+    monkeypatch.setattr(cycle.effort, "hold", lambda *what, on_it: asked.append((*what, on_it)))
     cycle.mode, cycle.faults = Mode.PARKING, Fault.BRAKE
     cycle.effort.last_tau = LAST
-    cycle._enter(Mode.HELD, measured(cycle))
+    tick = measured(cycle, p=aside(cycle))
+    cycle._enter(Mode.HELD, tick)
+    ((seen, force, sample, on_it),) = asked
+    assert (seen is tick, on_it) == (True, True), "the law is asked as if the platform were on its reference"
+    np.testing.assert_array_equal(force, LAST)
+    np.testing.assert_array_equal(sample.p, cycle.parts.home_p)
     np.testing.assert_array_equal(told[0], LAST)
     assert told[1:] == ["anew"]
     cycle._yield(measured(cycle))
@@ -86,6 +93,8 @@ def test_what_yields_is_held_where_it_is_with_the_load_it_has(cycle):
     held = cycle.effort.statics(aside(cycle), cycle.parts.home_R, LOAD)
     np.testing.assert_array_equal(cycle.effort.holding, held)
     np.testing.assert_array_equal(cycle.motion.sample(60).p, aside(cycle))
+    np.testing.assert_array_equal(cycle.motion.sample(60).R, cycle.parts.home_R)
+    assert cycle.motion.tick == 50
     assert cycle._yields
 
 

@@ -43,11 +43,19 @@ class Told:
         self.calls.append(("resume", tick))
 
 
-def operated(*orders: Order, mode: Mode = Mode.TRACKING, motion: Told, **state: Any) -> Operating:
+def operated(
+    *orders: Order,
+    mode: Mode = Mode.TRACKING,
+    motion: Told,
+    stops: str = "",
+    order_refused: bool = False,
+    **state: Any,
+) -> Operating:
     """Return the operator's word after a tick, 9, with a state of its own before."""
     operating = made()[0]
     jogging = SimpleNamespace(
-        refusal="",
+        refusal=stops,
+        take=lambda *_, **__: "say hold" if order_refused else "",
         let_go=lambda: motion.calls.append(("let_go",)),
         step=lambda tick, _motion, *, key: motion.calls.append(("jog", tick, key)),
     )
@@ -148,3 +156,44 @@ def test_on_the_way_to_the_first_pose_it_is_held_and_started_and_it_parks_all_th
     operating = operated(order, mode=Mode.STOPPING, motion=Told(), parks=True, go=not go)
     assert operating.answers == [""]
     assert (operating.go, operating.parks) == (go, parks)
+
+
+@pytest.mark.parametrize(
+    ("stops", "refused", "answers"),
+    [
+        ("", False, ["", "", ""]),
+        ("a limit is ahead", False, ["", "a limit is ahead", ""]),
+        ("a limit is ahead", True, ["", "say hold", ""]),
+    ],
+)
+def test_where_a_limit_stops_a_jog_its_word_is_refused_unless_it_was_refused_before(stops, refused, answers):
+    jog = Order(Operator.JOG, (0.0, 1.0))
+    said = operated(HOLD, jog, KEY, motion=Told(), stops=stops, order_refused=refused)
+    assert said.answers == answers
+
+
+@pytest.mark.parametrize("start", ["automatic", "asked"])
+@pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
+def test_a_path_begins_by_itself_or_is_asked_for_and_a_way_back_needs_no_new_word(mode, start):
+    for go, parks, key in product([False, True], repeat=3):
+        operating, motion = made(deadman_s=0.05, start=start)[0], Told()
+        operating.go, operating.parks, operating.speed = go, parks, 0.4
+        operating.key_tick = 9 if key else None
+        operating.enter(mode, 9, motion)  # type: ignore[arg-type]
+        goes = go and (mode is Mode.STOPPING or (key and (parks or start == "automatic")))
+        waits = parks and mode is Mode.TRACKING
+        assert operating.go == goes
+        rest = [("settle", 9, 0.0)] if parks or not goes else []
+        assert motion.calls == [*rest, ("aim", 9, 0.4, goes and not waits)]
+
+
+@pytest.mark.parametrize("key", [True, False])
+def test_a_new_motion_goes_on_with_the_key_alone_and_remembers_no_way_of_the_one_before(key):
+    operating: Any = made(deadman_s=0.05)[0]
+    motion: Any = Told()
+    operating.key_tick, operating.speed, operating.parks = 9 if key else None, 0.4, True
+    operating._inspection = operating._way_back = operating.trouble = "of the motion before"
+    operating.engage(9, motion)
+    assert (operating.go, operating.parks, operating.trouble) == (key, False, "")
+    assert operating._inspection is None
+    assert motion.calls == [("settle", 9, 0.4 if key else 0.0)]

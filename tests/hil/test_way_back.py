@@ -157,6 +157,26 @@ def test_an_order_meanwhile_lets_the_way_be_judged_anew():
     assert len(made_of) == 3, "the way of the motion before began elsewhere"
 
 
+@pytest.mark.parametrize("refusal", ["", "it is too far"])
+def test_a_way_that_has_been_judged_is_taken_once_and_the_next_one_is_judged_for_itself(refusal):
+    operating, motion = made()
+    judged: list[Any] = []
+
+    def at_once(name, move):
+        judged.append(move)
+        return SimpleNamespace(step=lambda: True, refusal=refusal, move=move)
+
+    operating._judged = at_once  # type: ignore[assignment]
+    for k, x in enumerate((0.05, 0.07)):
+        operating.go = operating.parks = True
+        there = motion.sample(0)._replace(p=np.array([x, 0.0, 0.0]))
+        move = operating.way("park", 0, motion, there)
+        assert len(judged) == k + 1
+        assert move is (None if refusal else judged[k])
+        assert (operating.go, operating.parks) == (not refusal, not refusal)
+        assert operating.trouble == refusal
+
+
 def test_operator_and_log_are_told_once_why_a_way_is_not_followed():
     cycle = build_cycle(load("virtual"), 1000.0, 0.01)
     events: list[Any] = []

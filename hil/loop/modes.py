@@ -80,9 +80,9 @@ class Facts(NamedTuple):
     """The present motion (approach, reference, stop) has ended, not on hold, and the legs are at rest."""
     stop: bool
     """Safety asks for a controlled stop."""
-    provable: bool = False
+    provable: bool
     """All six legs are heard, believed and at rest, and no brake has failed: a test could prove them."""
-    stays: bool = False
+    stays: bool
     """A parked platform may be made ready again: operator.stays."""
 
     def all_in(self, *states: DriveState) -> bool:

@@ -31,7 +31,14 @@ from hil.signals import Operator
 
 DURATIONS = Durations(load=0.3, release=0.1, close=0.2)
 QUIET = Facts(
-    operator=(), drive_state=[DriveState.OFF] * 6, ready=True, elapsed=0.0, finished=False, stop=False
+    operator=(),
+    drive_state=[DriveState.OFF] * 6,
+    ready=True,
+    elapsed=0.0,
+    finished=False,
+    stop=False,
+    provable=False,
+    stays=False,
 )
 
 

@@ -68,6 +68,17 @@ def test_legs_that_were_not_all_heard_have_no_lengths_and_a_pose_unknown_is_none
     assert said["rotation_vector_deg"] is None
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("turn", [np.eye(3), np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])])
+def test_a_rotation_of_which_one_entry_is_no_number_is_unknown(value, turn):
+    for entry in np.ndindex(3, 3):
+        broken = turn.copy()
+        broken[entry] = value
+        said = status(R=broken)
+        assert said["rotation_vector_deg"] is None
+        assert said["position_m"] == [0.1, -0.2, 0.5]
+
+
 @pytest.mark.parametrize(
     ("given", "text"),
     [

@@ -98,7 +98,7 @@ def steps(before: State) -> Iterator[Step]:
                 mode = Mode.HELD if waits else leads(mode, found)
             else:
                 provable = finished and not faults & NO_PROOF
-                facts = Facts(commands, before.drives, True, elapsed, finished, False, provable)
+                facts = Facts(commands, before.drives, True, elapsed, finished, False, provable, False)
                 mode = next_mode(mode, facts, DURATIONS)
             arrived.add((mode, faults, found))
         for mode, faults, found in arrived:

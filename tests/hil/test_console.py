@@ -91,6 +91,62 @@ def test_no_release_that_waited_before_the_platform_was_held_lets_go_of_it(cycle
     assert console.take().operator == (Operator.RELEASE,)
 
 
+def test_no_release_that_waited_before_the_first_tick_lets_go_of_a_platform(cycle, ends):
+    channel, client = ends
+    client._socket.send(b"release")
+    cycle.mode = Mode.HELD
+    console = Console(Course(cycle, armed=False), OperatorPanel(), channel)
+    assert console.take().operator == ()
+
+
+def test_a_word_that_was_refused_is_told_of_once_whatever_is_asked_next(cycle, ends):
+    channel, client = ends
+    cycle.mode = Mode.TRACKING
+    console = Console(Course(cycle, armed=False), OperatorPanel(), channel)
+    events: list[str] = []
+    recording: Any = SimpleNamespace(event=lambda *event: events.append(event[-1]))
+    for line, answer in (
+        (b"arm", "refused: "),
+        (b"status", "{"),
+        (b"setpoint 0 0 1", "refused: the reference"),
+    ):
+        console.take()
+        client._socket.send(line)
+        cycle.operating.answers = []
+        console.take()
+        console.answer(recording, 0)
+        assert client._socket.recv(4096).decode().startswith(answer)
+    assert [event.split(" to ")[0] for event in events] == ["operator's command refused: there is nothing"]
+
+
+@pytest.mark.parametrize("channel", [None, SimpleNamespace(waited_for=False)], ids=["none", "silent"])
+def test_where_nobody_has_a_channel_or_waits_at_it_nobody_is_answered(cycle, channel):
+    events: list[Any] = []
+    recording: Any = SimpleNamespace(event=lambda *event: events.append(event))
+    cycle.operating.answers = ["refused"]
+    Console(Course(cycle), OperatorPanel(), channel).answer(recording, 7)
+    assert events == []
+
+
+def test_the_log_is_told_when_which_words_and_orders_were_refused(cycle, ends):
+    channel, client = ends
+    cycle.mode = Mode.TRACKING
+    console = Console(Course(cycle, armed=False), OperatorPanel(), channel)
+    events: list[Any] = []
+    recording: Any = SimpleNamespace(event=lambda *event: events.append(event))
+    console.take()
+    for line in (b"hold", b"arm", b"start"):
+        client._socket.send(line)
+    console.take()
+    cycle.operating.answers = ["", "the key is not held"]
+    console.answer(recording, 7)
+    assert [client._socket.recv(4096).decode().split(":")[0] for _ in range(3)].count("refused") == 2
+    ((t_ns, level, text),) = events
+    assert (t_ns, level) == (7, "warning")
+    assert text.startswith("operator's command refused: there is nothing to arm in mode TRACKING")
+    assert text.endswith("; the key is not held")
+
+
 def test_a_parked_run_is_reset_only_where_it_stays(cycle, ends):
     assert said(cycle, ends, Mode.PARKED, "reset", goes_on=True)[0].operator == (Operator.RESET,)
 
@@ -202,8 +258,8 @@ def test_a_set_point_for_a_live_reference_comes_through_and_is_answered_by_what_
     reference = LiveReference.model_validate(LIVE_REFERENCE)
     c = load("virtual").model_copy(update={"reference": reference})
     live, (channel, client) = build_cycle(c, 1000.0, 0.01), ends
-    console, told = Console(Course(live), OperatorPanel(), channel), list[str]()
-    recording: Any = SimpleNamespace(event=lambda *event: told.append(event[-1]))
+    console, told = Console(Course(live), OperatorPanel(), channel), list[tuple[int, str, str]]()
+    recording: Any = SimpleNamespace(event=lambda *event: told.append(event))
     live.mode = mode
     for _ in range(2):
         console.take()
@@ -213,7 +269,7 @@ def test_a_set_point_for_a_live_reference_comes_through_and_is_answered_by_what_
     assert [tuple(each) for each in heard.setpoints] == [(0.0, 0.0, 1.01, 0.0, 0.0, 0.0)]
     steering: Any = live.parts.steering
     steering.step(heard.setpoints, 1, tracking=mode is Mode.TRACKING)
-    console.answer(recording, 0)
+    console.answer(recording, 7)
     said = client._socket.recv(4096).decode()
     assert (said == "taken") == (mode is Mode.TRACKING)
-    assert told == ([] if said == "taken" else [f"set-point {said}"])
+    assert told == ([] if said == "taken" else [(7, "warning", f"set-point {said}")])

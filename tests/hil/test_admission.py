@@ -125,6 +125,15 @@ def test_half_a_turn_about_any_axis_is_a_pose_and_more_is_none(axis, way):
         assert (found != Refusal.NOT_A_POSE) == is_pose
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_half_a_turn_is_a_pose_to_the_last_bit(axis, way):
+    roomy = {"force_N": 1e99, "rated": 1e99, "low": -1e9, "high": 1e9, "condition": 1e99}
+    for angle, is_pose in ((np.pi, True), (np.nextafter(np.pi, 4.0), False)):
+        found = admission(**roomy)(off(0, 0, 0, *(way * angle * np.eye(3)[axis])))
+        assert (found != Refusal.NOT_A_POSE) == is_pose
+
+
 @pytest.mark.parametrize(("fall", "sign"), [(0.0, 1.0), (3.0, -1.0)], ids=["pushes", "pulls"])
 def test_a_leg_may_push_and_pull_on_the_way_with_no_more_than_its_force(fall, sign):
     """At rest all legs push; down with three times the acceleration of free fall they pull."""

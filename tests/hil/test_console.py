@@ -200,20 +200,21 @@ def test_a_status_is_composed_once_in_ten_milliseconds_however_often_it_is_asked
     channel, client = ends
     composed = []
 
-    def compose(*_):
-        composed.append(1)
+    def compose(course, malformed):
+        composed.append((int(course.cycle.tick["tick"]), malformed))
         return "{}"
 
     monkeypatch.setattr("hil.loop.console.status_text", compose)
     cycle.mode = Mode.TRACKING
     console = Console(Course(cycle), OperatorPanel(), channel)
+    channel.malformed = 3
     for tick in range(100):
         cycle.tick["tick"] = tick
         client._socket.send(b"status")
         console.take()
         console.answer(None, 0)  # type: ignore[arg-type]
         assert client._socket.recv(100) == b"{}"
-    assert len(composed) == 10
+    assert composed == [(tick, 3) for tick in range(0, 100, 10)]
 
 
 def test_the_status_names_mode_pose_key_and_what_is_waited_for():

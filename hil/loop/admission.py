@@ -9,11 +9,12 @@ from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel
 from drivers.signals import Refusal
 from hil.config.limits import LimitSettings
 from hil.mathematics.linear_algebra import condition_kernel
-from hil.mathematics.rotations import rotation_motion_kernel
+from hil.mathematics.rotations import rotation_motion
+from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
-from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel, lengths_and_jacobian
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.safety.finite import all_finite
 from hil.safety.guard import WINDOW_S
 from hil.safety.stroke import overspeed, too_fast_for_end
@@ -23,6 +24,7 @@ from hil.trajectory.path import PoseSample
 CLEARANCE_M = 1e-3
 """Room that set-points leave before the soft ends, beyond which moving on is a fault: for the law's error,
 and for the way between two poses that are judged."""
+_STILL = (0.0, 0.0, 0.0)
 _NOT_A_POSE, _STROKE = int(Refusal.NOT_A_POSE), int(Refusal.STROKE)
 _CONDITION, _FORCE, _SPEED = int(Refusal.CONDITION), int(Refusal.FORCE), int(Refusal.SPEED)
 
@@ -35,9 +37,9 @@ def judge(
     """Return the bits of Refusal against the six words chi (6,) m, rad; see `Admission`."""
     if not all_finite(chi) or chi[3] * chi[3] + chi[4] * chi[4] + chi[5] * chi[5] > math.pi * math.pi:
         return _NOT_A_POSE
-    still = np.zeros(6)
-    p = chi[:3].copy()
-    R = rotation_motion_kernel(chi[3:], still[:3], still[:3])[0]
+    still, R = np.zeros_like(chi), np.empty((3, 3))
+    p = chi[:3]
+    rotation_motion(at(chi, 3), _STILL, _STILL, R)
     q = leg_lengths_kernel(a, b, p, R)
     for i in range(6):
         if q[i] < low or q[i] > high:
@@ -47,7 +49,7 @@ def judge(
     rest = inverse_dynamics_kernel(constants, code, p, R, still, still, still)
     most = np.abs(rest)
     for j in range(6):
-        one = np.zeros(6)
+        one = np.zeros_like(chi)
         one[j] = ddchi[j]
         most += np.abs(inverse_dynamics_kernel(constants, code, p, R, still, one, still) - rest)
     for i in range(6):
@@ -66,8 +68,8 @@ def judge_moving(
     limits (6,): lengths from and to, condition, force, rate of a leg, deceleration.
     """
     low, high, condition, force, speed, deceleration = limits
-    q, J, dq = np.empty(6), np.empty((6, 6)), np.zeros(6)
-    lengths_and_jacobian(a, b, p, R, q, J)
+    q, J = leg_lengths_kernel(a, b, p, R), jacobian_kernel(a, b, p, R)
+    dq = np.zeros_like(twist)
     for i in range(6):
         for j in range(6):
             dq[i] += J[i, j] * twist[j]
@@ -77,7 +79,7 @@ def judge_moving(
         return _CONDITION
     if overspeed(dq, speed) or too_fast_for_end(q, dq, low, high, deceleration):
         return _SPEED
-    tau = inverse_dynamics_kernel(constants, code, p, R, twist, dtwist, np.zeros(6))
+    tau = inverse_dynamics_kernel(constants, code, p, R, twist, dtwist, np.zeros_like(twist))
     for i in range(6):
         if not abs(tau[i]) <= force:
             return _FORCE
@@ -92,9 +94,10 @@ def change_within(
 
     faster: largest d sigma/dt over sigma, 1/s. nan where it is no number.
     """
-    still, turned, most = np.zeros(6), np.empty((3, 3)), 0.0
+    still, most = np.zeros_like(twist), 0.0
+    turn, turned = np.empty((3, 3)), np.empty((3, 3))
     moved = p + WINDOW_S * twist[:3]
-    turn = rotation_motion_kernel(WINDOW_S * twist[3:], still[:3], still[:3])[0]
+    rotation_motion(scale(WINDOW_S, at(twist, 3)), _STILL, _STILL, turn)
     for i in range(3):
         for j in range(3):
             turned[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]

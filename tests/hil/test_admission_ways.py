@@ -9,7 +9,7 @@ import pytest
 
 from drivers.signals import Refusal
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.trajectory.path import PoseSample
 from tests.hil.test_admission import HOME, PLATFORM, admission, lengths
 
@@ -82,6 +82,26 @@ def test_the_force_at_a_pose_leaves_room_for_the_largest_acceleration_of_each_ax
     chi = np.array([*P, 0.0, 0.0, 0.0])
     assert admission(ddchi, **ROOMY | {"force_N": most * (1 + 1e-9)})(chi) == 0
     assert admission(ddchi, **ROOMY | {"force_N": most * (1 - 1e-9)})(chi) == Refusal.FORCE
+
+
+def test_a_pose_and_a_way_may_take_as_much_force_as_the_limit_to_the_last_bit():
+    most = float(np.abs(Model(PLATFORM).inverse_dynamics(P, R, STILL, STILL)).max())
+    chi, there = np.array([*P, 0.0, 0.0, 0.0]), PoseSample(P, R, STILL, STILL)
+    for limit, expected in ((most, 0), (np.nextafter(most, 0.0), Refusal.FORCE)):
+        judge = admission(**ROOMY | {"force_N": limit})
+        assert judge(chi) == expected
+        assert judge.on_the_way(there) == expected
+
+
+def test_a_way_may_lead_to_its_soft_ends_to_the_last_bit():
+    q = leg_lengths(PLATFORM, P, R)
+    there = PoseSample(P, R, STILL, STILL)
+    for low, high, expected in (
+        (q.min(), q.max(), 0),
+        (np.nextafter(q.min(), 9.0), q.max(), Refusal.STROKE),
+        (q.min(), np.nextafter(q.max(), 0.0), Refusal.STROKE),
+    ):
+        assert admission(**ROOMY | {"low": low, "high": high}).on_the_way(there) == expected
 
 
 def test_a_sample_whose_rotation_is_a_view_is_judged_as_its_copy():

@@ -95,7 +95,7 @@ def change_within(
     faster: largest d sigma/dt over sigma, 1/s. nan where it is no number.
     """
     still, most = np.zeros_like(twist), 0.0
-    turn, turned = np.empty((3, 3)), np.empty((3, 3))
+    turn, turned = np.empty_like(R), np.empty_like(R)
     moved = p + WINDOW_S * twist[:3]
     rotation_motion(scale(WINDOW_S, at(twist, 3)), _STILL, _STILL, turn)
     for i in range(3):

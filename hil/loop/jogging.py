@@ -43,9 +43,9 @@ class Word(NamedTuple):
     tick: int
 
     @property
-    def way(self) -> tuple[int, bool]:
-        """Axis and direction."""
-        return self.axis, self.fraction > 0.0
+    def way(self) -> tuple[int, int]:
+        """Axis and direction: -1, 1, or 0 where it lets go."""
+        return self.axis, (self.fraction > 0.0) - (self.fraction < 0.0)
 
 
 class Jogging:
@@ -76,7 +76,7 @@ class Jogging:
         """Back to the start: no word."""
         self._word: Word | None = None
         self._path: JogPath | None = None
-        self._way = (0, False)
+        self._way: tuple[int, int] | None = None
         self._stopped: Word | None = None
         self.refusal = ""
         """Why the jog does not go on; empty unless a limit has stopped it."""

@@ -6,11 +6,12 @@ from scipy.spatial.transform import Rotation
 
 from drivers.signals import Refusal
 from hil.config.operator import OperatorSettings
+from hil.loop.jog_paths import setup_share
 from hil.loop.jogging import NO_KEY, NOT_RESTING, ON_HOLD, Jogging
 from hil.loop.motion import Motion
 from hil.signals import explain
 from hil.trajectory.move import GeodesicMove
-from tests.hil.test_jogging import HERE, PLATFORM, STOP_S, jog
+from tests.hil.test_jogging import HERE, PLATFORM, SPEED, STOP_S, jog
 
 WORD = jog("y", 0.5)
 STROKE = explain(Refusal.STROKE)
@@ -23,6 +24,10 @@ def made(admission=lambda _: 0, too_sudden=lambda *_: False, **settings):
     motion.start(GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0), 0)
     motion.settle(0, 0.0)
     return jogging, motion
+
+
+def six_words(sample):
+    return np.r_[sample.p, Rotation.from_matrix(sample.R).as_rotvec()]
 
 
 def take(both, order, tick, on_hold=True, key=True):
@@ -122,6 +127,22 @@ def test_a_leg_that_would_come_to_lengths_of_no_pose_does_not_begin_for_that_rea
     assert not both[1].away
 
 
+def test_a_leg_comes_to_rest_before_lengths_of_no_pose():
+    both = made()
+    jogging, motion = both
+    take(both, jog("leg2"), 0)
+    step(both, 0, 90)
+    path = motion.trajectory
+    ahead, last = path.ahead, motion.rests_at(89, 1.0) + 5e-3
+    path.ahead = lambda t: ahead(t) if t <= last else None
+    for tick in range(90, 700):
+        take(both, jog("leg2"), tick)
+        step(both, tick, tick + 1)
+    assert jogging.refusal == f"jog leg2: it stops, since beyond, {explain(Refusal.CONDITION)}"
+    assert motion.resting
+    assert last - 1e-3 < motion.time(700) <= last
+
+
 def test_of_several_reasons_against_a_word_hold_is_named_before_the_key_and_the_key_before_the_rest():
     both = made()
     both[1].settle(0, 1.0)
@@ -144,7 +165,7 @@ def test_a_word_of_the_same_axis_the_other_way_brakes_to_rest_before_it_turns_ro
         step(both, tick, tick + 1)
         v.append(motion.sample(tick).twist[1])
     turns = v.index(0.0)
-    assert all(a >= b for a, b in zip(v[:turns], v[1:turns], strict=False))
+    assert (np.diff(v[:turns]) <= 0.0).all()
     assert motion.trajectory is not path
     assert v[-1] == pytest.approx(-0.5 * 0.05)
 
@@ -158,26 +179,69 @@ def test_the_key_that_is_let_go_of_ends_a_word_for_good():
     assert both[1].override.target == 0.0
 
 
-@pytest.mark.parametrize("name", ["x", "ry", "leg4"])
-def test_the_pose_that_is_judged_is_the_one_to_which_braking_from_the_next_tick_on_leads(name):
+@pytest.mark.parametrize("left_s", [0.0, 20.0])
+@pytest.mark.parametrize(
+    ("name", "deg_s"), [("x", 5.0), ("ry", 5.0), ("leg4", 5.0), ("leg4", 0.7), ("-leg4", 0.7)]
+)
+def test_the_pose_that_is_judged_is_the_one_to_which_braking_from_the_next_tick_on_leads(name, deg_s, left_s):
     judged = []
 
     def note(chi):
         judged.append(chi)
         return 0
 
-    both = made(note)
+    both = made(note, setup_speed_deg_s=deg_s)
+    both[1].override.place(0, left_s)
     step(both, 0, 50)
-    take(both, jog(name), 50)
+    here = six_words(both[1].sample(50))
+    take(both, jog(name.strip("-"), -1.0 if "-" in name else 1.0), 50)
     step(both, 50, 140)
     both[1].advance(140)
     both[0].let_go()
     step(both, 140, 700)
-    rests = both[1].sample(700)
     assert both[1].resting
     assert len(judged) == 90
-    here = np.r_[HERE.p, Rotation.from_matrix(HERE.R).as_rotvec()]
     assert np.abs(judged[0] - here).max() < 1e-8, "it begins where it is"
-    np.testing.assert_allclose(judged[-1][:3], rests.p, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(Rotation.from_rotvec(judged[-1][3:]).as_matrix(), rests.R, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(judged[-1], six_words(both[1].sample(700)), rtol=0, atol=1e-10)
     assert np.abs(judged[-1] - here).max() > 1e-4
+
+
+@pytest.mark.parametrize("fraction", [0.5, -0.5])
+def test_a_word_of_no_speed_lets_go_of_a_limit_whichever_way_it_was_reached(fraction):
+    both = made(lambda _: int(Refusal.STROKE))
+    take(both, jog("y", fraction), 0)
+    step(both, 0, 1)
+    assert take(both, jog("y", fraction), 1) != ""
+    assert take(both, jog("y", 0.0), 2) == ""
+    assert both[0].refusal == ""
+    assert take(both, jog("y", fraction), 3) == "", "the words had ceased"
+
+
+def test_a_jog_begins_in_the_tick_of_its_word():
+    both = made()
+    step(both, 0, 3)
+    take(both, WORD, 3)
+    step(both, 3, 4)
+    assert both[1].away
+    assert both[1].override.target == 0.5
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_leg_is_at_each_tick_as_slow_as_where_it_is_and_where_it_would_rest_ask_for(way):
+    """One way its share of the set-up speed grows, the other way it falls."""
+    asked = []
+
+    def noted(sample, share):
+        asked.append((share, setup_share(sample, speeds)))
+        return False
+
+    speeds = SPEED, np.deg2rad(0.7)
+    both, here = made(too_sudden=noted, setup_speed_deg_s=0.7), []
+    for tick in range(400):
+        take(both, jog("leg2", 0.5 * way), tick)
+        step(both, tick, tick + 1)
+        path = both[1].trajectory
+        here.append(setup_share(path.sample(both[1].time(tick)), speeds))
+    share, rest = np.array(asked).T
+    assert abs(here[-1] / here[0] - 1.0) > 1e-4
+    np.testing.assert_allclose(share, 0.5 * np.minimum(here, rest), rtol=5e-7)

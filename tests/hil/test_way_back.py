@@ -206,3 +206,49 @@ def test_armed_again_nobody_is_told_why_a_way_was_not_followed_before_and_the_lo
         cycle.operating.trouble = "park: not followed, since it is so"
         course._tell()
     assert told == ["park: not followed, since it is so"] * 2
+
+
+@pytest.mark.parametrize(
+    ("way_m", "poses"), [(1e-3, 17), (0.075, 17), (0.0831, 18), (0.4999, 101), (40.0, 1001)]
+)
+def test_a_way_has_a_pose_every_5_mm_and_at_least_17_and_at_most_1001(way_m, poses):
+    seen: list[float] = []
+
+    def good(sample):
+        seen.append(sample.p[0])
+        return 0
+
+    inspection = Inspection(
+        PLATFORM, good, "park", GeodesicMove(HERE, EYE, HERE + [way_m, 0.0, 0.0], EYE, 4.0)
+    )
+    while not inspection.step():
+        pass
+    assert len(seen) == poses
+    assert (seen[0], seen[-1]) == (0.0, way_m)
+    assert inspection.step()
+    assert len(seen) == poses, "none is judged twice"
+
+
+@pytest.mark.parametrize(("bad", "asked", "at"), [(0, 1, 0), (1, 2, 6), (8, 9, 50), (16, 17, 100)])
+def test_the_first_pose_that_is_refused_ends_the_judgement_and_is_named_by_its_share_of_the_time(
+    bad, asked, at
+):
+    seen = []
+
+    def judge(_sample):
+        seen.append(len(seen))
+        return int(Refusal.STROKE) if len(seen) == bad + 1 else 0
+
+    inspection = Inspection(
+        PLATFORM, judge, "park", GeodesicMove(HERE, EYE, HERE + [0.01, 0.0, 0.0], EYE, 4.0)
+    )
+    ticks = 1
+    while not inspection.step():
+        assert inspection.refusal == ""
+        ticks += 1
+    assert len(seen) == asked
+    assert ticks == bad // 2 + 1
+    reason = "a leg would be outside the soft ends of its stroke"
+    assert inspection.refusal == f"park: not followed, since {at} % along it {reason}"
+    assert inspection.step()
+    assert len(seen) == asked

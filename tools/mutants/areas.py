@@ -117,7 +117,7 @@ AREAS = {
             "tests/hil/test_jogging*.py",
             "tests/hil/test_way_back.py",
             "tests/hil/test_steering.py",
-            "tests/hil/test_override.py",
+            "tests/hil/test_override*.py",
             "tests/hil/test_trajectory*.py",
             "tests/hil/test_live.py",
             "tests/hil/test_reference.py",

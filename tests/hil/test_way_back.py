@@ -219,7 +219,7 @@ def test_a_way_has_a_pose_every_5_mm_and_at_least_17_and_at_most_1001(way_m, pos
         return 0
 
     inspection = Inspection(
-        PLATFORM, good, "park", GeodesicMove(HERE, EYE, HERE + [way_m, 0.0, 0.0], EYE, 4.0)
+        PLATFORM, good, "park", GeodesicMove(HERE, EYE, np.array([way_m, 0.0, 0.0]), EYE, 4.0)
     )
     while not inspection.step():
         pass
@@ -240,7 +240,7 @@ def test_the_first_pose_that_is_refused_ends_the_judgement_and_is_named_by_its_s
         return int(Refusal.STROKE) if len(seen) == bad + 1 else 0
 
     inspection = Inspection(
-        PLATFORM, judge, "park", GeodesicMove(HERE, EYE, HERE + [0.01, 0.0, 0.0], EYE, 4.0)
+        PLATFORM, judge, "park", GeodesicMove(HERE, EYE, np.array([0.01, 0.0, 0.0]), EYE, 4.0)
     )
     ticks = 1
     while not inspection.step():

@@ -64,7 +64,6 @@ class PiecewisePolynomial:
         self._periods = 0 if periods is None else periods
         self.period_s = float(self._knots[-1])
         self.duration_s = None if periods is None else periods * self.period_s
-        self.sample(0.0)
 
     @property
     def knots(self) -> Array:

@@ -91,7 +91,6 @@ class SinusoidTrajectory:
             np.add.at(largest, self._axis, np.abs(self._wave[:, 0]))
         turn = np.abs(self._centre[3:]) + largest[3:]
         require_half_turn(float(np.linalg.norm(turn)), "reference: centre and amplitudes")
-        self.sample(0.0)
 
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""

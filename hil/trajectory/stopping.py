@@ -39,7 +39,6 @@ class StoppingTrajectory:
         self._t_stop = float(t_stop)
         self._slowing = float(duration_s)
         self.duration_s = self._t_stop + self._slowing
-        self.sample(self._t_stop)
 
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""

@@ -4,7 +4,7 @@ Path time is in seconds at set-up speed; `hil.trajectory.override` starts, slows
 does not come.
 """
 
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
@@ -146,4 +146,4 @@ def setup_share(sample: PoseSample, speeds: tuple[float, float]) -> float:
     """Return at which share of a sample's speed the platform is no faster than at set-up, m/s and rad/s."""
     vx, vy, vz, wx, wy, wz = sample.twist.tolist()
     v, w = hypot(vx, vy, vz), hypot(wx, wy, wz)
-    return min(1.0, speeds[0] / v if v else 1.0, speeds[1] / w if w else 1.0)
+    return min(1.0, speeds[0] / v if v else inf, speeds[1] / w if w else inf)

@@ -120,14 +120,32 @@ def test_the_look_ahead_goes_on_at_the_present_rate_up_to_full_speed_and_down_to
     assert override.ahead(4, h) == (3.0 + advance, ends, dsigma)
 
 
-def test_a_change_ends_on_its_target_to_the_bit_and_not_before():
-    override = Override(1e-3, 0.5)
-    for tick, target in ((0, 0.3), (900, 1.0), (1800, 0.0)):
-        override.advance(tick)
-        override.aim(tick, target)
-        override.advance(tick + 899)
-        assert override.sigma == target
+@pytest.mark.parametrize("target", [0.1, 0.15, 0.2, 0.3, 0.37, 0.6, 0.7, 0.85, 0.9])
+def test_a_change_ends_on_its_target_to_the_bit(target):
+    override = Override(7e-3, 0.5)
+    for tick, sigma in ((0, target), (200, 0.0), (400, target), (600, 1.0)):
+        override.aim(tick, sigma)
+        override.advance(tick + 199)
+        assert override.sigma == sigma
         assert override.settled
-    np.testing.assert_allclose(
-        change(0.5, 0.0, 0.5 + 1e-3, 3.0, 18e-3, 1e-3)[1:], (0.5 + 9e-6, 18e-3), rtol=1e-9
-    )
+
+
+@pytest.mark.parametrize(("sigma", "dsigma", "target"), [(0.4, 0.1, 1.0), (0.4, -0.1, 1.0), (0.4, 0.1, 0.0)])
+def test_in_a_tick_the_rate_goes_evenly_to_its_end_and_path_time_is_the_integral_of_the_speed(
+    sigma, dsigma, target
+):
+    ds, after, w = change(sigma, dsigma, target, LIMIT, 0.05, T)
+    assert w == pytest.approx(dsigma + 0.05 * np.sign(target - sigma))
+    assert after == pytest.approx(sigma + T * (dsigma + w) / 2, rel=1e-12)
+    t = np.linspace(0.0, T, 10_001)
+    speed = sigma + dsigma * t + (w - dsigma) * t**2 / (2 * T)
+    assert ds == pytest.approx(np.trapezoid(speed, t), rel=1e-8)
+
+
+@pytest.mark.parametrize(("sigma", "dsigma", "end"), [(0.99, 0.5, 1.0), (0.01, -0.5, 0.0)])
+def test_a_speed_is_never_more_than_full_and_never_backward(sigma, dsigma, end):
+    assert change(sigma, dsigma, end, LIMIT, 0.01, T)[1] == end
+
+
+def test_at_no_speed_yet_a_rate_takes_the_path_on_before_it_is_braked():
+    assert braking(0.0, 0.1, LIMIT, STEP, T) > 0.0

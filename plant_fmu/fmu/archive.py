@@ -62,8 +62,8 @@ def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInf
             bad = "its path leaves the archive"
         elif not _same(member, seen.get(key, member)):
             bad = "its name occurs twice"
-        elif (kind := stat.S_IFMT(member.external_attr >> 16)) not in {0, stat.S_IFREG, stat.S_IFDIR}:
-            bad = "it is a link or a special file" if kind else None
+        elif stat.S_IFMT(member.external_attr >> 16) not in {0, stat.S_IFREG, stat.S_IFDIR}:
+            bad = "it is a link or a special file"
         elif member.flag_bits & 1:
             bad = "it is encrypted"
         elif member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):

@@ -80,9 +80,14 @@ def test_an_array_of_six_is_proposed_and_one_of_another_shape_is_not(proposed):
 
 
 ROLES = [
-    ("force", "input", "N", ["force", "f", "leg.tau", "effort", "leg_thrust", "u", "main thrust in"]),
-    ("rate", "output", "m/s", ["rate", "v", "leg.dq", "qd", "dl", "Leg Velocity", "ldot", "speeds"]),
-    ("length", "output", "m", ["length", "q", "leg x", "l", "stroke", "len", "leg.Position"]),
+    ("force", "input", "N", ["force", "f", "leg.tau", "taus", "effort", "leg_thrust", "u", "main thrust in"]),
+    ("rate", "output", "m/s", ["rate", "v", "leg.dq", "qd", "dl", "Leg Velocity", "ldot", "speeds", "velo"]),
+    (
+        "length",
+        "output",
+        "m",
+        ["length", "q", "leg x", "l", "stroke", "len", "lens", "leg.posi", "leg.Position"],
+    ),
     ("brake", "input", None, ["brake", "lock", "leg clamps", "hold"]),
 ]
 

@@ -44,3 +44,16 @@ def test_names_that_are_close_are_offered_and_else_some_of_those_that_there_are(
     with pytest.raises(PlantError) as told:
         found("2.0", names, "thrust")
     assert str(told.value).endswith(f"; it has {', '.join(sorted(names)[:12])} ...")
+
+
+def test_a_value_reference_is_a_number_of_32_bits_in_plain_digits():
+    description = SimpleNamespace(fmiVersion="2.0", unitDefinitions=[], modelVariables=[])
+    reader = _Reader(description, SPEC)
+    for number in (0, 1, 4_294_967_295):
+        for stated in (number, str(number)):
+            assert reader.reference(SimpleNamespace(name="a", valueReference=stated)) == number
+    for wrong in ("4294967296", "-1", "+1", "1.0", "1_0", "0x1", "", " 1", "\u0663", "\u00b2", None):
+        with pytest.raises(
+            PlantError, match=r"variable 'a' has the valueReference .* 0 to 4294967295 are allowed"
+        ):
+            reader.reference(SimpleNamespace(name="a", valueReference=wrong))

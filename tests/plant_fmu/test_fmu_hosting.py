@@ -1,0 +1,238 @@
+"""Hosting an FMU, piece by piece: what its process may have, what crosses from it, what closing does."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import stat
+import zipfile
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import HilError, PlantError
+from plant_fmu.fmu import call as fmu_call
+from plant_fmu.fmu import child
+from plant_fmu.fmu.archive import checked_members, extract
+from plant_fmu.fmu.host import FmuHost
+from plant_fmu.fmu.spec import FmuSpec
+
+FMU = Path("a.fmu")
+FIFO, OTHER = os.SCHED_FIFO, os.SCHED_OTHER
+NO_LIMIT = resource.RLIM_INFINITY
+
+
+@pytest.mark.parametrize(
+    ("limit_GB", "of_the_machine", "bound"),
+    [
+        (4.0, NO_LIMIT, 4_000_000_000),
+        (0.25, NO_LIMIT, 250_000_000),
+        (4.0, 1_000_000_000, 1_000_000_000),
+        (0.5, 1_000_000_000, 500_000_000),
+    ],
+)
+def test_a_process_may_have_its_limit_of_memory_or_a_lower_one_of_the_machine(
+    monkeypatch, limit_GB, of_the_machine, bound
+):
+    asked: list[Any] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: asked.append(kind) or (7, of_the_machine))
+    monkeypatch.setattr(resource, "setrlimit", lambda *given: asked.append(given))
+    child._bound_memory(limit_GB)
+    assert asked == [resource.RLIMIT_DATA, (resource.RLIMIT_DATA, (bound, bound))]
+
+
+@pytest.mark.parametrize("flags", [0, os.SCHED_RESET_ON_FORK])
+@pytest.mark.parametrize(("ours", "of_the_child"), [(50, 49), (2, 1), (1, 1)])
+def test_a_child_follows_a_real_time_process_one_priority_below_but_at_1_at_least(
+    monkeypatch, flags, ours, of_the_child
+):
+    given: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: FIFO | flags if pid == 0 else OTHER)
+    monkeypatch.setattr(os, "sched_getparam", lambda _: os.sched_param(ours))
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda pid, policy, at: given.append((pid, policy, at.sched_priority))
+    )
+    child._follow(123)
+    assert given == [(123, FIFO | os.SCHED_RESET_ON_FORK, of_the_child)]
+
+
+def test_a_child_of_a_process_without_real_time_keeps_what_it_has_and_one_that_has_ended_is_no_error(
+    monkeypatch,
+):
+    given: list[object] = []
+
+    def gone(*arguments: object) -> None:
+        given.append(arguments)
+        raise ProcessLookupError
+
+    monkeypatch.setattr(os, "sched_setscheduler", gone)
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: OTHER | os.SCHED_RESET_ON_FORK)
+    child._follow(123)
+    assert given == []
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: FIFO)
+    monkeypatch.setattr(os, "sched_getparam", lambda _: os.sched_param(9))
+    child._follow(123)
+    assert len(given) == 1
+
+
+def attempted(work: Callable[[], Any]) -> tuple[Any, Any]:
+    """Return what work gave, and what the parent is told by its status: None, or the reason."""
+    board: Any = SimpleNamespace(record={"status": 99, "text": b""})
+    result = child._attempt(board, work)
+    host: Any = SimpleNamespace(_board=board, _poll=SimpleNamespace(poll=lambda _: True))
+    host._reply_r, reply_w = os.pipe()
+    os.write(reply_w, b"!")
+    host._process, host._full = SimpleNamespace(pid=os.getpid()), lambda kB: f" ({kB > 1000})"
+    try:
+        child.ChildHost._wait(host, 1.0, "step")
+    except PlantError as error:
+        return result, str(error)
+    finally:
+        os.close(host._reply_r)
+        os.close(reply_w)
+    return result, None
+
+
+def failing(error: Exception) -> Callable[[], Any]:
+    def work() -> None:
+        raise error
+
+    return work
+
+
+def test_what_a_child_did_or_why_it_refused_crosses_to_the_parent_with_its_memory():
+    assert attempted(lambda: 7) == (7, None)
+    assert attempted(failing(PlantError("a.fmu: höher"))) == (None, "a.fmu: höher (True)")
+    assert attempted(failing(HilError("no"))) == (None, "no (True)")
+    assert attempted(failing(MemoryError())) == (None, "no memory is left for the FMU's process (True)")
+    with pytest.raises(ZeroDivisionError):
+        attempted(failing(ZeroDivisionError()))
+
+
+class Instance:
+    """The FMU of a host: it notes its calls, and fails in those that are named."""
+
+    def __init__(self, *fails: str) -> None:
+        self.calls: list[str] = []
+        self._fails = fails
+
+    def _do(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self._fails:
+            raise RuntimeError(f"{name} fails")
+
+    def terminate(self) -> None:
+        self._do("terminate")
+
+    def freeInstance(self) -> None:
+        self._do("free")
+
+
+def hosting(fmu: Instance | None, *, initialised: bool) -> tuple[FmuHost, list[str]]:
+    """A host of this instance, and what it removes."""
+    removed: list[str] = []
+    host = object.__new__(FmuHost)
+    host.spec, host.internal_step_s = FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3), 1e-3
+    host._fmu, host._initialised, host._messages = fmu, initialised, ["why"]
+    host._folder = SimpleNamespace(cleanup=lambda: removed.append("folder"))  # type: ignore[assignment]
+    return host, removed
+
+
+@pytest.mark.parametrize(
+    ("fails", "initialised", "calls"),
+    [
+        ((), True, ["terminate", "free"]),
+        ((), False, ["free"]),
+        (("terminate",), True, ["terminate", "free"]),
+    ],
+)
+def test_closing_ends_an_initialised_fmu_frees_it_once_and_removes_its_files(fails, initialised, calls):
+    fmu = Instance(*fails)
+    host, removed = hosting(fmu, initialised=initialised)
+    host.close()
+    assert (fmu.calls, removed) == (calls, ["folder"])
+    host.close()
+    assert fmu.calls == calls
+    with pytest.raises(PlantError, match="closed or failed to initialise"):
+        host.step(np.zeros(6), np.ones(6), np.zeros(6), 1e-3)
+
+
+def test_an_fmu_that_cannot_be_freed_is_reported_with_its_message_and_its_files_are_removed():
+    host, removed = hosting(Instance("free"), initialised=False)
+    with pytest.raises(PlantError, match=r"a\.fmu: the FMU failed while closing: free fails: why$"):
+        host.close()
+    assert removed == ["folder"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"), [((0, 1, 0), "ended the simulation"), ((0, 0, 1), "returned early")]
+)
+def test_a_step_that_was_interrupted_says_how_and_when(flags, said):
+    host, _ = hosting(None, initialised=True)
+    host._flags, host._last = np.array(flags, np.uint8), np.array([0.25])
+    assert str(host._failed(fmu_call.INTERRUPTED, 0, "")) == f"a.fmu: the FMU {said} at 0.25 s: why"
+
+
+@pytest.mark.parametrize(
+    ("ended", "what"),
+    [
+        (fmu_call.INPUTS_REFUSED, "take its inputs"),
+        (fmu_call.OUTPUTS_REFUSED, "give its outputs"),
+        (fmu_call.STEP_REFUSED, "step from here"),
+    ],
+)
+def test_a_refusal_names_what_was_asked_and_the_status(ended, what):
+    for status, label in (
+        *((2, "discard"), (3, "error"), (4, "fatal"), (5, "pending")),
+        *((6, "status 6, which FMI does not have"), (-1, "status -1, which FMI does not have")),
+    ):
+        host, _ = hosting(None, initialised=True)
+        told = str(host._failed(ended, status, "step from here"))
+        assert told == f"a.fmu: the FMU refused to {what} ({label}): why"
+
+
+# archives
+
+
+def member(name: str = "resources/a", **changes: Any) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name)
+    info.CRC = 0
+    for key, value in changes.items():
+        setattr(info, key, value)
+    return info
+
+
+def listing(*members: zipfile.ZipInfo, data: bytes = b"") -> Any:
+    return SimpleNamespace(infolist=lambda: list(members), open=lambda _: contextlib.closing(BytesIO(data)))
+
+
+def test_an_encrypted_member_is_refused_and_other_flags_are_not():
+    assert checked_members(listing(member(flag_bits=0x80E)), FMU)
+    for flags in (1, 0x801):
+        with pytest.raises(PlantError, match="it is encrypted"):
+            checked_members(listing(member(flag_bits=flags)), FMU)
+
+
+def test_files_and_folders_are_taken_and_every_other_kind_is_refused():
+    for kind in (0, stat.S_IFREG, stat.S_IFDIR):
+        assert checked_members(listing(member(external_attr=(kind | 0o644) << 16)), FMU)
+    for kind in (stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFBLK, stat.S_IFSOCK):
+        with pytest.raises(PlantError, match="it is a link or a special file"):
+            checked_members(listing(member(external_attr=(kind | 0o644) << 16)), FMU)
+
+
+@pytest.mark.parametrize("size", [0, 1, 1_048_575, 1_048_576, 1_048_577, 2_500_000])
+def test_a_member_is_unpacked_whole_and_never_beyond_what_its_header_says(tmp_path, size):
+    data = bytes(range(251)) * (size // 251 + 1)
+    said = member(file_size=size, compress_size=size)
+    extract(listing(said, data=data[:size]), FMU, tmp_path / "right")
+    assert (tmp_path / "right/resources/a").read_bytes() == data[:size]
+    with pytest.raises(PlantError, match="'resources/a' is larger than its header says"):
+        extract(listing(said, data=data[: size + 1]), FMU, tmp_path / "wrong")
+    assert (tmp_path / "wrong/resources/a").stat().st_size <= size

@@ -65,7 +65,7 @@ class WiredDrives:
     def _heard(self, message: DeviceMessage) -> list[DeviceMessage]:
         match message:
             case DeviceCommand(legs=legs, force=force):
-                takes = [k for k in self._takers(legs) if self._wiring.answers_as[k] in legs]
+                takes = self._takers(legs)
                 forces = np.array([force[legs.index(self._wiring.answers_as[k])] for k in takes], float)
                 return [message._replace(legs=tuple(takes), force=forces)] if takes else []
             case Configure(leg=leg):

@@ -10,7 +10,7 @@ from plant_fmu.faults.bus import BusFlood
 from plant_fmu.faults.drive import DriveReset, DriveSilence
 from plant_fmu.faults.encoder import EncoderJump
 from plant_fmu.faults.fault import NEVER_NS
-from plant_fmu.faults.frames import FramesDelay, FramesOld
+from plant_fmu.faults.frames import FramesDelay, FramesLoss, FramesOld
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
@@ -84,3 +84,13 @@ def test_two_senders_count_each_its_own_frames_and_a_late_frame_is_heard_once_at
     assert [t for identifier, t in heard if identifier == 1] == [0, 1, 2, 3, 4, 5]
     assert [t for identifier, t in heard if identifier == 2] == [1, 3, 5]
     assert [t for identifier, t in heard if identifier == 9] == [3]
+
+
+def test_a_plan_of_which_nothing_is_said_has_the_seed_0_and_the_gravity_of_the_earth_downwards():
+    assert FaultPlan().gravity.tolist() == [0.0, 0.0, -9.81]
+    draws = []
+    for plan in (FaultPlan([FramesLoss(probability=0.5)]), FaultPlan([FramesLoss(probability=0.5)], seed=0)):
+        schedule = Schedule(plan, 0)
+        draws.append([len(schedule.carry(0, Frame(1, b""), to_drives=True)) for _ in range(64)])
+    assert draws[0] == draws[1]
+    assert 0 < sum(draws[0]) < 64

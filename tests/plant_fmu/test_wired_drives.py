@@ -14,7 +14,19 @@ from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Answer, Configure, DeviceCommand, Frame, Received, Status
+from drivers.protocol import (
+    EXTENDED,
+    REMOTE,
+    Alive,
+    Answer,
+    Configure,
+    DeviceCommand,
+    EmergencyStop,
+    Frame,
+    Received,
+    Status,
+    Sync,
+)
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.rehearsal.wired_drives import WiredDrives
@@ -169,3 +181,83 @@ def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_mean
         assert message.mode == DriveMode.RUN
         given |= dict(zip(message.legs, message.force.tolist(), strict=True))
     assert given == pytest.approx({0: -150.0, 1: -250.0, 2: 50.0, 3: 50.0}, abs=2.0)
+
+
+class Family:
+    """A protocol that keeps what it is given; its frames say for which leg they are."""
+
+    unasked_s = 0.125
+
+    def __init__(self, *messages: Any) -> None:
+        self.messages = messages
+        self.restarts: list[list[int]] = []
+        self.given: list[tuple[Any, ...]] = []
+
+    def power_up(self) -> str:
+        return "just powered up"
+
+    def parse(self, memory: int, _frame: Frame) -> tuple[int, tuple[Any, ...]]:
+        return memory + 1, self.messages
+
+    def answer(self, memory: int, sync: Sync, *given: Any) -> tuple[int, list[tuple[int, Frame]]]:
+        self.given.append((sync.legs, *(None if each is None else each.tolist() for each in given)))
+        return memory + 1, [(leg, Frame(leg, b"")) for leg in range(LEGS)]
+
+    def restarted(self, memory: int, legs: list[int]) -> int:
+        self.restarts.append(legs)
+        return memory + 1
+
+
+CROSSED = Wiring(
+    answers_as=(1, 0, 3, 3, 4, 5),
+    present=(True, True, True, True, False, True),
+    other_protocol=(False, False, False, False, False, True),
+)
+"""Two answer to number 3, nobody to 2; drives 4 and 5 are there in no way."""
+
+
+def wired_to(wiring: Wiring, *messages: Any) -> tuple[WiredDrives, Family]:
+    family: Any = Family(*messages)
+    return WiredDrives(family, wiring, NODES), family
+
+
+@pytest.mark.parametrize("kind", [lambda legs: Sync(9, legs), Alive, EmergencyStop])
+@pytest.mark.parametrize(
+    ("legs", "drives_"), [((0, 1, 2, 3, 4, 5), (0, 1, 2, 3)), ((1,), (0,)), ((3, 5), (2, 3)), ((2, 4), None)]
+)
+def test_a_sync_a_sign_of_life_and_a_stop_reach_who_answers_to_their_numbers(kind, legs, drives_):
+    wired, _ = wired_to(CROSSED, kind(legs))
+    expected = () if drives_ is None else (kind(legs)._replace(legs=drives_),)
+    assert wired.parse(7, Frame(1, b"")) == (8, expected)
+
+
+def test_drives_that_are_wired_right_hear_what_is_said_as_it_is():
+    for wiring in (Wiring(), Wiring(scale=(2.0,) * 6)):
+        messages = (Alive((2, 4)), Configure(3, 0.02, Reaction.HOLD))
+        wired, _ = wired_to(wiring, *messages)
+        assert wired.parse(7, Frame(1, b"")) == (8, messages)
+    wired, _ = wired_to(Wiring(watchdog=(1.0, 1.0, 1.0, 2.0, 1.0, 1.0)), Configure(3, 0.02, Reaction.HOLD))
+    assert wired.parse(7, Frame(1, b""))[1] == (Configure(3, 0.04, Reaction.HOLD),)
+
+
+def test_drives_that_start_anew_are_those_of_their_numbers_and_memory_and_period_are_the_familys():
+    wired, family = wired_to(CROSSED)
+    assert (wired.unasked_s, wired.power_up()) == (0.125, "just powered up")
+    memory: Any = 7
+    assert wired.restarted(memory, [0, 2, 3]) == 8
+    assert family.restarts == [[1, 3, 3]]
+
+
+def test_what_a_drive_measures_and_its_fault_stand_at_the_number_that_it_answers_to():
+    figures = [10.0 * k + np.arange(6.0) for k in range(1, 4)]
+    state, fault = np.arange(6), 6 - np.arange(6)
+    for given in ((*figures, state), (*figures, state, fault)):
+        wired, family = wired_to(CROSSED)
+        memory: Any = 7
+        memory, answers = wired.answer(memory, Sync(9, (0, 2, 4)), *given)
+        assert memory == 9
+        assert [(drive, frame.id) for drive, frame in answers] == [(0, 1), (2, 3)]
+        for (drive, number), (legs, *seen) in zip(((0, 1), (2, 3)), family.given, strict=True):
+            assert legs == (number,)
+            of_it = [None if each is None else each[number] for each in seen]
+            assert of_it == [each[drive] for each in given] + [None] * (5 - len(given))

@@ -8,7 +8,7 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
 from plant_fmu.faults.bus import BusFlood
 from plant_fmu.faults.drive import DriveReset, DriveSilence
-from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.encoder import EncoderJump, EncoderNoise
 from plant_fmu.faults.fault import NEVER_NS
 from plant_fmu.faults.frames import FramesDelay, FramesLoss, FramesOld
 from plant_fmu.faults.gateway import Gateway
@@ -94,3 +94,21 @@ def test_a_plan_of_which_nothing_is_said_has_the_seed_0_and_the_gravity_of_the_e
         draws.append([len(schedule.carry(0, Frame(1, b""), to_drives=True)) for _ in range(64)])
     assert draws[0] == draws[1]
     assert 0 < sum(draws[0]) < 64
+
+
+def test_each_fault_draws_from_its_own_chance_and_goes_on_with_it_after_others():
+    noises = [EncoderNoise(leg=0, sigma_m=1.0), EncoderNoise(leg=0, sigma_m=1.0)]
+    schedule = Schedule(FaultPlan([DriveSilence(leg=1, for_s=1e-3), *noises]), 0)
+    first, then = ([draw for _, _, draw in schedule.present(t_ns).noise] for t_ns in (0, 2 * MS))
+    assert first[0] is not first[1]
+    assert all(now is before for now, before in zip(then, first, strict=True))
+    assert first[0].random() != first[1].random()
+
+
+def test_each_fault_remembers_the_frames_that_have_reached_it_and_no_others():
+    schedule = Schedule(FaultPlan([FramesOld(back=1), FramesOld(back=1)]), 0)
+    found = []
+    for k in range(2):
+        frames = schedule.carry(0, Frame(5, bytes([k])), to_drives=True)
+        found.append([(frame.data[0], foreign) for _, frame, foreign in frames])
+    assert found == [[(0, False)], [(1, False), (0, True), (0, True), (1, True)]]

@@ -10,7 +10,7 @@ from plant_fmu.faults.bus import BusFlood
 from plant_fmu.faults.drive import DriveReset, DriveSilence
 from plant_fmu.faults.encoder import EncoderJump, EncoderNoise
 from plant_fmu.faults.fault import NEVER_NS
-from plant_fmu.faults.frames import FramesDelay, FramesLoss, FramesOld
+from plant_fmu.faults.frames import FramesDelay, FramesLoss, FramesOld, FramesReorder
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
@@ -112,3 +112,12 @@ def test_each_fault_remembers_the_frames_that_have_reached_it_and_no_others():
         frames = schedule.carry(0, Frame(5, bytes([k])), to_drives=True)
         found.append([(frame.data[0], foreign) for _, frame, foreign in frames])
     assert found == [[(0, False)], [(1, False), (0, True), (0, True), (1, True)]]
+
+
+def test_a_frame_that_waits_for_the_next_one_to_the_drives_is_not_freed_by_one_from_them():
+    gateway = Gateway(Schedule(FaultPlan([FramesReorder()]), 0), LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), 0)
+    frames = [Frame(9, bytes([k])) for k in range(3)]
+    assert gateway.hear([Received(0, frames[0])], 0) == []
+    assert gateway.send([(0, frames[1])]) == []
+    assert gateway.hear([Received(MS, frames[2])], MS) == [Received(MS, frames[2]), Received(MS, frames[0])]
+    assert gateway.send([(MS, frames[2])]) == [(MS, frames[2]), (MS, frames[1])]

@@ -288,6 +288,9 @@ def test_a_sample_enters_the_bus_its_latency_after_its_instant_and_one_of_the_la
         assert [t for t, frame in sent if frame.id == identifier] == [t for t in due if t <= 10 * MS]
 
 
+AT_ONCE = TrackerEmulation(latency_ms=0.0, position_noise_m=0.0, orientation_noise_deg=0.0)
+
+
 def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation = EXACT) -> SensedNodes:
     protocol = SensorProtocol(BusSettings(), settings)
     args = (plant, DRIVES, DriveEmulation(), DriveSettings(), None)
@@ -333,3 +336,41 @@ def test_before_the_plant_has_moved_an_imu_measures_its_weight_alone_at_the_firs
         (first,) = readings.imu
         assert first.values[3:] == pytest.approx(rotation(0.0).T @ [0.0, 0.0, 9.81], abs=2.5e-3)
         nodes.step(t0_ns + 50 * MS, [])
+
+
+@pytest.mark.parametrize("cycles", [(9, 5), (5, 9)])
+def test_syncs_that_are_handed_over_together_in_any_order_stamp_as_those_of_one_step_each(cycles):
+    syncs = [
+        Received(at_ms * MS, DRIVES.begin(None, cycle)[0])
+        for at_ms, cycle in zip((1, 3), cycles, strict=True)
+    ]
+    apart = sensed(Mover())
+    apart.start(0)
+    expected = [sent for each in syncs for sent in apart.step(each.t_ns, [each])] + apart.step(6 * MS, [])
+    assert sum(frame.id in {0x407, 0x488, 0x509} for _, frame in expected) > 5
+    for received in (syncs, syncs[::-1]):
+        together = sensed(Mover())
+        together.start(0)
+        assert together.step(6 * MS, received) == expected
+
+
+def test_a_tracker_alone_measures_where_the_plant_is_at_each_instant_of_a_long_step():
+    """At 5, 10, 15 and 20 ms, of which the last three are stamped by the SYNC at 7 ms."""
+    settings = SensorSettings(tracker=TrackerSettings())
+    nodes, protocol = (
+        sensed(Mover(), settings, EXACT.model_copy(update={"tracker": AT_ONCE})),
+        SensorProtocol(BusSettings(), settings),
+    )
+    nodes.start(0)
+    nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    sent = nodes.step(20 * MS, [Received(7 * MS, DRIVES.begin(None, 1)[0])])
+    assert [t for t, frame in sent if frame.id == 0x702] == [round(100 * MS / 6)], "the drives' heartbeats"
+    readings = protocol.decode([Received(*each) for each in sent], 1, Readings())
+    assert [(each.tick, round(1e3 * each.offset_s)) for each in readings.tracker] == [
+        (0, 5),
+        (1, 3),
+        (1, 8),
+        (1, 13),
+    ]
+    for at, each in zip((5e-3, 10e-3, 15e-3, 20e-3), readings.tracker, strict=True):
+        assert each.values[:3] == pytest.approx(position(at), abs=0.6e-6)

@@ -163,3 +163,46 @@ def test_the_token_changes_with_each_source_and_with_what_is_made_of_the_table(m
             tokens.add(builder.token(version))
     assert len(tokens) == 1 + len(files), "the same change, by the program that makes it"
     assert builder.token(version) in tokens
+
+
+def test_a_compiler_has_a_minute_to_say_its_version_and_ten_to_compile(monkeypatch, tmp_path):
+    limits: list[float] = []
+
+    def run(*_: Any, timeout: float, **__: Any) -> Any:
+        limits.append(timeout)
+        raise subprocess.TimeoutExpired("cc", timeout)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert builder._identity(CC, "--version") is None
+    with pytest.raises(PlantError, match="for linux-x86_64 has not ended after 600 s"):
+        builder._compile(CC_FOUND, "linux-x86_64", tmp_path, ["a.c"])
+    assert limits == [60, 600]
+
+
+def test_of_what_a_compiler_says_the_last_2000_signs_are_told(monkeypatch, tmp_path):
+    said = "x" * 10 + "y" * 2000
+    answer = SimpleNamespace(returncode=3, stderr=f"  {said}\n ")
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: answer)
+    with pytest.raises(PlantError) as told:
+        builder._compile(CC_FOUND, "linux-x86_64", tmp_path, ["a.c"])
+    first, command, rest = str(told.value).split("\n")
+    assert first == "compiling the plant for linux-x86_64 failed with exit code 3:"
+    assert command.startswith("/usr/bin/cc -O2 ")
+    assert rest == "y" * 2000
+
+
+def test_machines_that_a_binary_can_be_made_for_are_told_by_system_and_processor(monkeypatch):
+    machines = {
+        ("linux", "x86_64"): "linux-x86_64",
+        ("linux", "aarch64"): "linux-aarch64",
+        ("win32", "AMD64"): "windows-x86_64",
+        ("darwin", "arm64"): "darwin-aarch64",
+        ("darwin", "x86_64"): "darwin-x86_64",
+    }
+    for (system, machine), key in machines.items():
+        monkeypatch.setattr(sys, "platform", system)
+        monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
+        assert builder.this_machine() == key
+    monkeypatch.setattr("platform.machine", lambda: "riscv64")
+    with pytest.raises(PlantError, match="can be built for darwin-riscv64; allowed are linux-x86_64, "):
+        builder.this_machine()

@@ -199,3 +199,13 @@ def test_noise_is_added_to_the_lengths_of_its_legs_as_it_is_drawn():
     Reading().spoil(present, 0, length, rate)
     np.testing.assert_allclose(length, [1.0, 1.022, 1.0, 1.0, 1.006, 1.0], rtol=1e-15)
     assert not rate.any()
+
+
+def test_a_watchdog_that_ends_with_a_step_strikes_in_the_next_however_short_that_is():
+    rig = Rig()
+    rig.run()
+    rig.at(10 * MS)
+    assert rig.states == [DriveState.RUN] * 6
+    sent = rig.at(10 * MS + 1)
+    assert rig.states == [DriveState.FAULT] * 6
+    assert [(t, frame.data[0]) for t, frame in sent] == [(10 * MS, DriveState.FAULT)] * 6

@@ -94,6 +94,8 @@ def test_what_would_take_us_down_becomes_an_error(tmp_path, code, word):
         host.step(FORCE, OPEN, OPEN, 1e-3)
     assert host._process.poll() is not None
     host.close()
+    with pytest.raises(PlantError, match=word):
+        host.step(FORCE, OPEN, OPEN, 1e-3)
 
 
 @pytest.mark.parametrize("status", [-7, 9])

@@ -6,6 +6,7 @@ import contextlib
 import os
 import resource
 import stat
+import subprocess
 import zipfile
 from collections.abc import Callable
 from io import BytesIO
@@ -113,6 +114,46 @@ def test_what_a_child_did_or_why_it_refused_crosses_to_the_parent_with_its_memor
     assert attempted(failing(MemoryError())) == (None, "no memory is left for the FMU's process (True)")
     with pytest.raises(ZeroDivisionError):
         attempted(failing(ZeroDivisionError()))
+
+
+@pytest.mark.parametrize(("most_kB", "told_kB"), [(1001, 1001), (1000, 0), (999, 0)])
+def test_the_memory_of_a_process_that_died_is_known_where_it_exceeds_what_it_began_with(
+    monkeypatch, most_kB, told_kB
+):
+    for status, code in ((7 << 8, 7), (9, -9), (0, 0)):
+        ended = (321, status, SimpleNamespace(ru_maxrss=most_kB))
+        monkeypatch.setattr(os, "wait4", lambda pid, _, ended=ended: ended if pid == 321 else None)
+        host: Any = SimpleNamespace(_process=SimpleNamespace(pid=321), _most_here_kB=1000)
+        assert child.ChildHost._died(host) == (code, told_kB)
+        assert host._process.returncode == code
+
+
+def test_a_process_that_cannot_be_started_leaves_nothing_open_and_would_not_have_written_to_our_output(
+    monkeypatch,
+):
+    asked: dict[str, Any] = {}
+
+    def refuse(module: str, *arguments: str, **options: Any) -> None:
+        asked.update(options, module=module, arguments=arguments)
+        assert Path(arguments[-1]).is_dir()
+        raise OSError("no more of them")
+
+    monkeypatch.setattr(child, "start", refuse)
+    before = sorted(Path("/proc/self/fd").iterdir())
+    with pytest.raises(PlantError, match=r"a\.fmu: no child process for the FMU: no more of them"):
+        child.ChildHost(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
+    assert sorted(Path("/proc/self/fd").iterdir()) == before
+    *given, parent, folder = asked["arguments"]
+    assert (asked["module"], int(parent), Path(folder).exists()) == (
+        "plant_fmu.fmu.child",
+        os.getpid(),
+        False,
+    )
+    assert tuple(map(int, given)) == asked["pass_fds"]
+    assert len(set(given)) == 4
+    assert (asked["stdin"], asked["stdout"]) == (subprocess.DEVNULL, 2), "its output is our errors'"
+    assert asked["start_new_session"] is True
+    assert asked["environment"] == {"TMPDIR": folder}
 
 
 class Instance:

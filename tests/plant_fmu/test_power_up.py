@@ -7,8 +7,8 @@ import pytest
 
 from drivers.config import DriveSettings
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Configure, Received, Status
-from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.protocol import Received
+from drivers.signals import Command, DriveFault, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.kernels import NEVER_NS
@@ -91,20 +91,3 @@ def test_two_frames_are_heard_in_the_order_of_their_times():
     sent = rig.nodes.step(4 * MS, [Received(3 * MS, off), Received(2 * MS, ready)])
     assert [t for t, frame in sent if frame.id == 0x701] == [2 * MS]
     assert rig.states == [DriveState.READY] * 6, "the second has the counter of the first"
-
-
-def test_each_heartbeat_says_state_fault_and_set_up_of_its_own_drive():
-    """Leg 0 is not set up; the others are READY until their watchdogs end, in ms: 5, 50, 20, 300, 10."""
-    rig = Rig()
-    sets = [
-        Configure(leg, 1e-3 * ms, Reaction(leg % 4)) for leg, ms in enumerate((1, 5, 50, 20, 300, 10)) if leg
-    ]
-    sent = rig.at(0, *[rig.protocol.configure(each.watchdog_s, each.reaction)[each.leg] for each in sets])
-    sent += rig.command(0, DriveMode.READY) + rig.at(99 * MS)
-    ready, over = (DriveState.READY, DriveFault.NONE), (DriveState.FAULT, DriveFault.WATCHDOG)
-    said = ((DriveState.BOOT, DriveFault.NONE), over, ready, over, ready, over)
-    for leg, (state, fault) in enumerate(said):
-        beats = [frame for t, frame in sent if t == round(leg * 100 * MS / 6) and frame.id == 0x701 + leg]
-        status = Status(leg, state, fault, sets[leg - 1] if leg else None, True)
-        _, expected = rig.protocol.report(rig.protocol.power_up(), status)
-        assert beats == list(expected), leg

@@ -1,0 +1,91 @@
+"""What drives say by themselves and when they are asked: each for itself, at its instant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivers.config import DriveSettings
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import Alive, Answer, Configure, Frame, Received, Status, Sync
+from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.drive import DriveSilence
+from plant_fmu.faults.plan import FaultPlan
+from tests.plant_fmu.test_nodes import MS, Masses, Rig
+
+
+def test_each_heartbeat_says_state_fault_and_set_up_of_its_own_drive():
+    """Leg 0 is not set up; the others are READY until their watchdogs end, in ms: 5, 50, 20, 300, 10."""
+    rig = Rig()
+    sets = [
+        Configure(leg, 1e-3 * ms, Reaction(leg % 4)) for leg, ms in enumerate((1, 5, 50, 20, 300, 10)) if leg
+    ]
+    sent = rig.at(0, *[rig.protocol.configure(each.watchdog_s, each.reaction)[each.leg] for each in sets])
+    sent += rig.command(0, DriveMode.READY) + rig.at(99 * MS)
+    ready, over = (DriveState.READY, DriveFault.NONE), (DriveState.FAULT, DriveFault.WATCHDOG)
+    said = ((DriveState.BOOT, DriveFault.NONE), over, ready, over, ready, over)
+    for leg, (state, fault) in enumerate(said):
+        beats = [frame for t, frame in sent if t == round(leg * 100 * MS / 6) and frame.id == 0x701 + leg]
+        status = Status(leg, state, fault, sets[leg - 1] if leg else None, True)
+        _, expected = rig.protocol.report(rig.protocol.power_up(), status)
+        assert beats == list(expected), leg
+
+
+class Unasked(LegsProtocol):
+    """Drives that each say what they measure every 6 ms."""
+
+    unasked_s = 6e-3
+
+    def answer(self, memory: Any, sync: Sync, *given: Any) -> tuple[Any, list[tuple[int, Frame]]]:
+        memory, frames = super().answer(memory, sync, *given)
+        return memory, [(leg, frame) for leg, frame in frames if leg in sync.legs]
+
+
+@pytest.mark.parametrize("t0_ns", [0, 7 * MS + 3])
+def test_drives_that_speak_unasked_do_so_one_sixth_of_their_period_after_the_other_from_the_first_on(t0_ns):
+    protocol = Unasked("fd", (1, 2, 3, 4, 5, 6))
+    nodes = Nodes(Masses(), protocol, DriveEmulation(), DriveSettings())
+    nodes.start(t0_ns)
+    sent = [(t - t0_ns, frame.id) for t, frame in nodes.step(t0_ns + 8 * MS, []) if frame.id < 0x700]
+    assert sent == [(k * MS, 0x281 + (k - 1) % 6) for k in range(1, 9)]
+
+
+class Asked(LegsProtocol):
+    """Drives that know two frames more: a sign of life, and a request that one of them answers."""
+
+    def parse(self, memory: Any, frame: Frame) -> tuple[Any, tuple[Any, ...]]:
+        if frame.id == 0x7FE:
+            return memory, (Alive(tuple(frame.data)),)
+        if frame.id == 0x7FF:
+            return memory, (Answer(frame.data[0], Frame(0x6A0 + frame.data[0], b"here")),)
+        return super().parse(memory, frame)
+
+
+def test_a_sign_of_life_feeds_the_watchdogs_of_those_that_it_is_for():
+    rig = Rig()
+    rig.protocol = Asked("fd", (1, 2, 3, 4, 5, 6))
+    rig.nodes = Nodes(rig.plant, rig.protocol, DriveEmulation(), DriveSettings())
+    rig.nodes.start(0)
+    rig.configure()
+    rig.command(0, DriveMode.READY)
+    rig.at(6 * MS, Frame(0x7FE, bytes((1, 4))))
+    rig.at(12 * MS)
+    over, ready = DriveState.FAULT, DriveState.READY
+    assert rig.states == [over, ready, over, over, ready, over]
+    rig.at(17 * MS)
+    assert rig.states == [over] * 6
+
+
+def test_a_request_is_answered_by_its_drive_at_its_instant_unless_that_is_silent():
+    protocol = Asked("fd", (1, 2, 3, 4, 5, 6))
+    for mute in range(6):
+        nodes = Nodes(
+            Masses(), protocol, DriveEmulation(), DriveSettings(), FaultPlan([DriveSilence(leg=mute)])
+        )
+        nodes.start(0)
+        asked = [Received(MS + leg, Frame(0x7FF, bytes((leg,)))) for leg in range(6)]
+        sent = [(t, frame) for t, frame in nodes.step(2 * MS, asked) if frame.id < 0x700]
+        assert sent == [(MS + leg, Frame(0x6A0 + leg, b"here")) for leg in range(6) if leg != mute]

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from plant_fmu.fmu import call as fmu_call
-from plant_fmu.fmu.call import DONE, INPUTS_REFUSED, INTERRUPTED, NOT_FINITE, STEP_REFUSED
+from plant_fmu.fmu.call import (
+    DONE,
+    INPUTS_REFUSED,
+    INTERRUPTED,
+    NOT_FINITE,
+    OUTPUT_NOT_FINITE,
+    OUTPUTS_REFUSED,
+    STEP_REFUSED,
+)
 
 INSTANCE = 0x1234
 ERROR = 3
@@ -21,7 +29,8 @@ class Functions:
     def __init__(self, *, counted: bool) -> None:
         self.sets: list[list[float]] = []
         self.steps: list[tuple[float, float]] = []
-        self.set_status = self.step_status = 0
+        self.set_status = self.get_status = self.step_status = 0
+        self.measured = [float(k) for k in range(1, 13)]
         self.flagged: int | None = None
         """Which of DoStep's flags the next steps set."""
         self.given: set[tuple[int, ...]] = set()
@@ -59,8 +68,8 @@ class Functions:
 
     def _get(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
         self.given.add((instance, references, count, *sizes))
-        (ct.c_double * 12).from_address(values)[:] = [float(k) for k in range(1, 13)]
-        return 0
+        (ct.c_double * 12).from_address(values)[:] = self.measured
+        return self.get_status
 
     def _step(self, instance: int, t_s: float, dt_s: float, never_back: int, *places: int) -> int:
         self.given.add((instance, never_back, *places))
@@ -121,3 +130,29 @@ def test_a_step_whose_simulation_ended_or_that_returned_early_was_interrupted_an
     fmu.flagged = flag
     assert fmu.exchange(1.0, 2.0) == ended
     assert fmu.flags.tolist() == [k == flag for k in range(3)]
+
+
+@pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
+def test_a_warning_is_a_success_of_each_call_and_any_other_status_but_0_a_refusal(counted):
+    for name, refused in (
+        ("set_status", INPUTS_REFUSED),
+        ("step_status", STEP_REFUSED),
+        ("get_status", OUTPUTS_REFUSED),
+    ):
+        for status, ended in ((1, DONE), (2, refused), (5, refused), (-1, refused), (-(2**31), refused)):
+            fmu = Functions(counted=counted)
+            setattr(fmu, name, status)
+            assert fmu.exchange(1.0, 2.0) == ended, (name, status)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_each_length_rate_and_input_has_to_be_finite(value):
+    for place in range(12):
+        fmu = Functions(counted=True)
+        fmu.measured[place] = value
+        assert fmu.exchange(1.0, 2.0) == OUTPUT_NOT_FINITE
+        given, six = [np.ones(6), np.ones(6)], np.ones(6)
+        given[place // 6][place % 6] = value
+        memory = fmu.inputs, fmu.held, fmu.outputs, fmu.flags
+        ended, _ = fmu_call.exchange(fmu.call, given[0], six, given[1], 0.0, 0.25, *memory)
+        assert ended == NOT_FINITE

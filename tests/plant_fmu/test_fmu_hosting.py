@@ -268,6 +268,23 @@ def test_files_and_folders_are_taken_and_every_other_kind_is_refused():
             checked_members(listing(member(external_attr=(kind | 0o644) << 16)), FMU)
 
 
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        *((name, "its path leaves the archive") for name in ("/a", "../a", "a/../b", "a/..", ".", "./", "")),
+        *(
+            (name, "a backslash, a colon or a zero byte")
+            for name in ("a\\b", "\\", "C:a", "a:", "a\0b", "\0")
+        ),
+    ],
+)
+def test_a_name_that_leads_elsewhere_or_means_something_else_elsewhere_is_refused(bad, said):
+    for good in ("a", "a/b", "a..b", "..a", "a/.b", "a b", "\u00e4"):
+        assert checked_members(listing(member(good)), FMU)
+    with pytest.raises(PlantError, match=said):
+        checked_members(listing(member("a"), member(bad)), FMU)
+
+
 @pytest.mark.parametrize("size", [0, 1, 1_048_575, 1_048_576, 1_048_577, 2_500_000])
 def test_a_member_is_unpacked_whole_and_never_beyond_what_its_header_says(tmp_path, size):
     data = bytes(range(251)) * (size // 251 + 1)

@@ -1,0 +1,158 @@
+"""Unpacking an FMU: which members are taken, under which names, and that no byte more is written than announced."""
+
+from __future__ import annotations
+
+import contextlib
+import lzma
+import stat
+import zipfile
+import zlib
+from io import BytesIO
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.errors import PlantError
+from plant_fmu.fmu.archive import checked_members, extract, read_member
+
+FMU = Path("a.fmu")
+
+
+def member(name: str = "resources/a", **changes: Any) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name)
+    info.CRC = 0
+    for key, value in changes.items():
+        setattr(info, key, value)
+    return info
+
+
+def listing(*members: zipfile.ZipInfo, data: bytes = b"") -> Any:
+    return SimpleNamespace(infolist=lambda: list(members), open=lambda _: contextlib.closing(BytesIO(data)))
+
+
+def test_an_encrypted_member_is_refused_and_other_flags_are_not():
+    assert checked_members(listing(member(flag_bits=0x80E)), FMU)
+    for flags in (1, 0x801):
+        with pytest.raises(PlantError, match="it is encrypted"):
+            checked_members(listing(member(flag_bits=flags)), FMU)
+
+
+def test_files_and_folders_are_taken_and_every_other_kind_is_refused():
+    for kind in (0, stat.S_IFREG, stat.S_IFDIR):
+        assert checked_members(listing(member(external_attr=(kind | 0o644) << 16)), FMU)
+    for kind in (stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFBLK, stat.S_IFSOCK):
+        with pytest.raises(PlantError, match="it is a link or a special file"):
+            checked_members(listing(member(external_attr=(kind | 0o644) << 16)), FMU)
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        *((name, "its path leaves the archive") for name in ("/a", "../a", "a/../b", "a/..", ".", "./", "")),
+        *(
+            (name, "a backslash, a colon or a zero byte")
+            for name in ("a\\b", "\\", "C:a", "a:", "a\0b", "\0")
+        ),
+    ],
+)
+def test_a_name_that_leads_elsewhere_or_means_something_else_elsewhere_is_refused(bad, said):
+    for good in ("a", "a/b", "a..b", "..a", "a/.b", "a b", "\u00e4"):
+        assert checked_members(listing(member(good)), FMU)
+    with pytest.raises(PlantError, match=said):
+        checked_members(listing(member("a"), member(bad)), FMU)
+
+
+@pytest.mark.parametrize("size", [0, 1, 1_048_575, 1_048_576, 1_048_577, 2_500_000])
+def test_a_member_is_unpacked_whole_and_never_beyond_what_its_header_says(tmp_path, size):
+    data = bytes(range(251)) * (size // 251 + 1)
+    said = member(file_size=size, compress_size=size)
+    extract(listing(said, data=data[:size]), FMU, tmp_path / "right")
+    assert (tmp_path / "right/resources/a").read_bytes() == data[:size]
+    with pytest.raises(PlantError, match="'resources/a' is larger than its header says"):
+        extract(listing(said, data=data[: size + 1]), FMU, tmp_path / "wrong")
+    assert (tmp_path / "wrong/resources/a").stat().st_size <= size
+
+
+class Packed(BytesIO):
+    """A member that notes how much of it is asked for at once."""
+
+    asked: list[int]
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self.asked.append(-1 if size is None else size)
+        return super().read(size)
+
+
+def test_a_member_is_read_in_parts_of_a_mib_at_most_whatever_its_size(tmp_path):
+    size = 3_000_000
+    packed = Packed(bytes(size))
+    packed.asked = []
+    said = member(file_size=size, compress_size=size)
+    archive: Any = SimpleNamespace(infolist=lambda: [said], open=lambda _: contextlib.closing(packed))
+    extract(archive, FMU, tmp_path)
+    assert len(packed.asked) >= 3
+    assert min(packed.asked) > 0
+    assert max(packed.asked) <= 1_048_576
+
+
+def test_folders_are_made_once_wherever_they_are_listed(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
+        for name in ("x/y/", "x/y/a", "x/", "x/b", "p/q/r", "p/q/s"):
+            archive.writestr(name, name.encode() * (not name.endswith("/")))
+    with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
+        extract(archive, FMU, tmp_path / "out")
+    found = {p.relative_to(tmp_path / "out").as_posix(): p for p in (tmp_path / "out").rglob("*")}
+    assert {name for name, p in found.items() if p.is_dir()} == {"x", "x/y", "p", "p/q"}
+    files = {name: p.read_bytes() for name, p in found.items() if p.is_file()}
+    assert files == {name: name.encode() for name in ("x/y/a", "x/b", "p/q/r", "p/q/s")}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        *(zipfile.BadZipFile("no"), zlib.error("no"), lzma.LZMAError("no"), OSError("no"), EOFError("no")),
+        *(ValueError("no"), RuntimeError("no"), NotImplementedError("no")),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_a_member_that_cannot_be_read_is_named_with_the_reason(tmp_path, error):
+    def broken(_: object) -> None:
+        raise error
+
+    archive: Any = SimpleNamespace(infolist=lambda: [member()], open=broken, read=broken)
+    with pytest.raises(PlantError, match=r"a\.fmu: member 'resources/a' cannot be unpacked: no"):
+        extract(archive, FMU, tmp_path)
+    with pytest.raises(PlantError, match=r"a\.fmu: x\.xml is damaged: no"):
+        read_member(archive, "x.xml", FMU)
+
+
+def test_a_member_that_is_not_there_is_missing():
+    with zipfile.ZipFile(BytesIO(), "w") as archive:
+        archive.writestr("x.xml", b"text")
+        assert read_member(archive, "x.xml", FMU) == b"text"
+        with pytest.raises(PlantError, match=r"a\.fmu: not an FMU: y\.xml is missing"):
+            read_member(archive, "y.xml", FMU)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "same"),
+    [
+        (("a", 7, 3), ("a", 7, 3), True),
+        (("a/", 0, 0), ("a/", 0, 0), True),
+        (("a/", 0, 0), ("A/", 0, 0), True),
+        (("a", 7, 3), ("A", 7, 3), False),
+        (("a", 7, 3), ("a", 8, 3), False),
+        (("a", 7, 3), ("a", 7, 4), False),
+        (("a", 0, 0), ("a/", 0, 0), False),
+        (("a/", 0, 0), ("a", 0, 0), False),
+    ],
+)
+def test_a_name_may_be_listed_twice_for_the_same_file_or_a_folder_alone(first, second, same):
+    both = [member(name, CRC=crc, file_size=size) for name, crc, size in (first, second)]
+    if same:
+        assert checked_members(listing(*both), FMU) == both[:1]
+        return
+    with pytest.raises(PlantError, match="its name occurs twice"):
+        checked_members(listing(*both), FMU)

@@ -172,9 +172,11 @@ def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(e
     for far in (1e6, -1e6):
         lengths[3] = far
         assert compared(entries, 50, q=lengths).largest == pytest.approx(1.0, rel=1e-4)
-    lengths[3] = entries[50].row["q"][3] + 0.5
-    allowed = 0.5 / max(1.0, lengths[3])
-    assert compared(entries, 50, q=lengths).largest == pytest.approx(allowed, rel=1e-9)
+    own = float(entries[50].row["q"][3])
+    for recorded, unit in ((own + 0.5, own + 0.5), (1.25, 1.25), (0.75, 1.0), (0.0, 1.0), (-1.25, 1.25)):
+        lengths[3] = recorded
+        difference = abs(recorded - own) / unit
+        assert compared(entries, 50, q=lengths).largest == pytest.approx(difference, rel=1e-9)
 
 
 def test_the_largest_of_all_differences_is_kept_and_an_integer_has_no_small_one(entries):
@@ -238,6 +240,8 @@ def test_a_tick_whose_sent_frames_are_gone_is_a_difference_that_can_be_printed(e
     verdict = replay(Edited(edited, 60), virtual())
     (difference,) = verdict.first
     assert str(difference).startswith("tick 50: sent frames: recorded (), replayed (Frame(")
+    assert (verdict.different_ticks, verdict.wire_different_ticks, verdict.largest) == (1, 1, 0.0)
+    assert not verdict.equivalent
 
 
 def test_a_log_that_its_run_did_not_close_may_end_too_early_and_says_so(log, tmp_path):

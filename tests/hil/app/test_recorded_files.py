@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from hil.app.compose import REFERENCE_CSV
+from drivers.errors import LogError
+from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
 from hil.app.configuration.configuration import load
-from hil.app.recorded_files import attached
+from hil.app.recorded_files import attached, with_attachments
+from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
+from hil.control.state_space import StateSpaceSettings
 
 VIRTUAL = load("virtual")
 SAMPLED = VIRTUAL.model_copy(update={"reference": SampledReference(type="sampled", path="my.csv")})
@@ -25,6 +29,42 @@ def test_a_full_disk_of_temporary_files_is_in_the_way_of_no_configuration_that_n
         assert found is VIRTUAL
     with pytest.raises(OSError, match="No space"), attached(SAMPLED, {REFERENCE_CSV: b""}):
         pass
+
+
+NAMING: Any = {
+    REFERENCE_CSV: ("reference", "path", SAMPLED.reference),
+    CONTROLLER_FILE: (
+        *("controller", "controller_file"),
+        StateSpaceSettings(law="state_space", controller_file="my.csv"),
+    ),
+    FEEDFORWARD_CSV: ("feedforward", "file", FeedforwardSettings(file="my.csv", limit_N=1000.0)),
+}
+
+
+@pytest.mark.parametrize("name", NAMING)
+def test_each_file_that_a_log_carries_takes_the_place_of_the_named_one_and_no_other_is_written(
+    tmp_path, monkeypatch, name
+):
+    section, key, settings = NAMING[name]
+    naming = VIRTUAL.model_copy(update={section: settings})
+    monkeypatch.chdir(tmp_path)
+    Path("files").mkdir()
+    found = with_attachments(naming, {each: each.encode() for each in NAMING}, Path("files"))
+    path = tmp_path / "files" / name
+    assert getattr(found, section) == settings.model_copy(update={key: str(path)})
+    assert getattr(naming, section) == settings
+    assert path.read_bytes() == name.encode()
+    assert [each.name for each in Path("files").iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", NAMING)
+def test_a_file_that_a_log_lacks_is_named_by_its_key_and_its_attachment(tmp_path, name):
+    section, key, settings = NAMING[name]
+    naming = VIRTUAL.model_copy(update={section: settings})
+    files = {each: b"" for each in NAMING if each != name}
+    with pytest.raises(LogError, match=rf"a file in {section}\.{key}, .* \(attachment {name}\)"):
+        with_attachments(naming, files, tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_a_log_carries_is_there_while_it_is_needed_and_gone_afterwards():

@@ -228,3 +228,10 @@ def test_a_rate_and_a_watchdog_have_a_largest_value_that_is_allowed_itself(opene
     for value in (too_much, "0", "nan", "inf", ""):
         with pytest.raises(LogError, match=rf"a.mcap: .* has {key}: .*, at most "):
             opened(open_run, **{key: value})
+
+
+def test_a_what_if_is_told_apart_from_other_kinds_and_named_by_the_log_that_it_is_on(opened):
+    with pytest.raises(LogError, match=r"a.mcap: holds a what-if on 'day.mcap', no run: .* that log itself"):
+        opened(replay_log, kind="what-if", what_if_of="day.mcap")
+    with pytest.raises(LogError, match="holds a what-if on 'a log', no run"):
+        opened(replay_log, kind="what-if")

@@ -109,6 +109,23 @@ def test_a_log_on_which_the_code_itself_fails_is_one_failed_case(folder, monkeyp
     monkeypatch.setattr(replay_suite, "replay_log", fail)
     case = replay_case(folder / "below" / "good.mcap")
     assert (case.verdict, case.text) == ("fail", "ValueError: a bell \\x07 in its name")
+    assert case.summary == {}
+
+
+def test_a_log_that_cannot_be_replayed_is_a_failed_case_without_figures_that_took_its_time(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / "gone.mcap"
+    monkeypatch.setattr(
+        replay_suite, "time", SimpleNamespace(perf_counter=iter((5.0, 5.25, 7.0, 7.5)).__next__)
+    )
+    assert replay_case(path) == Case(str(path), "fail", "no such file", {}, 0.25)
+
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(replay_suite, "_replayed", full)
+    assert replay_case(path) == Case(str(path), "fail", "[Errno 28] No space left on device", {}, 0.5)
 
 
 def test_an_interrupt_leaves_the_table_of_what_was_done(folder, monkeypatch):
@@ -255,3 +272,16 @@ def test_the_speed_of_a_suite_is_that_of_all_its_ticks_however_short_it_was(tmp_
     skipped = good._replace(verdict="skipped", summary={})
     found = summary(tmp_path, [good, bad, skipped], wall_s)
     assert (found["ticks"], found["ticks_per_second"]) == (12, speed)
+
+
+def test_a_case_of_junit_says_what_was_found_where_it_first_differs_and_that_it_was_skipped(tmp_path):
+    good = Case(str(tmp_path / "a.mcap"), "pass", "5 ticks", {"first": []}, 0.5)
+    bad = good._replace(
+        log=str(tmp_path / "b" / "b.mcap"), verdict="fail", text="cut", summary={"first": ["q", "tau"]}
+    )
+    plant = good._replace(log=str(tmp_path / "c.mcap"), verdict="skipped", text="no run", summary={})
+    assert [tuple(each) for each in verdicts(tmp_path, [plant, bad, good])] == [
+        (".", "a.mcap", None, "", "5 ticks", 0.5),
+        ("b", "b.mcap", "cut", "q\ntau", "cut", 0.5),
+        (".", "c.mcap", None, "", "skipped: no run", 0.5),
+    ]

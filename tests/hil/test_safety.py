@@ -427,6 +427,7 @@ def test_guard_warns_of_a_lossy_recorder_and_stops_without_one_if_so_configured(
     assert strict.tick(recorder_alive=True, recorder_dropped=9).stop
     assert not strict.tick(Mode.PARKED, recorder_alive=False).stop
     assert Bench().tick(recorder_alive=False).stop is Stop.NONE
+    assert [b.safety.stops_unrecorded for b in (strict, bench, Bench())] == [True, False, False]
 
 
 def test_guard_warns_of_rejected_frames():

@@ -28,3 +28,11 @@ def test_from_a_force_that_came_back_the_next_steps_are_counted() -> None:
     verdict = bench.tick(Mode.HELD, 0.0)
     np.testing.assert_array_equal(verdict.tau, [50.0, -50.0, 49.0, -49.0, 50.0, 0.0])
     assert verdict.warnings & Warn.FORCE_STEP
+
+
+def test_a_force_comes_back_at_once_where_the_window_of_forces_is_a_single_tick_too() -> None:
+    bench = Bench(rate_Hz=1.0)
+    bench.safety.resume(WITHIN)
+    verdict = bench.tick(Mode.HELD, WITHIN)
+    np.testing.assert_array_equal(verdict.tau, WITHIN)
+    assert verdict.warnings == Warn.NONE

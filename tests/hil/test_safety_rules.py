@@ -416,8 +416,8 @@ def asked_for(table, e, de, feed):
 @ON_ONE_LEG
 def test_certificate_the_law_asks_for_what_its_gains_say_inside_its_layer(leg):
     table = watched(K_P=[4, 5, 6, 7, 8, 9], K_D=[1, 2, 3, 1, 2, 3], slope=2.0, steepness=16.0, layer=0.75)
-    linear, asked = asked_for(table, six(0.25, leg), six(0.25, leg), 3.0)
-    expected = six(3.0)
+    linear, asked = asked_for(table, six(0.25, leg), six(0.25, leg), np.arange(3.0, 9.0))
+    expected = np.arange(3.0, 9.0)
     expected[leg] += 0.25 * (4, 5, 6, 7, 8, 9)[leg] + 0.25 * (1, 2, 3, 1, 2, 3)[leg]
     np.testing.assert_array_equal(linear, expected)
     np.testing.assert_array_equal(asked, expected)
@@ -650,6 +650,25 @@ def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_not_ask_for(
     allowed = math.sqrt(0.99 * 600.0 + 0.01 * (8.0 + 15.0) ** 2)
     np.testing.assert_allclose(watch.memory[0, 3], min(G, allowed))
     np.testing.assert_allclose(watch.figures[2], min(G + 0.0245 * 23, allowed) ** 2 + 5 * (0.0245 * 8) ** 2)
+
+
+def test_certificate_a_law_that_is_back_in_its_layer_is_allowed_what_it_did_not_ask_for_before():
+    """At 1 m/s it asked for 40 - 15 m/s^2; at 0.4 m/s, within the layer, the gains make 16 m/s^2 of it."""
+    watch = Watched(noise=0.0, K_P=0.0, P_12=0.0, slope=0.0, steepness=30.0, layer=0.5)
+    watch.tick(1.0)
+    watch.tick(0.4)
+    allowed = 0.99 * 600.0 + 0.01 * (8.0 + 9.0) ** 2
+    np.testing.assert_allclose(watch.figures[2], allowed + 5 * (0.0245 * 8) ** 2)
+
+
+def test_certificate_a_watch_that_starts_takes_the_error_as_it_is_and_breaks_nothing():
+    """A period later W = 24.5 would have to be 24.4 or less."""
+    watch = Watched(noise=0.0, confirm=1.0, K_D=0.0, P_12=0.0)
+    for whole in (True, False):
+        assert not watch.tick(1.0, whole=whole)
+        np.testing.assert_allclose(watch.memory[0, 3], G)
+        np.testing.assert_array_equal(watch.memory[1], np.zeros(6))
+        assert watch.tick(1.0)
 
 
 # -- standstill

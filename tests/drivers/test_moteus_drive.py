@@ -137,6 +137,8 @@ def test_a_drive_is_asked_by_the_last_controller_that_wanted_a_reply():
         (0x7FF & 0x104, FD, True),
         (0x8104, FD | EXTENDED, True),
         (0xFF04, FD | EXTENDED, True),
+        (0xFFFF, FD | EXTENDED, True),
+        (0x7FF, FD, True),
         (0x10104, FD | EXTENDED, False),
         (0x804, FD, False),
         (0x8104, EXTENDED, False),
@@ -151,7 +153,7 @@ def test_a_drive_obeys_a_frame_of_can_fd_whose_identifier_names_it_or_all(identi
     enabled = P.power_up()._replace(enabled=(True,) * 6)
     memory, messages = P.parse(enabled, Frame(identifier, STOP, flags))
     stopped = [leg for leg in range(6) if not memory.enabled[leg]]
-    assert stopped == ([] if not obeyed else [3] if identifier != 0x7F else list(range(6)))
+    assert stopped == ([] if not obeyed else [3] if identifier & 0x7F != 0x7F else list(range(6)))
     assert bool(messages) == obeyed
 
 
@@ -286,7 +288,22 @@ def test_a_command_of_another_is_foreign_of_its_leg_and_of_the_first_where_it_is
     for identifier, leg in ((0x0502, 1), (126, 5), (0x007F, 0), (0xFF7F, 0), (0xFF05, 4)):
         flags = FD | EXTENDED * (identifier > 0x7FF)
         assert P.hear(Frame(identifier, STOP, flags)) == Heard(leg, foreign=True)
+    assert (
+        P.hear(Frame(0xFFFF, STOP, FD | EXTENDED)) == P.hear(Frame(0x7FF, STOP, FD)) == Heard(0, foreign=True)
+    )
     assert P.hear(Frame(0x10002, STOP, FD | EXTENDED)) is None
+    for flags in (0, BRS, FD | REMOTE, FD | ERROR, FD | BUS, FD | EXTENDED):
+        assert P.hear(Frame(2, STOP, flags)) is None
+
+
+def test_a_reply_over_eleven_bits_is_extended_from_the_first_such_identifier_on():
+    nodes = (7, 8, 3, 4, 5, 6)
+    protocol = MoteusProtocol(nodes, 0, Reaction.DAMP, 2.0, UNLIKE)
+    for leg, identifier, right, wrong in ((0, 0x700, FD, FD | EXTENDED), (1, 0x800, FD | EXTENDED, FD)):
+        heard = protocol.hear(reply()._replace(id=identifier, flags=right))
+        assert heard is not None
+        assert (heard.leg, heard.feedback) == (leg, True)
+        assert protocol.hear(reply()._replace(id=identifier, flags=wrong)) is None
 
 
 def test_only_a_drive_that_ran_and_says_that_it_is_off_is_stopped_in_run():

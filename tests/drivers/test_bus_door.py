@@ -1,0 +1,312 @@
+"""The door to one bus: what is refused, lost, off or an error, each counted once, with a clock that stands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivers.can import bus as door
+from drivers.can.bus import Bus
+from drivers.can.collect import collect
+from drivers.can.error_frames import ErrorClass, read_error
+from drivers.can.link_group import LinkGroup
+from drivers.can.no_controller import NoController
+from drivers.clock import Clock
+from drivers.config import BusSettings
+from drivers.errors import BusError
+from drivers.protocol import BUS, ERROR, Frame, Received
+from drivers.signals import BusState
+
+PAIR = (Frame(1, b"a"), Frame(2, b"b"))
+WRONG = Received(5, Frame(0x80, b"", ERROR))
+GOOD = Received(6, Frame(0x80, b"x"))
+
+
+class Standing(Clock):
+    """Time that a test sets."""
+
+    t_ns = 1_000
+
+    def now(self) -> int:
+        return self.t_ns
+
+
+class Scripted(NoController):
+    """A link that takes so many frames and has these ones, a list a look; a wait takes a millisecond."""
+
+    facts, knows_ends, virtual, off, overflow = "facts", True, True, False, 0
+
+    def __init__(self, clock: Standing, *looks: list[Received]) -> None:
+        self.clock, self.takes, self.looks, self.blocked = clock, 2, list(looks), list[Any]()
+        self.calls: list[str] = []
+        self.state = BusState.UNKNOWN
+
+    def send(self, frames: Any) -> int:
+        self.calls.append("send")
+        return min(self.takes, len(frames))
+
+    def receive(self) -> list[Received]:
+        return self.looks.pop(0) if self.looks else []
+
+    def block(self, deadline_ns: int, missing: Any) -> None:
+        self.blocked.append((deadline_ns, set(missing)))
+        self.clock.t_ns += 1_000_000
+
+    def worst_state(self) -> BusState:
+        return self.state
+
+    def died(self) -> None:
+        self.calls.append("died")
+
+    def flush_tx(self) -> None:
+        self.calls.append("flush")
+
+    def sent_ns(self) -> list[int]:
+        return [7, 8]
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+def one(*looks: list[Received]) -> tuple[Bus, Any, Standing]:
+    clock = Standing()
+    link: Any = Scripted(clock, *looks)
+    return Bus(link), link, clock
+
+
+def test_what_the_bus_does_not_take_is_counted_and_nothing_is_not_sent():
+    bus, link, clock = one()
+    for takes, refused in ((2, 0), (1, 1), (0, 2)):
+        link.takes = takes
+        assert bus.send(PAIR) == refused
+    link.calls.clear()
+    clock.t_ns += 50_000_000
+    assert bus.send(()) == 0
+    assert link.calls == []
+    assert bus.events().off == 0
+
+
+def test_a_bus_that_takes_nothing_for_50_ms_is_off_until_it_takes_a_frame():
+    bus, link, clock = one()
+    link.takes = 0
+    bus.send(PAIR)
+    for later_ns, off in ((30_000_000, 0), (19_999_999, 0), (1, 1), (1, 1)):
+        clock.t_ns += later_ns
+        bus.send(PAIR)
+        assert bus.events().off == off
+    link.takes = 1
+    bus.send(PAIR)
+    assert bus.events().off == 0
+    link.takes = 0
+    clock.t_ns += 50_000_000
+    bus.send(PAIR)
+    assert bus.events().off == 0, "refused for no time"
+
+
+def test_a_bus_that_goes_off_drops_what_waits_once_each_time():
+    bus, link, _ = one()
+    for off, state, seen, dropped in (
+        (False, BusState.PASSIVE, 0, 0),
+        (True, BusState.PASSIVE, 1, 1),
+        (True, BusState.ACTIVE, 1, 1),
+        (False, BusState.ACTIVE, 0, 1),
+        (False, BusState.OFF, 1, 2),
+    ):
+        link.off, link.state = off, state
+        events = bus.events()
+        assert (events.off, events.state) == (seen, state)
+        assert link.calls.count("died") == dropped
+
+
+def test_error_frames_and_losses_are_counted_since_the_last_look_and_error_frames_are_not_returned():
+    bus, link, _ = one([WRONG, GOOD, WRONG], [WRONG], [])
+    link.overflow = 4
+    assert bus.drain_now() == [GOOD]
+    assert bus.events() == (2, 0, 4, BusState.UNKNOWN)
+    assert bus.drain_now() == []
+    link.overflow = 7
+    assert bus.events() == (1, 0, 3, BusState.UNKNOWN)
+    assert bus.events() == (0, 0, 0, BusState.UNKNOWN)
+
+
+def test_what_is_awaited_ends_the_wait_and_else_the_deadline():
+    bus, link, clock = one([], [WRONG], [GOOD], [Received(9, Frame(0x81, b""))])
+    deadline = clock.t_ns + 10_000_000
+    assert bus.drain(deadline, {0x80, 0x81}) == [GOOD, Received(9, Frame(0x81, b""))]
+    assert link.blocked == [(deadline, {0x80, 0x81})] * 2 + [(deadline, {0x81})]
+    link.blocked.clear()
+    assert bus.drain(deadline, set()) == []
+    assert link.blocked == []
+    assert bus.drain(deadline, {0x80}) == []
+    assert clock.t_ns == deadline
+    link.looks = [[GOOD]]
+    assert bus.drain(clock.t_ns, {0x99}) == [GOOD], "what is there at the deadline"
+
+
+def test_anything_ends_a_wait_for_anything_but_an_error_frame_alone():
+    bus, link, clock = one([], [WRONG], [], [GOOD], [GOOD])
+    deadline = clock.t_ns + 10_000_000
+    assert bus.wait(deadline) == [GOOD]
+    assert link.blocked == [(deadline, set())] * 2
+    assert link.looks == [[GOOD]]
+    link.looks, clock.t_ns = [[WRONG], [GOOD]], deadline
+    assert bus.wait(deadline) == []
+    assert link.looks == [[GOOD]], "the deadline is over"
+    link.looks = []
+    assert bus.wait(deadline) == []
+    link.looks = [[WRONG, GOOD]]
+    assert collect(link, deadline) == [WRONG, GOOD]
+
+
+def test_what_the_link_says_of_itself_is_handed_on():
+    bus, link, clock = one()
+    assert (bus.facts, bus.knows_ends, bus.virtual, bus.clock) == ("facts", True, True, clock)
+    assert (list(bus.sent_ns()), bus.skew_ns()) == ([7, 8], 0)
+    bus.flush_tx()
+    assert link.calls == ["flush"]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_role_is_given_back_when_the_link_is_left_whatever_becomes_of_it(fails):
+    class Role:
+        def close(self) -> None:
+            link.calls.append("role")
+
+    clock = Standing()
+    link: Any = Scripted(clock)
+
+    def fail() -> None:
+        raise OSError("gone")
+
+    if fails:
+        link.close = fail
+        with pytest.raises(OSError, match="gone"), Bus(link, Role()):  # type: ignore[arg-type]
+            pass
+    else:
+        with Bus(link, Role()):  # type: ignore[arg-type]
+            pass
+    assert link.calls == (["role"] if fails else ["close", "role"])
+
+
+# several
+
+
+def several(count: int) -> tuple[LinkGroup, list[Any], Standing]:
+    clock = Standing()
+    links: list[Any] = [Scripted(clock) for _ in range(count)]
+    return LinkGroup(links), links, clock
+
+
+def test_each_bus_is_off_by_its_own_refusals_for_50_ms_and_by_no_others():
+    group, links, clock = several(3)
+    links[1].takes = 0
+    frames = [Frame(1, b"", BUS * bus) for bus in range(3)]
+    assert group.send(frames) == 2
+    clock.t_ns += 20_000_000
+    links[2].takes = 0
+    assert group.send(frames) == 1
+    for later_ns, bits in ((29_999_999, 0b000), (1, 0b010), (19_999_999, 0b010), (1, 0b110)):
+        clock.t_ns += later_ns
+        assert (group.off_bits, group.off) == (bits, bits != 0)
+    links[1].takes = 1
+    group.send(frames)
+    assert group.off_bits == 0b100
+    group.send(frames[:1])
+    assert group.off_bits == 0b100, "a bus that is sent nothing is as it was"
+
+
+def test_buses_that_all_take_nothing_are_all_off_and_the_skew_is_that_of_their_sends():
+    group, links, clock = several(2)
+    bus = Bus(group)
+    for link in links:
+        link.takes = 0
+    frames = [Frame(1, b""), Frame(1, b"", BUS)]
+    bus.send(frames)
+    clock.t_ns += 50_000_000
+    bus.send(frames)
+    assert bus.events().off == 0b11
+    assert [link.calls.count("died") for link in links] == [1, 1]
+    ends = iter((30, 75))
+    for link in links:
+        link.first_sent_ns = lambda: next(ends)
+    assert bus.skew_ns() == 45
+
+
+def test_facts_of_several_buses_are_those_that_are_known():
+    group, links, _ = several(3)
+    links[0].facts, links[1].facts, links[2].facts = "a", "", "c"
+    assert group.facts == "a; c"
+
+
+def test_what_is_missing_is_awaited_on_the_first_bus_where_some_of_it_was_heard_last():
+    group, links, _ = several(3)
+    links[1].looks = [[Received(3, Frame(7, b"")), Received(9, Frame(8, b""))]]
+    links[2].looks = [[Received(5, Frame(9, b"")), Received(6, Frame(7, b""))]]
+    found = [(each.t_ns, each.frame.id, each.frame.bus) for each in group.receive()]
+    assert found == [(3, 7, 1), (5, 9, 2), (6, 7, 2), (9, 8, 1)]
+    group.block(99, {7, 8, 9})
+    group.block(99, {7, 9})
+    assert [link.blocked for link in links] == [[], [(99, {8})], [(99, {7, 9})]]
+
+
+# options
+
+
+@pytest.mark.parametrize(
+    ("value", "taken"),
+    [(0, True), (10_000, True), (2.5, True)] + [(v, False) for v in (-1, 10_001, "9", True, None)],
+)
+def test_a_number_of_the_options_is_0_to_10000(value, taken):
+    settings = BusSettings(interface="localcan", channel="t").model_copy(
+        update={"options": {"spin_us": value}}
+    )
+    if taken:
+        assert door._number(settings, "spin_us", 50.0) == value
+        assert door._number(settings, "tx_limit", 64) == 64.0
+        return
+    with pytest.raises(
+        BusError, match=rf"bus.options.spin_us: a number from 0 to 10000 is allowed, not {value!r}"
+    ):
+        door._number(settings, "spin_us", 50.0)
+
+
+def test_options_that_an_interface_does_not_have_are_named_with_those_that_it_has():
+    settings = BusSettings(interface="localcan", channel="t", options={"spin": 1, "b": 2, "tx_limit": 3})
+    with pytest.raises(
+        BusError, match=r"bus.options: b, spin unknown for localcan; allowed: spin_us, tx_limit$"
+    ):
+        Bus.open(settings, "listener")
+    with pytest.raises(
+        BusError, match=r"bus.options: b, spin, tx_limit unknown for localcan; allowed: none$"
+    ):
+        door._refuse_options(settings, set())
+
+
+# error frames
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data", "state", "overflow", "counters"),
+    [
+        (0x040, "", BusState.OFF, False, None),
+        (0x044, "0040", BusState.OFF, False, None),
+        (0x004, "0010", BusState.PASSIVE, False, None),
+        (0x004, "0020", BusState.PASSIVE, False, None),
+        (0x004, "002c", BusState.PASSIVE, False, None),
+        (0x004, "0004", BusState.WARNING, False, None),
+        (0x004, "0008", BusState.WARNING, False, None),
+        (0x004, "0040", BusState.ACTIVE, False, None),
+        (0x100, "", BusState.ACTIVE, False, None),
+        (0x104, "0010", BusState.PASSIVE, False, None),
+        (0x004, "0001", BusState.UNKNOWN, True, None),
+        (0x004, "0002", BusState.UNKNOWN, False, None),
+        (0x008, "0031", BusState.UNKNOWN, False, None),
+        (0x204, "0000000000007f80", BusState.UNKNOWN, False, (127, 128)),
+        (0x200, "00", BusState.UNKNOWN, False, (0, 0)),
+        (0x080, "", BusState.UNKNOWN, False, None),
+    ],
+)
+def test_an_error_frame_says_state_overflow_and_counters(identifier, data, state, overflow, counters):
+    report = read_error(Frame(identifier | 0x400, bytes.fromhex(data), ERROR))
+    assert report == (ErrorClass(identifier), state, overflow, counters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
@@ -42,6 +43,8 @@ def test_a_reply_of_another_length_or_of_a_node_of_nobody_cannot_be_trusted(name
         heard = protocol.hear(Frame(19 if name == "damiao" else 0, data))
         assert heard is not None
         assert heard.broken == (size not in sizes), size
+        told = (heard.power, heard.fault) == (None if name != "damiao" or heard.broken else OFF, 0)
+        assert told, "no fault and no more than that"
         assert heard.leg == (0 if name != "damiao" and heard.broken else 2)
     other = protocol.hear(Frame(19 if name == "damiao" else 0, bytes((6, *bytes(sizes[-1] - 1)))))
     assert other == Heard(2 if name == "damiao" else 0, broken=True)
@@ -177,3 +180,24 @@ def test_a_damiao_is_named_in_a_register_request_by_two_bytes():
     assert [leg(b"\4\1"), leg(b"\4"), leg(b"")] == [(), (), ()]
     assert [leg(b"", node) for node in (4, 6)] == [(3,), ()]
     assert VARIANTS["cubemars"].addressed(Frame(0x7FF, b"\4\0")) == ()
+
+
+def test_what_a_torque_field_carries_is_truncated_to_its_twelve_bits():
+    torque = np.array([10.0, -20.0, 30.0, 0.0, 143.0, -144.0])
+    expected = np.floor((torque + 144.0) / STEP_Nm) * STEP_Nm - 144.0
+    for protocol in VARIANTS.values():
+        np.testing.assert_allclose(protocol.coded(torque), expected, rtol=0, atol=1e-9)
+
+
+def test_a_step_of_each_field_is_what_a_reading_is_off_by():
+    tau, per_turn = 2 * np.pi, np.abs(UNLIKE.m_per_turn)
+    length, rate, force, differences = DAMIAO.resolution(250.0)
+    np.testing.assert_allclose(length, 191.0 / 65535 / tau * per_turn, rtol=1e-12)
+    np.testing.assert_allclose(rate, 800.0 / 4095 / tau * per_turn, rtol=1e-12)
+    np.testing.assert_allclose(force, STEP_Nm * np.abs(UNLIKE.N_per_Nm), rtol=1e-12)
+    assert differences is False
+
+
+def test_a_request_for_a_register_of_a_damiao_is_another_controllers_and_other_variants_have_none():
+    assert DAMIAO.hear(Frame(0x7FF, bytes(8))) == Heard(0, foreign=True)
+    assert VARIANTS["cubemars"].exchanges(DriveSetup(0.05, Reaction.BRAKE, 250.0)) == ((),) * 6

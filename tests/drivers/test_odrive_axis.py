@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import ProtocolError
+from drivers.errors import ConfigurationError, ProtocolError
 from drivers.identity import Said
 from drivers.motor_drives import MotorMemory
 from drivers.odrive import ODriveProtocol
@@ -21,13 +21,14 @@ from drivers.protocol import (
     Answer,
     Configure,
     DeviceMessage,
+    DriveSetup,
     EmergencyStop,
     Frame,
     Rejected,
     Status,
     Sync,
 )
-from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.drives_end import command, plain
 from tests.drivers.spoken_drives import UNLIKE
 
@@ -274,3 +275,54 @@ def test_a_tick_is_six_polls_six_torques_and_six_estimates():
     assert P.feedback_ids == {node << 5 | 9 for node in NODES}
     assert [P.awaited(frame) for frame in polls + torques] == [-1] * 12
     assert [P.awaited(frame) for frame in estimates] == [node << 5 | 9 for node in NODES]
+
+
+def test_an_axis_is_asked_again_where_it_says_late_enough_that_its_loop_is_open_and_it_never_ran():
+    said, asked = (30, 19, 30, 31, 30, 30), (20, 10, 20, 20, 21, 20)
+    power = (DriveState.OFF, DriveState.OFF, DriveState.RUN, DriveState.OFF, DriveState.OFF, DriveState.OFF)
+    start = P.start(DriveSetup(0.05, Reaction.BRAKE, 250.0))
+    known = start._replace(
+        mode=int(DriveMode.RUN),
+        said=said,
+        asked=asked,
+        power=tuple(map(int, power)),
+        ran=(False,) * 5 + (True,),
+    )
+    dialogue, frames = P.command(known, Command(DriveMode.RUN, np.zeros(6)), 40)
+    closed = [frame.id >> 5 for frame in frames if frame.id & 0x1F == 0x07]
+    assert closed == [NODES[0], NODES[3]]
+    assert dialogue.asked == (40, 10, 20, 40, 21, 20)
+    kinds = [frame.id & 0x1F for frame in frames]
+    assert kinds == [0x07, 0x0E, 0x0E, 0x0E, 0x07, 0x0E, 0x0E, 0x0E]
+
+
+def test_when_run_is_over_an_axis_counts_as_enabled_until_it_says_otherwise():
+    off, run, fault = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
+    start = P.start(DriveSetup(0.05, Reaction.BRAKE, 250.0))
+    power = (off, run, fault, int(DriveState.BOOT), off, off)
+    for before in DriveMode:
+        for after in DriveMode:
+            known = start._replace(mode=int(before), power=power)
+            dialogue, _ = P.command(known, Command(after, np.zeros(6)), 40)
+            left = before == DriveMode.RUN != after
+            assert dialogue.power == ((run, run, fault, 0, run, run) if left else power)
+
+
+@pytest.mark.parametrize(("heartbeat_s", "ticks"), [(None, 76), (0.001, 2), (0.0, 2), (0.0041, 4)])
+def test_an_axis_is_unknown_after_three_heartbeats_that_did_not_come_and_two_ticks_at_least(
+    heartbeat_s, ticks
+):
+    more = () if heartbeat_s is None else (heartbeat_s,)
+    protocol = ODriveProtocol(NODES, 0.05, UNLIKE, *more)
+    assert protocol.start(DriveSetup(0.05, Reaction.BRAKE, 251.0)).patience_ticks == ticks
+    assert protocol.torque_limit == 1e4
+
+
+@pytest.mark.parametrize("node", [-1, 0, 62, 63])
+def test_a_node_number_is_0_to_62(node):
+    nodes = (1, 2, 3, node, 5, 6)
+    if node in (0, 62):
+        assert ODriveProtocol(nodes, 0.05, UNLIKE).emergency_stop()[3].id == node << 5 | 2
+        return
+    with pytest.raises(ConfigurationError, match=rf"drives.node_ids\[3\]: .* 0 to 62, given: {node}"):
+        ODriveProtocol(nodes, 0.05, UNLIKE)

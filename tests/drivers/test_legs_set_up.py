@@ -1,0 +1,312 @@
+"""The own protocol's set-up: who is sent a CONFIG and when, what confirms it, and what is said to be lacking."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.legs.protocol import LegsDialogue, LegsProtocol
+from drivers.legs.several import LegsOnBuses
+from drivers.protocol import (
+    ALL_LEGS,
+    BUS,
+    ERROR,
+    EXTENDED,
+    REMOTE,
+    Configure,
+    DriveSetup,
+    Frame,
+    Received,
+    Rejected,
+    Status,
+    Sync,
+    run_of,
+)
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.tick_columns import Record, new_record
+from tests.drivers.drives_end import reports
+
+NODES = (127, 20, 30, 40, 50, 1)
+P = LegsProtocol("fd", NODES, 32_000.0)
+SETUP = DriveSetup(0.0125, Reaction.HOLD, 250.0)
+BOOT, OFF, READY, RUN, FAULT = DriveState
+
+
+def status(leg: int, state: int = OFF, protocol: LegsProtocol = P, **other: Any) -> Frame:
+    """Return the heartbeat of a drive that holds the set-up, or another."""
+    holds = Configure(leg, 0.0125, Reaction.HOLD)._replace(**other)
+    return reports(protocol, Status(leg, state, DriveFault.NONE, holds))[0]
+
+
+def bare(leg: int) -> Frame:
+    """Return the heartbeat of a drive that was never set up."""
+    return reports(P, Status(leg, OFF, DriveFault.NONE))[0]
+
+
+def told(dialogue: LegsDialogue, *frames: Frame) -> LegsDialogue:
+    tick = new_record()
+    tick["tick"] = 1
+    return P.decode(dialogue, run_of([Received(5, each) for each in frames]), new_record(), tick)
+
+
+def at(number: int, age: Any = 0, state: Any = OFF) -> Record:
+    tick = new_record()
+    tick["tick"], tick["age"], tick["drive_state"] = number, age, state
+    return tick
+
+
+def begun(**fields: Any) -> LegsDialogue:
+    return P.start(SETUP)._replace(**fields)
+
+
+def test_a_dialogue_begins_with_drives_that_were_sent_nothing_and_have_said_nothing():
+    start = P.start(SETUP)
+    assert (start.sent, start.confirmed, start.said) == ((0,) * 6, 0, (-1,) * 6)
+    assert start.configure == P.configure(0.0125, Reaction.HOLD)
+    assert [start.expected[2 * leg : 2 * leg + 2] for leg in range(6)] == [
+        status(leg).data[2:4] for leg in range(6)
+    ]
+
+
+@pytest.mark.parametrize(("rate_Hz", "ticks"), [(50.0, 6), (325.0, 6), (330.0, 7), (400.0, 8), (1000.0, 20)])
+def test_each_drive_has_its_turn_every_20_ms_and_every_sixth_tick_at_most(rate_Hz, ticks):
+    dialogue = P.start(SETUP._replace(rate_Hz=rate_Hz))
+    turns = [[f.id - 0x600 for f in P.set_up(dialogue, at(k, state=BOOT))[1]] for k in range(2 * ticks)]
+    assert turns == [[node] for node in NODES] + [[]] * (ticks - 6) + [[node] for node in NODES] + [[]] * (
+        ticks - 6
+    )
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_drive_is_sent_its_config_by_its_own_state_age_and_number_of_tries(leg):
+    def sends(state: int, age: int = 0, sent: int = 0, confirmed: int = 0) -> bool:
+        states, ages, tries = ([9] * 6 for _ in range(3))
+        states[leg], ages[leg], tries[leg] = state, age, sent
+        dialogue = begun(sent=tuple(tries), confirmed=confirmed << leg)
+        after, frames = P.set_up(dialogue, at(leg + 6, ages, states))
+        assert frames in ((), (dialogue.configure[leg],))
+        assert after == dialogue._replace(sent=tuple(9 if k != leg else sent + len(frames) for k in range(6)))
+        return bool(frames)
+
+    assert [sends(BOOT, age, 99, 1) for age in (0, 1, 2)] == [True, True, False]
+    assert [sends(OFF, 0, sent) for sent in (0, 9, 10)] == [True, True, False]
+    assert [sends(OFF, 0, sent, 1) for sent in (0, 1)] == [True, False]
+    assert [sends(state) for state in (READY, RUN, FAULT)] == [False, False, True]
+
+
+def test_a_drive_is_set_up_when_it_was_sent_its_config_and_has_confirmed_it():
+    assert P.legs_set_up(begun(sent=(0, 1, 0, 1, 2, 0), confirmed=0b011011)) == (
+        False,
+        True,
+        False,
+        True,
+        True,
+        False,
+    )
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_status_confirms_the_set_up_of_its_drive_alone_and_takes_it_back(leg):
+    mine = 1 << leg
+    dialogue = told(begun(), status(leg))
+    assert dialogue.confirmed == mine
+    assert [each != -1 for each in dialogue.said] == [k == leg for k in range(6)]
+    for other in (
+        status(leg, BOOT),
+        status(leg, watchdog_s=0.013),
+        status(leg, reaction=Reaction.DAMP),
+        bare(leg),
+    ):
+        after = told(begun(confirmed=0b111111), other)
+        assert after.confirmed == 0b111111 - mine
+        assert after.said[leg] == int.from_bytes(other.data[2:4], "little")
+
+
+def test_what_a_drive_said_last_of_its_set_up_is_kept_of_whole_statuses_alone():
+    first, second = status(2, watchdog_s=0.02), status(2, watchdog_s=0.03)
+    heard = told(begun(), first, second, status(4, watchdog_s=0.02)).said
+    assert heard[2] == int.from_bytes(second.data[2:4], "little")
+    assert [each == -1 for each in heard] == [True, True, False, True, False, True]
+    spoiled = [second._replace(flags=flags) for flags in (EXTENDED, REMOTE, ERROR, BUS)]
+    spoiled += [
+        second._replace(data=second.data[:4]),
+        second._replace(data=bytes(5)),
+        second._replace(id=0x702),
+    ]
+    assert told(begun(), first, *spoiled).said[2] == int.from_bytes(first.data[2:4], "little")
+
+
+def test_each_drive_lacks_what_its_checksum_tells():
+    other_leg = LegsProtocol("fd", NODES, 32_000.0, slots=(0, 1, 2, 5, 4, 3))
+    statuses = {
+        0: status(0),
+        2: status(2, reaction=Reaction.DAMP),
+        3: status(3, protocol=other_leg),
+        4: bare(4),
+        5: status(5, watchdog_s=0.02),
+    }
+    dialogue = told(begun(sent=(1, 0, 1, 2, 3, 4)), *statuses.values())
+    number = int.from_bytes(statuses[5].data[2:4], "little")
+    expected = int.from_bytes(dialogue.expected[10:12], "little")
+    several = (
+        f"its checksum is 0x{number:04X}, not 0x{expected:04X}, and fits no other reaction, leg or version alone: "
+        "watchdog (sent: 12.5 ms), rated force (drives.force_limit_N: 32000 N) or several values differ"
+    )
+    assert P.set_up_lacks(dialogue) == (
+        "",
+        "it was sent no CONFIG",
+        "its checksum is that of reaction damp, sent was hold",
+        "its checksum is that of leg 6, sent was 4",
+        "it reports no set-up: it has accepted no CONFIG",
+        several,
+    )
+    unheard = "no status of it was heard that confirms one of {} CONFIG"
+    assert P.set_up_lacks(begun(sent=(1, 2, 3, 4, 5, 6)))[3] == unheard.format(4)
+    taken_back = told(dialogue, status(0, BOOT))
+    assert P.set_up_lacks(taken_back)[0] == unheard.format(1), "the right checksum, and it is in boot"
+
+
+def test_a_drive_of_another_version_of_the_protocol_is_named_by_it():
+    older = LegsProtocol("fd", NODES, 32_000.0)
+    for version in (0, 1, 7):
+        older._version = version
+        dialogue = told(begun(sent=(1,) * 6), status(1, protocol=older))
+        assert (
+            P.set_up_lacks(dialogue)[1]
+            == f"its checksum is that of version of the protocol {version}, sent was 2"
+        )
+
+
+@pytest.mark.parametrize("watchdog_s", [0.0, 4e-7, 4294.9673, float("nan"), float("inf"), -1.0])
+def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
+    with pytest.raises(
+        ProtocolError, match=r"does not fit into CONFIG: 0\.000001 to 4294\.967295 s are allowed"
+    ):
+        P.configure(watchdog_s, Reaction.HOLD)
+    for fits in (6e-7, 4294.967295):
+        (message,) = P.parse(0, P.configure(fits, Reaction.HOLD)[2])[1]
+        assert message == Configure(2, pytest.approx(fits if fits > 1 else 1e-6), Reaction.HOLD)
+
+
+# what it says of itself
+
+
+def test_the_own_protocol_has_its_traits():
+    assert (P.command_delay_ticks, P.set_up_frames, P.reset_ticks, P.power_told) == (0, 1, 5, "feedback")
+    assert {P.stop_latches, P.force_on_brakes, P.has_watchdog, P.answers_name_sync, P.latches_together} == {
+        True
+    }
+    assert (P.shares_identifiers, P.unasked_s, P.dangers, P.reactions) == (False, 0.0, (), tuple(Reaction))
+    assert P.reported_lengths() is None
+    assert P.fault_text(3) == ""
+    force = np.arange(6.0)
+    assert P.carried(None, force) is force
+    assert P.restarted(7, (1,)) == 7
+
+
+@pytest.mark.parametrize(
+    ("layout", "steps"),
+    [("classic", (5e-8, 5e-5, 1.0)), ("fd", (5e-8, 5e-8, 5e-4)), ("ideal", (0.0, 0.0, 0.0))],
+)
+def test_a_rounded_field_is_off_by_half_a_step(layout, steps):
+    found = LegsProtocol(layout, NODES, 32_000.0).resolution(250.0)
+    for values, step in zip(found, steps, strict=False):
+        np.testing.assert_allclose(values, step, rtol=1e-12)
+
+
+def test_frames_concern_the_legs_of_their_identifiers():
+    config, feedback = P.configure(0.0125, Reaction.HOLD), [Frame(0x280 + node, b"") for node in NODES]
+    assert [P.addressed(each) for each in config] == [(leg,) for leg in range(6)]
+    assert P.addressed(P.begin(None, 0)[0]) == P.addressed(P.emergency_stop()[0]) == ALL_LEGS
+    assert [P.sender(each) for each in (*feedback, *map(status, range(6)))] == [*range(6), *range(6)]
+    assert P.sender(config[0]) == -1
+    assert P.feedback_ids == {each.id for each in feedback}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ((1, 2, 3, 4, 5), r"6 different ones, given: \[1, 2, 3, 4, 5\]"),
+        ((1, 2, 3, 4, 5, 5), "6 different ones"),
+        ((1, 2, 0, 4, 5, 6), r"node_ids\[2\]: .* at least 1 and at most 127, given: 0"),
+        ((128, 2, 3, 4, 5, 6), r"node_ids\[0\]: .* given: 128"),
+    ],
+)
+def test_nodes_are_six_different_ones_of_1_to_127(nodes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        LegsProtocol("fd", nodes)
+
+
+@pytest.mark.parametrize("rated_N", [0.000999, 0.001, 4294967.295, 4294967.296])
+def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
+    if 0.001 <= rated_N <= 4294967.295:
+        assert LegsProtocol("fd", NODES, rated_N).rated_force_N == rated_N
+        return
+    text = "drives.force_limit_N: out of range for protocol legs, allowed: 0.001 to 4294967.295, given: "
+    with pytest.raises(ConfigurationError, match=text):
+        LegsProtocol("fd", NODES, rated_N)
+
+
+# what drives refuse
+
+
+def test_drives_say_why_they_refuse_a_frame():
+    command = P.command(None, Command(DriveMode.RUN, np.zeros(6)), 7)[1][0]
+    sync = P.begin(None, 7)[0]
+    for frame, present, reason in (
+        (sync, 7, "repeated SYNC"),
+        (sync._replace(data=sync.data[:1]), 0, "length or CRC of SYNC"),
+        (sync._replace(data=b"\7\0"), 0, "length or CRC of SYNC"),
+        (command._replace(data=command.data[:24]), 7, "command of 24 bytes"),
+        (command, 8, "command 7 while the present SYNC is 8"),
+        (command, -1, "command 7 while the present SYNC is -1"),
+        (P.configure(0.0125, Reaction.HOLD)[2]._replace(data=bytes(9)), 7, "length or CRC of CONFIG"),
+    ):
+        assert P.parse(present, frame) == (present, (Rejected(reason),))
+    assert P.parse(6, sync) == (7, (Sync(7),))
+    other = LegsProtocol("fd", NODES, 32_000.0)
+    other._version = 3
+    text = "CONFIG of version 3 of the protocol, this drive has 2"
+    assert P.parse(0, other.configure(0.0125, Reaction.HOLD)[2])[1] == (Rejected(text),)
+    other = LegsProtocol("fd", NODES, 32_000.0, slots=(0, 1, 5, 3, 4, 2))
+    text = "CONFIG with watchdog 12500 us, reaction 2, leg 6"
+    assert P.parse(0, other.configure(0.0125, Reaction.HOLD)[2])[1] == (Rejected(text),)
+
+
+# on several buses
+
+
+def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_them():
+    protocol = LegsOnBuses("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
+    force = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    _, frames = protocol.command(None, Command(DriveMode.RUN, force), 7)
+    assert [frame.bus for frame in frames] == [0, 1]
+    memory = protocol.power_up()
+    for frame in protocol.begin(None, 7):
+        memory, _ = protocol.parse(memory, frame)
+    found = [protocol.parse(memory, frame)[1][0] for frame in frames]
+    assert [(each.legs, each.force.tolist()) for each in found] == [  # type: ignore[union-attr]
+        ((4, 1), [5.0, 2.0]),
+        ((0, 2, 3, 5), [1.0, 3.0, 4.0, 6.0]),
+    ]
+
+
+def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
+    protocol = LegsOnBuses("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
+    ones = np.ones(6)
+    answers = protocol.answer(protocol.power_up(), Sync(7), ones, ones, ones, np.ones(6, np.int64))[1]
+    assert sorted(leg for leg, _ in answers) == list(range(6))
+    last, tick = new_record(), new_record()
+    tick["tick"] = 7
+    moved = [f._replace(flags=f.flags ^ BUS) if leg in (1, 2) else f for leg, f in answers]
+    strange = Frame(0x7FF, b"", 2 * BUS)
+    for frame, (leg, _) in zip(moved, answers, strict=True):
+        assert protocol.fresh(Received(5, frame), 7, 0) == (leg not in (1, 2))
+    protocol.decode(
+        protocol.start(SETUP), run_of([Received(5, each) for each in (*moved, strange)]), last, tick, 0
+    )
+    assert tick["rejected"] == 3
+    assert [age == 0 for age in tick["age"]] == [leg not in (1, 2) for leg in range(6)]

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError
+from drivers.motor_drives import MotorMemory
 from drivers.motors import Heard, MotorDialogue
-from drivers.protocol import DriveSetup, Frame
-from drivers.signals import NEVER, Command, DriveMode, DriveState, Reaction
+from drivers.protocol import DriveSetup, Frame, Status
+from drivers.signals import NEVER, Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from tests.drivers.spoken_drives import SETUP, UNLIKE, Spoken
 from tests.drivers.test_no_reading import FAMILIES
@@ -255,3 +256,13 @@ def test_turns_without_an_end_name_no_lengths_and_what_a_family_says_of_safety_i
     assert "no frame of these drives works a brake" in brake
     assert watchdog == "nobody watches"
     assert len(FAMILIES["damiao"].dangers) == 1, "its watchdog is set and read back"
+
+
+@pytest.mark.parametrize("name", [name for name in FAMILIES if name != "odrive"])
+def test_drives_that_speak_when_they_are_asked_report_nothing_and_begin_with_nothing_heard(name):
+    memory = FAMILIES[name].power_up()
+    for state in DriveState:
+        assert FAMILIES[name].report(memory, Status(2, state, DriveFault.SENSOR)) == (memory, ())
+    unheard = ((0,) * 6, (False,) * 6, ((),) * 6)
+    assert tuple(memory[:3]) == unheard
+    assert tuple(MotorMemory()) == (*unheard, ((0, ()),) * 6)

@@ -1,0 +1,174 @@
+"""The shared memory of a channel by itself: its timing in one word, its slots, its outboxes, and its border."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.can.bus_time import BitTiming
+from drivers.can.localcan import layout
+from drivers.can.localcan.participant import Participant
+from drivers.can.localcan.wire import Slot, Wire
+from drivers.errors import BusError
+from drivers.protocol import ERROR, EXTENDED, FD, Frame
+
+
+@pytest.fixture
+def wire(tmp_path: Path) -> Iterator[Wire]:
+    made = Wire(tmp_path / "t.wire2")
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize(
+    "rates", [(1, 2), (1_000_000, 5_000_000), ((1 << 31) - 1, (1 << 31) - 1), (500_000, 1)]
+)
+def test_both_rates_and_whether_there_is_can_fd_are_one_word(wire, rates, fd):
+    assert wire.timing is None
+    wire.fix(BitTiming(*rates), fd)
+    assert (wire.timing, wire.fd) == (BitTiming(*rates), fd)
+    wire.fix(BitTiming(7, 9), not fd)
+    assert (wire.timing, wire.fd) == (BitTiming(7, 9), not fd)
+
+
+def test_a_newcomer_has_the_first_empty_slot_and_a_number_that_none_had_before(wire):
+    assert wire.slots() == []
+    serials = []
+    for pid in (11, 12, 13):
+        serials.append(wire.reserve())
+        wire.register(serials[-1], pid)
+    assert serials == [1 * 64 + 0, 2 * 64 + 1, 3 * 64 + 2]
+    assert wire.slots() == [Slot(64, 11), Slot(129, 12), Slot(194, 13)]
+    wire.words[layout.slot_at(129) + layout.SLOT_SERIAL] = 0
+    again = wire.reserve()
+    assert again == 4 * 64 + 1
+    wire.register(again, 14)
+    assert wire.slots() == [Slot(64, 11), Slot(257, 14), Slot(194, 13)]
+
+
+def test_who_takes_a_slot_has_never_been_rung_and_holds_no_time(wire):
+    at = layout.slot_at(wire.reserve())
+    wire.words[at + layout.SLOT_RUNG] = wire.words[at + layout.SLOT_DUE] = 9
+    wire.counted(64, 5)
+    wire.register(64, 11)
+    assert wire.words[at : at + 5].tolist() == [64, 11, 0, 5, 0]
+
+
+def test_each_slot_counts_the_frames_of_its_own_outbox(wire):
+    for serial, frames in ((64, 3), (129, 1 << 40)):
+        wire.counted(serial, frames)
+    assert [wire.count(serial) for serial in (64, 129, 194)] == [3, 1 << 40, 0]
+
+
+def test_the_sixty_fifth_participant_finds_no_room(wire):
+    for index in range(64):
+        wire.words[layout.slot_at(index) + layout.SLOT_SERIAL] = 64 + index
+    wire.words[layout.USED_AT] = 64
+    with pytest.raises(BusError, match=r"^localcan: t\.wire2 has 64 participants, no more fit; close one$"):
+        wire.reserve()
+    wire.words[layout.slot_at(63) + layout.SLOT_SERIAL] = 0
+    assert wire.reserve() % 64 == 63
+
+
+def test_a_new_bus_has_nobody_no_timing_and_no_log(wire):
+    wire.register(wire.reserve(), 11)
+    wire.fix(BitTiming(1, 2), fd=True)
+    wire.words[layout.LOG_AT + layout.LOG - 1] = 7
+    wire.clear()
+    assert (wire.slots(), wire.timing, wire.words[layout.MAGIC_AT]) == ([], None, layout.MAGIC)
+    assert not wire.words[1 : layout.OUTBOX_AT].any()
+
+
+def test_what_is_no_wire_of_this_layout_is_begun_anew_and_a_wire_goes_on(tmp_path):
+    first = Wire(tmp_path / "t.wire2")
+    first.fix(BitTiming(7, 9), fd=True)
+    first.close()
+    second = Wire(tmp_path / "t.wire2")
+    assert second.timing == BitTiming(7, 9)
+    second.words[layout.MAGIC_AT] += 1
+    second.close()
+    third = Wire(tmp_path / "t.wire2")
+    assert third.timing is None
+    third.close()
+
+
+def test_a_frame_is_written_at_its_number_in_its_senders_outbox_which_goes_round(wire):
+    wire.put(64, 3, 10, 11, 12, 64, 0x7FF, 6, 2, b"ab")
+    wire.put(64, 8192 + 4, 20, 21, 22, 64, 0x123, 0, 1, b"c")
+    for place, expected in (
+        (3, (3, -4, 10, 11, 12, 64, 0x7FF, 6, 2)),
+        (4, (8196, -8197, 20, 21, 22, 64, 0x123, 0, 1)),
+    ):
+        start = 8 * (layout.OUTBOX_AT + 15 * place)
+        assert layout.RECORD.unpack_from(wire.memory, start)[:9] == expected
+    assert layout.record_at(129, 5) == layout.OUTBOX_AT + 15 * (8192 + 5)
+    assert layout.outbox_at(64) == layout.outbox_at(640) == layout.OUTBOX_AT
+    assert (layout.slot_at(64), layout.slot_at(129)) == (64, 80)
+
+
+def test_header_slots_log_and_outboxes_lie_one_behind_the_other_in_a_file_of_their_size(wire):
+    assert layout.SLOTS_AT + 64 * 16 <= layout.LOG_AT
+    assert layout.OUTBOX_AT == layout.LOG_AT + 65_536
+    assert (layout.RECORD.size, layout.RECORD_WORDS) == (120, 15)
+    assert wire.path.stat().st_size == 8 * layout.outbox_at(63) + 8 * 15 * 8192 == layout.SIZE
+    assert isinstance(wire.memory, mmap.mmap)
+
+
+# what a participant takes and refuses
+
+
+@pytest.fixture
+def node(runtime: Any) -> Iterator[Participant]:
+    del runtime
+    made = Participant("t", BitTiming(1_000_000, 5_000_000), fd=False)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize(
+    ("identifier", "flags", "fits"),
+    [
+        (0, 0, True),
+        (0x7FF, 0, True),
+        (0x800, 0, False),
+        (-1, 0, False),
+        (0x1FFFFFFF, EXTENDED, True),
+        (0x20000000, EXTENDED, False),
+        (0x7FF, ERROR, True),
+    ],
+)
+def test_an_identifier_fits_its_kind_of_frame(node, identifier, flags, fits):
+    if fits:
+        assert node.send([Frame(identifier, b"", flags)]) == 1
+        return
+    with pytest.raises(BusError, match="does not fit a CAN frame; extended ones need the flag"):
+        node.send([Frame(identifier, b"", flags)])
+
+
+def test_a_classic_bus_takes_no_frame_of_can_fd_and_says_how_it_runs(node):
+    with pytest.raises(BusError, match=r"localcan t is a classic CAN bus: frame 0x12 needs CAN FD"):
+        node.send([Frame(0x12, b"", FD)])
+    assert (node.timing, node.fd) == (BitTiming(1_000_000, 5_000_000), False)
+    text = r"localcan t runs as classic CAN 1000000 bit/s, asked for was {}: use the timing of the others "
+    for rates, fd, asked in (
+        (None, True, r"CAN FD 1000000/5000000 bit/s"),
+        (BitTiming(500_000, 5_000_000), None, r"classic CAN 500000 bit/s"),
+    ):
+        with pytest.raises(BusError, match=text.format(asked) + r"\(processes \d+\) or another channel"):
+            Participant("t", rates, fd=fd)
+    Participant("t", BitTiming(1_000_000, 7), fd=False).close()
+
+
+@pytest.mark.parametrize(("limit", "taken"), [(3, 3), (0, 0), (64, 5)])
+def test_no_more_frames_wait_than_the_limit(runtime, limit, taken):
+    del runtime
+    node = Participant("t", BitTiming(10_000, 10_000), tx_limit=limit)
+    try:
+        assert node.send([Frame(k, bytes(8)) for k in range(5)]) == taken
+    finally:
+        node.close()

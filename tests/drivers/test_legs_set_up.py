@@ -310,3 +310,18 @@ def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     )
     assert tick["rejected"] == 3
     assert [age == 0 for age in tick["age"]] == [leg not in (1, 2) for leg in range(6)]
+
+
+@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
+def test_a_protocol_names_its_layout_and_nodes_and_says_how_large_a_force_may_be(layout):
+    protocol = LegsProtocol(layout, NODES, 32_000.0)
+    assert (protocol.layout, protocol.node_ids, protocol.rated_force_N) == (layout, NODES, 32_000.0)
+    assert (protocol.database[0], "FEEDBACK_FD_1" in protocol.database[1]) == ("legs.dbc", True)
+    span = {
+        "classic": "-32768 to 32766",
+        "fd": r"-2147483\.648 to 2147483\.647",
+        "ideal": "-1000000000 to 1000000000",
+    }
+    text = rf"does not fit layout {layout}: {span[layout]} N are allowed; lower limits\.force_N or choose another"
+    with pytest.raises(ProtocolError, match=text):
+        protocol.command(None, Command(DriveMode.RUN, np.full(6, 1e12)), 0)

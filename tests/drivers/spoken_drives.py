@@ -99,10 +99,10 @@ class Spoken(MotorProtocol):
         last: Record | None = None,
         number: int = 13,
         **fields: Any,
-    ) -> tuple[Record, MotorDialogue]:
+    ) -> tuple[Any, MotorDialogue]:
         """Return a tick and the dialogue after these words; a word with a time comes then, others in time."""
-        timed = [each if type(each) is tuple else (SINCE_NS, each) for each in words]
-        run = run_of([Received(t_ns, self.word(heard)) for t_ns, heard in timed])  # type: ignore[arg-type]
+        timed: list[Any] = [each if type(each) is tuple else (SINCE_NS, each) for each in words]
+        run = run_of([Received(t_ns, self.word(heard)) for t_ns, heard in timed])
         tick = new_record()
         tick["tick"] = number
         for name in ("blind", "rejected", "doubled", "foreign"):

@@ -41,7 +41,13 @@ def drive(**fields: Any) -> Device:
     values = with_value(NEW.values, o.MODE, 10)
     for key, value in fields.pop("objects", {}).items():
         values = with_value(values, key, value)
-    known = {"values": values, "nmt": 5, "state": State.ENABLED, "started": True, "commands": 7}
+    known: dict[str, Any] = {
+        "values": values,
+        "nmt": 5,
+        "state": State.ENABLED,
+        "started": True,
+        "commands": 7,
+    }
     return NEW._replace(**known | fields)
 
 

@@ -48,12 +48,12 @@ def told(
     last: Record | None = None,
     protocol: Cia402Protocol = P,
     **fields: Any,
-) -> tuple[Record, Cia402Dialogue]:
+) -> tuple[Any, Cia402Dialogue]:
     """Return a tick and the dialogue after these frames; one with a time came then, the others in time."""
     timed = [
         Received(*each) if isinstance(each[0], int) and len(each) == 2 else Received(2_000, each)
         for each in frames
-    ]  # type: ignore[arg-type, misc]
+    ]
     tick = new_record()
     tick["tick"], tick["latch_ns"] = 13, [500] * 5 + [800]
     for name in ("blind", "rejected", "doubled", "foreign", "altered"):

@@ -89,7 +89,8 @@ def begun(**fields: Any) -> Cia402Dialogue:
     """Return the dialogue of drives that are set up and enabled."""
     start = P.start(SETUP)
     done = tuple(len(plan) for plan in start.plans)
-    return start._replace(**{"at": done, "states": (int(State.ENABLED),) * 6, "mode": RUN} | fields)
+    known: dict[str, Any] = {"at": done, "states": (int(State.ENABLED),) * 6, "mode": RUN}
+    return start._replace(**known | fields)
 
 
 def sent(

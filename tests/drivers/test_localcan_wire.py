@@ -29,7 +29,7 @@ def wire(tmp_path: Path) -> Iterator[Wire]:
     "rates", [(1, 2), (1_000_000, 5_000_000), ((1 << 31) - 1, (1 << 31) - 1), (500_000, 1)]
 )
 def test_both_rates_and_whether_there_is_can_fd_are_one_word(wire, rates, fd):
-    assert wire.timing is None
+    assert wire.slots() == []
     wire.fix(BitTiming(*rates), fd)
     assert (wire.timing, wire.fd) == (BitTiming(*rates), fd)
     wire.fix(BitTiming(7, 9), not fd)

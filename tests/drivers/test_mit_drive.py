@@ -56,7 +56,7 @@ def torque(code: int) -> Frame:
 @pytest.mark.parametrize("name", VARIANTS)
 def test_a_drive_obeys_torques_from_its_enabling_to_its_disabling_and_answers_every_frame(name):
     def force(code: int) -> float:
-        return (code * STEP_Nm - 144.0) * UNLIKE.N_per_Nm[3]
+        return float((code * STEP_Nm - 144.0) * UNLIKE.N_per_Nm[3])
 
     memory, found = told(
         name,
@@ -240,10 +240,10 @@ def test_state_and_fault_stand_where_each_variant_has_them(fault, cubemars, dami
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_what_is_no_number_is_no_feedback(which):
-    given = [np.ones(6), np.ones(6), np.ones(6)]
+    given: Any = [np.ones(6), np.ones(6), np.ones(6)]
     given[which][3] = np.nan
     with pytest.raises(ProtocolError, match="feedback of leg 3 is not a number"):
-        DAMIAO.answer(DAMIAO.power_up(), Sync(0), *given, np.ones(6, np.int64))
+        DAMIAO.answer(DAMIAO.power_up(), Sync(0), given[0], given[1], given[2], np.ones(6, np.int64))
 
 
 def test_a_drive_that_has_lost_its_encoder_still_says_speed_torque_and_state():

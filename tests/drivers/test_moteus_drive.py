@@ -224,10 +224,10 @@ def test_mode_and_fault_of_an_answer_are_those_of_the_drives_state(state, fault,
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_what_is_no_number_is_no_feedback(which):
-    given = [np.ones(6), np.ones(6), np.ones(6)]
+    given: Any = [np.ones(6), np.ones(6), np.ones(6)]
     given[which][3] = np.inf
     with pytest.raises(ProtocolError, match="feedback of leg 3 is not a number"):
-        P.answer(P.power_up(), Sync(0), *given, np.ones(6, np.int64))
+        P.answer(P.power_up(), Sync(0), given[0], given[1], given[2], np.ones(6, np.int64))
 
 
 # the controller's end

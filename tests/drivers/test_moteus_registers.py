@@ -91,7 +91,7 @@ def test_a_frame_says_its_registers_each_at_its_scale(text, found):
 )
 def test_what_is_commanded_has_the_scale_of_what_is_read_and_a_time_its_own(register, width, scale):
     number = struct.pack("<" + "bhif"[width], 3)
-    found = registers(bytes((WRITE | width << 2 | 1, register)) + number, WRITE)
+    found: Any = registers(bytes((WRITE | width << 2 | 1, register)) + number, WRITE)
     assert found == {register: pytest.approx(3 * scale, rel=1e-12)}
 
 

@@ -126,10 +126,8 @@ def test_a_blind_late_answer_makes_no_leg_fresh():
 
 
 def test_of_a_late_answer_and_one_in_time_the_one_in_time_counts():
-    for words in (
-        [(LATE, feedback(1, 0.5)), feedback(1, 0.25)],
-        [feedback(1, 0.25), (LATE, feedback(1, 0.5))],
-    ):
+    late, there = (LATE, feedback(1, 0.5)), (SINCE_NS, feedback(1, 0.25))
+    for words in ((late, there), (there, late)):
         tick, _ = Spoken().told(*words, last=last_tick(10, 3))
         assert tick["length"][1] == Spoken().transmission.length(np.full(6, 0.25))[1]
         assert tick["age"][1] == 0

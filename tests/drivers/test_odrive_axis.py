@@ -200,11 +200,13 @@ def test_an_axis_answers_with_its_own_motion_and_without_its_encoder_with_no_num
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_what_is_no_number_is_no_feedback(which):
-    given = [np.ones(6), np.ones(6), np.ones(6)]
+    given: Any = [np.ones(6), np.ones(6), np.ones(6)]
     given[which][3] = np.nan
     with pytest.raises(ProtocolError, match="feedback of leg 3 is not a number"):
-        P.answer(P.power_up(), Sync(0), *given, np.ones(6, np.int64))
-    _, sent = P.answer(P.power_up(), Sync(0, (0, 1, 2, 4, 5)), *given, np.ones(6, np.int64))
+        P.answer(P.power_up(), Sync(0), given[0], given[1], given[2], np.ones(6, np.int64))
+    _, sent = P.answer(
+        P.power_up(), Sync(0, (0, 1, 2, 4, 5)), given[0], given[1], given[2], np.ones(6, np.int64)
+    )
     assert len(sent) == 5, "the others'"
 
 

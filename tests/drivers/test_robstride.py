@@ -52,7 +52,7 @@ def told(*frames: Frame, memory: MotorMemory | None = None) -> tuple[MotorMemory
 
 def test_a_drive_obeys_torques_from_its_enabling_to_its_stop_and_answers_each_by_feedback():
     def force(code: int) -> float:
-        return (code * STEP_Nm - 144.0) * UNLIKE.N_per_Nm[3]
+        return float((code * STEP_Nm - 144.0) * UNLIKE.N_per_Nm[3])
 
     off, run, ready = DriveMode.OFF, DriveMode.RUN, DriveMode.READY
     memory, found = told(
@@ -190,10 +190,10 @@ def test_what_lies_past_a_range_saturates_at_its_end():
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_what_is_no_number_is_no_feedback(which):
-    given = [np.ones(6), np.ones(6), np.ones(6)]
+    given: Any = [np.ones(6), np.ones(6), np.ones(6)]
     given[which][3] = np.nan
     with pytest.raises(ProtocolError, match="feedback of leg 3 is not a number"):
-        P.answer(P.power_up(), Sync(0), *given, np.ones(6, np.int64))
+        P.answer(P.power_up(), Sync(0), given[0], given[1], given[2], np.ones(6, np.int64))
 
 
 def feedback(mode: int, faults: int, data: bytes = b"\x80\0\x80\0\x80\0\0\xfa") -> Heard | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -66,15 +68,15 @@ def test_the_row_of_the_log_is_the_beginning_of_a_tick():
     names = t.TICK.names or ()
     assert names == tuple(c.name for c in (*t.RECORDED, *t.WORKING))
     assert t.ROW.names == names[: len(t.RECORDED)]
-    record = t.new_record()
-    row = t.row_of(record)
+    record: Any = t.new_record()
+    row: Any = t.row_of(record)
     record["tick"], record["q"] = 7, [1, 2, 3, 4, 5, 6]
     assert (row["tick"], row["q"].tolist()) == (7, [1, 2, 3, 4, 5, 6])
     assert row.base is record.base
 
 
 def test_a_record_begins_before_the_first_tick_and_a_copy_goes_its_own_way():
-    record = t.new_record()
+    record: Any = t.new_record()
     assert (record["tick"], record["age"].tolist()) == (-1, [NEVER] * 6)
     nowhere = {name for name in t.COLUMNS if np.isnan(record[name].astype(float)).all()}
     assert nowhere == {
@@ -89,7 +91,7 @@ def test_a_record_begins_before_the_first_tick_and_a_copy_goes_its_own_way():
     assert not any(record[name].any() for name in zeros)
     other = t.copy_of(record)
     other["tick"] = 5
-    assert (record["tick"], t.FIRST["tick"], t.new_record()["tick"]) == (-1, -1, -1)
+    assert [int(each["tick"]) for each in (record, t.FIRST, t.new_record())] == [-1, -1, -1]
     with pytest.raises(ValueError, match="read-only"):
         t.FIRST["tick"] = 1
 

@@ -1,0 +1,215 @@
+"""What a tick measures by the own protocol: each leg by its own frames, at their age, with what they name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import ALWAYS, Configure, DriveSetup, Frame, Received, Status, Sync, run_of
+from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
+from drivers.tick_columns import new_record
+from tests.drivers.drives_end import answers, reports
+from tests.drivers.spoken_drives import last_tick
+from tests.drivers.test_dbc import resealed
+
+NODES = (127, 20, 30, 40, 50, 1)
+P = {layout: LegsProtocol(layout, NODES, 32_000.0) for layout in ("classic", "fd", "ideal")}
+SETUP = DriveSetup(0.0125, Reaction.HOLD, 250.0)
+NUMBER, SINCE_NS = 13, 1_000
+LENGTH = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
+RATE = np.array([0.25, -0.25, 0.5, -0.5, 0.75, -0.75])
+FORCE = np.array([1000.0, -2000.0, 3000.0, 4.0, -60.0, 2.0])
+RUN = np.full(6, 3)
+KEPT = ("length", "rate", "drive_force", "drive_state", "drive_fault")
+layouts = pytest.mark.parametrize("layout", P)
+legs = pytest.mark.parametrize("leg", range(6))
+
+
+def sent(layout: str, counter: int = NUMBER, **changes: Any) -> list[Frame]:
+    """Return the feedbacks of all legs to the SYNC of a tick, each with numbers of its own."""
+    values: dict[str, Any] = {"length": LENGTH, "rate": RATE, "force": FORCE, "state": RUN} | changes
+    found = answers(
+        P[layout], Sync(counter & 0xF), *(values[k] for k in ("length", "rate", "force", "state"))
+    )
+    return [frame for _, frame in found]
+
+
+def told(
+    layout: str, *frames: Frame, last: Any = None, t_ns: int = SINCE_NS, since_ns: int = SINCE_NS
+) -> Any:
+    """Return the record of a tick with these frames."""
+    tick = new_record()
+    tick["tick"] = NUMBER
+    for name in ("blind", "rejected", "doubled", "foreign", "altered"):
+        tick[name] = 9
+    before = last_tick() if last is None else last
+    P[layout].decode(
+        P[layout].start(SETUP), run_of([Received(t_ns, f) for f in frames]), before, tick, since_ns
+    )
+    return tick
+
+
+@layouts
+def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing(layout):
+    before = last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1])
+    tick = told(layout, last=before)
+    for name in KEPT:
+        assert tick[name].tolist() == before[name].tolist()
+    assert tick["age"].tolist() == tick["counted_age"].tolist() == [3, 5, 8, NEVER, NEVER, 4]
+    assert tick["blind"].tolist() == [0] * 6
+    assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4
+    assert told(layout, last=last_tick(-1, 4))["age"].tolist() == [5] * 6
+
+
+@layouts
+@legs
+def test_a_feedback_measures_its_leg_and_no_other_and_without_a_force_that_stays(layout, leg):
+    tick, before = told(layout, sent(layout)[leg]), last_tick(age=1)
+    measured = {"length": LENGTH, "rate": RATE, "drive_state": RUN, "age": 0 * RUN}
+    measured |= {"drive_force": FORCE} if layout != "classic" else {}
+    for name in ("length", "rate", "drive_force", "drive_state", "age"):
+        expected = before[name].copy()
+        expected[leg] = measured[name][leg] if name in measured else expected[leg]
+        np.testing.assert_allclose(tick[name], expected, rtol=0, atol=1e-9, err_msg=name)
+    assert tick["counted_age"].tolist() == tick["age"].tolist()
+    assert tick["drive_fault"].tolist() == before["drive_fault"].tolist()
+
+
+@layouts
+@pytest.mark.parametrize(
+    ("behind", "age", "rejected"), [(0, 0, 0), (1, 1, 0), (8, 8, 0), (9, 21, 1), (15, 21, 1)]
+)
+def test_a_late_feedback_has_the_age_of_its_counter_and_one_from_the_future_is_refused(
+    layout, behind, age, rejected
+):
+    tick = told(layout, sent(layout, NUMBER - behind)[4], last=last_tick(12, 20))
+    assert (int(tick["age"][4]), int(tick["rejected"])) == (age, rejected)
+    assert tick["age"].tolist()[:4] == [21] * 4
+
+
+@layouts
+def test_a_feedback_from_before_the_tick_answers_no_sync_of_it_whatever_its_counter(layout):
+    for t_ns, counter, age, rejected in (
+        (SINCE_NS - 1, 13, 4, 1),
+        (SINCE_NS, 13, 0, 0),
+        (SINCE_NS - 1, 12, 1, 0),
+    ):
+        tick = told(layout, sent(layout, counter)[4], last=last_tick(12, 3), t_ns=t_ns)
+        assert (int(tick["age"][4]), int(tick["rejected"])) == (age, rejected)
+    assert told(layout, sent(layout)[4], t_ns=-5, since_ns=ALWAYS)["age"][4] == 0
+
+
+@layouts
+def test_a_late_feedback_counts_where_it_is_newer_than_what_is_held(layout):
+    for held, there in ((2, False), (3, True)):
+        tick = told(layout, sent(layout, NUMBER - 3)[4], last=last_tick(12, held))
+        assert tick["length"][4] == pytest.approx(LENGTH[4] if there else 2.5)
+        assert tick["age"][4] == 3
+        assert (int(tick["rejected"]), int(tick["doubled"])) == (0, 0 if there else 1 << 4)
+
+
+@layouts
+@legs
+def test_a_length_that_its_drive_calls_invalid_makes_its_leg_blind_and_not_fresh(layout, leg):
+    states = RUN.copy()
+    states[leg] = DriveState.FAULT | INVALID
+    tick = told(layout, *sent(layout, state=states), last=last_tick(12, 5))
+    mine = [each == leg for each in range(6)]
+    assert tick["blind"].tolist() == mine
+    assert tick["age"].tolist() == [6 if each else 0 for each in mine]
+    assert tick["drive_state"].tolist() == [4 if each else 3 for each in mine]
+    assert tick["length"][leg] == last_tick()["length"][leg]
+    assert tick["rate"][leg] == last_tick()["rate"][leg]
+    old = 11.0 + leg
+    assert tick["drive_force"][leg] == pytest.approx(old if layout == "classic" else FORCE[leg])
+    late = told(layout, sent(layout, NUMBER - 1, state=states)[leg], last=last_tick(12, 5))
+    assert (late["blind"][leg], late["drive_state"][leg]) == (0, last_tick()["drive_state"][leg])
+
+
+@layouts
+@legs
+def test_a_second_answer_that_says_something_else_doubles_its_node_and_the_first_one_counts(layout, leg):
+    good = sent(layout)
+    others = [
+        sent(layout, length=LENGTH + 0.01),
+        sent(layout, rate=RATE + 0.01),
+        sent(layout, state=RUN + 1),
+        sent(layout, state=RUN | INVALID),
+    ]
+    others += [sent(layout, force=FORCE + 10)] if layout != "classic" else []
+    for other in others:
+        tick = told(layout, *good, other[leg])
+        assert tick["doubled"] == 1 << leg
+        assert tick["length"][leg] == pytest.approx(LENGTH[leg])
+        assert tick["age"].tolist() == [0] * 6
+    assert told(layout, *good, *good)["doubled"] == 0
+    assert told(layout, *good, others[0][1], others[0][4])["doubled"] == 1 << 1 | 1 << 4
+    blind = sent(layout, state=RUN | INVALID)
+    assert told(layout, *blind, *blind)["doubled"] == 0
+    assert told(layout, *blind, good[leg])["doubled"] == 1 << leg
+    other = sent(layout, state=DriveState.FAULT | INVALID + 0 * RUN)[leg]
+    for second, doubled in ((blind[leg], 0), (good[leg], 1 << leg), (other, 1 << leg)):
+        assert told(layout, blind[leg], second)["doubled"] == doubled
+
+
+@layouts
+@legs
+def test_behind_a_blind_answer_one_of_an_earlier_tick_is_no_second_one(layout, leg):
+    blind, late = sent(layout, state=RUN | INVALID)[leg], sent(layout, NUMBER - 1)[leg]
+    tick = told(layout, blind, late, last=last_tick(12, 5))
+    assert (int(tick["doubled"]), int(tick["age"][leg])) == (0, 1)
+    assert tick["length"][leg] == pytest.approx(LENGTH[leg])
+    assert tick["blind"].tolist() == [each == leg for each in range(6)]
+
+
+def test_frames_of_a_controller_are_foreign_by_their_kind_in_any_layout():
+    zeros = Command(DriveMode.OFF, np.zeros(6))
+    commands = [f for p in P.values() for f in p.command(None, zeros, 0)[1]]
+    assert len(commands) == 4
+    kinds = {
+        Foreign.SYNC: P["fd"].begin(None, 0),
+        Foreign.ESTOP: P["fd"].emergency_stop(),
+        Foreign.CONFIG: P["fd"].configure(0.01, Reaction.BRAKE),
+        Foreign.COMMAND: commands,
+    }
+    for kind, frames in kinds.items():
+        for frame in frames:
+            assert told("fd", frame)["foreign"] == kind
+    every = [frame for frames in kinds.values() for frame in frames]
+    assert told("fd", *every)["foreign"] == sum(kinds)
+    assert told("fd", Frame(0x7FE, b""), Frame(0x081, b""))["foreign"] == 0
+
+
+@layouts
+@legs
+def test_a_status_says_the_fault_of_its_drive_and_whether_its_set_up_is_another(layout, leg):
+    def status(fault: DriveFault, state: int, **other: Any) -> Frame:
+        holds = Configure(leg, 0.0125, Reaction.HOLD)._replace(**other)
+        return reports(P[layout], Status(leg, state, fault, holds))[0]
+
+    tick = told(layout, status(DriveFault.STROKE, 4))
+    assert tick["drive_fault"].tolist() == [5 if each == leg else k for each, k in enumerate(range(6))]
+    assert tick["altered"] == 0
+    assert told(layout, status(DriveFault.NONE, 1, watchdog_s=0.1))["altered"] == 1 << leg
+    assert told(layout, status(DriveFault.NONE, 0, watchdog_s=0.1))["altered"] == 0, "in boot it has none"
+    good = status(DriveFault.STROKE, 4)
+    for at, value in ((0, 5), (1, 6)):
+        bad = resealed(good, at, value)
+        tick = told(layout, bad, bad)
+        assert int(tick["rejected"]) == 2
+        assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()
+
+
+@layouts
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_lies_at_the_end_of_a_field_is_believed(layout, side):
+    far = np.full(6, side * 1e12)
+    tick = told(layout, *sent(layout, length=far, rate=far, force=far))
+    assert tick["age"].tolist() == [0] * 6
+    assert tick["rejected"] == 0
+    assert (np.sign(tick["length"]) == side).all()
+    assert (np.abs(tick["length"]) > 200.0).all()
+    assert (np.abs(tick["rate"]) > 3.0).all()

@@ -213,3 +213,23 @@ def test_what_lies_at_the_end_of_a_field_is_believed(layout, side):
     assert (np.sign(tick["length"]) == side).all()
     assert (np.abs(tick["length"]) > 200.0).all()
     assert (np.abs(tick["rate"]) > 3.0).all()
+
+
+@layouts
+@legs
+def test_the_answer_that_is_held_may_come_again_and_its_state_is_compared_unless_a_blind_one_has_changed_it(
+    layout, leg
+):
+    held = told(layout, *sent(layout))
+    held["tick"], held["age"] = NUMBER - 1, 2
+    again = [sent(layout, NUMBER - 3, state=state)[leg] for state in (RUN, RUN + 1)]
+    blind = sent(layout, state=RUN | INVALID)[leg]
+
+    def doubled(*frames: Frame, blind_before: int = -1) -> int:
+        held["blind"] = [each == blind_before for each in range(6)]
+        return int(told(layout, *frames, last=held)["doubled"])
+
+    assert [doubled(frame) for frame in again] == [0, 1 << leg]
+    assert [doubled(frame, blind_before=leg) for frame in again] == [0, 0]
+    assert [doubled(frame, blind_before=(leg + 1) % 6) for frame in again] == [0, 1 << leg]
+    assert [doubled(blind, frame) for frame in again] == [0, 0]

@@ -192,15 +192,20 @@ def test_a_status_says_the_fault_of_its_drive_and_whether_its_set_up_is_another(
 
     tick = told(layout, status(DriveFault.STROKE, 4))
     assert tick["drive_fault"].tolist() == [5 if each == leg else k for each, k in enumerate(range(6))]
-    assert tick["altered"] == 0
-    assert told(layout, status(DriveFault.NONE, 1, watchdog_s=0.1))["altered"] == 1 << leg
-    assert told(layout, status(DriveFault.NONE, 0, watchdog_s=0.1))["altered"] == 0, "in boot it has none"
+    assert (int(tick["altered"]), int(tick["rejected"])) == (0, 0)
+    for state, altered in ((1, 1 << leg), (0, 0)):  # in boot it has none
+        tick = told(layout, status(DriveFault.NONE, state, watchdog_s=0.1))
+        assert (int(tick["altered"]), int(tick["rejected"])) == (altered, 0)
     good = status(DriveFault.STROKE, 4)
     for at, value in ((0, 5), (1, 6)):
         bad = resealed(good, at, value)
         tick = told(layout, bad, bad)
         assert int(tick["rejected"]) == 2
         assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()
+        dialogue = P[layout].start(SETUP)._replace(confirmed=0b111111)
+        run = run_of([Received(SINCE_NS, bad)])
+        assert P[layout].decode(dialogue, run, last_tick(), tick, SINCE_NS).confirmed == 0b111111
+        assert tick["rejected"] == 1
 
 
 @layouts

@@ -72,6 +72,7 @@ def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing():
     assert tick["blind"].tolist() == [0] * 6
     assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4
     assert told(last=last_tick(-1, 4))[0]["age"].tolist() == [5] * 6
+    assert told(last=last_tick(0, 4))[0]["age"].tolist() == [17] * 6
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -62,6 +62,7 @@ def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing(layout):
     assert tick["blind"].tolist() == [0] * 6
     assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4
     assert told(layout, last=last_tick(-1, 4))["age"].tolist() == [5] * 6
+    assert told(layout, last=last_tick(0, 4))["age"].tolist() == [17] * 6
 
 
 @layouts

@@ -8,7 +8,20 @@ import numpy as np
 import pytest
 
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import ALWAYS, Configure, DriveSetup, Frame, Received, Status, Sync, run_of
+from drivers.protocol import (
+    ALWAYS,
+    BUS,
+    ERROR,
+    EXTENDED,
+    REMOTE,
+    Configure,
+    DriveSetup,
+    Frame,
+    Received,
+    Status,
+    Sync,
+    run_of,
+)
 from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.drives_end import answers, reports
@@ -239,3 +252,19 @@ def test_the_answer_that_is_held_may_come_again_and_its_state_is_compared_unless
     assert [doubled(frame, blind_before=leg) for frame in again] == [0, 0]
     assert [doubled(frame, blind_before=(leg + 1) % 6) for frame in again] == [0, 1 << leg]
     assert [doubled(blind, frame) for frame in again] == [0, 0]
+
+
+@layouts
+@pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 128 * BUS], ids=str)
+def test_frames_that_are_no_plain_ones_of_this_bus_say_nothing_and_are_nobodys(layout, flag):
+    frames = [*sent(layout), *P[layout].begin(None, 0), *P[layout].emergency_stop()]
+    tick = told(layout, *(frame._replace(flags=frame.flags | flag) for frame in frames))
+    assert tick["age"].tolist() == [1] * 6
+    assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4
+
+
+@layouts
+def test_a_time_is_read_in_all_of_its_bits(layout):
+    for t_ns in (SINCE_NS, 1 << 40, 1 << 61):
+        assert told(layout, sent(layout)[4], t_ns=t_ns, since_ns=t_ns)["age"][4] == 0
+        assert told(layout, sent(layout)[4], t_ns=t_ns - 1, since_ns=t_ns)["rejected"] == 1

@@ -325,3 +325,29 @@ def test_a_protocol_names_its_layout_and_nodes_and_says_how_large_a_force_may_be
     text = rf"does not fit layout {layout}: {span[layout]} N are allowed; lower limits\.force_N or choose another"
     with pytest.raises(ProtocolError, match=text):
         protocol.command(None, Command(DriveMode.RUN, np.full(6, 1e12)), 0)
+
+
+@pytest.mark.parametrize(
+    ("layout", "low", "high", "beyond"),
+    [
+        ("classic", -32_768.0, 32_766.0, 2.0),
+        ("fd", -2_147_483.648, 2_147_483.647, 0.001),
+        ("ideal", -1e9, 1e9, 1.0),
+    ],
+)
+@pytest.mark.parametrize("leg", range(6))
+def test_a_force_at_either_end_of_its_field_reaches_its_drive_and_one_beyond_is_refused(
+    layout, low, high, beyond, leg
+):
+    protocol = LegsProtocol(layout, NODES, 32_000.0)
+    for force, outside in ((low, low - beyond), (high, high + beyond)):
+        six = np.zeros(6)
+        six[leg] = force
+        frames = protocol.command(None, Command(DriveMode.RUN, six), 7)[1]
+        commands: list[Any] = [protocol.parse(7, frame)[1][0] for frame in frames]
+        taken = [each for command in commands for each in command.force.tolist()]
+        assert taken == pytest.approx(six.tolist(), rel=1e-12)
+        assert {command.mode for command in commands} == {DriveMode.RUN}
+        six[leg] = outside
+        with pytest.raises(ProtocolError, match=f"does not fit layout {layout}"):
+            protocol.command(None, Command(DriveMode.RUN, six), 7)

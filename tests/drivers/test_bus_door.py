@@ -11,7 +11,9 @@ from drivers.can.bus import Bus
 from drivers.can.collect import collect
 from drivers.can.error_frames import ErrorClass, read_error
 from drivers.can.link_group import LinkGroup
+from drivers.can.netlink import attributes
 from drivers.can.no_controller import NoController
+from drivers.can.runtime_folder import runtime_folder
 from drivers.clock import Clock
 from drivers.config import BusSettings
 from drivers.errors import BusError
@@ -281,6 +283,26 @@ def test_options_that_an_interface_does_not_have_are_named_with_those_that_it_ha
         BusError, match=r"bus.options: b, spin, tx_limit unknown for localcan; allowed: none$"
     ):
         door._refuse_options(settings, set())
+
+
+def test_a_bus_of_the_kernel_has_one_option():
+    settings = BusSettings(interface="socketcan", channel="can0", options={"spin_us": 1})
+    with pytest.raises(BusError, match=r"bus.options: spin_us unknown for socketcan; allowed: restart_ms$"):
+        Bus.open(settings, "listener")
+
+
+def test_a_role_is_locked_by_interface_channel_and_role(runtime):
+    with Bus.open(BusSettings(interface="localcan", channel="t"), "plant"):
+        assert [path.name for path in runtime_folder().glob("*.lock")] == ["localcan.t.plant.lock"]
+    with Bus.open(BusSettings(interface="localcan", channel="u"), "listener"):
+        assert not list(runtime_folder().glob("localcan.u.*.lock"))
+
+
+def test_an_attribute_without_content_is_there_and_a_cut_one_ends_them():
+    assert attributes(bytes.fromhex("04000500")) == {5: b""}
+    assert attributes(bytes.fromhex("05000500 aa000000 04000680")) == {5: b"\xaa", 6: b""}
+    for cut in ("0400", "040005", "0600050001", "03000500"):
+        assert attributes(bytes.fromhex(cut)) == {}
 
 
 # error frames

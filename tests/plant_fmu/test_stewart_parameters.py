@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from copy import deepcopy
 from typing import Any
 
@@ -106,3 +107,38 @@ def test_legs_keep_from_turning_unless_they_are_said_to_and_need_their_axes_then
 def test_a_figure_that_is_missing_is_named(path):
     with pytest.raises(PlantError, match=f"platform: {path[-1]} is missing"):
         stewart_parameters(SETTINGS, ROBOT._replace(platform=without(*path)))
+
+
+SHAPES: dict[tuple[str, ...], tuple[int, ...]] = {
+    ("base_joints",): (6, 3),
+    ("platform_joints",): (6, 3),
+    ("universal_joint_base_axes",): (6, 3),
+    ("gravity",): (3,),
+    ("platform", "com"): (3,),
+    ("platform", "inertia"): (3, 3),
+}
+
+
+@pytest.mark.parametrize("path", SHAPES, ids=".".join)
+def test_an_array_of_another_shape_or_of_words_is_named(path):
+    shape = SHAPES[path]
+    for wrong in ((shape[0] + 1, *shape[1:]), (shape[0] - 1, *shape[1:]), (*shape, 1), ()):
+        platform = without(*path)
+        (platform if len(path) == 1 else platform[path[0]])[path[-1]] = np.zeros(wrong)
+        said = rf"platform: {'.'.join(path)} has shape {wrong}; {shape} is needed"
+        with pytest.raises(PlantError, match=re.escape(said)):
+            stewart_parameters(SETTINGS, ROBOT._replace(platform=platform))
+    platform = without(*path)
+    (platform if len(path) == 1 else platform[path[0]])[path[-1]] = ["a", "b"]
+    with pytest.raises(PlantError, match=rf"platform: {'.'.join(path)}: .* is not numeric"):
+        stewart_parameters(SETTINGS, ROBOT._replace(platform=platform))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"), [("length_min", (6,)), ("length_max", (6,)), ("p0", (3,)), ("R0", (3, 3))]
+)
+def test_lengths_and_a_first_pose_of_another_shape_are_named(name, shape):
+    for wrong in ((shape[0] + 1, *shape[1:]), (shape[0] - 1, *shape[1:])):
+        said = re.escape(f"platform: {name} has shape {wrong}; {shape} is needed")
+        with pytest.raises(PlantError, match=said):
+            stewart_parameters(SETTINGS, ROBOT._replace(**{name: np.zeros(wrong)}))

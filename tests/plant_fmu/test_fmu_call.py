@@ -30,7 +30,7 @@ class Functions:
         self.sets: list[list[float]] = []
         self.steps: list[tuple[float, float]] = []
         self.set_status = self.get_status = self.step_status = 0
-        self.measured = [float(k) for k in range(1, 13)]
+        self.measured: list[ct.c_double | float] = [float(k) for k in range(1, 13)]
         self.flagged: int | None = None
         """Which of DoStep's flags the next steps set."""
         self.given: set[tuple[int, ...]] = set()

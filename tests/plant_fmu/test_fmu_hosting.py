@@ -16,6 +16,7 @@ import pytest
 from drivers.errors import HilError, PlantError
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import child
+from plant_fmu.fmu.check import Start
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.spec import FmuSpec
 
@@ -37,7 +38,12 @@ def test_a_process_may_have_its_limit_of_memory_or_a_lower_one_of_the_machine(
     monkeypatch, limit_GB, of_the_machine, bound
 ):
     asked: list[Any] = []
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: asked.append(kind) or (7, of_the_machine))
+
+    def allowed(kind: int) -> tuple[int, int]:
+        asked.append(kind)
+        return 7, of_the_machine
+
+    monkeypatch.setattr(resource, "getrlimit", allowed)
     monkeypatch.setattr(resource, "setrlimit", lambda *given: asked.append(given))
     child._bound_memory(limit_GB)
     assert asked == [resource.RLIMIT_DATA, (resource.RLIMIT_DATA, (bound, bound))]
@@ -231,3 +237,70 @@ def test_a_refusal_names_what_was_asked_and_the_status(ended, what):
         host, _ = hosting(None, initialised=True)
         told = str(host._failed(ended, status, "step from here"))
         assert told == f"a.fmu: the FMU refused to {what} ({label}): why"
+
+
+def test_what_an_fmu_has_said_is_told_once_and_without_what_is_empty():
+    host, _ = hosting(None, initialised=True)
+    host._messages = ["", "first", "", "second"]
+    assert host._said() == ": first; second"
+    assert host._said() == ""
+
+
+class Steps:
+    """An FMU that notes what is asked of it, in order."""
+
+    def __init__(self) -> None:
+        self.calls: list[Any] = []
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *given, **named: self.calls.append((name, *given, *named.items()))
+
+
+def preparing(monkeypatch: pytest.MonkeyPatch, major: int, brake: int, status: int) -> tuple[Any, list[Any]]:
+    """A host that is about to initialise: 18 inputs, brakes from `brake` on, which are set with this status."""
+    fmu = Steps()
+    host: Any = hosting(None, initialised=False)[0]
+    host._fmu, host._used = fmu, False
+    starts = (Start("m", "Float64", (7,), (1.5,)), Start("n", "Int64", (8, 9), (2, 3)))
+    host._interface = SimpleNamespace(major=major, starts=starts)
+    host._inputs, host._held = np.full(18, 9.0), np.zeros(18, np.int64)
+    host._call = np.zeros(fmu_call.CALL, np.int64)
+    host._call[fmu_call.SLOTS :] = 0, brake, 12
+
+    def put(_call: Any, inputs: Any, _held: Any) -> int:
+        fmu.calls.append(("put", inputs.tolist()))
+        return status
+
+    monkeypatch.setattr(fmu_call, "put", put)
+    return host, fmu.calls
+
+
+@pytest.mark.parametrize("status", [0, 1])
+@pytest.mark.parametrize("brake", [6, -1])
+@pytest.mark.parametrize("major", [2, 3])
+def test_an_fmu_is_set_up_in_order_and_reset_before_each_further_time(monkeypatch, major, brake, status):
+    host, calls = preparing(monkeypatch, major, brake, status)
+    begin = [("setupExperiment", ("startTime", 0.0))] if major == 2 else []
+    inputs = [float(brake <= k < brake + 6 and brake >= 0) for k in range(18)]
+    set_up = [
+        *begin,
+        *[("setFloat64", [7], [1.5]), ("setInt64", [8, 9], [2, 3]), ("enterInitializationMode",)],
+        *[("put", inputs), ("exitInitializationMode",)],
+    ]
+    host._initialise()
+    assert calls == set_up
+    assert host._initialised
+    host._inputs[:] = 5.0
+    host._initialise()
+    assert calls == [*set_up, ("reset",), *set_up]
+
+
+def test_an_fmu_that_refuses_its_first_inputs_is_not_initialised(monkeypatch):
+    host, calls = preparing(monkeypatch, 3, 6, 3)
+    with pytest.raises(PlantError, match=r"refused to take its inputs \(error\): why"):
+        host._initialise()
+    assert calls[-1][0] == "put"
+    assert not host._initialised
+    host._fmu = None
+    with pytest.raises(PlantError, match="the FMU is closed; open it again"):
+        host._initialise()

@@ -261,3 +261,10 @@ def test_what_a_drive_measures_and_its_fault_stand_at_the_number_that_it_answers
             assert legs == (number,)
             of_it = [None if each is None else each[number] for each in seen]
             assert of_it == [each[drive] for each in given] + [None] * (5 - len(given))
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0, 0.5, inf])
+def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
+    wired, _ = wired_to(Wiring(watchdog=(1.0, 1.0, 1.0, factor, 1.0, 1.0)))
+    heard = [wired._told(3, wired._waits(3, ms / 1000)) for ms in range(1, 1001)]
+    assert heard == [ms / 1000 for ms in range(1, 1001)]

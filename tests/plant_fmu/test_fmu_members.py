@@ -99,12 +99,12 @@ def test_a_member_is_read_in_parts_of_a_mib_at_most_whatever_its_size(tmp_path):
 
 def test_folders_are_made_once_wherever_they_are_listed(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
-        for name in ("x/y/", "x/y/a", "x/", "x/b", "p/q/r", "p/q/s"):
+        for name in ("x/y/", "x/y/a", "x/", "x/b", "p/q/r", "p/q/s", "e/f/"):
             archive.writestr(name, name.encode() * (not name.endswith("/")))
     with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
         extract(archive, FMU, tmp_path / "out")
     found = {p.relative_to(tmp_path / "out").as_posix(): p for p in (tmp_path / "out").rglob("*")}
-    assert {name for name, p in found.items() if p.is_dir()} == {"x", "x/y", "p", "p/q"}
+    assert {name for name, p in found.items() if p.is_dir()} == {"x", "x/y", "p", "p/q", "e", "e/f"}
     files = {name: p.read_bytes() for name, p in found.items() if p.is_file()}
     assert files == {name: name.encode() for name in ("x/y/a", "x/b", "p/q/r", "p/q/s")}
 

@@ -374,3 +374,16 @@ def test_a_tracker_alone_measures_where_the_plant_is_at_each_instant_of_a_long_s
     ]
     for at, each in zip((5e-3, 10e-3, 15e-3, 20e-3), readings.tracker, strict=True):
         assert each.values[:3] == pytest.approx(position(at), abs=0.6e-6)
+
+
+def test_an_imu_measures_right_after_a_step_that_ended_less_than_one_of_the_plants_before():
+    settings = SensorSettings(imu=ImuSettings(rate_Hz=500))
+    nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
+    nodes.start(0)
+    nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    nodes.step(2 * MS - 80 * US, [])
+    sent = nodes.step(3 * MS, [])
+    (sample,) = protocol.decode([Received(*each) for each in sent], 0, Readings()).imu
+    assert round(1e6 * sample.offset_s) == 2000
+    R = rotation(2e-3)
+    assert sample.values[3:] == pytest.approx(R.T @ np.subtract(acceleration(2e-3), G), abs=2.5e-3)

@@ -251,7 +251,8 @@ def test_drives_that_start_anew_are_those_of_their_numbers_and_memory_and_period
 def test_what_a_drive_measures_and_its_fault_stand_at_the_number_that_it_answers_to():
     figures = [10.0 * k + np.arange(6.0) for k in range(1, 4)]
     state, fault = np.arange(6), 6 - np.arange(6)
-    for given in ((*figures, state), (*figures, state, fault)):
+    cases: tuple[tuple[Any, ...], ...] = ((*figures, state), (*figures, state, fault))
+    for given in cases:
         wired, family = wired_to(CROSSED)
         memory: Any = 7
         memory, answers = wired.answer(memory, Sync(9, (0, 2, 4)), *given)

@@ -17,6 +17,7 @@ from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
+from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Truth
@@ -29,7 +30,8 @@ class SensedNodes(Nodes):
     """Six drives, the plant behind them, and the configured sensors on its platform.
 
     Mutable state, beside that of `Nodes`: when each sensor measures next and its counter, the last SYNC, the
-    last acceleration, frames that wait out their latency, the generator. `start` resets all of it.
+    last acceleration and the twist before it, frames that wait out their latency, the generator. `start`
+    resets all of it.
     """
 
     def __init__(
@@ -64,6 +66,10 @@ class SensedNodes(Nodes):
         self._sync: dict[int, tuple[int, int]] = {}
         """By bus: when the last SYNC ended, and its Cycle."""
         self._dtwist = np.zeros(6)
+        self._noted_ns = -1
+        """When the IMU measures for which the twist is noted."""
+        self._before: tuple[int, Array]
+        """Grid instant and twist that are noted."""
         self._waiting: list[tuple[int, Frame]] = []
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
 
@@ -75,10 +81,9 @@ class SensedNodes(Nodes):
             heard = [frame for frame in frames if frame.t_ns <= due_ns]
             frames = frames[len(heard) :]
             due = [kind for kind, at in self._due_ns.items() if at == due_ns]
+            out += self._live(due_ns, heard)
             if "imu" in due:
-                self._accelerate(due_ns, heard, out)
-            else:
-                out += self._live(due_ns, heard)
+                self._accelerate()
             for kind in due:
                 self._sample(kind, due_ns)
                 self._count[kind] += 1
@@ -91,25 +96,33 @@ class SensedNodes(Nodes):
         return out
 
     def _live(self, t_ns: int, frames: list[Received]) -> list[tuple[int, Frame]]:
-        """Let plant and drives live until `t_ns`, and note the SYNCs they hear."""
+        """Let plant and drives live until `t_ns`, and note the SYNCs they hear.
+
+        On the way the twist is noted one step of the plant before the IMU measures, or as soon as may be.
+        """
         t_ns = max(t_ns, self._until_ns)
         for at_ns, frame in frames:
             cycle = self._sensors.cycle_of(frame)
             if cycle is not None:
                 self._sync[frame.bus] = at_ns, cycle
-        self._until_ns = t_ns
-        return super().step(t_ns, frames)
-
-    def _accelerate(self, due_ns: int, frames: list[Received], out: list[tuple[int, Frame]]) -> None:
-        """Live until `due_ns`, and find the acceleration over the plant's last step."""
+        out: list[tuple[int, Frame]] = []
+        due_ns = self._due_ns.get("imu", NEVER_NS)
         before_ns = due_ns - round(self._plant.internal_step_s * 1e9)
-        early = [frame for frame in frames if frame.t_ns <= before_ns]
-        out += self._live(before_ns, early)
-        first_ns, first = self._grid_ns(), self._true().twist
-        out += self._live(due_ns, frames[len(early) :])
-        moved_ns = self._grid_ns() - first_ns
+        if self._noted_ns != due_ns and before_ns <= t_ns:
+            before_ns = max(before_ns, self._until_ns)
+            early = [frame for frame in frames if frame.t_ns <= before_ns]
+            frames = frames[len(early) :]
+            out = super().step(before_ns, early)
+            self._noted_ns, self._before = due_ns, (self._grid_ns(), self._true().twist)
+        self._until_ns = t_ns
+        return out + super().step(t_ns, frames)
+
+    def _accelerate(self) -> None:
+        """Find the acceleration since the twist was noted."""
+        before_ns, before = self._before
+        moved_ns = self._grid_ns() - before_ns
         if moved_ns > 0:
-            self._dtwist = (self._true().twist - first) / (moved_ns * 1e-9)
+            self._dtwist = (self._true().twist - before) / (moved_ns * 1e-9)
 
     def _sample(self, kind: str, t_ns: int) -> None:
         """Take one sample, and keep its frame until its latency is over."""

@@ -376,14 +376,15 @@ def test_a_tracker_alone_measures_where_the_plant_is_at_each_instant_of_a_long_s
         assert each.values[:3] == pytest.approx(position(at), abs=0.6e-6)
 
 
-def test_an_imu_measures_right_after_a_step_that_ended_less_than_one_of_the_plants_before():
+@pytest.mark.parametrize("early_us", [80, 50, 49, 10, 0])
+def test_an_imu_measures_right_after_steps_that_ended_less_than_one_of_the_plants_before(early_us):
     settings = SensorSettings(imu=ImuSettings(rate_Hz=500))
     nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
     nodes.start(0)
     nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
-    nodes.step(2 * MS - 80 * US, [])
-    sent = nodes.step(3 * MS, [])
-    (sample,) = protocol.decode([Received(*each) for each in sent], 0, Readings()).imu
-    assert round(1e6 * sample.offset_s) == 2000
-    R = rotation(2e-3)
-    assert sample.values[3:] == pytest.approx(R.T @ np.subtract(acceleration(2e-3), G), abs=2.5e-3)
+    for at_ms in (2, 4, 6):
+        sent = nodes.step(at_ms * MS - early_us * US, []) + nodes.step((at_ms + 1) * MS, [])
+        *_, sample = protocol.decode([Received(*each) for each in sent], 0, Readings()).imu
+        assert round(1e3 * sample.offset_s) == at_ms
+        force = rotation(1e-3 * at_ms).T @ np.subtract(acceleration(1e-3 * at_ms), G)
+        assert sample.values[3:] == pytest.approx(force, abs=2.5e-3)

@@ -139,6 +139,7 @@ def test_an_array_of_another_shape_or_of_words_is_named(path):
 )
 def test_lengths_and_a_first_pose_of_another_shape_are_named(name, shape):
     for wrong in ((shape[0] + 1, *shape[1:]), (shape[0] - 1, *shape[1:])):
+        changed: dict[str, Any] = {name: np.zeros(wrong)}
         said = re.escape(f"platform: {name} has shape {wrong}; {shape} is needed")
         with pytest.raises(PlantError, match=said):
-            stewart_parameters(SETTINGS, ROBOT._replace(**{name: np.zeros(wrong)}))
+            stewart_parameters(SETTINGS, ROBOT._replace(**changed))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -86,11 +87,12 @@ def test_a_what_if_is_asked_with_all_that_was_given_and_its_tables_stand_above_i
     assert "what-if: success" in lines[8:]
 
 
-def test_each_column_of_the_first_tick_that_differs_is_a_line_of_standard_error(
+def test_each_column_of_the_first_tick_that_differs_is_a_line_of_standard_error_and_the_story_follows(
     replayed, tmp_path, monkeypatch
 ):
     first = [Difference(7, "mode", 1, 2), Difference(7, "bell\x07", "a", "b")]
-    differs = Comparison(ticks=9, different_ticks=1, first=first)
+    story: Any = SimpleNamespace(fields=lambda: {"lines": ["BUS at tick 5", "  leg 3"]})
+    differs = Comparison(ticks=9, different_ticks=1, first=first, story=story)
     fields = summary(differs, 1.0, 2.0) | {"agrees": False, "remark": "the log was cut"}
     monkeypatch.setattr("hil.app.replay.replay_log", lambda *_: (differs, fields))
     monkeypatch.setattr("hil.record.log.Log.open", lambda _: None)
@@ -99,6 +101,8 @@ def test_each_column_of_the_first_tick_that_differs_is_a_line_of_standard_error(
     assert found.stderr.splitlines() == [
         "hil: tick 7: mode: recorded 1, replayed 2",
         "hil: tick 7: bell\\x07: recorded a, replayed b",
+        "  BUS at tick 5",
+        "    leg 3",
     ]
     assert "remark the log was cut" in [" ".join(line.split()) for line in found.stdout.splitlines()]
 

@@ -29,7 +29,7 @@ def test_the_notice_stands_at_the_first_tick_and_not_where_the_clock_began(tmp_p
     rows["t_ns"] = begun_ns + np.arange(ticks) * PERIOD_NS
     rows["R"] = np.eye(3).reshape(rows["R"].shape[1:])
     source, out = tmp_path / "run.mcap", tmp_path / "answer.mcap"
-    with Recording.start(source, configuration="") as recording:
+    with Recording.start(source, configuration="", metadata={"kind": "sim"}) as recording:
         for row in rows:
             recording.tick(row, (), ())
     with record(load("virtual"), CYCLE, out, Log(source)) as recording:
@@ -39,4 +39,7 @@ def test_the_notice_stands_at_the_first_tick_and_not_where_the_clock_began(tmp_p
     assert [event.t_ns for event in answer.events()] == [begun_ns]
     assert answer.summary.duration_s == pytest.approx(max(ticks - 1, 0) * 1e-9 * PERIOD_NS)
     assert len(answer.rows()) == ticks
-    assert answer.metadata["hil"]["mode"] == "lockstep", "it waits for its recorder"
+    said = answer.metadata["hil"]
+    assert said["mode"] == "lockstep", "it waits for its recorder"
+    assert (said["kind"], said["what_if_of"], said["what_if_of_kind"]) == ("what-if", "run.mcap", "sim")
+    assert (said["rate_Hz"], said["watchdog_s"], said["protocol"]) == ("1000.0", "0.01", "legs")

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from drivers.errors import LogError
 from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
 from hil.app.configuration.configuration import load
 from hil.app.what_if import command
@@ -27,7 +28,7 @@ def verdict(tmp_path, monkeypatch):
         path=tmp_path / "run.mcap", attachments={}, metadata={"summary": {"closed": "clean"}}, cut=""
     )
 
-    def summed(answer, error="", out=tmp_path / "answer.mcap"):
+    def summed(answer, error="", out=tmp_path / "answer.mcap", words=(), **given):
         closed = LogSummary(
             tmp_path / "answer.mcap", 5, 0, 0, 0, 0, 0.0, not error, error, gave_up=bool(error)
         )
@@ -35,7 +36,7 @@ def verdict(tmp_path, monkeypatch):
         monkeypatch.setattr(command, "open_replayable", lambda _: (log, run, virtual))
         monkeypatch.setattr(command, "record", lambda *_: contextlib.nullcontext(recording))
         monkeypatch.setattr(command, "_answer", lambda *_: answer)
-        return command.what_if_log(log.path, out=out)
+        return command.what_if_log(log.path, None, words, out=out, **given)
 
     return summed
 
@@ -116,3 +117,60 @@ def test_the_log_that_was_written_is_named_and_none_where_none_was(verdict, tmp_
     for found in (written, without):
         assert (found["log"], found["configuration"]) == (str(tmp_path / "run.mcap"), load("virtual").source)
         assert (found["changed"], found["picture"]) == ([], None)
+
+
+@pytest.mark.parametrize("ticks", [0, 5])
+def test_the_picture_names_the_log_and_the_controller_and_is_drawn_of_an_answer_with_ticks_alone(
+    verdict, tmp_path, monkeypatch, ticks
+):
+    drawn: list[Any] = []
+    monkeypatch.setattr(command.Forces, "draw", lambda _, *given: drawn.append(given))
+    picture, words = tmp_path / "a.png", ["limits.force_N=1"]
+    found = verdict(Answer(ticks=ticks), picture=picture, words=words)
+    title = "run.mcap: recorded, and what virtual limits.force_N=1 would have sent"
+    assert (found["picture"], drawn) == ((str(picture), [(picture, title)]) if ticks else (None, []))
+
+
+def test_a_picture_that_cannot_be_written_in_the_end_is_no_success_and_keeps_the_figures(
+    verdict, tmp_path, monkeypatch
+):
+    def full(*_):
+        raise LogError("--plot a.png: No space left on device")
+
+    monkeypatch.setattr(command.Forces, "draw", full)
+    found = verdict(Answer(ticks=5), picture=tmp_path / "a.png")
+    assert (found["success"], found["ticks"], found["picture"]) == (False, 5, None)
+    assert found["unwritten"] == ["--plot a.png: No space left on device"]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"picture": "notes.txt"}, "--plot .*notes.txt: allowed are the endings"),
+        ({"out": "there.mcap"}, "there.mcap: exists and is not overwritten"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_the_log_is_opened(
+    tmp_path, monkeypatch, given, message
+):
+    (tmp_path / "there.mcap").touch()
+    monkeypatch.setattr(command, "open_replayable", lambda _: pytest.fail("the log was opened"))
+    with pytest.raises(LogError, match=message):
+        command.what_if_log(tmp_path / "run.mcap", **{key: tmp_path / name for key, name in given.items()})
+
+
+def test_what_is_asked_for_is_collected_and_nothing_else(verdict, tmp_path, monkeypatch):
+    asked: list[Any] = []
+
+    def answered(*given):
+        asked.append(given[2:])
+        return Answer()
+
+    verdict(Answer())  # from here on its log is there
+    monkeypatch.setattr(command, "_answer", answered)
+    command.what_if_log(tmp_path / "run.mcap", progress=print)
+    command.what_if_log(tmp_path / "run.mcap", picture=tmp_path / "a.svg", out=tmp_path / "b.mcap")
+    (without, progress), (kept, none) = ((each[:2], each[2]) for each in asked)
+    assert (without, progress, none) == ((None, None), print, None)
+    assert kept[0] is not None
+    assert isinstance(kept[1], command.Forces)

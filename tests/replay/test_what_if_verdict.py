@@ -174,3 +174,24 @@ def test_what_is_asked_for_is_collected_and_nothing_else(verdict, tmp_path, monk
     assert (without, progress, none) == ((None, None), print, None)
     assert kept[0] is not None
     assert isinstance(kept[1], command.Forces)
+
+
+@pytest.mark.parametrize("named", [None, "another"])
+def test_changes_are_to_the_logs_own_configuration_where_none_is_named_and_both_are_held_together(
+    verdict, tmp_path, monkeypatch, named
+):
+    virtual, other = load("virtual"), load("virtual").model_copy(update={"name": "other"})
+    asked: list[Any] = []
+    verdict(Answer())  # from here on its log is there
+
+    def changed(c, words, *, own):
+        asked.append((c.name, words, own))
+        return other
+
+    monkeypatch.setattr(command, "load", lambda name: other.model_copy(update={"name": name}))
+    monkeypatch.setattr(command, "changed", changed)
+    monkeypatch.setattr(command, "refuse_other_inputs", lambda *given: asked.append(given))
+    command.what_if_log(tmp_path / "run.mcap", named, ("limits.force_N=1",))
+    (name, words, own), (there, here, rate_Hz) = asked
+    assert (name, words, own) == (named or "virtual", ("limits.force_N=1",), named is None)
+    assert (there.name, here.name, rate_Hz) == ("virtual", "other", virtual.loop.rate_Hz)

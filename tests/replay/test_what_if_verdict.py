@@ -195,3 +195,47 @@ def test_changes_are_to_the_logs_own_configuration_where_none_is_named_and_both_
     (name, words, own), (there, here, rate_Hz) = asked
     assert (name, words, own) == (named or "virtual", ("limits.force_N=1",), named is None)
     assert (there.name, here.name, rate_Hz) == ("virtual", "other", virtual.loop.rate_Hz)
+
+
+@pytest.mark.parametrize("named", [None, "another"])
+def test_the_answer_comes_of_the_asked_controller_with_the_files_of_the_log_where_it_is_the_logs_own(
+    verdict, tmp_path, monkeypatch, named
+):
+    other, cycle, asked = load("virtual").model_copy(update={"name": "other"}), object(), list[Any]()
+    verdict(Answer(), out=None)  # from here on its log is there
+
+    def with_files(own, here, log, folder):
+        asked.append((own.name, here.name, log.path.name, folder is not None and folder.is_dir()))
+        return "with files"
+
+    def begun(log, run, own, given):
+        asked.append((log.path.name, sorted(run), own.name, given))
+        return cycle
+
+    def record(here, given, path, log):
+        asked.append((here.name, given is cycle, path.name, log.path.name))
+        return contextlib.nullcontext(
+            SimpleNamespace(close=lambda _: SimpleNamespace(complete=True, error=""))
+        )
+
+    monkeypatch.setattr(command, "load", lambda _: other)
+    monkeypatch.setattr(command, "changed", lambda *_, **__: other)
+    monkeypatch.setattr(command, "_with_files", with_files)
+    monkeypatch.setattr(command, "_cycle", begun)
+    monkeypatch.setattr(command, "_other_files", lambda given, log: [given, log.path.name])
+
+    def answer(log, given, *_):
+        asked.append((log.path.name, given is cycle))
+        return Answer()
+
+    monkeypatch.setattr(command, "record", record)
+    monkeypatch.setattr(command, "_answer", answer)
+    monkeypatch.setattr(command, "_remarks", lambda log, here, answer, given: [here.name, given is cycle])
+    found = command.what_if_log(tmp_path / "run.mcap", named, out=tmp_path / "a.mcap")
+    assert asked == [
+        ("virtual", "other", "run.mcap", named is None),
+        ("run.mcap", ["rate_Hz", "watchdog_s"], "virtual", "with files"),
+        ("other", True, "a.mcap", "run.mcap"),
+        ("run.mcap", True),
+    ]
+    assert (found["changed"], found["remarks"]) == (["with files", "run.mcap"], ["other", True])

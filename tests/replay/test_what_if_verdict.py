@@ -81,6 +81,8 @@ def test_a_what_if_is_as_fast_as_the_logged_time_over_its_own(verdict, monkeypat
     found = verdict(Answer(ticks=500))
     assert (found["wall_s"], found["logged_s"]) == (0.25, 0.5)
     assert found["times_real_time"] == pytest.approx(2.0)
+    monkeypatch.setattr(command, "time", SimpleNamespace(perf_counter=lambda: 7.0))
+    assert verdict(Answer(ticks=500))["times_real_time"] == 0.0, "a clock that stood still"
 
 
 def test_an_interrupt_is_handed_on_and_names_the_log_that_was_begun(monkeypatch, tmp_path):
@@ -128,6 +130,7 @@ def test_the_picture_names_the_log_and_the_controller_and_is_drawn_of_an_answer_
     picture, words = tmp_path / "a.png", ["limits.force_N=1"]
     found = verdict(Answer(ticks=ticks), picture=picture, words=words)
     title = "run.mcap: recorded, and what virtual limits.force_N=1 would have sent"
+    assert found["changed"] == [f"limits.force_N: {load('virtual').limits.force_N} -> 1.0"]
     assert (found["picture"], drawn) == ((str(picture), [(picture, title)]) if ticks else (None, []))
 
 

@@ -64,7 +64,8 @@ def test_a_replay_has_the_rate_the_watchdog_the_plan_and_the_pose_of_the_log(mon
 def test_a_what_if_has_the_plan_of_the_log_only_for_the_reference_of_the_log(built):
     log, other = log_with(FILES), VIRTUAL.model_copy(update={"reference": HoldReference(type="hold")})
     for own, here in ((VIRTUAL, VIRTUAL), (VIRTUAL, other), (other, other), (other, VIRTUAL)):
-        assert command._cycle(log, RUN, own, here) == "the cycle"
+        cycle: Any = command._cycle(log, RUN, own, here)
+        assert cycle == "the cycle"
     pose = (log.path, b"the pose")
     assert built == [
         (VIRTUAL, 500.0, 0.025, b"the plan", pose),

@@ -13,6 +13,7 @@ from drivers.errors import LogError
 from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
 from hil.app.configuration.configuration import load
 from hil.app.what_if import command
+from hil.app.what_if.picture import Forces
 from hil.loop.what_if import Answer
 from hil.record import LogSummary
 
@@ -126,7 +127,7 @@ def test_the_picture_names_the_log_and_the_controller_and_is_drawn_of_an_answer_
     verdict, tmp_path, monkeypatch, ticks
 ):
     drawn: list[Any] = []
-    monkeypatch.setattr(command.Forces, "draw", lambda _, *given: drawn.append(given))
+    monkeypatch.setattr(Forces, "draw", lambda _, *given: drawn.append(given))
     picture, words = tmp_path / "a.png", ["limits.force_N=1"]
     found = verdict(Answer(ticks=ticks), picture=picture, words=words)
     title = "run.mcap: recorded, and what virtual limits.force_N=1 would have sent"
@@ -140,7 +141,7 @@ def test_a_picture_that_cannot_be_written_in_the_end_is_no_success_and_keeps_the
     def full(*_):
         raise LogError("--plot a.png: No space left on device")
 
-    monkeypatch.setattr(command.Forces, "draw", full)
+    monkeypatch.setattr(Forces, "draw", full)
     found = verdict(Answer(ticks=5), picture=tmp_path / "a.png")
     assert (found["success"], found["ticks"], found["picture"]) == (False, 5, None)
     assert found["unwritten"] == ["--plot a.png: No space left on device"]
@@ -176,7 +177,7 @@ def test_what_is_asked_for_is_collected_and_nothing_else(verdict, tmp_path, monk
     (without, progress), (kept, none) = ((each[:2], each[2]) for each in asked)
     assert (without, progress, none) == ((None, None), print, None)
     assert kept[0] is not None
-    assert isinstance(kept[1], command.Forces)
+    assert isinstance(kept[1], Forces)
 
 
 @pytest.mark.parametrize("named", [None, "another"])

@@ -147,6 +147,35 @@ def test_latch_contradiction_begins_where_both_tolerances_end(sign, way):
         assert not latch.explained(0, gap, rates, tolerance, say)
 
 
+@pytest.mark.parametrize(("moving", "shared"), [((1, 3, 4), True), ((0, 3, 5), True), ((0, 1), False)])
+def test_latch_a_leg_shows_a_delay_beyond_its_own_tolerance(moving, shared):
+    tolerance = np.where(np.isin(np.arange(6), moving), 1e-6, 9.0)
+    assert latch.shared_delay(RATES * 0.25, RATES, tolerance)[1] == shared
+
+
+@pytest.mark.parametrize("exact", [(0, 4), (3, 4)])
+def test_latch_a_leg_agrees_on_a_delay_within_its_own_tolerance(exact):
+    """The two fast ones tell the delay; the others are off by less than is theirs."""
+    those = np.isin(np.arange(6), exact)
+    rates = np.where(those, 8.0, 1.0)
+    gap, tolerance = np.where(those, 2.0, 0.26), np.where(those, 1e-6, 0.02)
+    assert latch.shared_delay(gap, rates, tolerance) == (0.25, True)
+    assert not latch.shared_delay(gap, rates, six(1e-6))[1]
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+@pytest.mark.parametrize("of", ["itself", "another"])
+def test_latch_a_delay_explains_a_leg_within_its_own_tolerance_and_that_of_each_other(leg, sign, of):
+    explained = getattr(latch.explained, "py_func", latch.explained)
+    off = leg if of == "itself" else (leg + 2) % 6
+    for wrong, fine in ((0.09, True), (0.11, False)):
+        gap = RATES * 0.25
+        say = gap + six(sign * wrong, off)
+        gap[leg] = say[leg]
+        assert explained(leg, gap, RATES, six(0.1, off), say) == fine
+
+
 # -- increments
 
 
@@ -251,6 +280,14 @@ def test_leaps_of_one_leg_name_it_and_of_more_name_none(leg):
 
 
 # -- stillness
+
+
+@ON_ONE_LEG
+@BOTH_SIGNS
+def test_stillness_a_leg_strays_from_where_it_was_itself(leg, sign):
+    began, heard = np.arange(1.0, 7.0), np.zeros(6, int)
+    assert stillness.strayed(began, began, heard) == 0.0
+    assert stillness.strayed(began + six(sign * 0.5, leg), began, heard) == 0.5
 
 
 @BOTH_SIGNS

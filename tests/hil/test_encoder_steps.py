@@ -97,6 +97,25 @@ def test_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_sho
     assert not differences.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
 
 
+def test_a_slope_lags_by_half_of_its_step_where_the_one_before_is_not_known():
+    assert differences.lag_of(4.0, 0.0) == 2.0
+
+
+@pytest.mark.parametrize("leg", range(6))
+@BOTH_SIGNS
+def test_a_leap_is_time_within_the_bound_of_its_own_leg_and_where_it_is_known(leg, sign):
+    """Six times 0.25 periods of each rate are explained, to the last bit, and what its own bound allows more."""
+    is_time = getattr(differences.is_time, "py_func", differences.is_time)
+    leaps = sign * 1.5 * RATES
+    assert is_time(leg, leaps, RATES, six(0.0), 0.25)
+    more = leaps + np.sign(leaps) * six(0.5, leg)
+    assert is_time(leg, more, RATES, six(0.51, leg), 0.25)
+    assert not is_time(leg, more, RATES, six(0.49, leg), 0.25)
+    for unknown in range(6):
+        some = leaps + six(np.nan, unknown)
+        assert is_time(leg, some, RATES, six(0.0), 0.25) == (unknown != leg)
+
+
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("silent", [0, 2, 5])
 def test_a_gap_of_slopes_lags_by_the_steps_of_its_own_leg_and_not_of_one_that_was_silent(leg, silent):

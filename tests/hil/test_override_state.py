@@ -149,3 +149,10 @@ def test_a_speed_is_never_more_than_full_and_never_backward(sigma, dsigma, end):
 
 def test_at_no_speed_yet_a_rate_takes_the_path_on_before_it_is_braked():
     assert braking(0.0, 0.1, LIMIT, STEP, T) > 0.0
+
+
+@pytest.mark.parametrize("off", [3e-13, -3e-13, 0.0])
+@pytest.mark.parametrize("dsigma", [0.01, -0.01])
+def test_a_speed_within_rounding_of_its_target_is_put_on_it_to_the_bit(off, dsigma):
+    target = 0.4 + 0.5 * T * dsigma + off
+    assert change(0.4, dsigma, target, LIMIT, STEP, T)[1:] == (target, 0.0)

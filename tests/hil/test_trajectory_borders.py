@@ -92,6 +92,13 @@ def test_no_row_of_a_file_may_turn_by_more_than_a_half_about_whatever_axis(tmp_p
         build_trajectory(settings, HOME, tmp_path)
 
 
+def test_the_last_row_of_a_file_tells_how_long_it_is(tmp_path):
+    times = (5.0, 6.0, 7.0, 86_405.5)
+    write(tmp_path, HEADER + "".join(f"{t},0,0,1,0,0,0\n" for t in times))
+    with pytest.raises(ConfigurationError, match=r"t_s goes from 5 to 86405\.5, allowed: a path of 86400 s"):
+        build_trajectory(SampledReference(type="sampled", path="path.csv"), HOME, tmp_path)
+
+
 def test_a_long_wrong_header_is_shown_by_its_first_200_signs(tmp_path):
     write(tmp_path, "n" * 300 + "\n")
     with pytest.raises(ConfigurationError, match=r"given: n{200}\.$"):

@@ -187,3 +187,14 @@ def test_the_first_stage_steps_by_the_mean_speed_and_tells_where_braking_ends():
     np.testing.assert_allclose(x1, 0.5 * PERIOD * (v + v1), rtol=1e-12)
     ticks = np.array([1, 51, 101, 300, 24, 0])
     np.testing.assert_allclose(rest, x1 + 0.5 * PERIOD * v1 * ticks, rtol=1e-12)
+
+
+@pytest.mark.parametrize("off_m", [3e-13, -3e-13, 0.0])
+def test_each_word_that_comes_to_rest_within_rounding_of_its_target_is_put_on_it_to_the_bit(off_m):
+    x = np.array([0.1, -0.2, 1.0, 0.01, -0.03, 0.05])
+    v = np.array([4e-4, -3e-4, 2e-4, -1e-4, 5e-4, 6e-4])
+    target = x + 0.5 * PERIOD * v + off_m
+    x1, v1, rest = propose(x, v, target, LIMITS[0], np.full(6, A * PERIOD), PERIOD)
+    assert not v1.any()
+    assert x1.tobytes() == target.tobytes()
+    assert rest.tobytes() == target.tobytes()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError, LogError
 from hil.config.reference import (
@@ -49,7 +50,7 @@ def time_optimal(*points):
 
 def test_a_path_that_ends_within_a_nanometre_of_its_start_closes_and_one_twice_as_far_off_does_not():
     chi = np.zeros((3, 6))
-    chi[-1, 2] = 0.99e-9
+    chi[-1, 2] = 1e-9
     require_closed(chi, 2, "path")
     chi[-1, 2] = 2e-9
     with pytest.raises(ConfigurationError, match=r"path: periods is 2, but the path ends 2e-09 m or rad"):
@@ -60,12 +61,27 @@ def test_a_path_that_ends_within_a_nanometre_of_its_start_closes_and_one_twice_a
 def test_points_within_a_nanometre_of_each_other_are_the_same_pose_and_ten_nanometres_are_a_move(sign):
     here = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     away = ((0.1, 0.0, 1.0), (0.0, 0.0, 0.0))
-    for twin in (((0.1, sign * 0.9e-9, 1.0), (0, 0, 0)), ((0.1, 0, 1.0), (0, 0, sign * 5e-8))):
+    for twin in (((0.1, sign * 1e-9, 1.0), (0, 0, 0)), ((0.1, 0, 1.0), (0, 0, sign * 5e-8))):
         with pytest.raises(ConfigurationError, match=r"points\[2\]: the same pose as the point before it"):
             build_trajectory(time_optimal(here, away, twin), HOME, None)
     near = ((0.1, sign * 1e-8, 1.0), (0.0, 0.0, 0.0))
     path = build_trajectory(time_optimal(here, away, near), HOME, None)
     assert path.sample(path.duration_s).p[1] == pytest.approx(sign * 1e-8, rel=1e-6)
+
+
+@pytest.mark.parametrize("word", range(6))
+def test_a_move_of_one_word_alone_goes_there_at_its_own_largest_velocity(word):
+    end = np.zeros(6)
+    end[word] = 0.2 if word < 3 else 20.0
+    path = build_trajectory(
+        time_optimal(((0, 0, 0), (0, 0, 0)), (end[:3].tolist(), end[3:].tolist())), HOME, None
+    )
+    sample = path.sample(path.duration_s)
+    found = np.r_[sample.p, np.rad2deg(Rotation.from_matrix(sample.R).as_rotvec())]
+    np.testing.assert_allclose(found, end, rtol=0, atol=1e-12)
+    twist = path.sample(path.duration_s / 2).twist
+    limit = [0.1, 0.2, 0.3, *np.deg2rad([10.0, 20.0, 30.0])][word]
+    np.testing.assert_allclose(twist, limit * np.eye(6)[word], rtol=0, atol=1e-12)
 
 
 # -- turns and limits ----------------------------------------------------------------------------------------

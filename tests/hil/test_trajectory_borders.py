@@ -20,6 +20,7 @@ from hil.config.reference import (
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.multisine import peak, pick_lines
 from hil.trajectory.path import axis_limits, require_half_turn
 from hil.trajectory.tabulated import TabulatedTrajectory
@@ -66,6 +67,7 @@ def test_points_within_a_nanometre_of_each_other_are_the_same_pose_and_ten_nanom
             build_trajectory(time_optimal(here, away, twin), HOME, None)
     near = ((0.1, sign * 1e-8, 1.0), (0.0, 0.0, 0.0))
     path = build_trajectory(time_optimal(here, away, near), HOME, None)
+    assert path.duration_s is not None
     assert path.sample(path.duration_s).p[1] == pytest.approx(sign * 1e-8, rel=1e-6)
 
 
@@ -76,6 +78,7 @@ def test_a_move_of_one_word_alone_goes_there_at_its_own_largest_velocity(word):
     path = build_trajectory(
         time_optimal(((0, 0, 0), (0, 0, 0)), (end[:3].tolist(), end[3:].tolist())), HOME, None
     )
+    assert path.duration_s is not None
     sample = path.sample(path.duration_s)
     found = np.r_[sample.p, np.rad2deg(Rotation.from_matrix(sample.R).as_rotvec())]
     np.testing.assert_allclose(found, end, rtol=0, atol=1e-12)
@@ -132,6 +135,7 @@ def test_a_live_reference_that_is_only_looked_at_has_ticks_of_a_millisecond():
     settings = LiveReference.model_validate(LIVE_REFERENCE)
     looked, timed = (build_trajectory(settings, HOME, None, period) for period in (None, 1e-3))
     for live in (looked, timed):
+        assert isinstance(live, LiveTrajectory)
         live.aim(np.array([0.2, 0.0, 1.1, 0.0, 0.0, 0.1]))
         live.advance(150, lambda _: 0)
     np.testing.assert_array_equal(looked.sample(0.0).p, timed.sample(0.0).p)

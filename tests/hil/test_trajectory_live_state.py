@@ -145,7 +145,12 @@ def test_the_way_to_rest_is_judged_every_50_ms_at_most_16_times_and_last_at_rest
     trajectory, judged, way = live(limits), [], np.array([2.0, 0, 0, 0, 0, 0])
     trajectory.aim(START + way)
     goes(trajectory, 1, ticks)
-    trajectory.advance(ticks, lambda chi: judged.append(chi[0]) or 0)
+
+    def look(chi):
+        judged.append(chi[0])
+        return 0
+
+    trajectory.advance(ticks, look)
     trajectory.brake()
     assert len(judged) == marks
     x = [trajectory.sample(0.0).p[0]]

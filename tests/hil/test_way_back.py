@@ -233,7 +233,7 @@ def test_a_way_has_a_pose_every_5_mm_and_at_least_17_and_at_most_1001(way_m, pos
 def test_the_first_pose_that_is_refused_ends_the_judgement_and_is_named_by_its_share_of_the_time(
     bad, asked, at
 ):
-    seen = []
+    seen: list[int] = []
 
     def judge(_sample):
         seen.append(len(seen))

@@ -48,6 +48,16 @@ def test_a_consent_that_has_to_be_given_again_leaves_the_end_of_the_run_where_it
     assert given(course, 200, {}, 11) == {50: STOP}
 
 
+def test_a_consent_that_is_taken_back_stops_no_run_a_second_time():
+    now = cycle(Mode.WAITING)
+    course = Course(now, 0.5)
+    assert given(course, 60, {}) == {50: STOP}
+    now.mode = Mode.IDLE
+    assert course.commands(60) == ENGAGE
+    now.mode = Mode.WAITING
+    assert given(course, 200, {}, 61) == {}
+
+
 def test_a_run_that_was_asked_to_end_is_not_stopped_again_at_its_duration():
     course = Course(cycle(Mode.TRACKING), 0.5)
     assert given(course, 200, {10: (Operator.END,)}) == {10: (Operator.STOP, Operator.END)}

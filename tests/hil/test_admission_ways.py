@@ -93,6 +93,15 @@ def test_a_pose_and_a_way_may_take_as_much_force_as_the_limit_to_the_last_bit():
         assert judge.on_the_way(there) == expected
 
 
+def test_a_jog_may_change_a_force_by_as_much_as_the_window_to_the_last_bit_and_at_rest_by_nothing():
+    there = PoseSample(P, R, np.array([0.2, -0.1, 0.1, 0.3, 0.2, -0.3]), STILL)
+    said = admission().change_N(there, 0.5)
+    assert said > 1.0
+    assert not admission(force_window_N=said).too_sudden(there, 0.5)
+    assert admission(force_window_N=np.nextafter(said, 0.0)).too_sudden(there, 0.5)
+    assert admission().change_N(there, 0.0) == 0.0
+
+
 def test_a_way_may_lead_to_its_soft_ends_to_the_last_bit():
     q = leg_lengths(PLATFORM, P, R)
     there = PoseSample(P, R, STILL, STILL)

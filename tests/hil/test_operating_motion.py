@@ -52,7 +52,7 @@ def operated(
     **state: Any,
 ) -> Operating:
     """Return the operator's word after a tick, 9, with a state of its own before."""
-    operating = made()[0]
+    operating: Operating = made()[0]
     jogging = SimpleNamespace(
         refusal=stops,
         take=lambda *_, **__: "say hold" if order_refused else "",
@@ -179,7 +179,7 @@ def test_a_path_begins_by_itself_or_is_asked_for_and_a_way_back_needs_no_new_wor
         operating, motion = made(deadman_s=0.05, start=start)[0], Told()
         operating.go, operating.parks, operating.speed = go, parks, 0.4
         operating.key_tick = 9 if key else None
-        operating.enter(mode, 9, motion)  # type: ignore[arg-type]
+        operating.enter(mode, 9, motion)
         goes = go and (mode is Mode.STOPPING or (key and (parks or start == "automatic")))
         waits = parks and mode is Mode.TRACKING
         assert operating.go == goes

@@ -166,7 +166,7 @@ def test_a_way_that_has_been_judged_is_taken_once_and_the_next_one_is_judged_for
         judged.append(move)
         return SimpleNamespace(step=lambda: True, refusal=refusal, move=move)
 
-    operating._judged = at_once  # type: ignore[assignment]
+    operating._judged = at_once
     for k, x in enumerate((0.05, 0.07)):
         operating.go = operating.parks = True
         there = motion.sample(0)._replace(p=np.array([x, 0.0, 0.0]))

@@ -53,9 +53,14 @@ def operated(
 ) -> Operating:
     """Return the operator's word after a tick, 9, with a state of its own before."""
     operating: Operating = made()[0]
+
+    def take(order: Order, tick: int, _motion: Told, *, on_hold: bool, key: bool) -> str:
+        motion.calls.append(("take", order.numbers, tick, on_hold, key))
+        return "say hold" if order_refused else ""
+
     jogging = SimpleNamespace(
         refusal=stops,
-        take=lambda *_, **__: "say hold" if order_refused else "",
+        take=take,
         let_go=lambda: motion.calls.append(("let_go",)),
         step=lambda tick, _motion, *, key: motion.calls.append(("jog", tick, key)),
     )
@@ -170,6 +175,17 @@ def test_where_a_limit_stops_a_jog_its_word_is_refused_unless_it_was_refused_bef
     jog = Order(Operator.JOG, (0.0, 1.0))
     said = operated(HOLD, jog, KEY, motion=Told(), stops=stops, order_refused=refused)
     assert said.answers == answers
+
+
+@pytest.mark.parametrize("key", [False, True])
+@pytest.mark.parametrize("go", [False, True])
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKED])
+def test_a_jogs_word_is_told_whether_the_path_is_on_hold_and_the_key_held(mode, go, key):
+    motion = Told()
+    jog = Order(Operator.JOG, (2.0, -0.5))
+    operated(jog, mode=mode, motion=motion, go=go, patience=5, key_tick=9 if key else None)
+    on_hold = mode is Mode.TRACKING and not go
+    assert motion.calls[1] == ("take", (2.0, -0.5), 9, on_hold, key)
 
 
 @pytest.mark.parametrize("start", ["automatic", "asked"])

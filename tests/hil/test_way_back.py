@@ -16,6 +16,7 @@ from hil.loop.run_end import Course
 from hil.loop.status import waits_for
 from hil.loop.way_back import APART_M, Inspection
 from hil.signals import Operator, Order
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
 from tests.hil.test_operating import EYE, HERE, HOLD, PARK, START, made, no_jogging
 
@@ -175,6 +176,29 @@ def test_a_way_that_has_been_judged_is_taken_once_and_the_next_one_is_judged_for
         assert move is (None if refusal else judged[k])
         assert (operating.go, operating.parks) == (not refusal, not refusal)
         assert operating.trouble == refusal
+
+
+def test_start_after_a_jog_goes_back_once_to_where_the_path_was_left():
+    operating, motion = made()
+    judged: list[Any] = []
+
+    def at_once(name, move):
+        judged.append((name, move))
+        return SimpleNamespace(step=lambda: True, refusal="", move=move)
+
+    operating._judged = at_once
+    left = motion.sample(100).p
+    operating.go = False
+    motion.settle(100, 0.0)
+    motion.leave(HoldTrajectory(left + np.array([0.0, 0.01, 0.0]), EYE), 100)
+    for tick in range(101, 111):
+        operating.step([START] if tick == 101 else (), tick, Mode.TRACKING, motion)
+    ((name, move),) = judged
+    assert name == "start: the way back to the path"
+    assert motion.trajectory is move
+    np.testing.assert_allclose(move.sample(0.0).p, left + np.array([0.0, 0.01, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(move.sample(move.duration_s).p, left, atol=1e-12)
+    assert motion.override.target == 1.0, "it is under way"
 
 
 def test_operator_and_log_are_told_once_why_a_way_is_not_followed():

@@ -85,6 +85,15 @@ def test_a_run_in_real_time_has_the_epoch_of_its_clock_and_all_that_it_is_told(s
     assert (recording._lockstep, recording._ring.rows.dtype) == (False, SMALL.dtype)
 
 
+def test_a_scene_is_drawn_at_every_33rd_tick_where_nothing_else_is_said(started):
+    setup, _, _ = started(scene=Scene([[1.0, 0.0, 0.0]], [[2.0, 0.0, 0.0]]), ring_ticks=16)
+    assert setup["scene"] == {
+        "base_joints": [[1.0, 0.0, 0.0]],
+        "platform_joints": [[2.0, 0.0, 0.0]],
+        "every": 33,
+    }
+
+
 def test_a_single_bus_in_a_list_is_called_by_its_name_alone(started):
     identity = started(can_channel=["front"], ring_ticks=16)[0]["identity"]
     assert (identity["can_channel"], "can_channels" in identity) == ("front", False)

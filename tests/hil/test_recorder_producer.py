@@ -172,7 +172,7 @@ def test_in_lockstep_a_tick_waits_for_room_in_short_naps(monkeypatch, full):
     for number in range(16 if full == "rows" else 1):
         recording.tick(row_of(number), (), (), [1] * (256 if full == "items" else 0))
     assert naps == []
-    recording.tick(row_of(99), (), (), [1])
+    recording.tick(row_of(99), (), (), [1] * 256)
     assert naps == [0.0002] * 3
     assert recording.dropped == 0
     assert process.ring.take(16).rows["tick"].tolist() == [99]

@@ -96,7 +96,7 @@ class Mirror:
             self._inode = os.fstat(fd).st_ino
             self._map = mmap.mmap(fd, size)
         except BaseException:
-            new.unlink(missing_ok=True)
+            new.unlink()
             raise
         finally:
             os.close(fd)
@@ -157,11 +157,10 @@ class MirrorReader:
         finally:
             os.close(fd)
         self._words = memoryview(self._map).cast("q")
-        length = self._words[_LENGTH]
-        if self._words[_MAGIC] != MAGIC or not 0 < length <= HEAD_BYTES - _WORDS:
+        if self._words[_MAGIC] != MAGIC:
             raise foreign(path)
         try:
-            self.about: dict[str, Any] = json.loads(self._map[_WORDS : _WORDS + length])
+            self.about: dict[str, Any] = json.loads(self._map[_WORDS : _WORDS + self._words[_LENGTH]])
             self.dtype = Table("", columns_of(self.about["columns"])).dtype
         except (ValueError, KeyError, TypeError) as error:
             raise foreign(path) from error

@@ -72,6 +72,18 @@ def test_the_file_has_a_head_a_description_and_four_places_that_are_filled_in_tu
     assert last.events == []
     mirror.close()
     assert reader.ended
+    assert reader._words[3] == 1
+
+
+def test_a_place_that_claims_bytes_of_the_next_one_is_not_read_although_their_checksum_is_right(tmp_path):
+    mirror = Mirror(tmp_path / "m", ABOUT)
+    mirror.write(*piece(1))
+    reader = MirrorReader(tmp_path / "m")
+    assert reader.read() is not None
+    at, room = HEAD + SLOT, SLOT - WORDS
+    mirror._words[at // 8 + 1] = room + 8
+    mirror._words[at // 8 + 2] = zlib.crc32(mirror._map[at + WORDS : at + WORDS + room + 8])
+    assert reader.read() is None
 
 
 def test_a_description_and_a_piece_may_fill_their_room_and_take_no_byte_more(tmp_path):
@@ -248,6 +260,7 @@ NO_COLUMNS, NO_TABLE = b'{"a": 1}', b'{"columns": "[]"}'
     ("at", "data"),
     [
         (0, b"\0" * 8), (8, struct.pack("<q", 0)), (8, struct.pack("<q", -1)), (8, struct.pack("<q", HEAD - WORDS + 1)),
+        (8, struct.pack("<q", -HEAD)), (8, struct.pack("<q", 1 << 62)), (8, struct.pack("<q", -(1 << 63))),
         (WORDS, b"{,"), (8, struct.pack("<qqq", len(NO_COLUMNS), 0, 0) + NO_COLUMNS),
         (8, struct.pack("<qqq", len(NO_TABLE), 0, 0) + NO_TABLE), (8, struct.pack("<qqq", 2, 0, 0) + b"[]"),
         (HEAD + 4 * SLOT, b"\0"),

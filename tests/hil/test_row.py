@@ -42,9 +42,19 @@ def test_a_row_without_the_number_or_the_time_of_its_tick_is_refused(name, other
 
 @pytest.mark.parametrize("kind", [int, float])
 def test_protobuf_reads_numbers_without_names_as_a_list(kind):
-    table = Table("/tick", (TICK, TIME, column("A", kind, (), (2, 3)), column("b", kind, (), (1,))))
+    table = Table(
+        "/tick",
+        (
+            TICK,
+            TIME,
+            column("A", kind, (), (2, 3)),
+            column("b", kind, (), (1,)),
+            column("c", kind, ("u", "v"), (2,)),
+        ),
+    )
     rows = np.zeros(2, table.dtype)
     rows["tick"], rows["A"], rows["b"] = [4, 5], np.arange(12).reshape(2, 2, 3), [[8], [9]]
+    rows["c"] = [[21, 22], [23, 24]]
     codec = RowCodec(table.columns)
     records = codec.layout.new(2)
     codec.write(rows, records)
@@ -54,6 +64,7 @@ def test_protobuf_reads_numbers_without_names_as_a_list(kind):
         (4, [0, 1, 2, 3, 4, 5], [8]),
         (5, [6, 7, 8, 9, 10, 11], [9]),
     ]
+    assert [(m.c.u, m.c.v) for m in found] == [(21, 22), (23, 24)]
     assert np.array([codec.parse(m) for m in found]).tobytes() == rows.tobytes()
 
 

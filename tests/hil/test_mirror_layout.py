@@ -101,7 +101,9 @@ def test_a_description_and_a_piece_may_fill_their_room_and_take_no_byte_more(tmp
         mirror.write(row, figures, b"[" + b" " * (room - 3) + f"{number}]".encode())
     last = reader.read()
     assert last is not None
-    assert (last.number, last.events) == (4, [4])
+    assert last.number == 4
+    events: list[Any] = last.events
+    assert events == [4]
     with pytest.raises(ValueError, match=f"a piece of {SLOT - WORDS + 1} bytes; allowed: {SLOT - WORDS}"):
         mirror.write(row, figures, b"[" + b" " * (room - 1) + b"]")
     assert reader.newest == 4

@@ -165,7 +165,8 @@ class Draining(Process):
 
 @pytest.mark.parametrize("full", ["rows", "items"])
 def test_in_lockstep_a_tick_waits_for_room_in_short_naps(monkeypatch, full):
-    process, naps = Draining(), []
+    process = Draining()
+    naps: list[float] = []
     recording = recording_of(16, lockstep=True, process=process)
     process.ring = recording._ring
     monkeypatch.setattr(time, "sleep", naps.append)
@@ -221,7 +222,7 @@ class Ended:
         monkeypatch.setattr(module, "finish", lambda process: self.did.append("finish"))
         self.recording = recording_of(16, process=Process(ended))
         self.recording.path = folder / "a.mcap"
-        self.recording._ring.close_fd = lambda: self.did.append("close")  # type: ignore[method-assign]
+        self.recording._ring.close_fd = lambda: self.did.append("close")
         for number in range(3):
             self.recording.tick(row_of(number), (), ())
         self.recording._ring.release(self.recording._ring.take(2))

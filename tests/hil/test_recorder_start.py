@@ -36,7 +36,8 @@ def started(monkeypatch, tmp_path):
     def start(**options):
         recording = Recording.start("logs/a.mcap", configuration="ä: 1\n", **options)
         ring, setup, files = found.pop()
-        assert (recording._ring, recording._process) == (ring, "process")
+        process: Any = recording._process
+        assert (recording._ring, process) == (ring, "process")
         recording._ring.close_fd()
         return setup, files, recording
 

@@ -220,7 +220,7 @@ def test_a_tick_with_two_items_of_any_kinds_takes_room_for_two(first, second):
 def test_the_parts_of_the_memory_begin_on_pages_lie_apart_and_are_as_large_as_they_must_be(capacity):
     ring = Ring.create(DTYPE, capacity)
     ends, items = np.asarray(ring.ends), np.asarray(ring.item_bytes)
-    parts = [np.asarray(ring.counters), ends, ring.rows.view(np.uint8), items]
+    parts: list[Any] = [np.asarray(ring.counters), ends, ring.rows.view(np.uint8), items]
     begins = [part.__array_interface__["data"][0] for part in parts]
     sizes = [part.nbytes for part in parts]
     assert sizes == [4096, 8 * capacity, 40 * capacity, 16 * 80 * capacity]
@@ -228,7 +228,8 @@ def test_the_parts_of_the_memory_begin_on_pages_lie_apart_and_are_as_large_as_th
     gaps = [begin - before - size for before, size, begin in zip(begins, sizes, begins[1:], strict=False)]
     assert all(0 <= gap < 4096 for gap in gaps)
     assert os.fstat(ring.fd).st_size == begins[-1] + sizes[-1] - begins[0], "and nothing lies behind"
-    for part, other in [(ends, ring._ends_array), (items, ring._items.view(np.uint8))]:
+    same: list[Any] = [(ends, ring._ends_array), (items, ring._items.view(np.uint8))]
+    for part, other in same:
         assert part.__array_interface__["data"] == other.__array_interface__["data"]
         assert part.nbytes == other.nbytes
     ring.close_fd()

@@ -144,7 +144,8 @@ def test_lines_and_legs_are_as_thick_as_a_fiftieth_of_the_distance_of_the_farthe
     assert drawn is not None
     entities = {e.id: e for e in SceneUpdate.FromString(drawn).entities}
     lines = [*entities["base"].lines, *entities["platform"].lines]
-    assert [(line.type, line.thickness) for line in lines] == [(1, pytest.approx(thick))] * 2, "closed loops"
+    assert [int(line.type) for line in lines] == [1, 1], "closed loops"
+    assert [line.thickness for line in lines] == pytest.approx([thick, thick])
     for leg in entities["legs"].cylinders:
         assert (leg.size.x, leg.size.y) == pytest.approx((thick, thick))
         assert (leg.bottom_scale, leg.top_scale) == (1.5, 1.0), "it is seen which end is on the base"

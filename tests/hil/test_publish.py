@@ -170,8 +170,9 @@ def test_an_event_is_shown_with_its_time_its_level_and_600_signs_of_its_text(ben
     ]
 
 
-def test_the_oldest_events_go_where_all_that_are_shown_take_more_than_24000_bytes(bench):
-    """Each takes 7 bytes a sign of its text, and so many more; the last one is as long as fits, and one longer."""
+@pytest.mark.parametrize("more", [0, 1])
+def test_the_oldest_events_go_where_all_that_are_shown_take_more_than_24000_bytes(bench, more):
+    """The last one is as long as fits, or a byte longer."""
 
     def show(*texts):
         for text in texts:
@@ -184,9 +185,9 @@ def test_the_oldest_events_go_where_all_that_are_shown_take_more_than_24000_byte
     assert len(bench.shown.told) == 7
     per_event = (bench.shown.size - 2 - 6 * 2) // 7
     room = 24000 - bench.shown.size - 2 - (per_event - 6 * 500)
-    full = ["\x01" * (room // 6) + "x" * (room % 6)]
-    show(*full)
-    assert (len(bench.shown.told), bench.shown.size) == (8, 24000)
+    show("\x01" * (room // 6) + "x" * (room % 6 + more))
+    assert [number for number, _ in bench.shown.events] == list(range(1 + more, 9))
+    assert bench.shown.size == (24000 if not more else 24001 - per_event - 2)
     show("one more")
     assert [number for number, _ in bench.shown.events] == list(range(2, 10))
 
@@ -195,14 +196,35 @@ def test_the_largest_delays_are_those_of_the_last_one_to_two_seconds(bench, monk
     now = [50 * 10**9]
     monkeypatch.setattr(time, "monotonic_ns", lambda: now[0])
     found = []
-    steps = [(0, 9, 5), (10**9, 4, 7), (1, 3, 1), (10**9 - 1, 2, 2), (2, 1, 8), (10**9 + 1, 2, 3)]
+    steps = [
+        (0, 0, 0),
+        (1, 9, 5),
+        (10**9 - 1, 4, 7),
+        (1, 3, 1),
+        (10**9 - 1, 2, 2),
+        (2, 1, 8),
+        (10**9 + 1, 2, 3),
+    ]
+    steps += [(10**9 + 1, 0, 0), (10**9 + 1, 0, 0)]
     for after_ns, lateness_ns, compute_ns in steps:
         now[0] += after_ns
         bench.run(1, lateness_ns=lateness_ns, compute_ns=compute_ns)
         bench.publisher.publish(0)
         found.append((bench.shown.figures["late_ns"], bench.shown.figures["compute_ns"]))
         assert bench.shown.figures["seen_ns"] == now[0]
-    assert found == [(9, 5), (9, 7), (9, 7), (9, 7), (3, 8), (2, 8)]
+    assert found == [(0, 0), (9, 5), (9, 7), (9, 7), (9, 7), (3, 8), (2, 8), (2, 3), (0, 0)]
+
+
+def test_rows_that_nobody_looked_at_are_counted_when_they_are_written_and_not_those_of_later(bench):
+    """The ring turns before the next look, so what was not counted then would be lost."""
+    bench.run(10)
+    bench.drain()
+    bench.run(10, skipped=1, warnings=Warn.FORCE_LIMIT)
+    bench.run(246)
+    bench.drain()
+    bench.publisher.publish(0)
+    figures = bench.shown.figures
+    assert (figures["ticks"], figures["skipped"], figures["stale"]) == (266, 10, 0)
 
 
 def test_ticks_that_were_lost_are_told_and_the_row_shown_is_the_newest_when_the_ring_has_turned(bench):

@@ -69,6 +69,11 @@ def test_a_small_rotation_error_keeps_its_digits():
     assert not rotation_errors(R, R).any()
 
 
+def test_rotations_without_a_counterpart_are_refused():
+    with pytest.raises(ValueError, match="zip"):
+        rotation_errors(np.array([np.eye(3)] * 2), np.array([np.eye(3)]))
+
+
 def test_without_a_row_nothing_peaks_and_there_is_no_mean():
     assert peak(np.zeros((0, 6))).tolist() == [0.0] * 6
     assert np.isnan(rms(np.zeros((0, 6)))).tolist() == [True] * 6

@@ -134,10 +134,10 @@ def test_a_slow_loop_has_its_corner_as_bandwidth_where_the_record_is_long_enough
 
 def test_rise_is_between_the_crossings_on_the_straight_lines_between_samples_however_far_apart():
     """10 % is a fifth of the way from 0 to 50 %, 90 % is half the way from 80 to 100 %."""
-    t = np.array([0.0, 1.0, 3.0, 4.0, *range(5, 41)])
+    t = np.array([0.0, 1.0, 3.0, 5.0, *range(6, 42)])
     y = 7.0 - 2.0 * np.array([0.0, 0.5, 0.8, 1.0, *[1.0] * 36])
-    assert step_response(t, y, 7.0).rise_s == pytest.approx(3.5 - 0.2)
-    assert step_response(t + 9.0, y, 7.0).rise_s == pytest.approx(3.5 - 0.2)
+    assert step_response(t, y, 7.0).rise_s == pytest.approx(4.0 - 0.2)
+    assert step_response(t + 9.0, y, 7.0).rise_s == pytest.approx(4.0 - 0.2)
 
 
 def test_an_answer_that_is_there_at_once_rises_in_no_time():
@@ -162,7 +162,7 @@ def test_an_answer_that_swings_out_to_one_side_alone_has_not_settled_either(by, 
     t, y = np.linspace(0.0, 0.1, 100), np.ones(100)
     y[-10:] = 1.0 - sign * by / 9
     y[-4] = 1.0 + sign * by
-    assert step_response(t, y, 0.0).settled is settled
+    assert step_response(t, 7.0 + 5.0 * y, 7.0).settled is settled
 
 
 @pytest.mark.parametrize(("count", "last"), [(1, 1), (2, 1), (9, 1), (10, 1), (19, 1), (20, 2), (35, 3)])
@@ -174,8 +174,8 @@ def test_an_answer_ends_at_the_mean_of_its_last_tenth_of_one_sample_at_least(cou
 
 
 def test_an_answer_that_waits_at_a_level_has_reached_it_when_it_came():
-    """10 % is reached at 1 s and 90 % at 5 s; both are kept for two seconds."""
-    y = np.array([0.0, 0.1, 0.1, 0.1, 0.5, 0.9, 0.9, 0.9, *[1.0] * 12])
+    """10 % is reached at 1 s and 90 % at 5 s; the one is kept for two seconds, the other for three."""
+    y = np.array([0.0, 0.1, 0.1, 0.1, 0.5, 0.9, 0.9, 0.9, 0.9, *[1.0] * 11])
     assert step_response(np.arange(20.0), y, 0.0).rise_s == pytest.approx(4.0)
 
 
@@ -199,6 +199,15 @@ def test_three_samples_are_the_fewest_that_have_a_bandwidth():
     assert abs(
         0.5 + 0.4 * np.exp(-2e-3j * np.pi * found) + 0.1 * np.exp(-4e-3j * np.pi * found)
     ) == pytest.approx(np.sqrt(0.5), rel=1e-9)
+
+
+@pytest.mark.parametrize("begins_s", [0.0, 7.0])
+def test_a_bandwidth_just_below_half_the_rate_of_the_samples_is_found(begins_s):
+    """Increments of 84 and 16 %: |G|^2 = 0.84^2 + 0.16^2 + 2 * 0.84 * 0.16 cos(2 pi f T) = 1 / 2."""
+    expected = np.arccos((0.5 - 0.84**2 - 0.16**2) / (2 * 0.84 * 0.16)) / (2 * np.pi * 1e-3)
+    assert 400.0 < expected < 500.0
+    found = bandwidth_Hz(begins_s + T[:3], np.array([0.84, 1.0, 1.0]), 0.0)
+    assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_bandwidth_is_where_the_gain_first_falls_though_it_rises_again_and_whenever_the_record_begins():

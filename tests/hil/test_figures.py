@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.signals import BusState, Fault, Mode, Refusal, Warn
 from drivers.tick_columns import ROW
-from hil.record.figures import certificate, figures, picture
+from hil.record.figures import certificate, figures, picture, pose_errors
 from hil.signals import REASONS
 
 
@@ -189,7 +189,7 @@ def test_the_certificate_is_told_where_one_tick_was_watched_and_nowhere_else():
 
 @pytest.mark.parametrize(("taken", "refused"), [(0, 0), (3, 0), (0, 2), (3, 2)])
 def test_set_points_are_those_until_the_last_tick_and_why_some_were_refused_is_said(taken, refused):
-    rows = rows_of(3, setpoints_taken=[0, 0, taken], setpoints_refused=[0, refused, refused])
+    rows = rows_of(5, setpoints_taken=[0, 0, 0, 0, taken], setpoints_refused=[0, 0, 0, 0, refused])
     assert ("setpoints" in figures(rows)) is bool(taken or refused)
     rows["setpoints_taken"][-1] = 7
     assert figures(rows)["setpoints"] == {"taken": 7, "refused": refused, "why": None}
@@ -295,3 +295,16 @@ def test_the_picture_is_1200_by_800_pixels_with_thin_lines_a_pale_grid_and_a_log
         lines = [*axes.get_xgridlines(), *axes.get_ygridlines()]
         assert lines
         assert {(line.get_alpha(), line.get_visible()) for line in lines} == {(0.3, True)}
+
+
+def test_errors_are_the_reference_less_the_measurement_leg_by_leg_and_axis_by_axis_in_their_order():
+    turn = Rotation.from_rotvec([0.0, 0.0, 30.0], degrees=True).as_matrix()
+    rows = rows_of(3, p=[1.0, 2.0, 3.0], p_d=[1.001, 1.998, 3.0], q=0.5, q_d=0.503, R=turn)
+    rows["R_d"] = Rotation.from_rotvec([0.0, 0.0, 31.0], degrees=True).as_matrix()
+    p_mm, r_deg = pose_errors(rows)
+    np.testing.assert_allclose(p_mm, [[1.0, -2.0, 0.0]] * 3, atol=1e-9)
+    np.testing.assert_allclose(r_deg, [[0.0, 0.0, 1.0]] * 3, atol=1e-9)
+    tracking = figures(rows)["tracking"]
+    assert tracking["peak_leg_error_mm"] == pytest.approx(3.0)
+    assert tracking["peak_position_error_mm"] == pytest.approx(np.sqrt(5.0))
+    assert tracking["peak_rotation_error_deg"] == pytest.approx(1.0)

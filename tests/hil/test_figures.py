@@ -237,7 +237,7 @@ def drawn(tmp_path, monkeypatch):
 
 def test_the_picture_shows_poses_errors_and_forces_in_seconds_from_the_first_tick(drawn):
     p, tau = np.arange(12.0).reshape(4, 3), np.arange(24.0).reshape(4, 6)
-    rows = rows_of(4, p=p, p_d=p + 1.0, q_d=tau * 1e-3, tau=-tau)
+    rows = rows_of(4, p=p, p_d=p + 1.0, q=0.5, q_d=0.5 + tau * 1e-3, tau=-tau)
     rows["t_ns"] += 7 * 10**9
     rows["mode"][0] = Mode.APPROACH
     path, error, force, _ = drawn(rows)
@@ -251,7 +251,7 @@ def test_the_picture_shows_poses_errors_and_forces_in_seconds_from_the_first_tic
         np.testing.assert_array_equal(path.lines[2 * k + 1].get_ydata(), reference[:, k])
     errors = tau.copy()
     errors[0] = np.nan
-    np.testing.assert_allclose(np.transpose([line.get_ydata() for line in error.lines]), errors)
+    np.testing.assert_allclose(np.transpose([line.get_ydata() for line in error.lines]), errors, atol=1e-9)
     np.testing.assert_array_equal(np.transpose([line.get_ydata() for line in force.lines]), -tau)
 
 

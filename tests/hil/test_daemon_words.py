@@ -232,3 +232,12 @@ def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypat
     assert latched == (protocol, OPENING, ["the clock's" if known else "the answers'"], 80)
     asked = (protocol, OPENING, ["the clock's"], ["an answer"], 9, 100, 130, answer_ns)
     assert told[1:] == ([] if known else [asked])
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_whoever_ends_the_program_has_the_drives_told_first(slept, error):
+    world = World({}, {"error": error()})
+    with pytest.raises(error):
+        world.run()
+    assert world.done == ["OFF"] * SAFE_FRAMES
+    assert len(slept) == SAFE_FRAMES

@@ -241,3 +241,15 @@ def test_whoever_ends_the_program_has_the_drives_told_first(slept, error):
         world.run()
     assert world.done == ["OFF"] * SAFE_FRAMES
     assert len(slept) == SAFE_FRAMES
+
+
+def test_who_waits_is_answered_after_each_step_and_stamped_with_its_tick(monkeypatch):
+    told: list[Any] = []
+    heard = SimpleNamespace(operator=(Operator.HOLD,), setpoints=(), orders=())
+    console = SimpleNamespace(take=lambda: heard, answer=lambda *what: told.append((*what, len(world.rows))))
+    monkeypatch.setattr(daemon, "Console", lambda *of: told.append(of) or console)  # type: ignore[func-returns-value]
+    world = World({}, {})
+    world.run()
+    assert told[0] == (world.course, world.panel, None, None)
+    assert told[1:] == [(world.recording, 0, 1), (world.recording, PERIOD_NS, 2)]
+    assert [inp.operator for inp in world.inputs] == [(Operator.HOLD,)] * 2

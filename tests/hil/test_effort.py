@@ -13,6 +13,7 @@ from drivers.signals import Mode
 from drivers.tick_columns import Record, copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.loop import effort as effort_module
 from hil.loop.effort import Effort
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.move import GeodesicMove
@@ -250,3 +251,18 @@ def test_what_holds_a_platform_is_the_books_force_for_its_weight_and_more_where_
     np.testing.assert_allclose(effort.statics(*home, np.zeros(6)), 3618.625746, atol=1e-4)
     assert effort.statics(*home, WRENCH).min() > 3618.7
     assert effort.reach_N == float(parts.safety.limits["force_window_N"])
+
+
+@pytest.mark.parametrize("on_it", [None, False, True])
+def test_the_entry_offset_is_what_the_law_leaves_of_the_holding_force_where_the_platform_was_measured(
+    parts, monkeypatch, on_it
+):
+    effort, law, motion = an_effort(parts)
+    tick, sample, asked = record_of(tick=9), motion.sample(9), list[Any]()
+    monkeypatch.setattr(effort_module, "tau_at_rest", lambda *of, on_it: asked.append((*of, on_it)) or OWN)  # type: ignore[func-returns-value]
+    effort.entry_tick = 4
+    effort.hold(tick, HOLDING, sample, **({} if on_it is None else {"on_it": on_it}))
+    assert asked == [(law, parts.platform, tick, sample, bool(on_it))]
+    np.testing.assert_array_equal(effort.offset, HOLDING - OWN)
+    np.testing.assert_array_equal(effort.holding, HOLDING)
+    assert effort.entry_tick is None

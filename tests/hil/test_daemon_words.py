@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,6 +33,7 @@ class World:
         self.inputs: list[Any] = []
         self.done: list[str] = []
         self.panel = OperatorPanel()
+        self.course: Any = None
         protocol = SimpleNamespace(
             feedback_ids=frozenset(), shares_identifiers=False, addressed=lambda _: (), fresh=None, awaited=None,
             command_delay_ticks=0, has_watchdog=True, begin=lambda *_: OPENING,
@@ -78,7 +80,7 @@ class World:
 
     def run(self, *, consent: bool = False, heard: Any = None) -> Any:
         ended = len(self.ticks) - 1
-        self.course: Any = SimpleNamespace(
+        self.course = SimpleNamespace(
             cycle=self.cycle, goes_on=False, commands=lambda _tick, said: said + self.of("operator", ()),
             ending=lambda tick: self.ending if tick == ended else None, story=lambda: ("its story",),
         )  # fmt: skip
@@ -101,7 +103,7 @@ class World:
 @pytest.fixture(autouse=True)
 def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     times: list[float] = []
-    monkeypatch.setattr(daemon.time, "sleep", times.append)
+    monkeypatch.setattr(time, "sleep", times.append)
     return times
 
 
@@ -147,7 +149,7 @@ def test_a_recorder_that_is_lost_stays_lost_and_what_comes_of_it_is_said_once(st
 
 def test_the_log_has_of_a_tick_what_was_read_sent_and_said():
     heard = SimpleNamespace(operator=(), setpoints=(POINT,), orders=(ORDER,))
-    heard._replace = lambda **new: SimpleNamespace(**{**vars(heard), **new})  # type: ignore[attr-defined]
+    heard._replace = lambda **new: SimpleNamespace(**{**vars(heard), **new})
     world = World({"operator": (Operator.STOP,)}, {})
     world.cycle.parts.steering = SimpleNamespace(counts=SimpleNamespace(refusal=0))
     world.run(heard=heard)
@@ -161,7 +163,7 @@ def test_from_its_first_tick_on_a_signal_waits_for_the_next_and_the_step_is_told
     monkeypatch,
 ):
     times = iter([1_000, 1_300, 5_000, 5_700, 9_000, 9_001])
-    monkeypatch.setattr(daemon.time, "perf_counter_ns", lambda: next(times))
+    monkeypatch.setattr(time, "perf_counter_ns", lambda: next(times))
     world = World({}, {}, {})
     world.run()
     assert [inp.compute_ns for inp in world.inputs] == [0, 300, 700]
@@ -225,7 +227,8 @@ def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypat
     monkeypatch.setattr(daemon, "latch_ns", lambda *asked: asked)
     shell: Any = SimpleNamespace(bus=bus, feedback_window_ns=700, answer_ns=answer_ns)
     cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=protocol))
-    heard, latched, refused = _ask(cycle, shell, Wake(9, 50, 30, 0), OPENING)
+    found: Any = _ask(cycle, shell, Wake(9, 50, 30, 0), OPENING)
+    heard, latched, refused = found
     assert told[0] == (bus, 9, 100, 750)
     assert (heard, refused) == (["older", "an answer"], 2)
     known = answer_ns is None
@@ -245,10 +248,10 @@ def test_whoever_ends_the_program_has_the_drives_told_first(slept, error):
 
 def test_who_waits_is_answered_after_each_step_and_stamped_with_its_tick(monkeypatch):
     told: list[Any] = []
+    world = World({}, {})
     heard = SimpleNamespace(operator=(Operator.HOLD,), setpoints=(), orders=())
     console = SimpleNamespace(take=lambda: heard, answer=lambda *what: told.append((*what, len(world.rows))))
     monkeypatch.setattr(daemon, "Console", lambda *of: told.append(of) or console)  # type: ignore[func-returns-value]
-    world = World({}, {})
     world.run()
     assert told[0] == (world.course, world.panel, None, None)
     assert told[1:] == [(world.recording, 0, 1), (world.recording, PERIOD_NS, 2)]

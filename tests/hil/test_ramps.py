@@ -67,7 +67,7 @@ def test_at_rest_the_law_is_asked_afresh_without_load_at_the_sample_or_where_the
     law: Any = Law()
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     there = PoseSample(np.array([0.01, 0.02, 1.0]), np.eye(3), np.zeros(6), np.zeros(6))
-    measured = {"q": 1.5, "p": [0.1, 0.2, 0.9], "R": turned, "dq": 0.3, "twist": 0.4}
+    measured: dict[str, Any] = {"q": 1.5, "p": [0.1, 0.2, 0.9], "R": turned, "dq": 0.3, "twist": 0.4}
     tick = record_of(wrench=7.0, tau_law=99.0, **measured)
     before = tick.tobytes()
     np.testing.assert_array_equal(tau_at_rest(law, PLATFORM, tick, there, on_it=on_it), np.arange(6.0))

@@ -147,7 +147,7 @@ def test_a_look_that_is_due_waits_for_a_tick_in_which_all_six_were_heard(parts, 
         assert sight.sought is (number >= 27)
         np.testing.assert_array_equal(tick["p"], looks.p)
         np.testing.assert_array_equal(tick["R"], looks.R)
-        assert (tick["fk_residual"], tick["condition"]) == (np.inf, np.inf)
+        assert tick["fk_residual"] == tick["condition"] == np.inf
         assert (tick["q"][0], sight.located) == (number, False)
     assert looks.asked == [27]
     assert sight.in_time == [27 if k == leg else 30 for k in range(6)]

@@ -60,7 +60,7 @@ def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle):
     cycle._yields, cycle.proven, cycle.estop = True, False, True
     cycle.faults, cycle.stop_requested = Fault.BRAKE, Stop.MISSED
     cycle.tick = record_of(tick=9, length=1.0)
-    cycle.dialogue = "used"  # type: ignore[assignment]
+    cycle.dialogue = "used"
     cycle.motion.rest(np.ones(3), np.eye(3), 8)
     cycle.reset()
     assert sorted(told) == sorted(names)

@@ -149,7 +149,7 @@ def test_the_row_has_what_safety_warns_of_and_beside_it_silent_sensors_and_refus
 ):
     judged(cycle, monkeypatch, Warn.STALE)
     wrench = SimpleNamespace(late=late, fill=lambda *_, **__: None)
-    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench))  # type: ignore[arg-type]
+    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench))
     steering: Any = cycle.parts.steering
     monkeypatch.setattr(steering, "step", lambda *_, **__: None)
     steering.counts = Counts(7, 9, refusal)
@@ -181,7 +181,7 @@ def test_sensors_are_heard_before_the_pose_is_estimated_as_of_the_first_latch_an
     told: list[Any] = []
     last = cycle.tick
     wrench = SimpleNamespace(late=False, fill=lambda tick, *, fusing: told.append(("load", tick, fusing)))
-    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench, sensors=sensors))  # type: ignore[arg-type]
+    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench, sensors=sensors))
     monkeypatch.setattr(cycle.sight, "hear", lambda *what: told.append(("heard", *what)))
     monkeypatch.setattr(cycle.sight, "estimate", lambda *what: told.append(("pose", *what)))
     monkeypatch.setattr(cycle.sight, "fusing", True)

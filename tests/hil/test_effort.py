@@ -15,6 +15,7 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop import effort as effort_module
 from hil.loop.effort import Effort
+from hil.loop.learned import LearnedForces
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.move import GeodesicMove
 from tests.records import record_of
@@ -266,3 +267,13 @@ def test_the_entry_offset_is_what_the_law_leaves_of_the_holding_force_where_the_
     np.testing.assert_array_equal(effort.offset, HOLDING - OWN)
     np.testing.assert_array_equal(effort.holding, HOLDING)
     assert effort.entry_tick is None
+
+
+def test_learned_forces_act_on_the_reference_of_the_loop_and_come_and_go_in_their_own_time(parts):
+    forces = LearnedForces(np.zeros((3, 6)), -0.1, 0.1, 0.05)
+    assert an_effort(parts)[0].learned is None
+    effort, _, _ = an_effort(parts, learned=forces)
+    assert effort.learned is not None
+    assert effort.learned.forces is forces
+    assert effort.learned._trajectory is parts.trajectory
+    assert effort.learned._step == pytest.approx(1e-3 / 0.05)

@@ -194,7 +194,7 @@ def test_a_park_goes_on_where_one_was_asked_for_and_the_operator_decides(cycle, 
 
 
 def facts(*operator: Operator, stop: bool = False) -> Facts:
-    return Facts(operator, [int(DriveState.RUN)] * 6, False, 0.0, False, stop)
+    return Facts(operator, [int(DriveState.RUN)] * 6, False, 0.0, False, stop, False, False)
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,6 @@ def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(cycl
         ({"latches"}, DriveMode.RUN, False, False),
         ({"rivals", "latches", "confirmed"}, DriveMode.RUN, False, False),
     ],
-    ids=str,
 )
 def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone_is_the_stop(
     cycle, monkeypatch, what, told_last, stops, sent

@@ -23,7 +23,7 @@ def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing():
         assert tick[name].tolist() == last_tick()[name].tolist()
     assert tick["blind"].tolist() == [0] * 6
     assert [int(tick[name]) for name in ("rejected", "doubled", "foreign")] == [0, 0, 0]
-    assert dialogue == Spoken().begun()
+    assert dialogue == Spoken().begun(owed=(1,) * 6)
 
 
 def test_ages_grow_by_the_ticks_since_the_last_one_up_to_never_and_an_answer_makes_its_own_zero():
@@ -80,13 +80,13 @@ def test_a_frame_that_cannot_be_trusted_is_counted_and_says_nothing():
     tick, dialogue = Spoken().told(broken, broken, broken)
     assert (tick["rejected"], tick["foreign"]) == (3, 0)
     assert tick["age"].tolist() == [1] * 6
-    assert dialogue == Spoken().begun()
+    assert dialogue == Spoken().begun(owed=(1,) * 6)
 
 
 def test_a_command_of_another_controller_is_named_and_says_nothing_of_the_drive():
     tick, dialogue = Spoken().told(Heard(2, foreign=True, power=int(RUN)), None)
     assert (tick["rejected"], tick["foreign"]) == (0, Foreign.COMMAND)
-    assert dialogue == Spoken().begun()
+    assert dialogue == Spoken().begun(owed=(1,) * 6)
 
 
 def test_after_a_frame_of_nobody_the_next_ones_count():
@@ -168,11 +168,23 @@ def test_a_second_answer_is_doubled_where_it_says_something_else_and_the_first_o
 
 
 def test_of_two_answers_the_second_counts_where_the_drive_owed_one_or_sends_unasked():
-    ages = [0, 0, 1, 0, 0, 0]
-    for protocol, last in ((Spoken(), last_tick(age=ages)), (Spoken(unasked_s=0.01), last_tick())):
-        tick, _ = protocol.told(feedback(2, 0.5), feedback(2, 0.25), last=last)
+    for protocol, owed in ((Spoken(), (0, 0, 1, 0, 0, 0)), (Spoken(unasked_s=0.01), (0,) * 6)):
+        tick, _ = protocol.told(feedback(2, 0.5), feedback(2, 0.25), owed=owed)
         assert tick["doubled"] == 0
         assert tick["length"][2] == protocol.transmission.length(np.full(6, 0.25))[2]
+
+
+def test_a_drive_that_is_heard_owes_what_it_was_asked_for_up_to_twenty_ticks_and_another_nothing():
+    words = feedback(4, 0.5), feedback(4, 0.25), (LATE, feedback(3)), (LATE, feedback(5)), feedback(5)
+    _, dialogue = Spoken().told(*words, done=(0, 1, 1, 1, 1, 1), owed=(5, 0, 19, 20, 3, 0))
+    assert dialogue.owed == (0, 1, 20, 20, 2, 0)
+
+
+def test_of_drives_not_heard_before_one_more_answer_than_polls_is_no_second_node():
+    two = feedback(2, 0.5), feedback(2, 0.25)
+    assert Spoken().told(*two, done=(0,) * 6)[0]["doubled"] == 0
+    tick, dialogue = Spoken().told(*two, feedback(2, 0.75), done=(0,) * 6)
+    assert (tick["doubled"], dialogue.owed) == (1 << 2, (0,) * 6)
 
 
 def test_a_frame_that_tells_the_state_alone_measures_nothing_and_its_drive_stays_unanswered():

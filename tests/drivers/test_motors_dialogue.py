@@ -47,6 +47,7 @@ def test_a_dialogue_begins_with_drives_of_which_nothing_is_known_and_asks_at_onc
         "asked": (-10,) * 6,
         "read": (None,) * 6,
         "said": (0,) * 6,
+        "owed": (0,) * 6,
         "patience_ticks": NEVER,
     }
     assert Spoken().start(SETUP)._asdict() == MotorDialogue(empty, 0.05)._asdict() == begun
@@ -190,7 +191,7 @@ def test_an_answer_to_nothing_that_was_asked_changes_nothing(done, register):
     protocol = Spoken(exchanges=2)
     for value in (register - 10 + 30.1, 7.0):
         _, dialogue = protocol.told(answer(3, register, value), done=(done,) * 6)
-        assert dialogue == protocol.begun(done=(done,) * 6)
+        assert dialogue == protocol.begun(done=(done,) * 6, owed=(min(done, 1),) * 6)
 
 
 def test_each_drive_lacks_its_answer_its_register_or_what_it_says_of_itself_or_nothing():

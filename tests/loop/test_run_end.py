@@ -194,6 +194,14 @@ def test_goes_on_between_the_start_and_the_end(mode):
     assert first_end(Course(cycle(mode, drive_state=states(DriveState.FAULT))), 3000) is None
 
 
+@pytest.mark.parametrize(("failed", "tick"), [({2}, 200), ({0, 1, 2, 3, 4, 5}, 200), (set(), 1000)])
+def test_a_run_waits_two_seconds_for_drives_of_which_any_has_failed_and_ten_for_others(failed, tick):
+    each = [DriveState.FAULT if leg in failed else DriveState.BOOT for leg in range(6)]
+    ending = first_end(Course(cycle(Mode.WAITING, drive_state=states(*each))), 3000)
+    assert ending is not None
+    assert (ending.mode, ending.ticks, ending.success) == (Mode.WAITING, tick, False)
+
+
 def test_ends_parked_as_soon_as_all_drives_are_off():
     now = cycle(Mode.PARKED, mode_tick=7, drive_state=states(*[DriveState.OFF] * 5, DriveState.READY))
     course = Course(now)

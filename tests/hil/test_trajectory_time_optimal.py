@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError, LogError
@@ -111,6 +112,28 @@ def test_axes_go_in_proportion_where_their_limits_allow_it():
     share = chi[:, 0] / 0.3
     np.testing.assert_allclose(chi[:, 1], 0.15 * share, rtol=0, atol=1e-13)
     np.testing.assert_allclose(chi[:, 3], np.deg2rad(3.0) * share, rtol=0, atol=1e-13)
+
+
+def test_axes_that_cannot_go_in_proportion_move_as_the_planner_says_and_arrive_together():
+    """x needs 10 s at its velocity; y on the same line would need 2 m/s^2, and has 0.05 m/s^2."""
+    V, A, J = [0.1, 5.0, 3.0], [2.0, 0.05, 1.0], [20.0, 2.0, 5.0]
+    start, end = [0.0, 0.0, 1.0], [1.0, 0.9, 1.02]
+    ask, answer = InputParameter(3), Trajectory(3)
+    ask.current_position, ask.target_position = start, end
+    ask.max_velocity, ask.max_acceleration, ask.max_jerk = V, A, J
+    ask.synchronization = Synchronization.Phase
+    Ruckig(3).calculate(ask, answer)
+    trajectory = build(
+        [(start, (0, 0, 0)), (end, (0, 0, 0))],
+        limits=LIMITS | {"velocity_m_s": V, "acceleration_m_s2": A, "jerk_m_s3": J},
+    )
+    assert trajectory.duration_s == pytest.approx(1.0 / 0.1 + 2 * np.sqrt(0.1 / 20), rel=1e-12)
+    for t in np.linspace(0.0, trajectory.duration_s, 1001):
+        x, v, a = answer.at_time(t)
+        sample = trajectory.sample(float(t))
+        np.testing.assert_allclose(sample.p, x, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(sample.twist[:3], v, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(sample.dtwist[:3], a, rtol=0, atol=1e-9)
 
 
 def test_a_plan_gives_the_same_trajectory_to_the_bit():

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.errors import ConfigurationError, HilError
+from drivers.errors import ConfigurationError, HilError, LogError
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
@@ -73,9 +73,10 @@ def rehearse(
                 past = [*past[-1:], learning_run(log)]
                 limit_N = limit_of(past[-1], known)
                 outcome = learned(past, known)
-            except (HilError, OSError) as error:
+            except (HilError, OSError) as found:
+                error = found if kept else _of_unkept(found)
                 if not steps:
-                    raise
+                    raise error from None
                 trouble = f"run {number}: {error}"
                 break
             texts.append(text)
@@ -90,6 +91,13 @@ def rehearse(
         trouble, interrupted = f"run {number}: interrupted", True
     best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
     return Rehearsal(steps, outcome, limit_N, texts[best] if texts else "", trouble, interrupted)
+
+
+def _of_unkept(error: HilError | OSError) -> HilError | OSError:
+    """Return what is told of a log that is gone when it is read about."""
+    if isinstance(error, LogError):
+        return LogError(f"{error}; that log is not kept, --logs FOLDER keeps it")
+    return error
 
 
 def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:

@@ -9,11 +9,14 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from drivers.errors import LogError
 from hil.app.configuration.configuration import Configuration
 from hil.app.learn import rehearsal
+from hil.app.learn.runs import LearningRun
 from hil.cli import main
 from tests.hil.app.learn.test_learned_from import run_of
 
+CANNOT_TEACH = "run.mcap: has a hold"
 WHY = [("the plant stopped", [], "the plant stopped"), (None, ["FOLLOWING", "FORCE"], "FOLLOWING, FORCE")]
 """Trouble and faults of a run, and how both are told."""
 
@@ -65,3 +68,35 @@ def test_a_log_that_is_kept_is_named_with_its_folder(
     said = f"run {number}: {why}; its log is {log}"
     assert told(tmp_path, "--logs", str(tmp_path)) == (f"Stopped    {said}", said)
     assert log.exists()
+
+
+@pytest.fixture(params=[0, 1], ids="run {}".format)
+def cannot_teach(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Let the log of this run of a series be one that nothing is learned from; return its number."""
+    number: int = request.param
+    read: list[Path] = []
+
+    def learning_run(log: Path) -> LearningRun:
+        read.append(log)
+        if len(read) > number:
+            raise LogError(CANNOT_TEACH)
+        return run_of(len(read) - 1)
+
+    monkeypatch.setattr(rehearsal, "refuse_unreachable", lambda _: None)
+    monkeypatch.setattr(rehearsal, "simulate", lambda *_, **__: {"success": True})
+    monkeypatch.setattr(rehearsal, "learning_run", learning_run)
+    return number
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_of_a_log_that_cannot_teach_it_is_said_whether_it_is_kept(
+    cannot_teach: int, tmp_path: Path, kept: bool
+) -> None:
+    said = CANNOT_TEACH if kept else f"{CANNOT_TEACH}; that log is not kept, --logs FOLDER keeps it"
+    arguments = ["learn", "virtual", "--runs", "3", *(["--logs", str(tmp_path)] if kept else [])]
+    result = CliRunner(env={"COLUMNS": "400"}).invoke(main, arguments)
+    lines = result.output.splitlines()
+    if cannot_teach:
+        assert f"Stopped    run {cannot_teach}: {said}" in lines
+    else:
+        assert lines == [f"hil: {said}"]

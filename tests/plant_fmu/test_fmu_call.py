@@ -24,9 +24,10 @@ ERROR = 3
 
 
 class Functions:
-    """The functions of an FMU that has 12 inputs, force and wrench, and as many outputs."""
+    """The functions of an FMU that has 12 inputs, force and wrench unless others are said, and 12 outputs."""
 
-    def __init__(self, *, counted: bool) -> None:
+    def __init__(self, *, counted: bool, slots: tuple[int, int, int] = (0, -1, 6)) -> None:
+        size_in = 6 * sum(place >= 0 for place in slots)
         self.sets: list[list[float]] = []
         self.steps: list[tuple[float, float]] = []
         self.set_status = self.get_status = self.step_status = 0
@@ -36,7 +37,8 @@ class Functions:
         self.given: set[tuple[int, ...]] = set()
         """What was given besides the values."""
         self.references = np.arange(12, dtype=np.uint32) + 40
-        self.inputs, self.outputs, self.held = np.zeros(12), np.zeros(12), np.zeros(12, np.int64)
+        self.inputs, self.held = np.zeros(size_in), np.zeros(size_in, np.int64)
+        self.outputs = np.zeros(12)
         self.flags, self.last = np.zeros(3, np.uint8), np.zeros(1)
         place = size = ct.c_int64
         moved: tuple[Any, ...] = (place, place, size, place, *([size] if counted else []))
@@ -59,11 +61,11 @@ class Functions:
         call[[fmu_call.FLAGS, fmu_call.LAST]] = self.flags.ctypes.data, self.last.ctypes.data
         for at in (fmu_call.INPUTS, fmu_call.OUTPUTS):
             call[at : at + 2] = self.references.ctypes.data, 12
-        call[fmu_call.SLOTS :] = 0, -1, 6
+        call[fmu_call.SLOTS :] = slots
 
     def _set(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
         self.given.add((instance, references, count, *sizes))
-        self.sets.append(list((ct.c_double * 12).from_address(values)))
+        self.sets.append(list((ct.c_double * self.inputs.size).from_address(values)))
         return self.set_status
 
     def _get(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
@@ -121,6 +123,27 @@ def test_inputs_that_were_refused_are_set_anew_and_no_step_is_taken_with_them(co
     assert len(fmu.sets) == 3, "the FMU has them"
 
 
+@pytest.mark.parametrize("slots", [(0, 6, 12), (6, 12, 0), (12, 0, 6), (-1, 0, -1)])
+def test_each_force_brake_and_part_of_the_wrench_stands_at_its_own_place_wherever_these_begin(slots):
+    fmu = Functions(counted=True, slots=slots)
+    given = np.arange(6.0) + 10.0, np.arange(6.0) / 8.0, np.arange(6.0) - 30.0
+    memory = fmu.inputs, fmu.held, fmu.outputs, fmu.flags
+    assert fmu_call.exchange(fmu.call, *given, 0.0, 0.25, *memory) == (DONE, 0)
+    there = sorted((place, values.tolist()) for place, values in zip(slots, given, strict=True) if place >= 0)
+    assert fmu.sets == [[x for _, values in there for x in values]]
+
+
+def test_after_inputs_that_were_refused_those_of_before_are_set_anew():
+    """The FMU may have taken a part of them."""
+    fmu = Functions(counted=True)
+    assert fmu.exchange(1.0, 2.0) == DONE
+    fmu.set_status = ERROR
+    assert fmu.exchange(3.0, 2.0) == INPUTS_REFUSED
+    fmu.set_status = 0
+    assert fmu.exchange(1.0, 2.0) == DONE
+    assert fmu.sets == [given(1.0, 2.0), given(3.0, 2.0), given(1.0, 2.0)]
+
+
 @pytest.mark.parametrize(("flag", "ended"), [(0, DONE), (1, INTERRUPTED), (2, INTERRUPTED)])
 def test_a_step_whose_simulation_ended_or_that_returned_early_was_interrupted_and_an_event_is_none(
     flag, ended
@@ -154,5 +177,5 @@ def test_each_length_rate_and_input_has_to_be_finite(value):
         given, six = [np.ones(6), np.ones(6)], np.ones(6)
         given[place // 6][place % 6] = value
         memory = fmu.inputs, fmu.held, fmu.outputs, fmu.flags
-        ended, _ = fmu_call.exchange(fmu.call, given[0], six, given[1], 0.0, 0.25, *memory)
-        assert ended == NOT_FINITE
+        ended = fmu_call.exchange(fmu.call, given[0], six, given[1], 0.0, 0.25, *memory)
+        assert ended == (NOT_FINITE, 0), "the FMU was not asked"

@@ -74,13 +74,14 @@ class Drives:
         # First-order lag over one step: its end value and its mean.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         self.lags = x > 0.0
+        end = exp(-x)
         common = np.array([
             settings.force_limit_N,
             emulation.damping_N_s_m,
             emulation.hold_stiffness_N_m,
             float(self.lags),
-            exp(-x),
-            (1.0 - exp(-x)) / x if x > 0.0 else 1.0,
+            end,
+            (1.0 - end) / x if self.lags else end,
             1e6 * emulation.brake_open_ms,
             1e6 * emulation.brake_close_ms,
         ])  # fmt: skip

@@ -8,14 +8,16 @@ import pytest
 from drivers.config import DriveSettings
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
-from drivers.signals import Command, DriveFault, DriveMode, DriveState
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
+from plant_fmu.faults.fault import Present
 from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig
+from tests.plant_fmu.test_sensor_nodes import Mover, position
 
 RATE = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
 FORCE = np.array([100.0, -200.0, 300.0, -400.0, 500.0, -600.0])
@@ -32,6 +34,7 @@ def test_drives_that_were_just_powered_up_hold_their_brakes_read_their_legs_and_
     np.testing.assert_array_equal(length, REST)
     np.testing.assert_array_equal(rate, RATE)
     assert state.tolist() == [DriveState.BOOT] * 6
+    np.testing.assert_allclose(drives.encoders(REST, RATE, 1e-3)[0], REST + 1e-3 * RATE, rtol=0, atol=1e-15)
     assert drives.actuate(REST, RATE, False, 0) is False
     assert drives.brake.tolist() == [1.0] * 6
     assert drives.force.tolist() == [0.0] * 6
@@ -45,6 +48,36 @@ def test_drives_that_were_just_powered_up_give_all_the_force_that_they_are_told(
     drives.obey(REST, RATE, np.arange(6), FORCE, int(DriveMode.RUN), 0, MS)
     np.testing.assert_array_equal(drives.force, FORCE)
     assert drives.brake.tolist() == [0.0] * 6
+    assert drives.next_move_ns() == NEVER_NS, "of brakes that have opened nothing is to come"
+
+
+@pytest.mark.parametrize(
+    ("watchdog_ms", "open_ms", "slow_ms", "earliest_ms"),
+    [(3.0, 4.0, 0, 3), (10.0, 4.0, 0, 4), (10.0, 4.0, 5, 4), (10.0, 0.0, 2, 2), (1.5, 0.0, 2, 1.5)],
+)
+def test_a_command_tells_when_the_first_watchdog_ends_or_brake_has_moved(
+    watchdog_ms, open_ms, slow_ms, earliest_ms
+):
+    drives = Drives(DriveSettings(watchdog_ms=watchdog_ms), DriveEmulation(brake_open_ms=open_ms), 1e-4)
+    slow = Present()
+    slow.slow_ns[3] = slow_ms * MS
+    drives.disturb(slow, REST, RATE, 0)
+    drives.configured[:] = True
+    for leg in range(6):
+        drives.enter(leg, int(DriveState.READY), int(DriveFault.NONE))
+    told = drives.obey(REST, RATE, np.arange(2, 6), FORCE[2:], int(DriveMode.RUN), 0, 7 * MS)
+    assert told == (True, False, 0b111100, round((7 + earliest_ms) * MS))
+
+
+def test_a_drive_that_damps_goes_by_its_own_rate_when_others_are_told_something():
+    drives = Drives(DriveSettings(), DriveEmulation(damping_N_s_m=1000.0), 1e-4)
+    for leg in range(6):
+        drives.enter(leg, int(DriveState.FAULT if leg == 4 else DriveState.RUN), int(DriveFault.NONE))
+    drives.acting[4] = int(Reaction.DAMP)
+    others = np.array([0, 1, 2, 3, 5])
+    fresh, controls, *_ = drives.obey(REST, RATE, others, FORCE[others], int(DriveMode.RUN), 0, MS)
+    assert (fresh, controls) == (True, True)
+    np.testing.assert_allclose(drives.force, [*FORCE[:4], -1000.0 * 0.5, FORCE[5]], rtol=1e-12)
 
 
 def test_an_encoder_that_is_frozen_from_power_up_on_reads_the_first_length():
@@ -58,6 +91,17 @@ def test_a_fault_of_one_nanosecond_at_power_up_is_over_after_it():
     rig = Rig("ideal", faults=[EncoderJump(leg=2, by_m=1e-3, for_s=1e-9)])
     assert rig.sync(0)["length"][2] == pytest.approx(REST[2] + 1e-3)
     np.testing.assert_array_equal(rig.sync(1 * MS)["length"], REST)
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_the_truth_of_a_plant_is_told_at_whichever_step_it_is_asked_for_first(k):
+    plant = Mover()
+    nodes = Nodes(plant, LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), DriveEmulation(), DriveSettings())
+    nodes.start(0)
+    nodes.step(k * MS // 10, [])
+    truth = nodes.snapshot().truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.p, position(1e-4 * k), rtol=0, atol=1e-12)
 
 
 def test_drives_that_nobody_has_started_are_powered_up_at_0():

@@ -97,3 +97,15 @@ def test_an_engaged_brake_holds_20_kn_either_way_and_slips_beyond():
         assert np.abs(dq).max() < 1e-12
         _, dq = plant.step(np.full(6, side * 20_010.0), np.ones(6), CALM, 0.01)
         assert (side * dq > 1e-6).all()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_engaged_brake_stops_a_leg_within_a_few_steps_and_holds_it_against_its_springs(side):
+    """6 N of the cubic spring at 0.3 m and 60 N of the other: 0.2 % of what the brake holds."""
+    plant = bench(stiffness_N_m=200.0, stiffness_N_m3=220.0, damping_N_s2_m2=5000.0)
+    plant.step(np.full(6, side * 2000.0), OPEN, CALM, 1.0)
+    q, _ = plant.step(OPEN, np.ones(6), CALM, 0.05)
+    assert (side * (q - 1.6) > 0.25).all()
+    again, dq = plant.step(OPEN, np.ones(6), CALM, 0.5)
+    assert np.abs(dq).max() < 1e-12
+    np.testing.assert_allclose(again, q, rtol=0, atol=1e-12)

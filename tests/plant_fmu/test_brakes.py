@@ -159,6 +159,17 @@ def test_brakes_of_three_legs_alone_open_and_close_on_time_while_the_others_stay
     assert a.brakes == [1.0] * 6
 
 
+def test_brakes_close_on_time_after_an_emergency_stop_between_two_heartbeats():
+    a = Rig(emulation=DriveEmulation(encoder_resolution_m=0.0, brake_close_ms=2))
+    a.configure(watchdog_s=0.5)
+    a.command(0, DriveMode.READY)
+    a.command(0, DriveMode.RUN)
+    a.at(1 * MS, *a.protocol.emergency_stop())
+    a.plant.calls.clear()
+    a.at(6 * MS)
+    assert [free_ms(a, leg) for leg in range(6)] == pytest.approx([2.0] * 6)
+
+
 def test_each_drive_ends_its_own_reaction_in_the_brake_if_it_damps_or_holds():
     """1 s after the fault at 10 ms; legs 0 and 4 brake at once, and those that let go never do."""
     a = Rig(emulation=DriveEmulation(encoder_resolution_m=0.0))

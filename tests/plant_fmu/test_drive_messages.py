@@ -89,3 +89,22 @@ def test_a_request_is_answered_by_its_drive_at_its_instant_unless_that_is_silent
         asked = [Received(MS + leg, Frame(0x7FF, bytes((leg,)))) for leg in range(6)]
         sent = [(t, frame) for t, frame in nodes.step(2 * MS, asked) if frame.id < 0x700]
         assert sent == [(MS + leg, Frame(0x6A0 + leg, b"here")) for leg in range(6) if leg != mute]
+
+
+def test_a_status_is_due_at_its_heartbeat_and_not_where_something_has_changed():
+    said: list[tuple[int, bool]] = []
+
+    class Reporting(LegsProtocol):
+        def report(self, memory: Any, status: Status) -> tuple[Any, tuple[Frame, ...]]:
+            said.append((status.leg, status.due))
+            return super().report(memory, status)
+
+    protocol = Reporting("fd", (1, 2, 3, 4, 5, 6))
+    nodes = Nodes(Masses(), protocol, DriveEmulation(), DriveSettings())
+    nodes.start(0)
+    said.clear()
+    nodes.step(1, [Received(1, frame) for frame in protocol.configure(0.01, Reaction.DAMP)])
+    assert said == [(0, True), *((leg, False) for leg in range(6))]
+    said.clear()
+    nodes.step(100 * MS - 1, [])
+    assert said == [(leg, True) for leg in range(1, 6)]

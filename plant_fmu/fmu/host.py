@@ -143,7 +143,6 @@ class FmuHost:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
         self._fmu = fmu
         _refuse_negative(fmu)
-        fmu.component = ct.c_void_p(fmu.component).value
 
     def _callbacks_2(self) -> Any:
         callbacks = fmi2CallbackFunctions()

@@ -276,7 +276,7 @@ def preparing(monkeypatch: pytest.MonkeyPatch, major: int, brake: int, status: i
 
 
 @pytest.mark.parametrize("status", [0, 1])
-@pytest.mark.parametrize("brake", [6, -1])
+@pytest.mark.parametrize("brake", [6, -1, 0])
 @pytest.mark.parametrize("major", [2, 3])
 def test_an_fmu_is_set_up_in_order_and_reset_before_each_further_time(monkeypatch, major, brake, status):
     host, calls = preparing(monkeypatch, major, brake, status)
@@ -304,3 +304,19 @@ def test_an_fmu_that_refuses_its_first_inputs_is_not_initialised(monkeypatch):
     host._fmu = None
     with pytest.raises(PlantError, match="the FMU is closed; open it again"):
         host._initialise()
+
+
+def test_a_reset_begins_at_0_and_refuses_what_is_no_measurement(monkeypatch):
+    host: Any = hosting(None, initialised=True)[0]
+    host._call, host._outputs, host._initialise = None, np.arange(12.0), lambda: None
+    ended = fmu_call.DONE
+    monkeypatch.setattr(fmu_call, "fetch", lambda *_: (ended, 3))
+    host._ticks = 9
+    q, dq = host.reset()
+    assert (q.tolist(), dq.tolist(), host._ticks) == (list(range(6)), list(range(6, 12)), 0)
+    for ended, said in (  # noqa: B007 - what the next fetch answers
+        (fmu_call.OUTPUTS_REFUSED, r"refused to give its outputs \(error\)"),
+        (fmu_call.OUTPUT_NOT_FINITE, "gave a value that is not finite"),
+    ):
+        with pytest.raises(PlantError, match=said):
+            host.reset()

@@ -175,6 +175,9 @@ def test_encoders_read_their_leg_with_scale_and_zero_and_what_is_wrong_beyond_th
     legs.length = MIDDLE - 0.02
     reads, _ = plant.step(CALM, CALM, CALM, 1e-4)
     np.testing.assert_allclose(reads[3:5], [0.53 - 0.02, 0.54 - 0.02], rtol=0, atol=1e-15)
+    legs.length = MIDDLE.copy()
+    reads, _ = plant.step(CALM, CALM, CALM, 1e-4)
+    np.testing.assert_allclose(reads[3:5], [0.53, 0.54], rtol=0, atol=1e-15)  # the middle is not beyond it
     legs.length = MIDDLE - 0.03
     reads, _ = plant.reset()
     assert reads[5] == pytest.approx(0.52, abs=1e-15)  # switched on anew, it froze here
@@ -215,6 +218,13 @@ def test_free_legs_are_accelerated_by_force_over_mass_less_friction():
     assert [legs.friction(leg) for leg in range(6)] == (2.0 + 0.1 * SIX).tolist()
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_legs_come_to_the_rate_at_which_their_damping_takes_all_of_the_force(side):
+    """2000 N s2/m2: 20 N at 0.1 m/s, whatever they weigh."""
+    _, v = trestles().step(np.full(6, side * 20.0), CALM, CALM, 0.3)
+    np.testing.assert_allclose(v, side * 0.1, rtol=1e-4)
+
+
 def test_each_leg_has_its_own_brake_and_its_own_ends_of_travel():
     legs = trestles(brake_N=2.0)
     _, v = legs.step(np.full(6, 9.0), np.ones(6), CALM, 0.01)
@@ -222,6 +232,21 @@ def test_each_leg_has_its_own_brake_and_its_own_ends_of_travel():
     for force, ends in ((-90.0, 0.25 - 0.001 * SIX), (90.0, 0.35 + 0.001 * SIX)):
         x, _ = legs.step(np.full(6, force), CALM, CALM, 2.0)
         np.testing.assert_array_equal(x, ends)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_leg_that_just_reaches_its_end_still_moves_and_stands_once_it_is_beyond(side):
+    force = np.full(6, side * 5.0)
+    free = trestles()
+    reached, rate = free.step(force, CALM, CALM, 0.01)
+    figures = free._figures._replace(**{"shortest" if side < 0.0 else "longest": reached})
+    legs = TrestleLegs(figures)
+    x, v = legs.step(force, CALM, CALM, 0.01)
+    np.testing.assert_array_equal(x, reached)
+    np.testing.assert_array_equal(v, rate)
+    x, v = legs.step(force, CALM, CALM, 1e-4)
+    np.testing.assert_array_equal(x, reached)
+    assert v.tolist() == [0.0] * 6
 
 
 def test_a_brake_holds_each_leg_and_a_hand_moves_the_one_whose_brake_is_open_by_its_reach():
@@ -249,6 +274,21 @@ def test_the_gauge_is_a_spring_at_its_leg_alone():
     np.testing.assert_allclose(x[3] - 0.3, 5e-8 * (1.0 - cos(w * 0.002)), rtol=1e-3)
     np.testing.assert_allclose(x[2] - 0.3, 0.5 * 1e-3 * 0.002**2, rtol=1e-3)
     assert legs.gauge() == pytest.approx((x[3] - 0.3) * 6.0 / GAUGE_YIELD_M, rel=1e-9)
+
+
+def test_each_leg_is_moved_to_its_own_ends_and_clamped_where_it_is_and_a_reset_undoes_it():
+    legs = trestles()
+    for leg in range(6):
+        for asked, length in ((0.0, 0.25 - 0.001 * leg), (1.0, 0.35 + 0.001 * leg)):
+            legs.place(leg, asked)
+            assert legs.lengths()[leg] == length
+    for leg in range(6):
+        legs.hold_at_gauge(leg)
+        assert legs.gauge() == 0.0
+    x, v = legs.reset()
+    assert (x.tolist(), v.tolist()) == ([0.3] * 6, [0.0] * 6)
+    with pytest.raises(PlantError, match="no leg is clamped"):
+        legs.gauge()
 
 
 def test_a_force_that_is_not_finite_is_refused_and_nothing_moves():

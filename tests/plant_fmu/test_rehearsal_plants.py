@@ -98,6 +98,8 @@ def test_an_inverted_brake_shuts_as_it_should_open_and_a_stuck_one_stays():
     plant, legs = wired(Wiring(brake_inverted=inverted, stuck=stuck))
     plant.step(CALM, np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0]), CALM, 1e-4)
     assert legs.brake.tolist() == [1.0, 0.0, 0.0, 1.0, 1.0, 0.0]
+    plant.step(CALM, np.array([0.25, 0.125, 0.5, 0.0, 1.0, 0.0]), CALM, 1e-4)
+    assert legs.brake.tolist() == [0.75, 0.875, 0.5, 1.0, 1.0, 0.0]
 
 
 def test_a_rate_has_a_sign_and_a_unit_of_its_own():
@@ -317,3 +319,22 @@ def test_another_plant_behind_the_cables_begins_anew():
     plant.step(1.0 + SIX, np.ones(6), CALM, 1e-4)
     assert other.force.tolist() == [2.0, 1.0, 3.0, 4.0, 5.0, 6.0]
     assert not first.force.any()
+
+
+def test_what_a_plant_knows_is_told_through_the_cables_and_it_is_closed_with_them():
+    class Known(Legs):
+        def truth(self) -> Truth | None:
+            return truth
+
+        def close(self) -> None:
+            closed.append(self)
+
+    truth = Truth(CALM[:3], np.eye(3), CALM, CALM)
+    closed: list[Legs] = []
+    legs = Known()
+    plant = WiredPlant(legs, Wiring(), MIDDLE)
+    assert plant.truth() is truth
+    assert plant.applied_force() is None
+    assert plant.internal_step_s == legs.internal_step_s
+    plant.close()
+    assert closed == [legs]

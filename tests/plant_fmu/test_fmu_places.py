@@ -131,3 +131,18 @@ def test_unpacked_files_that_cannot_be_removed_are_no_error(monkeypatch, tmp_pat
     with pytest.raises(PlantError, match="no child process for the FMU: no more processes"):
         child.ChildHost(spec)
     assert len(tried) >= 2
+
+
+def test_an_fmu_that_was_loaded_and_not_initialised_is_freed_without_being_terminated(monkeypatch):
+    calls: list[str] = []
+    for name in ("terminate", "freeInstance"):
+        was = getattr(FMU3Slave, name)
+        monkeypatch.setattr(FMU3Slave, name, lambda fmu, name=name, was=was: (calls.append(name), was(fmu)))
+
+    def refuse(_host: FmuHost) -> None:
+        raise PlantError("it is not prepared")
+
+    monkeypatch.setattr(FmuHost, "_prepare_calls", refuse)
+    with pytest.raises(PlantError, match="it is not prepared"):
+        FmuHost(FmuSpec(build("3.0"), ("force",), ("length",), ("rate",), 1e-3))
+    assert calls == ["freeInstance"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import select
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
@@ -178,6 +179,20 @@ def test_a_child_ends_with_its_parent_whoever_holds_its_life_line_and_removes_it
     os.close(read)
     if line != "closed":
         os.close(write)
+
+
+def test_a_child_looks_once_a_second_whether_its_parent_is_there(monkeypatch, tmp_path):
+    def leave(code: int) -> None:
+        raise LeftError(code)
+
+    asked: list[Any] = []
+    line = SimpleNamespace(register=lambda *given: asked.append(given), poll=asked.append)
+    monkeypatch.setattr(select, "poll", lambda: line)
+    monkeypatch.setattr(os, "_exit", leave)
+    monkeypatch.setattr(os, "getppid", lambda: 70 if len(asked) < 4 else 1)
+    with pytest.raises(LeftError, match=r"^1$"):
+        child._end_with_parent(5, 70, str(tmp_path / "none"))
+    assert asked == [(5, select.POLLHUP), 1000, 1000, 1000]
 
 
 def test_what_to_host_crosses_to_a_process_to_the_bit():

@@ -299,6 +299,7 @@ def test_a_child_has_a_session_of_its_own_and_is_asked_once_to_free_its_fmu(monk
     monkeypatch.setattr(ChildHost, "_ask", asking)
     host = ChildHost(spec(build("3.0")))
     assert os.getsid(host._process.pid) == host._process.pid, "Ctrl-C does not reach it"
+    assert host.internal_step_s == 1e-3
     host.reset()
     host.close()
     host.close()

@@ -141,6 +141,26 @@ def test_the_answers_of_a_process_are_lengths_and_rates_pose_twist_and_forces():
     assert len(asked) == 1
 
 
+def test_a_process_is_given_our_priority_before_it_is_asked_to_reset(monkeypatch):
+    did: list[Any] = []
+    host = hosting([])
+    host._measured, host._ask = lambda: "measured", lambda *given: did.append(given)
+    monkeypatch.setattr(child, "_follow", lambda pid: did.append(pid))
+    assert host.reset() == "measured"
+    assert did == [4321, (0, 60.0, "reset")]
+
+
+def test_a_step_hands_over_force_brake_wrench_and_time_before_it_is_asked_for():
+    host = hosting([])
+    host._measured, record = lambda: "measured", dict[str, Any]()
+    host._board = SimpleNamespace(record=record)
+    asked: list[Any] = []
+    host._ask = lambda *given: asked.append((*given, dict(record)))
+    assert host.step("force", "brake", "wrench", 0.25) == "measured"
+    given = {"force": "force", "brake": "brake", "wrench": "wrench", "dt": 0.25}
+    assert asked == [(1, 5.0, "step", given)]
+
+
 def test_a_board_that_is_released_holds_no_memory():
     memory = mmap.mmap(-1, child._LAYOUT.itemsize + 7)
     board = child._Board(memory)

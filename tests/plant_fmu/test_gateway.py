@@ -25,3 +25,12 @@ def test_a_sender_is_ahead_by_the_length_of_the_last_step_and_2_ms_at_most_and_h
     halves = [0.5 * k for k in range(24)]
     assert sent == [halves[:1], halves[1:5], [], [], halves[5:18], halves[18:20], halves[20:], []]
     assert heard == [halves[:1], halves[1:3], halves[3:4], [], halves[4:14], halves[14:17], halves[17:], []]
+
+
+def test_what_others_send_is_on_the_bus_2_ms_ahead_and_no_nanosecond_more():
+    for late_ns, sent in ((0, [8_500_000]), (1, [])):
+        flood = BusFlood(rate_Hz=1.0, at_s=1e-9 * (8_500_000 + late_ns))
+        schedule = Schedule(FaultPlan([flood]), 0)
+        gateway = Gateway(schedule, LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), 0)
+        assert gateway.hear([], 6_500_000) == []
+        assert [t_ns for t_ns, _ in gateway.send([])] == sent

@@ -36,9 +36,9 @@ class Present:
     """The faults of drives and plant at one instant, per leg where they are a leg's."""
 
     def __init__(self) -> None:
-        self.since_ns = 0
+        self.since_ns: int
         """When the fault began that is entered now."""
-        self.generator = np.random.default_rng(0)
+        self.generator: np.random.Generator
         """The chance of the fault that is entered now."""
         self.offset_m = [0.0] * LEGS
         self.drifts: list[tuple[int, float, int]] = []

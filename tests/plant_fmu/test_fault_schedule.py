@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
-from plant_fmu.faults.bus import BusFlood
+from plant_fmu.faults.bus import BusFlood, SenderFault
 from plant_fmu.faults.drive import DriveReset, DriveSilence
 from plant_fmu.faults.encoder import EncoderJump, EncoderNoise
-from plant_fmu.faults.fault import NEVER_NS
-from plant_fmu.faults.frames import FramesDelay, FramesLoss, FramesOld, FramesReorder
+from plant_fmu.faults.fault import NEVER_NS, FrameFault, Passage, Passed
+from plant_fmu.faults.frames import FramesDelay, FramesDuplicate, FramesLoss, FramesOld, FramesReorder
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
@@ -121,3 +126,36 @@ def test_a_frame_that_waits_for_the_next_one_to_the_drives_is_not_freed_by_one_f
     assert gateway.send([(0, frames[1])]) == []
     assert gateway.hear([Received(MS, frames[2])], MS) == [Received(MS, frames[2]), Received(MS, frames[0])]
     assert gateway.send([(MS, frames[2])]) == [(MS, frames[2]), (MS, frames[1])]
+
+
+@pytest.mark.parametrize(
+    ("kind", "when_struck"), [(FramesLoss, 0), (FramesDuplicate, 2), (FramesReorder, 0), (FramesOld, 2)]
+)
+def test_a_frame_is_struck_where_its_draw_is_below_the_probability_and_not_where_it_equals_it(
+    kind, when_struck
+):
+    frame, place = Frame(5, b"x"), (True, 0, 5)
+    for draw, count in ((0.25, when_struck), (0.5, 1), (0.75, 1)):
+        passed = Passed(cast("Any", SimpleNamespace(random=lambda draw=draw: draw)))
+        passed.frames[place] = [] if kind is FramesReorder else [frame] * 2
+        assert len(kind(probability=0.5).carry(0, frame, place, passed)) == count, draw
+
+
+def test_a_fault_lasts_a_nanosecond_at_least_and_to_the_end_where_nothing_is_said():
+    lasting = [(1e-12, 1), (1e-9, 1), (3e-9, 3), (2.0, 2_000_000_000), (None, NEVER_NS)]
+    for for_s, lasts_ns in lasting:
+        assert DriveSilence(leg=0, for_s=for_s).lasts_ns == lasts_ns
+    assert DriveReset(leg=0).lasts_ns == 1
+
+
+def test_a_kind_of_fault_that_does_not_say_what_it_does_to_frames_concerns_all_and_is_an_error():
+    frame, place, passed = Frame(5, b"x"), (True, 0, 5), Passed(np.random.default_rng(0))
+    assert Passage(kind="x").concerns(frame)
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    for use in (
+        lambda: Passage(kind="x").carry(0, frame, place, passed),
+        lambda: FrameFault(kind="x").carry(0, frame, place, passed),
+        lambda: SenderFault(kind="x").frames(protocol, 0),
+    ):
+        with pytest.raises(NotImplementedError):
+            use()

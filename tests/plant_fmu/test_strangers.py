@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from drivers import build_protocol
 from drivers.config import ChannelSettings
 from drivers.protocol import DriveProtocol, DriveSetup, Received, run_of
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
+from plant_fmu.faults import stranger
 from plant_fmu.faults.bus import BusSecondController
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.frames import FramesForgedCommand
@@ -99,3 +101,8 @@ def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus
         to = {leg for frame in added for leg in protocol.addressed(frame)}
         assert to == set(protocol.addressed(poll))
         assert {frame.bus for frame in added} == {poll.bus}
+
+
+def test_a_stranger_would_set_drives_up_with_10_ms_and_their_first_reaction_at_1000_hz():
+    family: Any = SimpleNamespace(start=lambda setup: setup, reactions=(Reaction.HOLD, Reaction.BRAKE))
+    assert stranger._dialogue(family) == DriveSetup(0.01, Reaction.HOLD, 1000.0)

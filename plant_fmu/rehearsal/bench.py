@@ -181,7 +181,7 @@ class RehearsalBench:
 def joints_of(wiring: Wiring, base: Array, platform: Array) -> tuple[Array, Array]:
     """Return base and platform joints (6, 3) m of the legs as they are mounted, of those they should have."""
     radius = np.hypot(base[:, 0], base[:, 1])[:, None]
-    outwards = np.where(radius > 0.0, base / np.where(radius > 0.0, radius, 1.0), 0.0) * (1.0, 1.0, 0.0)
+    outwards = base / np.where(radius > 0.0, radius, np.inf) * (1.0, 1.0, 0.0)
     moved = base + np.array(wiring.joint_off_m)[:, None] * outwards
     return moved[list(wiring.base_joint)], platform[list(wiring.platform_joint)]
 

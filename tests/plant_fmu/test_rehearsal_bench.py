@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -53,8 +55,16 @@ def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[b
     return [bool(moved) for moved in np.abs(np.array(lengths(b)) - before) > 1e-9]
 
 
-def test_legs_begin_apart_between_a_third_and_two_of_their_stroke():
-    np.testing.assert_allclose(lengths(bench()), SHORT + STROKE * np.linspace(0.35, 0.6, 6), rtol=1e-12)
+def test_legs_begin_apart_between_a_third_and_two_of_their_stroke_and_are_those_of_the_nodes():
+    b = bench()
+    np.testing.assert_allclose(lengths(b), SHORT + STROKE * np.linspace(0.35, 0.6, 6), rtol=1e-12)
+    np.testing.assert_array_equal(b.nodes.snapshot().length, lengths(b))
+
+
+def test_encoders_that_count_too_much_are_right_at_the_middle_of_the_stroke():
+    b = bench(Wiring(scale=(2.0,) * 6))
+    reads, _ = b.cables.reset()
+    np.testing.assert_allclose(reads, 0.65 + 2.0 * (np.array(lengths(b)) - 0.65), rtol=1e-12)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -129,6 +139,15 @@ def test_what_hands_read_is_right_within_the_errors_of_tape_and_gauge(name):
     first, again, other = ([take(b) for _ in range(3)] for b in (prepared(), prepared(), prepared(seed=2)))
     assert first == again
     assert len({*first, *other}) == 6
+    b = prepared()
+    b._chance = cast("Any", SimpleNamespace(standard_normal=lambda: 2.0))
+    assert take(b) == pytest.approx(true + 2.0 * sigma, rel=1e-9), "an error above zero is one above"
+
+
+def test_the_chance_of_readings_is_that_of_the_seed_1_where_nothing_is_said():
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    b = RehearsalBench(protocol, DriveEmulation(), DriveSettings(force_limit_N=RATED_N), STAND, Wiring())
+    assert b.measure(0) == bench(seed=1).measure(0)
 
 
 def test_without_a_leg_at_the_gauge_there_is_nothing_to_read():
@@ -163,6 +182,7 @@ def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_
     [
         *[(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)],
         *[(1.0, 0.31, 1.0), (1.0, 0.29, 0.0), (-1.0, 0.31, -1.0), (-1.0, 0.29, 0.0), (1.0, 0.0, 0.0)],
+        *[(1.0, 0.3, 0.0), (1.0, -0.3, 0.0)],
     ],
 )
 def test_a_weight_presses_or_pulls_where_gravity_is_along_the_legs_and_does_neither_across(

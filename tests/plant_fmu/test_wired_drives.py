@@ -236,8 +236,9 @@ def test_drives_that_are_wired_right_hear_what_is_said_as_it_is():
         messages = (Alive((2, 4)), Configure(3, 0.02, Reaction.HOLD))
         wired, _ = wired_to(wiring, *messages)
         assert wired.parse(7, Frame(1, b"")) == (8, messages)
-    wired, _ = wired_to(Wiring(watchdog=(1.0, 1.0, 1.0, 2.0, 1.0, 1.0)), Configure(3, 0.02, Reaction.HOLD))
-    assert wired.parse(7, Frame(1, b""))[1] == (Configure(3, 0.04, Reaction.HOLD),)
+    for factors in ((1.0, 1.0, 1.0, 2.0, 1.0, 1.0), (2.0,) * 6):
+        wired, _ = wired_to(Wiring(watchdog=factors), Configure(3, 0.02, Reaction.HOLD))
+        assert wired.parse(7, Frame(1, b""))[1] == (Configure(3, 0.04, Reaction.HOLD),)
 
 
 def test_drives_that_start_anew_are_those_of_their_numbers_and_memory_and_period_are_the_familys():

@@ -181,14 +181,20 @@ def test_a_compiler_has_a_minute_to_say_its_version_and_ten_to_compile(monkeypat
 
 def test_of_what_a_compiler_says_the_last_2000_signs_are_told(monkeypatch, tmp_path):
     said = "x" * 10 + "y" * 2000
-    answer = SimpleNamespace(returncode=3, stderr=f"  {said}\n ")
-    monkeypatch.setattr(subprocess, "run", lambda *_, **__: answer)
+    asked: dict[str, Any] = {}
+
+    def run(*_: Any, **options: Any) -> Any:
+        asked.update(options)
+        return SimpleNamespace(returncode=3, stderr=f"  {said}\n ")
+
+    monkeypatch.setattr(subprocess, "run", run)
     with pytest.raises(PlantError) as told:
         builder._compile(CC_FOUND, "linux-x86_64", tmp_path, ["a.c"])
     first, command, rest = str(told.value).split("\n")
     assert first == "compiling the plant for linux-x86_64 failed with exit code 3:"
     assert command.startswith("/usr/bin/cc -O2 ")
     assert rest == "y" * 2000
+    assert (asked["capture_output"], asked["text"], asked["cwd"]) == (True, True, tmp_path)
 
 
 def test_machines_that_a_binary_can_be_made_for_are_told_by_system_and_processor(monkeypatch):
@@ -206,3 +212,17 @@ def test_machines_that_a_binary_can_be_made_for_are_told_by_system_and_processor
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
     with pytest.raises(PlantError, match="can be built for darwin-riscv64; allowed are linux-x86_64, "):
         builder.this_machine()
+
+
+@pytest.mark.parametrize(("version", "other"), [("2.0", "3.0"), ("3.0", "2.0")])
+def test_the_token_follows_the_description_of_its_own_version_alone(monkeypatch, version, other):
+    before = {each: builder.token(each) for each in (version, other)}  # type: ignore[arg-type]
+    monkeypatch.setattr(builder, f"model_description_{version[0]}", lambda *_: b"another")
+    assert builder.token(version) != before[version]  # type: ignore[arg-type]
+    assert builder.token(other) == before[other]  # type: ignore[arg-type]
+
+
+def test_a_source_that_is_not_there_is_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(builder, "SOURCES", tmp_path)
+    with pytest.raises(PlantError, match=r"C source .*mechanics\.c is not installed; reinstall hexapod-hil"):
+        builder.build("3.0")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.config import StewartPlant
+from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.plant import Robot
+from plant_fmu.stewart import plant
 from plant_fmu.stewart.plant import stewart_parameters
 
 SIX_BY_3 = np.arange(18.0).reshape(6, 3)
@@ -143,3 +146,18 @@ def test_lengths_and_a_first_pose_of_another_shape_are_named(name, shape):
         said = re.escape(f"platform: {name} has shape {wrong}; {shape} is needed")
         with pytest.raises(PlantError, match=said):
             stewart_parameters(SETTINGS, ROBOT._replace(**changed))
+
+
+def test_our_fmu_is_hosted_by_its_own_names_with_its_parameters_its_step_and_its_truth(monkeypatch):
+    monkeypatch.setattr(plant, "build", lambda version: Path(f"{version}.fmu"))
+    monkeypatch.setattr(plant, "host", lambda spec, isolation: (spec, isolation))
+    settings = SETTINGS.model_copy(update={"fmi_version": "2.0", "isolation": "child_process"})
+    found: Any = plant.stewart_plant(settings, ROBOT)
+    expected = FmuSpec(
+        path=Path("2.0.fmu"),
+        **{name: (name,) for name in ("force", "length", "rate", "brake", "wrench")},
+        parameters=stewart_parameters(SETTINGS, ROBOT),
+        step_s=5e-5,
+        truth=("position", "rotation", "twist", "applied_force"),
+    )
+    assert found == (expected, "child_process")

@@ -226,3 +226,13 @@ def test_a_source_that_is_not_there_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(builder, "SOURCES", tmp_path)
     with pytest.raises(PlantError, match=r"C source .*mechanics\.c is not installed; reinstall hexapod-hil"):
         builder.build("3.0")
+
+
+def test_a_cache_that_cannot_be_written_is_said_with_what_to_set(monkeypatch, tmp_path):
+    def refuse(_: Path) -> None:
+        raise OSError("read-only file system")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(builder, "made_folder", refuse)
+    with pytest.raises(PlantError, match=r"could not be written: read-only file system; set XDG_CACHE_HOME"):
+        builder.build("3.0")

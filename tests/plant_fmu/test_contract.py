@@ -1,12 +1,14 @@
 """What every plant owes its callers, whatever stands behind it."""
 
 import json
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 
 from drivers.errors import PlantError
+from plant_fmu import plants
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 from plant_fmu.plant import Robot, whole_steps
@@ -67,6 +69,19 @@ MADE = {
 
 def test_every_kind_of_plant_in_the_configuration_can_be_opened():
     assert set(get_args(PlantSettings.model_fields["model"].annotation)) == set(PLANTS)
+
+
+def test_a_plant_is_opened_from_its_section_with_the_robot_or_the_folder_that_its_kind_needs(monkeypatch):
+    for name in ("stewart_plant", "Bench", "fmu_plant"):
+        monkeypatch.setattr(plants, name, lambda *given, name=name: (name, *given))
+    robot, folder = "the robot", Path("/etc")
+    for section, opened in (
+        (StewartPlant(type="stewart"), ("stewart_plant", robot)),
+        (BenchPlant(type="bench"), ("Bench",)),
+        (FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]), ("fmu_plant", folder)),
+    ):
+        found = plants.open_plant(section, robot, folder)  # type: ignore[arg-type]
+        assert found == (opened[0], section, *opened[1:])
 
 
 @pytest.fixture(scope="module", params=MADE)

@@ -6,7 +6,12 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from plant_fmu.stewart.description import build_description, model_description_2, model_description_3
+from plant_fmu.stewart.description import (
+    build_description,
+    model_description_2,
+    model_description_3,
+    terminals,
+)
 from plant_fmu.stewart.variables import TYPES
 from tests.plant_fmu.test_variables import MIXED, TABLE, count
 
@@ -142,3 +147,18 @@ def test_the_build_description_names_the_sources_in_their_order_and_how_they_are
     assert files is not None
     assert [each.get("name") for each in files] == ["b.c", "a.c"]
     assert (files.get("language"), files.get("compilerOptions", "").split()[0]) == ("C99", "-O2")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [model_description_2("{t}", ("a.c",)), model_description_3("{t}"), build_description(["a.c"]), terminals()],
+    ids=["2.0", "3.0", "build", "terminals"],
+)
+def test_a_description_says_what_it_is_and_can_be_read_line_by_line(text):
+    first, second, *lines = text.decode().splitlines()
+    assert first == "<?xml version='1.0' encoding='utf-8'?>"
+    assert second.startswith("<fmi")
+    assert text.endswith(b">\n")
+    assert all(line.strip().startswith("<") and line.endswith(">") for line in lines)
+    assert sum(line.count("<") for line in lines) <= 2 * len(lines)
+    assert len(lines) > len(list(ET.fromstring(text).iter())) - 2

@@ -324,7 +324,7 @@ def test_a_sample_is_stamped_up_to_65500_us_after_a_sync_and_not_later():
     assert taken == list(range(0, 65_501, 500))
 
 
-@pytest.mark.parametrize("t0_ns", [0, 3 * MS])
+@pytest.mark.parametrize("t0_ns", [0, 1, 3 * MS])
 def test_before_the_plant_has_moved_an_imu_measures_its_weight_alone_at_the_first_start_and_the_next(t0_ns):
     settings = SensorSettings(imu=ImuSettings())
     nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)

@@ -151,7 +151,12 @@ def test_the_build_description_names_the_sources_in_their_order_and_how_they_are
 
 @pytest.mark.parametrize(
     "text",
-    [model_description_2("{t}", ("a.c",)), model_description_3("{t}"), build_description(["a.c"]), terminals()],
+    [
+        model_description_2("{t}", ("a.c",)),
+        model_description_3("{t}"),
+        build_description(["a.c"]),
+        terminals(),
+    ],
     ids=["2.0", "3.0", "build", "terminals"],
 )
 def test_a_description_says_what_it_is_and_can_be_read_line_by_line(text):

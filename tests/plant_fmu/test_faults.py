@@ -326,6 +326,8 @@ def test_an_old_frame_follows_the_present_one_and_is_a_strangers():
 
 def test_a_flood_wins_against_every_identifier_of_the_protocol():
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    (there,) = BusFlood(identifier=0x123, bus=2).frames(protocol, 7)
+    assert (there.id, there.data, there.bus) == (0x123, bytes(8), 2)
     (frame,) = BusFlood().frames(protocol, 0)
     assert frame.id < min(f.id for f in (*protocol.cyclic_frames(), *protocol.emergency_stop()))
     assert not frame.flags

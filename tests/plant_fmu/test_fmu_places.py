@@ -96,7 +96,9 @@ def test_lengths_rates_pose_twist_and_forces_follow_one_another_among_the_output
     host._outputs[:] = 0.0
     assert host.applied_force().tolist() == [0.0] * 6, "as it is now"
     kept = (q, dq, truth.p, truth.R, truth.twist, truth.applied_force)
-    assert [float(np.max(each)) for each in kept] == [5.0, 11.0, 14.0, 23.0, 29.0, 35.0], "the caller's to keep"
+    assert [float(np.max(each)) for each in kept] == [5.0, 11.0, 14.0, 23.0, 29.0, 35.0], (
+        "the caller's to keep"
+    )
     host.spec = FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3)
     assert (host.truth(), host.applied_force()) == (None, None)
 

@@ -69,13 +69,15 @@ def test_a_command_tells_when_the_first_watchdog_ends_or_brake_has_moved(
     assert told == (True, False, 0b111100, round((7 + earliest_ms) * MS))
 
 
-def test_a_drive_that_damps_goes_by_its_own_rate_when_others_are_told_something():
+@pytest.mark.parametrize("way", ["obey", "obey_unwatched"])
+def test_a_drive_that_damps_goes_by_its_own_rate_when_others_are_told_something(way):
     drives = Drives(DriveSettings(), DriveEmulation(damping_N_s_m=1000.0), 1e-4)
     for leg in range(6):
         drives.enter(leg, int(DriveState.FAULT if leg == 4 else DriveState.RUN), int(DriveFault.NONE))
     drives.acting[4] = int(Reaction.DAMP)
     others = np.array([0, 1, 2, 3, 5])
-    fresh, controls, *_ = drives.obey(REST, RATE, others, FORCE[others], int(DriveMode.RUN), 0, MS)
+    told = getattr(drives, way)(REST, RATE, others, FORCE[others], int(DriveMode.RUN), 0, MS)
+    fresh, controls, *_ = told
     assert (fresh, controls) == (True, True)
     np.testing.assert_allclose(drives.force, [*FORCE[:4], -1000.0 * 0.5, FORCE[5]], rtol=1e-12)
 

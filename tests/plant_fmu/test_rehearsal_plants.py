@@ -91,6 +91,9 @@ def test_a_drive_gives_no_more_than_it_can_and_no_force_below_zero_where_it_has_
     assert legs.force.tolist() == [0.0, 0.0, -5.0, -5.0, -8.0, -8.0]
     plant.step(np.full(6, 8.0), np.ones(6), CALM, 1e-4)
     assert legs.force.tolist() == [8.0, -8.0, 5.0, 5.0, 8.0, 8.0]
+    plant = WiredPlant(legs, wiring, MIDDLE)
+    plant.step(np.full(6, 8.0), np.ones(6), CALM, 1e-4)
+    assert legs.force[2:4].tolist() == [0.05, 0.05], "shares of 1 N where nothing is said of the rated force"
 
 
 def test_an_inverted_brake_shuts_as_it_should_open_and_a_stuck_one_stays():

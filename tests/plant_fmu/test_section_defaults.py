@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from plant_fmu import config
 from plant_fmu.faults import FAULTS
+from plant_fmu.faults.frames import FramesOld
 from tests.plant_fmu.test_faults import example
 
 FMU: dict[str, Any] = {"type": "fmu", "path": "a.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}
@@ -117,6 +118,16 @@ def test_a_section_in_which_nothing_is_said_has_the_documented_values_and_they_a
     section, expected = DEFAULTS[name]
     assert section.model_dump() == expected
     assert type(section).model_validate(expected) == section
+
+
+def test_a_plant_writes_its_log_and_its_sensors_have_the_seed_1_where_nothing_is_said():
+    plant = config.PlantSettings.model_validate({"model": {"type": "bench"}})
+    assert (plant.log, plant.sensors.seed, plant.faults, plant.homing_file) == (True, 1, [], None)
+    assert (plant.initial_position_m, plant.initial_rotation_vector_deg) == (None, None)
+
+
+def test_an_old_frame_is_the_one_before_the_last_where_nothing_is_said():
+    assert FramesOld().back == 2
 
 
 @pytest.mark.parametrize("name", FAULTS)

@@ -241,6 +241,17 @@ def test_drives_that_are_wired_right_hear_what_is_said_as_it_is():
         assert wired.parse(7, Frame(1, b""))[1] == (Configure(3, 0.04, Reaction.HOLD),)
 
 
+def test_drives_that_are_wired_right_answer_with_what_they_measure_as_it_is():
+    wired, family = wired_to(Wiring(scale=(2.0,) * 6))
+    length, rate, force = (10.0 * k + np.arange(6.0) for k in range(3))
+    state, fault = np.arange(6), 6 - np.arange(6)
+    memory: Any = 7
+    memory, answers = wired.answer(memory, Sync(9, (0, 2, 4)), length, rate, force, state, fault)
+    assert (memory, len(answers)) == (8, LEGS)
+    given = (length, rate, force, state, fault)
+    assert family.given == [((0, 2, 4), *(each.tolist() for each in given))]
+
+
 def test_drives_that_start_anew_are_those_of_their_numbers_and_memory_and_period_are_the_familys():
     wired, family = wired_to(CROSSED)
     assert (wired.unasked_s, wired.power_up()) == (0.125, "just powered up")

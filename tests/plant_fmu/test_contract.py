@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def test_a_plant_is_opened_from_its_section_with_the_robot_or_the_folder_that_it
         (BenchPlant(type="bench"), ("Bench",)),
         (FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]), ("fmu_plant", folder)),
     ):
-        found = plants.open_plant(section, robot, folder)  # type: ignore[arg-type]
+        found: Any = plants.open_plant(section, robot, folder)  # type: ignore[arg-type]
         assert found == (opened[0], section, *opened[1:])
 
 

@@ -128,7 +128,8 @@ def test_each_force_brake_and_part_of_the_wrench_stands_at_its_own_place_whereve
     fmu = Functions(counted=True, slots=slots)
     given = np.arange(6.0) + 10.0, np.arange(6.0) / 8.0, np.arange(6.0) - 30.0
     memory = fmu.inputs, fmu.held, fmu.outputs, fmu.flags
-    assert fmu_call.exchange(fmu.call, *given, 0.0, 0.25, *memory) == (DONE, 0)
+    force, brake, wrench = given
+    assert fmu_call.exchange(fmu.call, force, brake, wrench, 0.0, 0.25, *memory) == (DONE, 0)
     there = sorted((place, values.tolist()) for place, values in zip(slots, given, strict=True) if place >= 0)
     assert fmu.sets == [[x for _, values in there for x in values]]
 

@@ -145,7 +145,7 @@ def test_a_process_is_given_our_priority_before_it_is_asked_to_reset(monkeypatch
     did: list[Any] = []
     host = hosting([])
     host._measured, host._ask = lambda: "measured", lambda *given: did.append(given)
-    monkeypatch.setattr(child, "_follow", lambda pid: did.append(pid))
+    monkeypatch.setattr(child, "_follow", did.append)
     assert host.reset() == "measured"
     assert did == [4321, (0, 60.0, "reset")]
 

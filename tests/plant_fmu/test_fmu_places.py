@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes as ct
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -107,7 +108,12 @@ def test_lengths_rates_pose_twist_and_forces_follow_one_another_among_the_output
 def test_an_fmu_that_was_just_loaded_is_reset_before_its_second_use_alone(monkeypatch, version, kind):
     resets: list[object] = []
     reset = kind.reset
-    monkeypatch.setattr(kind, "reset", lambda fmu: (resets.append(fmu), reset(fmu)))
+
+    def noted(fmu: object) -> None:
+        resets.append(fmu)
+        reset(fmu)
+
+    monkeypatch.setattr(kind, "reset", noted)
     host = FmuHost(FmuSpec(build(version), ("force",), ("length",), ("rate",), 1e-3))
     assert resets == []
     host.reset()
@@ -137,9 +143,18 @@ def test_unpacked_files_that_cannot_be_removed_are_no_error(monkeypatch, tmp_pat
 
 def test_an_fmu_that_was_loaded_and_not_initialised_is_freed_without_being_terminated(monkeypatch):
     calls: list[str] = []
-    for name in ("terminate", "freeInstance"):
+
+    def noting(name: str) -> Callable[[object], None]:
         was = getattr(FMU3Slave, name)
-        monkeypatch.setattr(FMU3Slave, name, lambda fmu, name=name, was=was: (calls.append(name), was(fmu)))
+
+        def noted(fmu: object) -> None:
+            calls.append(name)
+            was(fmu)
+
+        return noted
+
+    for name in ("terminate", "freeInstance"):
+        monkeypatch.setattr(FMU3Slave, name, noting(name))
 
     def refuse(_host: FmuHost) -> None:
         raise PlantError("it is not prepared")

@@ -155,7 +155,11 @@ def test_our_fmu_is_hosted_by_its_own_names_with_its_parameters_its_step_and_its
     found: Any = plant.stewart_plant(settings, ROBOT)
     expected = FmuSpec(
         path=Path("2.0.fmu"),
-        **{name: (name,) for name in ("force", "length", "rate", "brake", "wrench")},
+        force=("force",),
+        length=("length",),
+        rate=("rate",),
+        brake=("brake",),
+        wrench=("wrench",),
         parameters=stewart_parameters(SETTINGS, ROBOT),
         step_s=5e-5,
         truth=("position", "rotation", "twist", "applied_force"),

@@ -82,9 +82,9 @@ def watchdog_ms(setup: DriveSetup) -> int:
 def _period(rate_Hz: float) -> tuple[int, int]:
     """Return the period as mantissa 1..255 and power of ten, as exact as it fits."""
     exponent = -5
-    while exponent < 0 and 10.0**-exponent / rate_Hz > 255:
+    while 10.0**-exponent / rate_Hz > 255:
         exponent += 1
-    return min(max(round(10.0**-exponent / rate_Hz), 1), 255), exponent & 0xFF
+    return max(round(10.0**-exponent / rate_Hz), 1), exponent & 0xFF
 
 
 def _pdo(index: int, n: int, cob: int, transmission: int, entries: tuple[tuple[Key, int], ...]) -> list[Step]:
@@ -108,8 +108,8 @@ def _drive(setup: DriveSetup, settings: Settings) -> list[Step]:
             f"reactions.silence: CiA 402 drives with a brake of their own cannot "
             f"{setup.reaction.name.lower()}, allowed with cia402: brake, damp"
         )
-    mantissa, exponent = _period(setup.rate_Hz)
     consumer = settings.controller_node << 16 | watchdog_ms(setup)
+    mantissa, exponent = _period(setup.rate_Hz)
     return [
         Step("write", o.CONSUMER_HEARTBEAT, consumer),
         Step("write", o.PRODUCER_HEARTBEAT, settings.heartbeat_ms, 2),
@@ -146,7 +146,13 @@ def plan(node: int, setup: DriveSetup, settings: Settings, increments: int = 0) 
     first = [
         Step("read", o.DEVICE_TYPE, o.PROFILE_402, mask=0xFFFF),
         Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL),
-        Step("read", o.SUPPORTED_MODES, o.SUPPORTS_CYCLIC_TORQUE, 4, True, o.SUPPORTS_CYCLIC_TORQUE),
+        Step(
+            "read",
+            o.SUPPORTED_MODES,
+            o.SUPPORTS_CYCLIC_TORQUE,
+            optional=True,
+            mask=o.SUPPORTS_CYCLIC_TORQUE,
+        ),
         Step("read", o.RATED_TORQUE, settings.rated_torque_mNm),
     ]
     if increments:

@@ -16,7 +16,7 @@ from drivers.cia402 import objects as o
 from drivers.cia402.devices import Devices, Memory
 from drivers.cia402.emergency import meaning
 from drivers.cia402.feedback import FOREIGN, Feedback
-from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan, watchdog_ms
+from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan
 from drivers.cia402.routes import Routes
 from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
 from drivers.cia402.states import RESET_FAULT, STOP_QUICKLY, State, controlword
@@ -148,10 +148,9 @@ class Cia402Protocol(Routes):
         Raises ProtocolError if the watchdog does not fit or is too short for the rate, and for a reaction
         that such drives do not have.
         """
-        watchdog_ms(setup)
-        beat = max(2, int(setup.watchdog_s * setup.rate_Hz) // _BEATS)
         own = zip(self.node_ids, self._increments, strict=True)
         plans = tuple(plan(node, setup, self._settings, increments) for node, increments in own)
+        beat = max(2, int(setup.watchdog_s * setup.rate_Hz) // _BEATS)
         return Cia402Dialogue(setup, plans, beat)
 
     def begin(self, _dialogue: Cia402Dialogue, _tick: int) -> tuple[Frame, ...]:

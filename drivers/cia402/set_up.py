@@ -18,7 +18,7 @@ TRIES = 20
 _NOT_ASKED = -1
 _NOT_THERE = (o.NO_OBJECT, o.NO_SUB_INDEX)
 _POWERED = (DriveState.READY, DriveState.RUN)
-_WHY = Step("read", o.ERROR_CODE, 0, 2)
+_WHY = Step("read", o.ERROR_CODE, 0)
 """What a drive in fault is asked whose EMCY was not heard: it was sent once, before us or into a loss."""
 
 

@@ -91,14 +91,9 @@ def layout_of(message: Any, *signals: str) -> Layout:
     names = tuple(s.name for s in fields)
     if names != signals:
         raise ProtocolError(f"DBC: {message.name} has the signals {names}, expected {signals}")
-    free = 0
-    for s in fields:
-        on_a_byte = s.start % 8 == 0
-        if s.byte_order != "little_endian" or s.offset or s.start < free or not (on_a_byte or s.length <= 32):
-            raise ProtocolError(
-                f"DBC: {message.name}.{s.name} is no little-endian field behind the one before"
-            )
-        free = s.start + s.length
+    for s in fields:  # they do not overlap: the parser sees to that
+        if s.byte_order != "little_endian" or s.offset or (s.start % 8 and s.length > 32):
+            raise ProtocolError(f"DBC: {message.name}.{s.name} is no little-endian field that can be read")
     brs = "CANFD_BRS" in message.dbc.attributes and str(message.dbc.attributes["CANFD_BRS"].value) == "1"
     return Layout(
         id=message.frame_id,

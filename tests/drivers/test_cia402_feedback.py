@@ -114,10 +114,13 @@ def test_what_came_before_the_sync_had_ended_on_the_bus_of_its_leg_is_a_tick_old
 def test_a_late_answer_counts_where_nothing_newer_is_held_and_the_older_of_two_tpdos_is_the_age():
     late, here = (WOKE_NS, place(2, 131072)), (WOKE_NS, speed(2))
     for age, there in ((0, False), (1, True)):
-        tick, _ = told(late, here, last=last_tick(age=age))
+        ages = [1 - age] * 6
+        ages[2] = age
+        tick, _ = told(late, here, last=last_tick(age=ages))
         assert (tick["length"][2] != 2.3) == there
         assert tick["age"][2] == 1
     assert told(late, speed(2), last=last_tick(age=3))[0]["age"][2] == 1
+    assert told(late, place(2, 131072), speed(2), last=last_tick(age=3))[0]["age"][2] == 0, "the same in time"
     assert told(place(2), here, last=last_tick(age=3))[0]["age"][2] == 4, "its speed is of another SYNC"
 
 
@@ -212,10 +215,13 @@ def test_a_drive_that_leaves_operational_is_set_up_anew_and_keeps_its_fault(nmt,
 @pytest.mark.parametrize("leg", range(6))
 def test_a_drive_that_stopped_quickly_is_in_fault_by_that_until_it_is_not_stopped_any_more(leg):
     for state, before in ((State.QUICK_STOP, State.DISABLED), (State.DISABLED, State.ENABLED)):
-        tick, dialogue = told(place(leg, state=state), states=(int(before),) * 6)
+        others = int(State.ENABLED if before is State.DISABLED else State.SWITCHED_ON)
+        states = tuple(int(before) if each == leg else others for each in range(6))
+        tick, dialogue = told(place(leg, state=state), states=states)
         assert dialogue.stopped == 1 << leg
         assert (tick["drive_state"][leg], tick["drive_fault"][leg]) == (FAULT, [2, 1, 2, 3, 4, 5][leg])
-    tick, dialogue = told(place(leg, state=State.DISABLED), states=(int(State.SWITCHED_ON),) * 6)
+    states = tuple(int(State.SWITCHED_ON if each == leg else State.ENABLED) for each in range(6))
+    tick, dialogue = told(place(leg, state=State.DISABLED), states=states)
     assert (dialogue.stopped, tick["drive_state"][leg]) == (0, OFF)
     halted, running = (
         told(states=(int(state),) * 6, stopped=1 << leg)[0]
@@ -233,7 +239,7 @@ def test_a_drive_that_stopped_quickly_is_in_fault_by_that_until_it_is_not_stoppe
 @pytest.mark.parametrize("leg", range(6))
 def test_the_first_answer_after_the_start_ends_the_set_up_of_its_drive(leg):
     last_step = tuple(n - 1 for n in begun().at)
-    asked = tuple(9 if each == leg else -1 for each in range(6))
+    asked = tuple(0 if each == leg else -1 for each in range(6))
     frames = [frame for each in range(6) for frame in (place(each), speed(each))]
     _, dialogue = told(*frames, at=last_step, asked=asked)
     assert [dialogue.done(each) for each in range(6)] == [each == leg for each in range(6)]
@@ -254,6 +260,13 @@ def test_forces_are_read_with_the_losses_of_each_leg_at_its_rate():
     expected = lossless / UNLIKE._loss(lossless, tick["rate"])
     np.testing.assert_allclose(tick["drive_force"], expected, rtol=1e-9)
     assert len({round(share, 6) for share in expected / lossless}) > 2
+
+
+def test_the_force_of_a_drive_without_losses_follows_from_its_torque_alone():
+    last = last_tick()
+    last["rate"] = np.nan
+    tick, _ = told(*(place(leg, 0, 100) for leg in range(6)), last=last)
+    np.testing.assert_allclose(tick["drive_force"], 100 * 9e-3 * P.transmission.N_per_Nm, rtol=1e-12)
 
 
 # rates of lengths
@@ -295,3 +308,21 @@ def test_a_length_is_latched_when_the_sync_of_its_tick_had_ended_on_the_bus_of_i
     assert [each.latched_ns for each in dialogue.slopes] == ended
     assert [each.length for each in dialogue.slopes] == pytest.approx(lengths.tolist(), rel=1e-12)
     assert tick["age"].tolist() == [late] * 6
+
+
+def test_a_step_is_long_enough_by_the_period_of_the_loop_and_else_leaves_each_leg_its_own_rate():
+    protocol = drives(NODES, velocity=False)
+    run = run_of([Received(2_000, place(leg, 131072)) for leg in range(6)])
+    slopes = (Slope(0.5, 0.004, 0, 0.0),) * 6
+    for t_ns, kind in (
+        (1_999_999, "kept"),
+        (2_000_001, "new"),
+        (199_999_999, "new"),
+        (200_000_001, "begun"),
+    ):
+        tick = new_record()
+        tick["tick"], tick["t_ns"] = 13, t_ns
+        dialogue = protocol.decode(begun(protocol, slopes=slopes), run, last_tick(), tick, 1_000)
+        assert (tick["rate"].tolist() == last_tick()["rate"].tolist()) == (kind == "kept")
+        assert (tick["rate"].tolist() == [0.0] * 6) == (kind == "begun")
+        assert [each.T > 0.0 for each in dialogue.slopes] == [kind != "begun"] * 6

@@ -47,6 +47,10 @@ def test_a_mapping_counts_entries_that_fit_and_no_more_than_eight_bytes():
     assert refused(values, (mapping, 0), 3, 1) == o.MAPPING_TOO_LONG
     assert refused(values, (mapping, 0), MAPPED + 1, 1) == o.MAPPING_TOO_LONG
     assert refused(with_value(values, (mapping, 2), 0), (mapping, 0), 2, 1) == o.CANNOT_MAP
+    for sub in range(1, MAPPED + 1):
+        values = with_value(values, (mapping, sub), 0x60410010)
+    assert refused(values, (mapping, 0), MAPPED, 1) == 0
+    assert refused(values, (mapping, 1), 0x60410110, 4) == o.CANNOT_MAP, "a sub-index that is not there"
 
 
 @pytest.mark.parametrize("parameters", [o.RPDO, o.TPDO])

@@ -37,13 +37,18 @@ def steps(protocol, kind, key, setup=SETUP):
         (100.0, 100, -4),
         (20.0, 50, -3),
         (4.0, 250, -3),
+        (4000.0, 25, -5),
+        (500_000.0, 1, -5),
+        (1000.0 / 255, 255, -3),
+        (391.9, 26, -4),
+        (0.1, 100, -1),
     ],
 )
 def test_the_interpolation_period_is_that_of_the_loop(rate_Hz, mantissa, exponent):
-    setup = DriveSetup(10.0, Reaction.BRAKE, rate_Hz)
+    setup = DriveSetup(max(10.0, 4.0 / rate_Hz), Reaction.BRAKE, rate_Hz)
     for kind in ("write", "read"):
         assert steps(drives(), kind, (0x60C2, 1), setup) == [[mantissa]] * LEGS
-        assert steps(drives(), kind, (0x60C2, 2), setup) == [[exponent + 256]] * LEGS
+        assert steps(drives(), kind, (0x60C2, 2), setup) == [[exponent % 256]] * LEGS
 
 
 @pytest.mark.parametrize("velocity", [True, False])

@@ -96,6 +96,22 @@ def test_a_watchdog_is_a_consumer_heartbeat_time_of_16_bits(watchdog_s, ms):
         watchdog_ms(setup)
 
 
+@pytest.mark.parametrize(("reaction", "code"), [(Reaction.BRAKE, 0), (Reaction.DAMP, 2)])
+def test_a_reaction_is_the_fault_reaction_option_code_of_the_drive(reaction, code):
+    (step,) = [
+        s
+        for s in plan(5, SETUP._replace(reaction=reaction), drives()._settings)
+        if s.key == o.FAULT_REACTION and s.kind == "write"
+    ]
+    assert (step.value, step.size) == (code, 2)
+
+
+def test_a_watchdog_of_four_periods_may_be_rounded_by_a_billionth_of_it():
+    assert watchdog_ms(DriveSetup(4.0 * (1 - 1e-9), Reaction.DAMP, 1.0)) == 4000
+    with pytest.raises(ProtocolError, match=r"too short at 1 Hz"):
+        watchdog_ms(DriveSetup(4.0 * (1 - 1.5e-9), Reaction.DAMP, 1.0))
+
+
 @pytest.mark.parametrize(("watchdog_s", "fits"), [(0.016, True), (0.0159, False)])
 def test_a_watchdog_is_of_four_periods_or_more(watchdog_s, fits):
     setup = DriveSetup(watchdog_s, Reaction.DAMP, 250.0)
@@ -109,6 +125,8 @@ def test_a_watchdog_is_of_four_periods_or_more(watchdog_s, fits):
 def test_the_most_torque_is_that_of_the_leg_with_the_least_force_a_permille_and_never_over_16_bits():
     assert max_torque(1000.0, [2.0, -1.0, 4.0]) == 1000
     assert max_torque(1000.5, [2.0, 1.0]) == 1001
+    assert max_torque(1000.0 * (1 + 0.5e-12), [1.0]) == 1000
+    assert max_torque(1000.0 * (1 + 1.5e-12), [1.0]) == 1001
     assert max_torque(65534.5, [1.0]) == max_torque(1e6, [1.0]) == 65535
 
 
@@ -194,9 +212,10 @@ def test_patience_is_50_ms_and_six_ticks_at_least(rate_Hz, ticks):
 
 @pytest.mark.parametrize(("tries", "at", "first"), [(19, 1, False), (20, 1, True), (20, 0, False)])
 def test_a_drive_that_did_not_answer_twenty_times_is_asked_from_the_beginning(tries, at, first):
-    before = begun(at=(3, 3, at, 3, 3, 3), tries=(0, 0, tries, 0, 0, 0))
+    mine = (A[0]._replace(key=o.REVISION), *A[1:])
+    before = begun(at=(3, 3, at, 3, 3, 3), tries=(0, 0, tries, 0, 0, 0), plans=(A, A, mine, A, A, A))
     dialogue, (frame,) = next_frames(before, tick(100), NODES, 3)
-    assert frame == A[0 if first or at == 0 else 1].frame(12)
+    assert frame == mine[0 if first or at == 0 else 1].frame(12)
     assert dialogue.at == (3, 3, 0 if first else at, 3, 3, 3)
     assert dialogue.tries == (0, 0, 1 if first else tries + 1, 0, 0, 0)
     assert dialogue.asked == (-1, -1, 100, -1, -1, -1)
@@ -222,6 +241,7 @@ def test_a_drive_in_fault_of_which_no_code_is_known_is_asked_for_it_when_it_is_s
     assert dialogue.tries == (0,) * 6
     assert dialogue.asked == (-1, -1, 100, -1, -1, 100)
     assert next_frames(done, tick(), NODES, 6) == (done, ())
+    assert len(next_frames(done, tick(drive_state=FAULT), NODES, 6)[1]) == 6
     early = begun(at=(3, 3, 1, 3, 3, 3))
     _, (frame,) = next_frames(early, tick(drive_state=states, drive_fault=[1, 0, 0, 1, 0, 1]), NODES, 6)
     assert frame == A[1].frame(12), "the set-up comes first"

@@ -116,6 +116,10 @@ def test_torques_are_sent_in_ready_and_run_and_zero_in_off_and_reset():
         assert found == [(words[mode], torque if mode in (READY, RUN) else 0) for torque in PERMILLE]
 
 
+def test_the_torque_of_a_drive_without_losses_follows_from_the_force_alone():
+    assert sent(begun(rate=(float("nan"),) * 6), Command(RUN, FORCE))[1] == [(15, each) for each in PERMILLE]
+
+
 def test_a_reset_has_its_edge_in_even_ticks():
     assert [sent(begun(), Command(RESET, FORCE), tick)[1][0][0] for tick in (2, 3, 4)] == [0x80, 0, 0x80]
 
@@ -163,6 +167,12 @@ def test_forces_that_are_not_six_finite_ones_are_refused(force):
         ProtocolError, match=r"does not fit 0x6071: six of up to 92646\.5 N are allowed; lower"
     ):
         P.command(begun(), Command(RUN, np.array(force)), 1)
+
+
+def test_the_force_that_fits_is_that_of_the_weakest_leg():
+    unlike = Cia402Protocol((1, 2, 3, 4, 5, 6), UNLIKE, 9.0, force_limit_N=100.0)
+    with pytest.raises(ProtocolError, match=r"six of up to 18529\.3 N are allowed"):
+        unlike.command(unlike.start(SETUP), Command(RUN, np.full(6, 1e5)), 1)
 
 
 def test_a_stop_is_a_quick_stop_of_each_drive_and_a_tick_has_a_sync_six_rpdos_and_two_tpdos_a_drive():

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.can import bus as door
 from drivers.can.bus import Bus
+from drivers.can.bus_time import BitTiming
 from drivers.can.collect import collect
 from drivers.can.error_frames import ErrorClass, read_error
 from drivers.can.link_group import LinkGroup
@@ -283,6 +284,19 @@ def test_options_that_an_interface_does_not_have_are_named_with_those_that_it_ha
         BusError, match=r"bus.options: b, spin, tx_limit unknown for localcan; allowed: none$"
     ):
         door._refuse_options(settings, set())
+
+
+def test_a_bus_of_this_machine_is_opened_with_what_is_set_else_with_50_us_and_64_frames(monkeypatch):
+    opened: list[Any] = []
+    monkeypatch.setattr(door, "Participant", lambda *given, **named: opened.append((given, named)))
+    settings = BusSettings(interface="localcan", channel="t", layout="classic")
+    for options, known in (
+        ({}, {"spin_us": 50.0, "tx_limit": 64}),
+        ({"spin_us": 7, "tx_limit": 3}, {"spin_us": 7.0, "tx_limit": 3}),
+    ):
+        door._open_localcan(settings.model_copy(update={"options": options}))
+        timing = BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s)
+        assert opened.pop() == (("t", timing), {"fd": False, "clock": None, **known})
 
 
 def test_a_bus_of_the_kernel_has_one_option():

@@ -13,6 +13,7 @@ from drivers.can.arbitration import arbitrate, priority, transmit
 from drivers.can.bus_time import (
     FD_LENGTHS,
     BitTiming,
+    BusBudget,
     budget,
     check,
     frame_bits,
@@ -159,6 +160,19 @@ def test_the_shortest_frame_has_no_stuff_bits_but_the_fixed_ones(flags, us):
     assert shortest_frame_ns(length, flags, FD_1M_5M) == 1000 * us
 
 
+def test_the_shortest_time_is_rounded_down_and_the_longest_up():
+    slow = BitTiming(162_093, 162_093)
+    assert shortest_frame_ns(0, 0, slow) == 289_956, "47 bits take 289 956.99999 ns"
+    assert frame_time_ns(0, 0, slow) == 339_312, "55 bits take 339 311.38 ns"
+
+
+def test_a_load_is_allowed_up_to_the_limit_but_for_what_rounding_adds():
+    at_limit = BusBudget((), CLASSIC_1M, 1.0 + 1e-12, 100.0, 1_000_000_000)
+    assert at_limit.load_percent == 100.0 * (1 + 1e-12)
+    assert at_limit.fits
+    assert not at_limit._replace(rate_Hz=1.0 + 1.5e-12).fits
+
+
 def test_worst_case_is_nearly_reached():
     # identifier 0x078 and 0x78 bytes repeat 0000 1111: a stuff bit every fourth bit
     best = max(
@@ -226,6 +240,9 @@ def test_priority_cases_by_hand():
     assert priority(0x100, 0) < priority(0x100, REMOTE) < priority(0x100 << 18, EXTENDED)
     assert priority(0x100 << 18 | 5, EXTENDED) < priority(0x101, 0)
     assert priority(0, ERROR) < priority(0, 0)
+    last = 0x100 << 18 | 0x3FFFF
+    assert priority(last, EXTENDED | REMOTE) < priority(0x101, 0)
+    assert priority(last ^ 0x20000, EXTENDED) < priority(last ^ 0x1FFFF, EXTENDED) < priority(last, EXTENDED)
 
 
 def test_lowest_identifier_wins_among_those_queued_when_the_bus_falls_free():

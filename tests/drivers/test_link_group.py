@@ -13,6 +13,7 @@ import pytest
 
 from drivers.can.bus import Bus
 from drivers.can.link_group import DEAD_AFTER_NS, LinkGroup
+from drivers.can.localcan.bench_clock import BenchClock
 from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
 from drivers.signals import Command, DriveMode, DriveState
 from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, family
@@ -92,6 +93,62 @@ def test_what_came_on_one_bus_between_two_looks_ends_the_wait_however_quiet_the_
     begun = time.monotonic()
     group(*links).block(10 * DEADLINE_NS, frozenset())
     assert time.monotonic() - begun < 1.0, "it would have slept for nine seconds"
+
+
+class Bench(BenchClock):
+    """A bench clock that stands or goes on. State: what it was told, and its reading."""
+
+    def __init__(self, *, stood: bool) -> None:
+        self.stood, self.t_ns, self.told = stood, 1_000_000, list[Any]()
+
+    def now(self) -> int:
+        return self.t_ns
+
+    def stands(self) -> bool:
+        return self.stood
+
+    def waiting(self, until_ns: int) -> None:
+        self.told.append(until_ns)
+
+    def working(self, allowed_ns: int = 0) -> None:
+        self.told.append("works")
+
+
+@pytest.fixture
+def waits(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The waits for files, none of which lasts."""
+    found: list[Any] = []
+    monkeypatch.setattr("select.select", lambda *given: found.append(given))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("stood", "off", "short"), [(False, False, False), (True, False, True), (False, True, True)]
+)
+def test_files_are_waited_for_to_the_deadline_and_for_a_millisecond_while_time_stands_or_a_bus_is_off(
+    waits, stood, off, short
+):
+    clock = Bench(stood=stood)
+    links = [Foreseeing(clock, file=file) for file in (0, 9)]
+    links[1].off = off
+    group(*links).block(81_000_000, frozenset())
+    assert waits == [([0, 9], [], [], 1e-3 if short else 0.08)]
+    assert clock.told == [81_000_000, "works"]
+    group(*links).block(1_500_000, frozenset())
+    assert waits[1:] == [([0, 9], [], [], 0.0005)]
+    group(*links).block(1_000_000, frozenset())
+    assert len(waits) == 2, "the deadline is over"
+
+
+def test_files_are_waited_for_by_a_clock_of_one_s_own_and_only_where_each_link_has_one(waits):
+    clock = Sleeping()
+    clock.t_ns = 0
+    group(Foreseeing(clock, file=0), Foreseeing(clock, file=9)).block(81_000, frozenset())
+    assert waits == [([0, 9], [], [], pytest.approx(0.00008))]
+    for files in ((-1, 9), (9, -1)):
+        group(*(Foreseeing(clock, file=file) for file in files)).block(DEADLINE_NS, frozenset())
+    assert len(waits) == 1
+    assert len(clock.until) == 2
 
 
 def test_a_bus_that_takes_a_part_of_its_frames_is_busy_however_long():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.legs.crc import crc8, identifier_state
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensors import KINDS, OLDEST, Readings, Sample, SensorProtocol
 
@@ -139,16 +140,29 @@ def test_what_exceeds_its_field_is_sent_as_invalid_and_is_no_sample(kind):
 def test_a_rotation_vector_longer_than_half_a_turn_is_refused():
     fine, long = np.array([2.0, 2.0, 1.36]), np.array([2.0, 2.0, 1.4])
     assert np.linalg.norm(fine) < np.pi < np.linalg.norm(long)
-    for r, rejected in ((fine, 0), (long, 1)):
+    turns = [(fine, 0), (long, 1)]
+    for axis in range(3):
+        turns += [(length * np.eye(3)[axis], rejected) for length, rejected in ((3.14159, 0), (-3.15, 1))]
+    for r, rejected in turns:
         assert decode(5, P.encode("tracker", (0, 0, 0, *r), 5, 0.0, 1)).rejected == rejected
 
 
 def test_what_is_no_number_or_has_no_stamp_is_not_sent():
     with pytest.raises(ProtocolError, match="not a number"):
         P.encode("imu", (float("nan"), *VALUES[1:]), 5, 0.0, 3)
-    for offset in (-1e-3, 0.0656, float("nan"), float("inf")):
+    assert P.encode("imu", VALUES, 5, 0.065535, 3).data[12:14] == b"\xff\xff"
+    for offset in (-1e-3, 0.065536, float("nan"), float("inf")):
         with pytest.raises(ProtocolError, match=r"0 to 0\.065535"):
             P.encode("imu", VALUES, 5, offset, 3)
+
+
+@every_kind
+def test_a_sample_is_valid_or_not_and_what_says_something_else_is_refused(kind):
+    frame, at = sample(kind, 5, 3), 15 if kind == "imu" else 27
+    for validity, there, rejected in ((0, 1, 0), (1, 0, 0), (2, 0, 1), (3, 0, 1), (15, 0, 1)):
+        data = frame.data[:at] + bytes([validity << 4 | 3]) + frame.data[at + 1 : -1]
+        readings = decode(5, frame._replace(data=data + bytes([crc8(data, identifier_state(frame.id))])))
+        assert (len(getattr(readings, kind)), readings.rejected) == (there, rejected), validity
 
 
 def test_node_numbers_move_the_identifiers():
@@ -166,6 +180,8 @@ def test_layout_classic_has_no_room():
 def test_a_tick_holds_as_many_frames_as_can_fall_into_it():
     assert [len(f.data) for f in P.cyclic_frames(1000.0)] == [32, 20, 32]
     assert len(P.cyclic_frames(500.0)) == 1 + 1 + 2
+    assert len(P.cyclic_frames(1000.0 * (1 - 0.5e-9))) == 3, "rounding makes no frame"
+    assert len(P.cyclic_frames(1000.0 * (1 - 1.5e-9))) == 4
     assert len(P.cyclic_frames(200.0)) == 1 + 3 + 5
 
 

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.transmission import Transmission
+from drivers.transmission import Transmission, forgotten_length
 
 SCREW = {"lead_m": 0.005, "gear_ratio": 2.0, "efficiency": 0.8, "back_driving_efficiency": 0.6}
 SIX = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
@@ -73,6 +73,20 @@ def test_counts_are_those_of_the_motor():
     t = six(lead_m=0.005, gear_ratio=2, counts_per_turn=4096, offset_m=0.3, sign=-1)
     np.testing.assert_allclose(t.counts_of_length(all_legs(0.305)), -8192.0, rtol=1e-12)
     np.testing.assert_allclose(t.length_of_counts(all_legs(-8192.0)), 0.305, rtol=1e-15)
+
+
+def test_the_ends_of_a_range_of_turns_are_the_shortest_and_the_longest_length_whatever_the_sign():
+    t = six(lead_m=SIX, gear_ratio=2.0, offset_m=SIX, sign=[1, -1] * 3)
+    shortest, longest = t.lengths_within(0.5)
+    np.testing.assert_allclose(shortest, 0.75 * np.array(SIX), rtol=1e-14)
+    np.testing.assert_allclose(longest, 1.25 * np.array(SIX), rtol=1e-14)
+
+
+@pytest.mark.parametrize("turns", [0.5, [0.5] * 6, SIX])
+def test_turns_that_a_drive_forgets_are_a_length_without_a_sign(turns):
+    settings = TransmissionSettings.model_validate({"lead_m": SIX, "gear_ratio": 2.0, "sign": [1, -1] * 3})
+    expected = np.array(SIX) / 2.0 * np.array(turns)
+    np.testing.assert_allclose(forgotten_length(settings, turns), expected, rtol=1e-14)
 
 
 def test_each_leg_has_its_own_values():

@@ -54,6 +54,30 @@ def test_what_the_cache_has_is_not_to_come(project):
     kept.mkdir(parents=True)
     (kept / "a-1.py311.nbi").touch()
     assert counts(project) == {"first.py": 1, "second.py": 1}
+    for name in ("b", "c"):
+        (kept / f"{name}-1.py311.nbi").touch()
+    assert counts(project) == {"first.py": 0, "second.py": 1}, "not less than none"
+
+
+def test_kernels_of_packages_on_the_way_and_of_what_a_module_imports_are_to_come(project):
+    (project / "__init__.py").write_text(KERNEL.format("e"))
+    (project / "second.py").write_text("import project_p.fourth\n")
+    (project / "fourth.py").write_text(KERNEL.format("f") * 3)
+    assert counts(project) == {"first.py": 2, "__init__.py": 1, "fourth.py": 3}
+
+
+def test_a_kernel_that_is_compiled_before_anything_was_told_begins_the_count(project):
+    told: list[Progress] = []
+    Compilation([project / "program.py"], told.append).compiled(project / "first.py")
+    assert [(at.done, at.total) for at in told] == [(0, 3), (1, 3)]
+
+
+def test_a_kernel_costs_its_share_of_the_source_and_a_least_one(tmp_path):
+    source = tmp_path / "a.py"
+    for kernels, work in ((0, 5000.0), (1, 5000.0), (2, 3500.0), (3, 3000.0)):
+        text = "@kernel(\n" * kernels
+        source.write_text(text + "x" * (3000 - len(text)))
+        assert progress._work(source) == work
 
 
 def test_each_kernel_counts_and_more_than_was_known_lets_the_total_grow(project):
@@ -70,13 +94,14 @@ def test_each_kernel_counts_and_more_than_was_known_lets_the_total_grow(project)
 
 def test_the_time_left_follows_from_the_pace(project, monkeypatch):
     told: list[Progress] = []
-    now = iter([0, 0, 4_000_000_000])
+    begun = 7_000_000_000
+    now = iter([begun, begun, begun + 4_000_000_000])
     monkeypatch.setattr("time.monotonic_ns", lambda: next(now))
-    monkeypatch.setattr(progress, "_work", lambda _: 1.0)
+    monkeypatch.setattr(progress, "_work", lambda source: {"first": 2.0, "second": 5.0}[source.stem])
     compilation = Compilation([project / "program.py"], told.append)
     compilation.begin()
     compilation.compiled(project / "first.py")
-    assert (told[-1].elapsed_s, told[-1].left_s) == (4.0, 8.0)  # one in 4 s, two to come
+    assert (told[-1].elapsed_s, told[-1].left_s) == (4.0, 14.0)  # work of 2 in 4 s, of 2 and 5 to come
 
 
 @pytest.mark.parametrize(("terminal", "lines"), [(False, 3), (True, 5)])

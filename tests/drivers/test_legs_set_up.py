@@ -169,6 +169,20 @@ def test_each_drive_lacks_what_its_checksum_tells():
     assert P.set_up_lacks(taken_back)[0] == unheard.format(1), "the right checksum, and it is in boot"
 
 
+@pytest.mark.parametrize("leg", range(1, 8))
+def test_a_drive_that_holds_the_place_of_another_leg_is_named_by_it_and_there_are_six(leg):
+    other = LegsProtocol("fd", NODES, 32_000.0, slots=(leg - 1,) * 6)
+    for at in (0, 5):
+        dialogue = told(begun(sent=(1,) * 6), status(at, protocol=other))
+        found = P.set_up_lacks(dialogue)[at]
+        if leg == at + 1:
+            assert found == ""
+        elif leg <= 6:
+            assert found == f"its checksum is that of leg {leg}, sent was {at + 1}"
+        else:
+            assert "fits no other reaction, leg or version" in found
+
+
 def test_a_drive_of_another_version_of_the_protocol_is_named_by_it():
     older = LegsProtocol("fd", NODES, 32_000.0)
     for version in (0, 1, 7):

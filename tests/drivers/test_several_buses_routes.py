@@ -48,7 +48,7 @@ class Family:
         return frame.id if frame.id < 6 else -1
 
     def emergency_stop(self) -> tuple[Frame, ...]:
-        return Frame(10, bytes((5, 0, 1)), FD), Frame(3, b"\3"), Frame(10, bytes(range(6)))
+        return Frame(10, bytes((5, 0)), FD), Frame(3, b"\3"), Frame(10, bytes(range(6)))
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         self.asked.append((received, tick, since_ns))
@@ -89,7 +89,7 @@ def on(bus: int, *given: Any) -> Frame:
 def test_a_frame_for_some_legs_goes_once_on_each_bus_of_theirs_in_the_order_of_the_buses():
     protocol, _ = several()
     assert protocol.emergency_stop() == (
-        *(on(bus, 10, bytes((5, 0, 1)), FD) for bus in (0, 1)),
+        *(on(bus, 10, bytes((5, 0)), FD) for bus in (0, 1)),
         on(2, 3, b"\3"),
         *(on(bus, 10, bytes(range(6))) for bus in (0, 1, 2)),
     )

@@ -81,3 +81,10 @@ def test_the_frames_of_a_tick_are_those_that_the_time_of_each_bus_counts(name):
     found = shapes((*ends.opening, *sent, *answers), named=named)
     assert found == shapes(protocol.cyclic_frames(), named=named)
     assert {flags // BUS for _, _, flags in found} == {0, 1}
+
+
+def test_the_example_of_a_tick_begins_with_its_sync_on_every_bus():
+    for name in ("legs", "cia402"):
+        frames = family(name, ODD).cyclic_frames()
+        assert [(frame.id, frame.bus) for frame in frames if frame.id == 0x080] == [(0x080, 0), (0x080, 1)]
+        assert {frame.id for frame in frames[:2]} == {0x080}

@@ -165,8 +165,8 @@ def read_reply(data: bytes) -> Reply | None:
     if specifier >> 5 == 3:
         return Reply(key, 0, wrote=True, value=0)
     if specifier >> 5 == 2 and specifier & 2:
-        size = 4 - (specifier >> 2 & 3) if specifier & 1 else 4
-        return Reply(key, 0, wrote=False, value=int.from_bytes(data[4 : 4 + size], "little"))
+        unused = specifier >> 2 & 3 if specifier & 1 else 0
+        return Reply(key, 0, wrote=False, value=int.from_bytes(data[4 : 8 - unused], "little"))
     return None
 
 

@@ -57,7 +57,8 @@ class Compilation:
         self.begin()
         self._done += 1
         self._worked += _work(source)
-        self._left[source] = max(0, self._left.get(source, 0) - 1)
+        if self._left.get(source):
+            self._left[source] -= 1
         self._tell(self._progress())
 
     def _progress(self) -> Progress:

@@ -115,7 +115,7 @@ def compile_message(message: Any, *signals: str) -> Codec:
     fields = sorted(message.signals, key=lambda s: s.start)
     layout, at = "<", 0
     for s in fields:
-        if s.start % 8 >= 4 and s.start // 8 == at - 1 and s.start % 8 + s.length <= 8:
+        if s.start // 8 == at - 1 and s.start % 8 + s.length <= 8:
             continue  # upper half of the byte that the signal before it opened
         key = (s.length, s.is_signed or s.is_float, s.is_float)
         start = s.start // 8

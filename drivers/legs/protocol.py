@@ -158,7 +158,7 @@ class LegsProtocol(Traits):
         self._feedback_form = np.array(
             [feedback.length, self._status.length, *at, self._exact, *chain(*places[:QUANTITIES])], np.int64
         )
-        self._feedback_range = np.array([*feedback.scale[:3], *feedback.low[:3], *feedback.high[:3]])
+        self._feedback_range = np.array([*feedback.scale[:3], *feedback.low[:3], *feedback.high])
         force, counter, mode, check = (
             command.place(name) for name in (command.signals[0], "Counter", "Mode", "CRC")
         )
@@ -394,6 +394,6 @@ class LegsProtocol(Traits):
         """Return one example of every frame of a tick: SYNC, commands, six feedbacks."""
         zeros = np.zeros(LEGS)
         _, command = self.command(None, Command(DriveMode.OFF, zeros), 0)
-        off = np.full(LEGS, DriveState.OFF, np.int64)
+        off = np.ones(LEGS, np.int64)
         _, feedbacks = self.answer(NO_SYNC, Sync(0), zeros, zeros, zeros, off)
         return (*self.begin(None, 0), *command, *(frame for _, frame in feedbacks))

@@ -33,6 +33,13 @@ def test_a_cache_that_cannot_be_made_where_it_should_is_said_to_lie_elsewhere_an
     assert cache.cache_folder() == places[1]
 
 
+def test_a_cache_that_others_can_write_to_is_not_used(places):
+    places[0].mkdir(parents=True)
+    places[0].chmod(0o777)
+    assert cache.cache_folder() == places[1]
+    assert cache.elsewhere().startswith(f"{places[0]}: must be a folder that belongs to user ")
+
+
 def test_a_folder_is_used_that_can_be_written_and_searched_and_without_one_nothing_is_compiled(
     places, monkeypatch
 ):
@@ -119,3 +126,18 @@ def test_who_counts_is_told_the_file_of_each_kernel_that_was_compiled_and_the_la
     cache.while_compiling(second.append)
     cache.compiled(Path("b.py"))
     assert (first, second) == ([Path("a.py")], [Path("b.py")])
+
+
+def test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept(monkeypatch, tmp_path):
+    monkeypatch.setattr(cache, "folder_of", lambda _: tmp_path)
+    monkeypatch.setattr(cache, "_announcement", [])
+    announced: list[str] = []
+    cache.before_compiling(lambda: announced.append("compiles"))
+    (tmp_path / "kept.nbi").touch()
+    cache.Locator(test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept, "a.py")
+    assert announced == []
+    (tmp_path / "kept.nbi").unlink()
+    for _ in range(2):
+        locator = cache.Locator(test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept, "a.py")
+    assert announced == ["compiles"], "once"
+    assert (locator.get_cache_path(), locator.get_source_stamp()) == (str(tmp_path), tmp_path.name)

@@ -64,6 +64,8 @@ def test_kernels_of_packages_on_the_way_and_of_what_a_module_imports_are_to_come
     (project / "second.py").write_text("import project_p.fourth\n")
     (project / "fourth.py").write_text(KERNEL.format("f") * 3)
     assert counts(project) == {"first.py": 2, "__init__.py": 1, "fourth.py": 3}
+    (project / "program.py").write_text("import project_p.first\n")
+    assert counts(project) == {"first.py": 2, "__init__.py": 1}
 
 
 def test_a_kernel_that_is_compiled_before_anything_was_told_begins_the_count(project):

@@ -230,6 +230,25 @@ def test_a_record_is_seen_and_written_and_one_of_another_dtype_is_refused():
     assert points["n"].tolist() == [8] * 3
     assert points["unseen"].tolist() == [0] * 3
     other = np.dtype([("x", np.float64), ("n", np.int64), ("seen", np.int64)])
-    for wrong in (np.zeros((), other), np.zeros((), np.float64), np.zeros(1, POINT), 1.0):
+    fixed = np.zeros((), POINT)
+    fixed.flags.writeable = False
+    for wrong in (np.zeros((), other), np.zeros((), np.float64), np.zeros(1, POINT), 1.0, fixed):
         with pytest.raises(TypeError, match="an argument of a kernel is no"):
             _count_up(wrong)
+
+
+ROW = np.dtype([("n", np.int64), ("forces", np.float64, 3), ("unseen", np.int64)])
+
+
+@direct(record(ROW, "forces"))
+def _change_first(row: Any) -> float:
+    _change(row.forces)
+    return float(row.forces[2])
+
+
+def test_a_column_of_a_record_is_lent_to_a_kernel_that_takes_an_array():
+    row = np.zeros((), ROW)
+    row["n"], row["forces"], row["unseen"] = 5, [7.0, 8.0, 9.0], 6
+    assert _change_first(row) == 9.0
+    assert row["forces"].tolist() == [1.0, 8.0, 9.0]
+    assert (row["n"], row["unseen"]) == (5, 6)

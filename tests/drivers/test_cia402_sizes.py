@@ -6,7 +6,7 @@ import pytest
 
 from drivers.cia402 import objects as o
 from drivers.cia402.dictionary import ENTRIES, signed
-from drivers.cia402.objects import mapped, read_reply
+from drivers.cia402.objects import ABORTS, mapped, read_reply
 
 BYTES = "78563412"
 
@@ -39,6 +39,33 @@ def test_an_abort_and_a_confirmation_carry_no_value():
     assert read_reply(bytes.fromhex("8064600030000906")) == ((0x6064, 0), 0x06090030, False, 0)
     assert read_reply(bytes.fromhex("8064600000000000")) == ((0x6064, 0), 0x05040001, False, 0), "of no code"
     assert read_reply(bytes.fromhex(f"60646002{BYTES}")) == ((0x6064, 2), 0, True, 0)
+
+
+ABORT_CODES = (
+    *(0x0503_0000, 0x0504_0000, 0x0504_0001, 0x0504_0005, 0x0601_0000, 0x0601_0001, 0x0601_0002, 0x0602_0000),
+    *(0x0604_0041, 0x0604_0042, 0x0604_0043, 0x0604_0047, 0x0606_0000, 0x0607_0010, 0x0607_0012, 0x0607_0013),
+    *(0x0609_0011, 0x0609_0030, 0x0609_0031, 0x0609_0032, 0x0800_0000, 0x0800_0020, 0x0800_0021, 0x0800_0022),
+)
+"""Of CiA 301, table 22."""
+
+
+def test_abort_codes_have_the_numbers_of_the_document_and_each_words_of_its_own():
+    assert tuple(sorted(ABORTS)) == ABORT_CODES
+    assert len(set(ABORTS.values())) == len(ABORTS)
+    for code, words in (
+        (0x0601_0001, "read a write only"),
+        (0x0601_0002, "write a read only"),
+        (0x0602_0000, "object does not exist"),
+        (0x0604_0041, "cannot be mapped"),
+        (0x0604_0042, "exceed the PDO length"),
+        (0x0607_0012, "too high"),
+        (0x0607_0013, "too low"),
+        (0x0609_0011, "sub-index does not exist"),
+        (0x0609_0030, "invalid value"),
+        (0x0504_0001, "command specifier"),
+        (0x0800_0022, "present device state"),
+    ):
+        assert words in ABORTS[code]
 
 
 def test_an_entry_of_a_mapping_has_index_sub_index_and_bits():

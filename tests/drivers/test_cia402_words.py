@@ -188,6 +188,13 @@ def test_a_stop_is_a_quick_stop_of_each_drive_and_a_tick_has_a_sync_six_rpdos_an
     assert [P.awaited(each) for each in answers] == [each.id for each in answers]
 
 
+def test_such_drives_have_their_traits():
+    assert (P.command_delay_ticks, P.set_up_frames, P.reset_ticks, P.unasked_s) == (0, 3, 6, 0.0)
+    assert (P.database, P.power_told, P.reactions) == (None, "feedback", (Reaction.BRAKE, Reaction.DAMP))
+    assert {P.latches_together, P.stop_latches, P.has_watchdog} == {True}
+    assert {P.shares_identifiers, P.answers_name_sync, P.force_on_brakes} == {False}
+
+
 def test_fresh_is_a_tpdo_of_its_length_from_the_beginning_of_the_tick_on():
     good = Frame(0x182, bytes(8))
     assert P.fresh(Received(10, good), 0, 10)

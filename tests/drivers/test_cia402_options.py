@@ -64,9 +64,13 @@ def test_a_configuration_makes_the_codec():
     [
         ({"layout": "fd"}, r"bus\.layout: allowed with cia402: classic.*given: fd"),
         ({"rated_torque_Nm": 0.0}, r"drives\.options\.rated_torque_Nm: .*given: 0\.0"),
+        ({"rated_torque_Nm": 0.000999}, r"drives\.options\.rated_torque_Nm: .*given: 0\.000999"),
+        ({"rated_torque_Nm": 4_294_967.5}, r"rated_torque_Nm: .*0\.001 to 4294967, given: 4294967\.5"),
         ({"rated_torque_Nm": True}, r"drives\.options\.rated_torque_Nm: .*given: True"),
         ({"velocity": "both"}, r"drives\.options\.velocity: allowed: pdo, difference, given: both"),
         ({"controller_node": 128}, r"drives\.options\.controller_node: .*given: 128"),
+        ({"controller_node": 0}, r"drives\.options\.controller_node: .*given: 0"),
+        ({"controller_node": 1}, r"drives\.node_ids\[0\]: .*given: 1"),
         ({"controller_node": 3}, r"drives\.node_ids\[2\]: .*given: 3"),
         ({"check_encoder": 1}, r"drives\.options\.check_encoder: allowed: true, false, given: 1"),
         ({"speed": 1}, r"drives\.options\.speed: unknown, allowed with cia402: rated_torque_Nm"),
@@ -75,6 +79,18 @@ def test_a_configuration_makes_the_codec():
 def test_a_key_that_does_not_fit_is_refused_by_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
+
+
+@pytest.mark.parametrize("rated_Nm", [1e-3, 4_294_967.0])
+def test_a_rated_torque_is_a_thousandth_of_a_newton_metre_to_what_its_object_can_say(rated_Nm):
+    assert made(rated_torque_Nm=rated_Nm)._settings.rated_torque_mNm == round(1e3 * rated_Nm)
+
+
+def test_the_encoder_is_checked_unless_the_configuration_says_not_to():
+    found = [
+        made(**options)._increments for options in ({}, {"check_encoder": True}, {"check_encoder": False})
+    ]
+    assert found == [[131072] * 6, [131072] * 6, [0] * 6]
 
 
 def test_it_needs_a_transmission_and_a_rated_torque():

@@ -139,6 +139,11 @@ def test_what_a_drive_said_last_of_its_set_up_is_kept_of_whole_statuses_alone():
     assert told(begun(), first, *spoiled).said[2] == int.from_bytes(first.data[2:4], "little")
 
 
+@pytest.mark.parametrize("leg", range(6))
+def test_the_word_of_the_one_drive_that_is_not_set_up_yet_is_kept(leg):
+    assert told(begun(confirmed=63 ^ 1 << leg), bare(leg)).said[leg] == 0
+
+
 def test_each_drive_lacks_what_its_checksum_tells():
     other_leg = LegsProtocol("fd", NODES, 32_000.0, slots=(0, 1, 2, 5, 4, 3))
     statuses = {

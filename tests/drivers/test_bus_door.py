@@ -346,3 +346,18 @@ def test_an_attribute_without_content_is_there_and_a_cut_one_ends_them():
 def test_an_error_frame_says_state_overflow_and_counters(identifier, data, state, overflow, counters):
     report = read_error(Frame(identifier | 0x400, bytes.fromhex(data), ERROR))
     assert report == (ErrorClass(identifier), state, overflow, counters)
+
+
+def test_the_classes_of_error_frames_are_those_of_the_kernel():
+    assert {each.name: each.value for each in ErrorClass} == {
+        "TX_TIMEOUT": 0x1,
+        "LOST_ARBITRATION": 0x2,
+        "CONTROLLER": 0x4,
+        "PROTOCOL": 0x8,
+        "TRANSCEIVER": 0x10,
+        "ACK": 0x20,
+        "BUS_OFF": 0x40,
+        "BUS_ERROR": 0x80,
+        "RESTARTED": 0x100,
+        "COUNTERS": 0x200,
+    }

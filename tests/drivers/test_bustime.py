@@ -160,6 +160,13 @@ def test_the_shortest_frame_has_no_stuff_bits_but_the_fixed_ones(flags, us):
     assert shortest_frame_ns(length, flags, FD_1M_5M) == 1000 * us
 
 
+def test_a_frame_of_can_fd_has_one_of_sixteen_lengths_and_an_error_frame_23_bits():
+    assert FD_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+    padded = {n: min(each for each in FD_LENGTHS if each >= n) for n in range(65)}
+    assert all(frame_bits(n, FD | BRS) == frame_bits(padded[n], FD | BRS) for n in range(65))
+    assert frame_bits(0, ERROR) == (23, 0)
+
+
 def test_the_shortest_time_is_rounded_down_and_the_longest_up():
     slow = BitTiming(162_093, 162_093)
     assert shortest_frame_ns(0, 0, slow) == 289_956, "47 bits take 289 956.99999 ns"

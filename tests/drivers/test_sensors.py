@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.legs.crc import crc8, identifier_state
-from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensors import KINDS, OLDEST, Readings, Sample, SensorProtocol
 
 ALL = SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings())
@@ -141,6 +141,9 @@ def test_a_rotation_vector_longer_than_half_a_turn_is_refused():
     fine, long = np.array([2.0, 2.0, 1.36]), np.array([2.0, 2.0, 1.4])
     assert np.linalg.norm(fine) < np.pi < np.linalg.norm(long)
     turns = [(fine, 0), (long, 1)]
+    turns += [
+        (np.array([np.pi * (1 + more), 0.0, 0.0]), rejected) for more, rejected in ((0.5e-6, 0), (1.5e-6, 1))
+    ]
     for axis in range(3):
         turns += [(length * np.eye(3)[axis], rejected) for length, rejected in ((3.14159, 0), (-3.15, 1))]
     for r, rejected in turns:
@@ -169,6 +172,16 @@ def test_node_numbers_move_the_identifiers():
     moved = SensorProtocol(BusSettings(), SensorSettings(tracker=TrackerSettings(node_id=120)))
     assert moved.kinds == ("tracker",)
     assert moved.encode("tracker", VALUES, 0, 0.0, 0).id == 0x400 + 120
+    all_moved = SensorSettings(
+        tracker=TrackerSettings(node_id=120),
+        imu=ImuSettings(node_id=121),
+        wrench=WrenchSensorSettings(node_id=122),
+    )
+    moved = SensorProtocol(BusSettings(), all_moved)
+    assert [moved.encode(kind, VALUES, 0, 0.0, 0).id & 0x7F for kind in KINDS] == [120, 121, 122]
+    for kind, node in zip(KINDS, (120, 121, 122), strict=True):
+        before, after = P.encode(kind, VALUES, 0, 0.0, 0).id, moved.encode(kind, VALUES, 0, 0.0, 0).id
+        assert before & ~0x7F == after & ~0x7F == after - node
 
 
 def test_layout_classic_has_no_room():
@@ -186,10 +199,17 @@ def test_a_tick_holds_as_many_frames_as_can_fall_into_it():
 
 
 def test_a_sensor_reads_the_cycle_of_a_sync():
-    assert P.cycle_of(Frame(0x080, b"\xa7\xc3")) == 0xA7
+    for bus in range(3):
+        assert P.cycle_of(Frame(0x080, b"\xa7\xc3", BUS * bus)) == 0xA7, "each hears that of its own bus"
+    for flags in (EXTENDED, REMOTE, ERROR):
+        assert P.cycle_of(Frame(0x080, b"\xa7\xc3", flags)) is None
     assert P.cycle_of(Frame(0x080, b"\xa7\xc2")) is None
     assert P.cycle_of(Frame(0x080, b"\xa7")) is None
     assert P.cycle_of(Frame(0x110, b"\xa7\xc3")) is None
+
+
+def test_readings_begin_without_a_counter_that_could_come():
+    assert Readings() == ((), (), (), 0, 0, (-1, -1, -1))
 
 
 def test_a_sample_is_a_value():

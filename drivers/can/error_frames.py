@@ -33,7 +33,7 @@ class ErrorClass(IntFlag):
     """The error counters are in bytes 6 and 7."""
 
 
-RX_OVERFLOW, TX_OVERFLOW = 0x01, 0x02
+RX_OVERFLOW = 0x01
 WARNING, PASSIVE, ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
 """Bits of byte 1: of reception and of transmission, and the return to error active."""
 

@@ -251,4 +251,4 @@ def test_a_column_of_a_record_is_lent_to_a_kernel_that_takes_an_array():
     row["n"], row["forces"], row["unseen"] = 5, [7.0, 8.0, 9.0], 6
     assert _change_first(row) == 9.0
     assert row["forces"].tolist() == [1.0, 8.0, 9.0]
-    assert (row["n"], row["unseen"]) == (5, 6)
+    assert [row["n"].tolist(), row["unseen"].tolist()] == [5, 6]

@@ -85,7 +85,7 @@ def test_a_drive_never_sends_what_is_no_number(leg):
         given = [np.full(6, 1.0) for _ in range(3)]
         given[at][leg] = np.nan
         with pytest.raises(ProtocolError, match=rf"feedback of leg {leg} is not a number: "):
-            P.answer(running(), Sync(0), *given, RUNNING)
+            P.answer(running(), Sync(0), given[0], given[1], given[2], RUNNING)
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -262,6 +262,7 @@ def test_a_write_acts_as_its_object_does():
     assert (device.torque, found) == (-100, ["6071600000000000"])
     device, found = asked(drive(), "2316100164007f00")
     assert found == [Configure(LEG, 0.1, Reaction.DAMP), "6016100100000000"]
+    assert asked(drive(), "2316100101007f00")[1][0] == Configure(LEG, 0.001, Reaction.DAMP)
     assert asked(drive(), "2b5e600000000000")[1] == [Configure(LEG, 1e6, Reaction.BRAKE), "605e600000000000"]
     assert asked(drive(started=False), "2316100164007f00")[1] == ["6016100100000000"]
 

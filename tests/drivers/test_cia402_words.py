@@ -188,6 +188,14 @@ def test_a_stop_is_a_quick_stop_of_each_drive_and_a_tick_has_a_sync_six_rpdos_an
     assert [P.awaited(each) for each in answers] == [each.id for each in answers]
 
 
+def test_lengths_can_be_reported_that_are_32_bits_of_counts():
+    offset = np.array([0.75] * 5 + [0.5])
+    below, above = 2147483648 * 0.02 / 131072, 2147483647 * 0.02 / 131072
+    shortest, longest = P.reported_lengths()
+    np.testing.assert_allclose(shortest, offset - np.where(SIGN > 0, below, above), rtol=1e-13)
+    np.testing.assert_allclose(longest, offset + np.where(SIGN > 0, above, below), rtol=1e-13)
+
+
 def test_such_drives_have_their_traits():
     assert (P.command_delay_ticks, P.set_up_frames, P.reset_ticks, P.unasked_s) == (0, 3, 6, 0.0)
     assert (P.database, P.power_told, P.reactions) == (None, "feedback", (Reaction.BRAKE, Reaction.DAMP))

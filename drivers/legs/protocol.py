@@ -394,6 +394,6 @@ class LegsProtocol(Traits):
         """Return one example of every frame of a tick: SYNC, commands, six feedbacks."""
         zeros = np.zeros(LEGS)
         _, command = self.command(None, Command(DriveMode.OFF, zeros), 0)
-        off = np.ones(LEGS, np.int64)
+        off = np.full(LEGS, DriveState.OFF, np.int64)
         _, feedbacks = self.answer(NO_SYNC, Sync(0), zeros, zeros, zeros, off)
         return (*self.begin(None, 0), *command, *(frame for _, frame in feedbacks))

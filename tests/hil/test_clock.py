@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import gc
 import itertools
 import os
 import time
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -124,6 +127,21 @@ def test_real_time_names_each_part_once_and_undoes_all() -> None:
 
 
 @pytest.mark.usefixtures("thawed")
+def test_real_time_leaves_no_garbage_behind_and_freezes_what_lives() -> None:
+    class Node:
+        """May be part of a cycle."""
+
+    with clock.collector_paused():
+        node: Any = Node()
+        node.itself = node
+        gone = weakref.ref(node)
+        del node
+        with real_time(1, None):
+            assert gone() is None
+            assert gc.get_freeze_count() > 0
+
+
+@pytest.mark.usefixtures("thawed")
 def test_what_others_had_frozen_stays_so() -> None:
     gc.freeze()
     with real_time(1, None):
@@ -142,7 +160,7 @@ def test_real_time_is_undone_after_an_exception() -> None:
 def test_the_process_is_pinned_only_with_fifo_and_pin_and_memory_lock_are_undone(
     monkeypatch: pytest.MonkeyPatch, fifo: bool
 ) -> None:
-    pinned: list[set[int]] = []
+    pinned: list[tuple[int, set[int]]] = []
     locked: list[int] = []
 
     def refuse(_priority: int) -> None:
@@ -150,13 +168,13 @@ def test_the_process_is_pinned_only_with_fifo_and_pin_and_memory_lock_are_undone
 
     monkeypatch.setattr(clock, "_fifo", (lambda _: None) if fifo else refuse)
     monkeypatch.setattr(clock, "_mlockall", locked.append)
-    monkeypatch.setattr(os, "sched_setaffinity", lambda _, cpus: pinned.append(set(cpus)))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {7 + pid, 8})
+    monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cpus: pinned.append((pid, set(cpus))))
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: None)
-    before = os.sched_getaffinity(0)
     with clock.real_time_rights(1, 5):
-        assert pinned == [{5}] * fifo
+        assert pinned == [(0, {5})] * fifo, "0: this process"
         assert locked == [7], "MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of the kernel"
-    assert pinned == [{5}] * fifo + [before]
+    assert pinned == [(0, {5})] * fifo + [(0, {7, 8})]
     assert locked[1:] == [0]
 
 
@@ -201,7 +219,8 @@ def test_the_rate_held_outlasts_twice_the_worst_stall_whole_periods_and_lateness
 
 
 @pytest.mark.parametrize(
-    ("rate_Hz", "periods", "found_Hz"), [(400.0, 5, 100.0), (200.0, 8, 200.0), (200.0, 7, 100.0)]
+    ("rate_Hz", "periods", "found_Hz"),
+    [(400.0, 5, 100.0), (200.0, 8, 200.0), (200.0, 7, 100.0), (200.0, 2, 100.0), (199.0, 2, 199.0)],
 )
 def test_a_rate_at_the_very_border_is_held(
     monkeypatch: pytest.MonkeyPatch, rate_Hz: float, periods: int, found_Hz: float
@@ -254,8 +273,8 @@ class Scheduler:
         self, monkeypatch: pytest.MonkeyPatch, policy: int, priority: int, *, ordinary: bool
     ) -> None:
         self.now, self.ordinary = (policy, priority), ordinary
-        monkeypatch.setattr(os, "sched_getscheduler", lambda _: self.now[0])
-        monkeypatch.setattr(os, "sched_getparam", lambda _: os.sched_param(self.now[1]))
+        monkeypatch.setattr(os, "sched_getscheduler", lambda pid: self.now[0] if pid == 0 else 99)
+        monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(self.now[1] if pid == 0 else 99))
         monkeypatch.setattr(os, "sched_setscheduler", self.set)
         monkeypatch.setattr(clock, "_mlockall", lambda _: None)
 
@@ -340,6 +359,7 @@ def test_the_latency_that_is_asked_of_the_kernel_is_none_and_holds_until_the_end
 
 def test_what_the_kernel_refuses_to_lock_is_told_with_its_reason_and_what_it_does_is_not() -> None:
     clock._mlockall(0)
+    ctypes.set_errno(0)
     with pytest.raises(OSError, match="Invalid argument") as caught:
         clock._mlockall(1 << 20)
     assert caught.value.errno == errno.EINVAL

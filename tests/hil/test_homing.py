@@ -64,6 +64,12 @@ def test_a_motor_to_which_no_turn_is_added_says_0_whatever_its_sign():
     assert [f"{turns:g}" for turns in unwrapped_turns(legs.homing, legs.pose)] == ["0"] * 6
 
 
+def test_a_third_of_a_turn_is_said_to_six_digits():
+    legs = Leg(m_per_turn=3.0 * STEP)
+    legs.hear(forgotten(PARKED))
+    assert unwrapped_turns(legs.homing, legs.pose) == [2.333333, -1.0, 4.0, 0.0, -0.333333, 33.333333]
+
+
 def test_the_turn_stays_while_the_leg_moves_on_past_many_turns():
     legs = Leg()
     legs.hear(forgotten(PARKED))
@@ -176,9 +182,11 @@ def test_both_ends_of_the_stroke_count():
     [(0.25, 0.5, True), (0.25 + 2**-20, 0.5, False), (0.25, 0.5 - 2**-20, False)],
 )
 def test_a_position_that_ends_where_the_stroke_does_is_long_enough_to_the_last_bit(low, high, known):
-    legs = Leg(Stroke(0.25, 0.5, (np.full(6, low), np.full(6, high))))
-    legs.hear(PARKED)
-    assert legs.homing.known is known
+    for leg in range(6):
+        only = np.arange(6) == leg
+        legs = Leg(Stroke(0.25, 0.5, (np.where(only, low, 0.0), np.where(only, high, 1.0))))
+        legs.hear(PARKED)
+        assert legs.homing.known is known
 
 
 @pytest.mark.parametrize("leg", range(6))
@@ -194,11 +202,20 @@ def test_a_leg_beyond_the_limit_is_refused_whether_it_has_got_longer_or_shorter(
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_leg_may_be_as_far_from_where_it_was_as_its_limit_to_the_last_bit(leg, side):
-    limit, there = 2.0**-12, np.full(6, 0.25)
-    even = {"length": there, "limit_m": np.full(6, limit), "step_m": np.full(6, 2.0**-8)}
+    limits, there = 2.0**-12 * np.array([3, 1, 6, 2, 5, 4]), np.full(6, 0.25)
     for beyond, known in ((0.0, True), (2.0**-40, False)):
-        legs = Leg(**even)
-        legs.hear(there + side * (limit + beyond) * (np.arange(6) == leg))
+        legs = Leg(length=there, limit_m=limits, step_m=np.full(6, 2.0**-8))
+        legs.hear(there + side * (limits[leg] + beyond) * (np.arange(6) == leg))
+        assert legs.homing.known is known
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_half_a_turn_to_the_last_bit_is_a_leap_and_a_bit_less_is_none(side):
+    there = np.full(6, 0.25)
+    for short, known in ((0.0, False), (2.0**-40, True)):
+        legs = Leg(length=there, step_m=np.full(6, 2.0**-8))
+        legs.hear(there, braked=False)
+        legs.hear(there + side * (2.0**-9 - short) * (np.arange(6) == 4), braked=False)
         assert legs.homing.known is known
 
 
@@ -342,6 +359,7 @@ def test_drives_that_forget_nothing_are_left_alone():
     homing = Homing(None, Stroke(0.2, 0.5, None), PERIOD_S)
     tick = new_record()
     tick["length"] = 0.123
+    assert homing.before(tick) is tick
     homing.correct(tick, new_record(), braked=False)
     assert homing.known
     assert (tick["length"] == 0.123).all()

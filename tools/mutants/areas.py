@@ -65,6 +65,7 @@ AREAS = {
         (
             "tests/hil/test_cycle*.py",
             "tests/hil/test_clock.py",
+            "tests/hil/app/test_rate_selection.py",
             "tests/hil/test_homing.py",
             "tests/hil/test_ramps.py",
             "tests/hil/test_approach.py",

@@ -27,8 +27,6 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
     """
     n = len(t)
     v, a = np.zeros_like(y), np.zeros_like(y)
-    if n < 3:
-        return v, a
     h, D = np.diff(t), np.diff(y, axis=0)
     blocks: list[Array] = []
     rights: list[Array] = []
@@ -47,9 +45,7 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
         rights.append(right)
     found = np.zeros((2, y.shape[1]))
     for k in range(n - 2, 0, -1):
-        right = rights[k - 1]
-        if k < n - 2:
-            right = right - _times(_coupling(float(h[k])), found)
+        right = rights[k - 1] - _times(_coupling(float(h[k])), found)
         found = _times(_inverse(blocks[k - 1]), right)
         v[k], a[k] = found
     return v, a

@@ -174,6 +174,22 @@ def test_both_ends_of_a_band_are_multiples_of_the_period_whatever_their_last_dig
     assert pick_lines(axis((0.075, 0.285), 21), 100.0, set(), "axes[0]") == list(range(8, 29))
 
 
+@pytest.mark.parametrize("beyond", [1.5e-9, 5e-7])
+def test_a_multiple_that_lies_outside_of_a_band_is_no_line_of_it(beyond):
+    inside = (7.0 + beyond) / 100.0, (29.0 - beyond) / 100.0
+    assert pick_lines(axis(inside, 21), 100.0, set(), "axes[0]") == list(range(8, 29))
+
+
+def test_the_hundred_thousandth_multiple_is_as_near_to_the_end_of_a_band_as_the_first():
+    """35.2 x 3000 is 105600.00000000001, 37.3 x 3000 is 111899.99999999999."""
+    assert pick_lines(axis((35.2, 37.3), 2), 3000.0, set(), "axes[0]") == [105_600, 111_900]
+
+
+def test_of_the_lines_of_other_axes_only_those_in_the_band_are_counted():
+    with pytest.raises(ConfigurationError, match=r"at most 4, .* there less 2 that other axes have"):
+        pick_lines(axis((0.5, 1.0), 5), 10.0, {4, 5, 10, 11, 12}, "axes[0]")
+
+
 def test_one_line_is_the_lowest_that_is_free_and_two_are_both_ends():
     assert pick_lines(axis((0.5, 2.0), 1), 10.0, set(), "axes[0]") == [5]
     assert pick_lines(axis((0.5, 2.0), 1), 10.0, {5, 6, 8}, "axes[0]") == [7]
@@ -185,7 +201,7 @@ def test_as_many_lines_as_are_searched_in_seconds_are_taken_and_the_next_band_is
     lines = pick_lines(axis((1.0, 20_000.0), 10), 10.0, set(), "axes[0]")
     assert (len(lines), lines[0], lines[-1]) == (10, 10, 200_000)
     with pytest.raises(ConfigurationError, match=r"10 lines up to 2e\+05 times .*, allowed: up to 20000 Hz"):
-        pick_lines(axis((1.0, 20_001.0), 10), 10.0, set(), "axes[0]")
+        pick_lines(axis((1.0, 20_000.005), 10), 10.0, set(), "axes[0]")
 
 
 @pytest.mark.parametrize("phase", [0.0, np.pi])

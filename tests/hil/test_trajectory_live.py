@@ -168,8 +168,9 @@ def test_it_brakes_before_a_place_that_is_not_good_and_stays_there():
     assert words[:, 0].max() <= 0.1
     assert words[-1, 0] > 0.1 - 1.1 * V * PERIOD, "as near as one tick of speed"
     assert [x for x in found if x] == [7], "found once"
-    v = np.diff(words, axis=0) / PERIOD
-    assert np.abs(np.diff(v, axis=0) / PERIOD).max() <= A * (1 + 1e-6)
+    a = np.diff(words, n=2, axis=0) / PERIOD**2
+    assert np.abs(a).max() <= A * (1 + 1e-6)
+    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
     assert np.ptp(words[-500:, 0]) < 1e-15
 
 

@@ -7,12 +7,13 @@ from drivers.errors import ConfigurationError
 from hil.config.reference import MultisineReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
+from hil.trajectory.multisine import schroeder, seeded
 
 HOME = Pose(position_m=(0.1, 0.0, 1.0))
 PERIOD, RAMP, RATE = 10.0, 2.0, 200
 
 
-def build(*axes, periods=2, ramp_s=RAMP):
+def build(*axes, periods=2, ramp_s=RAMP, centre=None):
     settings = MultisineReference.model_validate(
         {
             "type": "multisine",
@@ -20,6 +21,7 @@ def build(*axes, periods=2, ramp_s=RAMP):
             "period_s": PERIOD,
             "periods": periods,
             "ramp_s": ramp_s,
+            "centre": centre,
         }
     )
     return build_trajectory(settings, HOME, None)
@@ -110,3 +112,30 @@ def test_a_turn_is_refused_by_its_peak_and_not_by_the_sum_of_its_lines():
         ConfigurationError, match=r"centre and amplitudes: the rotation vector reaches 183\.8\d* deg"
     ):
         build(*(axis | {"amplitude": 106.14} for axis in axes))  # 106.14 sqrt(3) = 183.84
+
+
+def test_the_turn_of_the_centre_comes_to_that_of_the_lines_of_an_axis():
+    centre = {"position_m": (0.0, 0.0, 1.0), "rotation_vector_deg": (0.0, 170.0, 0.0)}
+    axes = [lines("ry_deg", (0.5, 2.0), 3, 5.0), lines("ry_deg", (2.1, 4.0), 3, 6.0)]
+    with pytest.raises(ConfigurationError, match=r"centre and amplitudes: .* reaches 181 deg"):
+        build(*axes, centre=centre)
+
+
+def test_phases_of_schroeder_are_those_of_the_paper_within_a_turn():
+    np.testing.assert_allclose(schroeder(5, 7), -np.pi * np.array([0.0, 2.0, 6.0, 2.0, 0.0]) / 5, rtol=1e-15)
+
+
+def test_random_phases_are_the_same_on_every_machine_and_spread_evenly_over_a_turn():
+    np.testing.assert_allclose(
+        seeded(3, 4),
+        2 * np.pi * np.array([0.23604808973743452, 0.1031660342307158, 0.396058242610681]),
+        rtol=1e-15,
+    )
+    counts, _ = np.histogram(seeded(4000, 1), bins=4, range=(0.0, 2 * np.pi))
+    assert counts.sum() == 4000
+    assert counts.min() > 900
+
+
+def test_the_phases_that_a_long_ramp_needs_are_within_two_turns():
+    wave = build(lines(phases="random"), lines("y_m"), ramp_s=1234.5)._wave
+    assert np.abs(wave[:, 2]).max() < 4 * np.pi

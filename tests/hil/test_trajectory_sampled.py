@@ -10,6 +10,7 @@ from drivers.errors import ConfigurationError
 from hil.config.reference import SampledReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
+from hil.trajectory.sampled import spline_coefficients
 
 DATA = Path(__file__).parent.parent / "data"
 HOME = Pose(position_m=(0, 0, 1))
@@ -42,6 +43,12 @@ def test_two_rows_are_one_segment_from_rest_to_rest(tmp_path):
     sample = build(tmp_path).sample(1.0)
     assert sample.p[0] == pytest.approx(0.5)
     assert sample.twist[0] == pytest.approx(0.75)
+
+
+def test_a_segment_has_six_powers_of_each_word_those_beyond_the_third_zero():
+    pieces = spline_coefficients(np.array([0.0, 1.0, 3.0]), np.arange(12.0).reshape(3, 4))
+    assert pieces.shape == (2, 6, 4)
+    assert not pieces[:, 4:].any()
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Warn
-from hil.safety import differences
+from hil.safety import differences, encoder_kernels
 from hil.safety.certificate import CONSTANTS, Watch
 from hil.safety.encoder_limits import NONE
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
@@ -215,3 +216,83 @@ def test_no_certificate_is_judged_by_forces_that_push_a_leg_that_stands(pushes):
     assert not any(v.warnings & Warn.FORCE_STEP for v in verdicts)
     judged = [bool(np.isfinite(v.certificate[2])) for v in verdicts]
     assert judged == [True, *[not pushes] * 4]
+
+
+@pytest.mark.parametrize("other", [0, 2, 4])
+def test_a_leg_whose_leap_is_not_known_contradicts_no_latch_that_was_late_for_all(other):
+    """It was silent for long, and heard once since: of its spacing nothing is known."""
+    bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
+    bench.ticks(8, rate=RATES)
+    bench.ticks(9, unseen=[other])
+    bench.ticks(1)
+    leap = 1.1 * 16.0 * T * (1.0 + 4.0 / 3.0) * RATES / 8.0
+    assert calm(bench.tick(rate=RATES + leap))
+
+
+@pytest.mark.parametrize("leg", range(6))
+@BOTH_SIGNS
+def test_what_the_only_leg_that_moves_may_leap_for_a_late_latch_comes_to_what_forces_explain(leg, sign):
+    bound = 16.0 * T * (1.0 + 4.0 / 3.0)
+    largest = bound + differences.TIME_LEAPS * 0.3 * 8.0
+    for share, doubts in ((0.99, False), (1.01, True)):
+        bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
+        bench.ticks(8, rate=six(sign * 8.0, leg))
+        tick = bench.tick(rate=six(sign * (8.0 + share * largest), leg))
+        assert tick["doubt"] == (Doubt.LEAP if doubts else Doubt.NONE)
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("silent", [0, 2, 5])
+def test_a_leap_of_slopes_lags_by_the_steps_of_its_own_leg_and_not_of_one_that_was_silent(leg, silent):
+    """The silent one has a step of 2 T behind it, the others have T."""
+    bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
+    bench.ticks(6)
+    bench.ticks(1, unseen=[silent])
+    bench.ticks(1)
+    was, lags = (2.0, (0.375, 0.6)) if leg == silent else (1.0, (1.0 / 3.0, 1.0 / 3.0))
+    limit = 16.0 * T * (1.0 + lags[0] + lags[1] * (1.0 + 2.0 / was))
+    assert doubted(bench.tick(rate=six(9.0, leg)), Doubt.LEAP, leg, 9.0, limit)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_stall_excuses_what_is_beyond_noise_and_the_share_of_its_own_legs_travel(leg):
+    rates = RATES / 16.0
+    bench = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3, rate_error=0.125)
+    bench.ticks(2, rate=rates)
+    bench.ticks(3, unseen=[leg])
+    bench.ticks(1, jump=six(0.05, leg))
+    expected = 0.05 - 2e-3 - 0.125 * 4.0 * T * abs(rates[leg])
+    assert bench.memory("excused")[leg] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("watched", [0, 63])
+def test_a_tick_in_which_no_encoder_is_judged_says_of_none_how_near_it_was_to_a_doubt(watched):
+    tick = Bench(watched_legs=watched).tick(encoder_share=3.0)
+    assert np.isnan(tick["encoder_share"]).all()
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_until_a_leg_that_was_pushed_has_settled_what_it_does_makes_no_other_one_suspect(leg):
+    """Its own straying counts on from where its reading began to stand still."""
+    settle = getattr(encoder_kernels.let_settle, "py_func", encoder_kernels.let_settle)
+    before = np.arange(36.0).reshape(6, 6)
+    memory = SimpleNamespace(push=np.zeros(6, int), unsettled_s=np.zeros(6), began=before.copy())
+    memory.push[leg] = -3
+    deviation = np.arange(100.0, 106.0)
+    settle(memory, deviation, T)
+    np.testing.assert_array_equal(memory.unsettled_s, six(0.2 - T, leg))
+    expected = before.copy()
+    expected[:, leg] = 100.0 + leg
+    expected[leg, leg] = before[leg, leg]
+    np.testing.assert_array_equal(memory.began, expected)
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("silent", range(6))
+def test_a_leg_that_stands_still_is_pushed_whichever_other_one_was_never_heard(leg, silent):
+    bench = Bench(open_ticks=2, length_noise_m=0.25, push_N=six(8.0))
+    for n in range(8):
+        bench.tick(unseen=[silent], q_d=bench.length - six(9.0 * (n > 5), leg))
+    pushed = bench.memory("push") != 0
+    assert pushed[leg] == (leg != silent)
+    assert not pushed[silent]

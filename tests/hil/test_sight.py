@@ -109,8 +109,13 @@ def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, leg
 
 def test_the_sensors_decode_the_frames_of_the_tick_beside_what_they_said_before(parts):
     sight, told, said = Sight(parts), list[Any](), [Readings(rejected=1), Readings(rejected=2)]
-    for n, readings in enumerate(said):
-        sensors: Any = SimpleNamespace(decode=lambda *what, now=readings: told.append(what) or now)
+
+    def decode(*what: Any) -> Readings:
+        told.append(what)
+        return said[len(told) - 1]
+
+    sensors: Any = SimpleNamespace(decode=decode)
+    for n in range(2):
         inp: Any = SimpleNamespace(frames=(n, 9), tick=5 + n)
         sight.hear(sensors, inp, record_of(tick=5 + n))
     assert told == [((0, 9), 5, Readings()), ((1, 9), 6, said[0])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from drivers.can.bus_time import BitTiming
+from drivers.can.collect import collect
 from drivers.can.localcan import layout
 from drivers.can.localcan.participant import Participant
 from drivers.can.localcan.wire import Slot, Wire
@@ -172,3 +174,19 @@ def test_no_more_frames_wait_than_the_limit(runtime, limit, taken):
         assert node.send([Frame(k, bytes(8)) for k in range(5)]) == taken
     finally:
         node.close()
+
+
+@pytest.mark.parametrize(("length", "carried"), [(8, 8), (9, 12), (12, 12), (33, 48), (63, 64), (64, 64)])
+def test_a_frame_of_can_fd_arrives_filled_with_zeros_to_a_length_that_there_is(runtime, length, carried):
+    del runtime
+    sender, hearer = (Participant("t", BitTiming(1_000_000, 5_000_000), fd=True) for _ in range(2))
+    data = bytes(range(1, length + 1))
+    try:
+        assert sender.send([Frame(0x12, data, FD)]) == 1
+        (heard,) = collect(hearer, time.monotonic_ns() + 10**9, {0x12})
+        with pytest.raises(BusError, match="a CAN FD frame carries 0 to 64 bytes, not 65: split it"):
+            sender.send([Frame(0x12, bytes(65), FD)])
+    finally:
+        sender.close()
+        hearer.close()
+    assert heard.frame == Frame(0x12, data + bytes(carried - length), FD)

@@ -73,6 +73,7 @@ def test_the_row_of_the_log_is_the_beginning_of_a_tick():
     record["tick"], record["q"] = 7, [1, 2, 3, 4, 5, 6]
     assert (row["tick"], row["q"].tolist()) == (7, [1, 2, 3, 4, 5, 6])
     assert row.base is record.base
+    assert (record.base.nbytes, record.base.dtype) == (t.TICK.itemsize, np.float64), "all columns, no more"
 
 
 def test_a_record_begins_before_the_first_tick_and_a_copy_goes_its_own_way():

@@ -14,6 +14,7 @@ import pytest
 from drivers.can.bus import Bus
 from drivers.can.link_group import DEAD_AFTER_NS, LinkGroup
 from drivers.can.localcan.bench_clock import BenchClock
+from drivers.errors import BusError
 from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
 from drivers.signals import Command, DriveMode, DriveState
 from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, family
@@ -201,3 +202,18 @@ def test_of_a_bus_that_goes_off_while_another_is_off_what_waits_is_dropped_too_e
     links[2].off = True
     assert bus.events().off == 0b111
     assert dropped == [0, 2, 1, 2]
+
+
+def test_of_several_buses_that_cannot_be_cleared_the_first_is_told_and_each_is_tried():
+    links, tried = [FakeLink(Still()) for _ in range(4)], []
+
+    def clearing(bus: int) -> None:
+        tried.append(bus)
+        if bus in (1, 2):
+            raise BusError(f"bus {bus} cannot be cleared")
+
+    for bus, link in enumerate(links):
+        link.flush_tx = lambda bus=bus: clearing(bus)  # type: ignore[method-assign, misc]
+    with pytest.raises(BusError, match="bus 1 cannot be cleared"):
+        group(*links).flush_tx()
+    assert tried == [0, 1, 2, 3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import io
 import os
@@ -50,12 +51,18 @@ def test_counts_over_all_rows_but_draws_seldom():
     assert view._stale == view._skipped == 1000
 
 
-def test_a_broken_terminal_does_not_stop_the_recorder():
-    class Broken(io.StringIO):
-        def write(self, _):
-            raise BrokenPipeError
+@pytest.mark.parametrize("code", [errno.EPIPE, errno.EIO, errno.ENOSPC])
+@pytest.mark.parametrize("fails", ["write", "flush"])
+def test_a_terminal_that_is_gone_and_a_full_disk_behind_it_do_not_stop_the_recorder(monkeypatch, fails, code):
+    out, tries = io.StringIO(), []
 
-    LiveView(Broken(), None).show(rows(1))
+    def gone(*_):
+        tries.append(code)
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(out, fails, gone, raising=False)
+    LiveView(out, None).show(rows(1))
+    assert tries == [code]
 
 
 def test_a_line_has_the_latest_wake_up_since_the_line_before_and_none_from_earlier():

@@ -148,6 +148,8 @@ def test_a_span_begins_and_ends_so_long_after_the_first_row_that_stands_in_the_l
         ({"start_s": 1e-5}, range(first + 1, first + 12)),
         ({"start_s": -1e-5}, range(first, first + 12)),
         ({"stop_s": 0.003 - 1e-5}, range(first, first + 3)),
+        ({"stop_s": 0.0}, range(first, first + 1)),
+        ({"stop_s": -1e-5}, range(0)),
         ({"start_s": 0.002, "stop_s": 0.003 + 1e-5}, range(first + 2, first + 4)),
     ):
         assert log.rows("tick", **span)["tick"].tolist() == list(ticks)
@@ -199,6 +201,15 @@ def test_a_cut_log_without_a_message_or_with_one_at_time_0_lasts_no_time(parts, 
     early = kind, content[:6] + bytes(8) + content[14:]
     log = Log(parts.cut(tmp_path / "b.mcap", [early, parts.rows[1], parts.rows[2]], 1))
     assert log.summary == LogStatistics(1, 0, 0.0, 0, "cut")
+
+
+def test_a_cut_log_lasts_from_its_earliest_message_to_its_latest_wherever_these_lie(parts, tmp_path):
+    groups = parts.rows[5:15], parts.rows[20:30][::-1], parts.rows[:5]
+    chunks = [parts.packed(group) for group in groups]
+    (tmp_path / "a.mcap").write_bytes(MAGIC + container.joined([*parts.head, *chunks]))
+    log = Log(tmp_path / "a.mcap")
+    assert (log.summary.ticks, log.summary.closed) == (25, "cut")
+    assert log.summary.duration_s == pytest.approx(29e-3)
 
 
 # -- messages outside chunks ---------------------------------------------------------------------------------

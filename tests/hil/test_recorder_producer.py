@@ -163,6 +163,27 @@ class Draining(Process):
     ring: Ring
 
 
+ONE = {
+    "received": Received(0, Frame(1, b"", 0)),
+    "sent": Frame(1, b"", 0),
+    "operator": Operator.STOP,
+    "setpoints": SetPoint(*(0.0,) * 6),
+    "orders": Order(Operator.HOLD),
+}
+
+
+@pytest.mark.parametrize("kind", ONE)
+def test_a_tick_that_has_more_of_whatever_kind_than_there_is_room_for_is_dropped_whole(kind):
+    recording = recording_of(16)
+    for number, count in enumerate((250, 7, 6)):
+        recording.tick(row_of(number), **{"received": (), "sent": (), kind: [ONE[kind]] * count})
+    assert (recording.ticks, recording.dropped) == (2, 1)
+    batch = recording._ring.take(16)
+    assert batch.rows["tick"].tolist() == [0]
+    recording._ring.release(batch)
+    assert recording._ring.take(16).rows["tick"].tolist() == [2]
+
+
 @pytest.mark.parametrize("full", ["rows", "items"])
 def test_in_lockstep_a_tick_waits_for_room_in_short_naps(monkeypatch, full):
     process = Draining()

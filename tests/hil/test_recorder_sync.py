@@ -166,3 +166,15 @@ def test_a_simulation_looks_every_4_ms_and_writes_whole_batches_until_there_is_n
     assert set(did["wait"]) == {0.004}
     np.testing.assert_allclose(did["drain"], [0.004] * 3 + [0.102], atol=3e-3, err_msg="the rest at the end")
     assert day.limits == {16}
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+@pytest.mark.parametrize("batches", [0, 1, 5])
+def test_a_producer_that_has_ended_finds_its_ring_drained_batch_after_batch_to_the_last(
+    monkeypatch, lockstep, batches
+):
+    day = Day(monkeypatch, lockstep=lockstep)
+    left = [True] * batches + [False]
+    day.recorder._drain = lambda limit: left.pop(0)
+    day.recorder.run(SimpleNamespace(ended=lambda timeout_s: True))
+    assert left == []

@@ -137,3 +137,17 @@ def test_two_frames_are_heard_in_the_order_of_their_times():
     sent = rig.nodes.step(4 * MS, [Received(3 * MS, off), Received(2 * MS, ready)])
     assert [t for t, frame in sent if frame.id == 0x701] == [2 * MS]
     assert rig.states == [DriveState.READY] * 6, "the second has the counter of the first"
+
+
+@pytest.mark.parametrize("way", ["obey", "obey_unwatched"])
+@pytest.mark.parametrize("mode", [DriveMode.OFF, DriveMode.RESET])
+@pytest.mark.parametrize("state", [DriveState.READY, DriveState.RUN])
+def test_a_drive_that_a_command_switches_off_has_no_watchdog_any_more(way, mode, state):
+    drives = Drives(DriveSettings(), DriveEmulation(), 1e-4)
+    for leg in range(6):
+        drives.enter(leg, int(state), int(DriveFault.NONE))
+    drives.configured[:], drives.deadline_ns[:] = True, 3_000_000
+    zero = np.zeros(6)
+    getattr(drives, way)(zero, zero, np.arange(3), zero, int(mode), 0, 1_000_000)
+    assert drives.state.tolist() == [DriveState.OFF] * 3 + [state] * 3
+    assert drives.deadline_ns.tolist() == [NEVER_NS] * 3 + [3_000_000] * 3

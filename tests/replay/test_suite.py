@@ -128,6 +128,17 @@ def test_a_log_that_cannot_be_replayed_is_a_failed_case_without_figures_that_too
     assert replay_case(path) == Case(str(path), "fail", "[Errno 28] No space left on device", {}, 0.5)
 
 
+@pytest.mark.parametrize(("agrees", "verdict"), [(True, "pass"), (False, "fail")])
+def test_a_log_of_another_processor_passes_where_its_replay_agrees_though_not_to_the_bit(
+    log, monkeypatch, agrees, verdict
+):
+    found = Comparison(ticks=5, different_ticks=1)
+    said = values(found, 0.1, 0.005) | {"first": ["tick 3: tau[0]: recorded 1.0"], "agrees": agrees}
+    assert not said["exact"]
+    monkeypatch.setattr(replay_suite, "replay_log", lambda _: (found, said))
+    assert replay_case(log).verdict == verdict
+
+
 def test_an_interrupt_leaves_the_table_of_what_was_done(folder, monkeypatch):
     def interrupted(path):
         if path.name == "cut.mcap":

@@ -34,6 +34,7 @@ NEW = Column("output", "temperature", float, "K", "of the oil")
 def recorded(path, columns=RECORDED, **files):
     c = load("virtual")
     attached = dict(attachments(c)) | {name.replace("_", "."): text for name, text in files.items()}
+    attached = {name: text for name, text in attached.items() if text is not None}
     table = Table("/tick", columns)
     ticks = random_ticks(20, dtype=table.dtype)
     with Recording.start(
@@ -138,6 +139,14 @@ def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_pat
     ):
         replay_log(tmp_path / "a.mcap")
     with pytest.raises(LogError, match=r"its protocol has version other, this one 2\.0; it was made with"):
+        replay_log(tmp_path / "a.mcap")
+
+
+def test_a_log_that_does_not_carry_its_database_is_refused_as_one_of_an_unknown_protocol(tmp_path):
+    recorded(tmp_path / "a.mcap", legs_dbc=None)
+    with pytest.raises(
+        LogError, match=r"its protocol has version unknown, this one 2\.0; .* another legs\.dbc"
+    ):
         replay_log(tmp_path / "a.mcap")
 
 

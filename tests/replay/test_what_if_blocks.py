@@ -40,6 +40,25 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
     assert answer.last_mode == "FAULT"
 
 
+@pytest.mark.parametrize("block", [1, 2, 5, 6, 7, 20])
+def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_are_the_same(
+    block, monkeypatch
+):
+    monkeypatch.setattr(kernel, "BLOCK", block)
+    answer = kernel.Answer()
+    blocks = kernel._Blocks(answer, None)
+    for tick in range(20):
+        there, here = np.zeros((), ROW), np.zeros((), ROW)
+        there["tick"] = here["tick"] = 100 + tick
+        there["faults"] = Fault.SPEED if 6 <= tick < 12 else Fault.NONE
+        here["tau"] = 1.0 if tick < 6 else 50.0
+        inp = SimpleNamespace(t_ns=0)
+        blocks.add(SimpleNamespace(entry=SimpleNamespace(row=there, sent=()), inp=inp, row=here, sent=()))  # type: ignore[arg-type]
+    blocks.flush()
+    assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
+    assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
+
+
 VIRTUAL = load("virtual")
 KINDS = ["tracker", "imu", "wrench"]
 

@@ -117,8 +117,11 @@ def recorded_input(entry: Tick) -> TickInput:
         name: tuple(islice(numbers, COLUMNS[name].size)) if COLUMNS[name].shape else next(numbers)
         for name in INPUT_COLUMNS
     }
-    columns["recorder_alive"] = bool(columns["recorder_alive"])
+    alive = columns["recorder_alive"]
+    columns["recorder_alive"] = bool(alive)
     try:
+        if alive not in (0, 1):
+            raise ValueError(f"{alive} is not a valid recorder_alive")
         columns["bus_state"] = BusState(columns["bus_state"])
         operator = tuple(map(Operator, entry.operator))
     except ValueError as error:

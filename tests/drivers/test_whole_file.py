@@ -24,6 +24,14 @@ def test_what_a_disk_refuses_names_the_file_and_leaves_the_earlier_one(tmp_path,
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_folder_in_which_no_file_can_be_made_is_told_by_the_file_that_was_asked_for(tmp_path):
+    """Nobody knows the name of the new file beside it."""
+    path = tmp_path / "gone" / "picture.png"
+    with pytest.raises(FileNotFoundError) as raised, whole_file(path):
+        pytest.fail("there is nothing to write into")
+    assert (raised.value.errno, raised.value.filename) == (errno.ENOENT, str(path))
+
+
 def test_an_error_of_another_file_keeps_its_name(tmp_path):
     with pytest.raises(FileNotFoundError) as raised, whole_file(tmp_path / "a"):
         (tmp_path / "none").read_text()

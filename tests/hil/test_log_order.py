@@ -2,14 +2,9 @@
 
 from collections import defaultdict
 
-import numpy as np
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from drivers.tick_columns import ROW
-from hil.record.decode import ITEM
-from hil.record.entries import assemble
-from hil.signals import Operator, Order, SetPoint
 from tests.hil.samples import log_of, random_ticks
 
 
@@ -51,19 +46,3 @@ def test_what_is_drawn_of_a_tick_lies_behind_its_frames_and_before_the_next_row(
         commands = len(tick.operator) + len(tick.setpoints) + len(tick.orders)
         frames = len(tick.received) + len(tick.sent)
         assert found[k] == ["/tick", *["/can"] * frames, *["/operator"] * commands, *views]
-
-
-def test_commands_of_a_tick_come_in_the_order_in_which_they_were_given_wherever_they_lie_in_the_file():
-    given = [
-        (0, int(Operator.STOP), ()),
-        (1, int(Operator.RESET), ()),
-        (2, int(Operator.SETPOINT), (2.0,) * 6),
-        (3, int(Operator.SETPOINT), (1.0,) * 6),
-        (4, int(Operator.SPEED), (0.75,)),
-        (5, int(Operator.SPEED), (0.25,)),
-    ]
-    for commands in (given, given[::-1], given[3:] + given[:3]):
-        (tick,) = assemble(np.zeros(1, ROW), np.zeros(0, ITEM), {0: list(commands)})
-        assert tick.operator == (Operator.STOP, Operator.RESET)
-        assert tick.setpoints == (SetPoint(*(2.0,) * 6), SetPoint(*(1.0,) * 6))
-        assert tick.orders == (Order(Operator.SPEED, (0.75,)), Order(Operator.SPEED, (0.25,)))

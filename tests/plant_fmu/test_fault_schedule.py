@@ -159,3 +159,14 @@ def test_a_kind_of_fault_that_does_not_say_what_it_does_to_frames_concerns_all_a
     ):
         with pytest.raises(NotImplementedError):
             use()
+
+
+@pytest.mark.parametrize("back", [1, 2, 5])
+def test_an_old_frame_is_of_so_many_frames_ago_however_seldom_one_is_sent_again(back):
+    schedule = Schedule(FaultPlan([FramesOld(back=back, probability=0.3)]), 0)
+    again = []
+    for number in range(100):
+        _, *old = schedule.carry(number, Frame(0x110, bytes((number,)), 0), to_drives=True)
+        again += [(number, frame.data[0]) for _, frame, _ in old]
+    assert 15 < len(again) < 45
+    assert all(sent == number - back for number, sent in again)

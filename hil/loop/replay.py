@@ -117,15 +117,15 @@ def recorded_input(entry: Tick) -> TickInput:
         name: tuple(islice(numbers, COLUMNS[name].size)) if COLUMNS[name].shape else next(numbers)
         for name in INPUT_COLUMNS
     }
-    alive = columns["recorder_alive"]
+    tick, alive = columns["tick"], columns["recorder_alive"]
+    if alive not in (0, 1):
+        raise LogError(f"the row of tick {tick} is damaged: {alive} is not a valid recorder_alive")
     columns["recorder_alive"] = bool(alive)
     try:
-        if alive not in (0, 1):
-            raise ValueError(f"{alive} is not a valid recorder_alive")
         columns["bus_state"] = BusState(columns["bus_state"])
         operator = tuple(map(Operator, entry.operator))
     except ValueError as error:
-        raise LogError(f"the row of tick {columns['tick']} is damaged: {error}") from None
+        raise LogError(f"the row of tick {tick} is damaged: {error}") from None
     return TickInput(
         **columns,
         frames=entry.received,

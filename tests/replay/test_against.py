@@ -88,9 +88,9 @@ def test_rows_are_paired_by_their_number_whatever_the_blocks(sizes):
 @pytest.mark.parametrize("longer", [0, 1])
 @pytest.mark.parametrize("size", [1, 2, 5, 50])
 def test_the_ticks_by_which_one_log_is_longer_are_lacking_in_the_other_one(size, longer):
-    ticks = [range(12) if n == longer else range(5) for n in (0, 1)]
+    one, other = (Made(range(12) if n == longer else range(5), size) for n in (0, 1))
     alone = Alone()
-    list(paired(*(Made(each, size) for each in ticks), NAMES, (0, 0), alone))
+    list(paired(one, other, NAMES, (0, 0), alone))
     found = [(each.count, each.first) for each in (alone.one, alone.other)]
     assert found == [(7, 5) if n == longer else (0, None) for n in (0, 1)]
 

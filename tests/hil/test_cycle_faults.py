@@ -60,6 +60,20 @@ def test_a_fault_of_the_pose_is_news_to_a_held_platform_unless_a_leg_was_not_mea
     assert cycle.mode == Mode.HELD
 
 
+@pytest.mark.parametrize("fault", [*FOLLOW, Fault.DRIVE])
+def test_on_the_way_to_a_second_proof_a_fault_of_the_pose_is_news_again_and_a_lost_measurement_ends_it(
+    cycle, fault
+):
+    cycle.reset()
+    cycle.mode, cycle.faults = Mode.UNLOADING, Fault.STALE
+    cycle.tick = record_of(tick=9, age=0)
+    quiet: Any = SimpleNamespace(operator=())
+    cycle._react(quiet, fault)
+    assert cycle.faults == Fault.STALE | fault
+    believed = Fault.STROKE | Fault.SPEED | Fault.FOLLOWING | Fault.DRIVE
+    assert cycle.mode is (Mode.UNLOADING if fault & believed else Mode.HELD)
+
+
 def test_predictor_and_observer_are_told_the_forces_that_were_sent_and_none_once_the_drives_are_off(
     monkeypatch,
 ):

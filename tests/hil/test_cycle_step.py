@@ -244,3 +244,23 @@ def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone
     assert frames == (*("stop",) * sent, "command", "set-up")
     assert told == [(stops, DriveMode.OFF, 50)]
     assert asked == [(cycle.tick, "latches" in what)] * ("asked" in what)
+
+
+@pytest.mark.parametrize("fault", [Fault.ESTOP, Fault.SECOND_CONTROLLER])
+def test_the_stop_of_another_node_or_a_second_controller_is_answered_in_the_tick_in_which_it_is_found(
+    cycle, monkeypatch, fault
+):
+    protocol, told = cycle.parts.protocol, list[Any]()
+
+    def command(dialogue: Any, command: Any, _tick: int) -> Any:
+        told.append((command.stop, command.mode))
+        return dialogue, ("command",)
+
+    monkeypatch.setattr(protocol, "command", command)
+    monkeypatch.setattr(protocol, "emergency_stop", lambda: ("stop",))
+    cycle.mode = Mode.TRACKING
+    cycle.tick["command_mode"] = DriveMode.RUN
+    assert cycle.step(TickInput(50, 50_000_000)).frames == ("command",)
+    judged(cycle, monkeypatch, faults=fault)
+    assert cycle.step(TickInput(51, 51_000_000)).frames[:2] == ("stop", "command")
+    assert told == [(False, DriveMode.RUN), (True, DriveMode.OFF)]

@@ -46,7 +46,9 @@ class World:
             parts=parts, begin=lambda _: OPENING, step=self.step, mode=Mode.WAITING, dialogue="the last one",
             faults=Fault.SPEED, operating=SimpleNamespace(answers=[]), tick={"tick": 0},
         )  # fmt: skip
-        self.clock: Any = SimpleNamespace(now=lambda: 0, stretched=lambda: 0, working=lambda _: None)
+        self.clock: Any = SimpleNamespace(
+            now=lambda: 0, stretched=lambda: self.of("stood_ns", 0), working=lambda _: None
+        )  # fmt: skip
         self.recording: Any = SimpleNamespace(
             dropped=0, trouble="the recorder is gone", alive=True,
             tick=lambda *what: self.rows.append(what), event=lambda *what: self.events.append(what),
@@ -72,7 +74,7 @@ class World:
 
     def send(self, frames: Any) -> int:
         self.done += [frame.name for frame in frames if isinstance(frame, DriveMode)]
-        return self.of("refused", 0) if isinstance(frames[-1], DriveMode) else 0
+        return self.of("unasked" if frames == OPENING else "refused", 0)
 
     def flush_tx(self) -> None:
         self.done.append("flushed")
@@ -157,6 +159,18 @@ def test_the_log_has_of_a_tick_what_was_read_sent_and_said():
     said = (Operator.STOP,), (POINT,), (ORDER,)
     assert world.rows[0] == ("row 0", frames, OPENING + COMMANDS, *said)
     assert (world.inputs[0].frames, world.inputs[0].setpoints) == (frames, (POINT,))
+
+
+def test_a_tick_is_told_of_what_the_bus_refused_since_the_last_one_commands_as_well_as_questions():
+    world = World({"refused": 3}, {"unasked": 1}, {"unasked": 1, "refused": 2}, {"unasked": 4}, {})
+    world.run()
+    assert [inp.sends_failed for inp in world.inputs] == [0, 3 + 1, 1, 2 + 4, 0]
+
+
+def test_a_tick_is_told_how_long_the_benchs_time_stood_since_the_last_one_began():
+    world = World({"stood_ns": 5}, {"stood_ns": 5}, {"stood_ns": 12}, {"stood_ns": 112}, {"stood_ns": 112})
+    world.run()
+    assert [inp.stretched_ns for inp in world.inputs][1:] == [0, 7, 100, 0]
 
 
 def test_from_its_first_tick_on_a_signal_waits_for_the_next_and_the_step_is_told_how_long_the_last_one_took(

@@ -71,3 +71,11 @@ def test_only_the_first_signal_asks_for_a_stop_and_where_force_alone_holds_every
     assert panel.take(held=True) == (Operator.STOP,) * 2
     panel.interrupts = 3
     assert panel.take() == (Operator.ESTOP,)
+
+
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt, SystemExit])
+def test_a_run_that_fails_gives_each_signal_back_to_whom_it_was(error):
+    with pytest.raises(error), OperatorPanel().attached():
+        assert _earlier not in map(signal.getsignal, SIGNALS)
+        raise error
+    assert [signal.getsignal(each) for each in SIGNALS] == [_earlier] * 3

@@ -157,6 +157,24 @@ def test_a_set_point_for_a_path_is_refused_and_goes_nowhere(cycle, ends):
     assert answer == "refused: the reference takes no set-points: reference.type has to be live"
 
 
+def test_each_set_point_for_a_path_is_refused_in_its_own_tick_however_many_came_before(cycle, ends):
+    channel, client = ends
+    cycle.mode = Mode.TRACKING
+    console = Console(Course(cycle, armed=False), OperatorPanel(), channel)
+    recording: Any = SimpleNamespace(event=lambda *_: None)
+    console.take()
+    for count in (1, 2, 1):
+        for _ in range(count):
+            client._socket.send(b"setpoint 0 0 1")
+        console.take()
+        cycle.operating.answers = []
+        console.answer(recording, 0)
+        answers = [client._socket.recv(4096).decode() for _ in range(count)]
+        assert (
+            answers == ["refused: the reference takes no set-points: reference.type has to be live"] * count
+        )
+
+
 @pytest.mark.parametrize(
     ("goes_on", "commands"), [(True, (Operator.STOP, Operator.END)), (False, (Operator.STOP,))]
 )

@@ -104,6 +104,7 @@ def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, leg
     sight.estimate(tick, record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), 1234)
     assert fusing.told == (1234, Readings(rejected=3), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     np.testing.assert_array_equal(sight.estimator.p, fusing.p if agreed else parts.home_p)
+    np.testing.assert_array_equal(sight.estimator.R, TURNED if agreed else parts.home_R)
     np.testing.assert_array_equal(tick["p"], fusing.p)
 
 

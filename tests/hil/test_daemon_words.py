@@ -74,7 +74,7 @@ class World:
 
     def send(self, frames: Any) -> int:
         self.done += [frame.name for frame in frames if isinstance(frame, DriveMode)]
-        return self.of("unasked" if frames == OPENING else "refused", 0)
+        return int(self.of("unasked" if frames == OPENING else "refused", 0))
 
     def flush_tx(self) -> None:
         self.done.append("flushed")

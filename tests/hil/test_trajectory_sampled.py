@@ -78,6 +78,22 @@ def test_time_counts_from_the_first_row_and_bom_and_blank_lines_do_not_matter(tm
         np.testing.assert_array_equal(a, b)
 
 
+def test_a_path_whose_times_begin_before_zero_begins_with_its_first_row_too(tmp_path):
+    write(tmp_path, HEADER + "-3,0,0,1,0,0,0\n-2,0.1,0,1,0,0,5\n-1,0,0,1,0,0,0\n")
+    early = build(tmp_path)
+    assert early.duration_s == 2.0
+    np.testing.assert_array_equal(early.sample(0.0).p, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(early.sample(1.0).p, [0.1, 0.0, 1.0], rtol=0, atol=1e-15)
+
+
+def test_a_bad_row_is_named_by_its_line_in_the_file_blank_ones_and_bad_ones_before_it_counted(tmp_path):
+    write(tmp_path, HEADER + "\n0,0,0,1,0,0,0\n\n\n1,0\n2,0,0,one,0,0,0\r\n\r\n2,0,0,1,0,0\n")
+    with pytest.raises(ConfigurationError) as caught:
+        build(tmp_path)
+    lines = [line.split("path.csv:")[1].split(":")[0] for line in str(caught.value).splitlines()]
+    assert lines == ["6", "7", "9"]
+
+
 def test_periods_repeat_a_closed_path_and_refuse_an_open_one(tmp_path):
     write(tmp_path, HEADER + ROWS)
     twice = build(tmp_path, periods=2)

@@ -101,6 +101,25 @@ def refusing(name, move):
     return Inspection(PLATFORM, lambda s: int(Refusal.STROKE) if s.p[0] < 0.03 else 0, name, move)
 
 
+@pytest.mark.parametrize(("refused", "at"), [(0, "0 %"), (7, "35 %"), (16, "80 %"), (20, "100 %")])
+def test_a_refusal_says_how_far_along_the_way_the_first_pose_is_that_cannot_be_taken(refused, at):
+    judged: list[float] = []
+
+    def judge(sample):
+        judged.append(float(sample.p[0]))
+        return int(Refusal.STROKE) if len(judged) > refused else 0
+
+    there = np.array([19.9 * APART_M, 0.0, 0.0])
+    inspection = Inspection(PLATFORM, judge, "park", GeodesicMove(HERE, EYE, there, EYE, 3.0))
+    for _ in range(20):
+        if inspection.step():
+            break
+    assert inspection.refusal.startswith(f"park: not followed, since {at} along it ")
+    assert len(judged) == refused + 1
+    u = refused / 20
+    assert judged[-1] == pytest.approx(there[0] * u**3 * (10.0 - 15.0 * u + 6.0 * u * u), abs=1e-12)
+
+
 def parked(judged):
     """On the path at 0.1 m along x, asked to park; what it is after a while."""
     operating, motion = made()

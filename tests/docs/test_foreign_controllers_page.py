@@ -58,6 +58,12 @@ def foreign(tmp_path_factory):
     return foreign_plant.built(tmp_path_factory.mktemp("fmu"))
 
 
+@pytest.fixture(autouse=True)
+def patient_masters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let masters wait for an answer as long as a busy machine may need: the package gives up after 0.3 s."""
+    monkeypatch.setattr("canopen.sdo.client.SdoClient.RESPONSE_TIMEOUT", 2.0)
+
+
 def run_example(monkeypatch: pytest.MonkeyPatch, name: str, *arguments: str) -> None:
     monkeypatch.setattr(sys, "argv", [name, *arguments])
     runpy.run_path(str(ROOT / "docs/examples" / name), run_name="__main__")

@@ -71,7 +71,7 @@ class Drives:
         reals[kernels.MOST] = inf
         for row in (kernels.SHUT, kernels.TRUE, kernels.SHARE, kernels.GAIN, kernels.SCALE):
             reals[row] = 1.0
-        # First-order lag over one step: its end value and its mean.
+        # First-order lag over one step: its end value and its mean, both 1 without a lag.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         self.lags = x > 0.0
         end = exp(-x)

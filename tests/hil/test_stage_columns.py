@@ -41,6 +41,7 @@ from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from hil.signals import Operator
+from tests.broad import broad
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import SETUP, one_feedback
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
@@ -286,7 +287,7 @@ def rows_of_a_run(configuration, after_each=lambda _cycle: None, ticks=1500):
     return rows
 
 
-@pytest.mark.parametrize("make_configuration", [lambda: load("virtual"), everything])
+@pytest.mark.parametrize("make_configuration", broad([everything, lambda: load("virtual")], quick=1))
 def test_a_run_does_not_depend_on_what_stood_in_a_new_record_or_in_the_last_one(
     monkeypatch, make_configuration
 ):

@@ -161,7 +161,7 @@ def test_a_frozen_encoder_at_hold_is_found_when_a_load_moves_the_platform(name, 
 
 
 @pytest.mark.parametrize("leg", [0, *(pytest.param(leg, marks=pytest.mark.long) for leg in range(1, 6))])
-@pytest.mark.parametrize("name", ["virtual", "lab"])
+@pytest.mark.parametrize("name", broad(["lab", "virtual"], quick=1))
 def test_a_brake_that_does_not_open_is_found_before_a_leg_has_moved_by_10_mm(name, leg):
     shut = run(load(name), BrakeStuckClosed(leg=leg), stop_s=STOP_S[name])
     found(shut, leg)
@@ -220,7 +220,7 @@ def test_loads_up_to_the_stated_disturbance_and_lost_frames_alarm_nobody(name, s
     assert lost or ran.ending.success, ran.ending
 
 
-@pytest.mark.parametrize("name", ["bench", "ideal", "vcan50"])
+@pytest.mark.parametrize("name", broad(["ideal", "vcan50", "bench"], quick=2))
 def test_the_other_shipped_configurations_alarm_nobody(name):
     ran = run(load(name), stop_s=5.0)
     assert ran.ending.success, ran.ending

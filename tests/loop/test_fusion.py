@@ -144,7 +144,7 @@ def test_the_tracker_comes_late_and_lossy_and_is_used_at_its_own_instant(fused):
     assert np.abs(mean / std).max() < 4 / np.sqrt(came.sum())
 
 
-@pytest.mark.parametrize("leg", [0, 3])
+@pytest.mark.parametrize("leg", broad([3, 0], quick=1))
 def test_an_encoder_that_slips_by_2_mm_is_named_and_left_out(leg):
     found = run(bench(), EncoderJump(leg=leg, at_s=MOVING_S, by_m=2e-3))
     assert (found.mode, found.faults) == UNPROVEN

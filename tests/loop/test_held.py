@@ -119,7 +119,7 @@ def test_a_good_brake_passes_both_tests_and_the_run_is_a_success(good):
     assert not good.rows["legs_moved"].any()
 
 
-@pytest.mark.parametrize("leg", broad(LEGS, quick=2))
+@pytest.mark.parametrize("leg", broad(LEGS, quick=1))
 def test_a_brake_that_does_not_close_when_parking_is_found_and_its_leg_held(good, leg, capsys):
     """Before: 401 mm, PARKED, success."""
     ran = run(load("virtual"), BrakeStuckOpen(leg=leg, at_s=begins(good, Mode.TRACKING, 0.5)))

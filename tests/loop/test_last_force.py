@@ -15,6 +15,7 @@ from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderDrift, EncoderJump, EncoderLost
 from plant_fmu.faults.frames import FramesForgedCommand
 from plant_fmu.faults.load import WrenchStep
+from tests.broad import broad
 from tests.loop import test_fusion as fusion
 from tests.loop.test_held import BOUND_m, configuration, held, run
 
@@ -54,7 +55,7 @@ def test_a_jump_of_any_size_does_not_aim_the_holding_force(leg, by):
     assert np.abs(tau[-1]).max() < 1.2 * np.abs(tau[: round(1e3 * JUMP_s)]).max()
 
 
-@pytest.mark.parametrize(("leg", "by"), [(0, 0.1), (5, -0.1)])
+@pytest.mark.parametrize(("leg", "by"), broad([(0, 0.1), (5, -0.1)], quick=1))
 def test_nor_does_the_load_that_an_observer_sees_in_the_jump(leg, by):
     """The observer takes the jump for a blow on the platform: what it thought a tick before still holds."""
     c = load("virtual")
@@ -86,7 +87,7 @@ def test_a_drifting_encoder_of_a_held_platform_does_not_push_its_brake_open():
         plant.close()
 
 
-@pytest.mark.parametrize("force_N", [-5_000, 5_000])
+@pytest.mark.parametrize("force_N", broad([-5_000, 5_000], quick=1))
 def test_a_load_along_a_leg_whose_brake_is_known_to_be_open_is_held_by_its_drive(force_N):
     """Nobody takes it for a drive that does not obey: what holds that leg is its force alone."""
     faults = BrakeStuckOpen(leg=ALONG, mode="PARKING"), along(ALONG, force_N)

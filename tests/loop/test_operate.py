@@ -133,7 +133,7 @@ def test_an_emergency_stop_before_the_platform_moved_leaves_a_run_that_stays_to_
     assert modes(rows) == ["WAITING", "IDLE", "FAULT", *AS_ALWAYS, *PARKING]
 
 
-@pytest.mark.parametrize("word", ["stop", "estop"])
+@pytest.mark.parametrize("word", broad(["stop", "estop"], quick=1))
 def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
     run, rows = simulated(tmp_path, [(2.2, "park"), (3.5, word)], check_replay=False)
     assert run.success == (word == "stop")

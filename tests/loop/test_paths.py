@@ -19,6 +19,7 @@ from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.record.log import Log
+from tests.broad import broad
 from tests.loop import unrecorded
 
 DATA = Path(__file__).parents[1] / "data"
@@ -86,7 +87,7 @@ def test_the_error_grows_with_the_delay(peaks, name, delay_s):
 # -- every shipped bench -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["bench", "ideal", "lab", "vcan50", "virtual"])
+@pytest.mark.parametrize("name", broad(["lab", "vcan50", "ideal", "bench", "virtual"], quick=3))
 def test_every_shipped_bench_parks_and_replays(name, tmp_path):
     result = CliRunner().invoke(
         main,

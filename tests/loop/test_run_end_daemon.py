@@ -18,6 +18,7 @@ from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.encoder import EncoderJump
 from plant_fmu.faults.frames import FramesLoss
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
 
 
 class Wire:
@@ -77,15 +78,18 @@ LEG_0 = DriveSilence(leg=0)
 
 @pytest.mark.parametrize(
     ("faults", "mode", "seconds"),
-    [
-        ([], Mode.PARKED, None),
-        ([ALL_LOST], Mode.WAITING, 2.0),
-        ([FramesLoss(at_s=1.0)], Mode.FAULT, None),
-        ([LEG_0], Mode.WAITING, 10.0),
-        ([DriveSilence(leg=4, at_s=0.3)], Mode.HELD, None),
-        ([DriveSilence(leg=2, at_s=1.2)], Mode.HELD, None),
-        ([EncoderJump(leg=5, by_m=0.3, at_s=1.1)], Mode.HELD, None),
-    ],
+    broad(
+        [
+            ([], Mode.PARKED, None),
+            ([ALL_LOST], Mode.WAITING, 2.0),
+            ([FramesLoss(at_s=1.0)], Mode.FAULT, None),
+            ([DriveSilence(leg=4, at_s=0.3)], Mode.HELD, None),
+            ([EncoderJump(leg=5, by_m=0.3, at_s=1.1)], Mode.HELD, None),
+            ([LEG_0], Mode.WAITING, 10.0),
+            ([DriveSilence(leg=2, at_s=1.2)], Mode.HELD, None),
+        ],
+        quick=5,
+    ),
 )
 def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, seconds):
     c = load("ideal")

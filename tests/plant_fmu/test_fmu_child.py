@@ -237,7 +237,7 @@ def alive(pid):
         return False
 
 
-@pytest.mark.parametrize("code", ["", "for (;;) usleep(1000);"])
+@pytest.mark.parametrize("code", broad(["for (;;) usleep(1000);", ""], quick=1))
 def test_the_child_never_outlives_its_parent_even_when_it_hangs_and_leaves_no_files(tmp_path, code):
     path = altered(tmp_path, f"{code} {STEP_LINE}")
     unpacked = tmp_path / "unpacked"

@@ -27,6 +27,7 @@ from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.record import Recording
 from hil.record.log import Event, Log
+from tests.broad import broad
 from tests.hil.samples import random_ticks, record
 
 RATE_Hz = 1000.0
@@ -531,7 +532,7 @@ def test_hil_sim_ends_by_naming_the_report(tmp_path):
 EXTREMES = {"i": (-(2**63), -1, 2**40, 2**63 - 1), "f": (np.nan, np.inf, -np.inf, 1e308, -1e-310)}
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", broad(range(6), quick=3))
 def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
     rng = np.random.default_rng(seed)
 

@@ -85,7 +85,7 @@ def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered
     assert line.requests == 6 * rounds * ASKED_TIMES
 
 
-@pytest.mark.parametrize("name", ["damiao", "odrive"])
+@pytest.mark.parametrize("name", broad(["damiao", "odrive"], quick=1))
 def test_a_drive_that_is_not_heard_is_not_asked_who_it_is(name):
     rehearsal = Rehearsal(name, wired(Mistake("absent", 3)))
     line = LossyLine(rehearsal, 0)
@@ -128,7 +128,7 @@ def test_two_serial_numbers_of_one_node_are_two_drives(name):
     assert "2" not in rehearsal.context.facts["identity"]
 
 
-@pytest.mark.parametrize("name", ["cubemars", "cia402_pdo", "odrive"])
+@pytest.mark.parametrize("name", broad(["cubemars", "cia402_pdo", "odrive"], quick=1))
 def test_two_drives_of_one_number_and_one_length_answer_too_often(name):
     """An axis of odrive is set to send nothing unasked."""
     unasked = {"drives": {"options": {"encoder_msg_rate_ms": 0}}} if name == "odrive" else {}

@@ -9,6 +9,7 @@ from hil.app.bringup.rehearsal import BenchLine
 from hil.bringup.line import Heard
 from hil.bringup.steps import scan, silence
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.broad import broad
 from tests.hil.bringup.kit import Rehearsal, named
 
 FAMILIES = ["virtual", "moteus_zero_velocity", "virtual-cia402", "odrive"]
@@ -52,7 +53,7 @@ def found(
     return named(rehearsal.run((scan.STEP, silence.STEP))), line.times
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=2))
 def test_what_is_said_of_a_watchdog_holds_its_true_time(family):
     for share in (0.95, 1.0):
         rehearsal = Rehearsal(
@@ -63,18 +64,18 @@ def test_what_is_said_of_a_watchdog_holds_its_true_time(family):
         assert fact["since_s"] <= share * rehearsal.machine.watchdog_s <= fact["until_s"]
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
 def test_a_watchdog_eight_times_too_long_is_named_although_a_tick_of_its_silence_is_late(family):
     leg = 3
     assert found(family, wired(Mistake("watchdog_long", leg)), 6.5, 1) == ({("watchdog_long", (leg,))}, 0)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
 def test_a_watchdog_that_is_right_is_measured_again_where_a_tick_was_late(family):
     assert found(family, Wiring(), 6.5, silence.TRIES - 1) == (set(), 0)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
 def test_a_watchdog_that_late_ticks_hide_each_time_is_named_unmeasured(family):
     findings, _ = found(family, Wiring(), 6.5, 100)
     assert findings == {("watchdog_unmeasured", (leg,)) for leg in range(6)}

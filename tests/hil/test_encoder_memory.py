@@ -10,11 +10,7 @@ import pytest
 from drivers.signals import Doubt
 from hil.safety import encoder_kernels
 from tests.hil.encoder_bench import BOTH_SIGNS, Bench, calm, doubted, six
-
-
-def plain(function):
-    """Return a rule as it is written: to compile it takes longer."""
-    return getattr(function, "py_func", function)
+from tests.hil.interpreted import plain
 
 
 @pytest.mark.parametrize("name", ["gaps", "travel", "excused"])

@@ -11,6 +11,7 @@ from drivers.signals import Doubt, Mode
 from hil.safety import encoder_kernels
 from hil.safety.stillness import SETTLES_S
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
+from tests.hil.interpreted import plain
 
 # -- slips
 
@@ -327,10 +328,6 @@ def test_encoders_a_push_of_a_leg_that_sticks_turns_at_once_where_it_comes_at_on
     limits = SimpleNamespace(push_ticks=8, push_N=six(300.0), sticks=1, rise_ticks=1)
     found = forces(limits, [sign * k for k in (1, 2, 8, 9, 16)])
     assert found == pytest.approx([sign * force for force in (300.0, 300.0, 300.0, -300.0, -300.0)])
-
-
-def plain(function):
-    return getattr(function, "py_func", function)
 
 
 @ON_ONE_LEG

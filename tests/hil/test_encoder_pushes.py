@@ -9,6 +9,7 @@ import pytest
 
 from hil.safety import encoder_kernels
 from tests.hil.encoder_bench import BOTH_SIGNS, six
+from tests.hil.interpreted import plain
 
 FORCES_N = np.array([300.0, 150.0, 420.0, 80.0, 260.0, 510.0])
 """What friction may hold of each leg."""
@@ -19,8 +20,8 @@ def push_legs(monkeypatch):
     """The kernel as it is written: to compile it takes longer."""
     for name in ("push_of", "eased"):
         function = getattr(encoder_kernels, name)
-        monkeypatch.setattr(encoder_kernels, name, getattr(function, "py_func", function))
-    return getattr(encoder_kernels.push_legs, "py_func", encoder_kernels.push_legs)
+        monkeypatch.setattr(encoder_kernels, name, plain(function))
+    return plain(encoder_kernels.push_legs)
 
 
 @BOTH_SIGNS

@@ -7,6 +7,7 @@ import pytest
 
 from hil.safety import encoders, following, force_limits, standstill
 from tests.hil.encoder_bench import BOTH_SIGNS, six
+from tests.hil.interpreted import plain
 
 ON_EACH_LEG = pytest.mark.parametrize("leg", range(6))
 LENGTHS = np.array([5.0, 7.0, 4.0, 9.0, 6.0, 8.0])
@@ -18,10 +19,6 @@ HEARD = np.zeros(6, np.int64)
 def as_written(monkeypatch):
     """The rules as they are written: to compile them takes longer."""
     monkeypatch.setattr(force_limits, "clamp", plain(force_limits.clamp))
-
-
-def plain(function):
-    return getattr(function, "py_func", function)
 
 
 @ON_EACH_LEG

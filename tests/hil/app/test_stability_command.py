@@ -120,7 +120,7 @@ def test_what_a_pd_sags_is_what_its_springs_carry():
 
 
 def test_a_sliding_gain_that_is_too_small_for_the_load_given_is_not_proven():
-    config = bench(SLIDING)
+    config = bench(SLIDING, rest=True)
     assert judge(config, Stated(Load(15_000.0), 0.1)).status == "conditional"
     verdict = judge(config, Stated(Load(30_000.0), 0.1))
     assert verdict.status == "not proven"

@@ -156,14 +156,16 @@ def stepped(
     Ends at the first gap, which is added to `gaps`: the first missing tick, and how many. Raises LogError
     where the log cannot be read.
     """
-    expected: int | None = None
+    expected = 0
     for done, entry in enumerate(log.ticks()):
         inp = recorded_input(entry)
-        tick, skipped = inp.tick, inp.skipped
-        if expected is None:
-            expected = skipped
-        if tick != expected + (skipped if done else 0):
-            gaps.append((expected, tick - expected - skipped))
+        tick, missing = inp.tick, inp.tick - inp.skipped - expected
+        if missing < 0 or inp.skipped < 0:
+            raise LogError(
+                f"the row of tick {tick} is damaged: {inp.skipped} ticks cannot have been skipped before it"
+            )
+        if missing:
+            gaps.append((expected, missing))
             return
         expected = tick + 1
         sent = cycle.begin(tick)

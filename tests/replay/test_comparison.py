@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from drivers.errors import LogError
 from drivers.signals import Mode
 from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS
 from hil.app.compose import build_cycle
@@ -164,6 +165,15 @@ def test_ticks_that_the_loop_skipped_are_no_gap(entries):
     verdict = verdict_on([entries[2]._replace(row=first), *entries[3:]])
     assert verdict.gaps == [], "nor are those before the first"
     assert verdict.ticks == len(entries) - 2
+
+
+@pytest.mark.parametrize(("at", "skipped"), [(0, 1), (42, 1), (42, 43), (42, -1)])
+def test_ticks_that_cannot_have_been_skipped_are_damage_of_their_row(entries, at, skipped):
+    row = entries[at].row.copy()
+    row["skipped"] = skipped
+    told = f"the row of tick {at} is damaged: {skipped} ticks cannot have been skipped before it"
+    with pytest.raises(LogError, match=told):
+        verdict_on([*entries[:at], entries[at]._replace(row=row), *entries[at + 1 :]])
 
 
 def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(entries):

@@ -49,10 +49,11 @@ def signals(columns: Sequence[Column], rows: Rows, name: str) -> list[Signal]:
         raise LogError(
             f"{name}: no difference can be made: allowed are two columns of one shape and one unit"
         )
-    return [
-        a._replace(label=f"{a.label}{DIFFERENCE}{b.label}", values=a.values - b.values)
-        for a, b in zip(*pair, strict=True)
-    ]
+    with np.errstate(invalid="ignore", over="ignore"):
+        return [
+            a._replace(label=f"{a.label}{DIFFERENCE}{b.label}", values=a.values - b.values)
+            for a, b in zip(*pair, strict=True)
+        ]
 
 
 def _of(columns: Sequence[Column], rows: Rows, name: str) -> list[Signal]:

@@ -46,7 +46,8 @@ class Difference:
             return f"tick {self.tick}: {self.column}: recorded {self.recorded}, replayed {self.replayed}"
         n = int(np.flatnonzero(a.view(np.int64) != b.view(np.int64))[0])
         place = self.column if len(a) == 1 else f"{self.column}[{n}]"
-        difference = f" (difference {b[n] - a[n]:.3g})" if a.dtype.kind == "f" else ""
+        with np.errstate(over="ignore"):
+            difference = f" (difference {b[n] - a[n]:.3g})" if a.dtype.kind == "f" else ""
         return f"tick {self.tick}: {place}: recorded {a[n].item()!r}, replayed {b[n].item()!r}{difference}"
 
 
@@ -214,7 +215,8 @@ def _largest(replayed: Rows, recorded: np.void) -> float:
     for name in COMPUTED_COLUMNS:
         a, b = np.asarray(replayed[name]), np.asarray(recorded[name])
         if a.dtype.kind == "f":
-            error = np.abs(a - b) / np.maximum(1.0, np.abs(b))
+            with np.errstate(invalid="ignore", over="ignore"):
+                error = np.abs(a - b) / np.maximum(1.0, np.abs(b))
             error = np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, error)
             worst = max(worst, float(np.max(np.nan_to_num(error, nan=math.inf))))
         elif a.tobytes() != b.tobytes():

@@ -24,7 +24,7 @@ from hil.app.sim.command import simulate
 from hil.app.what_if.command import what_if_log
 from hil.cli import main
 from hil.loop import replay as kernel
-from hil.loop.replay import Comparison, replay
+from hil.loop.replay import Comparison, Difference, replay
 from hil.record.log import Log
 from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary, rewrite_log
@@ -130,10 +130,18 @@ def test_every_computed_column_is_compared_in_its_last_element(entries, name):
     assert verdict.largest > 0.0
 
 
-def test_a_number_that_was_recorded_as_none_is_no_small_difference(entries):
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_was_recorded_as_none_is_no_small_difference(entries, value):
     lengths = entries[50].row["q"].copy()
-    lengths[5] = math.nan
-    assert compared(entries, 50, q=lengths).largest == math.inf
+    lengths[5] = value
+    verdict = compared(entries, 50, q=lengths)
+    assert verdict.largest == math.inf
+    assert f"q[5]: recorded {value!r}, replayed 1." in str(verdict.first[0])
+
+
+def test_a_difference_beyond_all_numbers_is_told():
+    far = Difference(7, "tau", np.array([1.7e308]), np.array([-1.7e308]))
+    assert str(far) == "tick 7: tau: recorded 1.7e+308, replayed -1.7e+308 (difference -inf)"
 
 
 def test_the_largest_difference_is_that_of_all_ticks(entries):

@@ -7,6 +7,7 @@ import re
 import tempfile
 import time
 import traceback
+import warnings
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
@@ -52,8 +53,9 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
         _CLEAR.write_text("5")  # the peak begins anew
     before = peak_MB()
     begun, problem, detail = time.process_time(), "", ""
-    with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name:
+    with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name, warnings.catch_warnings():
         try:
+            warnings.simplefilter("error", RuntimeWarning)  # who reads a command's lines would see it
             said = TARGETS[target][0](stock, rng, Path(name))
         except HilError:
             said = ""  # what the command line shows of it is looked at where it is run

@@ -4,6 +4,7 @@ Reads and writes the format by itself (https://mcap.dev/spec), so that it does n
 reader that it tests.
 """
 
+import math
 import struct
 import zlib
 from collections.abc import Callable
@@ -16,6 +17,14 @@ from tools.fuzz.mutate import ANY, EXTREMES, TEXT
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+REALS = (
+    math.inf, -math.inf, math.nan, 1.7e308, -1.7e308, 1e300, 1e155, 5e-324, 0.0, -0.0, 2.0**63, -1e19, 1.0,
+)  # fmt: skip
+"""What stands in the place of a measured or a computed number."""
+_PUT_BEFORE = 22
+"""Bytes of a message record before what it carries."""
+_ROW_HAS = 20
+"""Numbers, and more."""
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
@@ -155,6 +164,64 @@ def _inner(records: Records, rng: Random) -> Records:
     return [*records[:k], (CHUNK, packed(records[k][1], inner)), *records[k + 1 :]]
 
 
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        byte = data[at]
+        value, at, shift = value | (byte & 0x7F) << shift, at + 1, shift + 7
+        if byte < 0x80:
+            return value, at
+
+
+def _numbers(data: bytes, at: int, end: int) -> list[int] | None:
+    """Return where a message of Protobuf and those in it have numbers of 8 bytes; None if it is none."""
+    found: list[int] = []
+    while at < end:
+        try:
+            key, at = _varint(data, at)
+            wire = key & 7
+            length = {1: 8, 5: 4}.get(wire, 0)
+            if wire == 0:
+                _, at = _varint(data, at)
+            elif wire == 2:
+                length, at = _varint(data, at)
+        except IndexError:
+            return None
+        if key < 8 or wire not in (0, 1, 2, 5) or at + length > end:
+            return None
+        inner = _numbers(data, at, at + length) if wire == 2 else None
+        if inner is None and wire in (1, 2) and length % 8 == 0:
+            inner = list(range(at, at + length, 8))
+        found += inner or []
+        at += length
+    return found
+
+
+def values(records: Records, rng: Random) -> Records:
+    """Put numbers of no sense into rows: one place in all rows of a chunk, or many places of one row."""
+    k = _pick(records, rng, CHUNK)
+    if records[k][0] != CHUNK:
+        return records
+    messages = split(unpacked(records[k][1]))
+    places = {
+        n: _numbers(content, _PUT_BEFORE, len(content)) or []
+        for n, (opcode, content) in enumerate(messages)
+        if opcode == MESSAGE
+    }
+    rows = [n for n, found in places.items() if len(found) > _ROW_HAS]
+    if not rows:
+        return records
+    share, everywhere, value = rng.random(), rng.random() < 0.5, rng.choice(REALS)
+    for n in rows if everywhere else [rng.choice(rows)]:
+        content, at = bytearray(messages[n][1]), places[n]
+        chosen = [at[int(share * len(at))]] if everywhere else [p for p in at if rng.random() < share]
+        for place in chosen:
+            number = value if everywhere or rng.random() < 0.5 else rng.choice(REALS)
+            struct.pack_into("<d", content, place, number)
+        messages[n] = MESSAGE, bytes(content)
+    return [*records[:k], (CHUNK, packed(records[k][1], joined(messages))), *records[k + 1 :]]
+
+
 def _bomb(records: Records, rng: Random) -> Records:
     """Put in chunks that unpack to far more than they take, or say so."""
     k = _pick(records, rng, CHUNK)
@@ -199,6 +266,7 @@ def _length(data: bytes, records: Records, rng: Random) -> bytes:
 
 _STRUCTURED: tuple[Callable[[Records, Random], Records], ...] = (
     _content, _content, _content, _text, _text, _text, _inner, _inner, _inner, _order, _bomb,
+    values, values,
 )  # fmt: skip
 
 

@@ -79,6 +79,9 @@ def _api(path: str) -> str:
 
 
 _VIEW = "view", "--no-start", "--with"
+_COLUMNS = tuple(
+    word for name in ("dq_d - dq", "t_ns", "faults", "R", "lyapunov", "latch_ns") for word in ("-c", name)
+)
 LOG_READERS: dict[str, Callable[[str, str], str]] = {
     "replay": lambda log, _: _command("replay", log),
     "salvage": lambda log, out: _command("replay", log, "--salvage", f"{out}.mcap"),
@@ -89,6 +92,13 @@ LOG_READERS: dict[str, Callable[[str, str], str]] = {
     "parquet": lambda log, out: _command("export", log, f"{out}.parquet"),
     "foxglove": lambda log, out: _command(*_VIEW, "foxglove", log, "--out", out),
     "plotjuggler": lambda log, out: _command(*_VIEW, "plotjuggler", log, "--out", out),
+    "columns": lambda log, out: _command("plot", log, *_COLUMNS, "--out", f"{out}.svg"),
+    "what-if": lambda log, out: _command(
+        "replay", log, "--set", "controller.wn_rad_s=25", "--plot", f"{out}.png", "--log", f"{out}.mcap"
+    ),
+    "against": lambda log, _: _command("replay", log, "--against", log, "--align", "motion"),
+    "learn": lambda log, out: _command("learn", log, "-o", f"{out}.csv"),
+    "axes": lambda log, _: _command("identify", log),
     "delay": lambda log, _: _command("identify", log, "--delay"),
     "payload": lambda log, _: _command("identify", "payload", log),
     "Log": lambda log, _: _api(log),

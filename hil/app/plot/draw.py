@@ -14,6 +14,8 @@ from hil.app.log_columns import Signal
 
 STYLES = ("-", "--", ":", "-.")
 """Of the logs, in their order."""
+LARGEST = 1e300
+"""Matplotlib lays out axes for numbers up to this; larger ones are not drawn, as what is not finite."""
 _PANEL_IN = 2.8
 
 
@@ -74,9 +76,8 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
             colour = colours.setdefault(curve.signal.label, f"C{len(colours) % 10}")
             style = STYLES[curve.log % len(STYLES)]
             drawn = "steps-post" if curve.signal.names else "default"
-            axes.plot(
-                curve.t, curve.signal.values, style, c=colour, lw=0.9, label=curve.label, drawstyle=drawn
-            )
+            values = np.where(np.abs(curve.signal.values) <= LARGEST, curve.signal.values, np.nan)
+            axes.plot(curve.t, values, style, c=colour, lw=0.9, label=curve.label, drawstyle=drawn)
     if first.flags:
         axes.set_yticks([0, 1], ["off", "on"])
     elif first.names:

@@ -1,8 +1,13 @@
 """What strangers hand in, damaged at random from a seed: an answer, a HilError, never a traceback, and soon."""
 
+from random import Random
+
+import numpy as np
 import pytest
 
-from tools.fuzz import case
+from drivers.tick_columns import ROW
+from hil.record.log import Log
+from tools.fuzz import case, container
 from tools.fuzz.targets import TARGETS, stock
 
 QUICK = {"log": 25, "configuration": 12, "csv": 20, "controller": 8, "fmu": 6, "operator": 6}
@@ -36,3 +41,18 @@ def test_the_fuzzer_finds_a_reader_that_fails(sound, monkeypatch):
     assert result.detail.startswith("ValueError")
     monkeypatch.setitem(TARGETS, "log", (lambda *_: "red: \x1b[31m", 1))
     assert case.run(1, sound, "log").problem == "control character"
+    monkeypatch.setitem(TARGETS, "log", (lambda *_: str(np.float64(1e308) * 10), 1))
+    assert case.run(1, sound, "log").detail.startswith("RuntimeWarning"), "who reads the lines sees it"
+
+
+def test_what_is_put_into_the_rows_of_a_log_comes_out_of_them(sound, tmp_path):
+    whole, seen = Log(sound.folder / "sound.mcap").rows(), set()
+    for seed in range(12):
+        path = tmp_path / f"{seed}.mcap"
+        path.write_bytes(container.whole(container.values(container.split(sound.log), Random(seed))))
+        log = Log(path)
+        rows = log.rows(*(name for name in ROW.names if ROW[name].base.kind == "f"))
+        assert len(rows) == len(whole)
+        for name in rows.dtype.names:
+            seen |= set(map(repr, rows[name][rows[name] != whole[name]].tolist()))
+    assert seen >= {"inf", "-inf", "nan", "1.7e+308", "5e-324"}

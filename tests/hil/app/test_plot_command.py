@@ -166,3 +166,21 @@ def test_an_unknown_column_is_said_before_a_picture_that_exists_and_both_are(log
     with pytest.raises(LogError, match=r"^--out .*there.png: exists"):
         plot([logs[0]], ["q"], out=picture)
     assert picture.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1.7e308, -1.7e308])
+def test_numbers_that_no_axis_holds_leave_a_gap_and_the_others_are_drawn(tmp_path, value):
+    values = np.array([0.0, 2.0, value, value, 3.0])
+    curve = Curve("tau", 0, np.arange(5.0), Signal("tau", "N", values, {}, False))
+    draw(["tau"], [[curve]], tmp_path / "a.svg", "a")
+    ticks = [float(text.replace("\u2212", "-")) for text in texts(tmp_path / "a.svg") if text[-1:].isdigit()]
+    assert len(ticks) > 8
+    assert (min(ticks), max(ticks)) == (0.0, 4.0), "the time; the values end at 3"
+
+
+def test_a_difference_without_a_value_is_none():
+    rows = np.zeros(3, ROW)
+    rows["q"][1], rows["q_d"][1], rows["q_d"][2] = np.inf, np.inf, -1.7e308
+    rows["q"][2] = 1.7e308
+    found = signals(RECORDED, rows, "q_d - q")
+    assert [str(each.values.tolist()) for each in found] == ["[0.0, nan, -inf]"] * 6

@@ -18,7 +18,7 @@ from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
 from hil.app.files import made_whole
 from hil.app.output import further
-from hil.config.values import AXES
+from hil.config.values import AXES, LEAST, MOST, in_reason
 from hil.robot.calibration import (
     NAMES,
     WEAK,
@@ -166,7 +166,9 @@ def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            return nothing, f"{name}: allowed: a finite number, given: {word.strip()!r}"
+            return nothing, f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
+        if not in_reason(number):
+            return nothing, f"{name}: allowed in size: 0, and {LEAST:g} to {MOST:g}, given: {number:g}"
         if name in DEVIATIONS and (number < 0 or (name == "length_std_m" and number == 0)):
             bound = "greater than 0" if name == "length_std_m" else "at least 0"
             return nothing, f"{name}: allowed: {bound}, given: {number:g}"

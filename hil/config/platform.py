@@ -1,6 +1,5 @@
 """Section `platform`: geometry and inertia of the robot."""
 
-import math
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -13,6 +12,7 @@ from hil.config.values import (
     NonNegative,
     Pose,
     Positive,
+    RotationVector,
     Six,
     SixVectors,
     Vector3,
@@ -50,16 +50,6 @@ class JointCircle(Section):
                 f"(2 radius_m), given: {self.pair_spacing_m:g}"
             )
         return self
-
-
-def _at_most_half_a_turn(vector: Vector3) -> Vector3:
-    angle = math.hypot(*vector)
-    if angle > 180 * (1 + 1e-12):
-        raise ValueError(f"more than half a turn, allowed: a length of at most 180 deg, given: {angle:g} deg")
-    return vector
-
-
-RotationVector = Annotated[Vector3, AfterValidator(_at_most_half_a_turn)]
 
 
 class Frame(Section):

@@ -1,10 +1,17 @@
 """What several sections are made of: vectors, six per leg, bounds, a pose."""
 
+import math
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from drivers.section import Section
+
+LEAST, MOST = 1e-60, 1e15
+"""Of a number that is not 0, in any unit: others, squared or divided by, would leave what a float holds.
+
+Rounding may leave 1e-17 or less of a zero.
+"""
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
@@ -22,8 +29,23 @@ ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 SixNonNegative = Annotated[list[NonNegative], Field(min_length=6, max_length=6)]
 
 
+def in_reason(number: float) -> bool:
+    """Tell whether a number, which may be none, is one that is meant."""
+    return number == 0.0 or LEAST <= abs(number) <= MOST
+
+
+def _at_most_half_a_turn(vector: Vector3) -> Vector3:
+    angle = math.hypot(*vector)
+    if angle > 180 * (1 + 1e-12):
+        raise ValueError(f"more than half a turn, allowed: a length of at most 180 deg, given: {angle:g} deg")
+    return vector
+
+
+RotationVector = Annotated[Vector3, AfterValidator(_at_most_half_a_turn)]
+
+
 class Pose(Section):
     """Platform pose: origin in the base frame and rotation vector."""
 
     position_m: Vector3
-    rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
+    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)

@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 
 from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
+from hil.config.values import LEAST, MOST
 
-LEAST, MOST = 1e-60, 1e15
-"""Of a number that is not 0, in any unit; rounding may leave 1e-17 or less of a zero."""
 NO_LIMIT, MOST_SEED = 1e30, 2**64
 """In section `limits`, where a large number stands for none; of a seed."""
 _OTHERS = ("plant", "model", "parameters")

@@ -16,6 +16,9 @@ import yaml
 Path = tuple[str | int, ...]
 """Keys and indices from the root to a value."""
 
+MOST_VALUES = 200_000
+"""Keys, values, lists and mappings of a text: the longest path of way points has 130,000."""
+
 Value = None | bool | int | float | str | list["Value"] | dict[str, "Value"]
 
 
@@ -101,6 +104,10 @@ def _parsed(text: str) -> Document:
         return Document(None, {}, {}, (Problem(position, (), message),))
     except RecursionError:
         return Document(None, {}, {}, (Problem(Position(1, 1), (), "nested too deeply"),))
+    except _TooManyError as error:
+        return Document(
+            None, {}, {}, (Problem(error.args[0], (), f"allowed: {MOST_VALUES} values in a file"),)
+        )
     if root is None:
         return Document(None, {}, {}, (Problem(Position(1, 1), (), "the file is empty"),))
     if not isinstance(root, yaml.MappingNode):
@@ -109,6 +116,10 @@ def _parsed(text: str) -> Document:
     walk = _Walk()
     value = walk.mapping(root, ())
     return Document(value, walk.keys, walk.values, tuple(walk.problems))
+
+
+class _TooManyError(Exception):
+    """Raised with the position of the value that is one too many."""
 
 
 class _Loader(
@@ -126,8 +137,13 @@ class _Loader(
         yaml.parser.Parser.__init__(self)
         yaml.composer.Composer.__init__(self)
         yaml.resolver.BaseResolver.__init__(self)
+        self._composed = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        self._composed += 1
+        if self._composed > MOST_VALUES:
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise _TooManyError(Position(event.start_mark.line + 1, event.start_mark.column + 1))
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call]
             raise yaml.composer.ComposerError(

@@ -8,9 +8,11 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.errors import ConfigurationError
+from hil.app.configuration import yaml_positions
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.configuration import Configuration, load, loads
-from hil.config.reference import WaypointReference
+from hil.app.configuration.yaml_positions import parse
+from hil.config.reference import MOST_POINTS, WaypointReference
 
 VIRTUAL = load("virtual").text
 LONG_S = 2.0
@@ -132,3 +134,22 @@ def test_heartbeats_that_do_not_fit_are_refused_with_the_arithmetic():
         ConfigurationError, match=r"  6 x classic  5 byte: 105 bit = 105\.0 us each, 630\.0 us"
     ):
         loads(edited(("heartbeat_ms: 100\n", "heartbeat_ms: 1\n")), "my.yaml")
+
+
+def test_a_text_of_more_values_than_any_robot_has_is_refused_where_the_first_too_many_stands(monkeypatch):
+    monkeypatch.setattr(yaml_positions, "MOST_VALUES", 5)  # a mapping, its key, a list of two
+    assert parse("a:\n - 1\n - 2\n").problems == ()
+    (found,) = parse("a:\n - 1\n - 23\n - 3\n").problems
+    assert (found.position, found.message) == ((4, 4), "allowed: 5 values in a file")
+
+
+def test_a_file_may_hold_the_longest_path_of_way_points():
+    of_a_point = 1 + 2 * 3 + 2 * 3  # the mapping, three keys with their values, six numbers in two of them
+    assert MOST_POINTS * of_a_point < yaml_positions.MOST_VALUES
+
+
+@pytest.mark.parametrize("turn", [181.0, -1e9])
+def test_a_home_that_is_turned_by_more_than_half_a_turn_is_refused_in_degrees(turn):
+    old = "rotation_vector_deg: [0, 0, 0]\n  # The"
+    with pytest.raises(ConfigurationError, match=rf"platform.home.rotation_vector_deg: .* {abs(turn):g} deg"):
+        loads(edited((old, old.replace("[0,", f"[{turn},"))), "a.yaml")

@@ -210,6 +210,8 @@ BAD = [
     (rows(7), HEADER, "7 poses, allowed: at least 8"),
     ([], HEADER, "poses.csv: no rows"),
     (changed(4, 9, "nan"), HEADER, "poses.csv:6: l4_m: allowed: a finite number, given: 'nan'"),
+    (changed(4, 9, "1e300"), HEADER, "poses.csv:6: l4_m: allowed in size: 0, and 1e-60 to 1e+15, given: 1e+300"),
+    (changed(4, 9, "-1e-61"), HEADER, "poses.csv:6: l4_m: allowed in size: 0, and 1e-60 to 1e+15, given: -1e-61"),
     (changed(4, 9, "abc"), HEADER, "poses.csv:6: l4_m: allowed: a finite number, given: 'abc'"),
     ([*rows(), [1, 2]], HEADER, "poses.csv:42: 2 values, allowed: 12"),
     (changed(3, 3, 200.0), HEADER, "poses.csv:5: rotation vector of 20"),

@@ -1,6 +1,7 @@
 """Jobs in processes of their own."""
 
 import os
+import resource
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -13,10 +14,14 @@ from multiprocessing.resource_tracker import ensure_running as ensure_tracker
 from threading import Thread
 from typing import TypeVar
 
+from drivers.errors import RunError
+
 Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")
 Progress = Callable[[int, int], None]
 """Called with how many jobs are done, and of how many."""
+FILES_HERE, FILES_EACH = 32, 2
+"""Open files of this process: of its command and what lends processes, and of each of those."""
 AHEAD = 4
 """Jobs for each process that are under way at once: the next one is there when the last one is done."""
 
@@ -32,7 +37,7 @@ def perform(
 
     function : of a module that a fresh interpreter imports; died : what is the outcome of a job whose process
     dies; jobs : processes at once, default one a processor; 1 is this process, where a job that crashes takes
-    the command with it.
+    the command with it. Raises RunError where so many may not open their files.
     """
     count = min(len(work), jobs or len(os.sched_getaffinity(0)))
     outcomes = map(function, work) if jobs == 1 else _in_processes(work, function, died, count)
@@ -40,6 +45,15 @@ def perform(
         if progress is not None:
             progress(n, len(work))
         yield next(outcomes)
+
+
+def _require_files(needed: int, count: int) -> None:
+    most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if most != resource.RLIM_INFINITY and most < needed:
+        raise RunError(
+            f"{count} processes at once need {needed} open files, allowed here: {most}; "
+            "raise `ulimit -n`, or work in one: --jobs 1"
+        )
 
 
 def _in_processes(
@@ -50,6 +64,7 @@ def _in_processes(
     Only some jobs are under way at once: of a million none is made before its turn, and a process that dies
     takes few with it. The others go on in new processes.
     """
+    _require_files(FILES_HERE + FILES_EACH * count, count)
     rest = iter(work)
     while True:
         lost: list[Job] = []

@@ -25,6 +25,7 @@ if _handler is signal.default_int_handler and os.path.basename(sys.argv[0]) not 
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ["MPLBACKEND"] = "agg"  # it draws into files, whatever windows other programs open
 # What a command imports and reads is there for good: the collector's usual rhythm would look through it some
 # hundred times, a tenth of each start and of what works on arrays alone.
 gc.set_threshold(100_000, 20, 20)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import resource
 import shlex
 import sys
@@ -83,6 +84,8 @@ _NAMED = ("configuration", "design", "robot", "what_if")
 """Arguments that name a file, or one that is shipped."""
 _RAN = 1
 """Exit code of what had begun."""
+_DATE, _YEAR_9999 = "SOURCE_DATE_EPOCH", 253_402_300_799
+"""Name of the variable, and the last second that a date can tell."""
 _REPORTED = frozenset({"run", "sim"})
 """Kinds of summary whose log `hil report` shows."""
 
@@ -174,6 +177,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         from drivers.errors import HilError, LogError
         from hil.app.terminal import one_line
 
+        _refuse_odd_date()
         try:
             from hil.app.compiling import show_compilation
 
@@ -208,6 +212,13 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             _refuse(f"{place}{error.strerror or error}")
 
     return reporting
+
+
+def _refuse_odd_date() -> None:
+    """Refuse a date for made files at which NumPy and Matplotlib fail when they are imported."""
+    given = os.environ.get(_DATE, "0")
+    if not (given.isascii() and given.isdigit() and len(given) < 20 and int(given) <= _YEAR_9999):
+        _refuse(f"{_DATE}={given[:60]!r}: allowed: whole seconds since 1970; mend or unset it")
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:

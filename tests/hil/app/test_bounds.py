@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 
 import pytest
@@ -151,5 +152,8 @@ def test_a_file_may_hold_the_longest_path_of_way_points():
 @pytest.mark.parametrize("turn", [181.0, -1e9])
 def test_a_home_that_is_turned_by_more_than_half_a_turn_is_refused_in_degrees(turn):
     old = "rotation_vector_deg: [0, 0, 0]\n  # The"
-    with pytest.raises(ConfigurationError, match=rf"platform.home.rotation_vector_deg: .* {abs(turn):g} deg"):
+    with pytest.raises(
+        ConfigurationError,
+        match=rf"platform.home.rotation_vector_deg: .* {re.escape(format(abs(turn), 'g'))} deg",
+    ):
         loads(edited((old, old.replace("[0,", f"[{turn},"))), "a.yaml")

@@ -402,6 +402,26 @@ def test_a_pipe_between_processes_that_breaks_is_no_reader_that_has_gone():
         raise BrokenPipeError
 
 
+@pytest.mark.parametrize("given", ["x", "", "-1", "1.5", "\u0663", "253402300800", "9" * 5000])
+def test_a_date_for_made_files_at_which_libraries_fail_is_refused_by_its_name(given, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", given)
+    result = CliRunner().invoke(main, ["check", "virtual"])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == (
+        f"hil: SOURCE_DATE_EPOCH={given[:60]!r}: allowed: whole seconds since 1970; mend or unset it\n"
+    )
+
+
+def test_a_picture_is_drawn_whatever_window_another_program_would_open_for_it(tmp_path):
+    """In a process of its own, as Matplotlib reads the variable when it is imported."""
+    process = subprocess.run(
+        [sys.executable, "-c", "import hil.cli, matplotlib; print(matplotlib.get_backend())"],
+        env=os.environ | {"MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": "253402300799"},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert process.stdout == "agg\n"
+
+
 @pytest.mark.parametrize("words", [["report", "a.mcap"], ["new", "--help"], ["check"]])
 def test_too_little_address_space_is_refused_before_a_library_is_loaded_that_needs_it(words, monkeypatch):
     monkeypatch.setattr("hil.cli.shared.resource.getrlimit", lambda _: (400 * 2**20, -1))

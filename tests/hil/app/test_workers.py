@@ -1,15 +1,18 @@
 """Jobs in processes: each has one outcome, whichever dies, and none is made long before its turn."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from functools import partial
 from operator import call
 
 import pytest
 
+from drivers.errors import RunError
 from hil.app.workers import AHEAD, perform
 from tests.realtime.rig import wait_until_gone
 
@@ -40,6 +43,7 @@ def test_a_process_that_dies_takes_few_jobs_with_it_and_none_of_a_million_is_mad
 
 LONG = """
 import os, time
+from contextlib import nullcontext
 from functools import partial
 from operator import call
 from hil.app.workers import perform
@@ -85,6 +89,7 @@ time.sleep(100.0)
 ALONE = """
 import sys
 import time
+from contextlib import nullcontext
 from functools import partial
 from operator import call
 from hil.app.workers import perform
@@ -109,3 +114,21 @@ def test_ctrl_c_ends_a_job_that_runs_again_alone(tmp_path):
         finally:
             process.kill()
     wait_until_gone(int(file.read_text()))
+
+
+@pytest.mark.parametrize(("most", "enough"), [(35, False), (36, True), (resource.RLIM_INFINITY, True)])
+def test_processes_that_may_not_open_their_files_are_refused_before_the_first_one_starts(
+    monkeypatch, most, enough
+):
+    started: list[int] = []
+    monkeypatch.setattr("hil.app.workers.resource.getrlimit", lambda _: (most, resource.RLIM_INFINITY))
+    monkeypatch.setattr("hil.app.workers._processes", lambda count, _: started.append(count) or nullcontext())
+    monkeypatch.setattr("hil.app.workers._until_one_dies", lambda *_: iter([7, 8]))
+    outcomes = perform([1, 2], abs, abs, 2, None)
+    if enough:
+        assert list(outcomes) == [7, 8]
+    else:
+        with pytest.raises(RunError, match=f"2 processes .* 36 .* here: {most};"):
+            next(outcomes)
+    assert started == [2] * enough
+    assert list(perform([-1, -2], abs, abs, 1, None)) == [1, 2], "this process needs no more"

@@ -121,8 +121,13 @@ def test_processes_that_may_not_open_their_files_are_refused_before_the_first_on
     monkeypatch, most, enough
 ):
     started: list[int] = []
+
+    def lent(count, _):
+        started.append(count)
+        return nullcontext()
+
     monkeypatch.setattr("hil.app.workers.resource.getrlimit", lambda _: (most, resource.RLIM_INFINITY))
-    monkeypatch.setattr("hil.app.workers._processes", lambda count, _: started.append(count) or nullcontext())
+    monkeypatch.setattr("hil.app.workers._processes", lent)
     monkeypatch.setattr("hil.app.workers._until_one_dies", lambda *_: iter([7, 8]))
     outcomes = perform([1, 2], abs, abs, 2, None)
     if enough:

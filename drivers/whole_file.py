@@ -8,6 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 
+def real_path(path: Path) -> Path:
+    """Return where a path leads, its links followed; of links in a circle one, which leads nowhere."""
+    return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError at a circle
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new file beside `path`; give it that name at the end, or remove it where something failed.
@@ -16,7 +21,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     no file, as a pipe, is yielded itself.
     Raises OSError, which names `path`: a full disk names none, and nobody knows the new file's name.
     """
-    target = path.resolve()
+    target = real_path(path)
     if target.exists() and not target.is_file():
         yield target
         return

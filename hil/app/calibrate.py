@@ -13,12 +13,14 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import CalibrationError, ConfigurationError, LogError
 from drivers.regular_file import read_regular
+from drivers.whole_file import real_path
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
 from hil.app.files import made_whole
 from hil.app.output import further
-from hil.config.values import AXES, LEAST, MOST, in_reason
+from hil.config.magnitude import ALLOWED, in_reason
+from hil.config.values import AXES
 from hil.robot.calibration import (
     NAMES,
     WEAK,
@@ -168,7 +170,7 @@ def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
         if not math.isfinite(number):
             return nothing, f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
         if not in_reason(number):
-            return nothing, f"{name}: allowed in size: 0, and {LEAST:g} to {MOST:g}, given: {number:g}"
+            return nothing, f"{name}: allowed in size: {ALLOWED}, given: {number:g}"
         if name in DEVIATIONS and (number < 0 or (name == "length_std_m" and number == 0)):
             bound = "greater than 0" if name == "length_std_m" else "at least 0"
             return nothing, f"{name}: allowed: {bound}, given: {number:g}"
@@ -379,7 +381,7 @@ def _deviations(std: Array) -> str:
 
 def _check_out(out: Path, json_file: Path | None) -> None:
     """Refuse a fragment that could not be written, before the work."""
-    if json_file is not None and out.resolve() == json_file.resolve():
+    if json_file is not None and real_path(out) == real_path(json_file):
         raise LogError(f"--out {out}: is the file of --json, too; name another file")
     if out.exists() or out.is_symlink():
         raise LogError(f"--out {out}: exists and is not overwritten; name another file")

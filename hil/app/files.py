@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import LogError
-from drivers.whole_file import whole_file
+from drivers.whole_file import real_path, whole_file
 from hil.app.terminal import one_line
 from hil.record.mcap_file import MAGIC
 
@@ -32,7 +32,7 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """
     with whole_file(path) as temporary:
         yield temporary
-        if not overwrite and path.resolve().exists():
+        if not overwrite and real_path(path).exists():
             raise LogError(f"{path}: exists and is not overwritten; name another file")
 
 
@@ -71,7 +71,7 @@ def may_write(path: Path) -> bool:
         return False
     if path.exists() and not path.is_file():  # a pipe or a terminal
         return True
-    return os.access(path.resolve().parent, os.W_OK | os.X_OK)
+    return os.access(real_path(path).parent, os.W_OK | os.X_OK)
 
 
 def printable(name: str | os.PathLike[str]) -> str:

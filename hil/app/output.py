@@ -20,6 +20,7 @@ from rich.text import Text
 from drivers.errors import HilError, LogError
 from drivers.own_folder import made_folder
 from drivers.signals import Mode
+from drivers.whole_file import real_path
 from hil.app.files import may_write, printable, write_whole
 from hil.app.reserved import reserved
 from hil.app.terminal import visible
@@ -142,7 +143,7 @@ def check_json_path(path: Path, *inputs: Path) -> None:
         raise LogError(f"{where}: there is no folder {path.parent}; make it first")
     if path.is_dir():
         raise LogError(f"{where}: is a folder; name a file")
-    if any(path.resolve() == other.resolve() for other in inputs):
+    if any(real_path(path) == real_path(other) for other in inputs):
         raise LogError(f"{where}: is another file of this command; name a file of its own")
     if not may_write(path):
         raise LogError(f"{where}: no right to write there")
@@ -168,11 +169,24 @@ def write_json(path: Path, summary: dict[str, Any]) -> None:
     text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
     try:
         if path.exists() and not path.is_file():  # a pipe or a terminal
-            path.write_text(text)
+            _write_there(path, text)
             return
         write_whole(path, text)
     except OSError as error:
         raise LogError(f"--json {path}: cannot be written: {error.strerror}") from None
+
+
+def _write_there(path: Path, text: str) -> None:
+    """Write into a pipe that somebody reads, or a terminal. Raises OSError: nobody does."""
+    try:
+        fd = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError as error:
+        raise OSError(
+            error.errno, "nobody reads it" if error.errno == errno.ENXIO else error.strerror
+        ) from None
+    os.set_blocking(fd, True)
+    with os.fdopen(fd, "w") as file:
+        file.write(text)
 
 
 def _plain(value: Any) -> Any:

@@ -6,6 +6,7 @@ import socket
 from pathlib import Path
 
 from drivers.machine_wide import address
+from drivers.whole_file import real_path
 
 _held: dict[Path, int] = {}
 """What this process has reserved, and by which open socket; the kernel closes it with the process."""
@@ -15,7 +16,7 @@ def reserved(path: Path) -> bool:
     """Reserve a name; return whether nobody had. Where the system has no such names everything is free."""
     for made in [each for each in _held if os.path.lexists(each)]:
         os.close(_held.pop(made))
-    place = path.parent.resolve() / path.name
+    place = real_path(path.parent) / path.name
     if place in _held:
         return False
     try:

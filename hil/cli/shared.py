@@ -18,6 +18,7 @@ from click.shell_completion import CompletionItem
 
 from hil.cli.interrupts import OF_THIS_PROCESS
 from hil.cli.pipes import reader_gone
+from hil.config.magnitude import ALLOWED, in_reason
 
 if TYPE_CHECKING:
     from hil.app.configuration.configuration import Configuration
@@ -31,6 +32,8 @@ class FiniteRange(click.FloatRange):
         number: float = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value!r} is not a finite number.", param, ctx)
+        if not in_reason(number):
+            self.fail(f"{value!r} is not meant, allowed in size: {ALLOWED}.", param, ctx)
         return number
 
 
@@ -230,17 +233,18 @@ def _other_files(arguments: dict[str, Any]) -> list[Path]:
 def _refuse_shared_outputs(arguments: dict[str, Any]) -> None:
     """Refuse two output files of one command that are the same one. Raises LogError."""
     from drivers.errors import LogError
+    from drivers.whole_file import real_path
 
     seen: set[Path] = set()
     for parameter in click.get_current_context().command.params:
         if not isinstance(parameter.type, Output):
             continue
         for file in _files(arguments.get(str(parameter.name))):
-            if file.resolve() in seen:
+            if real_path(file) in seen:
                 raise LogError(
                     f"{parameter.opts[0]} {file}: is another file of this command; name a file of its own"
                 )
-            seen.add(file.resolve())
+            seen.add(real_path(file))
 
 
 def _files(value: object) -> list[Path]:

@@ -1,11 +1,12 @@
 """`hil stability`."""
 
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 
 import click
 
 from hil.cli.shared import NOT_NEGATIVE, FiniteRange, configuration_argument, finish_lines, load, reporting
+from hil.config.magnitude import in_reason
 
 Point = tuple[float, float, float]
 
@@ -20,7 +21,7 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
         x, y, z = (float(part) for part in (place or "0,0,0").split(","))
     except ValueError:
         kg = x = y = z = nan
-    if not (isfinite(kg + x + y + z) and kg >= 0.0):
+    if not (kg >= 0.0 and all(map(in_reason, (kg, x, y, z)))):
         raise click.BadParameter(f"{value!r}, allowed: a mass in kg and its place in m, as 230kg@0.5,0.3,0.5")
     return kg, (x, y, z)
 

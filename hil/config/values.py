@@ -7,12 +7,6 @@ from pydantic import AfterValidator, Field
 
 from drivers.section import Section
 
-LEAST, MOST = 1e-60, 1e15
-"""Of a number that is not 0, in any unit: others, squared or divided by, would leave what a float holds.
-
-Rounding may leave 1e-17 or less of a zero.
-"""
-
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Six = Annotated[list[float], Field(min_length=6, max_length=6)]
@@ -27,11 +21,6 @@ AXES: tuple[Axis, ...] = get_args(Axis)
 SixPositive = Annotated[list[Positive], Field(min_length=6, max_length=6)]
 ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 SixNonNegative = Annotated[list[NonNegative], Field(min_length=6, max_length=6)]
-
-
-def in_reason(number: float) -> bool:
-    """Tell whether a number, which may be none, is one that is meant."""
-    return number == 0.0 or LEAST <= abs(number) <= MOST
 
 
 def _at_most_half_a_turn(vector: Vector3) -> Vector3:

@@ -10,8 +10,9 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.regular_file import read_regular
+from hil.config.magnitude import ALLOWED, in_reason
 from hil.config.reference import LONGEST_S, SampledReference
-from hil.config.values import AXES, LEAST, MOST, in_reason
+from hil.config.values import AXES
 from hil.trajectory.path import require_half_turn
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import require_closed
@@ -69,7 +70,7 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
         if not math.isfinite(number):
             return [before], f"{name} must be a finite number; given: {word.strip()!r:.60}."
         if name in AXES and not in_reason(number):
-            return [before], f"{name} must be 0, or {LEAST:g} to {MOST:g} in size; given: {number:g}."
+            return [before], f"{name} must be in size {ALLOWED}; given: {number:g}."
         numbers.append(number)
     if not numbers[0] > before:
         return numbers, f"t_s {numbers[0]:g} is not after {before:g} of the row before; times must increase."

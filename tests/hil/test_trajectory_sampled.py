@@ -125,7 +125,7 @@ def test_periods_repeat_a_closed_path_and_refuse_an_open_one(tmp_path):
         (HEADER + "0,0,0,1,0,0,inf\n1,0,0,1,0,0,0\n", r"path.csv:2: rz_deg must be a finite number"),
         (
             HEADER + "0,0,0,1,0,0,0\n1,1e308,0,1,0,0,0\n",
-            r"path.csv:3: x_m must be 0, or 1e-60 to 1e\+15 in size; given: 1e\+308",
+            r"path.csv:3: x_m must be in size 0, and 1e-60 to 1e\+15; given: 1e\+308",
         ),
         (HEADER + "0,0,0,1,0,0,0\n0,0,0,1,0,0,0\n", r"path.csv:3: t_s 0 is not after 0 of the row before"),
         (HEADER + "0,0,0,1,181,0,0\n1,0,0,1,0,0,0\n", r"path.csv: the rotation vector reaches 181 deg"),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
+from drivers.whole_file import real_path
 from hil.app.export.frames import write_frames
 from hil.app.export.signals import write_csv, write_parquet
 from hil.app.files import made_whole, new_file
@@ -21,6 +22,10 @@ SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
     ".rrd": write_rrd,
 }
 """Ending of a file -> what is written into it."""
+
+
+LAST_YEAR = 9998
+"""In which the first tick may be: no file tells a date after 9999."""
 
 
 def utc_ns(text: str) -> int:
@@ -40,6 +45,8 @@ def utc_ns(text: str) -> int:
     ns = ((span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds) * 1000
     if ns < 0:
         raise LogError(f"--start {text}: before 1970-01-01, where the time of these files begins")
+    if instant.astimezone(UTC).year > LAST_YEAR:
+        raise LogError(f"--start {text}: allowed: to the end of {LAST_YEAR}; the frames follow for a while")
     return ns
 
 
@@ -105,7 +112,7 @@ def _check(
         if out.exists() and out.samefile(path):
             raise LogError(f"{out}: is the log itself; name another file")
         new_file(out, force=overwrite, option="")
-    if len({out.resolve() for out in outs}) < len(outs):
+    if len({real_path(out) for out in outs}) < len(outs):
         raise LogError("two of the files are the same one; name each once")
     if start is not None and not any(ending in FRAMES for ending in endings):
         raise LogError("--start: sets the time of frames, and none of the files has any; leave it out")

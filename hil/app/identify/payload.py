@@ -9,6 +9,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import HilError, IdentificationError, LogError
 from drivers.signals import DriveState
+from drivers.whole_file import real_path
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_body
 from hil.app.identify.delay import recorded_run, refuse_fused
@@ -94,7 +95,7 @@ def identify_payload(
     log, ConfigurationError for a fused pose, IdentificationError where the logs do not hold enough or are of
     different platforms; each names it.
     """
-    if len({path.resolve() for path in paths}) < len(paths):
+    if len({real_path(path) for path in paths}) < len(paths):
         raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
     sources = []
     for path in paths:

@@ -10,6 +10,7 @@ from typing import Any
 from yaml.reader import Reader
 
 from drivers.errors import ConfigurationError
+from drivers.whole_file import real_path
 from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
 from hil.app.files import printable
@@ -140,9 +141,9 @@ def _fmu_plant(
 
 def _named(fmu: Path, folder: Path) -> str:
     """Return how a configuration in `folder` names an FMU: by its way from there where it lies below."""
-    file = fmu.resolve()
-    near = file.is_relative_to(folder.resolve())
-    return str(file.relative_to(folder.resolve()) if near else file)
+    file = real_path(fmu)
+    near = file.is_relative_to(real_path(folder))
+    return str(file.relative_to(real_path(folder)) if near else file)
 
 
 def _fmu_model(proposal: Proposal, path: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from drivers.tick_columns import Column
+from drivers.whole_file import real_path
 from hil.app.view.panels import Curve, Plot, differences, field, plots
 from hil.record.selection import Component, components
 
@@ -38,7 +39,7 @@ def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) ->
             _dock(splitter, plot, topic)
     ET.SubElement(area, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
-    name = "" if log is None else str(log.resolve())
+    name = "" if log is None else str(real_path(log))
     if name and not _NO_XML.search(name):
         files = ET.SubElement(root, "previouslyLoaded_Datafiles")
         file = ET.SubElement(files, "fileInfo", filename=name, prefix="")

@@ -8,14 +8,25 @@ import subprocess
 import sys
 import zipfile
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner
 
+from drivers.errors import LogError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.text_file import shipped
-from hil.app.output import fold, log_path, replay_sentence, show, show_lines, table, write_json
+from hil.app.output import (
+    check_json_path,
+    fold,
+    log_path,
+    replay_sentence,
+    show,
+    show_lines,
+    table,
+    write_json,
+)
 from hil.cli import main
 from hil.cli.pipes import quiet_pipe
 
@@ -345,6 +356,31 @@ def test_logs_of_the_same_second_get_names_of_their_own(tmp_path, monkeypatch):
         "bench-20260131T120000-plant.mcap",
         "bench-20260131T120000-2-plant.mcap",
     ]
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_a_pipe_takes_the_summary_where_somebody_reads_it_and_holds_nobody_up_where_not(tmp_path, reads):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK) if reads else -1
+    if not reads:
+        with pytest.raises(LogError, match="pipe: cannot be written: nobody reads it"):
+            write_json(pipe, {"success": True})
+        return
+    write_json(pipe, {"success": True, "text": "x" * 9000})
+    assert json.loads(os.read(reader, 20_000))["text"] == "x" * 9000
+    os.close(reader)
+
+
+def test_links_in_a_circle_are_one_line_wherever_a_file_is_named(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    loop = str(tmp_path / "loop")
+    for words in (["check", loop], ["replay", loop], ["export", loop, f"{loop}.csv"], ["plot", loop]):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 2
+        assert re.fullmatch(r"(hil|Error).*\n|(?s:Usage.*)", result.stderr), result.stderr
+    with pytest.raises(LogError, match="name a file of its own"):
+        check_json_path(Path(loop), Path(loop))
 
 
 def test_a_set_point_without_its_position_is_refused_and_does_not_wait_for_input():

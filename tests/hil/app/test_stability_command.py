@@ -307,7 +307,9 @@ def test_other_laws_are_judged_with_the_payload_too(law, status, says):
     assert says in found.line
 
 
-@pytest.mark.parametrize("given", ["heavy", "-1kg", "230kg@0,0", "230kg@0,0,nan", "inf", ""])
+@pytest.mark.parametrize(
+    "given", ["heavy", "-1kg", "230kg@0,0", "230kg@0,0,nan", "inf", "1e300", "230@0,1e300,0", ""]
+)
 def test_a_payload_that_is_none_is_refused(given):
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", given])
     assert done.exit_code == 2

@@ -17,10 +17,12 @@ from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment
 from hil.record.log import Log
-from hil.record.schema import ENVIRONMENT
+from hil.record.schema import ENVIRONMENT, SUMMARY
 
 WHAT_IF = "what-if"
 """Kind of a log that holds what another controller would have answered: no run."""
+_DIGITS = 19
+"""Of a count: more are none."""
 MOST = {"rate_Hz": MOST_RATE_HZ, "watchdog_s": 3600.0}
 """Of what a log says of its run."""
 
@@ -101,6 +103,7 @@ def replay_log(
     with collector_paused():
         comparison = replay(log, cycle, progress)
     wall = time.perf_counter() - begun
+    _require_as_many_as_told(log, comparison)
     result = summary(comparison, wall, comparison.ticks / run["rate_Hz"])
     there, here = log.metadata.get(ENVIRONMENT, {}).get("cpu"), environment()["cpu"]
     if there != here:
@@ -110,6 +113,25 @@ def replay_log(
     if remark:
         result["remark"] = remark
     return comparison, result
+
+
+def _require_as_many_as_told(log: Log, comparison: Comparison) -> None:
+    """Add the ticks that the end of a log counts and that are not there to the gaps.
+
+    A log that was cut has no such end. Raises LogError: index or end count fewer than there are.
+    """
+    if log.cut or comparison.gaps:
+        return
+    index, end = log.summary.ticks, log.metadata.get(SUMMARY, {}).get("ticks", "")
+    told = [index, int(end) if end.isdecimal() and len(end) < _DIGITS else -1] if end else [index]
+    if max(told) > comparison.ticks:
+        comparison.gaps.append((comparison.end, max(told) - comparison.ticks))
+    elif min(told) < comparison.ticks:
+        raise LogError(
+            f"{log.path}: {comparison.ticks} ticks are there, and its index counts {index}"
+            + (f", its end {end:.20}" if end else "")
+            + ": it was altered since it was written"
+        )
 
 
 def not_replayed(error: HilError | OSError) -> str:

@@ -56,6 +56,8 @@ class Comparison:
     """What a replay found."""
 
     ticks: int = 0
+    end: int = 0
+    """The tick behind the last one."""
     frames: int = 0
     different_ticks: int = 0
     wire_different_ticks: int = 0
@@ -185,7 +187,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     comparison, narrator = Comparison(), Narrator(cycle)
     for entry, inp, sent, row in stepped(log, cycle, comparison.gaps, progress):
         narrator.look(inp.operator)
-        comparison.ticks += 1
+        comparison.ticks, comparison.end = comparison.ticks + 1, inp.tick + 1
         comparison.frames += len(sent)
         wire = sent != entry.sent
         columns = row.tobytes() != entry.row.tobytes()

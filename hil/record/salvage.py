@@ -277,6 +277,9 @@ def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageRepo
     remarks = work.remarks[:_REMARKS]
     if len(work.remarks) > _REMARKS:
         remarks.append(f"and {len(work.remarks) - _REMARKS} places more")
+    told = (work.end or {}).get("ticks", "")
+    if not remarks and told.isdecimal() and told != str(work.ticks):
+        remarks.append(f"its end counts {told:.20} ticks, {work.ticks} are there")
     report = SalvageReport(
         path=source,
         out=target,

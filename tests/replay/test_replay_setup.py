@@ -23,7 +23,11 @@ FILES = {REFERENCE_PLAN: b"the plan", HOMING_JSON: b"the pose"}
 
 def log_with(files) -> Any:
     return SimpleNamespace(
-        path=Path("run.mcap"), attachments=files, metadata={"summary": {"closed": "clean"}}, cut=""
+        path=Path("run.mcap"),
+        attachments=files,
+        metadata={"summary": {"closed": "clean"}},
+        cut="",
+        summary=SimpleNamespace(ticks=100),
     )
 
 

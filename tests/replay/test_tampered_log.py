@@ -11,6 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from drivers.signals import Mode
 from hil.cli import main
 from hil.record.log import Log
+from hil.record.salvage import salvage
 from tests.broad import broad
 from tests.hil.rewrite import rewrite_log
 
@@ -57,6 +58,18 @@ def test_the_copy_without_a_change_replays(log, tmp_path):
     rewrite_log(log, tmp_path / "copy.mcap")
     result = CliRunner().invoke(main, ["replay", str(tmp_path / "copy.mcap")])
     assert result.exit_code == 0, result.output
+
+
+def test_a_log_whose_last_ticks_are_gone_is_no_success_though_all_that_is_there_is_sound(log, tmp_path):
+    last = int(Log.open(log).rows("tick")["tick"][-1])
+    rewrite_log(log, tmp_path / "short.mcap", lambda _, data, tick: data if tick <= last - 9 else None)
+    result = CliRunner().invoke(main, ["replay", str(tmp_path / "short.mcap")])
+    assert result.exit_code == 1, result.output
+    assert f"9 ticks missing from tick {last - 8}" in " ".join(result.output.split())
+    report = salvage(tmp_path / "short.mcap", tmp_path / "whole.mcap")
+    assert report.remarks == (f"its end counts {last + 1} ticks, {last - 8} are there",)
+    found = CliRunner().invoke(main, ["replay", str(tmp_path / "whole.mcap")])
+    assert "(salvaged): it may end before the run did" in " ".join(found.output.split())
 
 
 @pytest.mark.parametrize("byte", broad([5, 0, 11], quick=1))

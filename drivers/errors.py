@@ -35,8 +35,12 @@ class HilError(Exception):
 class ConfigurationError(HilError):
     """A configuration that cannot be used; `problems` holds all that is wrong, one line each."""
 
+    SHOWN = 100
+    """So many lines are in the message; a file that is none of its kind has a wrong one a line."""
+
     def __init__(self, *problems: str) -> None:
-        super().__init__("\n".join(problems))
+        more = len(problems) - self.SHOWN
+        super().__init__("\n".join((*problems[: self.SHOWN], *([f"and {more} more"] if more > 0 else []))))
         self.problems = problems
 
 

@@ -97,6 +97,10 @@ class _Table(click.Group):
 
                 refuse_without_memory(error)
                 raise
+            except EOFError as error:  # click would say "Aborted!"
+                from hil.cli.shared import refuse_cut_modules
+
+                refuse_cut_modules(error)
             finally:
                 OF_THIS_PROCESS.settle()
 

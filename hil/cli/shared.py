@@ -224,6 +224,16 @@ def _refuse_odd_date() -> None:
         _refuse(f"{_DATE}={given[:60]!r}: allowed: whole seconds since 1970; mend or unset it")
 
 
+def refuse_cut_modules(error: EOFError) -> NoReturn:
+    """Refuse to go on with modules of which a full disk kept a part; whatever else ended is a defect."""
+    if "marshal" not in str(error):
+        raise RuntimeError("something ended too early") from error
+    _refuse(
+        "a module that Python keeps compiled is cut, as a full disk leaves it: remove every folder "
+        f"__pycache__ below {sys.modules['hil.cli'].__path__[0].removesuffix('/hil/cli')}; they are made anew"
+    )
+
+
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
     """Return the files of a command but that of --json."""
     named = [Path(arguments[name]) for name in _NAMED if arguments.get(name)]

@@ -157,3 +157,11 @@ def test_a_home_that_is_turned_by_more_than_half_a_turn_is_refused_in_degrees(tu
         match=rf"platform.home.rotation_vector_deg: .* {re.escape(format(abs(turn), 'g'))} deg",
     ):
         loads(edited((old, old.replace("[0,", f"[{turn},"))), "a.yaml")
+
+
+@pytest.mark.parametrize(("count", "last"), [(1, "0 is wrong"), (100, "99 is wrong"), (103, "and 3 more")])
+def test_a_message_has_a_hundred_problems_and_says_how_many_more_there_are(count, last):
+    error = ConfigurationError(*(f"{k} is wrong" for k in range(count)))
+    shown = str(error).splitlines()
+    assert (len(shown), shown[-1]) == (min(count, 101), last)
+    assert len(error.problems) == count

@@ -1,5 +1,6 @@
 """The command line as a user meets it: help that teaches, exit codes, the summary on the terminal and as JSON."""
 
+import io
 import json
 import os
 import re
@@ -456,6 +457,19 @@ def test_a_picture_is_drawn_whatever_window_another_program_would_open_for_it(tm
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert process.stdout == "agg\n"
+
+
+def test_a_compiled_module_that_a_full_disk_has_cut_is_told_with_what_mends_it(monkeypatch):
+    def cut(_):
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr("hil.cli.import_module", cut)
+    result = CliRunner().invoke(main, ["fmu", "show", "a.fmu"])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert re.fullmatch(r"hil: .* is cut, .* remove every folder __pycache__ below /.*; .*\n", result.stderr)
+    monkeypatch.setattr("hil.cli.import_module", input)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert isinstance(CliRunner().invoke(main, ["fmu"]).exception, RuntimeError), "any other end is a defect"
 
 
 @pytest.mark.parametrize("words", [["report", "a.mcap"], ["new", "--help"], ["check"]])

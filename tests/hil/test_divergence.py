@@ -149,3 +149,13 @@ def test_each_element_of_a_column_has_its_own_unit(element, label, unit):
     found, _ = compared(rows(twist=twist), rows(), "twist")
     assert found.first is not None
     assert (found.first.label, found.first.unit) == (f"twist.{label}", unit)
+
+
+def test_of_differences_of_one_size_the_largest_is_where_the_first_of_them_is():
+    found = ColumnDivergence(COLUMNS["tau"], EXACT)
+    for start in (10, 20):
+        one = rows(2, tau=3.0)
+        one["tick"] += start
+        found.take(one, rows(2), np.zeros(2))
+    assert found.at is not None
+    assert (found.largest, found.at.tick, found.at.label) == (3.0, 20, "tau.leg_0")

@@ -98,3 +98,14 @@ def test_columns_come_once_each_in_the_order_asked_for_with_the_values_of_their_
 def test_of_several_unknown_columns_the_first_is_said_with_the_log():
     with pytest.raises(LogError, match=r"^a\.mcap: no column 'legs'; there are tick, t_ns, q \.\.\.$"):
         Selection.of(COLUMNS, ("tick", "legs", "arms"), "a.mcap")
+
+
+@pytest.mark.parametrize("names", [("q", "t_ns", "tick"), ("t_ns", "tick", "q"), ("t_ns", "tick")])
+def test_columns_that_are_asked_for_in_another_order_than_the_logs_keep_their_own_values(names):
+    rows = rows_of(4)
+    rows["q"] = np.arange(12.0).reshape(4, 3)
+    selection = Selection.of(COLUMNS, names, "a.mcap")
+    found = joined(iter([selection.of_rows(rows[:3]), selection.of_rows(rows[3:])]), selection.dtype)
+    assert found.dtype.names == names
+    assert found["tick"].tolist() == [0, 1, 2, 3]
+    assert found["t_ns"].tolist() == [0, 10, 20, 30]

@@ -103,6 +103,19 @@ def test_a_frame_of_more_than_64_bytes_is_refused_and_its_tick_is_not_in_the_log
     assert recording._ring.counters[WRITTEN] == recording.ticks == recording._items == 1
 
 
+@pytest.mark.parametrize("kind", ["received", "sent"])
+def test_what_a_refused_tick_had_before_its_long_frame_is_in_no_other_tick(kind):
+    recording = recording_of()
+    good, long = (Frame(0x1AB, bytes(length), FD) for length in (8, 65))
+    received = [Received(0, good), *([Received(0, long)] if kind == "received" else ())]
+    with pytest.raises(LogError, match="65 data bytes"):
+        recording.tick(row_of(0), received, [good, long] if kind == "sent" else ())
+    recording.tick(row_of(1), (), [Frame(0x2, b"", 0)])
+    batch = recording._ring.take(1)
+    assert batch.rows["tick"].tolist() == [1]
+    assert [item["id"] for item in batch.items] == [0x2]
+
+
 def test_an_event_is_pieces_of_64_bytes_that_count_down_each_with_the_level():
     recording = recording_of(16)
     for k, level in enumerate(["debug", "info", "warning", "error"], start=1):
@@ -198,6 +211,16 @@ def test_in_lockstep_a_tick_waits_for_room_in_short_naps(monkeypatch, full):
     assert naps == [0.0002] * 3
     assert recording.dropped == 0
     assert process.ring.take(16).rows["tick"].tolist() == [99]
+
+
+def test_in_lockstep_an_event_waits_for_room_as_a_tick_does(monkeypatch):
+    process = Draining()
+    recording = recording_of(16, lockstep=True, process=process)
+    process.ring = recording._ring
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    recording.tick(row_of(0), (), (), [1] * 256)
+    recording.event(5, "warning", "late")
+    assert content(recording._ring.take(1).items) == [(5, 0, 3, 3, 0, b"late")]
 
 
 def test_in_lockstep_a_recorder_that_has_ended_is_told_with_its_reason(monkeypatch):

@@ -102,6 +102,12 @@ def test_a_folder_with_nothing_to_replay_is_no_success(folder, place, message):
     assert message in result.stderr
 
 
+def test_what_is_named_after_a_log_is_none(tmp_path):
+    for name in ("b.mcap", "a.mcap", "a.mcap.part", "a.mcap.png", ".mcap", "mcap"):
+        (tmp_path / name).write_bytes(b"")
+    assert logs_in(tmp_path) == [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+
+
 def test_a_log_on_which_the_code_itself_fails_is_one_failed_case(folder, monkeypatch):
     def fail(path):
         raise ValueError("a bell \x07 in its name")

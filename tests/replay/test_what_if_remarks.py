@@ -91,6 +91,16 @@ def test_an_end_in_another_mode_and_what_a_log_lacks_are_said(remarks):
     assert found.startswith("the log was not closed by its run (no)")
 
 
+def test_no_remark_hides_another(remarks):
+    answer = Answer(setpoints=2, answered_faults=[{"tick": 51}])
+    answer.first_frames = OtherFrames(50, 0.05, None, Frame(1, b""), (0,))
+    hold = VIRTUAL.model_copy(update={"reference": HoldReference(type="hold")})
+    found = remarks(answer, {**ENVIRONMENT, "cpu": "another"}, hold, closed="no", mode=Mode.FAULT)
+    begins = ["the log was not closed", "the log was made with another CPU", "the 2 set-points"]
+    begins += ["a fault after tick 50", "at the end of the log it is in FAULT"]
+    assert [each[: len(begin)] for each, begin in zip(found, begins, strict=True)] == begins
+
+
 def test_the_log_of_an_answer_gets_the_inputs_of_each_tick_with_what_is_answered(monkeypatch):
     inp: Any = SimpleNamespace(frames="received", operator="keys", setpoints="poses", orders="orders")
     called: list[Any] = []

@@ -116,6 +116,19 @@ def test_another_interface_is_refused_with_both_values_and_the_command_that_mend
     assert all(word in why for word in words), why
 
 
+def test_all_that_an_interface_has_otherwise_is_said_at_once():
+    found = can0(bitrate_bit_s=500_000, data_bitrate_bit_s=2_000_000, modes=0x23)
+    why, mend = refusal(found, settings(options={"restart_ms": 0})).split(": ", 1)
+    assert why.split("; ") == [
+        "runs at bitrate 500000, bus.bitrate_bit_s is 1000000",
+        "runs at dbitrate 2000000, bus.data_bitrate_bit_s is 5000000",
+        "has restart-ms 100, bus.options.restart_ms is 0",
+        "only listens (listen-only on)",
+        "sends to itself alone (loopback on)",
+    ]
+    assert "bitrate 1000000 dbitrate 5000000 restart-ms 0 listen-only off loopback off" in mend
+
+
 def test_a_restart_time_is_refused_where_there_is_no_controller():
     assert "restart_ms" in refusal(parse("vcan0", VCAN0), settings(options={"restart_ms": 0}))
 

@@ -159,6 +159,13 @@ def test_our_heartbeat_follows_the_commands_of_every_few_ticks():
         assert P.start(DriveSetup(watchdog_s, Reaction.DAMP, rate_Hz)).beat == beat
 
 
+@pytest.mark.parametrize("stop", [False, True])
+@pytest.mark.parametrize("mode", DriveMode)
+def test_our_heartbeat_goes_out_whatever_is_commanded(mode, stop):
+    _, frames = P.command(begun(), Command(mode, np.zeros(6), stop=stop), 0)
+    assert frames[6:] == (Frame(0x700 + 127, b"\5"),)
+
+
 @pytest.mark.parametrize(
     "force", [[0.0] * 5, [0.0] * 7, [0.0] * 5 + [float("nan")], [float("inf")] + [0.0] * 5]
 )

@@ -209,6 +209,12 @@ def test_feedback_that_tells_no_state_leaves_state_and_fault_as_they_were():
     assert tick["age"][4] == 0
 
 
+def test_a_drive_that_says_its_state_and_no_fault_has_none_any_more():
+    for power in (OFF, RUN):
+        tick, _ = Spoken().told(feedback(4, power=int(power)))
+        assert tick["drive_fault"].tolist() == [0, 1, 2, 3, 0, 5]
+
+
 @pytest.mark.parametrize(("mode", "power"), [(m, RUN if m == DriveMode.RUN else OFF) for m in DriveMode])
 def test_a_drive_that_never_tells_is_what_it_is_asked_for_where_it_answers_and_faulted_where_it_says_so(
     mode, power

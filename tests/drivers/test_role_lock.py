@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.can.runtime_folder import RoleLock, role_is_held
+from drivers.can.runtime_folder import RoleLock, role_is_held, runtime_folder
 from drivers.errors import RunError
 
 CHANNEL = f"of-{os.getpid()}"
@@ -47,9 +47,30 @@ def test_a_role_on_hardware_is_refused_to_who_sees_another_runtime_folder(elsewh
     RoleLock(interface, CHANNEL, role).close()
 
 
+@pytest.mark.parametrize(
+    ("channel", "role"),
+    [(f"{CHANNEL}plant", ""), (f"{CHANNEL}pl", "ant"), (CHANNEL[:-1], f"{CHANNEL[-1]}plant")],
+)
+def test_words_that_run_together_to_those_of_a_role_name_another_one(elsewhere, channel, role):
+    held = RoleLock("kvaser", CHANNEL, "plant")
+    assert role_is_held("kvaser", CHANNEL, "plant")
+    assert not role_is_held("kvaser", channel, role)
+    held.close()
+
+
 def test_who_sees_the_same_runtime_folder_is_told_the_process(elsewhere):
     held = RoleLock("kvaser", CHANNEL, "controller")
     with pytest.raises(RunError, match=f"already has a controller, process {os.getpid()}"):
+        RoleLock("kvaser", CHANNEL, "controller")
+    held.close()
+
+
+def test_of_an_earlier_holder_whose_number_was_longer_no_digit_is_told(elsewhere):
+    RoleLock("kvaser", CHANNEL, "controller").close()
+    (lock,) = runtime_folder().glob("*.lock")
+    lock.write_text(f"{os.getpid()}4194304 999\n")
+    held = RoleLock("kvaser", CHANNEL, "controller")
+    with pytest.raises(RunError, match=f"already has a controller, process {os.getpid()};"):
         RoleLock("kvaser", CHANNEL, "controller")
     held.close()
 

@@ -183,6 +183,26 @@ def test_a_copy_that_cannot_be_written_or_is_interrupted_leaves_nothing_of_itsel
     assert build("3.0", out).read_bytes() == cached.read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("error", "raised"),
+    [(OSError(errno.ENOSPC, "full"), PlantError), (KeyboardInterrupt(), KeyboardInterrupt)],
+)
+def test_an_fmu_that_was_packed_in_part_is_not_in_the_cache(monkeypatch, tmp_path, error, raised):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(builder, "_compile", lambda *_: b"binary")
+
+    def half(path, *_):
+        path.write_bytes(b"PK")
+        raise error
+
+    with monkeypatch.context() as changed:
+        changed.setattr(builder, "_pack", half)
+        with pytest.raises(raised):
+            build()
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
+    assert zipfile.is_zipfile(build())
+
+
 def test_an_unknown_fmi_version_is_refused():
     with pytest.raises(PlantError, match=r"allowed are 2\.0, 3\.0"):
         build("1.0")  # type: ignore[arg-type]

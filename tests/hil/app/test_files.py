@@ -21,7 +21,7 @@ from hil.app.configuration.configuration import load
 from hil.app.configuration.section_file import check_section_path
 from hil.app.files import made_whole, new_file, printable, write_whole
 from hil.app.identify.payload_block import REMARK
-from hil.app.output import check_json_path, picture_path
+from hil.app.output import check_json_path, log_path, picture_path
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.config.axis_model import AxisModel
@@ -130,6 +130,13 @@ def test_a_file_that_is_no_summary_is_not_overwritten_by_one(tmp_path, text):
     for earlier in ('{"success": false}', ""):
         path.write_text(earlier)
         check_json_path(path)
+
+
+def test_a_link_to_nothing_is_no_name_for_a_log(tmp_path):
+    link = tmp_path / "link.mcap"
+    link.symlink_to(tmp_path / "unmounted.mcap")
+    with pytest.raises(LogError, match="exists and is not overwritten"):
+        log_path("", "a", link)
 
 
 def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_path):

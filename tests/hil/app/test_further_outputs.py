@@ -16,7 +16,7 @@ from hil.app.compare import command as compare
 from hil.app.compare.measure import Outcome
 from hil.app.configuration.configuration import load
 from hil.app.identify import axes
-from hil.app.output import further
+from hil.app.output import fail, further
 from hil.app.sim.command import simulate
 from hil.app.workspace import command as workspace
 from hil.cli import main
@@ -43,6 +43,13 @@ def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("logs") / "a.mcap"
     simulate(load("ideal"), log=path, duration_s=0.1, check_replay=False)
     return path
+
+
+def test_what_goes_wrong_later_does_not_hide_what_went_wrong_before():
+    summary: dict[str, Any] = {"success": True, "trouble": None}
+    for why in ("", "the recorder stopped", "the picture failed"):
+        fail(summary, why)
+    assert summary == {"success": False, "trouble": "the recorder stopped; the picture failed"}
 
 
 @pytest.mark.parametrize("success", [True, False])

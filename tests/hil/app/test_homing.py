@@ -194,12 +194,13 @@ def test_a_file_of_another_robot_is_not_patched_by_one_leg(tmp_path):
         state_homing(configuration(tmp_path, mass=11), emulated=True, legs_m={2: 0.33})
 
 
-def test_an_old_file_is_refused(tmp_path):
+@pytest.mark.parametrize("version", [0, 2, 10])
+def test_a_file_of_an_older_or_a_newer_version_is_refused(tmp_path, version):
     c = configuration(tmp_path)
     state(c)
     file = tmp_path / "bench.yaml"
-    file.write_text(file.read_text().replace("version: 1", "version: 0"))
-    assert "version 0, allowed: 1" in refusal(c)
+    file.write_text(file.read_text().replace("version: 1", f"version: {version}"))
+    assert f"version {version}, allowed: 1" in refusal(c)
 
 
 def test_after_a_run_that_was_killed_the_file_is_not_believed(tmp_path):

@@ -181,6 +181,7 @@ def test_an_interrupt_as_a_run_says_where_the_legs_are_comes_too_late_to_lose_it
     keeper.begin(cycle)
     with pytest.raises(KeyboardInterrupt):
         keeper.close()
+    assert states(stated) == {False: "stated", True: left}, "a run that ends closes it once"
     keeper.close()
     assert written == ["moved", left, left]
     assert states(stated) == {False: "stated", True: left}

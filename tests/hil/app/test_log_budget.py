@@ -75,6 +75,13 @@ def test_the_oldest_without_a_fault_go_first_then_the_others_and_the_newest_neve
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
 
 
+def test_the_tenth_run_of_a_second_is_younger_than_its_second(tmp_path):
+    names = [f"virtual-20260101T000000{end}" for end in ("", "-2", "-9", "-10")]
+    for name in names:
+        (tmp_path / f"{name}.mcap").touch()
+    assert [log.path.stem for log in dated_logs(tmp_path, "virtual")] == names
+
+
 def test_no_more_goes_than_the_budget_needs(runs):
     size = (runs / "mine.mcap").stat().st_size
     total = sum(log.size for log in dated_logs(runs, "virtual"))

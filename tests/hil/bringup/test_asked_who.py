@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import struct
 from math import inf, nan
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,8 +22,10 @@ from drivers.several_buses import SeveralBuses
 from hil.app.compose import build_protocol
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
+from hil.bringup.context import Context
 from hil.bringup.drives import ASKED_TIMES
 from hil.bringup.procedure import STEPS
+from hil.bringup.steps import scan
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.broad import broad
 from tests.hil.bringup.families import family
@@ -126,6 +129,28 @@ def test_two_serial_numbers_of_one_node_are_two_drives(name):
     assert named(outcome) == {("same_id", (2,))}
     assert "two drives answer as node 3, with serial numbers 3, 35" in outcome.findings[0].line
     assert "2" not in rehearsal.context.facts["identity"]
+
+
+def test_of_two_drives_of_one_node_none_is_taken_for_an_exchanged_one():
+    said = tuple({SERIAL: 35 if leg == 2 else leg + 1} for leg in range(6))
+    serials = [{3, 35} if leg == 2 else {leg + 1} for leg in range(6)]
+    drives = SimpleNamespace(identities=lambda _: said, serials=serials)
+    identity = {str(leg): {SERIAL: leg + 1} for leg in range(6)}
+    seen = {str(leg): {"twice": False, "answers": 1.0} for leg in range(6)}
+    facts: dict[str, Any] = {"identity": identity, "scan": seen, "encoder": {"2": {"drive": 2}}}
+    known = copy.deepcopy(facts)
+    known["scan"]["2"]["twice"] = True
+    c = SimpleNamespace(
+        drives=drives,
+        facts=facts,
+        machine=SimpleNamespace(node_ids=range(1, 7)),
+        operator=SimpleNamespace(tell=pytest.fail),
+        save=lambda: None,
+        known=lambda step, leg: facts[step].get(str(leg)),
+        keep=lambda step, leg, fact: facts[step].update({str(leg): fact}),
+    )
+    scan._recognise(cast("Context", c), range(6))
+    assert facts == known
 
 
 @pytest.mark.parametrize("name", broad(["cubemars", "cia402_pdo", "odrive"], quick=1))

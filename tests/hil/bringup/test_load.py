@@ -85,3 +85,11 @@ def test_two_good_legs_under_a_platform_that_hangs_tilted_are_not_blamed_alone()
     findings = mounted.judge(c)
     assert [(f.name, f.legs) for f in findings] == [("slipped", (3,)), ("slipped", (4,))]
     assert all("See that the platform hangs at the known poses, not tilted" in f.mend for f in findings)
+
+
+def test_a_mass_in_grams_is_asked_for_again():
+    rehearsal, typed = Rehearsal("virtual", Wiring()), iter((1.15e6, 1150.0))
+    rehearsal.hands.patience = 2
+    rehearsal.bench.weigh = lambda: next(typed)  # type: ignore[method-assign]
+    assert rehearsal.run(MOUNTED).findings == ()
+    assert [r.act for r in rehearsal.hands.requests].count("weigh") == 2

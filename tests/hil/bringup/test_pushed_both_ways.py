@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hil.bringup.context import Context, Request
+from hil.bringup.context import Context, Finding, Request
 from hil.bringup.steps import brakes, encoder
 
 WAYS = pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
@@ -83,7 +83,7 @@ def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(
     assert brakes.give_way_too(pushed("push_others", way_m / 4.0, *others), leg, leg, others) == []
 
 
-def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ...]]]:
+def judged(ends: dict[int, tuple[float, float]]) -> list[Finding]:
     """Return what is found where some legs end so far, m, before their configured ends (0.75 and 2.2 m)."""
     machine = SimpleNamespace(length_min=0.75, length_max=2.2, stroke=1.45, tape_m=2e-4)
     facts = {}
@@ -92,7 +92,11 @@ def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ..
         tape = [0.75 + low, 2.2 - high]
         facts[leg] = {"drive": leg, "tape_m": tape, "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
     c = SimpleNamespace(machine=machine, known=lambda _, leg: facts[leg])
-    return [(found.name, found.legs) for found in encoder.judge(cast("Context", c))]
+    return encoder.judge(cast("Context", c))
+
+
+def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ...]]]:
+    return [(found.name, found.legs) for found in judged(ends)]
 
 
 @pytest.mark.parametrize("ends", [(3e-3, 0.0), (0.0, 3e-3), (3e-3, 3e-3), (0.2, -0.01)])
@@ -106,3 +110,8 @@ def test_a_leg_that_does_not_reach_either_end_has_something_in_its_way(ends: tup
 def test_a_leg_that_reaches_both_ends_has_nothing_in_its_way() -> None:
     assert taped({}) == []
     assert taped(dict.fromkeys(range(6), (1e-3, 1e-3))) == []
+
+
+def test_the_stroke_to_write_down_is_what_every_leg_reaches() -> None:
+    (found,) = judged({leg: (3e-3 + 1e-3 * leg, 9e-3 - 1e-3 * leg) for leg in range(6)})
+    assert "all end at 0.7580 and 2.1910 m" in found.line

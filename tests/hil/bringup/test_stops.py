@@ -10,7 +10,7 @@ import pytest
 
 from drivers.signals import DriveFault, DriveMode, DriveState
 from drivers.tick_columns import new_record
-from hil.bringup.context import OLD_TICKS, Context, Finding, Request, StoppedError
+from hil.bringup.context import OLD_TICKS, Context, Finding, RefusedError, Request, StoppedError
 from hil.bringup.procedure import bring_up
 from hil.bringup.step import Step
 
@@ -107,3 +107,16 @@ def test_a_drive_that_has_left_run_is_not_commanded_again(drive: int) -> None:
         drives.record["drive_fault"][drive] = int(DriveFault.WATCHDOG)
         with pytest.raises(StoppedError, match=f"leg {drive}: the drive has gone from RUN to {state.name}"):
             c.drive(drive, 5.0)
+
+
+@pytest.mark.parametrize("open_brake", [False, True], ids=["all shut", "one open"])
+def test_readings_that_cannot_be_end_a_bring_up_after_so_many_whatever_is_commanded_meanwhile(
+    open_brake: bool,
+) -> None:
+    c, _ = context(iter([7.0] * 3).__next__)
+    cast("Any", c.operator).patience = 3.0
+    asked = Request("measure", 2, 0.0, "Measure leg 2", within=(0.0, 1.0))
+    with pytest.raises(
+        RefusedError, match="Measure leg 2: 3 readings refused, the last one 7, allowed: 0 to 1"
+    ):
+        c.ask(asked, partial(c.drive, 2) if open_brake else None)

@@ -10,7 +10,7 @@ from functools import cache
 import pytest
 
 from hil.app.bringup.store import refuse_malformed
-from hil.bringup.context import StoppedError
+from hil.bringup.context import OLD_TICKS, StoppedError
 from hil.bringup.procedure import STEPS
 from hil.bringup.steps import brakes, encoder, ids
 from plant_fmu.faults.drive import DriveSilence
@@ -175,6 +175,18 @@ def test_no_reading_is_taken_of_a_drive_that_is_not_heard():
     rehearsal.drives.record["age"][4] = 50
     with pytest.raises(StoppedError, match="not_heard: leg 4"):
         rehearsal.context.lengths()
+
+
+def test_how_far_legs_have_gone_is_not_said_by_what_a_drive_read_before_it_fell_silent():
+    facts = {"encoder": {str(leg): {"drive": 5 - leg, "scale": 2.0} for leg in range(6)}}
+    rehearsal = Rehearsal("virtual", Wiring(), facts=facts)
+    rehearsal.drives.step()
+    context, before = rehearsal.context, rehearsal.context.lengths()
+    rehearsal.drives.record["length"][4] += 0.5
+    assert context.travelled(before) == {1: pytest.approx(0.25)} | dict.fromkeys((0, 2, 3, 4, 5), 0.0)
+    rehearsal.drives.record["age"][4] = OLD_TICKS + 1
+    with pytest.raises(StoppedError, match="lost_power: leg 4"):
+        context.travelled(before)
 
 
 def test_a_tape_that_is_read_in_millimetres_is_asked_again():

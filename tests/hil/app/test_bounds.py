@@ -9,11 +9,13 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.errors import ConfigurationError
+from hil.app.compose import build_protocol
 from hil.app.configuration import yaml_positions
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bus_budget import bus_budget, heartbeats
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import parse
 from hil.config.reference import MOST_POINTS, WaypointReference
+from tests.hil.bringup.families import family
 
 VIRTUAL = load("virtual").text
 LONG_S = 2.0
@@ -128,6 +130,11 @@ def test_the_bus_budget_counts_the_heartbeats_that_no_tick_is_without(heartbeat_
     """A status frame is classic, 5 bytes: 44 + 40 + 3 + floor(73 / 4) = 105 bits, 105 us of 1 ms."""
     changed = loads(edited(("heartbeat_ms: 100\n", f"heartbeat_ms: {heartbeat_ms}\n")), "my.yaml")
     assert load_percent(changed) == pytest.approx(56.82 + 10.5 * frames, abs=1e-9)
+
+
+def test_what_a_drive_says_once_as_it_starts_is_no_heartbeat_of_the_bus_budget():
+    protocol = build_protocol(family("cia402_pdo"))
+    assert heartbeats(protocol, heartbeat_s=1e-3, rate_Hz=1000.0) == ()
 
 
 def test_heartbeats_that_do_not_fit_are_refused_with_the_arithmetic():

@@ -132,6 +132,14 @@ def test_a_file_that_is_no_summary_is_not_overwritten_by_one(tmp_path, text):
         check_json_path(path)
 
 
+@pytest.mark.parametrize("text", ["kind: another\n", "a: 1\n", "- 1\n", "kind: [\n"])
+def test_a_file_that_is_no_section_of_that_kind_is_not_overwritten_by_one(tmp_path, text):
+    path = tmp_path / "a.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"^-o .*a\.yaml: exists, is no axis-model and is not over"):
+        check_section_path("-o", path, AxisModel)
+
+
 def test_a_link_to_nothing_is_no_name_for_a_log(tmp_path):
     link = tmp_path / "link.mcap"
     link.symlink_to(tmp_path / "unmounted.mcap")

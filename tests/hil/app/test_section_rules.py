@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.config import DriveSettings, SensorSettings
+from drivers.config import BusSettings, DriveSettings, SensorSettings
 from hil.app.configuration.configuration import load
-from hil.app.configuration.consistency import bench_rest, brake_times, sensor_rates, standstill
+from hil.app.configuration.consistency import (
+    bench_rest,
+    bit_rates,
+    brake_times,
+    fusion_sources,
+    node_numbers,
+    sensor_rates,
+    standstill,
+)
 from hil.app.configuration.drive_rules import homing, reported_stroke
 from hil.config.running import EngageSettings
 from plant_fmu.config import BenchPlant, DriveEmulation, PlantSettings
@@ -102,3 +110,33 @@ def test_a_position_field_that_ends_before_either_end_of_a_stroke_is_refused(leg
         found = list(reported_stroke(DESKTOP.bus, drives, DESKTOP.platform, None))
         assert [path for path, _ in found] == ([] if fine else [("drives", "transmission")])
         assert fine or f"drive {leg} reports ends at" in found[0][1]
+
+
+@pytest.mark.parametrize("second", [0, 1, 2])
+def test_a_bit_rate_is_refused_at_the_bus_that_has_it(second):
+    channels = [{"channel": f"can{k}", "legs": [2 * k, 2 * k + 1]} for k in range(3)]
+    channels[second] |= {"bitrate_bit_s": 2_000_000}
+    found = bit_rates(BusSettings.model_validate({"channels": channels}), None)
+    assert [path for path, _ in found] == [("bus", "channels", second, "bitrate_bit_s")]
+
+
+def test_a_sensor_has_no_number_of_a_drive_and_none_of_another_sensor():
+    tracker, imu, wrench = ({"rate_Hz": 100.0, "node_id": number} for number in (20, 3, 20))
+    tracker |= {"latency_max_ms": 10.0}
+    sensors = SensorSettings.model_validate({"tracker": tracker, "imu": imu, "wrench": wrench})
+    found = {path[1]: message for path, message in node_numbers(DESKTOP.drives, sensors, None)}
+    assert "one that drives.node_ids does not have, given: 3" in found.pop("imu")
+    (message,) = found.values()
+    assert ".node_id does not have, given: 20" in message
+
+
+@pytest.mark.parametrize(
+    ("pose", "seen"), [("fused", True), ("fused", False), ("legs", True), ("legs", False)]
+)
+def test_legs_are_lost_only_where_a_fused_pose_is_seen_from_outside(pose, seen):
+    fusion = VIRTUAL.estimation.fusion.model_copy(update={"may_lose_legs": "one"})
+    estimation = VIRTUAL.estimation.model_copy(update={"pose": pose, "fusion": fusion})
+    tracker = {"tracker": {"rate_Hz": 100.0, "latency_max_ms": 10.0}} if seen else {}
+    found = fusion_sources(estimation, SensorSettings.model_validate(tracker), VIRTUAL.bus, None)
+    refused = ("estimation", "fusion", "may_lose_legs") in [path for path, _ in found]
+    assert refused == (not seen or pose != "fused")

@@ -143,6 +143,15 @@ def test_of_a_line_without_end_the_end_is_told(begin: Begin) -> None:
     assert text == "x" * (LAST_BYTES - 4) + "end"
 
 
+def test_a_line_whose_beginning_is_cut_is_not_told_before_a_whole_one(begin: Begin) -> None:
+    with (
+        pytest.raises(PlantError) as refused,
+        begin("head -c 100000 /dev/zero | tr '\\0' x >&2; echo >&2; echo end >&2; exit 1"),
+    ):
+        pass
+    assert str(refused.value).partition("exit code 1: ")[2] == "end"
+
+
 def test_what_a_plant_says_after_it_was_shortened_goes_behind_what_was_left(begin: Begin) -> None:
     with begin(SERVES) as served:
         served._process.wait()

@@ -107,6 +107,15 @@ def test_messages_that_cannot_be_written_cost_no_result_either(
     assert json_file.exists()
 
 
+@pytest.mark.parametrize("end", [finish, finish_briefly])
+def test_what_went_wrong_is_said_on_standard_error(
+    invoked: Invoked, capsys: pytest.CaptureFixture[str], end: Callable[..., None]
+) -> None:
+    summary = {"success": False, "kind": "check", "trouble": "nobody answers"}
+    assert invoked(lambda file: end("check", summary, file)) == 1
+    assert "hil: nobody answers\n" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["stdin", "stdout", "stderr"])
 def test_a_stream_that_was_closed_is_one_that_nobody_reads(
     invoked: Invoked, monkeypatch: pytest.MonkeyPatch, json_file: Path, name: str

@@ -193,6 +193,18 @@ def test_sensors_are_heard_before_the_pose_is_estimated_as_of_the_first_latch_an
     assert told == [*heard, ("pose", tick, last, 50_000_307), ("load", tick, True)]
 
 
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("proven", [False, True])
+def test_a_leg_whose_drive_was_off_is_known_to_be_braked_in_any_mode_by_the_last_test_of_the_brakes_alone(
+    cycle, monkeypatch, mode, proven
+):
+    told: list[Any] = []
+    monkeypatch.setattr(cycle.homing, "correct", lambda *what, braked: told.append((*what, braked)))
+    last, cycle.mode, cycle.proven = cycle.tick, mode, proven
+    step(cycle)
+    assert told == [(cycle.tick, last, proven)]
+
+
 def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(cycle, monkeypatch):
     told: list[Any] = []
     monkeypatch.setattr(cycle.operating, "step", lambda *what: told.append(what))

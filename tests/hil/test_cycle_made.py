@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from math import exp, pi
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,15 +14,20 @@ from drivers.config import WrenchSensorSettings
 from hil.app import compose
 from hil.app.compose import build_cycle, drive_setup
 from hil.app.configuration.configuration import Configuration, load
+from hil.app.encoder_limits import Noise
 from hil.config.delay import DelayCompensation
-from hil.config.estimation import EstimationSettings
+from hil.config.estimation import EstimationSettings, FusionSettings
+from hil.config.model import ModelSettings
 from hil.config.wrench import WrenchSettings
 from hil.control.law import LawContext
+from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
+from hil.robot.dynamics import Model
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.override import PEAK
 from tests.hil.test_cycle_again import LIVE
 
 VIRTUAL = load("virtual")
+POSE = PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)
 AHEAD = DelayCompensation(bus_ms=0.3, drive_lag_ms=0.8, hold_ms=0.5)
 
 
@@ -76,6 +83,29 @@ def test_what_the_observer_believes_of_the_force_and_how_fast_it_is_come_from_it
     assert observer._left == pytest.approx(exp(-2.0 * pi * 5.0 * 0.002))
 
 
+def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(monkeypatch):
+    of = {scale: ModelSettings(inertia_scale=scale) for scale in (0.7, 0.8, 0.9)}
+    wrench = WrenchSettings(source="observer", model=of[0.8])
+    estimation = EstimationSettings.model_construct(
+        pose="fused", wrench=wrench, fusion=FusionSettings(model=of[0.9])
+    )
+    law = VIRTUAL.controller.model_copy(update={"model": of[0.7], "delay_compensation": AHEAD})
+    made: dict[float, Model] = {}
+    build = compose.build_model
+
+    def noted(settings: ModelSettings, *where: Any) -> Model:
+        made[settings.inertia_scale] = build(settings, *where)
+        return made[settings.inertia_scale]
+
+    monkeypatch.setattr(compose, "build_model", noted)
+    filters = SimpleNamespace(FusedEstimator=lambda _, model, *__: model, PoseFusion=lambda model, _: model)
+    for name in ("fusion", "fused_pose"):  # their kernels take a while
+        monkeypatch.setitem(sys.modules, f"hil.estimation.{name}", filters)
+    parts: Any = build_cycle(but(controller=law, estimation=estimation), 1000.0, 0.01).parts
+    believed = (parts.predictor.model, parts.wrench.observer.model, parts.fusion)
+    assert [model is made[scale] for model, scale in zip(believed, of, strict=True)] == [True] * 3
+
+
 @pytest.mark.parametrize("source", ["none", "observer", "sensor"])
 def test_a_wrench_sensor_that_is_there_is_the_source_only_where_it_is_said_to_be(source):
     sensors = VIRTUAL.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=400.0)})
@@ -122,16 +152,37 @@ def test_forces_that_were_learned_for_the_reference_do_not_come_to_another_one(m
     assert own.learned == "learned"
 
 
+def watched(monkeypatch: pytest.MonkeyPatch, c: Configuration, rate_Hz: float) -> tuple[Any, ...]:
+    """What the watch of the certificate is made from, payload and noise being known."""
+    told: list[tuple[Any, ...]] = []
+    build = compose.build_watch
+    payload = SimpleNamespace(
+        allowed=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 7.0}),
+        allowed_of_the_pose=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 8.0}),
+    )
+    noise = {500.0: Noise(3e-5, 4e-3), 1000.0: Noise(1e-5, 2e-3), 2000.0: Noise(2e-5, 3e-3)}
+    monkeypatch.setattr(compose, "unknown_payload", lambda _: payload)
+    monkeypatch.setattr(compose, "read_noise", lambda _, rate_Hz: noise[rate_Hz])
+    monkeypatch.setattr(compose, "build_watch", lambda *what: told.append(what) or build(*what))  # type: ignore[func-returns-value]
+    build_cycle(c, rate_Hz, 0.01)
+    (what,) = told
+    return what
+
+
 @pytest.mark.parametrize("rate_Hz", [500.0, 1000.0, 2000.0])
 def test_as_many_efforts_are_under_way_to_the_drives_at_whatever_rate(monkeypatch, rate_Hz):
     """A command takes one period at most, however long that is."""
-    told: list[int] = []
-    build = compose.build_watch
+    assert watched(monkeypatch, VIRTUAL, rate_Hz)[5] == 1
 
-    def noted(*what: Any) -> Any:
-        told.append(what[5])
-        return build(*what)
 
-    monkeypatch.setattr(compose, "build_watch", noted)
-    build_cycle(VIRTUAL, rate_Hz, 0.01)
-    assert told == [1]
+@pytest.mark.parametrize(("law", "disturbance"), [(VIRTUAL.controller, 7.0), (POSE, 8.0)])
+def test_what_an_unknown_payload_may_do_is_allowed_in_the_axes_of_the_law(monkeypatch, law, disturbance):
+    assert watched(monkeypatch, but(controller=law), 1000.0)[0].disturbance_m_s2 == disturbance
+
+
+@pytest.mark.parametrize(("rate_Hz", "noise"), [(500.0, (3e-5, 4e-3)), (1000.0, (1e-5, 2e-3))])
+def test_the_certificate_is_watched_with_the_noise_that_readings_have_at_that_rate(
+    monkeypatch, rate_Hz, noise
+):
+    monitor = watched(monkeypatch, VIRTUAL, rate_Hz)[0]
+    assert (monitor.length_noise_m, monitor.rate_noise_m_s) == noise

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import Mode
+from drivers.signals import Mode, Refusal
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
 from hil.config.reference import LiveReference
@@ -18,6 +18,7 @@ from hil.loop.console import Console
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.loop.status import status_text
+from hil.loop.steering import Counts
 from hil.operate.channel import AT_MOST, OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.signals import Operator
@@ -184,6 +185,34 @@ def test_ctrl_c_ends_a_run_that_stays(cycle, goes_on, commands):
     panel.interrupt(2, None)
     cycle.mode = Mode.TRACKING
     assert Console(Course(cycle, goes_on=goes_on), panel).take().operator == commands
+
+
+@pytest.mark.parametrize("line", ["", "status", "hold", "setpoint 0 0 1", "arm", "no word"])
+def test_ctrl_c_stops_a_run_that_has_a_channel_whatever_is_said_there(cycle, ends, line):
+    channel, client = ends
+    panel = OperatorPanel()
+    panel.running()
+    cycle.mode = Mode.TRACKING
+    console = Console(Course(cycle), panel, channel)
+    console.take()
+    if line:
+        client._socket.send(line.encode())
+    panel.interrupt(2, None)
+    assert console.take().operator == (Operator.STOP,)
+
+
+@pytest.mark.parametrize("channel", [None, SimpleNamespace(waited_for=False)], ids=["none", "silent"])
+def test_the_log_is_told_of_a_refused_set_point_also_where_nobody_waits_for_an_answer(channel):
+    reference = LiveReference.model_validate(LIVE_REFERENCE)
+    live = build_cycle(load("virtual").model_copy(update={"reference": reference}), 1000.0, 0.01)
+    assert live.parts.steering is not None
+    live.parts.steering.counts = Counts(0, 1, int(Refusal.STROKE))
+    told: list[Any] = []
+    recording: Any = SimpleNamespace(event=lambda *event: told.append(event))
+    Console(Course(live), OperatorPanel(), channel).answer(recording, 7)
+    ((t_ns, level, text),) = told
+    assert (t_ns, level) == (7, "warning")
+    assert text.startswith("set-point refused: ")
 
 
 @pytest.mark.parametrize("armed", [False, True])

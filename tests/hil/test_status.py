@@ -85,6 +85,7 @@ def test_a_rotation_of_which_one_entry_is_no_number_is_unknown(value, turn):
         ({}, ""),
         ({"speed": 0.0}, "a speed above 0 %"),
         ({"go": False, "key": False}, NO_KEY),
+        ({"go": False, "key": False, "trouble": "leg 3 is too long"}, NO_KEY),
         ({"go": False}, "start"),
         ({"go": False, "left": (None, 1.5)}, "start, which first goes back to where the path was left"),
         ({"go": False, "trouble": "leg 3 is too long"}, "another order: leg 3 is too long"),

@@ -1,12 +1,21 @@
-"""What a controller waits for is what is lacking: late answers are not called a pose that does not fit."""
+"""What a controller waits for is what is lacking: late answers are not called a pose that does not fit.
+
+And legs that move are those that are heard to.
+"""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
 import pytest
 
 from drivers.signals import Mode
-from hil.loop.report import waiting_text
+from hil.loop.report import moving_text, waiting_text
+from hil.safety.standstill import REST_m_s
 from tests.hil.test_cycle import Bench
+from tests.records import record_of
 
 
 class Late(Bench):
@@ -63,3 +72,24 @@ def test_what_was_lacking_until_the_end_of_a_short_run_is_no_pose():
         text = bench.step_late()
     assert bench.cycle.sight.located
     assert text == "nothing is lacking by now, but it was until after the end; give the run more time"
+
+
+@pytest.mark.parametrize("leg", [0, 3, 5])
+def test_a_drive_that_was_heard_and_is_not_any_more_is_silent_from_the_second_tick_on(leg):
+    bench = Late()
+    for _ in range(60):
+        bench.step()
+    bench.drives.silent = {leg}
+    bench.step()
+    assert "silent" not in waiting_text(bench.cycle)
+    bench.step()
+    assert waiting_text(bench.cycle) == f"the drives are not ready: drive {leg} is silent"
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_is_said_to_move_by_a_rate_of_this_tick_alone(leg):
+    rate = np.where(np.arange(6) == leg, -REST_m_s, 0.9 * REST_m_s)
+    cycle: Any = SimpleNamespace(tick=record_of(age=0, rate=rate))
+    assert moving_text(cycle) == f"leg {leg} at -0.020 m/s"
+    cycle.tick["age"][leg] = 1
+    assert moving_text(cycle) == ""

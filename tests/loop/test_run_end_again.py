@@ -115,3 +115,12 @@ def test_a_run_that_parks_after_a_reset_has_no_tick_of_a_fault():
     ending = course.ending(60)
     assert ending is not None
     assert (ending.fault_tick, ending.trouble) == (-1, "")
+
+
+def test_a_platform_that_moves_while_it_is_held_is_watched_for_ten_seconds_from_when_it_began_to_be_held():
+    now = cycle(Mode.PARKING, rate=MOVES, faults=Fault.ESTOP)
+    course = Course(now)
+    assert first_end(course, 500) is None
+    now.mode, now.mode_tick = Mode.HELD, 500
+    assert all(course.ending(tick) is None for tick in range(500, 1500))
+    assert course.ending(1500) is not None

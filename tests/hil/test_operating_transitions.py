@@ -117,6 +117,19 @@ def test_a_start_on_the_path_takes_a_park_back_and_on_the_way_back_it_does_not()
         assert operating.go
 
 
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
+def test_a_key_that_is_let_go_of_holds_a_platform_that_is_to_park_wherever_it_is_on_its_way(mode):
+    operating, motion = made(deadman_s=0.05)
+    operating.step([KEY, PARK], 10, Mode.TRACKING, motion)
+    held = []
+    for tick in range(11, 700):
+        operating.step([], tick, mode, motion)
+        held.append(operating.go)
+    assert held == [True] * 49 + [False] * 640
+    assert operating.parks
+    assert motion.resting
+
+
 def test_a_park_without_the_key_is_refused_and_moves_nothing():
     operating, motion = made(deadman_s=0.05)
     run((operating, motion), 700, {0: [KEY]})

@@ -25,6 +25,9 @@ def legs(*which):
         ((2, 4), range(6), 2, (2, 4)),
         ((2, 4), (4,), 2, (4,)),
         ((2,), (), 6, ()),
+        ((2, 4), (4,), 1, ()),
+        ((0, 1, 5), (5,), 2, ()),
+        ((0, 1, 5), (5,), 3, (5,)),
     ],
 )
 def test_only_few_and_only_the_named_legs_are_excused(lost, may, at_once, fine):

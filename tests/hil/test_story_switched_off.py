@@ -108,3 +108,14 @@ def test_a_drive_that_was_last_heard_before_it_was_told_to_switch_off_has_confir
         assert f"not confirmed by drive {leg};" in text
         assert "all six" not in text
     assert "all six in OFF 7 ms later" in watched.look(Mode.FAULT, OFF, age=silent(leg, 6))
+
+
+def test_what_the_drives_said_is_of_the_first_fault_and_what_they_say_in_the_end_of_the_last_tick(watched):
+    watched.look(Mode.STOPPING, RUN)
+    watched.cycle.faults |= Fault.BUS
+    watched.look(Mode.FAULT, READY)
+    watched.look(Mode.FAULT, OFF)
+    story = told(watched.narrator)
+    assert [each.fault for each in story.findings] == ["REFUSED_FRAMES", "BUS"]
+    assert [each.state for each in story.drives] == ["RUN"] * 6
+    assert [each.state for each in story.drives_at_end] == ["OFF"] * 6

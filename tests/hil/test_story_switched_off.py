@@ -119,3 +119,17 @@ def test_what_the_drives_said_is_of_the_first_fault_and_what_they_say_in_the_end
     assert [each.fault for each in story.findings] == ["REFUSED_FRAMES", "BUS"]
     assert [each.state for each in story.drives] == ["RUN"] * 6
     assert [each.state for each in story.drives_at_end] == ["OFF"] * 6
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_what_a_drive_said_in_the_tick_in_which_it_was_told_is_no_answer_to_that(watched, leg):
+    watched.look(Mode.FAULT, OFF)
+    assert f"not confirmed by drive {leg};" in watched.look(Mode.FAULT, OFF, age=silent(leg, 1))
+    assert "all six in OFF 2 ms later" in watched.look(Mode.FAULT, OFF, age=silent(leg, 1))
+
+
+@pytest.mark.parametrize("operator", [(), (Operator.STOP,), (Operator.RELEASE,)])
+def test_a_platform_that_is_held_no_more_was_released_only_where_somebody_asked_for_it(watched, operator):
+    watched.look(Mode.HELD, READY)
+    said = watched.look(Mode.FAULT, OFF, *operator)
+    assert ("released on request" in said) == (operator == (Operator.RELEASE,))

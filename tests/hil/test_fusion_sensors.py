@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,12 @@ import pytest
 
 from drivers.config import ImuSettings
 from drivers.sensors import Readings, Sample
-from drivers.signals import DriveState
+from drivers.signals import DriveState, Fault, Warn
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fused_pose import PoseFusion
-from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
+from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator, Health
 from hil.robot.dynamics import Model
 from tests.hil.test_fusion import (
     LEGS,
@@ -157,6 +158,33 @@ def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():
         R = Truth(seed).R.as_matrix() @ np.diag([1.0, -1.0, -1.0] if seed == 2 else [1.0, 1.0, 1.0])
         found.start(0, 0, Truth(seed).p, R)
         np.testing.assert_array_equal(found.R, R)
+
+
+def judged(**health: Any) -> tuple[PoseFusion, Any]:
+    """The fusion and the tick after a tick of which the filter says this; leg 2 may be lost."""
+    none = (False,) * 6
+    known = Health(
+        **{"lost": none, "slipped": none, "position_std": 1e-4, "gap_s": 0.0, "missed": False} | health
+    )
+    found = PoseFusion(SimpleNamespace(update=lambda *_: known), FusionSettings(may_lose_legs=[2]))  # type: ignore[arg-type]
+    tick = record_of(tick=1)
+    found.estimate(tick, MS, Readings(), ZERO, ZERO)
+    return found, tick
+
+
+@pytest.mark.parametrize("missed", [False, True])
+@pytest.mark.parametrize("leg", [None, 2, 4])
+def test_a_missed_sensor_and_a_lost_encoder_are_each_warned_of_beside_the_other(leg, missed):
+    _, tick = judged(lost=tuple(each == leg for each in range(6)), missed=missed)
+    encoder, sensor = Warn.NONE if leg is None else Warn.ENCODER, Warn.SENSOR if missed else Warn.NONE
+    assert Warn(int(tick["fusion_warnings"])) == encoder | sensor
+
+
+@pytest.mark.parametrize(("leg", "alone"), [(None, False), (2, True), (4, False)])
+def test_the_tracker_holds_the_pose_only_where_a_leg_is_lost_without_which_the_run_goes_on(leg, alone):
+    found, tick = judged(lost=tuple(each == leg for each in range(6)), gap_s=0.2)
+    assert found.alone_s == (0.2 if alone else 0.0)
+    assert Fault(int(tick["fusion_faults"])) == (Fault.UNCERTAIN if alone else Fault.NONE)
 
 
 @pytest.mark.parametrize(("rate_Hz", "period_s"), [(100.0, 1e-3), (1000.0, 1e-3), (400.0, 4e-3)])

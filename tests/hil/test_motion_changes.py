@@ -224,3 +224,16 @@ def test_the_end_of_the_approach_is_found_in_a_few_steps_however_far_it_is(left)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 1000.0), 0, then=path)
     assert motion.before(4000 - left, path) == -left * T
     assert len(asked) <= 3
+
+
+@pytest.mark.parametrize("sigma", [0.25, 0.5])
+def test_below_full_speed_the_look_ahead_is_where_the_platform_will_be_at_that_speed(sigma):
+    motion = along(GeodesicMove(HERE, EYE, THERE, EYE, 60.0))
+    motion.settle(4, sigma)
+    for ticks in (1, 2, 4):
+        seen, then = motion.ahead(6, ticks * T)
+        there = motion.sample(6 + ticks)
+        assert then is None
+        assert not np.array_equal(seen.p, motion.sample(6).p)
+        for one, other in zip(seen, there, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)

@@ -146,6 +146,15 @@ def test_all_bad_lines_are_named_at_once(tmp_path):
     assert [p.split("path.csv:")[1].split(":")[0] for p in caught.value.problems] == ["2", "4", "5"]
 
 
+@pytest.mark.parametrize("bad", ["1,0,zero,1,0,0,0", "1,0", "0,0,0,1,0,0,0"])
+def test_a_bad_line_is_the_only_trouble_of_a_file_that_has_lines_enough(tmp_path, bad):
+    write(tmp_path, HEADER + f"0,0,0,1,0,0,0\n{bad}\n")
+    with pytest.raises(ConfigurationError) as caught:
+        build(tmp_path)
+    (problem,) = caught.value.problems
+    assert "path.csv:3: " in problem
+
+
 def test_a_missing_file_or_a_folder_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match=r"absent.csv: cannot be read"):
         build(tmp_path, "absent.csv")

@@ -20,8 +20,10 @@ from hil.config.estimation import EstimationSettings, FusionSettings
 from hil.config.model import ModelSettings
 from hil.config.wrench import WrenchSettings
 from hil.control.law import LawContext
+from hil.control.model import build_model
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
 from hil.robot.dynamics import Model
+from hil.stability.monitor import build_watch
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.override import PEAK
 from tests.hil.test_cycle_again import LIVE
@@ -91,10 +93,9 @@ def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(mon
     )
     law = VIRTUAL.controller.model_copy(update={"model": of[0.7], "delay_compensation": AHEAD})
     made: dict[float, Model] = {}
-    build = compose.build_model
 
     def noted(settings: ModelSettings, *where: Any) -> Model:
-        made[settings.inertia_scale] = build(settings, *where)
+        made[settings.inertia_scale] = build_model(settings, *where)
         return made[settings.inertia_scale]
 
     monkeypatch.setattr(compose, "build_model", noted)
@@ -155,7 +156,6 @@ def test_forces_that_were_learned_for_the_reference_do_not_come_to_another_one(m
 def watched(monkeypatch: pytest.MonkeyPatch, c: Configuration, rate_Hz: float) -> tuple[Any, ...]:
     """What the watch of the certificate is made from, payload and noise being known."""
     told: list[tuple[Any, ...]] = []
-    build = compose.build_watch
     payload = SimpleNamespace(
         allowed=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 7.0}),
         allowed_of_the_pose=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 8.0}),
@@ -163,7 +163,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, c: Configuration, rate_Hz: float) -
     noise = {500.0: Noise(3e-5, 4e-3), 1000.0: Noise(1e-5, 2e-3), 2000.0: Noise(2e-5, 3e-3)}
     monkeypatch.setattr(compose, "unknown_payload", lambda _: payload)
     monkeypatch.setattr(compose, "read_noise", lambda _, rate_Hz: noise[rate_Hz])
-    monkeypatch.setattr(compose, "build_watch", lambda *what: told.append(what) or build(*what))  # type: ignore[func-returns-value]
+    monkeypatch.setattr(compose, "build_watch", lambda *what: told.append(what) or build_watch(*what))  # type: ignore[func-returns-value]
     build_cycle(c, rate_Hz, 0.01)
     (what,) = told
     return what

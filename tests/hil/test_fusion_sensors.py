@@ -163,9 +163,14 @@ def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():
 def judged(**health: Any) -> tuple[PoseFusion, Any]:
     """The fusion and the tick after a tick of which the filter says this; leg 2 may be lost."""
     none = (False,) * 6
-    known = Health(
-        **{"lost": none, "slipped": none, "position_std": 1e-4, "gap_s": 0.0, "missed": False} | health
-    )
+    said: dict[str, Any] = {
+        "lost": none,
+        "slipped": none,
+        "position_std": 1e-4,
+        "gap_s": 0.0,
+        "missed": False,
+    }
+    known = Health(**said | health)
     found = PoseFusion(SimpleNamespace(update=lambda *_: known), FusionSettings(may_lose_legs=[2]))  # type: ignore[arg-type]
     tick = record_of(tick=1)
     found.estimate(tick, MS, Readings(), ZERO, ZERO)

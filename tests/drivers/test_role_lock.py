@@ -50,6 +50,7 @@ def test_a_role_on_hardware_is_refused_to_who_sees_another_runtime_folder(elsewh
 @pytest.mark.parametrize(
     ("channel", "role"),
     [(f"{CHANNEL}plant", ""), (f"{CHANNEL}pl", "ant"), (CHANNEL[:-1], f"{CHANNEL[-1]}plant")],
+    ids=["all in the channel", "a part of each", "more in the role"],
 )
 def test_words_that_run_together_to_those_of_a_role_name_another_one(elsewhere, channel, role):
     held = RoleLock("kvaser", CHANNEL, "plant")

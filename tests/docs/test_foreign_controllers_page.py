@@ -61,7 +61,7 @@ def foreign(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def patient_masters(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let masters wait for an answer as long as a busy machine may need: the package gives up after 0.3 s."""
-    monkeypatch.setattr("canopen.sdo.client.SdoClient.RESPONSE_TIMEOUT", 2.0)
+    monkeypatch.setattr("canopen.sdo.client.SdoClient.RESPONSE_TIMEOUT", 5.0)
 
 
 def run_example(monkeypatch: pytest.MonkeyPatch, name: str, *arguments: str) -> None:

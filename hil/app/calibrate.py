@@ -19,7 +19,7 @@ from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
 from hil.app.files import made_whole
 from hil.app.output import further
-from hil.config.magnitude import ALLOWED, in_reason
+from hil.config.magnitude import ALLOWED, in_reason, plain_number
 from hil.config.values import AXES
 from hil.robot.calibration import (
     NAMES,
@@ -163,10 +163,7 @@ def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
         return nothing, f"{len(words)} values, allowed: {len(header)}, one for each column"
     numbers = []
     for name, word in zip(header, words, strict=True):
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
+        number = plain_number(word)
         if not math.isfinite(number):
             return nothing, f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
         if not in_reason(number):
@@ -174,6 +171,8 @@ def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
         if name in DEVIATIONS and (number < 0 or (name == "length_std_m" and number == 0)):
             bound = "greater than 0" if name == "length_std_m" else "at least 0"
             return nothing, f"{name}: allowed: {bound}, given: {number:g}"
+        if name in LENGTHS and number <= 0:
+            return nothing, f"{name}: allowed: greater than 0, given: {number:g}"
         numbers.append(number)
     angle = math.hypot(*(numbers[header.index(name)] for name in AXES[3:]))
     if angle > 180 * (1 + 1e-12):

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.regular_file import read_regular
-from hil.config.magnitude import ALLOWED, in_reason
+from hil.config.magnitude import ALLOWED, in_reason, plain_number
 from hil.config.reference import LONGEST_S, SampledReference
 from hil.config.values import AXES
 from hil.trajectory.path import require_half_turn
@@ -63,10 +63,7 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
         return [before], f"{len(words)} values; {len(HEADER)} are needed: {','.join(HEADER)}."
     numbers = []
     for name, word in zip(HEADER, words, strict=True):
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
+        number = plain_number(word)
         if not math.isfinite(number):
             return [before], f"{name} must be a finite number; given: {word.strip()!r:.60}."
         if name in AXES and not in_reason(number):

@@ -119,6 +119,10 @@ def test_periods_repeat_a_closed_path_and_refuse_an_open_one(tmp_path):
             r"path.csv:3: y_m must be a finite number; given: 'zero'",
         ),
         (
+            HEADER + "0,0,0,1,0,0,0\n1,0,1_0,1,0,0,0\n",
+            r"path.csv:3: y_m must be a finite number; given: '1_0'",
+        ),
+        (
             HEADER + "0,0,0,nan,0,0,0\n1,0,0,1,0,0,0\n",
             r"path.csv:2: z_m must be a finite number; given: 'nan'",
         ),

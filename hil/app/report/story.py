@@ -13,6 +13,7 @@ from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS, DriveState, Fault, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.report.timeline import spells
+from hil.app.terminal import one_line
 from hil.loop.report import because
 from hil.loop.story.finding import GLOSSARY
 from hil.loop.story.told import done_text
@@ -199,7 +200,7 @@ def _list(value: Any) -> list[Any]:
 
 
 def _text(value: Any) -> str:
-    return "" if value is None else str(value)
+    return "" if value is None else one_line(str(value))
 
 
 def _number(value: Any) -> float | None:

@@ -32,9 +32,9 @@ class CommandScript:
 
     def __init__(self, commands: Iterable[TimedCommand], rate_Hz: float, source: str = "commands") -> None:
         said = [
-            (_tick(at, rate_Hz, source, n), _read(word, source, n), n)
+            (_tick(at, rate_Hz, f"{source}: command {n}"), _read(word, f"{source}: command {n}"), n)
             for n, (t, text) in enumerate(commands, 1)
-            for at, word in _repeated(t, text, source, n)
+            for at, word in _repeated(t, text, f"{source}: command {n}")
         ]
         self._said = sorted(said, key=lambda each: each[0])
         self._before = self._given = 0
@@ -95,10 +95,10 @@ class CommandScript:
 def read_commands(path: Path) -> list[TimedCommand]:
     """Return the commands of a file: a line each, `t_s word numbers`; # begins a remark.
 
-    Raises ConfigurationError for a line without a time.
+    Raises ConfigurationError for a line without a time, and for a command that no controller would take.
     """
     found = []
-    for n, line in enumerate(read_text(path).splitlines(), 1):
+    for n, line in enumerate(read_text(path).removeprefix("\ufeff").splitlines(), 1):
         words = line.partition("#")[0].split(maxsplit=1)
         if not words:
             continue
@@ -108,11 +108,15 @@ def read_commands(path: Path) -> list[TimedCommand]:
             raise ConfigurationError(
                 f"{path}:{n}: {words[0]!r} is no time, allowed: seconds, then a word, as `2.5 hold`"
             ) from None
-        found.append((t, words[1] if len(words) > 1 else ""))
+        text = words[1] if len(words) > 1 else ""
+        for at, word in _repeated(t, text, f"{path}:{n}"):
+            _tick(at, 1.0, f"{path}:{n}")
+            _read(word, f"{path}:{n}")
+        found.append((t, text))
     return found
 
 
-def _repeated(t: float, text: str, source: str, n: int) -> list[TimedCommand]:
+def _repeated(t: float, text: str, where: str) -> list[TimedCommand]:
     """Return a word at its time, or `jog x 1 for 1.5` as the words that a client says meanwhile."""
     word, repeats, length = text.partition(" for ")
     if not repeats or text.split(maxsplit=1)[0] not in REPEATED:
@@ -122,26 +126,22 @@ def _repeated(t: float, text: str, source: str, n: int) -> list[TimedCommand]:
     except ValueError:
         seconds = math.nan
     if not 0.0 < seconds <= LONGEST_S:
-        raise ConfigurationError(
-            f"{source}: command {n}: for {length.strip()!r}, allowed: seconds up to {LONGEST_S:g}"
-        )
+        raise ConfigurationError(f"{where}: for {length.strip()!r}, allowed: seconds up to {LONGEST_S:g}")
     return [(t + k * REPEAT_S, word) for k in range(math.ceil(seconds / REPEAT_S - 1e-9))]
 
 
-def _tick(t: float, rate_Hz: float, source: str, n: int) -> int:
+def _tick(t: float, rate_Hz: float, where: str) -> int:
     """Return the first tick at or after a time."""
     if not 0.0 <= t <= LATEST_S:
-        raise ConfigurationError(
-            f"{source}: command {n}: time {t!r}, allowed: seconds from 0 to {LATEST_S:g}"
-        )
+        raise ConfigurationError(f"{where}: time {t!r}, allowed: seconds from 0 to {LATEST_S:g}")
     return math.ceil(t * rate_Hz - 1e-6)
 
 
-def _read(text: str, source: str, n: int) -> Said:
+def _read(text: str, where: str) -> Said:
     try:
         said = parse(text)
     except ValueError as error:
-        raise ConfigurationError(f"{source}: command {n}: {error}") from None
+        raise ConfigurationError(f"{where}: {error}") from None
     if said == Said():
-        raise ConfigurationError(f"{source}: command {n}: {text!r} asks a running controller, none is here")
+        raise ConfigurationError(f"{where}: {text!r} asks a running controller, none is here")
     return said

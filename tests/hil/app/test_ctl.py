@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -256,6 +257,31 @@ def test_a_command_at_a_time_that_no_run_reaches_is_refused_with_its_place(t):
     ):
         CommandScript([(0.0, "hold"), (t, "park")], 1000.0, "o.txt")
     assert CommandScript([(1e9, "hold")], 1000.0).left == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("-1 hold", "time -1.0, allowed: seconds from 0 to"),
+        ("nan hold", "time nan"),
+        ("1e10 hold", "time 10000000000.0"),
+        ("2 jump", "'jump' is no word"),
+        ("2 speed 140", "140 %; allowed: 0 .. 100"),
+        ("2 jog x 1 for 1e9", "for '1e9', allowed: seconds up to 3600"),
+        ("2 status", "asks a running controller"),
+        ("hold", "'hold' is no time"),
+    ],
+)
+def test_a_wrong_line_of_a_file_of_commands_is_named_with_its_number(tmp_path, line, told):
+    file = tmp_path / "operator.txt"
+    file.write_text(f"1 hold\n\n# then\n{line}\n")
+    with pytest.raises(ConfigurationError, match=rf"operator\.txt:4: .*{re.escape(told)}"):
+        read_commands(file)
+
+
+def test_a_file_of_commands_may_begin_with_the_mark_of_its_encoding(tmp_path):
+    (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf1 hold\n")
+    assert read_commands(tmp_path / "a.txt") == [(1.0, "hold")]
 
 
 def test_a_file_of_commands_has_times_words_and_remarks(tmp_path):

@@ -15,6 +15,7 @@ from hil.app.configuration.configuration import load, loads, short_name
 from hil.app.configuration.section_file import read_section
 from hil.app.files import printable
 from hil.app.recorded_files import with_attachments
+from hil.app.report.story import _text as headline_text
 from hil.app.run.command import _missing
 from hil.app.terminal import one_line, visible
 from hil.cli import main
@@ -79,6 +80,13 @@ def test_what_steers_a_terminal_is_shown_and_not_sent():
     assert visible("plain é ✓") == "plain é ✓"
     assert one_line("a\nb\u2028c") == "a\\nb\\u2028c"
     assert printable("a\x1b[2J\n.mcap") == "a\\x1b[2J\\n.mcap"
+
+
+@pytest.mark.parametrize("length", [4000, 4001, 2_000_000])
+def test_a_line_for_a_terminal_or_a_page_ends_and_says_how_much_more_there_was(length):
+    for shown in (one_line("x" * length), headline_text("x" * length)):
+        more = f" ... and {length - 4000} signs more" if length > 4000 else ""
+        assert shown == "x" * 4000 + more
 
 
 def test_a_message_about_a_hostile_file_is_one_line_without_control_characters(tmp_path):

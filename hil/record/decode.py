@@ -43,6 +43,13 @@ _GROWTH, _FREE = 8, 1 << 20
 """Rows may take so many times the bytes of their messages, and so many bytes more: zeros may be left out."""
 
 
+def why(error: Exception) -> str:
+    """Say in words what was met in data of unknown making; REFUSED are what it raises."""
+    if isinstance(error, KeyError):
+        return f"it has no {error.args[0]!r}" if error.args else "something is missing"
+    return str(error) or type(error).__name__
+
+
 class Decoder:
     """Decodes the messages of one log. State: the schemas and channels met so far, and what to expect."""
 
@@ -94,7 +101,7 @@ class Decoder:
             yield
         except REFUSED as error:
             raise LogError(
-                f"{self._name}: a message of {topic} is damaged or of another kind: {error!r}"
+                f"{self._name}: a message of {topic} is damaged or of another kind: {why(error)}"
             ) from None
 
     def rows(self, data: bytes, table: MessageTable) -> Rows:

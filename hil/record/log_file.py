@@ -17,7 +17,7 @@ from mcap.records import Chunk
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
 from drivers.tick_columns import Column
-from hil.record.decode import Decoder
+from hil.record.decode import Decoder, why
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import (
     MAX_CHUNK,
@@ -100,7 +100,7 @@ class LogFile:
             self._decoder.expect(self.topic, self.columns, self.can_channels, self.epoch_ns)
         except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
             raise LogError(
-                f"{path}: metadata record {IDENTITY!r} cannot be read: {error!r}; {MEND}"
+                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {MEND}"
             ) from None
 
     @property

@@ -28,6 +28,8 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, V
 
 def open_archive(path: Path) -> zipfile.ZipFile:
     """Open the .fmu. Raises PlantError if it is missing or no ZIP archive."""
+    if path.exists() and not path.is_file():
+        raise PlantError(f"{path}: no FMU: a folder, pipe, socket or device; give the path of an .fmu")
     if not path.is_file():
         raise PlantError(
             f"{path}: no such FMU file; give the path of an .fmu relative to the configuration file"

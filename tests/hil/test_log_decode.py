@@ -8,7 +8,7 @@ from mcap.records import Schema as SchemaRecord
 from drivers.errors import LogError
 from drivers.protocol import BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import RECORDED, ROW
-from hil.record.decode import ITEM, Decoder
+from hil.record.decode import ITEM, Decoder, why
 from hil.record.entries import LoggedFrame, assemble, logged
 from hil.record.layout import frame_layout, pack_varint5, varint
 from hil.record.mcap_file import record_bytes
@@ -290,3 +290,17 @@ def test_commands_of_a_tick_stand_by_their_index_each_kind_for_itself():
     assert tick.operator == (Operator.RESET, Operator.STOP)
     assert tick.setpoints == (SetPoint(*pose), SetPoint(*pose[::-1]))
     assert tick.orders == (Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD))
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (KeyError("tau"), "it has no 'tau'"),
+        (KeyError(3), "it has no 3"),
+        (KeyError(), "something is missing"),
+        (ValueError("no number"), "no number"),
+        (RecursionError(), "RecursionError"),
+    ],
+)
+def test_what_is_wrong_with_data_of_unknown_making_is_said_in_words(error, told):
+    assert why(error) == told

@@ -228,6 +228,10 @@ def test_a_binary_for_another_machine_is_named(tmp_path):
 
 
 def test_a_missing_file_and_a_file_that_is_no_archive_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.fmu")
+    for other in (tmp_path, tmp_path / "pipe.fmu"):
+        with pytest.raises(PlantError, match=f"{other.name}: no FMU: a folder, pipe, socket or device"):
+            FmuHost(spec(other))
     with pytest.raises(PlantError, match="no such FMU"):
         FmuHost(spec(tmp_path / "none.fmu"))
     (tmp_path / "text.fmu").write_text("no archive")

@@ -15,7 +15,7 @@ from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
-from hil.record.log_file import MEND, LogFile
+from hil.record.log_file import LogFile
 from hil.record.mcap_summary import read_summary
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
@@ -147,7 +147,7 @@ class Log(LogFile):
         try:
             statistics, topics = read_summary(self.path)
         except LogError as error:
-            raise LogError(f"{self.path}: {error}; {MEND}") from None
+            raise LogError(f"{self.path}: {error}; {self.mend}") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
         counts = {topic: statistics.channel_message_counts.get(i, 0) for i, topic in topics.items()}

@@ -31,7 +31,7 @@ from hil.record.mcap_read import (
     split,
 )
 from hil.record.row import columns_of, columns_of_0_1_0
-from hil.record.schema import CONFIGURATION, IDENTITY
+from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
@@ -39,7 +39,7 @@ _LOOSE = 4096
 """Messages outside chunks that are read together."""
 _MOST_NAMES, _LONGEST_NAME = 16, 4096
 """Of buses, six of which a robot has, and signs of each: a layout of frames is made for each name."""
-MEND = "run `hil replay --salvage` on it"
+MEND, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, and no more can be had of it"
 """What to do about a damaged log."""
 
 
@@ -100,8 +100,13 @@ class LogFile:
             self._decoder.expect(self.topic, self.columns, self.can_channels, self.epoch_ns)
         except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
             raise LogError(
-                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {MEND}"
+                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self.mend}"
             ) from None
+
+    @property
+    def mend(self) -> str:
+        """What may be done about damage: salvage, once."""
+        return SALVAGED if SALVAGE in self.metadata else MEND
 
     @property
     def configuration(self) -> str:
@@ -171,7 +176,7 @@ class LogFile:
                     raise _no_record(record)
                 yield record
         except LogError as error:
-            raise LogError(f"{self.path}: {error}; {MEND}") from None
+            raise LogError(f"{self.path}: {error}; {self.mend}") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
@@ -192,7 +197,7 @@ class LogFile:
         try:
             return record.parse()
         except LogError as error:
-            raise LogError(f"{self.path}: {error}; {MEND}") from None
+            raise LogError(f"{self.path}: {error}; {self.mend}") from None
 
     def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
         """Yield buffers of messages: the chunks, or runs of messages that stand outside chunks."""
@@ -223,7 +228,9 @@ class LogFile:
         try:
             return data, split(data)[0]
         except LogError as error:
-            raise LogError(f"{self.path}: damaged before byte {record.offset}: {error}; {MEND}") from None
+            raise LogError(
+                f"{self.path}: damaged before byte {record.offset}: {error}; {self.mend}"
+            ) from None
 
     def _chunk(self, record: Record, allowance: Allowance) -> tuple[bytes, MessageTable]:
         """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
@@ -237,7 +244,7 @@ class LogFile:
             table, others = split(data, part=chunk is None)
             allowance.count(len(table.channel))
         except LogError as error:
-            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {MEND}") from None
+            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {self.mend}") from None
         for other in others:
             self._learn(other._replace(offset=record.offset))
         if chunk is None:

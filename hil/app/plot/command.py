@@ -61,7 +61,8 @@ def _read(
     for n, log_path in enumerate(logs):
         with readable(log_path, named_columns(names) | {"t_ns"}) as (log, rows, remark):
             if not len(rows):
-                raise LogError(f"{log_path}: has no tick: nothing to draw")
+                nothing = f"{log_path}: has no tick: nothing to draw"
+                raise LogError(f"{nothing}; {remark}" if remark else nothing)
             if remark:
                 remarks.append(f"{log_path}: {remark}")
             t = seconds(rows)

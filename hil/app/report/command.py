@@ -120,7 +120,8 @@ def _page(
 ) -> str:
     log, rows, remark = found
     if not len(rows):
-        raise LogError(f"{path}: has no tick: nothing to report")
+        nothing = f"{path}: has no tick: nothing to report"
+        raise LogError(f"{nothing}; {remark}" if remark else nothing)
     t, name = seconds(rows), printable(path.name)
     timings = [] if c is None or c.bus.layout == "ideal" else [BitTiming.of(each) for each in c.bus.buses]
     bus = traffic(log, rows, timings)

@@ -17,15 +17,19 @@ from hil.app.files import printable
 from hil.app.recorded_files import with_attachments
 from hil.app.report.story import _text as headline_text
 from hil.app.run.command import _missing
+from hil.app.sim.command import simulate
 from hil.app.terminal import one_line, visible
 from hil.cli import main
 from hil.config.axis_model import AxisModel
 from hil.config.reference import AxisLimits, TimeOptimalReference
 from hil.config.values import Pose
 from hil.record import Recording
+from hil.record.log import Log
+from hil.record.salvage import salvage
 from hil.trajectory.sampled import read_poses
 from hil.trajectory.time_optimal import plan, planned_trajectory
 from tests.hil.samples import random_rows
+from tools.fuzz import container
 
 VIRTUAL = load("virtual").text
 
@@ -198,3 +202,32 @@ def test_a_whole_number_that_no_float_holds_is_refused_at_its_place_in_any_base(
 def test_a_whole_number_that_a_float_holds_is_judged_by_its_limits(number):
     with pytest.raises(ConfigurationError, match=r"loop\.rate_Hz: .*allowed: .*given: "):
         loads(VIRTUAL.replace("rate_Hz: 1000", f"rate_Hz: {number}", 1))
+
+
+def test_of_a_log_whose_chunks_are_all_unreadable_it_is_said_that_it_is_damaged_and_not_only_empty(tmp_path):
+    path = tmp_path / "a.mcap"
+    simulate(load("ideal"), log=path, duration_s=0.02, check_replay=False)
+    records = container.split(path.read_bytes())
+    strange = [(k, c.replace(b"zstd", b"gzip", int(k == container.CHUNK))) for k, c in records]
+    path.write_bytes(container.whole(strange))
+    for words in (["plot", str(path)], ["report", str(path)]):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 2, result.output
+        assert re.search(
+            r"a\.mcap: has no tick: .*; the log is damaged; \d+ of \d+ bytes are lost", result.stderr
+        )
+
+
+def test_a_log_that_was_salvaged_is_not_said_to_be_mended_by_that(tmp_path):
+    """The table of its columns names one twice, which salvage keeps as it is."""
+    path, again = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    simulate(load("ideal"), log=path, duration_s=0.02, check_replay=False)
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b'"name": "skipped"', b'"name": "tick"   '))
+    with pytest.raises(LogError, match="'tick' occurs more than once; run `hil replay --salvage` on it"):
+        Log(path)
+    salvage(path, again)
+    with pytest.raises(
+        LogError, match="'tick' occurs more than once; it was salvaged before, and no more can"
+    ):
+        Log(again)

@@ -48,6 +48,7 @@ def ticks(bus, other, many):
     bus.clock.now()
 
 
+@pytest.mark.realtime(patient=True)
 def test_time_does_not_stand_while_a_person_thinks_and_does_in_the_steps(folder):
     c = shipped("virtual", folder)
     protocol, said = build_protocol(c), list[str]()

@@ -459,6 +459,13 @@ def test_a_picture_is_drawn_whatever_window_another_program_would_open_for_it(tm
     assert process.stdout == "agg\n"
 
 
+@pytest.mark.parametrize("number", ["1e300", "1.1e15", "1e-61"])
+def test_a_number_of_an_option_that_is_not_meant_is_refused_with_what_is_allowed(number):
+    result = CliRunner().invoke(main, ["workspace", "virtual", "--payload", number])
+    assert result.exit_code == 2
+    assert f"'--payload': '{number}' is not meant, allowed in size: 0, and 1e-60 to 1e+15." in result.stderr
+
+
 def test_a_compiled_module_that_a_full_disk_has_cut_is_told_with_what_mends_it(monkeypatch):
     def cut(_):
         raise EOFError("marshal data too short")

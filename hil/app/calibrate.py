@@ -19,7 +19,7 @@ from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit
 from hil.app.files import made_whole
 from hil.app.output import further
-from hil.config.magnitude import ALLOWED, in_reason, plain_number
+from hil.config.number import ALLOWED, in_reason, plain_number
 from hil.config.values import AXES
 from hil.robot.calibration import (
     NAMES,

@@ -47,7 +47,8 @@ def perform(
         yield next(outcomes)
 
 
-def _require_files(needed: int, count: int) -> None:
+def _require_files(count: int) -> None:
+    needed = FILES_HERE + FILES_EACH * count
     most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if most != resource.RLIM_INFINITY and most < needed:
         raise RunError(
@@ -64,7 +65,7 @@ def _in_processes(
     Only some jobs are under way at once: of a million none is made before its turn, and a process that dies
     takes few with it. The others go on in new processes.
     """
-    _require_files(FILES_HERE + FILES_EACH * count, count)
+    _require_files(count)
     rest = iter(work)
     while True:
         lost: list[Job] = []

@@ -18,7 +18,7 @@ from click.shell_completion import CompletionItem
 
 from hil.cli.interrupts import OF_THIS_PROCESS
 from hil.cli.pipes import reader_gone
-from hil.config.magnitude import ALLOWED, in_reason
+from hil.config.number import ALLOWED, in_reason
 
 if TYPE_CHECKING:
     from hil.app.configuration.configuration import Configuration

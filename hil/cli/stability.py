@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from hil.cli.shared import NOT_NEGATIVE, FiniteRange, configuration_argument, finish_lines, load, reporting
-from hil.config.magnitude import in_reason
+from hil.config.number import in_reason
 
 Point = tuple[float, float, float]
 

@@ -23,8 +23,8 @@ REALS = (
 """What stands in the place of a measured or a computed number."""
 _PUT_BEFORE = 22
 """Bytes of a message record before what it carries."""
-_ROW_HAS = 20
-"""Numbers, and more."""
+_FEW = 20
+"""Numbers of a message; a row has more."""
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
@@ -197,7 +197,7 @@ def _numbers(data: bytes, at: int, end: int) -> list[int] | None:
     return found
 
 
-def values(records: Records, rng: Random) -> Records:
+def strange_values(records: Records, rng: Random) -> Records:
     """Put numbers of no sense into rows: one place in all rows of a chunk, or many places of one row."""
     k = _pick(records, rng, CHUNK)
     if records[k][0] != CHUNK:
@@ -208,7 +208,7 @@ def values(records: Records, rng: Random) -> Records:
         for n, (opcode, content) in enumerate(messages)
         if opcode == MESSAGE
     }
-    rows = [n for n, found in places.items() if len(found) > _ROW_HAS]
+    rows = [n for n, found in places.items() if len(found) > _FEW]
     if not rows:
         return records
     share, everywhere, value = rng.random(), rng.random() < 0.5, rng.choice(REALS)
@@ -266,7 +266,7 @@ def _length(data: bytes, records: Records, rng: Random) -> bytes:
 
 _STRUCTURED: tuple[Callable[[Records, Random], Records], ...] = (
     _content, _content, _content, _text, _text, _text, _inner, _inner, _inner, _order, _bomb,
-    values, values,
+    strange_values, strange_values,
 )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
-from hil.config.magnitude import LEAST, MOST
+from hil.config.number import LEAST, MOST
 
 NO_LIMIT, MOST_SEED = 1e30, 2**64
 """In section `limits`, where a large number stands for none; of a seed."""

@@ -32,9 +32,9 @@ class CommandScript:
 
     def __init__(self, commands: Iterable[TimedCommand], rate_Hz: float, source: str = "commands") -> None:
         said = [
-            (_tick(at, rate_Hz, f"{source}: command {n}"), _read(word, f"{source}: command {n}"), n)
+            (tick, each, n)
             for n, (t, text) in enumerate(commands, 1)
-            for at, word in _repeated(t, text, f"{source}: command {n}")
+            for tick, each in _said(t, text, rate_Hz, f"{source}: command {n}")
         ]
         self._said = sorted(said, key=lambda each: each[0])
         self._before = self._given = 0
@@ -109,11 +109,14 @@ def read_commands(path: Path) -> list[TimedCommand]:
                 f"{path}:{n}: {words[0]!r} is no time, allowed: seconds, then a word, as `2.5 hold`"
             ) from None
         text = words[1] if len(words) > 1 else ""
-        for at, word in _repeated(t, text, f"{path}:{n}"):
-            _tick(at, 1.0, f"{path}:{n}")
-            _read(word, f"{path}:{n}")
+        _said(t, text, 1.0, f"{path}:{n}")  # refuses it with its line
         found.append((t, text))
     return found
+
+
+def _said(t: float, text: str, rate_Hz: float, where: str) -> list[tuple[int, Said]]:
+    """Return what a command says, with its ticks. Raises ConfigurationError, which begins with `where`."""
+    return [(_tick(at, rate_Hz, where), _read(word, where)) for at, word in _repeated(t, text, where)]
 
 
 def _repeated(t: float, text: str, where: str) -> list[TimedCommand]:

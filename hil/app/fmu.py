@@ -49,6 +49,7 @@ def show_fmu(path: Path) -> tuple[list[str], dict[str, Any]]:
     proposal = propose(path)
     lines = [
         f"{path}: FMI {proposal.fmi}, made by {proposal.tool}",
+        *([f"  {proposal.obstacle}"] if proposal.obstacle else []),
         *(f"  {variable}" for variable in proposal.variables),
         f"parameters: {', '.join(proposal.parameters) or 'none'}",
         "proposed, to be read before it is used:",

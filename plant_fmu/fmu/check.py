@@ -81,7 +81,7 @@ class _Reader:
         self.path = spec.path
         self.assume_unit = spec.assume_unit
         self.assumed: dict[str, str] = {}
-        self.major = int(description.fmiVersion.split(".")[0])
+        self.major = major(description)
         self.units = {u.name: u for u in description.unitDefinitions}
         self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
         self.names = list(self.by_name)
@@ -234,6 +234,11 @@ class _Reader:
         return int(value)
 
 
+def major(description: Any) -> int:
+    """Return the FMI standard that a description keeps: 2 or 3."""
+    return int(description.fmiVersion.split(".")[0])
+
+
 def library_candidates(major: int, identifier: str) -> list[str]:
     """Return the places of this machine's shared library inside an FMU, preferred first."""
     file = f"{identifier}{fmpy.sharedLibraryExtension}"
@@ -241,17 +246,15 @@ def library_candidates(major: int, identifier: str) -> list[str]:
     return [modern] if major >= 3 else [f"binaries/{fmpy.platform}/{file}", modern]
 
 
-def _library(description: Any, major: int, members: Sequence[str], spec: FmuSpec) -> str:
-    path, simulation = spec.path, description.coSimulation
+def library(description: Any, members: Sequence[str], path: Path) -> str:
+    """Return the member that is this machine's shared library; members: names in the archive.
+
+    Raises PlantError: no co-simulation, no binary for this machine.
+    """
+    simulation = description.coSimulation
     if simulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
-    if simulation.needsExecutionTool and not spec.allow_execution_tool:
-        tool = shown(description.generationTool or "the tool that made it")
-        raise PlantError(
-            f"{path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone one, or, "
-            "where that tool is on this machine, write plant.model.allow_execution_tool: true"
-        )
-    candidates = library_candidates(major, simulation.modelIdentifier)
+    candidates = library_candidates(major(description), simulation.modelIdentifier)
     for candidate in candidates:
         if candidate in members:
             return candidate
@@ -260,6 +263,23 @@ def _library(description: Any, major: int, members: Sequence[str], spec: FmuSpec
         f"{path}: the FMU has no binary for this machine ({shown(candidates[0])}); it has binaries for "
         f"{shown(', '.join(offered)) or 'none'}. Export it for {fmpy.platform_tuple} or compile its sources"
     )
+
+
+def _refuse_tool(description: Any, spec: FmuSpec) -> None:
+    if description.coSimulation.needsExecutionTool and not spec.allow_execution_tool:
+        tool = shown(description.generationTool or "the tool that made it")
+        raise PlantError(
+            f"{spec.path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone one, "
+            "or, where that tool is on this machine, write plant.model.allow_execution_tool: true"
+        )
+
+
+def refuse_version(xml: bytes, path: Path) -> None:
+    """Raise PlantError where modelDescription.xml states a version of FMI that cannot be hosted."""
+    found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
+    version = found[1].decode("ascii", "replace") if found else None
+    if version is not None and version != "2.0" and not version.startswith("3.0"):
+        raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
 
 
 def read_description(path: Path) -> Any:
@@ -281,14 +301,11 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     and what is needed: FMI version, co-simulation, a binary for this machine, existence, causality, type,
     unit and number of elements of each mapped variable, parameters.
     """
-    path = spec.path
-    found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
-    version = found[1].decode("ascii", "replace") if found else None
-    if version is not None and version != "2.0" and not version.startswith("3.0"):
-        raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
-    description = read_description(path)
+    refuse_version(xml, spec.path)
+    description = read_description(spec.path)
+    binary = library(description, members, spec.path)
+    _refuse_tool(description, spec)
     reader = _Reader(description, spec)
-    library = _library(description, reader.major, members, spec)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}
     if spec.brake:
         inputs["brake"] = reader.channel("brake", spec.brake, "input", ())
@@ -301,4 +318,4 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     for name, count in zip(spec.truth, (3, 9, 6, 6), strict=False):
         outputs[name] = reader.channel("truth", [name], "output", (), count)
     starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
-    return Interface(description, reader.major, library, inputs, outputs, starts, reader.assumed)
+    return Interface(description, reader.major, binary, inputs, outputs, starts, reader.assumed)

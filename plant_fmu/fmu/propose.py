@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.archive import checked_members, open_archive
-from plant_fmu.fmu.check import FLOATS, read_description, stated_unit
+from plant_fmu.fmu.archive import checked_members, open_archive, read_member
+from plant_fmu.fmu.check import FLOATS, library, read_description, refuse_version, stated_unit
 
 _ROLES = {
     "brake": ("input", None, ("brake", "lock", "clamp", "hold")),
@@ -43,6 +43,8 @@ class Proposal:
     """Of these keys, which state no unit -> the unit that is needed."""
     parameters: tuple[str, ...]
     """Names of what can be set before it starts."""
+    obstacle: str = ""
+    """Why it cannot be hosted on this machine as it is; empty where it has a binary for it."""
     variables: Sequence[str] = field(default=())
     """Inputs and outputs, one line each: causality, name, type, unit."""
 
@@ -53,9 +55,10 @@ class Proposal:
 
 
 def propose(path: Path) -> Proposal:
-    """Read an FMU's description and propose a map. Raises PlantError: no FMU, no co-simulation."""
+    """Read an FMU's description and propose a map. Raises PlantError: none that can be hosted here."""
     with open_archive(path) as archive:
-        checked_members(archive, path)
+        members = [member.filename for member in checked_members(archive, path)]
+        refuse_version(read_member(archive, "modelDescription.xml", path), path)
     description = read_description(path)
     if description.coSimulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
@@ -77,6 +80,7 @@ def propose(path: Path) -> Proposal:
         mapped=mapped,
         unstated=unstated,
         parameters=tuple(v.name for v in description.modelVariables if v.causality == "parameter"),
+        obstacle=_obstacle(description, members, path),
         variables=tuple(
             f"{v.causality:7} {v.name}{'' if not v.shape else list(v.shape)}  {v.type}, "
             f"{stated_unit(v) or 'no unit stated'}"
@@ -84,6 +88,14 @@ def propose(path: Path) -> Proposal:
             if v.causality in {"input", "output"}
         ),
     )
+
+
+def _obstacle(description: Any, members: Sequence[str], path: Path) -> str:
+    try:
+        library(description, members, path)
+    except PlantError as error:
+        return str(error).removeprefix(f"{path}: ")
+    return ""
 
 
 def _sixes(variables: Sequence[Any]) -> list[list[Any]]:

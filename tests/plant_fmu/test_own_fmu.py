@@ -248,6 +248,28 @@ def test_a_refusal_that_quotes_the_description_stays_one_line(tmp_path, said, ch
     assert str(told.value).isprintable()
 
 
+def test_an_fmu_of_another_machine_is_shown_with_what_it_lacks_on_this_one(tmp_path):
+    path = rewritten("3.0", tmp_path / "p.fmu", (rb'modelIdentifier="[^"]*"', b'modelIdentifier="other"'))
+    done = CliRunner().invoke(main, ["fmu", "show", str(path)])
+    assert done.exit_code == 0, done.output
+    first, second, *_ = done.output.splitlines()
+    assert first.startswith(f"{path}: FMI 3.0, made by")
+    assert second.startswith("  the FMU has no binary for this machine (binaries/")
+    assert "force" in done.output
+
+
+def test_an_fmu_of_this_machine_is_shown_without_an_obstacle(tmp_path):
+    assert propose(rewritten("2.0", tmp_path / "p.fmu")).obstacle == ""
+
+
+@pytest.mark.parametrize("version", [b"1.0", b"4.0-alpha"])
+def test_an_fmu_of_another_standard_is_refused_with_its_version_and_not_proposed_for(tmp_path, version):
+    path = rewritten("3.0", tmp_path / "p.fmu", (rb'fmiVersion="3.0"', b'fmiVersion="%b"' % version))
+    done = CliRunner().invoke(main, ["fmu", "show", str(path)])
+    assert done.exit_code == 2
+    assert f"{path}: FMI {version.decode()}; 2.0 and 3.0 can be hosted" in done.output.replace("\n", "")
+
+
 def test_nothing_is_proposed_for_names_that_say_nothing(tmp_path):
     path = rewritten("3.0", tmp_path / "p.fmu", *UNITLESS, (rb'name="force"', b'name="in1"'))
     assert propose(path).missing == ("force",)

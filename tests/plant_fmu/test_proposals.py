@@ -43,7 +43,7 @@ def proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     def of(*variables: Any, tool: str | None = "maker", needs: bool = False) -> Proposal:
         description = SimpleNamespace(
             modelVariables=variables,
-            coSimulation=SimpleNamespace(needsExecutionTool=needs),
+            coSimulation=SimpleNamespace(needsExecutionTool=needs, modelIdentifier="a"),
             generationTool=tool,
             fmiVersion="2.0",
         )

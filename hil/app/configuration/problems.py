@@ -49,6 +49,9 @@ def problems(error: ValidationError, document: Document, schema: Schema) -> list
 def describe(schema: Schema, root: Schema) -> str:
     """Say in words what a schema allows."""
     schema = _dereference(schema, root)
+    if "discriminator" in schema:
+        chosen = schema["discriminator"]
+        return f"a section whose {chosen['propertyName']} is {', '.join(chosen['mapping'])}"
     if "anyOf" in schema or "oneOf" in schema:
         return " or ".join(dict.fromkeys(describe(s, root) for s in schema.get("anyOf") or schema["oneOf"]))
     if "enum" in schema or "const" in schema:

@@ -170,7 +170,8 @@ def test_a_missing_section_and_a_missing_key_are_named_with_what_is_allowed():
     text = edited(("  force_window_N: 12000 ", "  # "), base=VIRTUAL[:start] + VIRTUAL[end:])
     found = problems(text)
     assert len(found) == 2
-    assert found[0].startswith("my.yaml:1:1: reference: missing, allowed: ")
+    kinds = "hold, live, multisine, sampled, sinusoids, time_optimal, waypoints"
+    assert found[0] == f"my.yaml:1:1: reference: missing, allowed: a section whose type is {kinds}"
     at = place(text, "limits:")
     assert found[1] == f"my.yaml:{at}: limits.force_window_N: missing, allowed: a number greater than 0"
 

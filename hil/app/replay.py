@@ -153,7 +153,7 @@ def _other_version(log: Log, difference: str, what: str) -> LogError:
     )
     other = f"version {there}, which made it; this is {here}"
     if there == here:
-        other = f"the build of version {there} that made it; this is another one of that number"
+        other = f"the build of version {there} that made it; this is another one, or the log was altered"
     return LogError(f"{log.path}: {difference}: {what} it with {other}")
 
 

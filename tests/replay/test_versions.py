@@ -138,6 +138,8 @@ def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_pat
         LogError, match=r"made with another legs\.dbc: replay it with the build of version 0\.2\.0"
     ):
         replay_log(tmp_path / "a.mcap")
+    with pytest.raises(LogError, match=r"made it; this is another one, or the log was altered$"):
+        replay_log(tmp_path / "a.mcap")
     with pytest.raises(LogError, match=r"its protocol has version other, this one 2\.0; it was made with"):
         replay_log(tmp_path / "a.mcap")
 

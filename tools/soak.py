@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,13 +41,14 @@ LEAD_S = 2.0
 """A shift begins so long before its wrap: it is crossed in motion."""
 SETTLED = 0.25
 """Share of a shift after which memory counts: tables and caches are full."""
-SAMPLES = 40
-"""Looks at the memory in a shift."""
 GROWTH_MB = 1.0
 """What a shift may add to the memory of a process: its logs and messages come and go. The recorder's share of
 the index that a log ends in is not counted: that is held until it is written."""
 CHUNK_BYTES = 117
 """Of that index, for each chunk."""
+INTERNED = 100_000
+"""Names that Python's table of them has seen before the first shift: it grows once, by 2 MB, when some ten
+thousand have come and gone, which dozens of runs take. Then it keeps its size."""
 _KB_MB = 1 / 1024.0
 
 
@@ -84,7 +85,8 @@ class Shift:
     trouble: str
     index_bytes: int = 0
     """Of the log's end, which its recorder holds until then."""
-    memory: list[Memory] = field(default_factory=list)
+    memory: tuple[Memory, Memory] = (Memory(0, 0), Memory(0, 0))
+    """Once it had settled, and at the end; zero where it ended before."""
 
     @property
     def crossed(self) -> list[str]:
@@ -94,8 +96,7 @@ class Shift:
 
     def grown_MB(self) -> tuple[float, float]:
         """Return by how much loop and recorder, less its index, have grown since they had settled."""
-        settled, last = self.memory[int(SETTLED * (len(self.memory) - 1))], self.memory[-1]
-        loop, recorder = (after - before for before, after in zip(settled, last, strict=True))
+        loop, recorder = (after - before for before, after in zip(*self.memory, strict=True))
         return loop * _KB_MB, recorder * _KB_MB - (1.0 - SETTLED) * self.index_bytes / 2**20
 
 
@@ -143,8 +144,8 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
     path = log_path(c.recording.folder, c.name, None)
     removed = make_room(c, needed_bytes(c, None, seconds))
     nodes, physics = build_nodes(c)
-    seen: list[Memory] = []
-    every = max(1, round(seconds * rate_Hz / SAMPLES))
+    looks = {first + round(SETTLED * (until - first)): 0, until - 1: 1}
+    memory = [Memory(0, 0), Memory(0, 0)]
     try:
         lockstep = build_lockstep(c, cycle, nodes, first)
         with record(c, cycle, path, "sim", lockstep=True) as recording, collector_paused():
@@ -152,8 +153,8 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
 
             def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
                 recording.tick(out.row, inp.frames, opening + out.frames, inp.operator)
-                if (inp.tick - first) % every == every - 1:
-                    seen.append(Memory(resident_kB(os.getpid()), resident_kB(recorder)))
+                if (look := looks.get(inp.tick)) is not None:
+                    memory[look] = Memory(resident_kB(os.getpid()), resident_kB(recorder))
 
             begun = time.perf_counter()
             ending = lockstep.run(until / rate_Hz, observe, recording.event)
@@ -166,7 +167,19 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
     trouble = ending.trouble or closed.error
     lost = closed.dropped + closed.lost
     index = 0 if closed.error else read_summary(path)[0].chunk_count * CHUNK_BYTES
-    return Shift(rate_Hz, first, closed.ticks, wall_s, path, len(removed), total, lost, trouble, index, seen)
+    return Shift(
+        rate_Hz,
+        first,
+        closed.ticks,
+        wall_s,
+        path,
+        len(removed),
+        total,
+        lost,
+        trouble,
+        index,
+        (memory[0], memory[1]),
+    )
 
 
 def differences(shift: Shift) -> tuple[int, int]:
@@ -187,6 +200,8 @@ def differences(shift: Shift) -> tuple[int, int]:
 
 def soak(c: Configuration, hours: float, shift_s: float) -> Iterator[Shift]:
     """Yield shifts until so many hours are simulated."""
+    for k in range(INTERNED):
+        sys.intern(f"name {k}")
     left = hours * 3600.0
     for first in first_ticks(c.loop.rate_Hz):
         yield work(c, first, min(shift_s, left))
@@ -214,7 +229,8 @@ def figures(shifts: list[Shift], c: Configuration, compared: list[tuple[int, int
     grown = [s.grown_MB() for s in shifts]
     crossed = {name: sum(name in s.crossed for s in shifts) for name in wraps(rate_Hz)}
     enough = len(shifts) > len(crossed)  # a shift that begins at 0, and one at each of them
-    between = (shifts[-1].memory[-1].loop_kB - shifts[min(1, len(shifts) - 1)].memory[-1].loop_kB) * _KB_MB
+    ends_kB = [s.memory[1].loop_kB for s in shifts]
+    between = (ends_kB[-1] - ends_kB[min(1, len(shifts) - 1)]) * _KB_MB
     largest = max(s.folder_bytes for s in shifts) / GB
     trouble = "; ".join(dict.fromkeys(s.trouble for s in shifts if s.trouble))
     kept = f"{len(shifts)} logs written, {sum(s.removed for s in shifts)} removed"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,8 +58,8 @@ def test_old_logs_have_gone_and_the_budget_holds(day):
         ({"trouble": "latched fault"}, "shifts that did not end well"),
         ({"dropped": 1}, "dropped ticks"),
         ({"folder_bytes": 70_000_000}, "logs of the folder"),
-        ({"memory": [Memory(100_000, 50_000), Memory(102_200, 50_000)]}, "loop, growth in a shift"),
-        ({"memory": [Memory(100_000, 50_000), Memory(100_000, 52_200)]}, "recorder, growth in a shift"),
+        ({"memory": (Memory(100_000, 50_000), Memory(102_200, 50_000))}, "loop, growth in a shift"),
+        ({"memory": (Memory(100_000, 50_000), Memory(100_000, 52_200))}, "recorder, growth in a shift"),
     ],
 )
 def test_each_mark_notices_its_mistake(day, change, name):
@@ -91,16 +92,27 @@ def test_shifts_begin_a_second_before_each_wrap():
     assert list(wraps(RATE_Hz).values()) == sorted(wraps(RATE_Hz).values())
 
 
-def test_memory_counts_from_when_it_has_settled():
-    seen = [Memory(1000 * k, 2000) for k in (1, 5, 5, 5, 9)]
-    shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", memory=seen)
-    assert shift.grown_MB() == pytest.approx((4000 / 1024, 0.0))
+def test_memory_is_looked_at_when_it_has_settled_and_at_the_last_tick_of_a_shift(day, monkeypatch):
+    c, _ = day
+    at = iter(range(1000, 9000, 1000))
+    monkeypatch.setattr("tools.soak.resident_kB", lambda pid: next(at) + (pid == os.getpid()))
+    shift = work(c, 0, 0.2)
+    assert shift.memory == (Memory(1001, 2000), Memory(3001, 4000))
+    assert shift.grown_MB()[0] == pytest.approx(2000 / 1024)
 
 
 def test_the_index_that_a_recorder_has_to_hold_is_not_counted_as_growth():
-    seen = [Memory(0, kB) for kB in (0, 1000, 2000, 3000, 4000)]
+    seen = (Memory(0, 1000), Memory(0, 4000))
     shift = Shift(RATE_Hz, 0, 1, 1.0, Path("none"), 0, 0, 0, "", index_bytes=4000 * 1024, memory=seen)
     assert shift.grown_MB() == pytest.approx((0.0, 0.0))
+
+
+def test_what_runs_leave_in_the_process_misses_a_mark_above_1_MB(day):
+    c, (*_, third) = day
+    grown = [replace(third, memory=(Memory(0, 0), Memory(kB, 0))) for kB in (90_000, 100_000, 102_200)]
+    name = "process, second shift to last"
+    assert figure(figures(grown[:2], c, []), name).met is True
+    assert figure(figures(grown, c, []), name).met is False
 
 
 def test_a_path_that_cannot_repeat_without_an_end_is_refused(tmp_path):

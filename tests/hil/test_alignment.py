@@ -47,6 +47,15 @@ def test_without_a_period_it_is_the_usual_distance_of_the_ticks_and_a_single_one
     assert plant_rows_of(ticks_at([3 * PERIOD_NS, 4 * PERIOD_NS]), plant, None).tolist() == [2, -1]
 
 
+@pytest.mark.parametrize("gap", [0, 3, 7], ids=["first", "middle", "last"])
+def test_a_gap_between_two_ticks_widens_no_ticks_reach_wherever_it_stands(gap):
+    steps = np.full(8, PERIOD_NS)
+    steps[gap] = 10 * PERIOD_NS
+    t_ns = np.concatenate(([0], np.cumsum(steps)))
+    far = plant_at([t_ns[gap] + 3 * PERIOD_NS // 4], [1])
+    assert plant_rows_of(ticks_at(t_ns), far).tolist() == [-1] * len(t_ns)
+
+
 @pytest.mark.parametrize(("away_ns", "place"), [(PERIOD_NS // 2, 1), (PERIOD_NS // 2 + 1, -1)])
 def test_half_a_period_away_is_still_a_ticks_own_row_and_no_more(away_ns, place):
     plant = plant_at([0, PERIOD_NS + away_ns], [1, 2])

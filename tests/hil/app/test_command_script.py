@@ -3,10 +3,14 @@ of those that are refused."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
+from hil.app.sim import command
 from hil.app.sim.commands import CommandScript
-from hil.signals import Operator
+from hil.signals import Operator, SetPoint
 
 
 def given(rate_Hz: float, *times_s: float, ticks: int = 40) -> list[int]:
@@ -73,3 +77,46 @@ def test_a_repeated_command_is_refused_once_and_each_new_reason_is_told_and_each
     assert told == [["a"], [], ["b"], [], ["b"], [], ["b"]]
     assert script.refused == 2
     assert script.left == 0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.01, 1), (0.02, 1), (0.03, 2), (0.06, 3), (0.14, 7), (0.28, 14), (0.29, 15), (0.56, 28)],
+)
+def test_a_word_that_is_repeated_is_said_every_20_ms_and_not_once_more_at_its_end(
+    seconds: float, words: int
+) -> None:
+    script = CommandScript([(1.0, f"jog x 1 for {seconds}")], 1000.0)
+    assert [tick for tick in range(2000) if script(tick).orders] == [1000 + 20 * k for k in range(words)]
+
+
+def test_a_word_that_has_begun_to_be_said_was_reached_and_one_that_has_not_was_not() -> None:
+    script = CommandScript([(0.0, "jog x 1 for 0.1"), (0.05, "hold"), (0.06, "start")], 1000.0)
+    assert (script.left, script.over) == (3, False)
+    script(0)
+    assert (script.left, script.over) == (2, False)
+    script(50)
+    assert (script.left, script.over) == (1, False)
+    script(60)
+    assert (script.left, script.over) == (0, False)
+    script(80)
+    assert (script.left, script.over) == (0, True)
+
+
+def test_the_set_points_of_a_file_come_before_those_of_the_commands_of_their_tick_whose_answers_stay_theirs() -> (
+    None
+):
+    script = CommandScript([(0.0, "setpoint 0 0 1")], 1000.0)
+    asked: dict[str, Any] = {}
+    told: list[str] = []
+    lockstep: Any = SimpleNamespace(
+        tick=0, period_ns=1, run=lambda _s, _o, _e, said, **more: asked.update(more, said=said)
+    )
+    log: Any = SimpleNamespace(event=lambda _t_ns, _level, text: told.append(text))
+    of_file, own = SetPoint(9.0, 0.0, 0.0, 0.0, 0.0, 0.0), SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    command._run(lockstep, log, None, None, lambda _: (of_file,), script)  # type: ignore[arg-type]
+    assert asked["said"](0).setpoints == (of_file, own)
+    asked["answered"]([], [], ["of the file", ""])
+    assert (told, script.refused) == ([], 0)
+    asked["answered"]([], [], ["", "too far"])
+    assert (len(told), told[0].endswith("too far"), script.refused) == (1, True, 1)

@@ -16,6 +16,7 @@ from hil.app.log_budget import TICK_BYTES, dated_logs, make_room, needed_bytes
 from hil.app.sim.command import simulate
 from hil.record.log import Log
 from hil.record.mcap_file import McapFile
+from hil.record.schema import IDENTITY, SUMMARY
 
 
 @pytest.fixture(scope="module")
@@ -183,3 +184,33 @@ def test_logs_that_go_while_the_folder_is_looked_at_are_no_reason_to_refuse_a_ru
     dated_logs(runs, "virtual")
     assert not once
     assert dated_logs(runs, "virtual") == []
+
+
+def closed(path, **end):
+    """Write a log that says of its end what is given."""
+    file = McapFile(path, "a test")
+    file.add_metadata(IDENTITY, {**Log(path.parent / "mine.mcap").metadata[IDENTITY]})
+    if end:
+        file.add_metadata(SUMMARY, end)
+    file.finish()
+
+
+@pytest.mark.parametrize(
+    ("end", "kept"),
+    [
+        ({"closed": "clean", "faults": "0"}, False),
+        ({"closed": "clean", "faults": "64"}, True),
+        ({"closed": "producer died"}, True),
+        ({"closed": "disk_full"}, True),
+        ({}, True),
+    ],
+    ids=["parked", "fault", "producer died", "disk full", "no end"],
+)
+def test_a_run_of_which_no_end_without_a_fault_is_known_stays_longer_than_one_that_has_parked(
+    runs, end, kept
+):
+    oldest, parked = "virtual-20250101T000000", "virtual-20260101T000000"
+    closed(runs / f"{oldest}.mcap", **end)
+    removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]
+    assert oldest in removed
+    assert (removed.index(oldest) > removed.index(parked)) is kept

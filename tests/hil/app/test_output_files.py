@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
+import os
+import select
 import shlex
+import struct
+import termios
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from click.testing import CliRunner
 
+from hil.app.output import write_json
 from hil.cli import main
 
 SAID = "is another file of this command; name a file of its own"
@@ -109,3 +117,23 @@ def test_the_files_of_two_folders_may_have_one_name(here: Path):
     for folder in ("a", "b"):
         (here / folder).mkdir()
     assert SAID not in hil("design hinf nowhere.yaml -o a/x --plot b/x.png --json x").stderr
+
+
+def waiting_bytes(fd: int) -> int:
+    return int(struct.unpack("i", fcntl.ioctl(fd, termios.FIONREAD, bytes(4)))[0])
+
+
+def test_a_summary_larger_than_a_pipe_holds_goes_into_it_whole_however_late_it_is_read(here: Path) -> None:
+    os.mkfifo(here / "pipe")
+    reader = os.open(here / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    os.set_blocking(reader, True)
+    room = fcntl.fcntl(reader, fcntl.F_SETPIPE_SZ, 4096)
+    summary = {"success": True, "ticks": list(range(2 * room))}
+    writing = Thread(target=write_json, args=(here / "pipe", summary))
+    writing.start()
+    while waiting_bytes(reader) < room and writing.is_alive():
+        select.select([reader], [], [], 10.0)
+    with os.fdopen(reader, "rb") as file:
+        found = file.read()
+    writing.join()
+    assert json.loads(found) == summary

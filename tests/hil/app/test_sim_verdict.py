@@ -35,11 +35,13 @@ def simulated(
     *,
     agrees: bool = True,
     fails: Exception | None = None,
+    figures: dict[str, Any] | None = None,
+    **more: Any,
 ) -> dict[str, Any]:
     """Return the summary of a simulation of no tick.
 
     own, plant: why its log, and that of the plant, is not whole; plant None: there is none. fails: what its
-    replay raises.
+    replay raises. figures: of its log.
     """
 
     def replayed(_: Path) -> tuple[None, dict[str, Any]]:
@@ -55,9 +57,11 @@ def simulated(
     monkeypatch.setattr(command, "record", recording(own))
     monkeypatch.setattr(command, "_record_plant", recording(plant or ""))
     monkeypatch.setattr(command, "_run_to_end", lambda *_: ending)
-    monkeypatch.setattr(command, "_figures", lambda *_: ({}, ""))
+    monkeypatch.setattr(command, "_figures", lambda *_: (dict(figures or {}), ""))
     monkeypatch.setattr(command, "replay_log", replayed)
-    return command.simulate(VIRTUAL, log=folder / "a.mcap", duration_s=0.1, plant_log=plant is not None)
+    return command.simulate(
+        VIRTUAL, log=folder / "a.mcap", duration_s=0.1, plant_log=plant is not None, **more
+    )
 
 
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
@@ -173,3 +177,44 @@ def test_the_identity_of_a_run_is_asked_for_with_where_its_legs_stand(monkeypatc
     monkeypatch.setattr(command, "law_figures", lambda *_: {})
     simulated(monkeypatch, tmp_path, PARKED)
     assert [given[-1] for given in asked] == [stood]
+
+
+def faulty(*names: str) -> Any:
+    return SimpleNamespace(plant=SimpleNamespace(faults=names))
+
+
+@pytest.mark.parametrize(
+    ("begun", "waiting", "expected"),
+    [
+        ([], [], {"time_not_reached": ["a", "b", "c"]}),
+        (["b"], [], {"injected": ["b"], "time_not_reached": ["a", "c"]}),
+        ([], ["c"], {"mode_not_reached": ["c"], "time_not_reached": ["a", "b"]}),
+        (["a"], ["c"], {"injected": ["a"], "mode_not_reached": ["c"], "time_not_reached": ["b"]}),
+        (["c", "a", "b"], [], {"injected": ["c", "a", "b"]}),
+    ],
+)
+def test_each_fault_has_struck_or_waits_for_its_mode_or_for_its_time_and_is_told_once(
+    monkeypatch, begun, waiting, expected
+):
+    monkeypatch.setattr(command, "show_fault", str)
+    nodes: Any = SimpleNamespace(begun=begun, waiting=waiting)
+    assert command._injected(faulty("a", "b", "c"), nodes) == expected
+
+
+def test_set_points_that_were_not_reached_stand_beside_those_that_were_taken(monkeypatch, tmp_path):
+    monkeypatch.setattr(command, "Script", lambda *_: SimpleNamespace(left=3))
+    monkeypatch.setattr(command, "run_identity", lambda *_: "1")
+    given = {"setpoints": {"taken": 5, "refused": 1, "why": None}}
+    for figures in ({}, given):
+        folder = tmp_path / str(len(figures))
+        folder.mkdir()
+        found = simulated(monkeypatch, folder, PARKED, figures=figures, setpoints=folder / "poses.csv")
+        assert found["setpoints"] == figures.get("setpoints", {}) | {"not_reached": 3}
+
+
+def test_commands_that_were_not_given_were_neither_given_nor_refused():
+    operator: Any = SimpleNamespace(left=2, refused=1)
+    assert command._commands([], operator) == {}
+    assert command._commands([(0.0, "hold")] * 7, operator) == {
+        "commands": {"given": 5, "refused": 1, "not_reached": 2}
+    }

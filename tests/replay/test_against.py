@@ -230,6 +230,18 @@ def test_what_cannot_be_compared_is_refused(made):
         made(Made(range(3)), Made(range(3, 5)))
 
 
+@pytest.mark.parametrize("unknown", [0, 1])
+def test_a_log_that_does_not_say_its_rate_is_compared_with_none_that_does(made, unknown):
+    logs = [Made(range(3)), Made(range(3))]
+    logs[unknown].metadata = {"hil": {}}
+    rates = ["1000 Hz", "1000 Hz"]
+    rates[unknown] = "an unknown rate"
+    with pytest.raises(LogError, match=f"ran at {rates[0]}, that of made.mcap at {rates[1]}; allowed"):
+        made(*logs)
+    logs[1 - unknown].metadata = {}
+    assert made(*logs)["success"]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -239,7 +251,11 @@ def test_what_cannot_be_compared_is_refused(made):
         (["tau=nan"], "allowed: COLUMN=VALUE"),
         (["much"], "allowed: COLUMN=VALUE"),
         (["tau=1", "tau=2"], "column tau has a tolerance already"),
+        (["tau=0", "tau=2"], "column tau has a tolerance already"),
+        (["tau=2", "tau=0"], "column tau has a tolerance already"),
         (["1e-9", "1e-6"], "is given twice"),
+        (["0", "1e-6"], "is given twice"),
+        (["1e-6", "0"], "is given twice"),
         (["mode=1"], "have names and no distance, allowed: mode=0"),
     ],
 )

@@ -78,9 +78,9 @@ def _refuse_unlike(one: Log, other: Log) -> None:
         )
     rates = [log.metadata.get(IDENTITY, {}).get("rate_Hz") for log in (one, other)]
     if rates[0] != rates[1]:
+        here, there = (f"{rate:.40} Hz" if rate else "an unknown rate" for rate in rates)
         raise LogError(
-            f"{one.path}: its loop ran at {rates[0] or 'an unknown rate':.40} Hz, that of {other.path} at "
-            f"{rates[1] or 'an unknown rate':.40} Hz; allowed: two of one rate"
+            f"{one.path}: its loop ran at {here}, that of {other.path} at {there}; allowed: two of one rate"
         )
 
 

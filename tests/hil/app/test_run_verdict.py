@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.config import BusSettings
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.run import command
 from hil.loop.clock import RealTime
-from hil.loop.run_end import Ending
+from hil.loop.run_end import NO_DRIVES, Ending
 from hil.record import LogSummary
 from hil.record.log import Log
 
@@ -41,6 +42,8 @@ def verdict(tmp_path, monkeypatch):
         unreadable="",
         fails=None,
         ending=PARKED,
+        skipped=0,
+        stood_ns=None,
     ):
         def replayed(_):
             if fails is not None:
@@ -54,7 +57,9 @@ def verdict(tmp_path, monkeypatch):
 
         rows = np.zeros(ticks, ROW)
         rows["tick"] = np.arange(ticks)
-        rows["tick"][ticks // 2 :] += missing
+        rows["tick"][ticks // 2 :] += missing + skipped
+        rows["skipped"][ticks // 2 :][:1] = skipped
+        rows["stretched_ns"] = stood_ns or 0
         monkeypatch.setattr(Log, "open", opened)
         monkeypatch.setattr(command, "replay_log", replayed)
         for name in ("figures", "law_figures", "loads"):
@@ -70,7 +75,7 @@ def verdict(tmp_path, monkeypatch):
             trouble,
             RealTime([], []),
             closed,
-            stretching=False,
+            stretching=stood_ns is not None,
         )
 
     return summed
@@ -117,6 +122,66 @@ def test_a_log_with_gaps_proves_a_run_only_where_each_missing_tick_was_counted_a
     found = verdict(missing=missing, dropped=dropped, different=different, agrees=False)
     assert found["success"] is success
     assert found["dropped_ticks"] == dropped
+
+
+@pytest.mark.parametrize("skipped", [0, 1, 7])
+@pytest.mark.parametrize(("dropped", "missing"), [(2, 2), (2, 1), (2, 3)])
+def test_periods_that_the_loop_skipped_are_no_ticks_that_the_log_lacks(verdict, skipped, dropped, missing):
+    found = verdict(skipped=skipped, missing=missing, dropped=dropped, agrees=False)
+    assert found["success"] is (missing == dropped)
+
+
+@pytest.mark.parametrize(
+    ("mode", "ending"),
+    [
+        (Mode.PARKED, "parked"),
+        (Mode.FAULT, "fault"),
+        (Mode.HELD, "held"),
+        (Mode.WAITING, "not begun"),
+        (Mode.IDLE, "not begun"),
+    ],
+)
+@pytest.mark.parametrize("requested", [True, False])
+def test_a_summary_says_how_the_run_ended_and_whether_that_was_asked_for(verdict, mode, ending, requested):
+    found = verdict(ending=replace(PARKED, mode=mode, requested=requested))
+    assert found["ending"] == ending + (" on request" if requested else "")
+    assert found["success"] is (mode is Mode.PARKED)
+
+
+@pytest.mark.parametrize(("tick", "last"), [(-1, None), (0, 0), (5, 5), (TICKS - 1, TICKS - 1)])
+def test_the_ticks_before_a_fault_end_with_its_own_be_it_the_first_of_all(verdict, tick, last):
+    found = verdict(ending=replace(PARKED, mode=Mode.FAULT, faults=Fault.BUS, fault_tick=tick))
+    shown = [each["tick"] for each in found.get("last_ticks", [])]
+    assert shown == ([] if last is None else list(range(last + 1)))
+
+
+@pytest.mark.parametrize("stood_ns", [None, 0, 5_000_000])
+def test_how_long_the_time_of_a_bench_stood_still_is_told_where_it_may(verdict, stood_ns):
+    found = verdict(stood_ns=stood_ns)
+    assert ("bench_time" in found) is (stood_ns is not None)
+    if stood_ns is not None:
+        assert found["bench_time"]["stretches"] == (TICKS if stood_ns else 0)
+
+
+@pytest.mark.parametrize("with_plant", [True, False])
+@pytest.mark.parametrize("several", [True, False])
+def test_where_no_drive_answered_each_bus_is_named_and_the_plant_only_where_none_was_started(with_plant, several):
+    bus = {
+        "interface": "localcan",
+        "channels": [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}],
+    } if several else {"interface": "localcan", "channel": "a"}  # fmt: skip
+    c: Any = SimpleNamespace(source="mine.yaml", bus=BusSettings.model_validate(bus))
+    silent = replace(PARKED, mode=Mode.WAITING, reason=NO_DRIVES)
+    found = command._explained(silent, c, with_plant=with_plant).reason
+    where = (
+        "localcan channel a (legs 0, 1, 2) and localcan channel b (legs 3, 4, 5)"
+        if several
+        else "localcan channel a"
+    )
+    assert found.startswith(f"no drive answered on {where} within 2 s: check power, wiring, bit rate and ")
+    assert ("hil plant mine.yaml" in found) is not with_plant
+    for other in (PARKED, replace(PARKED, mode=Mode.FAULT, reason="latched fault STALE")):
+        assert command._explained(other, c, with_plant=with_plant) is other
 
 
 @pytest.mark.parametrize("dropped", [0, 3])

@@ -3,13 +3,14 @@ of those that are refused."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hil.app.sim import command
-from hil.app.sim.commands import CommandScript
+from hil.app.sim.commands import CommandScript, read_commands
 from hil.signals import Operator, SetPoint
 
 
@@ -120,3 +121,13 @@ def test_the_set_points_of_a_file_come_before_those_of_the_commands_of_their_tic
     assert (told, script.refused) == ([], 0)
     asked["answered"]([], [], ["", "too far"])
     assert (len(told), told[0].endswith("too far"), script.refused) == (1, True, 1)
+
+
+@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["none", "byte order mark"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["unix", "windows"])
+def test_a_file_of_commands_is_read_whichever_editor_wrote_it(tmp_path: Path, mark: str, end: str) -> None:
+    lines = ["0.5 start # at last", "", "# a remark", "  2  jog x 1 for 1.5 ", "1e1\thold"]
+    (tmp_path / "c.txt").write_bytes((mark + end.join(lines) + end).encode())
+    assert [(t, " ".join(word.split())) for t, word in read_commands(tmp_path / "c.txt")] == [
+        (0.5, "start"), (2.0, "jog x 1 for 1.5"), (10.0, "hold"),
+    ]  # fmt: skip

@@ -1,5 +1,8 @@
 """The figures of a run, each from rows that are made up for it."""
 
+import errno
+from pathlib import Path
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -308,3 +311,18 @@ def test_errors_are_the_reference_less_the_measurement_leg_by_leg_and_axis_by_ax
     assert tracking["peak_leg_error_mm"] == pytest.approx(3.0)
     assert tracking["peak_position_error_mm"] == pytest.approx(np.sqrt(5.0))
     assert tracking["peak_rotation_error_deg"] == pytest.approx(1.0)
+
+
+def test_a_picture_that_cannot_be_written_to_its_end_leaves_the_earlier_one_and_nothing_else(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "a.png").write_bytes(b"the earlier one")
+
+    def full(_figure, file, **_):
+        Path(file).write_bytes(b"half of it")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", full)
+    with pytest.raises(OSError, match="No space left"):
+        picture(rows_of(3), tmp_path / "a.png", "a run")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.png", b"the earlier one")]

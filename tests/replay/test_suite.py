@@ -302,3 +302,27 @@ def test_a_case_of_junit_says_what_was_found_where_it_first_differs_and_that_it_
         ("b", "b.mcap", "cut", "q\ntau", "cut", 0.5),
         (".", "c.mcap", None, "", "skipped: no run", 0.5),
     ]
+
+
+@pytest.mark.parametrize(
+    ("verdicts_found", "success"),
+    [
+        (["fail"], False),
+        (["fail", "fail"], False),
+        (["fail", "skipped"], False),
+        (["pass", "skipped"], True),
+        (["pass", "fail"], False),
+        (["pass"], True),
+    ],
+)
+def test_a_suite_succeeds_where_a_log_passed_and_none_failed_and_has_its_cases_where_none_passed(
+    tmp_path, verdicts_found, success
+):
+    cases: list[Any] = [
+        Case(str(tmp_path / f"{n}.mcap"), verdict, "", {}, 0.1) for n, verdict in enumerate(verdicts_found)
+    ]
+    found = summary(tmp_path, cases, 1.0)
+    assert found["success"] is success
+    assert [case["verdict"] for case in found["cases"]] == verdicts_found
+    with pytest.raises(LogError, match="but 2 of other kinds: nothing to replay"):
+        summary(tmp_path, [cases[0]._replace(verdict="skipped")] * 2, 1.0)

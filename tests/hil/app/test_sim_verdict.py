@@ -218,3 +218,13 @@ def test_commands_that_were_not_given_were_neither_given_nor_refused():
     assert command._commands([(0.0, "hold")] * 7, operator) == {
         "commands": {"given": 5, "refused": 1, "not_reached": 2}
     }
+
+
+def test_a_simulation_whose_plant_log_exists_is_refused_before_its_own_log_is_begun(monkeypatch, tmp_path):
+    begun = []
+    (tmp_path / "a-plant.mcap").write_bytes(b"an earlier one")
+    monkeypatch.setattr(command, "build_nodes", lambda *_: begun.append("plant"))
+    with pytest.raises(LogError, match=r"a-plant\.mcap: exists and is not overwritten"):
+        simulated(monkeypatch, tmp_path, PARKED, plant="")
+    assert begun == []
+    assert [path.name for path in tmp_path.iterdir()] == ["a-plant.mcap"]

@@ -44,6 +44,7 @@ def test_a_figure_has_the_whole_unit_of_its_key_and_none_of_it_is_left_in_its_na
         (["OFF", "OFF"], "all OFF"),
         (["OFF", "OFF", "ON"], "OFF; OFF; ON"),
         (["ON", "OFF", "OFF"], "ON; OFF; OFF"),
+        (["OFF", "ON", "OFF"], "OFF; ON; OFF"),
     ],
 )
 def test_a_value_is_shown_as_who_reads_it_would_say_it(value, shown):

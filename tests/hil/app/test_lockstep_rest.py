@@ -37,7 +37,9 @@ def test_a_mode_is_reached_in_its_first_tick_and_again_when_it_comes_back() -> N
 
 
 @pytest.mark.parametrize("moves", range(REST + 1))
-def test_a_reference_rests_when_it_has_stood_still_for_a_tenth_of_a_second_without_a_break(moves: int) -> None:
+def test_a_reference_rests_when_it_has_stood_still_for_a_tenth_of_a_second_without_a_break(
+    moves: int,
+) -> None:
     steps = [(Mode.TRACKING, -1e-9 if tick == moves else 0.0) for tick in range(2 * REST)]
     still = moves + REST if moves < REST else REST - 1
     assert told(steps) == [(0, "TRACKING"), (still, "HOLD")]

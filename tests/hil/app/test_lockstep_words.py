@@ -76,7 +76,9 @@ def test_a_platform_that_has_just_come_to_be_held_is_released_from_its_second_ti
     assert [tick for tick, each in enumerate(bench.heard) if each == ()] == [
         tick for tick in range(len(modes)) if tick not in released
     ]
-    refused = [tick for tick, (words, _, _) in enumerate(bench.answers) if words[0].startswith("nothing is held")]
+    refused = [
+        tick for tick, (words, _, _) in enumerate(bench.answers) if words[0].startswith("nothing is held")
+    ]
     assert refused == [tick for tick in range(len(modes)) if tick not in released]
 
 
@@ -104,6 +106,8 @@ def test_a_run_is_left_alone_once_all_was_said_and_in_no_tick_in_which_something
     assert bench.heard == [(), (), heard, PARKING]
 
 
-def test_a_simulation_ends_with_its_plant_in_the_tick_in_which_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulation_ends_with_its_plant_in_the_tick_in_which_that_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert Bench(monkeypatch, [Mode.TRACKING] * 4, fails_at=2).run({}) == "the model is gone in 2"
     assert Bench(monkeypatch, [Mode.TRACKING] * 4).run({}) == "ended in 3"

@@ -165,7 +165,9 @@ def test_how_long_the_time_of_a_bench_stood_still_is_told_where_it_may(verdict, 
 
 @pytest.mark.parametrize("with_plant", [True, False])
 @pytest.mark.parametrize("several", [True, False])
-def test_where_no_drive_answered_each_bus_is_named_and_the_plant_only_where_none_was_started(with_plant, several):
+def test_where_no_drive_answered_each_bus_is_named_and_the_plant_only_where_none_was_started(
+    with_plant, several
+):
     bus = {
         "interface": "localcan",
         "channels": [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}],

@@ -60,7 +60,7 @@ class Bench:
             lambda *_: None,
             commands=lambda tick: said.get(tick, NOTHING),
             over=lambda: self.lockstep.tick + 1 >= over_from,
-            answered=lambda *each: self.answers.append(each),  # type: ignore[arg-type]
+            answered=lambda *each: self.answers.append(each),
         )
 
 

@@ -128,6 +128,15 @@ def test_above_it_stands_where_the_first_column_beyond_its_tolerance_parts():
     assert "first divergence" not in within
 
 
+@pytest.mark.parametrize(("element", "unit"), [("twist.vz", "m/s"), ("twist.wx", "rad/s")])
+def test_the_first_divergence_has_the_unit_of_its_own_element(element, unit):
+    """A column of several units has none."""
+    first = place(3, 0.003, element, unit, "1.0", "2.0")
+    twist = column("twist", "", first, first, ticks=1, largest=1.0)
+    found = shown(BOTH | {"columns": [twist], "diverging": ["twist"]})
+    assert found["first divergence"] == f"tick 3 (0.003 s): {element}: 1.0, other 2.0 {unit}"
+
+
 def test_an_alignment_by_motion_is_said():
     assert shown(BOTH | {"align": "motion"}) == SHOWN | {"aligned by": "the first motion"}
 

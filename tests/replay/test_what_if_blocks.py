@@ -8,7 +8,7 @@ import pytest
 from drivers.config import SensorSettings
 from drivers.errors import ConfigurationError
 from drivers.protocol import Frame
-from drivers.signals import Fault, Mode
+from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.what_if.allowed import refuse_other_inputs
@@ -189,3 +189,29 @@ def test_the_root_of_the_mean_square_of_one_tick_is_the_size_of_its_difference()
     forces = kernel.Forces()
     forces.take(np.array([20]), np.array([[9.0, 0.0, -3.0, 1.0, 0.5, -0.25]]))
     assert forces.rms.tolist() == [9.0, 0.0, 3.0, 1.0, 0.5, 0.25]
+
+
+@pytest.mark.parametrize("block", [1, 2, 3, 7, 20])
+def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the_answer_alone(
+    block, monkeypatch
+):
+    monkeypatch.setattr(kernel, "BLOCK", block)
+    answer = kernel.Answer()
+    blocks = kernel._Blocks(answer, None)
+    for tick in range(12):
+        there, here = np.zeros((), ROW), np.zeros((), ROW)
+        there["tick"] = here["tick"] = 100 + tick
+        there["warnings"] = Warn.FORCE_STEP if tick in {1, 2, 5} else Warn.NONE
+        here["warnings"] = Warn.FORCE_STEP | Warn.LATE if tick in {2, 4, 5, 6, 11} else Warn.NONE
+        inp = SimpleNamespace(t_ns=0)
+        blocks.add(SimpleNamespace(entry=SimpleNamespace(row=there, sent=()), inp=inp, row=here, sent=()))  # type: ignore[arg-type]
+    blocks.flush()
+    assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
+
+
+def test_who_observes_a_what_if_is_told_what_is_answered_and_not_what_was_recorded(monkeypatch):
+    ticks, cycle = steps([((A,), (B,)), ((A, B), (C,)), ((A,), ())])
+    monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
+    told = []
+    kernel.what_if(None, cycle, observe=lambda inp, sent, row: told.append((inp.tick, sent, int(row["tick"]))))  # type: ignore[arg-type]
+    assert told == [(0, (B,), 0), (1, (C,), 1), (2, (), 2)]

@@ -112,7 +112,10 @@ def test_who_refuses_to_go_without_real_time_does_so_on_such_a_bench_too(fifo):
         rate_selection.select_rate(c, with_plant=True, stretching=True)
 
 
-def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):
+@pytest.mark.parametrize(
+    ("missed", "stale", "periods"), [(50, 5, 5), (5, 50, 5), (3, 7, 3), (7, 3, 3), (4, 4, 4)]
+)
+def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch, missed, stale, periods):
     asked = []
 
     def holdable_rate(_rate, periods):
@@ -122,9 +125,9 @@ def test_the_lesser_limit_counts_where_a_rate_is_looked_for(fifo, monkeypatch):
     said = fifo(0.5)
     monkeypatch.setattr(rate_selection, "holdable_rate", holdable_rate)
     c = load("virtual")
-    limits = c.limits.model_copy(update={"missed_stop_ticks": 50})
+    limits = c.limits.model_copy(update={"missed_stop_ticks": missed, "stale_fault_ticks": stale})
     rate_selection.select_rate(c.model_copy(update={"limits": limits}), with_plant=True)
-    assert asked == [5]
+    assert asked == [periods]
     assert len(said) == 1
 
 
@@ -138,3 +141,14 @@ def test_drives_that_switch_off_sooner_than_the_loop_gives_up_do_not_outlast_a_s
     c = c.model_copy(update={"drives": c.drives.model_copy(update={"watchdog_ms": watchdog_ms})})
     assert rate_selection.select_rate(c, with_plant=True)[0] == rate_Hz
     assert len(said) == (rate_Hz != c.loop.rate_Hz)
+
+
+@pytest.mark.parametrize(("watchdog_ms", "chosen_s"), [(10.0, 0.2), (199.0, 0.2), (201.0, 0.201), (500.0, 0.5)])
+def test_emulated_drives_are_given_more_time_where_the_loop_is_slowed_and_never_less(
+    ordinary, watchdog_ms, chosen_s
+):
+    said = ordinary(125.0, 0.001)
+    c = load("virtual")
+    c = c.model_copy(update={"drives": c.drives.model_copy(update={"watchdog_ms": watchdog_ms})})
+    assert rate_selection.select_rate(c, with_plant=True) == (125.0, pytest.approx(chosen_s))
+    assert said[0].endswith(f"emulated drives' watchdog {1e3 * chosen_s:g} ms")

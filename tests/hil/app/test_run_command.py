@@ -44,6 +44,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         rate_Hz: float = 1000.0,
         plant_success: bool = True,
         unsaid: str = "",
+        plant_trouble: str = "",
         **options: Any,
     ) -> tuple[Course, Shell, list[int], dict[str, Any]]:
         begun: list[tuple[Course, Shell]] = []
@@ -57,8 +58,8 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         cycle.parts.trajectory, cycle.parts.law = SimpleNamespace(duration_s=1.0), None
         closed = LogSummary(tmp_path / "a.mcap", 0, 0, 0, 0, 0, 0.0, True, "", gave_up=False)
         recording = SimpleNamespace(event=lambda *_: None, close=lambda _: closed)
-        finished: dict[str, Any] = {"success": plant_success, "trouble": None}
-        plant = SimpleNamespace(trouble=lambda: "", finish=lambda: finished)
+        finished: dict[str, Any] = {"success": plant_success, "trouble": plant_trouble or None}
+        plant = SimpleNamespace(trouble=lambda: plant_trouble, finish=lambda: finished)
 
         keeper = SimpleNamespace(
             last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=unsaid
@@ -140,6 +141,17 @@ def test_a_run_with_its_plant_is_a_success_where_both_have_ended_well(
     *_, summary = ran(ending=ending, plant_success=plant_success, with_plant=True)
     assert summary["success"] is (ending is PARKED and plant_success)
     assert summary["plant"]["success"] is plant_success
+
+
+@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
+def test_a_plant_that_has_died_is_the_reason_of_what_the_controller_saw_and_is_named_first(
+    ran: Ran, ending: Ending
+) -> None:
+    died = "the plant, process 7, was killed by SIGKILL"
+    *_, summary = ran(ending=ending, plant_success=False, plant_trouble=died, with_plant=True)
+    assert summary["success"] is False
+    seen = f"; the controller: {ending.reason}" if ending.reason else ""
+    assert summary["trouble"] == died + seen
 
 
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])

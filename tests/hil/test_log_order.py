@@ -1,10 +1,17 @@
 """In which order the messages of a log lie in its file."""
 
 from collections import defaultdict
+from typing import Any
 
+import numpy as np
+import pytest
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from drivers.tick_columns import ROW
+from hil.record.decode import ITEM
+from hil.record.entries import assemble
+from hil.signals import Operator, Order
 from tests.hil.samples import log_of, random_ticks
 
 
@@ -46,3 +53,18 @@ def test_what_is_drawn_of_a_tick_lies_behind_its_frames_and_before_the_next_row(
         commands = len(tick.operator) + len(tick.setpoints) + len(tick.orders)
         frames = len(tick.received) + len(tick.sent)
         assert found[k] == ["/tick", *["/can"] * frames, *["/operator"] * commands, *views]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 2)])
+def test_commands_of_a_tick_are_given_by_their_number_in_it_wherever_another_writer_put_them(order):
+    given = [
+        (0, Operator.SPEED, (0.5,)), (1, Operator.SETPOINT, (0.0,) * 6), (2, Operator.START, ()),
+        (3, Operator.SPEED, (1.0,)),
+    ]  # fmt: skip
+    operator = [(4, Operator.STOP, ()), (5, Operator.RESET, ())]
+    rows = np.zeros(1, ROW)
+    rows["tick"] = 7
+    commands: Any = {7: [given[k] for k in order] + operator[:: 1 if order[0] < 2 else -1]}
+    (tick,) = assemble(rows, np.zeros(0, ITEM), commands)
+    assert tick.orders == (Order(Operator.SPEED, (0.5,)), Order(Operator.START), Order(Operator.SPEED, (1.0,)))
+    assert (tick.operator, len(tick.setpoints)) == ((Operator.STOP, Operator.RESET), 1)

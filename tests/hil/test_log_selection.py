@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record.selection import Selection, joined
+from hil.record.selection import Selection, components, joined
 
 COLUMNS = (
     Column("output", "tick", int, "", "number of the tick"),
@@ -109,3 +109,18 @@ def test_columns_that_are_asked_for_in_another_order_than_the_logs_keep_their_ow
     assert found.dtype.names == names
     assert found["tick"].tolist() == [0, 1, 2, 3]
     assert found["t_ns"].tolist() == [0, 10, 20, 30]
+
+
+@pytest.mark.parametrize(
+    ("names", "labels"),
+    [
+        ([], ["tick", "t_ns", "q.0", "q.1", "q.2"]),
+        (["q"], ["q.0", "q.1", "q.2"]),
+        (["q", "q"], ["q.0", "q.1", "q.2"]),
+        (["q", "q.1"], ["q.0", "q.1", "q.2"]),
+        (["q.1", "q"], ["q.1", "q.0", "q.2"]),
+        (["q.2", "tick", "q.2"], ["q.2", "tick"]),
+    ],
+)
+def test_each_component_that_is_named_is_there_once_and_in_the_order_of_its_first_name(names, labels):
+    assert [each.label for each in components(COLUMNS, names, "a.mcap")] == labels

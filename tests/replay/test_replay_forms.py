@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,7 @@ from hil.app import output
 from hil.app.replay import summary
 from hil.app.replay_suite import Case
 from hil.cli import main
+from hil.cli.replay_forms import chosen_form
 from hil.loop.replay import Comparison, Difference
 from tests.replay.test_against_shown import BOTH
 from tests.replay.test_what_if_shown import result
@@ -155,3 +157,23 @@ def test_the_bar_of_a_suite_counts_its_logs_on_a_terminal_alone_and_leaves_nothi
     assert found.exit_code == 0, found.output
     counts = [("the task", {"completed": n, "total": 2}) for n in (1, 2)]
     assert bars == [(True, not terminal), 2, *counts, "closed"]
+
+
+@pytest.mark.parametrize(
+    ("given", "form"),
+    [
+        ({}, ""),
+        ({"what_if": "virtual"}, "--what-if"),
+        ({"what_if": ""}, "--what-if"),
+        ({"words": ("a=1",)}, "--what-if"),
+        ({"words": ("",)}, "--what-if"),
+        ({"against": Path("b.mcap")}, "--against"),
+        ({"salvage": Path("c.mcap")}, ""),
+        ({"salvage": Path("c.mcap"), "what_if": "virtual", "words": ("a=1",)}, "--what-if"),
+    ],
+)
+def test_what_is_given_decides_what_is_asked_also_where_it_is_an_empty_word(given, form):
+    nothing = dict.fromkeys(
+        ("what_if", "against", "suite", "salvage", "picture", "out", "align", "jobs", "junit")
+    ) | {"words": (), "tolerances": ()}
+    assert chosen_form(Path("a.mcap"), nothing | given) == form

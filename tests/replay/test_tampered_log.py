@@ -2,14 +2,19 @@
 
 import json
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from drivers.errors import LogError
 from drivers.signals import Mode
+from hil.app.replay import _require_as_many_as_told
 from hil.cli import main
+from hil.loop.replay import Comparison
 from hil.record.log import Log
 from hil.record.salvage import salvage
 from tests.broad import broad
@@ -112,3 +117,33 @@ def test_a_frame_taken_away_is_found(log, frame_type, tmp_path):
     assert re.search(
         rf"^hil: tick {tick}: frames_received: recorded \d+, replayed \d+$", result.stderr, re.MULTILINE
     )
+
+
+def told(ticks, index, end, *, first_missing=None, gaps=(), cut=""):
+    """Return the gaps of a replay of so many ticks of a log whose index and end count others."""
+    log: Any = SimpleNamespace(
+        path="a.mcap", cut=cut, summary=SimpleNamespace(ticks=index), metadata={"summary": {"ticks": end}}
+    )
+    comparison = Comparison(ticks=ticks, end=ticks if first_missing is None else first_missing, gaps=list(gaps))
+    _require_as_many_as_told(log, comparison)
+    return comparison.gaps
+
+
+@pytest.mark.parametrize(("index", "end"), [(7, "7"), (7, ""), (5, "7"), (7, "5")])
+def test_ticks_that_the_end_of_a_log_counts_and_that_are_not_there_are_missing_behind_its_last_one(index, end):
+    assert told(5, index, end) == [(5, 2)]
+    assert told(5, index, end, first_missing=105) == [(105, 2)], "the loop has skipped some"
+
+
+def test_a_log_that_has_a_gap_already_and_one_without_an_end_have_no_further_one():
+    assert told(5, 7, "7", gaps=[(5, 1)]) == [(5, 1)]
+    assert told(5, 7, "7", cut="cut at 99 bytes") == []
+    assert told(5, 5, "5") == []
+
+
+@pytest.mark.parametrize(
+    ("index", "end"), [(4, "5"), (5, "4"), (4, "4"), (5, "five"), (5, "9" * 19)], ids=str
+)
+def test_an_end_or_index_that_counts_fewer_than_there_are_or_no_number_was_altered(index, end):
+    with pytest.raises(LogError, match=r"a\.mcap: 5 ticks are there, .*: it was altered since it was written"):
+        told(5, index, end)

@@ -15,7 +15,7 @@ def test_cases_failures_and_texts_are_counted_and_parse_whatever_signs_they_have
     cases = [
         Verdict("g", "good", output="fine", wall_s=1.25),
         Verdict("g", 'bad <"&\x1b', "leg 2\x00 < leg 3", "line 1\nline 2"),
-        Verdict("h", "bad too", ""),
+        Verdict("h", "bad too", "", wall_s=0.0),
     ]
     write_junit(path, "hil x\x07", iter(cases), 3.5)
     suite = ET.parse(path).getroot()
@@ -28,6 +28,7 @@ def test_cases_failures_and_texts_are_counted_and_parse_whatever_signs_they_have
     assert failure is not None
     assert (failure.get("message"), failure.text) == ("leg 2  < leg 3", "line 1\nline 2")
     assert empty.find("failure") is not None
+    assert empty.get("time") == "0.000"
     write_junit(path, "none", [])
     assert ET.parse(path).getroot().attrib == {"name": "none", "tests": "0", "failures": "0"}
 

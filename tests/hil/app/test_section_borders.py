@@ -8,6 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.signals import Fault
+from hil.app.configuration.configuration import load
 from hil.config.delay import DelayCompensation
 from hil.config.design import ErrorWeight, UncertaintyRanges
 from hil.config.estimation import FusionSettings
@@ -15,7 +16,7 @@ from hil.config.limits import LimitSettings
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.config.number import plain_number
-from hil.config.platform import CylinderShape, JointCircle, PayloadSettings
+from hil.config.platform import CylinderShape, JointCircle, PayloadSettings, PlatformSettings
 from hil.config.reactions import ReactionSettings
 from hil.config.running import EngageSettings
 from hil.config.values import Pose
@@ -170,3 +171,15 @@ def test_a_word_in_plain_figures_is_a_number(word, number):
 @pytest.mark.parametrize("word", ["", ".", "1_0", "nan", "inf", "0x10", "٣", "1 2", "1e", "e5", "--1", "1,5"])
 def test_a_word_of_other_signs_is_no_number(word):
     assert plain_number(word) != plain_number(word)
+
+
+@pytest.mark.parametrize("half", ["cylinder", "rod"])
+@pytest.mark.parametrize(("inertia_kg_m2", "fine"), [(0.0, True), (0.1, True), (None, False)])
+def test_legs_that_spin_have_an_inertia_about_themselves_be_it_none_at_all(half, inertia_kg_m2, fine):
+    figures = load("virtual").platform.model_dump()
+    for each in ("cylinder", "rod"):
+        figures[each]["inertia_axial_kg_m2"] = 0.1
+    figures[half]["inertia_axial_kg_m2"] = inertia_kg_m2
+    spinning = {"leg_spin": "universal", "universal_joint_base_axes": [(1.0, 0.0, 0.0)] * 6}
+    assert taken(PlatformSettings, **figures | spinning) is fine
+    assert taken(PlatformSettings, **figures | {"leg_spin": "none"})

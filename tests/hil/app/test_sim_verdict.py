@@ -36,12 +36,13 @@ def simulated(
     agrees: bool = True,
     fails: Exception | None = None,
     figures: dict[str, Any] | None = None,
+    unreadable: str = "",
     **more: Any,
 ) -> dict[str, Any]:
     """Return the summary of a simulation of no tick.
 
     own, plant: why its log, and that of the plant, is not whole; plant None: there is none. fails: what its
-    replay raises. figures: of its log.
+    replay raises. figures: of its log; unreadable: why it has none.
     """
 
     def replayed(_: Path) -> tuple[None, dict[str, Any]]:
@@ -57,7 +58,7 @@ def simulated(
     monkeypatch.setattr(command, "record", recording(own))
     monkeypatch.setattr(command, "_record_plant", recording(plant or ""))
     monkeypatch.setattr(command, "_run_to_end", lambda *_: ending)
-    monkeypatch.setattr(command, "_figures", lambda *_: (dict(figures or {}), ""))
+    monkeypatch.setattr(command, "_figures", lambda *_: (dict(figures or {}), unreadable))
     monkeypatch.setattr(command, "replay_log", replayed)
     return command.simulate(
         VIRTUAL, log=folder / "a.mcap", duration_s=0.1, plant_log=plant is not None, **more
@@ -228,3 +229,14 @@ def test_a_simulation_whose_plant_log_exists_is_refused_before_its_own_log_is_be
         simulated(monkeypatch, tmp_path, PARKED, plant="")
     assert begun == []
     assert [path.name for path in tmp_path.iterdir()] == ["a-plant.mcap"]
+
+
+@pytest.mark.parametrize(("own", "told"), [("", "a.mcap: damaged"), (FULL, FULL)])
+@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
+def test_a_log_that_cannot_be_read_is_a_trouble_of_its_own_where_its_recorder_had_none(
+    monkeypatch, tmp_path, ending, own, told
+):
+    found = simulated(monkeypatch, tmp_path, ending, own, unreadable="a.mcap: damaged")
+    assert found["success"] is False
+    assert found["trouble"] == "; ".join(filter(None, (ending.trouble, told)))
+    assert "replay" not in found

@@ -25,8 +25,10 @@ from hil.app.what_if.command import what_if_log
 from hil.cli import main
 from hil.loop import replay as kernel
 from hil.loop.replay import Comparison, Difference, replay
+from hil.loop.story.narrator import Narrator
 from hil.record.log import Log
 from hil.record.salvage import salvage
+from hil.signals import Operator
 from tests.hil.rewrite import mcap_summary, rewrite_log
 
 
@@ -209,6 +211,20 @@ def test_a_replay_has_the_story_of_the_faults_that_its_cycle_latched(entries):
     verdict = compared(entries, begun + 5, bus_off=1)
     assert verdict.story is not None
     assert [finding.fault for finding in verdict.story.findings] == ["BUS"]
+
+
+def test_a_replay_tells_the_story_what_the_operator_said_in_each_tick(entries, monkeypatch):
+    told: list[tuple[int, tuple[Operator, ...]]] = []
+    there = Narrator.look
+
+    def look(narrator, operator=()):
+        told.append((len(told), tuple(operator)))
+        there(narrator, operator)
+
+    monkeypatch.setattr(Narrator, "look", look)
+    said = {3: (Operator.ESTOP,), 4: (), 5: (Operator.RESET, Operator.STOP)}
+    verdict_on([entry._replace(operator=said.get(k, ())) for k, entry in enumerate(entries[:8])])
+    assert told == [(k, said.get(k, ())) for k in range(8)]
 
 
 @pytest.mark.parametrize("leg", range(6))

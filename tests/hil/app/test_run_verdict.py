@@ -12,6 +12,7 @@ from drivers.config import BusSettings
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
+from hil.app.output import closing
 from hil.app.run import command
 from hil.loop.clock import RealTime
 from hil.loop.run_end import NO_DRIVES, Ending
@@ -241,3 +242,9 @@ def test_a_picture_that_cannot_be_drawn_in_the_end_is_no_success_and_says_why(
 def test_a_log_whose_recorder_died_is_said_to_be_cut_beside_the_reason(verdict):
     found = verdict(unreadable="a.mcap: cut at 99 bytes", error="the recorder died", lost=4)
     assert found["recorder"] == "the recorder died: 4 ticks are not in the log; a.mcap: cut at 99 bytes"
+
+
+@pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.SPEED, Fault.ESTOP])
+def test_the_end_of_a_log_says_which_faults_were_latched_by_their_bits(faults):
+    ending = replace(PARKED, mode=Mode.FAULT, faults=faults)
+    assert closing(ending, "why") == {"ending": "FAULT", "reason": "why", "faults": int(faults)}

@@ -159,3 +159,14 @@ def test_of_differences_of_one_size_the_largest_is_where_the_first_of_them_is():
         found.take(one, rows(2), np.zeros(2))
     assert found.at is not None
     assert (found.largest, found.at.tick, found.at.label) == (3.0, 20, "tau.leg_0")
+
+
+def test_the_first_place_beyond_a_relative_tolerance_is_no_larger_difference_within_it():
+    one, other = rows(), rows()
+    other["tau"][2] = one["tau"][2] = [1e6, 1.0, 2.0, 0.0, 0.0, 0.0]
+    one["tau"][2] += [0.5, 0.1, 0.2, 0.0, 0.0, 0.0]
+    found, _ = compared(one, other, "tau", Tolerance(0.0, 1e-6))
+    assert found.first is not None
+    assert found.at is not None
+    assert (found.first.tick, found.first.label) == (12, "tau.leg_2")
+    assert (found.at.label, found.largest) == ("tau.leg_0", 0.5)

@@ -192,3 +192,10 @@ def test_scheduler_and_processors_are_those_of_this_process(monkeypatch, policy,
     monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(priority))
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {10, 2, 3})
     assert scheduling() == {"scheduler": said, "affinity": "2,3,10"}
+
+
+@pytest.mark.parametrize(("count", "told"), [(64, "64"), (1, "1"), (None, None)])
+def test_a_machine_has_all_its_processors_however_few_this_process_may_use(monkeypatch, count, told):
+    monkeypatch.setattr(os, "cpu_count", lambda: count)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
+    assert environment().get("cpus") == told

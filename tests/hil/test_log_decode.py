@@ -71,6 +71,20 @@ def test_a_field_that_stands_twice_in_a_message_has_its_last_value_beside_rows_a
     assert decoder.rows(*buffer(ROWS, payloads)).tobytes() == rows.tobytes()
 
 
+@pytest.mark.parametrize("places", [[0], [2], [0, 1, 2]], ids=str)
+def test_a_row_whose_fields_another_writer_put_in_another_order_is_read_by_their_numbers(decoder, places):
+    """It is as long as ours; tick and t_ns take a tag and eight bytes each, and stand first."""
+    rows = random_rows(3)
+    rows["tick"], rows["t_ns"] = [7, 8, 9], [1000, 2000, 3000]
+    payloads = laid_out(rows)
+    assert list(ROW.names or ())[:2] == ["tick", "t_ns"]
+    for place in places:
+        given = payloads[place]
+        payloads[place] = given[9:18] + given[:9] + given[18:]
+        assert len(payloads[place]) == len(given)
+    assert decoder.rows(*buffer(ROWS, payloads)).tobytes() == rows.tobytes()
+
+
 def empty_rows(more):
     """Messages in which all is left out, so many that rows may have 1 MiB beyond 8 times their bytes, and `more`.
 

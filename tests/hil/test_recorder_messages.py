@@ -158,6 +158,26 @@ def test_commands_and_events_stand_among_the_frames_of_their_tick_and_count_in_i
     assert all(0 < m.content.timestamp.nanos < S for m in events)
 
 
+@pytest.mark.parametrize("rows", [1, 2, 7])
+def test_an_event_between_two_batches_is_of_the_tick_that_comes_next(rows):
+    by, event = encoder(), (0, 18, 0, EVENT, b"between", 1, 0)
+    first, _ = encoded(by, batch(0, event))
+    assert [m.sequence for m in first] == [0], "no tick was yet"
+    encoded(by, batch(rows))
+    for _ in range(2):
+        found, _ = encoded(by, batch(0, event))
+        assert [m.sequence for m in found] == [rows + 7]
+
+
+@pytest.mark.parametrize("length", [64, 65, 576, 577, 4000])
+def test_an_event_of_whatever_length_has_all_of_its_text(length):
+    text = ("0123456789" * 400)[:length].encode()
+    pieces = [text[k : k + 64] for k in range(0, length, 64)]
+    items = [(0, 11, len(pieces) - 1 - k, EVENT, piece, 2, 0) for k, piece in enumerate(pieces)]
+    (message,) = [m for m in encoded(encoder(), batch(1, *items))[0] if m.topic == "/events"]
+    assert message.content.message == text.decode()
+
+
 def test_the_text_of_an_event_ends_at_what_is_no_piece_of_it():
     pieces = [(EVENT, 0, b"before"), (EVENT, 2, b"a"), (EVENT, 1, b"b"), (EVENT, 0, b"c"), (OPERATOR, 1, b"x"),
               (EVENT, 1, b"d"), (EVENT, 0, b"e")]  # fmt: skip

@@ -269,6 +269,16 @@ def test_sent_frames_are_counted_over_all_ticks(entries):
     assert verdict.frames == sum(len(entry.sent) for entry in entries[:60]) > 60
 
 
+def test_a_tick_that_differs_in_frames_and_columns_is_told_in_both(entries):
+    edited = Edited(entries[:60], 50, q=entries[50].row["q"] + 0.5, mode=99)
+    edited.entries[50] = edited.entries[50]._replace(sent=())
+    verdict = replay(edited, virtual())
+    assert [each.column for each in verdict.first] == [
+        *(name for name in COMPUTED_COLUMNS if name in {"q", "mode"}), "sent frames",
+    ]  # fmt: skip
+    assert (verdict.different_ticks, verdict.wire_different_ticks, verdict.largest) == (1, 1, math.inf)
+
+
 def test_a_tick_whose_sent_frames_are_gone_is_a_difference_that_can_be_printed(entries):
     edited = [*entries]
     edited[50] = edited[50]._replace(sent=())

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Chunk, Schema
 from mcap.stream_reader import StreamReader
 
 from hil.record.mcap_file import MAGIC, McapFile, being_written
@@ -320,3 +320,34 @@ def test_a_file_that_was_taken_back_says_of_itself_what_was_true_before(failures
     assert attachments == ["a", *behind]
     assert (len(summary.chunk_indexes), sorted(summary.schemas)) == (1 + kept, list(range(1, 2 + kept)))
     assert sorted(summary.channels) == [1, *range(5, 5 + kept)]
+
+
+def test_a_chunk_without_a_message_says_nothing_of_when_a_log_begins_and_ends(tmp_path):
+    file = McapFile(tmp_path / "a.mcap", "a test")
+    file.add_schema(Schema(id=1, name="none", encoding="", data=b""))
+    file.add_channel(Channel(id=1, topic="/a", message_encoding="raw", metadata={}, schema_id=1))
+    nothing = Chunk(
+        compression="", data=b"", message_start_time=0, message_end_time=1 << 62, uncompressed_crc=0,
+        uncompressed_size=0,
+    )  # fmt: skip
+    none = np.zeros(0, np.int64)
+    file.add_compressed(nothing, none, none, none)
+    add(file, 1, [500, 600])
+    file.add_compressed(nothing, none, none, none)
+    file.finish()
+    assert read(tmp_path / "a.mcap") == ([500, 600], 3)
+
+
+@pytest.mark.parametrize("data", [b"", b"a: 1", bytes(range(256)) * 40], ids=len)
+def test_the_index_says_how_large_an_attachment_is_and_where_it_stands(tmp_path, data):
+    file = with_chunks(tmp_path / "a.mcap", 1)
+    file.add_attachment("a.yaml", data, 77, "application/yaml")
+    file.finish()
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = SeekingReader(stream)
+        summary = reader.get_summary()
+        assert summary is not None
+        (index,) = summary.attachment_indexes
+        (found,) = reader.iter_attachments()
+    assert (index.name, index.data_size, index.log_time) == ("a.yaml", len(data), 77)
+    assert (found.data, found.media_type, found.create_time) == (data, "application/yaml", 77)

@@ -73,7 +73,11 @@ def test_commands_of_a_tick_are_given_by_their_number_in_it_wherever_another_wri
     rows["tick"] = 7
     commands: Any = {7: [given[k] for k in order] + operator[:: 1 if order[0] < 2 else -1]}
     (tick,) = assemble(rows, np.zeros(0, ITEM), commands)
-    assert tick.orders == (Order(Operator.SPEED, (0.5,)), Order(Operator.START), Order(Operator.SPEED, (1.0,)))
+    assert tick.orders == (
+        Order(Operator.SPEED, (0.5,)),
+        Order(Operator.START),
+        Order(Operator.SPEED, (1.0,)),
+    )
     assert (tick.operator, len(tick.setpoints)) == ((Operator.STOP, Operator.RESET), 1)
 
 

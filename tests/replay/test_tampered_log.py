@@ -124,13 +124,17 @@ def told(ticks, index, end, *, first_missing=None, gaps=(), cut=""):
     log: Any = SimpleNamespace(
         path="a.mcap", cut=cut, summary=SimpleNamespace(ticks=index), metadata={"summary": {"ticks": end}}
     )
-    comparison = Comparison(ticks=ticks, end=ticks if first_missing is None else first_missing, gaps=list(gaps))
+    comparison = Comparison(
+        ticks=ticks, end=ticks if first_missing is None else first_missing, gaps=list(gaps)
+    )
     _require_as_many_as_told(log, comparison)
     return comparison.gaps
 
 
 @pytest.mark.parametrize(("index", "end"), [(7, "7"), (7, ""), (5, "7"), (7, "5")])
-def test_ticks_that_the_end_of_a_log_counts_and_that_are_not_there_are_missing_behind_its_last_one(index, end):
+def test_ticks_that_the_end_of_a_log_counts_and_that_are_not_there_are_missing_behind_its_last_one(
+    index, end
+):
     assert told(5, index, end) == [(5, 2)]
     assert told(5, index, end, first_missing=105) == [(105, 2)], "the loop has skipped some"
 
@@ -145,5 +149,7 @@ def test_a_log_that_has_a_gap_already_and_one_without_an_end_have_no_further_one
     ("index", "end"), [(4, "5"), (5, "4"), (4, "4"), (5, "five"), (5, "9" * 19)], ids=str
 )
 def test_an_end_or_index_that_counts_fewer_than_there_are_or_no_number_was_altered(index, end):
-    with pytest.raises(LogError, match=r"a\.mcap: 5 ticks are there, .*: it was altered since it was written"):
+    with pytest.raises(
+        LogError, match=r"a\.mcap: 5 ticks are there, .*: it was altered since it was written"
+    ):
         told(5, index, end)

@@ -213,5 +213,9 @@ def test_who_observes_a_what_if_is_told_what_is_answered_and_not_what_was_record
     ticks, cycle = steps([((A,), (B,)), ((A, B), (C,)), ((A,), ())])
     monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
     told = []
-    kernel.what_if(None, cycle, observe=lambda inp, sent, row: told.append((inp.tick, sent, int(row["tick"]))))  # type: ignore[arg-type]
+
+    def observe(inp, sent, row):
+        told.append((inp.tick, sent, int(row["tick"])))
+
+    kernel.what_if(None, cycle, observe=observe)  # type: ignore[arg-type]
     assert told == [(0, (B,), 0), (1, (C,), 1), (2, (), 2)]

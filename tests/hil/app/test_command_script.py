@@ -134,15 +134,19 @@ def test_a_file_of_commands_is_read_whichever_editor_wrote_it(tmp_path: Path, ma
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("words", [["start"], ["stop", "reset"], ["hold"], ["setpoint 0 0 1"], ["key for 0.1"], []])
+@pytest.mark.parametrize(
+    "words", [["start"], ["stop", "reset"], ["hold"], ["setpoint 0 0 1"], ["key for 0.1"], []]
+)
 def test_a_script_lets_the_platform_move_where_it_arms_and_for_no_other_word(words: list[str]) -> None:
     assert not CommandScript([(0.0, word) for word in words], 1000.0).arms
     assert CommandScript([(0.0, word) for word in (*words, "arm")], 1000.0).arms
 
 
-@pytest.mark.parametrize("word", ["hold for 2", "stop for 1", "arm for 0.1", "setpoint 0 0 1 for 1", "status", "x"])
+@pytest.mark.parametrize(
+    "word", ["hold for 2", "stop for 1", "arm for 0.1", "setpoint 0 0 1 for 1", "status", "x"]
+)
 def test_a_word_that_is_not_repeated_or_asks_or_is_none_is_refused_with_its_place(word: str) -> None:
-    with pytest.raises(ConfigurationError, match="^c: command 2: "):
+    with pytest.raises(ConfigurationError, match=r"^c: command 2: "):
         CommandScript([(0.0, "hold"), (1.0, word)], 1000.0, "c")
 
 

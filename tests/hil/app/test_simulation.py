@@ -2,6 +2,7 @@
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import hil
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
+from hil.app import simulation
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.yaml_positions import parse
@@ -224,3 +226,22 @@ def test_a_log_that_was_closed_and_cannot_be_read_again_ends_in_a_summary_that_s
 
 def test_the_command_line_and_the_package_allow_runs_of_one_length():
     assert DURATION.max == LATEST_S
+
+
+@pytest.mark.parametrize("changes", [{}, {"loop": {"priority": 7}}], ids=["as it is", "changed"])
+def test_files_of_a_configuration_are_looked_for_beside_it_also_where_it_was_changed(
+    tmp_path, monkeypatch, changes
+):
+    asked: list[Any] = []
+
+    def simulate(configuration, **_):
+        asked.append(configuration)
+        raise LogError("no further")
+
+    monkeypatch.setattr(simulation, "simulate", simulate)
+    monkeypatch.setattr(simulation, "refuse_unreachable", lambda _: None)
+    (tmp_path / "mine.yaml").write_text(load("virtual").text)
+    with pytest.raises(LogError, match="no further"):
+        hil.sim(tmp_path / "mine.yaml", **changes)
+    assert [each.folder for each in asked] == [tmp_path]
+    assert [each.loop.priority for each in asked] == [7 if changes else 80]

@@ -157,6 +157,21 @@ def test_a_line_comes_at_once_and_then_five_times_a_second_on_a_terminal_and_eve
     assert drawn == [0, 16, 32]
 
 
+@pytest.mark.parametrize(("terminal", "apart_s"), [(True, 0.2), (False, 5.0)])
+def test_after_a_long_time_without_a_row_there_is_one_line_and_none_is_made_up_for(
+    monkeypatch, terminal, apart_s
+):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    out = Out(terminal)
+    view = LiveView(out, None)
+    lines = []
+    for now[0] in (0.0, 50 * apart_s, 50.01 * apart_s, 50.9 * apart_s, 51.01 * apart_s):
+        view.show(rows(1))
+        lines.append(out.tries)
+    assert lines == [1, 2, 2, 2, 3]
+
+
 def test_a_terminal_that_breaks_is_not_written_to_again(monkeypatch):
     now = [1000.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])

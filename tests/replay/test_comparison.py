@@ -171,6 +171,8 @@ def test_ticks_that_the_loop_skipped_are_no_gap(entries):
     verdict = verdict_on([*entries[:40], entries[42]._replace(row=row), *entries[43:]])
     assert verdict.gaps == []
     assert verdict.ticks == len(entries) - 2
+    last = int(entries[-1].row["tick"])
+    assert verdict.end == last + 1, "by its number, whatever was skipped before"
     first = entries[2].row.copy()
     first["skipped"] = 2
     verdict = verdict_on([entries[2]._replace(row=first), *entries[3:]])

@@ -109,6 +109,18 @@ def test_each_column_of_the_first_tick_that_differs_is_a_line_of_standard_error_
     assert "remark the log was cut" in [" ".join(line.split()) for line in found.stdout.splitlines()]
 
 
+@pytest.mark.parametrize(("agrees", "code"), [(True, 0), (False, 1)])
+def test_a_replay_is_a_success_where_it_agrees_as_on_another_cpu_that_rounds_otherwise(
+    replayed, tmp_path, monkeypatch, agrees, code
+):
+    rounded = Comparison(ticks=9, different_ticks=1, first=[Difference(7, "tau[0]", 1.0, 1.0 + 1e-15)])
+    fields = summary(rounded, 1.0, 2.0) | {"agrees": agrees, "exact": False}
+    monkeypatch.setattr("hil.app.replay.replay_log", lambda *_: (rounded, fields))
+    monkeypatch.setattr("hil.record.log.Log.open", lambda _: None)
+    found = replayed(tmp_path / "run.mcap")
+    assert (found.exit_code, "replay: success" in found.stdout) == (code, agrees)
+
+
 def test_a_junit_file_that_could_not_be_written_is_refused_before_a_log_is_replayed(
     replayed, tmp_path, monkeypatch
 ):

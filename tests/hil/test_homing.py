@@ -322,14 +322,22 @@ def test_a_leg_that_is_lost_stays_lost_and_the_others_keep_their_turns():
     np.testing.assert_array_equal(legs.homing.added, before)
 
 
-def test_reset_forgets_what_was_found():
+def test_a_reset_forgets_what_was_found_what_disagreed_and_whose_turn_was_lost():
     legs = Leg()
     legs.hear(forgotten(PARKED), braked=False)
     assert legs.homing.opened
+    for _ in range(SILENT_TICKS + 2):
+        legs.hear(forgotten(PARKED), silent=(4,), braked=False)
+    assert "leg 4: its drive was switched off" in legs.homing.refusal
     legs.homing.reset()
-    assert not legs.homing.opened
-    assert not legs.homing.known
-    assert not legs.homing.added.any()
+    assert not legs.homing.refusal
+    assert vars(legs.homing).keys() == vars(Leg().homing).keys()
+    for name, value in vars(Leg().homing).items():
+        if name not in {"_pose", "_stroke", "_period_s"}:
+            np.testing.assert_array_equal(getattr(legs.homing, name), value, err_msg=name)
+    legs.number, legs.last = -1, new_record()
+    np.testing.assert_allclose(legs.hear(forgotten(PARKED)), PARKED, atol=1e-12)
+    assert legs.homing.known
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -250,6 +250,14 @@ def test_of_several_faults_the_strongest_reaction_counts():
     assert leads(Mode.TRACKING, Fault.SPEED, ReactionSettings(speed="ss1")) is Mode.STOPPING
 
 
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("name", ["speed", "following", "drive"])
+def test_a_fault_whose_reaction_is_sto_takes_the_torque_off_in_every_mode(mode, name):
+    off, fault = ReactionSettings.model_validate({name: "sto"}), Fault[name.upper()]
+    assert leads(mode, fault, off) is Mode.FAULT
+    assert leads(mode, fault | Fault.STALE | Fault.BRAKE, off) is Mode.FAULT, "whatever else has struck"
+
+
 def test_every_fault_has_a_reaction_or_none_that_could_be_chosen():
     assert Fault.STALE in DEFAULT.led_to("sbc")
     assert Fault.CERTIFICATE in DEFAULT.led_to("ss1")

@@ -137,6 +137,23 @@ def test_only_a_held_platform_at_rest_whose_brakes_have_not_failed_can_have_them
     assert facts_of(cycle, monkeypatch, tick).provable == (mode is Mode.HELD and not lacks)
 
 
+UNBELIEVED = (
+    *(Fault.BRAKE, Fault.ENCODER, Fault.UNCERTAIN, Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION),
+    *(Fault.NOT_FINITE, Fault.LAW, Fault.DUPLICATE_NODE),
+)
+"""Faults after which a leg that seems to stand proves no brake."""
+
+
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault], ids=lambda fault: fault.name)
+def test_after_a_fault_of_what_is_measured_no_brake_is_proven_but_where_a_leg_was_only_not_heard(
+    cycle, monkeypatch, fault
+):
+    cycle.mode, believed = Mode.HELD, fault not in UNBELIEVED
+    for faults in (fault, fault | Fault.DRIVE | Fault.STALE):
+        cycle.faults = faults
+        assert facts_of(cycle, monkeypatch, measured(cycle)).provable == believed
+
+
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
 @pytest.mark.parametrize("lacks", ["", "end", "on hold", "rest", "way back"])
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -170,6 +187,15 @@ def test_a_drive_that_is_waited_for_too_long_is_faulty_and_what_it_may_not_have_
     assert cycle.mode is leads[mode]
     assert cycle.faults == Fault.DRIVE | Fault.SET_UP
     assert cycle.mode_tick == patience + 2
+
+
+@pytest.mark.parametrize(("mode", "word"), [(Mode.LOADING, Operator.RESET), (Mode.PARKING, Operator.RELEASE)])
+def test_a_word_that_came_with_the_fault_of_a_drive_that_was_waited_for_is_no_answer_to_it(cycle, mode, word):
+    """A RELEASE given before anything was held must not let go of it."""
+    cycle.mode, late = mode, round(1000.0 * (cycle.durations.least(mode) + 1.0)) + 2
+    cycle._change_mode(said(word, tick=late), measured(cycle, tick=late))
+    assert cycle.mode is {Mode.LOADING: Mode.FAULT, Mode.PARKING: Mode.HELD}[mode]
+    assert cycle.faults == Fault.DRIVE
 
 
 # -- where faults lead

@@ -14,6 +14,7 @@ from drivers.tick_columns import Record, copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop import effort as effort_module
+from hil.loop import modes
 from hil.loop.effort import Effort
 from hil.loop.learned import LearnedForces
 from hil.robot.kinematics import leg_lengths
@@ -92,11 +93,14 @@ def test_what_was_learned_is_added_to_what_is_asked_but_never_where_the_platform
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_where_it_is_held_the_law_goes_no_further_from_the_holding_force_than_the_window(parts, way):
+def test_where_it_is_held_the_law_goes_no_further_from_the_holding_force_than_the_window_else_as_it_asks(
+    parts, way
+):
     effort, law, motion = an_effort(parts)
     law.own = OWN + way * 1e6
     np.testing.assert_allclose(filled(effort, motion, Mode.HELD)["tau_asked"], HOLDING + way * effort.reach_N)
-    np.testing.assert_allclose(filled(effort, motion, Mode.TRACKING)["tau_asked"], HOLDING + way * 1e6)
+    for mode in sorted(modes.CONTROLLED - {Mode.HELD}):
+        np.testing.assert_allclose(filled(effort, motion, mode)["tau_asked"], HOLDING + way * 1e6)
 
 
 def test_after_a_reset_what_was_learned_begins_anew_too(parts):

@@ -13,6 +13,7 @@ from drivers.sensors import Readings, Sample
 from drivers.signals import DriveState, Fault, Warn
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion
+from hil.estimation import fusion_layout as k
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fused_pose import PoseFusion
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator, Health
@@ -149,6 +150,24 @@ def test_a_drive_without_an_encoder_that_speaks_is_believed_its_force_and_a_sile
     found.update(tick, MS, Readings(), np.full(6, 50.0), ZERO)
     (taken,) = forces
     assert taken == [50.0 if i == other else i + 1.0 for i in range(6)]
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("state", [DriveState.READY, DriveState.OFF, DriveState.FAULT])
+def test_with_one_brake_that_is_not_open_no_force_carries_the_pose_on_and_every_leg_is_believed(
+    forces, leg, state
+):
+    """A shut brake takes what the model would make of the forces, and the mean of them begins anew."""
+    found = estimator()
+    states = [state if i == leg else DriveState.RUN for i in range(6)]
+    for number, drives in enumerate(([DriveState.RUN] * 6, states, [DriveState.RUN] * 6), 1):
+        tick = altered(driven(np.full(6, 10.0 * number)), tick=number, drive_state=drives)
+        found.update(tick, number * MS, Readings(), ZERO, ZERO)
+        interval = found._intervals[found._newest]
+        shut = drives is states
+        assert (interval[k.USED : k.USED + 6] == (k.KEPT if shut else 1.0)).all()
+        assert not (shut and interval[k.DTWIST : k.DTWIST + 6].any())
+    assert forces == [[10.0] * 6, [30.0] * 6]
 
 
 def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():

@@ -170,6 +170,37 @@ def test_with_one_brake_that_is_not_open_no_force_carries_the_pose_on_and_every_
     assert forces == [[10.0] * 6, [30.0] * 6]
 
 
+@pytest.mark.parametrize("odd", ["", "brake", "leg", "leg that is silent"])
+@pytest.mark.parametrize("leg", [0, 5])
+def test_what_stands_on_shut_brakes_has_lost_its_speed_within_the_interval(forces, odd, leg):
+    """5 mm/s of one leg that is heard is a motion; what was read last of a silent one is none."""
+    found, at = estimator(), np.arange(6) == leg
+    twist = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
+    found._states[found._newest, 12:18] = twist
+    states = np.where(at & (odd == "brake"), int(DriveState.RUN), int(DriveState.READY))
+    rates, ages = 5e-3 * (at & ("leg" in odd)), 1 * (at & ("silent" in odd))
+    tick = altered(driven(np.zeros(6)), tick=1, drive_state=states, rate=rates, age=ages)
+    found.update(tick, MS, Readings(), ZERO, ZERO)
+    stands = odd in {"", "leg that is silent"}
+    lost = found._intervals[found._newest][k.DTWIST : k.DTWIST + 6] * T
+    np.testing.assert_allclose(lost, -twist if stands else np.zeros(6), rtol=1e-12)
+    assert not forces
+
+
+def test_a_filter_that_begins_anew_knows_of_no_slip_no_contradiction_and_no_force_of_before():
+    found, fresh, truth = estimator(), estimator(), Truth(5)
+    for tick in range(1, 4):
+        found.update(altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+    found.slipped[2], found._against[1], found._left_out[4] = True, 2, 9
+    for each in (found, fresh):
+        each.start(50, 50 * MS, truth.p, truth.R.as_matrix())
+    assert found.slipped == [False] * 6
+    for name in ("_ticks", "_latched", "_newest", "_count", "_tau", "_left_out", "_against", "_heard"):
+        assert getattr(found, name) == getattr(fresh, name), name
+    for name in ("_states", "_covariances"):
+        np.testing.assert_array_equal(getattr(found, name)[0], getattr(fresh, name)[0])
+
+
 def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():
     """What turns with the platform is turned by the last attitude: nothing is left of the run before."""
     found = PoseFusion(estimator(), FusionSettings())

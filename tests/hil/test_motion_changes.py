@@ -198,6 +198,19 @@ def test_a_live_trajectory_takes_the_share_of_its_speed_and_a_hold_from_the_oper
     assert motion.override.full
 
 
+@pytest.mark.parametrize("speed", [1.0, 0.0])
+def test_on_hold_a_live_trajectory_gives_up_its_target_whatever_the_speed_that_is_asked_for(speed):
+    motion, live = lives()
+    goes(live, 1, 500)
+    motion.aim(500, speed, go=False)
+    goes(live, 500, 1100)
+    assert motion.resting
+    rests = live.sample(0.0).p.copy()
+    motion.aim(1100, 1.0, go=True)
+    goes(live, 1100, 1300)
+    np.testing.assert_array_equal(live.sample(0.0).p, rests, err_msg="there is no set-point since")
+
+
 def test_a_live_trajectory_is_stopped_by_its_own_brake():
     motion, live = lives()
     goes(live, 1, 500)

@@ -194,6 +194,22 @@ def test_a_refused_way_is_left_for_the_rest_that_was_good_a_tick_ago():
     assert trajectory.resting
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
+@pytest.mark.parametrize("ticks", [1, 2, 6])
+def test_a_refused_way_is_told_and_braked_within_the_limits_at_any_share_and_over_skipped_ticks(share, ticks):
+    """Only the first of the ticks that are made up for finds anything: after it the way is the one to rest."""
+    trajectory = live()
+    trajectory.aim(FAR)
+    goes(trajectory, 1, 500)
+    good, rows = trajectory._rest.copy(), trajectory._history
+    trajectory.limit(share)
+    assert trajectory.advance(499 + ticks, lambda _: 5) == 5
+    assert trajectory.advance(500 + ticks, lambda _: 5) == 0
+    steps = np.diff([rows[k % len(rows), 1, 0] for k in range(499, 501 + ticks)])
+    np.testing.assert_allclose(steps, -A * PERIOD, rtol=1e-9)
+    np.testing.assert_allclose(goes(trajectory, 501 + ticks, 1300).p, good[:3], rtol=0, atol=1e-12)
+
+
 def test_where_nothing_moves_nothing_is_judged():
     trajectory = live()
     trajectory.aim(START)

@@ -112,3 +112,12 @@ def test_a_table_that_would_be_too_large_is_refused():
     settings = HoldReference(type="hold", evaluation="offline", duration_s=3600)
     with pytest.raises(ConfigurationError, match=r"3600002 ticks would take 691 MB, allowed: at most 256"):
         build_trajectory(settings, HOME, None, 1e-3)
+
+
+def test_what_was_evaluated_before_the_run_cannot_be_altered_by_who_reads_it():
+    path = build(WaypointReference, "offline", 0.01)
+    assert isinstance(path, TabulatedTrajectory)
+    for column in path.sample(0.5):
+        with pytest.raises(ValueError, match="read-only"):
+            np.add(column, 1.0, out=column)
+    assert path.sample(0.5).twist.any()

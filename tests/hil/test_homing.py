@@ -383,3 +383,10 @@ def test_brakes_that_have_been_open_once_have_been_open_until_a_reset():
     legs.homing.reset()
     legs.hear(forgotten(PARKED))
     assert not legs.homing.opened
+
+
+def test_of_each_leg_that_is_elsewhere_the_refusal_says_by_how_many_millimetres_and_what_is_allowed():
+    legs = Leg()
+    legs.hear(forgotten(PARKED) + 5e-4 * (np.arange(6) == 1) - 6e-4 * (np.arange(6) == 4))
+    for what in ("leg 1 is", "+0.500 mm, allowed: 0.2 mm", "leg 4 is", "-0.600 mm, allowed: 0.2 mm"):
+        assert what in legs.homing.refusal

@@ -76,6 +76,17 @@ def test_a_wall_on_the_way_stops_before_it_is_counted_and_said_once(steering):
     assert steering.trajectory.sample(0.0).p[1] > 0.049
 
 
+def test_in_a_tick_in_which_the_way_is_refused_too_a_set_points_own_refusal_is_said_beside_it(steering):
+    """The platform moves on in a tick with set-points as in one without."""
+    steering.step((at(0.0, 0.04),), 1, tracking=True)
+    before = go(steering, 2, 300)[1]
+    steering._admission = lambda chi: Refusal.STROKE if abs(chi[0]) > 0.2 else Refusal.FORCE
+    steering.step((at(0.3),), 300, tracking=True)
+    assert steering.trajectory.sample(0.0).p[1] > before
+    assert steering.counts == Counts(1, 2, Refusal.STROKE | Refusal.FORCE | Refusal.ON_THE_WAY)
+    assert steering.answers == [Refusal.STROKE]
+
+
 def test_reset_forgets_all(steering):
     steering.step((at(0.1), at(9)), 1, tracking=True)
     go(steering, 2, 300)

@@ -14,9 +14,9 @@ Brake = Literal["sbc", "sto"]
 class ReactionSettings(Section):
     """What is done about each fault that strikes while the brakes are open, by what is still known.
 
-    The words are those of IEC 61800-5-2: safe stop 1, safe brake control, safe torque off. Whatever the
-    reaction, a platform whose brakes are not proven shut keeps its force where there is any. Of several
-    faults the strongest reaction counts. An emergency stop, a bus that is down, another controller, and
+    The words are those of IEC 61800-5-2: safe stop 1, safe brake control, safe torque off. After the first
+    two a platform whose brakes are not proven shut keeps its force where there is any; `sto` takes it off at
+    once, in every mode. Of several faults the strongest reaction counts. An emergency stop, a bus that is down, another controller, and
     drives that none of them is heard of any more, are always `sto`: there is nobody who could obey.
     """
 

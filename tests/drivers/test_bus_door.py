@@ -147,6 +147,19 @@ def test_what_is_awaited_ends_the_wait_and_else_the_deadline():
     assert bus.drain(clock.t_ns, {0x99}) == [GOOD], "what is there at the deadline"
 
 
+def test_what_came_before_the_deadline_is_returned_though_a_look_lasts_beyond_it(monkeypatch):
+    bus, link, clock = one([GOOD])
+    deadline, looks = clock.t_ns + 1, [[], [GOOD]]
+
+    def slow() -> list[Received]:
+        clock.t_ns = deadline + 1
+        return looks.pop(0)
+
+    monkeypatch.setattr(link, "receive", slow)
+    assert bus.drain(deadline, {0x80}) == [GOOD]
+    assert link.blocked == [(deadline, {0x80})]
+
+
 def test_anything_ends_a_wait_for_anything_but_an_error_frame_alone():
     bus, link, clock = one([], [WRONG], [], [GOOD], [GOOD])
     deadline = clock.t_ns + 10_000_000

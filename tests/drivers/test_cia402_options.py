@@ -70,6 +70,8 @@ def test_a_configuration_makes_the_codec():
         ({"velocity": "both"}, r"drives\.options\.velocity: allowed: pdo, difference, given: both"),
         ({"controller_node": 128}, r"drives\.options\.controller_node: .*given: 128"),
         ({"controller_node": 0}, r"drives\.options\.controller_node: .*given: 0"),
+        ({"controller_node": True}, r"drives\.options\.controller_node: .*given: True"),
+        ({"controller_node": 9.0}, r"drives\.options\.controller_node: .*given: 9\.0"),
         ({"controller_node": 1}, r"drives\.node_ids\[0\]: .*given: 1"),
         ({"controller_node": 3}, r"drives\.node_ids\[2\]: .*given: 3"),
         ({"check_encoder": 1}, r"drives\.options\.check_encoder: allowed: true, false, given: 1"),

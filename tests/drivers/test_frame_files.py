@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import can
 import pytest
 
-from drivers.can.frame_files import WRITERS
+from drivers.can.frame_files import WRITERS, BlfWriter
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
 T_ns = 1_700_000_000_123_456_500
@@ -110,3 +111,15 @@ def test_what_is_written_is_read_by_python_can(tmp_path, kind):
         assert message.is_rx == (k % 2 == 0)
         if kind == "blf":
             assert message.timestamp == pytest.approx(1e-9 * T_ns + 1.5 * k, abs=2e-6)
+
+
+def test_a_blf_whose_last_container_finds_no_room_is_closed_all_the_same(tmp_path, monkeypatch):
+    def full() -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    writer = BlfWriter(tmp_path / "a.blf", ("a",))
+    file = writer._file
+    monkeypatch.setattr(writer._writer, "stop", full)
+    with pytest.raises(OSError, match="No space left"):
+        writer.close()
+    assert file.closed

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.mit.variants import ROBSTRIDE_FAULTS
+from drivers.cia402.emergency import meaning
+from drivers.cia402.objects import NAMES
+from drivers.mit.variants import CUBEMARS_FAULTS, DAMIAO_FAULTS, ROBSTRIDE_FAULTS
 from drivers.moteus import FAULTS
 from drivers.odrive import ERRORS
 
@@ -52,3 +54,61 @@ def test_odrive_words_are_those_of_its_dbc(bit, name):
 def test_robstride_words_are_those_of_both_of_its_makers_programs(bit, names):
     for name in names:
         assert says(ROBSTRIDE_FAULTS[int(bit)], name), (ROBSTRIDE_FAULTS[int(bit)], name)
+
+
+@pytest.mark.parametrize(
+    ("table", "names"),
+    [
+        (
+            CUBEMARS_FAULTS,
+            ["over_temperature", "over_current", "over_voltage", "under_voltage", "encoder", "unbalance"],
+        ),
+        (
+            {code - 7: text for code, text in DAMIAO_FAULTS.items()},
+            [
+                *("over_voltage", "under_voltage", "over_current", "MOSFET_over_temperature"),
+                *("rotor_over_temperature", "lost_communication", "overload"),
+            ],
+        ),
+    ],
+)
+def test_words_of_cubemars_and_damiao_are_those_of_their_manuals_in_the_order_of_the_codes(table, names):
+    assert sorted(table) == list(range(1, len(names) + 1))
+    assert all(says(table[code], name) for code, name in enumerate(names, start=1)), table
+
+
+EMCY = {
+    0x2310: "over current", 0x2320: "short circuit", 0x3110: "mains over-voltage", 0x3120: "mains under-voltage",
+    0x3210: "DC link over-voltage", 0x3220: "DC link under-voltage", 0x4210: "temperature of the device",
+    0x4310: "temperature of the drive", 0x5441: "enable input", 0x7121: "blocked", 0x7305: "encoder 1",
+    0x7310: "speed", 0x7380: "position sensor", 0x8110: "overrun", 0x8120: "error passive", 0x8130: "heartbeat",
+    0x8140: "recovered from bus off", 0x8150: "collision", 0x8210: "not processed", 0x8220: "exceeded",
+    0x8250: "timeout", 0x8311: "excess torque", 0x8400: "speed controller", 0x8500: "position controller",
+    0x8611: "following error", 0x8612: "reference limit", 0x8700: "sync controller",
+    0x21FF: "input side", 0x22FF: "inside the device", 0x23FF: "output side", 0x31FF: "mains voltage",
+    0x32FF: "voltage inside", 0x33FF: "output voltage", 0x41FF: "ambient", 0x42FF: "of the device",
+    0x43FF: "of the drive", 0x50FF: "hardware", 0x61FF: "internal software", 0x62FF: "user software",
+    0x63FF: "data set", 0x71FF: "power", 0x73FF: "sensor", 0x81FF: "communication", 0x82FF: "protocol",
+    0x83FF: "torque", 0x84FF: "velocity", 0x85FF: "position", 0x86FF: "positioning", 0x87FF: "synchronisation",
+    0x90FF: "external", 0xF0FF: "additional", 0xFFFF: "manual",
+}  # fmt: skip
+"""Of CiA 301, table 26, and CiA 402-2: a code, or one of a class, and what its words have to have."""
+
+
+def test_words_of_canopen_are_those_of_the_documents_for_each_code_and_class():
+    assert {code: meaning(code) for code, said in EMCY.items() if said not in meaning(code)} == {}
+
+
+OBJECTS = {
+    (0x1000, 0): "device type", (0x1016, 1): "consumer heartbeat", (0x1017, 0): "producer heartbeat",
+    (0x1018, 3): "revision", (0x1018, 4): "serial", (0x1029, 1): "communication error",
+    (0x6007, 0): "abort connection", (0x605A, 0): "quick stop", (0x605E, 0): "fault reaction",
+    (0x6060, 0): "mode of operation", (0x6061, 0): "display", (0x6072, 0): "max torque",
+    (0x6076, 0): "rated torque", (0x608F, 1): "encoder increments", (0x608F, 2): "motor revolutions",
+    (0x60C2, 1): "time period", (0x60C2, 2): "time index", (0x6502, 0): "supported drive modes",
+}  # fmt: skip
+
+
+def test_an_object_that_is_named_to_the_operator_has_the_name_that_the_documents_give_its_index():
+    assert NAMES.keys() == OBJECTS.keys()
+    assert {key: NAMES[key] for key, said in OBJECTS.items() if said not in NAMES[key]} == {}

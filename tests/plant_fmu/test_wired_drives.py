@@ -281,3 +281,14 @@ def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
     wired, _ = wired_to(Wiring(watchdog=(1.0, 1.0, 1.0, factor, 1.0, 1.0)))
     heard = [wired._told(3, wired._waits(3, ms / 1000)) for ms in range(1, 1001)]
     assert heard == [ms / 1000 for ms in range(1, 1001)]
+
+
+@pytest.mark.parametrize("leg", range(LEGS))
+def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
+    protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
+    wired = WiredDrives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES)
+    _, (held, *commands, poll) = wired.parse(protocol.power_up(), Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
+    assert isinstance(held, Configure)
+    assert held.leg == leg
+    assert [(each.legs, each.mode) for each in commands] == [((leg,), DriveMode.READY), ((leg,), DriveMode.RUN)]
+    assert poll == Sync(0, (leg,))

@@ -60,3 +60,45 @@ def test_while_it_is_written_a_file_is_there_for_its_owner_alone_and_then_has_th
     finally:
         os.umask(umask)
     assert [*rights, path.stat().st_mode & 0o777] == [0o600, 0o640]
+
+
+@pytest.mark.parametrize(("refused", "mode"), [((), 0o664), (("owner",), 0o664), (("owner", "group"), 0o604)])
+def test_what_replaces_a_file_has_its_rights_and_none_for_another_group(tmp_path, monkeypatch, refused, mode):
+    path = tmp_path / "run.yaml"
+    path.write_text("earlier")
+    path.chmod(0o664)
+    there, given = path.stat(), []
+
+    def chown(new, uid, gid):
+        del new
+        given.append((uid, gid))
+        if ("owner" if gid == -1 else "group") in refused:
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "chown", chown)
+    with whole_file(path) as temporary:
+        temporary.write_text("later")
+    assert given == [(there.st_uid, -1), (-1, there.st_gid)]
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("later", mode)
+
+
+def test_a_link_stays_one_and_what_it_leads_to_is_replaced(tmp_path):
+    target, link = tmp_path / "there" / "run.yaml", tmp_path / "run.yaml"
+    target.parent.mkdir()
+    target.write_text("earlier")
+    link.symlink_to(target)
+    with whole_file(link) as temporary:
+        assert temporary.parent == target.parent, "one rename, on one file system"
+        temporary.write_text("later")
+    assert link.is_symlink()
+    assert target.read_text() == "later"
+    assert sorted(each.name for each in target.parent.iterdir()) == ["run.yaml"]
+
+
+def test_a_pipe_is_written_itself_and_stays_one(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with whole_file(pipe) as given:
+        assert given == pipe
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]

@@ -306,6 +306,25 @@ def test_an_fmu_that_refuses_its_first_inputs_is_not_initialised(monkeypatch):
         host._initialise()
 
 
+@pytest.mark.parametrize(
+    "failing", ["setFloat64", "enterInitializationMode", "exitInitializationMode", "setupExperiment"]
+)
+def test_an_fmu_that_cannot_be_set_up_anew_takes_no_step_although_it_ran_before(monkeypatch, failing):
+    host, _ = preparing(monkeypatch, 2, 6, 0)
+    host._initialise()
+
+    def fail(*_given: Any, **_named: Any) -> None:
+        raise OSError("why")
+
+    setattr(host._fmu, failing, fail)
+    with pytest.raises(PlantError, match="cannot be initialised|refused parameter 'm'"):
+        host._initialise()
+    assert not host._initialised
+    host.internal_step_s = 0.001
+    with pytest.raises(PlantError, match="closed or failed to initialise; reset it"):
+        host.step(np.zeros(6), np.ones(6), np.zeros(6), 0.001)
+
+
 def test_a_reset_begins_at_0_and_refuses_what_is_no_measurement(monkeypatch):
     host: Any = hosting(None, initialised=True)[0]
     host._call, host._outputs, host._initialise = None, np.arange(12.0), lambda: None

@@ -18,6 +18,7 @@ from drivers.can.socketcan import pack, unpack
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.signals import BusState
 
 LOCAL = BusSettings(interface="localcan", channel="t")
 GROUP = f"239.74.163.{2 + os.getpid() % 250}"
@@ -227,3 +228,12 @@ def test_socketcan_error_frame_keeps_its_class():
 def test_socketcan_refuses_too_long_data():
     with pytest.raises(BusError, match="9 bytes"):
         pack(Frame(1, bytes(9)))
+
+
+@pytest.mark.parametrize("interface", ["localcan", "udp_multicast"])
+def test_of_a_controller_that_nobody_sees_no_state_is_told_and_nothing_was_read(interface):
+    channel = "t" if interface == "localcan" else GROUP
+    with Bus.open(BusSettings(interface=interface, channel=channel), "viewer") as bus:
+        assert [bus.events().state for _ in range(2)] == [BusState.UNKNOWN] * 2
+        assert (bus.facts, bus.knows_ends, bus.virtual) == ("", interface == "localcan", interface != "localcan")
+        bus._link.died()

@@ -268,3 +268,11 @@ def test_a_time_is_read_in_all_of_its_bits(layout):
     for t_ns in (SINCE_NS, 1 << 40, 1 << 61):
         assert told(layout, sent(layout)[4], t_ns=t_ns, since_ns=t_ns)["age"][4] == 0
         assert told(layout, sent(layout)[4], t_ns=t_ns - 1, since_ns=t_ns)["rejected"] == 1
+
+
+@layouts
+@legs
+def test_a_feedback_from_before_the_tick_is_none_of_it_though_its_counter_is_the_same(layout, leg):
+    frame = sent(layout)[leg]
+    found = [P[layout].fresh(Received(SINCE_NS + k, frame), NUMBER, SINCE_NS) for k in (-4_000_000, -1, 0, 1)]
+    assert found == [False, False, True, True]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsDialogue, LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import (
@@ -372,3 +373,9 @@ def test_a_force_at_either_end_of_its_field_reaches_its_drive_and_one_beyond_is_
         six[leg] = outside
         with pytest.raises(ProtocolError, match=f"does not fit layout {layout}"):
             protocol.command(None, Command(DriveMode.RUN, six), 7)
+
+
+def test_drives_of_another_rated_force_confirm_nothing_be_it_by_a_thousandth_of_a_newton():
+    frame = P.start(SETUP).configure[2]
+    rated_N = (32_000.0, 32_000.001, 31_999.999, 32_000.4, 32_000.5, 32_001.0, 0.001, 0.002)
+    assert len({set_up_checksum(frame.id, frame.data[:-1], each) for each in rated_N}) == len(rated_N)

@@ -201,3 +201,16 @@ def test_a_step_of_each_field_is_what_a_reading_is_off_by():
 def test_a_request_for_a_register_of_a_damiao_is_another_controllers_and_other_variants_have_none():
     assert DAMIAO.hear(Frame(0x7FF, bytes(8))) == Heard(0, foreign=True)
     assert VARIANTS["cubemars"].exchanges(DriveSetup(0.05, Reaction.BRAKE, 250.0)) == ((),) * 6
+
+
+@pytest.mark.parametrize("code", [0, 1, 0x8000, 0xFFFE, 0xFFFF])
+@pytest.mark.parametrize("name", ["mini_cheetah", "cubemars", "damiao"])
+def test_an_end_of_the_position_is_no_reading_where_replies_saturate_and_is_one_where_they_wrap(name, code):
+    protocol = VARIANTS[name]
+    tail = {"mini_cheetah": b"", "cubemars": bytes((30, 0)), "damiao": bytes((30, 30))}[name]
+    first = 0x13 if name == "damiao" else 3
+    data = bytes((first, code >> 8, code & 0xFF, 0x80, 0x08, 0)) + tail
+    heard = protocol.hear(Frame(19 if name == "damiao" else 0, data))
+    assert heard is not None
+    assert (heard.leg, heard.broken, heard.feedback) == (2, False, True)
+    assert (heard.motion is None) == (name != "mini_cheetah" and code in (0, 0xFFFF))

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.config import DriveSettings
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Alive, Answer, Configure, Frame, Received, Status, Sync
-from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
+from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MS, Masses, Rig
 
 
@@ -108,3 +110,17 @@ def test_a_status_is_due_at_its_heartbeat_and_not_where_something_has_changed():
     said.clear()
     nodes.step(100 * MS - 1, [])
     assert said == [(leg, True) for leg in range(1, 6)]
+
+
+def test_a_frame_that_comes_late_is_heard_where_the_drives_are_by_now_and_feeds_their_watchdogs_from_there():
+    rig = Rig()
+    rig.configure(watchdog_s=0.01)
+    rig.at(5 * MS)
+    command = Command(DriveMode.READY, np.zeros(6))
+    late = [*rig.protocol.begin(None, 1), *command_frames(rig.protocol, command, 1)]
+    sent = rig.nodes.step(6 * MS, [Received(MS, frame) for frame in late])
+    assert [(t, frame.id) for t, frame in sent if frame.id < 0x700] == [(5 * MS, 0x281 + k) for k in range(6)]
+    assert rig.nodes.now_ns == 6 * MS
+    for t_ns, state in ((15 * MS, DriveState.READY), (15 * MS + 1, DriveState.FAULT)):
+        rig.at(t_ns)
+        assert rig.nodes.snapshot().state.tolist() == [state] * 6

@@ -339,3 +339,30 @@ def test_a_reset_begins_at_0_and_refuses_what_is_no_measurement(monkeypatch):
     ):
         with pytest.raises(PlantError, match=said):
             host.reset()
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [(OSError("no symbol"), "cannot be loaded: no symbol"), (AttributeError("fmi"), "lacks a function")],
+)
+@pytest.mark.parametrize("major", [2, 3])
+def test_a_library_that_does_not_load_leaves_the_working_directory_alone(
+    monkeypatch, tmp_path, major, error, said
+):
+    host: Any = hosting(None, initialised=False)[0]
+    simulation = SimpleNamespace(modelIdentifier="m")
+    description = SimpleNamespace(coSimulation=simulation, guid="g", fmiVersion=f"{major}.0")
+    host._interface = SimpleNamespace(description=description, major=major, library="binaries/m.so")
+    host._folder = SimpleNamespace(name=str(tmp_path))
+
+    def load(**_given: Any) -> None:
+        os.chdir(tmp_path)  # where the library finds what lies beside it
+        raise error
+
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(f"plant_fmu.fmu.host.FMU{major}Slave", load)
+    with pytest.raises(PlantError, match=said):
+        host._load()
+    assert Path.cwd() == here

@@ -235,5 +235,9 @@ def test_of_a_controller_that_nobody_sees_no_state_is_told_and_nothing_was_read(
     channel = "t" if interface == "localcan" else GROUP
     with Bus.open(BusSettings(interface=interface, channel=channel), "viewer") as bus:
         assert [bus.events().state for _ in range(2)] == [BusState.UNKNOWN] * 2
-        assert (bus.facts, bus.knows_ends, bus.virtual) == ("", interface == "localcan", interface != "localcan")
+        assert (bus.facts, bus.knows_ends, bus.virtual) == (
+            "",
+            interface == "localcan",
+            interface != "localcan",
+        )
         bus._link.died()

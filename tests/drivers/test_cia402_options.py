@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from math import ceil
+from typing import Any
 
 import pytest
 
@@ -11,8 +13,9 @@ from drivers.can.bus_time import BitTiming, budget
 from drivers.cia402.eds import check_eds
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.protocol import BUS
-from tests.drivers.cia402_drives import drives, settings
+from drivers.protocol import BUS, DriveSetup
+from drivers.signals import Reaction
+from tests.drivers.cia402_drives import PERMILLE_N, drives, settings
 from tests.drivers.cia402_sheet import sheet
 
 OPTIONS: dict[str, str | int | float | bool] = {"rated_torque_Nm": 9.0}
@@ -57,6 +60,23 @@ def test_a_configuration_makes_the_codec():
     assert len(protocol.feedback_ids) == 6
     assert len(protocol.dangers) == 2
     assert len(made().dangers) == 1
+
+
+def test_each_setting_of_the_drives_reaches_the_object_that_it_is_for():
+    own: dict[str, Any] = {
+        "node_ids": [9, 8, 7, 6, 5, 4],
+        "heartbeat_ms": 35.0,
+        "watchdog_ms": 20.0,
+        "force_limit_N": 500.0,
+    }
+    found = DriveSettings(protocol="cia402", options=OPTIONS, transmission=settings(), **own)
+    protocol = PROTOCOLS["cia402"](BusSettings(layout="classic"), found)
+    plans = protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0)).plans
+    told = [{s.key: s.value for s in plan if s.kind == "write"} for plan in plans]
+    assert [each[0x1017, 0] for each in told] == [35] * 6
+    assert [each[0x1016, 1] for each in told] == [127 << 16 | 40] * 6
+    assert [each[0x1800, 1] for each in told] == [0x180 + node for node in own["node_ids"]]
+    assert [each[0x6072, 0] for each in told] == [ceil(500.0 / PERMILLE_N)] * 6
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,9 @@ def test_who_cannot_join_a_bus_or_has_its_role_refused_keeps_nothing(runtime):
     for interface in ("localcan", "socketcan"):
         lock = RoleLock(interface, "d", "plant")
         try:
-            assert refused(lambda i=interface: RoleLock(i, "d", "plant"), RunError, "already has a plant") == 0
+            assert (
+                refused(lambda i=interface: RoleLock(i, "d", "plant"), RunError, "already has a plant") == 0
+            )
         finally:
             lock.close()
 

@@ -153,3 +153,17 @@ def test_a_robstride_is_made_with_its_controllers_number():
     assert (protocol.emergency_stop()[0].id, protocol.torque_limit) == (4 << 24 | 253 << 8 | 7, 60.0)
     named = made("mit", "classic", options={"variant": "robstride", "model": "rs-03", "host_id": 200})
     assert named.emergency_stop()[0].id == 4 << 24 | 200 << 8 | 7
+
+
+@pytest.mark.parametrize(
+    ("variant", "model", "message"),
+    [
+        ("damiao", "DM4310", "host_id 0 makes replies come on 0x7, .*"),
+        ("robstride", "rs-02", "host_id out of range, allowed: 128 to 255, given: 0"),
+    ],
+)
+def test_a_number_of_0_that_is_given_is_not_taken_for_none(variant, model, message):
+    with refused(f"drives.options: {message}"):
+        made("mit", "classic", options={"variant": variant, "model": model, "host_id": 0})
+    assert made("odrive", "classic", options={"encoder_msg_rate_ms": 0}).unasked_s == 0.0
+    assert made("odrive", "classic").unasked_s == 0.01

@@ -45,7 +45,8 @@ def opened(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
     }
     adapter: Any = open_python_can(BusSettings.model_validate(settings | changes))._bus
     assert adapter.place == ("3", "kvaser")
-    return {key: value for key, value in adapter.options.items() if key != "ignore_config"}
+    assert adapter.options.pop("ignore_config") is True, "what python-can is told in other places"
+    return adapter.options
 
 
 def test_a_bus_with_a_data_phase_is_opened_with_the_bit_rate_of_each_phase(monkeypatch):
@@ -59,6 +60,17 @@ def test_a_classic_bus_is_opened_without_a_data_phase(monkeypatch):
 def test_options_of_the_bus_take_the_place_of_its_bit_rates(monkeypatch):
     own = {"bitrate": 250_000, "data_bitrate": 4_000_000, "fd": False, "single_handle": True}
     assert opened(monkeypatch, layout="fd", options=own) == own
+
+
+@pytest.mark.parametrize("interface", ["kvaser", "udp_multicast"])
+def test_what_a_file_or_the_environment_of_python_can_says_does_not_count(monkeypatch, interface):
+    """There others may have written a bit rate for their own work, or a hop limit."""
+    found: list[Any] = []
+    monkeypatch.setattr(can, "Bus", lambda *place, **options: found.append(options) or Adapter(*place))
+    open_python_can(BusSettings(interface=interface, channel="3"))
+    (options,) = found
+    assert options["ignore_config"] is True
+    assert options.get("hop_limit") == (0 if interface == "udp_multicast" else None)
 
 
 def test_a_bus_that_failed_is_off_until_it_takes_frames_again_each_time():

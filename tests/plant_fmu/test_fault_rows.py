@@ -37,5 +37,9 @@ def test_each_kind_has_its_row_and_is_read_by_its_name():
     assert len(KINDS) == len(FAULTS) == len(there)
     read = TypeAdapter(AnyFault)
     for name, kind in FAULTS.items():
-        needed = {key: USUAL[key] for key, field in kind.model_fields.items() if field.is_required() and key != "kind"}
+        needed = {
+            key: USUAL[key]
+            for key, field in kind.model_fields.items()
+            if field.is_required() and key != "kind"
+        }
         assert type(read.validate_python({"kind": name, **needed})) is kind

@@ -15,6 +15,7 @@ from plant_fmu.faults.plan import FaultPlan, Schedule
 
 BUSES = range(MAX_BUSES)
 
+
 def untouched(fault: Fault, frames: list[Frame]) -> list[Frame]:
     """Return the frames that arrive at once, each as it is and once."""
     schedule = Schedule(FaultPlan((fault,)), 0)

@@ -290,5 +290,8 @@ def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
     _, (held, *commands, poll) = wired.parse(protocol.power_up(), Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
     assert isinstance(held, Configure)
     assert held.leg == leg
-    assert [(each.legs, each.mode) for each in commands] == [((leg,), DriveMode.READY), ((leg,), DriveMode.RUN)]
+    assert [(each.legs, each.mode) for each in commands] == [
+        ((leg,), DriveMode.READY),
+        ((leg,), DriveMode.RUN),
+    ]
     assert poll == Sync(0, (leg,))

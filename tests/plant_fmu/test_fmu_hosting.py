@@ -317,7 +317,7 @@ def test_an_fmu_that_cannot_be_set_up_anew_takes_no_step_although_it_ran_before(
         raise OSError("why")
 
     setattr(host._fmu, failing, fail)
-    with pytest.raises(PlantError, match="cannot be initialised|refused parameter 'm'"):
+    with pytest.raises(PlantError, match=r"cannot be initialised|refused parameter 'm'"):
         host._initialise()
     assert not host._initialised
     host.internal_step_s = 0.001

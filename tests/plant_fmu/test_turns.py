@@ -59,3 +59,21 @@ def test_a_drive_that_starts_anew_in_motion_reports_the_turns_since_then():
     steps = seen[1] - seen[0]
     np.testing.assert_allclose(np.delete(steps, 4), 0.1 * 2e-3, rtol=0, atol=1e-12)
     assert steps[4] == pytest.approx(0.1 * 2e-3 - LEADS[4], abs=1e-12), "it has moved one turn by then"
+
+
+@pytest.mark.parametrize("gear", [None, GEAR])
+def test_absolute_encoders_report_the_length_of_their_legs_whatever_moves_them(gear):
+    turns = Turns(None, None if gear is None else Transmission.of(gear), REST)
+    assert turns.counted(REST).tolist() == REST.tolist()
+    turns.switch_on([True] * 6, REST + 0.1)
+    assert turns.counted(REST).tolist() == REST.tolist()
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_drive_that_is_switched_on_again_forgets_its_own_turns_alone(leg):
+    turns = Turns(HOMING, Transmission.of(GEAR), REST)
+    before = turns.counted(REST)
+    turns.switch_on([k == leg for k in range(6)], REST + 10 * LEADS)
+    gone = 10 * LEADS[leg]
+    after = np.where(np.arange(6) == leg, before - gone, before)
+    np.testing.assert_allclose(turns.counted(REST), after, rtol=0, atol=1e-12)

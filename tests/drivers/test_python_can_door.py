@@ -65,7 +65,7 @@ def test_frames_are_sent_without_waiting_and_each_that_is_taken_has_its_time(mon
 
 
 @pytest.mark.parametrize(("failures", "off"), [(7, False), (8, True)])
-@pytest.mark.parametrize("before", ["nothing", "a look", "a sending"])
+@pytest.mark.parametrize("before", ["nothing", "silence", "a look", "a sending"])
 def test_eight_looks_in_a_row_that_fail_are_an_interface_that_is_gone(failures, off, before):
     bus, adapter = opened(*[LOST] * 7 * (before != "nothing"))
     bus.receive()

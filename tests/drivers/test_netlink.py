@@ -97,3 +97,22 @@ def test_a_refusal_of_the_kernel_is_raised_with_its_number(monkeypatch, code):
     with pytest.raises(OSError, match=r".") as caught:
         netlink.set_up(5, up=False)
     assert caught.value.errno == code
+
+
+@pytest.mark.parametrize(
+    ("effective", "may"),
+    [(0, False), (1 << 12, True), (1 << 11, False), (1 << 13, False), ((1 << 41) - 1, True)],
+)
+def test_who_may_take_interfaces_down_is_told_by_the_rights_that_act_now(monkeypatch, effective, may):
+    others = (1 << 41) - 1 if not may else 0
+    status = "".join(f"{name}:\t{others:016x}\n" for name in ("CapInh", "CapPrm"))
+    status += f"CapEff:\t{effective:016x}\n" + f"CapBnd:\t{others:016x}\n"
+    asked: list[str] = []
+
+    def path(name: str) -> Any:
+        asked.append(name)
+        return SimpleNamespace(read_text=lambda: f"Name:\thil\n{status}")
+
+    monkeypatch.setattr(netlink, "Path", path)
+    assert netlink.administers() is may
+    assert asked == ["/proc/self/status"]

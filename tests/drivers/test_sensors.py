@@ -214,3 +214,13 @@ def test_readings_begin_without_a_counter_that_could_come():
 
 def test_a_sample_is_a_value():
     assert Sample(5, 2e-4, VALUES).ticks(2e-3) == pytest.approx(5.1)
+
+
+@pytest.mark.parametrize(
+    ("place", "end", "step"), [(0, 6.5534, 2e-4), (2, -6.5536, -2e-4), (5, 65.534, 2e-3)]
+)
+def test_what_exceeds_its_field_by_less_than_half_a_step_is_no_sample_either(place, end, step):
+    for beyond, samples in ((0.0, 1), (0.4, 0)):
+        values = [0.0] * 6
+        values[place] = end + beyond * step
+        assert len(decode(9, P.encode("imu", values, 9, 0.0, 1)).imu) == samples

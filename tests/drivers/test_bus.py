@@ -240,4 +240,3 @@ def test_of_a_controller_that_nobody_sees_no_state_is_told_and_nothing_was_read(
             interface == "localcan",
             interface != "localcan",
         )
-        bus._link.died()

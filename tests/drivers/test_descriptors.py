@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -34,7 +35,7 @@ def test_what_is_no_regular_file_or_too_large_is_closed(tmp_path):
     os.mkfifo(pipe)
     large.write_bytes(bytes(11))
     for path in (tmp_path, pipe):
-        assert refused(lambda path=path: open_regular(path), OSError, "no regular file") == 0
+        assert refused(partial(open_regular, path), OSError, "no regular file") == 0
     assert refused(lambda: read_regular(large, 10), OSError, "more than the 10 bytes") == 0
 
 
@@ -56,9 +57,7 @@ def test_who_cannot_join_a_bus_or_has_its_role_refused_keeps_nothing(runtime):
     for interface in ("localcan", "socketcan"):
         lock = RoleLock(interface, "d", "plant")
         try:
-            assert (
-                refused(lambda i=interface: RoleLock(i, "d", "plant"), RunError, "already has a plant") == 0
-            )
+            assert refused(partial(RoleLock, interface, "d", "plant"), RunError, "already has a plant") == 0
         finally:
             lock.close()
 

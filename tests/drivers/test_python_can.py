@@ -46,7 +46,8 @@ def opened(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
     adapter: Any = open_python_can(BusSettings.model_validate(settings | changes))._bus
     assert adapter.place == ("3", "kvaser")
     assert adapter.options.pop("ignore_config") is True, "what python-can is told in other places"
-    return adapter.options
+    options: dict[str, Any] = adapter.options
+    return options
 
 
 def test_a_bus_with_a_data_phase_is_opened_with_the_bit_rate_of_each_phase(monkeypatch):
@@ -66,7 +67,12 @@ def test_options_of_the_bus_take_the_place_of_its_bit_rates(monkeypatch):
 def test_what_a_file_or_the_environment_of_python_can_says_does_not_count(monkeypatch, interface):
     """There others may have written a bit rate for their own work, or a hop limit."""
     found: list[Any] = []
-    monkeypatch.setattr(can, "Bus", lambda *place, **options: found.append(options) or Adapter(*place))
+
+    def bus(*place: str, **options: Any) -> Adapter:
+        found.append(options)
+        return Adapter(*place)
+
+    monkeypatch.setattr(can, "Bus", bus)
     open_python_can(BusSettings(interface=interface, channel="3"))
     (options,) = found
     assert options["ignore_config"] is True

@@ -286,7 +286,7 @@ def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
     protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
-    wired = WiredDrives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES)
+    wired: Any = WiredDrives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES)
     _, (held, *commands, poll) = wired.parse(protocol.power_up(), Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
     assert isinstance(held, Configure)
     assert held.leg == leg

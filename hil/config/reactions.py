@@ -16,8 +16,9 @@ class ReactionSettings(Section):
 
     The words are those of IEC 61800-5-2: safe stop 1, safe brake control, safe torque off. After the first
     two a platform whose brakes are not proven shut keeps its force where there is any; `sto` takes it off at
-    once, in every mode. Of several faults the strongest reaction counts. An emergency stop, a bus that is down, another controller, and
-    drives that none of them is heard of any more, are always `sto`: there is nobody who could obey.
+    once, in every mode. Of several faults the strongest reaction counts. An emergency stop, a bus that is
+    down, another controller, and drives that none of them is heard of any more, are always `sto`: there is
+    nobody who could obey.
     """
 
     stale: Brake = "sbc"

@@ -93,12 +93,14 @@ def built(tmp_path_factory):
     return folder / "html"
 
 
+@pytest.mark.long
 def test_the_font_and_its_licence_are_beside_the_pages(built):
     fonts = built / "_static/fonts"
     assert (fonts / "stix-two-math.woff2").read_bytes()[:4] == b"wOF2"
     assert "SIL OPEN FONT LICENSE" in (fonts / "stix-two-math-LICENSE.txt").read_text()
 
 
+@pytest.mark.long
 @needs_chromium
 def test_a_page_shows_its_equations_with_its_own_font_and_asks_nobody_else(built, tmp_path):
     with Browser() as browser:
@@ -125,6 +127,7 @@ def test_a_page_shows_its_equations_with_its_own_font_and_asks_nobody_else(built
         assert all(url.startswith(built.as_uri()) for url in browser.requests if not url.startswith("data:"))
 
 
+@pytest.mark.long
 @needs_chromium
 @pytest.mark.parametrize("word", ["watchdog", "watchdog_ms", "lyapunov_share", "encoder"])
 def test_the_search_finds_a_word_that_is_part_of_a_name(built, tmp_path, word):

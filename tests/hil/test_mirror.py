@@ -62,7 +62,7 @@ def hammer(path, seconds):
 
 def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces_alone(tmp_path):
     path = tmp_path / "m"
-    writer = multiprocessing.get_context("spawn").Process(target=hammer, args=(path, 2.0))
+    writer = multiprocessing.get_context("spawn").Process(target=hammer, args=(path, 1.0))
     writer.start()
     until(path.exists, 30.0)
     reader = MirrorReader(path)
@@ -83,7 +83,7 @@ def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces_alone(tmp_p
     writer.join()
     assert writer.exitcode == 0
     assert torn == []
-    assert len(seen) > 200, "the reader kept up with a part of them"
+    assert len(seen) > 100, "the reader kept up with a part of them"
 
 
 @pytest.mark.parametrize("word", [0, 1, 2], ids=["number", "size", "crc"])

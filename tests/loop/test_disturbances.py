@@ -88,7 +88,7 @@ CASES = {
     "redesign": Case(f"{REDESIGN}  boundary_layer_m_s: 0.3\n{UNCERTAIN}", stated=False),
     "redesign, thin layer": Case(f"{REDESIGN}  boundary_layer_m_s: 0.08\n{UNCERTAIN}", stated=False),
 }
-SOME = {"pose", "sliding, lambda 240"}
+SOME = {"sliding, lambda 240"}
 
 
 def test_no_disturbance_within_what_is_stated_exceeds_what_is_printed(name, count, capsys):

@@ -69,7 +69,7 @@ def bench(law="inverse dynamics", pose="home"):
 
 
 SKEW = "aside, down and skew"
-SOME = [("inverse dynamics", SKEW), ("pid", SKEW), ("state_space", SKEW)]
+SOME = [("inverse dynamics", SKEW), ("pid", SKEW)]
 EVERY = [*itertools.product(LAWS, POSES), *itertools.product(OTHER_LAWS, [SKEW])]
 ENTRIES = [*SOME, *(pytest.param(entry, marks=pytest.mark.long) for entry in EVERY if entry not in SOME)]
 

@@ -130,7 +130,8 @@ def test_where_the_force_is_denied_good_legs_are_left_out_and_the_filter_is_too_
     assert np.mean(found.used == 0) > 0.01
 
 
-@pytest.mark.parametrize("leg", broad([4, 1], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("leg", [4, 1])
 def test_with_friction_a_lost_encoder_is_survived_and_the_filter_knows_how_unsure_it_is(leg):
     """Where no leg sees, only the tracker of 1 mm stands against friction: the lengths bend within that."""
     found = run(fused("lab", fusion=ANY_LEG, changes=[SHORT["lab"]]), EncoderLost(leg=leg, at_s=3.0))

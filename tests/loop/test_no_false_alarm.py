@@ -149,7 +149,7 @@ def assert_calm(name: str, seed: int, _inp: object, _opening: object, out: Any) 
 
 
 @pytest.mark.parametrize(
-    ("name", "end_s"), broad([("two_buses", 2.5), ("lab", 5.0), ("virtual", 5.0)], quick=2)
+    ("name", "end_s"), broad([("two_buses", 2.5), ("lab", 5.0), ("virtual", 5.0)], quick=1)
 )
 def test_loads_and_stalls_alarm_nobody_for_a_while(name, end_s):
     ending, stalls = run(name, 0, end_s)

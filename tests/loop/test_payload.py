@@ -23,7 +23,6 @@ from hil.record.log import Log
 from plant_fmu.faults.encoder import EncoderNoise
 from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
-from tests.broad import broad
 from tests.loop import laden
 
 AXES = {
@@ -69,12 +68,18 @@ def identify(*arguments):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The logs: a.mcap with the payload, free.mcap without, lab.mcap."""
+    """The log a.mcap, with the payload."""
     made = tmp_path_factory.mktemp("payload")
     laden.run(virtual(), laden.changed(virtual(), **LADEN), made / "a.mcap")
-    laden.run(virtual(), virtual(), made / "free.mcap")
-    assert simulate(lab(), log=made / "lab.mcap", check_replay=False)["success"]
     return made
+
+
+@pytest.fixture(scope="module")
+def more(folder):
+    """The logs free.mcap, without a payload, and lab.mcap, too."""
+    laden.run(virtual(), virtual(), folder / "free.mcap")
+    assert simulate(lab(), log=folder / "lab.mcap", check_replay=False)["success"]
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +146,10 @@ def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tm
     assert unknown > 20.0 * empty
 
 
-def test_friction_of_every_leg_of_the_lab_bench(folder, capsys):
-    summary = folder / "lab.json"
-    result = identify(folder / "lab.mcap", "--json", summary)
+@pytest.mark.long
+def test_friction_of_every_leg_of_the_lab_bench(more, capsys):
+    summary = more / "lab.json"
+    result = identify(more / "lab.mcap", "--json", summary)
     assert result.exit_code == 0, result.output
     lab = json.loads(summary.read_text())
     with capsys.disabled():
@@ -159,10 +165,11 @@ def test_friction_of_every_leg_of_the_lab_bench(folder, capsys):
     assert "reflected mass, kg, identified" in result.stdout
 
 
-def test_a_reflected_mass_that_is_given_is_said_to_be_given(folder):
-    result = identify(folder / "lab.mcap", "--reflected", 9.9, "--json", folder / "given.json")
+@pytest.mark.long
+def test_a_reflected_mass_that_is_given_is_said_to_be_given(more):
+    result = identify(more / "lab.mcap", "--reflected", 9.9, "--json", more / "given.json")
     assert result.exit_code == 0, result.output
-    given = json.loads((folder / "given.json").read_text())
+    given = json.loads((more / "given.json").read_text())
     assert given["reflected_mass"] == "given"
     assert "reflected mass: 9.9 kg each, given, not identified" in result.stdout
     assert given["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
@@ -192,9 +199,10 @@ def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder
     assert np.abs(tensor(found.theta) - truth()).max() < 0.02 * truth().max()
 
 
-def test_an_empty_platform_keeps_its_exact_figures(folder, tmp_path):
+@pytest.mark.long
+def test_an_empty_platform_keeps_its_exact_figures(more, tmp_path):
     """What is as believed, within the errors, does not take the place of what is known exactly."""
-    result = identify(folder / "free.mcap", "-o", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
+    result = identify(more / "free.mcap", "-o", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
     assert result.exit_code == 0, result.output
     assert "No payload beyond what section platform has" in result.stdout
     assert "The block leaves the body out: it is that of section platform" in result.stdout
@@ -206,7 +214,8 @@ def test_an_empty_platform_keeps_its_exact_figures(folder, tmp_path):
     laden.changed(load("virtual"), **written)  # it is a configuration
 
 
-@pytest.mark.parametrize("reach", broad([240.0, 100.0], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("reach", [240.0, 100.0])
 def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(tmp_path, reach):
     """Its ranges stay, in its own frame, and hold what was found."""
     fixed = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
@@ -241,13 +250,13 @@ def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(t
 
 
 @pytest.mark.long
-def test_the_file_and_the_refusals(folder, tmp_path):
+def test_the_file_and_the_refusals(more, tmp_path):
     out = tmp_path / "block.yaml"
-    result = identify(folder / "a.mcap", "-o", out)
+    result = identify(more / "a.mcap", "-o", out)
     assert result.exit_code == 0, result.output
     body = yaml.safe_load(out.read_text())["platform"]["platform"]["payload"][0]
     assert body["mass_kg"] == pytest.approx(MASS, rel=0.005)
-    assert identify(folder / "a.mcap", "-o", out).exit_code == 0, "its own earlier file is replaced"
+    assert identify(more / "a.mcap", "-o", out).exit_code == 0, "its own earlier file is replaced"
     still = tmp_path / "still.mcap"
     rest = laden.changed(load("virtual"), reference={"type": "hold", "duration_s": 0.3})
     simulate(rest, log=still, check_replay=False)
@@ -256,12 +265,12 @@ def test_the_file_and_the_refusals(folder, tmp_path):
     other = tmp_path / "mine.yaml"
     other.write_text("name: mine\n")
     for arguments, said in (
-        ((folder / "a.mcap", "-o", other), "is not overwritten"),
-        ((folder / "a.mcap", folder / "lab.mcap"), "its section platform is not that of"),
+        ((more / "a.mcap", "-o", other), "is not overwritten"),
+        ((more / "a.mcap", more / "lab.mcap"), "its section platform is not that of"),
         ((still,), "too little motion"),
         ((springs,), "this is another robot"),
-        ((folder / "a.mcap", folder / "a.mcap"), "the same log twice"),
-        ((folder / "none.mcap",), "none.mcap"),
+        ((more / "a.mcap", more / "a.mcap"), "the same log twice"),
+        ((more / "none.mcap",), "none.mcap"),
         ((other,), "mine.yaml"),
     ):
         result = identify(*arguments)
@@ -300,13 +309,13 @@ def test_a_payload_that_is_known_stays_in_the_list(tmp_path):
 
 
 @pytest.mark.long
-def test_a_load_that_moves_with_nothing_is_doubted_aloud(folder, tmp_path):
+def test_a_load_that_moves_with_nothing_is_doubted_aloud(more, tmp_path):
     """A push that comes and goes is no mass: the residual says so."""
     steps = [
         WrenchStep(at_s=float(t), for_s=0.5, force_N=(4000.0, 0.0, 0.0)) for t in range(3, 12)
     ]  # fmt: skip
     laden.run(virtual(), virtual(), tmp_path / "a.mcap", FaultPlan(steps))
-    pushed, quiet = identify(tmp_path / "a.mcap"), identify(folder / "free.mcap")
+    pushed, quiet = identify(tmp_path / "a.mcap"), identify(more / "free.mcap")
     assert pushed.exit_code == 0, pushed.output
     assert "a load on the platform" in pushed.stdout
     assert "a load on the platform" not in quiet.stdout

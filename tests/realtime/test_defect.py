@@ -16,6 +16,7 @@ from tests.realtime.rig import Process, configuration
 pytestmark = pytest.mark.realtime(patient=True)
 
 
+@pytest.mark.long
 def test_a_law_that_raises_switches_the_drives_off_and_closes_the_log(
     tmp_path: Path, start: Callable[..., Process]
 ) -> None:

@@ -86,6 +86,7 @@ def test_a_second_ctrl_c_is_an_emergency_stop_and_no_success(
     assert (last["brake"] == 1).all()
 
 
+@pytest.mark.long
 def test_ctrl_c_before_the_loop_ends_the_start_with_one_message(tmp_path: Path, start: Start) -> None:
     file = configuration(tmp_path)
     run = start("run", str(file), "--plant")

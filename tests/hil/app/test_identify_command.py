@@ -110,6 +110,7 @@ def test_friction_and_masses_that_the_model_does_not_know_do_not_move_it(tmp_pat
     assert "off the model's" in result.stdout
 
 
+@pytest.mark.long
 def test_friction_is_that_of_the_drive_though_the_platform_is_heavier_than_the_model(tmp_path):
     """A fifth more mass than believed: gains of 0.83, which would make 12.5 N of 15 N."""
     c = load("virtual")

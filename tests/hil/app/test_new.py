@@ -54,7 +54,7 @@ def changed(words, **options):
     return " ".join(word for pair in found.items() for word in pair)
 
 
-@pytest.mark.parametrize("name", broad(ROBOTS, quick=2))
+@pytest.mark.parametrize("name", broad(ROBOTS, quick=1))
 def test_a_new_configuration_passes_check_and_keeps_half_of_the_force_and_most_of_the_stroke(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     done = new(path, ROBOTS[name])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import LogError
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.what_if.recorded import record
@@ -43,3 +44,17 @@ def test_the_notice_stands_at_the_first_tick_and_not_where_the_clock_began(tmp_p
     assert said["mode"] == "lockstep", "it waits for its recorder"
     assert (said["kind"], said["what_if_of"], said["what_if_of_kind"]) == ("what-if", "run.mcap", "sim")
     assert (said["rate_Hz"], said["watchdog_s"], said["protocol"]) == ("1000.0", "0.01", "legs")
+
+
+def test_no_recorder_is_started_for_a_log_whose_first_row_cannot_be_read(tmp_path, monkeypatch):
+    class Damaged:
+        path, metadata, can_channels = tmp_path / "run.mcap", {}, ()
+
+        @property
+        def origin_ns(self):
+            raise LogError("its first row is damaged")
+
+    monkeypatch.setattr(Recording, "start", lambda *_, **__: pytest.fail("a recorder was started"))
+    damaged: Any = Damaged()
+    with pytest.raises(LogError, match="its first row is damaged"):
+        record(load("virtual"), CYCLE, tmp_path / "answer.mcap", damaged)

@@ -22,8 +22,9 @@ def record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Record
 
     What it says first stands at the first tick of the log, whose times it keeps.
 
-    Raises LogError where the log cannot be begun.
+    Raises LogError where the log cannot be begun, and where the first row of the other cannot be read.
     """
+    begins_ns = source.origin_ns
     recording = Recording.start(
         path,
         configuration=here.text,
@@ -42,5 +43,5 @@ def record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Record
         lockstep=True,
         ring_ticks=here.recording.ring_ticks,
     )
-    recording.event(source.origin_ns, "warning", f"a what-if on {source.path.name}, no run. {OPEN_LOOP}")
+    recording.event(begins_ns, "warning", f"a what-if on {source.path.name}, no run. {OPEN_LOOP}")
     return recording

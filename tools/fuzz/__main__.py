@@ -38,7 +38,8 @@ def main(
     """Fuzz everything that a stranger may hand in; print what was found.
 
     Exit code 1 where there is a traceback, a case of more than 5 s, one that takes 250 MB more than before,
-    or a control character in a message. `--seed N --cases 1` runs one case again.
+    a control character in a message, or a process that is left behind. `--seed N --cases 1` runs one case
+    again.
     """
     if work:
         assert folder is not None

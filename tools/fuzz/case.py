@@ -21,6 +21,7 @@ MOST_MB = 250
 """More than before the case; a command that has done nothing yet takes about as much."""
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
+_TASKS = Path("/proc/self/task")
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
@@ -30,7 +31,7 @@ class Result(NamedTuple):
     seed: int
     target: str
     problem: str
-    """`traceback`, `hang`, `memory`, `control character` or empty."""
+    """`traceback`, `hang`, `memory`, `control character`, `process` that is left behind, or empty."""
     detail: str
     seconds: float
     """Of processor time."""
@@ -51,7 +52,7 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
     target, rng = kind_of(seed, only)
     with contextlib.suppress(OSError):
         _CLEAR.write_text("5")  # the peak begins anew
-    before = peak_MB()
+    before, family = peak_MB(), children()
     begun, problem, detail = time.process_time(), "", ""
     with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name, warnings.catch_warnings():
         try:
@@ -70,7 +71,14 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
         problem = "hang"
     if not problem and grown > MOST_MB:
         problem = "memory"
+    if not problem and (left := children() - family):
+        problem, detail = "process", f"left behind: {', '.join(map(str, sorted(left)))}"
     return Result(seed, target, problem, detail, seconds, grown)
+
+
+def children() -> set[int]:
+    """Return the processes that threads of this one have started and not yet reaped."""
+    return {int(pid) for task in _TASKS.glob("*/children") for pid in task.read_text().split()}
 
 
 def peak_MB() -> float:

@@ -1,5 +1,6 @@
 """What strangers hand in, damaged at random from a seed: an answer, a HilError, never a traceback, and soon."""
 
+import subprocess
 from random import Random
 
 import numpy as np
@@ -43,6 +44,18 @@ def test_the_fuzzer_finds_a_reader_that_fails(sound, monkeypatch):
     assert case.run(1, sound, "log").problem == "control character"
     monkeypatch.setitem(TARGETS, "log", (lambda *_: str(np.float64(1e308) * 10), 1))
     assert case.run(1, sound, "log").detail.startswith("RuntimeWarning"), "who reads the lines sees it"
+    started: list[subprocess.Popen[bytes]] = []
+
+    def leave(*_: object) -> str:
+        started.append(subprocess.Popen(["sleep", "60"]))
+        return ""
+
+    monkeypatch.setitem(TARGETS, "log", (leave, 1))
+    found = case.run(1, sound, "log")
+    (process,) = started
+    with process:
+        process.kill()
+    assert (found.problem, found.detail) == ("process", f"left behind: {process.pid}")
 
 
 def test_what_is_put_into_the_rows_of_a_log_comes_out_of_them(sound, tmp_path):

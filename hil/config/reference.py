@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from drivers.section import Section
-from hil.config.values import Axis, Pose, Positive, Vector3
+from hil.config.values import Axis, Pose, Positive, RotationVector, Vector3
 
 LONGEST_S = 86_400.0
 """Of what does not repeat: it is looked at from end to end before it runs."""
@@ -44,7 +44,7 @@ class Waypoint(Section):
 
     t_s: Annotated[float, Field(ge=0, le=LONGEST_S)]
     position_m: Vector3
-    rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
+    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
 
 
 class WaypointReference(Evaluated):

@@ -2,10 +2,24 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from drivers.section import Section
 from plant_fmu.faults import AnyFault
+
+SLOWEST_Hz = 0.1
+"""Of a force loop: below that its lag would be that of no drive, and what remembers it had no end."""
+
+
+def _of_a_drive(bandwidth_Hz: float) -> float:
+    if 0.0 < bandwidth_Hz < SLOWEST_Hz:
+        raise ValueError(
+            f"slower than any drive, allowed: 0 (no lag), or at least {SLOWEST_Hz:g}, given: {bandwidth_Hz:g}"
+        )
+    return bandwidth_Hz
+
+
+Bandwidth = Annotated[float, Field(ge=0), AfterValidator(_of_a_drive)]
 
 
 class DriveEmulation(Section):
@@ -17,7 +31,7 @@ class DriveEmulation(Section):
     """Gain of the `damp` reaction."""
     hold_stiffness_N_m: Annotated[float, Field(ge=0)] = 2e6
     """Stiffness of the `hold` reaction; its damping is `damping_N_s_m`."""
-    force_bandwidth_Hz: Annotated[float, Field(ge=0)] = 0.0
+    force_bandwidth_Hz: Bandwidth = 0.0
     """First-order force lag for plants without one of their own; 0 is none."""
     brake_open_ms: Annotated[float, Field(ge=0, le=10_000)] = 0.0
     """From the command to a brake that is free; 0: at once."""
@@ -31,7 +45,7 @@ class StewartPlant(Section):
     type: Literal["stewart"]
     fmi_version: Literal["2.0", "3.0"] = "3.0"
     isolation: Literal["in_process", "child_process"] = "in_process"
-    force_bandwidth_Hz: Annotated[float, Field(ge=0)] = 200.0
+    force_bandwidth_Hz: Bandwidth = 200.0
     """First-order force loop of the drives; 0 is ideal."""
     viscous_friction_N_s_m: Annotated[float, Field(ge=0)] = 0.0
     coulomb_friction_N: Annotated[float, Field(ge=0)] = 0.0

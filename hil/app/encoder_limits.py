@@ -31,6 +31,8 @@ PUSHED_SPEED = 0.8
 """Share of the largest leg speed that legs may reach which come free under their pushes."""
 LONGEST_RISE_S = 0.2
 """No push rises more slowly: the law changes meanwhile."""
+NEVER_TICKS = 1e12
+"""30 years at 1 kHz: what takes longer is never seen."""
 LAGS = 3.0
 """Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
 
@@ -60,7 +62,8 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
     rise = _rise_ticks(push_N, A, late_s, noise.rate_m_s, c.limits.speed_m_s, period_s) if sticks else 1
-    ticks, turns = ceil((late_s + seen_s) / period_s), ceil(2.0 * float(push_N.max()) / c.limits.force_step_N)
+    ticks = _ticks((late_s + seen_s) / period_s)
+    turns = _ticks(2.0 * float(push_N.max()) / c.limits.force_step_N)
     return EncoderLimits(
         watched_legs=0 if decided else (1 << LEGS) - 1,
         length_noise_m=noise_m,
@@ -81,6 +84,10 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         apart=int(not protocol.latches_together),
         unshared=UNASKED if protocol.unasked_s > 0.0 else UNSHARED,
     )
+
+
+def _ticks(number: float) -> int:
+    return ceil(min(number, NEVER_TICKS))
 
 
 def _rise_ticks(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from plant_fmu import config
 from plant_fmu.faults import FAULTS
@@ -118,6 +118,21 @@ def test_a_section_in_which_nothing_is_said_has_the_documented_values_and_they_a
     section, expected = DEFAULTS[name]
     assert section.model_dump() == expected
     assert type(section).model_validate(expected) == section
+
+
+@pytest.mark.parametrize(
+    "section", [config.DriveEmulation, lambda **key: config.StewartPlant(type="stewart", **key)]
+)
+@pytest.mark.parametrize(
+    ("bandwidth_Hz", "fine"),
+    [(0.0, True), (0.1, True), (1e6, True), (0.0999, False), (1e-60, False), (-1.0, False)],
+)
+def test_a_force_loop_is_ideal_or_as_fast_as_the_slowest_drive(section, bandwidth_Hz, fine):
+    if fine:
+        assert section(force_bandwidth_Hz=bandwidth_Hz).force_bandwidth_Hz == bandwidth_Hz
+        return
+    with pytest.raises(ValidationError, match="force_bandwidth_Hz"):
+        section(force_bandwidth_Hz=bandwidth_Hz)
 
 
 def test_a_plant_writes_its_log_and_its_sensors_have_the_seed_1_where_nothing_is_said():

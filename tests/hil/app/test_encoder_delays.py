@@ -6,6 +6,7 @@ import pytest
 
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.encoder_limits import encoder_limits, friction_N
+from hil.safety import Safety
 from plant_fmu.config import BenchPlant
 
 VIRTUAL = load("virtual")
@@ -47,6 +48,16 @@ def test_encoders_are_watched_from_when_the_brakes_have_opened(rate_Hz, ticks):
     engage = VIRTUAL.engage.model_copy(update={"brake_release_s": 0.06, "brake_close_s": 0.2})
     c = VIRTUAL.model_copy(update={"engage": engage})
     assert encoder_limits(c, rate_Hz).open_ticks == ticks
+
+
+@pytest.mark.parametrize(("section", "key"), [("monitor", "disturbance_m_s2"), ("limits", "force_step_N")])
+def test_a_push_that_takes_for_ever_to_be_seen_has_a_number_of_ticks_that_a_limit_holds(section, key):
+    c = load("desktop")
+    c = c.model_copy(update={section: getattr(c, section).model_copy(update={key: 1e-60})})
+    limits = encoder_limits(c, 1000.0)
+    assert 1e12 <= limits.push_ticks <= 3e12
+    watched = Safety(c.limits, 0.3, 0.5, 1000.0, 900.0, encoders=limits)
+    assert watched.limits["push_ticks"] == limits.push_ticks
 
 
 @pytest.mark.parametrize("roughest", LEGS)

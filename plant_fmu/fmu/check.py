@@ -249,12 +249,9 @@ def library_candidates(major: int, identifier: str) -> list[str]:
 def library(description: Any, members: Sequence[str], path: Path) -> str:
     """Return the member that is this machine's shared library; members: names in the archive.
 
-    Raises PlantError: no co-simulation, no binary for this machine.
+    Raises PlantError where there is no binary for this machine.
     """
-    simulation = description.coSimulation
-    if simulation is None:
-        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
-    candidates = library_candidates(major(description), simulation.modelIdentifier)
+    candidates = library_candidates(major(description), description.coSimulation.modelIdentifier)
     for candidate in candidates:
         if candidate in members:
             return candidate
@@ -263,6 +260,12 @@ def library(description: Any, members: Sequence[str], path: Path) -> str:
         f"{path}: the FMU has no binary for this machine ({shown(candidates[0])}); it has binaries for "
         f"{shown(', '.join(offered)) or 'none'}. Export it for {fmpy.platform_tuple} or compile its sources"
     )
+
+
+def refuse_no_simulation(description: Any, path: Path) -> None:
+    """Raise PlantError where an FMU has no co-simulation interface."""
+    if description.coSimulation is None:
+        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
 
 
 def _refuse_tool(description: Any, spec: FmuSpec) -> None:
@@ -303,6 +306,7 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     """
     refuse_version(xml, spec.path)
     description = read_description(spec.path)
+    refuse_no_simulation(description, spec.path)
     binary = library(description, members, spec.path)
     _refuse_tool(description, spec)
     reader = _Reader(description, spec)

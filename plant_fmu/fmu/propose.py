@@ -11,7 +11,14 @@ from typing import Any
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import checked_members, open_archive, read_member
-from plant_fmu.fmu.check import FLOATS, library, read_description, refuse_version, stated_unit
+from plant_fmu.fmu.check import (
+    FLOATS,
+    library,
+    read_description,
+    refuse_no_simulation,
+    refuse_version,
+    stated_unit,
+)
 
 _ROLES = {
     "brake": ("input", None, ("brake", "lock", "clamp", "hold")),
@@ -60,8 +67,7 @@ def propose(path: Path) -> Proposal:
         members = [member.filename for member in checked_members(archive, path)]
         refuse_version(read_member(archive, "modelDescription.xml", path), path)
     description = read_description(path)
-    if description.coSimulation is None:
-        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
+    refuse_no_simulation(description, path)
     variables = [v for v in description.modelVariables if v.type in FLOATS]
     groups = _sixes(variables)
     mapped: dict[str, tuple[str, ...]] = {}

@@ -78,7 +78,11 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
 
 def children() -> set[int]:
     """Return the processes that threads of this one have started and not yet reaped."""
-    return {int(pid) for task in _TASKS.glob("*/children") for pid in task.read_text().split()}
+    found: set[int] = set()
+    for task in _TASKS.glob("*/children"):
+        with contextlib.suppress(OSError):  # a thread that has just ended
+            found |= set(map(int, task.read_text().split()))
+    return found
 
 
 def peak_MB() -> float:

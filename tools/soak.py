@@ -137,6 +137,11 @@ def controller(c: Configuration, first: int) -> Cycle:
     return begun_at(build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms), first)
 
 
+def looks(first: int, until: int) -> tuple[int, int]:
+    """Return the ticks at which memory is looked at: once it has settled, and the last one before `until`."""
+    return first + round(SETTLED * (until - first)), until - 1
+
+
 def work(c: Configuration, first: int, seconds: float) -> Shift:
     """Run a shift of so many simulated seconds, and record it."""
     rate_Hz = c.loop.rate_Hz
@@ -144,7 +149,7 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
     path = log_path(c.recording.folder, c.name, None)
     removed = make_room(c, needed_bytes(c, None, seconds))
     nodes, physics = build_nodes(c)
-    looks = {first + round(SETTLED * (until - first)): 0, until - 1: 1}
+    settled, last = looks(first, until)
     memory = [Memory(0, 0), Memory(0, 0)]
     try:
         lockstep = build_lockstep(c, cycle, nodes, first)
@@ -153,8 +158,8 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
 
             def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
                 recording.tick(out.row, inp.frames, opening + out.frames, inp.operator)
-                if (look := looks.get(inp.tick)) is not None:
-                    memory[look] = Memory(resident_kB(os.getpid()), resident_kB(recorder))
+                if inp.tick in (settled, last):
+                    memory[inp.tick == last] = Memory(resident_kB(os.getpid()), resident_kB(recorder))
 
             begun = time.perf_counter()
             ending = lockstep.run(until / rate_Hz, observe, recording.event)

@@ -11,7 +11,18 @@ import pytest
 
 from hil.record.log import Log
 from tools.benchmarks.figures import Figure
-from tools.soak import Memory, Shift, differences, endless, figures, first_ticks, last_hour, work, wraps
+from tools.soak import (
+    Memory,
+    Shift,
+    differences,
+    endless,
+    figures,
+    first_ticks,
+    last_hour,
+    looks,
+    work,
+    wraps,
+)
 
 RATE_Hz = 1000.0
 SECONDS = 2.6
@@ -92,7 +103,12 @@ def test_shifts_begin_a_second_before_each_wrap():
     assert list(wraps(RATE_Hz).values()) == sorted(wraps(RATE_Hz).values())
 
 
-def test_memory_is_looked_at_when_it_has_settled_and_at_the_last_tick_of_a_shift(day, monkeypatch):
+def test_memory_is_looked_at_after_a_quarter_of_a_shift_and_at_its_last_tick():
+    assert looks(0, 1000) == (250, 999)
+    assert looks(2**32 - 2000, 2**32 + 2000) == (2**32 - 1000, 2**32 + 1999)
+
+
+def test_the_memory_of_loop_and_recorder_is_that_of_both_looks(day, monkeypatch):
     c, _ = day
     at = iter(range(1000, 9000, 1000))
     monkeypatch.setattr("tools.soak.resident_kB", lambda pid: next(at) + (pid == os.getpid()))

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, register_jitable
 from numba.np import linalg
 
 from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
@@ -117,8 +117,8 @@ def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 
 def helper(function: F) -> F:
-    """Compile as a part of the kernels that call it."""
-    return cast("F", numba.njit(error_model="numpy", fastmath=False)(function))
+    """Compile as a part of the kernels that call it; elsewhere it is the function as it is written."""
+    return register_jitable(**_OPTIONS)(function)
 
 
 def _foreign(_context: Any, address: Any, arguments: Any) -> Any:

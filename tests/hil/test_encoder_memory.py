@@ -10,7 +10,6 @@ import pytest
 from drivers.signals import Doubt
 from hil.safety import encoder_kernels
 from tests.hil.encoder_bench import BOTH_SIGNS, Bench, calm, doubted, six
-from tests.hil.interpreted import plain
 
 
 @pytest.mark.parametrize("name", ["gaps", "travel", "excused"])
@@ -24,7 +23,7 @@ def test_a_run_that_waits_anew_forgets_the_doubt_and_all_sums_that_led_to_it(nam
         travel=six(2.0),
         excused=six(3.0),
     )
-    plain(encoder_kernels.forget_doubt)(memory)
+    encoder_kernels.forget_doubt(memory)
     assert (memory.doubt, memory.doubted, memory.doubt_value, memory.doubt_limit) == (0, 0, 0.0, 0.0)
     assert not np.any(getattr(memory, name))
 

@@ -11,7 +11,6 @@ from drivers.signals import Doubt, Mode
 from hil.safety import encoder_kernels
 from hil.safety.stillness import SETTLES_S
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
-from tests.hil.interpreted import plain
 
 # -- slips
 
@@ -215,7 +214,7 @@ def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more
 def test_encoders_what_a_leg_does_that_was_pushed_counts_against_no_other_until_it_has_settled(leg):
     """Else pushes go from leg to leg: each one moves its leg by more than what a leg is suspected for."""
     memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))
-    settle = plain(encoder_kernels.let_settle)
+    settle = encoder_kernels.let_settle
     memory.push[leg] = -1
     settle(memory, six(1.0), 0.2501 * SETTLES_S)
     memory.push[leg] = 0
@@ -285,7 +284,7 @@ def test_encoders_a_push_ends_as_fast_as_it_turns_however_slowly_it_rose(ticks, 
     )
     memory = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(900.0))
     tau = six(7.0)
-    plain(encoder_kernels.push_legs)(tau, limits, memory)
+    encoder_kernels.push_legs(tau, limits, memory)
     assert tau == pytest.approx(six(907.0 - fall))
     assert memory.pushed_N == pytest.approx(six(900.0 - fall))
 
@@ -295,7 +294,7 @@ def forces(limits, pushes, left_N=0.0):
     memory, found = SimpleNamespace(push=six(0), pushed_N=six(left_N, 2)), []
     for push in pushes:
         memory.push[2], tau = push, six(0.0)
-        plain(encoder_kernels.push_legs)(tau, limits, memory)
+        encoder_kernels.push_legs(tau, limits, memory)
         found.append(float(tau[2]))
     return found
 
@@ -332,7 +331,7 @@ def test_encoders_a_push_of_a_leg_that_sticks_turns_at_once_where_it_comes_at_on
 
 @ON_ONE_LEG
 def test_encoders_a_leg_is_being_pushed_until_nothing_is_left_of_it(leg):
-    pushing = plain(encoder_kernels.pushing)
+    pushing = encoder_kernels.pushing
     assert not pushing(SimpleNamespace(push=six(0), pushed_N=six(0.0)))
     assert pushing(SimpleNamespace(push=six(-1, leg), pushed_N=six(0.0)))
     assert pushing(SimpleNamespace(push=six(0), pushed_N=six(0.5, leg)))

@@ -9,25 +9,15 @@ import pytest
 
 from hil.safety import encoder_kernels
 from tests.hil.encoder_bench import BOTH_SIGNS, six
-from tests.hil.interpreted import plain
 
 FORCES_N = np.array([300.0, 150.0, 420.0, 80.0, 260.0, 510.0])
 """What friction may hold of each leg."""
 
 
-@pytest.fixture
-def push_legs(monkeypatch):
-    """The kernel as it is written: to compile it takes longer."""
-    for name in ("push_of", "eased"):
-        function = getattr(encoder_kernels, name)
-        monkeypatch.setattr(encoder_kernels, name, plain(function))
-    return plain(encoder_kernels.push_legs)
-
-
 @BOTH_SIGNS
 @pytest.mark.parametrize("legs", [[0], [3], [5], [1, 4], [*range(6)]], ids=str)
 @pytest.mark.parametrize("sticks", [0, 1])
-def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(push_legs, sign, legs, sticks):
+def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(sign, legs, sticks):
     """Where it comes at once, in its first tick; where it rises over eight ticks, in the fourth."""
     pushed = np.isin(np.arange(6), legs)
     limits = SimpleNamespace(push_ticks=8, push_N=FORCES_N, sticks=sticks, rise_ticks=1)
@@ -35,7 +25,7 @@ def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(push_
     for tick in range(1, 5):
         memory.push[pushed] = sign * tick
         tau = six(7.0)
-        push_legs(tau, limits, memory)
+        encoder_kernels.push_legs(tau, limits, memory)
         if sticks:
             np.testing.assert_allclose(memory.pushed_N, np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
     np.testing.assert_allclose(tau, 7.0 + np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
@@ -44,14 +34,14 @@ def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(push_
 @BOTH_SIGNS
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize(("rise", "turns"), [(1, 1), (2, 3), (4, 7)])
-def test_a_leg_that_sticks_turns_round_as_steeply_as_its_own_push_rises(push_legs, sign, leg, rise, turns):
+def test_a_leg_that_sticks_turns_round_as_steeply_as_its_own_push_rises(sign, leg, rise, turns):
     """From the whole force to the other one in 2 x rise - 1 ticks, whatever the other legs are pushed by."""
     ticks = 20
     limits = SimpleNamespace(push_ticks=ticks, push_N=FORCES_N, sticks=1, rise_ticks=rise)
     memory, pushes = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(0.0)), []
     for tick in range(1, 2 * ticks + 1):
         memory.push[leg], tau = sign * tick, six(0.0)
-        push_legs(tau, limits, memory)
+        encoder_kernels.push_legs(tau, limits, memory)
         pushes.append(sign * tau)
     whole, there = FORCES_N[leg], np.arange(6) == leg
     found = np.array(pushes)

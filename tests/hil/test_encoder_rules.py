@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from hil.safety import increments, latch, leaps, stillness
-from tests.hil.interpreted import plain
 
 ON_ONE_LEG = pytest.mark.parametrize("leg", range(6))
 BOTH_SIGNS = pytest.mark.parametrize("sign", [1, -1])
@@ -168,7 +167,7 @@ def test_latch_a_leg_agrees_on_a_delay_within_its_own_tolerance(exact):
 @BOTH_SIGNS
 @pytest.mark.parametrize("of", ["itself", "another"])
 def test_latch_a_delay_explains_a_leg_within_its_own_tolerance_and_that_of_each_other(leg, sign, of):
-    explained = plain(latch.explained)
+    explained = latch.explained
     off = leg if of == "itself" else (leg + 2) % 6
     for wrong, fine in ((0.09, True), (0.11, False)):
         gap = RATES * 0.25

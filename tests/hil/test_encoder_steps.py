@@ -13,7 +13,6 @@ from hil.safety import differences, encoder_kernels
 from hil.safety.certificate import CONSTANTS, Watch
 from hil.safety.encoder_limits import NONE
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
-from tests.hil.interpreted import plain
 from tests.hil.test_safety import Bench as Guarded
 from tests.hil.test_safety import certified
 
@@ -107,7 +106,7 @@ def test_a_slope_lags_by_half_of_its_step_where_the_one_before_is_not_known():
 @BOTH_SIGNS
 def test_a_leap_is_time_within_the_bound_of_its_own_leg_and_where_it_is_known(leg, sign):
     """Six times 0.25 periods of each rate are explained, to the last bit, and what its own bound allows more."""
-    is_time = plain(differences.is_time)
+    is_time = differences.is_time
     leaps = sign * 1.5 * RATES
     assert is_time(leg, leaps, RATES, six(0.0), 0.25)
     more = leaps + np.sign(leaps) * six(0.5, leg)
@@ -275,7 +274,7 @@ def test_a_tick_in_which_no_encoder_is_judged_says_of_none_how_near_it_was_to_a_
 @pytest.mark.parametrize("leg", range(6))
 def test_until_a_leg_that_was_pushed_has_settled_what_it_does_makes_no_other_one_suspect(leg):
     """Its own straying counts on from where its reading began to stand still."""
-    settle = plain(encoder_kernels.let_settle)
+    settle = encoder_kernels.let_settle
     before = np.arange(36.0).reshape(6, 6)
     memory = SimpleNamespace(push=np.zeros(6, int), unsettled_s=np.zeros(6), began=before.copy())
     memory.push[leg] = -3

@@ -2,6 +2,7 @@
 
 import math
 from math import ceil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hil.config.delay import DelayCompensation
 from hil.config.limits import LimitSettings
 from hil.config.monitor import MonitorSettings
 from hil.control import LAWS
-from hil.control.error_axes import error_axes as kernel
+from hil.control.error_axes import error_axes
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.law import LawSettings
 from hil.control.pd import PDSettings
@@ -120,8 +121,8 @@ def test_the_error_of_the_pose_and_its_exact_rate():
     out = [np.empty(6) for _ in range(4)]
     p, p_d, v, v_d = np.arange(12.0).reshape(4, 3) ** 2
     twist, twist_d, dtwist_d = np.hstack([v, R @ w]), np.hstack([v_d, R_d @ w_d]), np.arange(6.0)
-    tick = record_of(p=p, R=R, twist=twist, p_d=p_d, R_d=R_d, twist_d=twist_d, dtwist_d=dtwist_d)
-    kernel(True, tick[()], *out)
+    tick = SimpleNamespace(p=p, R=R, twist=twist, p_d=p_d, R_d=R_d, twist_d=twist_d, dtwist_d=dtwist_d)
+    error_axes(True, tick, *out)
     np.testing.assert_allclose(out[0], np.hstack([p_d - p, rotation_vector(R_d @ R.T)]))
     np.testing.assert_allclose(out[1], np.hstack([v_d - v, slope]), atol=1e-8)
     np.testing.assert_array_equal(out[2:], [twist_d, dtwist_d])

@@ -168,7 +168,7 @@ def source_of(name: str) -> ast.Module:
 
 def plain_links() -> dict[str, Any]:
     """Return every function of the package in its uncompiled form, and the modules that guard imports."""
-    links: dict[str, Any] = {"error_axes": error_axes.py_func}  # type: ignore[attr-defined]
+    links: dict[str, Any] = {"error_axes": error_axes}
     for name in [*FAMILIES, *ENCODERS, "differences", "encoder_kernels", "kernels"]:
         module = load(name, source_of(name), links)
         links.update({k: v for k, v in vars(module).items() if inspect.isfunction(v)})

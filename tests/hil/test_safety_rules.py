@@ -24,7 +24,6 @@ from hil.safety import (
     stroke,
     timing,
 )
-from tests.hil.interpreted import plain
 
 ON_ONE_LEG = pytest.mark.parametrize("leg", range(6))
 
@@ -324,7 +323,7 @@ def test_force_limits_moves_at_most_a_step_from_the_last_one(leg, sign):
 
 
 def test_force_limits_window_has_the_extremes_of_all_its_rows():
-    remember, extremes = plain(force_limits.remember), plain(force_limits.window_extremes)
+    remember, extremes = force_limits.remember, force_limits.window_extremes
     for rows in (1, 5, force_limits.BLOCK, force_limits.BLOCK + 1, 3 * force_limits.BLOCK - 2):
         blocks = math.ceil(rows / force_limits.BLOCK)
         history, lows, highs = np.zeros((rows, 6)), np.zeros((blocks, 6)), np.zeros((blocks, 6))
@@ -340,8 +339,8 @@ def test_force_limits_window_has_the_extremes_of_all_its_rows():
 def test_force_limits_window_forgets_a_force_with_its_row(leg):
     history, lows, highs = np.zeros((40, 6)), np.zeros((3, 6)), np.zeros((3, 6))
     for tick in range(120):
-        plain(force_limits.remember)(six(7.0 if tick == 50 else 0.0, leg), tick % 40, history, lows, highs)
-        low, high = plain(force_limits.window_extremes)(lows, highs)
+        force_limits.remember(six(7.0 if tick == 50 else 0.0, leg), tick % 40, history, lows, highs)
+        low, high = force_limits.window_extremes(lows, highs)
         np.testing.assert_array_equal(low, six(0.0))
         np.testing.assert_array_equal(high, six(7.0 if 50 <= tick < 90 else 0.0, leg))
 

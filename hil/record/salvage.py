@@ -180,7 +180,7 @@ class _Salvage:
 
     def _index(self, record: Record) -> None:
         """Count the ticks of a chunk that is left out."""
-        if self._damaged and len(record.content) >= 6:
+        if self._damaged:
             channel = int.from_bytes(record.content[:2], "little")
             if channel in self._known.of_ticks():
                 self.ticks_lost += (len(record.content) - 6) // 16

@@ -3,10 +3,11 @@
 import struct
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, MessageIndex
 
 from hil.record.mcap_file import MAGIC, record_bytes
-from hil.record.mcap_read import Record
+from hil.record.mcap_read import HEAD, Record
 from hil.record.surviving import Lost, surviving
 from tests.hil.mcap_records import metadata, placed
 
@@ -86,3 +87,13 @@ def test_the_last_byte_of_what_is_whole_is_not_taken_for_the_first_of_a_record(t
     lost, *whole = surviving(file)
     assert lost == Lost(starts[0], starts[1])
     assert [each[1] for each in whole] == starts[1:3]
+
+
+@pytest.mark.parametrize("longer", [0, 1])
+def test_a_record_is_as_long_as_any_may_be_and_no_longer(tmp_path, monkeypatch, longer):
+    whole = metadata("a", text="b" * 40)
+    monkeypatch.setattr("hil.record.mcap_read.MAX_RECORD", len(whole) - HEAD.size - longer)
+    file, starts = placed(tmp_path, whole, metadata("c"), DATA_END)
+    first, *others = surviving(file)
+    assert first[:2] == ((starts[0], starts[1]) if longer else (Opcode.METADATA, starts[0]))
+    assert [each[1] for each in others] == starts[1:2]

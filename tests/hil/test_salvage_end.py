@@ -1,8 +1,10 @@
 """What a salvaged log says of its end, of what was lost and of why, in its report and in the file."""
 
 import pytest
+from mcap.records import MessageIndex
 
 from hil.record.log import Log
+from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.salvage import salvage
 from hil.record.schema import CLEAN, DISK_FULL, PRODUCER_DIED, SALVAGE
 from tests.hil.mcap_records import metadata
@@ -58,3 +60,10 @@ def test_the_bytes_of_a_chunk_in_which_the_file_ends_are_lost(path, tmp_path, ke
     report = salvage(tmp_path / "cut.mcap", tmp_path / "out.mcap")
     assert report.bytes_lost == kept
     assert Log.open(tmp_path / "out.mcap").metadata[SALVAGE]["bytes_lost"] == str(kept)
+
+
+def test_a_log_whose_beginning_is_gone_up_to_the_index_of_a_chunk_loses_nothing_else(path, tmp_path):
+    index = record_bytes(MessageIndex(channel_id=1, records=[(1, 2)]))
+    (tmp_path / "cut.mcap").write_bytes(MAGIC + index + path.read_bytes()[len(MAGIC) :])
+    report = salvage(tmp_path / "cut.mcap", tmp_path / "out.mcap")
+    assert (report.ticks, report.ticks_lost, report.bytes_lost) == (len(TICKS), 0, 0)

@@ -86,6 +86,7 @@ def test_the_data_sheet_is_that_of_the_emulated_drive():
     assert EDS.read_text(encoding="ascii") == sheet() + "\n"
 
 
+@pytest.mark.long
 @pytest.mark.realtime(patient=True)
 def test_a_canopen_master_moves_one_drive_and_parks_it(tmp_path, monkeypatch, capsys):
     assert metadata.version("canopen") == "2.4.1"

@@ -140,6 +140,7 @@ def test_drives_without_a_watchdog_are_not_said_to_have_stopped_on_a_dead_bus(fa
     assert ("they keep the last torque; cut their power now" in ran.ending.trouble) != promised
 
 
+@pytest.mark.long
 def test_a_jump_is_found_beside_a_drive_that_is_heard_four_times_in_five(tmp_path):
     """0.2 mm in motion, 0.09 mm are allowed; a way of one period, 0.3 mm, is allowed to the lossy leg alone."""
     faults = [

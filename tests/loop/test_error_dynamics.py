@@ -81,6 +81,7 @@ def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direct
     assert deviation(rows["q_d"] - rows["q"], expected) < 0.005
 
 
+@pytest.mark.long
 def test_what_is_left_over_halves_with_the_period(tmp_path):
     found = []
     for rate_Hz in (1000, 2000):

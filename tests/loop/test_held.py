@@ -163,7 +163,8 @@ def test_a_brake_that_opens_by_itself_under_load_is_caught(good, mode, share, le
         print(f"\nbrake opens in {mode.name}: {1e3 * moved:.2f} mm")
 
 
-@pytest.mark.parametrize("name", broad(["lab", "bench"], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["lab", "bench"])
 def test_other_robots_hold_their_legs_too(name, capsys):
     c = load(name)
     good = run(c)

@@ -111,6 +111,7 @@ def test_a_stop_in_a_jog_ends_the_run_there_and_armed_again_it_jogs_again(tmp_pa
     assert rows["twist_d"][9200][1] < -0.05
 
 
+@pytest.mark.long
 def test_a_hold_that_ends_with_the_way_back_to_the_path_parks_nothing(tmp_path):
     run, rows = simulated(
         tmp_path,

@@ -158,9 +158,10 @@ SHORT = {"reference": {"periods": 1}, "engage": {"stop_s": 3.0}}
 """A path that ends at tick 3208, and a stop in which 1.5 s of path time go by."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("then", "ends"),
-    broad([(((5.0, "start"),), ["TRACKING", *PARKING[1:]]), ((), ["TRACKING", *PARKING])], quick=1),
+    [(((5.0, "start"),), ["TRACKING", *PARKING[1:]]), ((), ["TRACKING", *PARKING])],
 )
 def test_a_park_just_before_the_end_of_the_path_is_no_fault(tmp_path, then, ends):
     commands = [(3.15, "park"), *then]

@@ -62,6 +62,7 @@ def peaks():
     return found
 
 
+@pytest.mark.long
 def test_each_part_of_a_real_path_costs_some_accuracy_and_no_limit_acts(peaks, capsys):
     with capsys.disabled():
         print("\nexact inverse dynamics, wn 20 rad/s, 1 kHz, the book's path: peak leg error")

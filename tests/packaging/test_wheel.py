@@ -103,6 +103,7 @@ def test_the_packages_come_from_the_wheel_and_not_from_the_repository(installed,
     assert [Path(name).parent.parent for name in json.loads(done.stdout)] == [installed] * len(PACKAGES)
 
 
+@pytest.mark.long
 def test_what_is_compiled_is_found_by_the_same_sources_elsewhere_and_by_no_others(installed, tmp_path):
     importlib.import_module("hil.app.compose")  # compiles, in the repository, what is not compiled yet
     other = tmp_path / "other"

@@ -236,6 +236,7 @@ def test_a_law_that_looks_ahead_does_so_on_the_ideal_path_and_on_that_of_the_bus
         assert rms[0] < rms[1] / 2
 
 
+@pytest.mark.long
 def test_each_path_costs_its_delay(virtual):
     """The error of exact inverse dynamics is proportional to the delay; that of the hold is known from outside."""
     zoh = BOOK["joint_IDC_exact_wn20_1kHz_ZOH"]["peak_leg_err_mm"]

@@ -76,6 +76,7 @@ def test_a_log_tells_the_same_as_the_run_for_it(measured, tmp_path):
     assert again["total_ms"] == summary["total_ms"]
 
 
+@pytest.mark.long
 def test_a_robot_that_is_not_the_model_shows_in_the_gains(tmp_path):
     """Six uncoupled legs on springs: their motion has little to do with a platform's."""
     result = identify("bench", "--delay", "--duration", 1, "--log", tmp_path / "a.mcap")

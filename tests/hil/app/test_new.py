@@ -110,6 +110,7 @@ def test_a_platform_that_hangs_pulls_on_its_legs(tmp_path):
     assert max(inspect(load(path)).figures["home"]["static_forces_N"]) < 0.0
 
 
+@pytest.mark.long
 def test_twice_the_robot_has_twice_every_mass_and_force(tmp_path):
     once, twice = tmp_path / "once.yaml", tmp_path / "twice.yaml"
     assert new(once, ROBOTS["stand"]).exit_code == 0

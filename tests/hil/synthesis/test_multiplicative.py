@@ -153,6 +153,7 @@ def test_a_weight_that_covers_stays_what_it_is():
     assert covered(design, profile((1, 0.04), (100, 0.09)), 1.0) is design
 
 
+@pytest.mark.long
 def test_mu_takes_it_as_a_block_of_its_own():
     design, _ = load_design("mu")
     axis = design.nominal

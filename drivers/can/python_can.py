@@ -178,6 +178,14 @@ class PythonCan(NoController):
             self._bus.shutdown()
 
 
+def unknown_interface(name: str) -> str:
+    """Say which interfaces there are where this is none; empty where it is one."""
+    if name in can.VALID_INTERFACES:
+        return ""
+    known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
+    return f"bus.interface: {name} is unknown; known are {known}; localcan needs no hardware"
+
+
 def open_python_can(settings: BusSettings) -> PythonCan:
     """Open `bus.interface`. Raises BusError for one that is unknown or does not open."""
     options: dict[str, Any] = dict(settings.options)
@@ -193,11 +201,8 @@ def open_python_can(settings: BusSettings) -> PythonCan:
         options.setdefault("fd", True)
         if settings.interface != "udp_multicast":
             options.setdefault("data_bitrate", settings.data_bitrate_bit_s)
-    if settings.interface not in can.VALID_INTERFACES:
-        known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
-        raise BusError(
-            f"bus.interface: {settings.interface} is unknown; known are {known}; localcan needs no hardware"
-        )
+    if unknown := unknown_interface(settings.interface):
+        raise BusError(unknown)
     try:
         bus = can.Bus(settings.channel, settings.interface, ignore_config=True, **options)
     except Exception as error:

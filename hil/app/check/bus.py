@@ -1,6 +1,7 @@
 """What `hil check` says of the bus time, bus by bus."""
 
 from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.can.python_can import unknown_interface
 from drivers.several_buses import off_bus
 from hil.app.check.findings import Report
 from hil.app.compose import build_protocol, drive_setup
@@ -14,6 +15,7 @@ def report_bus(report: Report, c: Configuration) -> None:
     titles = [
         f"bus {each.interface} {name}, layout {c.bus.layout}" for each, name in zip(buses, names, strict=True)
     ]
+    report.warnings += filter(None, map(unknown_interface, sorted({each.interface for each in buses})))
     budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     if not budgets:
         report.sections[titles[0]] = ["no bus time: exists only in lockstep (hil sim)"]

@@ -311,6 +311,12 @@ def test_a_window_shorter_than_the_feedbacks_is_warned_of():
     assert any("SYNC and six feedbacks take 463 us" in w for w in inspect(c).warnings)
 
 
+@pytest.mark.parametrize(("name", "known"), [("sockercan", False), ("pcan", True), ("socketcan", True)])
+def test_an_interface_that_is_none_is_warned_of_before_hil_run_refuses_it(name, known):
+    told = [w for w in inspect(edited(("interface: localcan ", f"interface: {name} "))).warnings if name in w]
+    assert [w.partition(";")[0] for w in told] == ([] if known else [f"bus.interface: {name} is unknown"])
+
+
 def test_little_force_in_reserve_is_warned_of():
     c = edited(("force_N: 25000 ", "force_N: 17000 "))
     assert any("less than 10 % is left" in w for w in inspect(c).warnings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -336,7 +337,7 @@ def test_a_broken_certificate_names_its_axes(moving, pose):
     assert watched.size
     try:
         safety._watched[SCALARS, POSE] = float(pose)
-        safety._watch_memory[COUNT] = [0, 2, 3, 0, 4, 1]
+        safety._watch_memory[COUNT] = [0, 2, 3, 3, 4, 1]
         safety._watched[SCALARS, CONFIRM] = 3
         moving.cycle.faults, moving.cycle.mode = Fault.NONE, Mode.APPROACH
         story = told(strike(moving, Case(Fault.CERTIFICATE, {"lyapunov_share": 1.375}, []))[0])
@@ -344,13 +345,14 @@ def test_a_broken_certificate_names_its_axes(moving, pose):
         safety._watched[:], moving.cycle.tick, safety.memory[()] = watched, kept, memory
     assert [each.seen[:3] for each in story.findings] == [
         (1.375, 1.0, None if pose else 2),
+        (1.375, 1.0, None if pose else 3),
         (1.375, 1.0, None if pose else 4),
     ]
-    keys = ["monitor.disturbance_m_s2", f"monitor.disturbance_{'rad' if pose else 'm'}_s2"]
-    assert [each.seen.key for each in story.findings] == keys
+    turns = f"monitor.disturbance_{'rad' if pose else 'm'}_s2"
+    assert [each.seen.key for each in story.findings] == ["monitor.disturbance_m_s2", turns, turns]
     if not pose:
-        assert "(axis of leg 2, 4 breaks the certificate; the worst axis has 1.375 of" in story.short
-    names = ("z", "ry") if pose else ("of leg 2", "of leg 4")
+        assert "(axis of leg 2, 3, 4 breaks the certificate; the worst axis has 1.375 of" in story.short
+    names = ("z", "rx", "ry") if pose else ("of leg 2", "of leg 3", "of leg 4")
     for each, name in zip(story.findings, names, strict=True):
         assert f"axis {name} breaks" in each.text
         assert "1.375" in each.text
@@ -367,6 +369,17 @@ def fused() -> Bench:
             }
         )
     )
+
+
+def test_of_many_buses_those_that_are_off_are_named(moving):
+    moving.cycle.faults, moving.cycle.mode = Fault.NONE, Mode.APPROACH
+    kept, parts = moving.cycle.tick, moving.cycle.parts
+    moving.cycle.parts = replace(parts, buses=tuple(f"can{leg} (legs {leg})" for leg in range(6)))
+    try:
+        story = told(strike(moving, Case(Fault.BUS, {"bus_off": 0b101000}, []))[0])
+    finally:
+        moving.cycle.tick, moving.cycle.parts = kept, parts
+    assert "bus can3 (legs 3) and bus can5 (legs 5) is off" in story.short
 
 
 def test_a_slipped_encoder_and_an_uncertain_pose_are_told_with_their_limits():
@@ -513,9 +526,11 @@ def test_a_release_is_told_as_one(bench):
     cycle.faults, cycle.mode = Fault.BRAKE, Mode.HELD
     narrator.look()
     assert "not all are proven shut" in told(narrator).done_text
+    assert any("--release" in advice for advice in told(narrator).next)
     cycle.mode = Mode.FAULT
     narrator.look((Operator.RELEASE,))
     assert told(narrator).done[-1].text.startswith("the platform was released on request; ")
+    assert not any("--release" in advice for advice in told(narrator).next), "nothing is held any more"
 
 
 def test_a_reset_ends_the_story_and_the_next_fault_has_its_own(bench):
@@ -554,6 +569,20 @@ def test_a_drive_that_does_not_follow_is_named_with_the_time_that_it_had():
         "drive 3 in OFF where READY was asked for, 1.60 s after it was asked; 1.60 s are allowed"
         in finding.text
     )
+
+
+def test_a_drive_that_followed_in_the_very_tick_in_which_it_was_too_late_is_named(moving):
+    cycle = moving.cycle
+    kept = cycle.tick, cycle.mode_tick
+    ready, off = int(DriveState.READY), int(DriveState.OFF)
+    cycle.faults, cycle.mode = Fault.NONE, Mode.LOADING
+    cycle.mode_tick = int(cycle.tick["tick"]) + 1 - 1601
+    cycle.tick = altered(cycle.tick, drive_state=legs(ready, leg_3=off))
+    try:
+        story = told(strike(moving, Case(Fault.DRIVE, {"drive_state": ready}, []))[0])
+    finally:
+        cycle.tick, cycle.mode_tick = kept
+    assert [each.seen[:3] for each in story.findings] == [("OFF", "READY", 3)]
 
 
 # -- a set-up that is not confirmed --------------------------------------------------------------------------------

@@ -133,3 +133,10 @@ def test_a_platform_that_is_held_no_more_was_released_only_where_somebody_asked_
     watched.look(Mode.HELD, READY)
     said = watched.look(Mode.FAULT, OFF, *operator)
     assert ("released on request" in said) == (operator == (Operator.RELEASE,))
+
+
+def test_drives_that_fault_while_they_switch_off_have_been_told_so_since_the_first_time(watched):
+    watched.look(Mode.PARKED, READY)
+    watched.look(Mode.PARKED, READY)
+    watched.look(Mode.FAULT, READY)
+    assert "all six in OFF 3 ms later" in watched.look(Mode.FAULT, OFF)

@@ -121,3 +121,13 @@ def test_a_channel_that_was_left_is_kept_to_no_clock(bench):
     bench.second.close()
     stand(bench)
     assert words[OFFSET_AT] == 0
+
+
+def test_a_channel_that_stays_is_kept_to_the_clock_that_another_one_has_left(bench):
+    third = Participant("c", clock=bench.first.clock)
+    bench.first.clock.begin(1, 1)
+    bench.second.close()
+    stand(bench)
+    stretched = bench.first.clock.stretched()
+    assert third._wire.words[OFFSET_AT] == stretched
+    third.close()

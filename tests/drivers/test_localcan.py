@@ -23,6 +23,7 @@ import pytest
 from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.collect import collect
+from drivers.can.localcan import participant
 from drivers.can.localcan.layout import OFFSET_AT, SLOT_DUE, SLOT_RUNG, slot_at
 from drivers.can.localcan.participant import OWN, Participant
 from drivers.can.runtime_folder import runtime_folder
@@ -34,6 +35,8 @@ FAST = BitTiming(1_000_000, 5_000_000)
 SLOW = BitTiming(125_000, 125_000)
 CRAWL = BitTiming(2_000, 2_000)
 """A frame of 8 bytes takes 67.5 ms: what has to happen meanwhile does so on a busy machine, too."""
+SNAIL = BitTiming(200, 200)
+"""Nothing ends while a test looks."""
 CLASSIC_8_BYTES = 135
 """Worst-case bits, hence 135 us at 1 Mbit/s."""
 
@@ -163,6 +166,37 @@ def test_a_flush_drops_the_frames_of_who_flushes_and_no_others(join):
     heard = [r.frame.id for r in collect(c, soon(), {0x50, 0x51})]
     assert [each for each in heard if each >= 0x50] == [0x50, 0x51]
     assert len(heard) <= 3
+
+
+def test_a_node_takes_no_more_than_all_together_may_have_waiting(join, monkeypatch):
+    monkeypatch.setattr(participant, "QUEUE_LIMIT", 5)
+    a, b = join(SNAIL), join(SNAIL)
+    frames = [Frame(0x10 + k, bytes(8)) for k in range(4)]
+    assert a.send(frames) == 4
+    assert b.send(frames) == 2, "three of the other's wait, and one has the bus"
+
+
+def test_the_next_frame_of_another_is_foreseen_under_way_or_waiting_and_none_of_its_own(join, monkeypatch):
+    a, b = join(SNAIL), join(SNAIL)
+    assert a.send([Frame(0x10, bytes(8))]) == 1
+    assert (a.receive(), b.receive()) == ([], [])
+    assert a.foresee() is None
+    under_way = b.foresee()
+    assert b.send([Frame(0x20, bytes(8))]) == 1
+    assert a.receive() == []
+    waiting = a.foresee()
+    now = type(a.clock).now
+    monkeypatch.setattr(type(a.clock), "now", lambda clock: now(clock) + 10_000_000_000)
+    assert [(r.t_ns, r.frame.id) for r in b.receive()] == [(under_way, 0x10)]
+    assert [(r.t_ns, r.frame.id) for r in a.receive()] == [(waiting, 0x20)]
+
+
+def test_a_frame_is_filled_up_to_a_length_that_can_fd_has_each_time_it_is_sent(join):
+    a, b = join(), join()
+    for _ in range(3):
+        assert a.send([Frame(0x10, b"123456789", FD)]) == 1
+        (received,) = collect(b, soon())
+        assert received.frame.data == b"123456789\0\0\0"
 
 
 def test_slow_reader_loses_the_oldest_and_is_told(join):

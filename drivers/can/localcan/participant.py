@@ -244,7 +244,7 @@ class Participant(NoController):
             if len(data) not in _LENGTHS:
                 data = data.ljust(next((n for n in FD_LENGTHS if n >= len(data)), len(data)), b"\0")
         cost = priority(id_, flags), frame_time_ns(len(data), flags, timing)
-        if self._fixed is not None and len(self._known) < KNOWN and len(data) == len(frame.data):
+        if self._fixed is not None and len(self._known) < KNOWN:
             self._known[id_, flags, len(data)] = cost
         return *cost, id_, flags & ~OWN, data
 

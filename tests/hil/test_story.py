@@ -585,6 +585,30 @@ def test_a_drive_that_followed_in_the_very_tick_in_which_it_was_too_late_is_name
     assert [each.seen[:3] for each in story.findings] == [("OFF", "READY", 3)]
 
 
+def test_a_drive_that_does_not_obey_after_another_fault_is_told_with_the_force_of_the_tick_before(moving):
+    cycle = moving.cycle
+    kept, memory = cycle.tick, cycle.parts.safety.memory.copy()
+    cycle.faults, cycle.mode = Fault.NONE, Mode.APPROACH
+    later: list[tuple[Fault, dict[str, Any]]] = [
+        (Fault.STALE, {"tau": legs(0, leg_2=333)}),
+        (Fault.STALE | Fault.DRIVE, {"legs_refused": 1 << 2}),
+    ]
+    try:
+        narrator, _ = strike(moving, Case(Fault.STALE, {"counted_age": legs(0, leg_1=7)}, []))
+        for faults, columns in later:
+            cycle.tick = altered(
+                cycle.tick, **{"tick": int(cycle.tick["tick"]) + 1, "tau": legs(7)} | columns
+            )
+            cycle.faults = faults
+            narrator.look()
+    finally:
+        cycle.tick = kept
+        cycle.parts.safety.memory[...] = memory
+    stale, refused = told(narrator).findings
+    assert (stale.seen.leg, refused.seen.leg) == (1, 2)
+    assert "drive 2 does not obey: at +333 N" in refused.text
+
+
 # -- a set-up that is not confirmed --------------------------------------------------------------------------------
 
 CONFIG = OURS.configure(0.01, Reaction.BRAKE)[3]

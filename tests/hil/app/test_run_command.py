@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +20,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import command
 from hil.loop.clock import RealTime
 from hil.loop.daemon import Shell
-from hil.loop.run_end import Course, Ending
+from hil.loop.run_end import NO_DRIVES, Course, Ending
 from hil.record import LogSummary, Recording
 from hil.record.log import Log
 from tests.loop.test_run_end import cycle as a_cycle
@@ -45,8 +46,11 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         plant_success: bool = True,
         unsaid: str = "",
         plant_trouble: str = "",
+        plant_lives: bool = False,
+        events: list[tuple[Any, ...]] | None = None,
         **options: Any,
     ) -> tuple[Course, Shell, list[int], dict[str, Any]]:
+        told = [] if events is None else events
         begun: list[tuple[Course, Shell]] = []
         windows: list[int] = []
         watchdogs: list[float] = []
@@ -57,9 +61,10 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         cycle: Any = a_cycle(Mode.WAITING)
         cycle.parts.trajectory, cycle.parts.law = SimpleNamespace(duration_s=1.0), None
         closed = LogSummary(tmp_path / "a.mcap", 0, 0, 0, 0, 0, 0.0, True, "", gave_up=False)
-        recording = SimpleNamespace(event=lambda *_: None, close=lambda _: closed)
+        recording = SimpleNamespace(event=lambda *each: told.append(each), close=lambda _: closed)
         finished: dict[str, Any] = {"success": plant_success, "trouble": plant_trouble or None}
-        plant = SimpleNamespace(trouble=lambda: plant_trouble, finish=lambda: finished)
+        found = "" if plant_lives else plant_trouble
+        plant = SimpleNamespace(trouble=lambda: found, finish=lambda: finished)
 
         keeper = SimpleNamespace(
             last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=unsaid
@@ -152,6 +157,39 @@ def test_a_plant_that_has_died_is_the_reason_of_what_the_controller_saw_and_is_n
     assert summary["success"] is False
     seen = f"; the controller: {ending.reason}" if ending.reason else ""
     assert summary["trouble"] == died + seen
+
+
+@pytest.mark.parametrize(
+    ("ending", "seen"),
+    [
+        (Ending(Mode.FAULT, Fault.STALE, "latched fault STALE", 9), "latched fault STALE"),
+        (Ending(Mode.FAULT, Fault.STALE | Fault.ESTOP, "latched fault ESTOP", 9), "latched fault ESTOP"),
+        (Ending(Mode.WAITING, Fault.NONE, NO_DRIVES, 9), "no drive answered on "),
+        (STOPPED, None),
+        (PARKED, None),
+    ],
+    ids=["stale", "stale and stopped", "no drives", "stopped", "parked"],
+)
+def test_a_plant_that_still_ends_is_asked_why_it_fell_silent_where_legs_were_not_heard(
+    ran: Ran, ending: Ending, seen: str | None
+) -> None:
+    why = "my.fmu: the FMU did not step within 5 s"
+    *_, summary = ran(
+        ending=ending, plant_success=False, plant_trouble=why, plant_lives=True, with_plant=True
+    )
+    assert summary["plant"]["trouble"] == why
+    if seen is None:
+        assert summary["trouble"] == (ending.reason or None)
+    else:
+        assert summary["trouble"].startswith(f"{why}; the controller: {seen}")
+
+
+@pytest.mark.parametrize("unexpected", ["", "Traceback (most recent call last): ..."])
+def test_a_log_has_the_traceback_of_a_defect_and_the_summary_one_line(ran: Ran, unexpected: str) -> None:
+    events: list[tuple[Any, ...]] = []
+    *_, summary = ran(ending=replace(STOPPED, unexpected=unexpected), events=events)
+    assert events == [(0, "error", unexpected or "latched fault ESTOP")]
+    assert summary["trouble"] == "latched fault ESTOP"
 
 
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])

@@ -17,7 +17,9 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError
+from hil.app.configuration.address import address
 from hil.app.configuration.configuration import load
+from hil.app.configuration.text_file import read_configuration
 from hil.app.sim.commands import CommandScript, read_commands
 from hil.cli import main
 from hil.operate.channel import OperatorChannel
@@ -200,6 +202,17 @@ def test_the_channel_of_the_file_is_the_one_that_is_spoken_to(controller, tmp_pa
     default = changed(tmp_path, "channel: hil0", "")
     assert CliRunner().invoke(main, ["ctl", default, "estop"]).exit_code == 0
     assert controller.heard == [Operator.ESTOP]
+
+
+@pytest.mark.parametrize("first", ["two0", "two1"])
+def test_of_several_buses_the_first_one_is_spoken_to_as_a_run_is_found_there(tmp_path, first):
+    file = tmp_path / "two.yaml"
+    _, text = read_configuration("two_buses")
+    swapped = {"two0": "two1", "two1": "two0"}
+    file.write_text(text if first == "two0" else re.sub("two[01]", lambda found: swapped[found[0]], text))
+    assert address(file) == (("localcan", first), False)
+    bus = load(file).bus
+    assert (bus.interface, bus.channel) == ("localcan", first)
 
 
 def test_set_points_go_to_a_live_reference_only(controller, tmp_path):

@@ -231,6 +231,16 @@ def test_the_skew_is_the_time_between_the_ends_of_sync_and_the_legs_are_read_at_
     assert not out.row["warnings"] & Warn.LATE
 
 
+@pytest.mark.parametrize("family", ["damiao", "moteus"])
+def test_where_a_bus_has_more_polls_than_another_the_skew_is_between_the_first_of_each(family):
+    c = changed(DESKTOP, *FAMILIES[family], ("channel: desktop0\n", split(SPLITS["uneven"])))
+    with bench(c) as (lockstep, _):
+        inp, opening, out = lockstep.step()
+    assert [[frame.bus for frame in opening].count(bus) for bus in (0, 1)] == [2, 4]
+    assert inp.sync_skew_ns == 0
+    assert not out.row["warnings"] & Warn.LATE
+
+
 @pytest.mark.parametrize(("limit_us", "late"), [(74.9, True), (75.0, False)])
 def test_buses_that_are_farther_apart_than_the_limit_make_a_late_tick(limit_us, late):
     slow = SECOND.replace("}", ", bitrate_bit_s: 500000}")

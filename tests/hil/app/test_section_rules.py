@@ -17,6 +17,8 @@ from hil.app.configuration.consistency import (
     standstill,
 )
 from hil.app.configuration.drive_rules import homing, reported_stroke
+from hil.app.configuration.reference_rules import frequencies
+from hil.config.reference import MultisineAxis, MultisineReference
 from hil.config.running import EngageSettings
 from plant_fmu.config import BenchPlant, DriveEmulation, PlantSettings
 
@@ -140,3 +142,17 @@ def test_legs_are_lost_only_where_a_fused_pose_is_seen_from_outside(pose, seen):
     found = fusion_sources(estimation, SensorSettings.model_validate(tracker), VIRTUAL.bus, None)
     refused = ("estimation", "fusion", "may_lose_legs") in [path for path, _ in found]
     assert refused == (not seen or pose != "fused")
+
+
+@pytest.mark.parametrize("band_Hz", [(1.0, 500.0), (500.0, 1.0)])
+@pytest.mark.parametrize("place", [0, 1])
+def test_no_line_of_a_multisine_is_above_half_the_rate_whichever_way_its_band_goes(place, band_Hz):
+    axis = MultisineAxis(axis="z_m", band_Hz=(1.0, 50.0), lines=5, amplitude=1e-3)
+    rest = axis.model_copy(update={"axis": "x_m"})
+    for rate_Hz, fine in ((1000.0, True), (999.0, False)):
+        axes = [rest, rest]
+        axes[place] = axis.model_copy(update={"band_Hz": band_Hz})
+        reference = MultisineReference(type="multisine", axes=axes, period_s=10.0)
+        found = list(frequencies(reference, VIRTUAL.loop.model_copy(update={"rate_Hz": rate_Hz}), None))
+        assert [path for path, _ in found] == ([] if fine else [("reference", "axes", place, "band_Hz")])
+        assert fine or "allowed: up to 499.5 (loop.rate_Hz 999), given: 500" in found[0][1]

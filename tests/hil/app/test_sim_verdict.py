@@ -109,6 +109,47 @@ def test_a_simulation_that_cannot_be_replayed_in_the_end_has_its_summary_all_the
     assert found["log"] == str(tmp_path / "a.mcap")
 
 
+def ended(monkeypatch: pytest.MonkeyPatch, ends: Any, faults: Fault) -> list[tuple[Any, ...]]:
+    """Return what is written into the log of a simulation whose loop ends so in its tick 7, of 2 ms."""
+    written: list[tuple[Any, ...]] = []
+
+    def run(*_: Any) -> Any:
+        if isinstance(ends, Ending):
+            return ends
+        raise ends
+
+    monkeypatch.setattr(command, "_run", run)
+    lockstep: Any = SimpleNamespace(
+        cycle=SimpleNamespace(mode=Mode.TRACKING, faults=faults), tick=7, period_ns=2_000_000
+    )
+    recording: Any = SimpleNamespace(
+        event=lambda *each: written.append(("event", *each)),
+        close=lambda each: written.append(("close", each)),
+    )
+    operator: Any = None
+    try:
+        command._run_to_end(lockstep, (recording, None, Path("a.mcap")), 1.0, None, operator)
+    except KeyboardInterrupt as interrupt:
+        written.append((str(interrupt),))
+    return written
+
+
+@pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.ESTOP])
+def test_an_interrupted_simulation_closes_its_log_with_its_mode_and_its_faults_and_says_when(
+    monkeypatch, faults
+):
+    assert ended(monkeypatch, KeyboardInterrupt(), faults) == [
+        ("close", {"ending": "TRACKING", "reason": "interrupted", "faults": int(faults)}),
+        ("at 0.014 s of simulated time; the log until then: a.mcap",),
+    ]
+
+
+def test_the_trouble_of_a_simulation_stands_in_its_log_at_its_last_tick(monkeypatch):
+    trouble = ("event", 14_000_000, "error", "latched fault ESTOP")
+    assert ended(monkeypatch, STOPPED, Fault.ESTOP) == [trouble]
+    assert ended(monkeypatch, PARKED, Fault.NONE) == []
+
+
 FILES: list[list[tuple[str, bytes]]] = [
     [],
     [("path.csv", b"0 1")],

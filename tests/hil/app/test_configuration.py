@@ -9,7 +9,7 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import json_schema, load, loads
 from hil.app.configuration.platform import platform_dict
 from hil.app.configuration.problems import FORMER_KEYS, at
-from hil.app.configuration.text_file import shipped
+from hil.app.configuration.text_file import read_configuration, shipped
 from hil.app.configuration.yaml_positions import Position, parse
 from hil.robot.geometry import Platform
 
@@ -321,6 +321,18 @@ def test_what_one_command_cannot_use_is_refused_by_that_command(change, command,
     c = loads(edited(change), "my.yaml")
     c.require("sim")
     with pytest.raises(ConfigurationError, match=reason):
+        c.require(command)
+
+
+@pytest.mark.parametrize("bus", [0, 1])
+@pytest.mark.parametrize("command", ["run", "plant"])
+def test_one_bus_of_several_that_lives_inside_one_process_is_refused_between_two(command, bus):
+    _, text = read_configuration("two_buses")
+    own = f"channel: two{bus}, "
+    assert text.count(own) == 1
+    c = loads(text.replace(own, f"{own}interface: virtual, "), "my.yaml")
+    c.require("sim")
+    with pytest.raises(ConfigurationError, match="`virtual` bus lives inside one process"):
         c.require(command)
 
 

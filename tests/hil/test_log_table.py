@@ -168,6 +168,7 @@ def test_reading_in_pieces_takes_memory_for_a_piece_only(tmp_path):
     assert peak < 0.2 * count * ROW.itemsize
 
 
+@pytest.mark.long
 def test_a_few_columns_of_a_log_take_memory_for_these_alone(tmp_path):
     count = 20_000
     log = Log(written(tmp_path / "a.mcap", random_rows(count)))

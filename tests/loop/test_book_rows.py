@@ -209,7 +209,8 @@ CONTINUOUS = {
 }
 
 
-@pytest.mark.parametrize("row", broad(CONTINUOUS, quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("row", CONTINUOUS)
 def test_rows_in_continuous_time_are_met_at_10_kHz_in_every_field(row):
     worst = deviations(figures(track(ideal(*CONTINUOUS[row], rate_Hz=10_000), 2.0)), row)
     assert max(worst.values()) < 0.01, worst

@@ -74,6 +74,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "still", "tick", "leg", "least_m", "most_m", "sign"), CASES)
 def test_twice_the_smallest_jump_is_found_at_once_half_of_it_not_and_three_tenths_alarm_nobody(
     name, still, tick, leg, least_m, most_m, sign

@@ -57,6 +57,7 @@ def test_a_log_replays_to_the_bit_also_when_the_file_has_changed_or_gone(recorde
     (folder / "controller.yaml").write_text(attached)
 
 
+@pytest.mark.long
 def test_another_controller_in_the_log_would_not_have_replayed(recorded, monkeypatch):
     """The attachment is what the replay runs."""
     folder, _ = recorded

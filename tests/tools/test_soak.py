@@ -63,6 +63,7 @@ def test_old_logs_have_gone_and_the_budget_holds(day):
     assert last_hour(shifts, RATE_Hz) == [shifts[2], shifts[1]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "name"),
     [

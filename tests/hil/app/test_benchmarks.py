@@ -338,6 +338,7 @@ def test_lockstep_parts_count_every_tick(benchmark):
     assert 0 < value(figures, "size of the log, a tick") < 3 * row_bytes
 
 
+@pytest.mark.long
 def test_hosting_costs_more_than_the_c_call_and_a_process_more_than_none(benchmark):
     def ordered() -> bool:
         figures = {f.name: f.values for f in fmu(benchmark)}
@@ -432,6 +433,7 @@ def test_the_campaign_that_is_measured_is_the_shipped_one_with_as_many_rows_as_a
 # -- the command ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_one_part_prints_the_machine_the_marks_and_the_same_as_json(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, ["--only", "mathematics", "--json", "benchmark.json"])

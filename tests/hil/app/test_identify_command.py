@@ -2,6 +2,7 @@
 
 import inspect
 import json
+from functools import cache
 from math import pi
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from hil.app.identify.axes import excited_axes
 from hil.app.identify.delay import excited
 from hil.app.run.command import run_daemon
 from hil.cli import main
+from tests.broad import broad
 from tests.loop import laden
 
 TRANSPORT_MS = 0.5
@@ -27,22 +29,25 @@ def identify(*arguments):
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
-    """The shipped bench, and one with drives of half the bandwidth: (result, log, summary) of each."""
+    """(result, log, summary) of the shipped bench, or of one with drives of half the bandwidth."""
     folder = tmp_path_factory.mktemp("identify")
     slow = load("virtual").text.replace("force_bandwidth_Hz: 200 ", "force_bandwidth_Hz: 100 ")
     (folder / "slow.yaml").write_text(slow)
-    found = {}
-    for bandwidth_Hz, source in ((200.0, "virtual"), (100.0, folder / "slow.yaml")):
+    sources = {200.0: "virtual", 100.0: folder / "slow.yaml"}
+
+    @cache
+    def found(bandwidth_Hz):
         log, summary = folder / f"{bandwidth_Hz}.mcap", folder / f"{bandwidth_Hz}.json"
-        result = identify(source, "--delay", "--duration", 2, "--log", log, "--json", summary)
+        result = identify(sources[bandwidth_Hz], "--delay", "--duration", 2, "--log", log, "--json", summary)
         assert result.exit_code == 0, result.output
-        found[bandwidth_Hz] = result, log, json.loads(summary.read_text())
+        return result, log, json.loads(summary.read_text())
+
     return found
 
 
-@pytest.mark.parametrize("bandwidth_Hz", [200.0, 100.0])
+@pytest.mark.parametrize("bandwidth_Hz", broad([200.0, 100.0], quick=1))
 def test_the_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwidth_Hz):
-    _, _, summary = measured[bandwidth_Hz]
+    _, _, summary = measured(bandwidth_Hz)
     lag_ms = 1e3 / (2 * pi * bandwidth_Hz)
     assert summary["total_ms"] == pytest.approx(TRANSPORT_MS + lag_ms + HOLD_MS, abs=0.05)
     assert summary["transport_ms"] == pytest.approx(TRANSPORT_MS, abs=0.05)
@@ -54,7 +59,7 @@ def test_the_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwi
 
 
 def test_it_prints_what_the_configuration_wants(measured):
-    result, _, summary = measured[200.0]
+    result, _, summary = measured(200.0)
     values = summary["delay_compensation"]
     assert values["bus_ms"] == pytest.approx(TRANSPORT_MS, abs=0.05)
     text = ", ".join(f"{key}: {value:g}" for key, value in values.items())
@@ -62,14 +67,14 @@ def test_it_prints_what_the_configuration_wants(measured):
 
 
 def test_the_run_for_it_is_small_and_touches_no_limit(measured):
-    run = measured[200.0][2]["run"]
+    run = measured(200.0)[2]["run"]
     assert not any(run["limited_ticks"].values())
     assert run["replay"]["exact"]
     assert run["tracking"]["peak_leg_error_mm"] < 0.2
 
 
 def test_a_log_tells_the_same_as_the_run_for_it(measured, tmp_path):
-    _, log, summary = measured[200.0]
+    _, log, summary = measured(200.0)
     result = identify(log, "--delay", "--json", tmp_path / "a.json")
     assert result.exit_code == 0, result.output
     again = json.loads((tmp_path / "a.json").read_text())
@@ -137,8 +142,8 @@ def test_friction_is_that_of_the_drive_though_the_platform_is_heavier_than_the_m
 
 
 def test_a_plant_without_friction_gets_no_friction_in_its_block(measured):
-    assert measured[200.0][2]["friction"] == {}
-    assert "model:" not in measured[200.0][0].stdout
+    assert measured(200.0)[2]["friction"] == {}
+    assert "model:" not in measured(200.0)[0].stdout
 
 
 def test_a_log_of_a_held_platform_is_refused(tmp_path):
@@ -154,10 +159,10 @@ def test_a_log_of_a_held_platform_is_refused(tmp_path):
 
 
 def test_options_of_a_run_have_no_meaning_for_a_log(measured):
-    result = identify(measured[200.0][1], "--delay", "--run")
+    result = identify(measured(200.0)[1], "--delay", "--run")
     assert result.exit_code == 2
     assert "is a log" in result.stderr
-    assert Path(measured[200.0][1]).exists()
+    assert Path(measured(200.0)[1]).exists()
 
 
 @pytest.mark.parametrize("excite", [excited, excited_axes])

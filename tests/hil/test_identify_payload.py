@@ -78,6 +78,7 @@ def laden():
     return made(Model(LADEN, **FRICTION), late_s=3e-4)
 
 
+@pytest.mark.long
 def test_platform_friction_reflected_mass_and_lateness_are_found_all_at_once(laden):
     """Left is what a filter of 20 ms makes of a nonlinear model."""
     found = fitted(laden)

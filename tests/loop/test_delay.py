@@ -4,6 +4,7 @@ SYNC to force takes 0.5 ms there (the drives' rates are those of a grid of 0.1 m
 at 0.6 ms), the drives' force loop of 200 Hz lags 0.796 ms, the hold costs 0.5 ms.
 """
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -65,28 +66,36 @@ def peak_mm(rows):
     return 1e3 * np.abs(moving["q_d"] - moving["q"]).max()
 
 
+RUNS = {
+    "bus": ("virtual", None),
+    "bus, compensated": ("virtual", TRUE),
+    "bus, twice the delay": ("virtual", {key: 2 * value for key, value in TRUE.items()}),
+    "ideal": ("ideal", None),
+    "ideal, compensated": ("ideal", {"hold_ms": 0.5}),
+}
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
+    """A run after a hold by its name: its rows."""
     folder = tmp_path_factory.mktemp("delay")
-    twice = {key: 2 * value for key, value in TRUE.items()}
-    benches = {
-        "bus": bench("virtual", AFTER_A_HOLD),
-        "bus, compensated": bench("virtual", AFTER_A_HOLD, TRUE),
-        "bus, twice the delay": bench("virtual", AFTER_A_HOLD, twice),
-        "ideal": bench("ideal", AFTER_A_HOLD),
-        "ideal, compensated": bench("ideal", AFTER_A_HOLD, {"hold_ms": 0.5}),
-    }
     logged = {name: folder / f"{name}.mcap" for name in ("bus", "bus, compensated")}
-    return {name: run(each, logged.get(name)) for name, each in benches.items()}
+
+    @cache
+    def found(name):
+        base, compensated = RUNS[name]
+        return run(bench(base, AFTER_A_HOLD, compensated), logged.get(name))
+
+    return found
 
 
 @pytest.mark.long
 def test_compensation_leaves_a_third_of_the_error_of_the_bus(runs, capsys):
     with capsys.disabled():
         print("\nexact inverse dynamics, wn 20 rad/s, the book's path after 0.1 s: peak leg error")
-        for name, rows in runs.items():
+        for name, rows in ((name, runs(name)) for name in RUNS):
             print(f"  {name:24} {peak_mm(rows):.4f} mm")
-    without, compensated = peak_mm(runs["bus"]), peak_mm(runs["bus, compensated"])
+    without, compensated = peak_mm(runs("bus")), peak_mm(runs("bus, compensated"))
     assert without <= 0.15
     assert compensated <= 0.05
     assert compensated <= without / 3
@@ -100,24 +109,26 @@ def test_what_is_left_comes_from_the_jump_of_the_acceleration(runs):
         t = rows["reference_time_s"]
         return peak_mm(rows[(t > 0.6) & (t < 1.1)])
 
-    assert smooth_mm(runs["bus"]) == peak_mm(runs["bus"])
-    assert smooth_mm(runs["bus, compensated"]) < smooth_mm(runs["bus"]) / 8
-    assert peak_mm(runs["bus, compensated"]) > 2 * smooth_mm(runs["bus, compensated"])
+    assert smooth_mm(runs("bus")) == peak_mm(runs("bus"))
+    assert smooth_mm(runs("bus, compensated")) < smooth_mm(runs("bus")) / 8
+    assert peak_mm(runs("bus, compensated")) > 2 * smooth_mm(runs("bus, compensated"))
 
 
+@pytest.mark.long
 def test_twice_the_delay_is_worse_than_none_and_than_the_true_one(runs):
-    wrong = peak_mm(runs["bus, twice the delay"])
-    assert wrong > peak_mm(runs["bus"])
-    assert wrong > 3 * peak_mm(runs["bus, compensated"])
+    wrong = peak_mm(runs("bus, twice the delay"))
+    assert wrong > peak_mm(runs("bus"))
+    assert wrong > 3 * peak_mm(runs("bus, compensated"))
 
 
+@pytest.mark.long
 def test_half_a_period_of_hold_is_compensated_on_the_ideal_path(runs):
-    assert peak_mm(runs["ideal, compensated"]) < peak_mm(runs["ideal"]) / 10
+    assert peak_mm(runs("ideal, compensated")) < peak_mm(runs("ideal")) / 10
 
 
 def test_safety_and_the_log_keep_the_present_state_and_reference(runs):
     """Same path in both logs, tick by tick, and the logged pose is the measured one."""
-    a, b = runs["bus"], runs["bus, compensated"]
+    a, b = runs("bus"), runs("bus, compensated")
     np.testing.assert_array_equal(a["tick"], b["tick"])
     moving = (a["mode"] == Mode.TRACKING) & (b["mode"] == Mode.TRACKING)
     for column in ("q_d", "dq_d", "ddq_d"):

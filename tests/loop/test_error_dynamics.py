@@ -120,6 +120,7 @@ def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides(tmp
     assert s[t < 0.9 * s[0].max() / k].max(axis=1).min() > phi
 
 
+@pytest.mark.long
 def test_under_the_lyapunov_redesign_the_legs_share_one_bounded_correction(tmp_path):
     """e'' + K_D e' + K_P e + rho y / max(|y|, epsilon) = 0, y = e' + K_D e / 2, integrated by scipy."""
     K_P, K_D, epsilon = 400.0, 40.0, 0.2

@@ -204,7 +204,8 @@ def test_one_lost_encoder_whichever_leg_it_is(seeds):
 
 
 @pytest.mark.parametrize(
-    ("fault", "ending"), [(EncoderFreeze, UNPROVEN), (DriveSilence, (Mode.PARKED, Fault.NONE))]
+    ("fault", "ending"),
+    broad([(EncoderFreeze, UNPROVEN), (DriveSilence, (Mode.PARKED, Fault.NONE))], quick=1),
 )
 def test_a_frozen_encoder_and_a_silent_drive_are_survived_in_motion(fault, ending):
     found = run(bench(), fault(leg=1, at_s=0.8, for_s=0.8))
@@ -248,6 +249,7 @@ def test_a_push_on_the_platform_is_no_slip():
     assert found.rms_mm < 0.02, "a load that the model does not know of makes it lag by as much"
 
 
+@pytest.mark.long
 def test_the_observer_does_not_learn_from_a_pose_that_its_own_estimate_carries_on():
     """In the direction that no leg sees, filter and observer would confirm each other."""
     observer = "  wrench: {source: observer, bus_ms: 0.5, drive_lag_ms: 0.796}\n"

@@ -139,6 +139,7 @@ def test_six_encoders_without_a_length_are_no_silent_drives():
     assert np.abs(ran.rows["tau"][-1]).min() > 0
 
 
+@pytest.mark.long
 def test_a_leg_without_encoder_proves_no_brake_although_the_pose_is_known():
     """The filter takes a platform on shut brakes to stand: it may not be asked."""
     ran = run(fusion.bench(), EncoderLost(leg=2, at_s=0.8), duration_s=1.6)

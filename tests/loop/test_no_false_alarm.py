@@ -164,9 +164,10 @@ def test_a_short_tick_after_a_long_one_alarms_nobody():
     assert stalls > 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "end_s"),
-    broad([("virtual-cia402", 5.0), ("virtual-cia402", 14.2), ("lab-cia402", 13.5)], quick=1),
+    [("virtual-cia402", 5.0), ("virtual-cia402", 14.2), ("lab-cia402", 13.5)],
 )
 def test_rates_made_of_lengths_and_answers_without_a_name_alarm_nobody(name, end_s):
     """Late latches, answers of one tick in the next, two and three of them at once, and steps of 0.1 ms."""

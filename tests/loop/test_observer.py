@@ -128,6 +128,7 @@ def test_fed_back_it_removes_the_static_error(held, source, capsys):
     assert np.abs(fed_back).max() < 0.1 * np.abs(without).max()
 
 
+@pytest.mark.long
 def test_without_a_load_it_sees_less_than_1_N_on_the_whole_path(tmp_path, capsys):
     rows = run(bench(), tmp_path / "a.mcap")
     moving = rows[np.isin(rows["mode"], [Mode.APPROACH, Mode.TRACKING])]

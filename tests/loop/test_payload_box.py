@@ -65,6 +65,7 @@ def test_inside_the_box_the_coupled_loop_is_stable_and_stays_within_what_is_prin
         assert (np.abs(rows["q_d"] - rows["q"]).max(axis=0) <= bound).all(), (mass, at)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [4, pytest.param(20, marks=pytest.mark.long)])
 def test_outside_the_box_it_is_said_before_anything_moves(count):
     for mass, at in drawn(count, OUTSIDE_kg, OUTSIDE_m, 6):

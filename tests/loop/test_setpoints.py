@@ -13,7 +13,6 @@ from hil.app.sim.command import simulate
 from hil.loop.replay import replay
 from hil.record.log import Log
 from hil.signals import SetPoint
-from tests.broad import broad
 
 LIVE = """reference:
   type: live
@@ -112,7 +111,8 @@ class Changed:
         yield from map(self.change, self.log.ticks())
 
 
-@pytest.mark.parametrize("word", broad([5, 1], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("word", [5, 1])
 def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
     _, log = run
     first: list[int] = []

@@ -236,6 +236,7 @@ def test_the_stop_watch_around_the_step_leaves_a_sleep_out(benchmark):
     assert 0 < taken < wall - len(entries) * sleep_s * 1e9
 
 
+@pytest.mark.long
 def test_the_tick_part_gives_the_compute_mark(benchmark):
     figures = tick(benchmark)
     assert figures[0].mark == Mark(40.0)
@@ -323,6 +324,7 @@ def test_a_machine_without_cyclictest_is_told_where_it_comes_from(monkeypatch, t
 # -- the parts -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_lockstep_parts_count_every_tick(benchmark):
     ticks = benchmark.simulated["ticks"]
     (factor,) = simulation(benchmark)

@@ -441,6 +441,7 @@ def test_the_picture_goes_into_the_folder_and_has_a_line_a_law(compared):
         assert (np.abs(image[:480, :700, :3] - np.array(colour) / 255).max(axis=2) < 0.02).sum() > 100
 
 
+@pytest.mark.long
 def test_when_the_own_law_faults_the_exit_code_says_so(tmp_path):
     text = load("virtual").text.replace("following_error_m: 0.01\n", "following_error_m: 0.00001\n")
     (tmp_path / "my.yaml").write_text(text)

@@ -93,6 +93,7 @@ def test_a_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
     assert summary["tracking"]["peak_leg_error_mm"] < stroke  # a thousandth of it
 
 
+@pytest.mark.long
 def test_the_static_forces_at_home_carry_platform_and_legs(tmp_path):
     """Sum of the vertical leg forces: weight of the platform, and of each leg what its far end carries."""
     path = tmp_path / "r.yaml"
@@ -270,6 +271,7 @@ def test_a_rate_that_no_number_of_buses_carries_is_offered_none(tmp_path):
     assert "--channels" not in done.output
 
 
+@pytest.mark.long
 def test_more_buses_give_the_loop_a_higher_rate_by_itself(tmp_path):
     path = tmp_path / "r.yaml"
     assert new(path, f"{HEAVY.replace(' --rate 500', '')} --channels 6").exit_code == 0

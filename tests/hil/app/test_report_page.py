@@ -16,6 +16,7 @@ from hil.app.report.command import report
 from hil.app.report.page import asset
 from hil.app.sim.command import simulate
 from hil.record.log import Log
+from tests.broad import broad
 from tests.browser import CHROMIUM, Browser, needs_chromium
 
 NOT_OURS = {
@@ -46,7 +47,7 @@ def test_chromium_is_here_for_the_tests_of_pages():
 
 @needs_chromium
 @pytest.mark.parametrize("name", ["good", "bad"])
-@pytest.mark.parametrize("width", [1200, 390])
+@pytest.mark.parametrize("width", broad([1200, 390], quick=1))
 def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pages, tmp_path, name, width):
     file = pages / f"{name}.html"
     with Browser(width=width) as browser:
@@ -63,6 +64,7 @@ def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pag
 
 
 @needs_chromium
+@pytest.mark.long
 def test_a_page_plays_and_zooms_by_the_keyboard_alone(pages, tmp_path):
     with Browser() as browser:
         browser.open(pages / "good.html")

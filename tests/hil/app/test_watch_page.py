@@ -141,6 +141,7 @@ def tab_to(browser, condition):
     raise AssertionError(f"Tab does not reach {condition}")
 
 
+@pytest.mark.long
 def test_every_control_works_by_the_keyboard(rows, operated):
     with (
         LiveRun(rows),

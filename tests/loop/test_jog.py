@@ -73,6 +73,7 @@ def test_start_goes_on_from_where_the_path_was_left(jogged):
     assert (np.diff(on["reference_time_s"]) >= 0.0).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("axis", "fraction"), [("x", 1.0 - 1e-6), ("y", 1.0)])
 def test_a_replay_notices_a_jog_that_is_another(jogged, axis, fraction):
     run, _ = jogged

@@ -59,6 +59,7 @@ def told(*arguments: Any) -> Any:
     return CliRunner(env={"COLUMNS": "200"}).invoke(main, ["learn", *map(str, arguments)])
 
 
+@pytest.mark.long
 def test_the_error_falls_from_run_to_run_down_to_the_floor(made: tuple[Path, Rehearsal]) -> None:
     folder, found = made
     assert not found.trouble

@@ -67,12 +67,10 @@ def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
     assert np.abs(moving["q_d"] - moving["q"]).max() < 5e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("tick", "orders"),
-    broad(
-        [(4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (3000, ()), (2999, (Order(Operator.HOLD),))],
-        quick=2,
-    ),
+    [(4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (3000, ()), (2999, (Order(Operator.HOLD),))],
 )
 def test_a_replay_notices_an_order_that_is_another(operated, tick, orders):
     run, _ = operated
@@ -126,6 +124,7 @@ def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(t
     assert modes(rows) == ["WAITING", *once, *PARKING, "WAITING", *once, "FAULT", "WAITING", *once, *PARKING]
 
 
+@pytest.mark.long
 def test_an_emergency_stop_before_the_platform_moved_leaves_a_run_that_stays_to_be_armed(tmp_path):
     commands = [(0.2, "estop"), (0.5, "reset"), (1.0, "arm"), (2.6, "end")]
     run, rows = simulated(tmp_path, commands, operator=BRISK | {"stays": True})
@@ -133,6 +132,7 @@ def test_an_emergency_stop_before_the_platform_moved_leaves_a_run_that_stays_to_
     assert modes(rows) == ["WAITING", "IDLE", "FAULT", *AS_ALWAYS, *PARKING]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("word", broad(["stop", "estop"], quick=1))
 def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
     run, rows = simulated(tmp_path, [(2.2, "park"), (3.5, word)], check_replay=False)

@@ -151,6 +151,7 @@ def test_drives_that_a_forged_command_switched_off_are_named():
     assert ending.reason == f"latched fault DRIVE ({said})"
 
 
+@pytest.mark.long
 def test_the_log_the_summary_and_the_replay_tell_the_same(tmp_path):
     """With leg and value in fields that a program reads, in the tick of the fault and at the end."""
     path = tmp_path / "fault.mcap"
@@ -320,7 +321,7 @@ REAL = {
 }
 
 
-@pytest.mark.parametrize("real", REAL.values(), ids=REAL)
+@pytest.mark.parametrize("real", broad(REAL.values(), quick=5), ids=REAL)
 def test_a_fault_of_the_motion_is_told_with_the_legs_values_and_limits_of_the_log(real):
     ran = run(real.configuration(), duration_s=real.duration_s)
     found = [each for each in story_of(ran).findings if each.fault == real.fault.name]

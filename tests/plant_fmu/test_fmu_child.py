@@ -121,7 +121,7 @@ def test_an_fmu_that_eats_memory_ends_at_its_limit(tmp_path, then):
     path = altered(tmp_path, f"{GREEDY % then} {STEP_LINE}")
     # what a process may have had at most it inherits from the one that starts it
     most_here_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024e-9
-    limited = replace(spec(path), memory_GB=round(1.5 * most_here_GB + 0.3, 1))
+    limited = replace(spec(path), memory_GB=round(1.1 * most_here_GB + 0.3, 1))
     said = pytest.raises(PlantError, match=r": it had [\d.]+ GB, plant\.model\.memory_GB")
     with contextlib.closing(ChildHost(limited, step_timeout_s=60)) as host, said as raised:
         host.step(FORCE, OPEN, OPEN, 1e-3)

@@ -20,6 +20,7 @@ from hil.control import LAWS
 from hil.robot.kinematics import jacobian
 from hil.stability.disturbance import Load
 from hil.stability.energy import Basin
+from tests.broad import broad
 
 CONSTANT = "  model: {variant: constant, frozen_at: {position_m: [0, 0, 1]}}\n"
 DELAY = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
@@ -208,6 +209,7 @@ def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
     assert len(summary["figures"]["ultimate_bound"]) == 6
 
 
+@pytest.mark.long
 def test_the_command_searches_the_sublevel_set_of_an_energy(tmp_path):
     config = tmp_path / "my.yaml"
     config.write_text(bench(f"  law: pd_gravity\n{LEGS}", rest=True).text)
@@ -296,10 +298,13 @@ def test_alpha_is_that_of_the_two_mass_matrices():
 
 @pytest.mark.parametrize(
     ("law", "status", "says"),
-    [
-        (SLIDING, "conditional", "s reaches its layer"),
-        (f"  law: pd_gravity\n{LEGS}", "conditional", "off the set-point"),
-    ],
+    broad(
+        [
+            (SLIDING, "conditional", "s reaches its layer"),
+            (f"  law: pd_gravity\n{LEGS}", "conditional", "off the set-point"),
+        ],
+        quick=1,
+    ),
 )
 def test_other_laws_are_judged_with_the_payload_too(law, status, says):
     found = judge(bench(law, rest=True), Stated(payload=Payload(230.0, (0.5, 0.3, 0.5))))

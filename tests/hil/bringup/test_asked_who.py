@@ -88,7 +88,8 @@ def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered
     assert line.requests == 6 * rounds * ASKED_TIMES
 
 
-@pytest.mark.parametrize("name", broad(["damiao", "odrive"], quick=1))
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["damiao", "odrive"])
 def test_a_drive_that_is_not_heard_is_not_asked_who_it_is(name):
     rehearsal = Rehearsal(name, wired(Mistake("absent", 3)))
     line = LossyLine(rehearsal, 0)

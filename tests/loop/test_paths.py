@@ -74,6 +74,7 @@ def test_each_part_of_a_real_path_costs_some_accuracy_and_no_limit_acts(peaks, c
     assert encoders - ideal < 2e-3, "an encoder step of 1 um"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "delay_s"),
     [

@@ -92,7 +92,6 @@ def tensor(theta):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-@pytest.mark.long
 def test_mass_place_and_inertia_of_an_unknown_payload(found, capsys):
     mass, moment = found.theta[0] - 1150.0, found.theta[1:4]
     off = np.abs(tensor(found.theta) - truth()).max() / truth().max()

@@ -321,7 +321,7 @@ REAL = {
 }
 
 
-@pytest.mark.parametrize("real", broad(REAL.values(), quick=5), ids=REAL)
+@pytest.mark.parametrize("real", broad(map(pytest.param, REAL.values()), quick=5), ids=REAL)
 def test_a_fault_of_the_motion_is_told_with_the_legs_values_and_limits_of_the_log(real):
     ran = run(real.configuration(), duration_s=real.duration_s)
     found = [each for each in story_of(ran).findings if each.fault == real.fault.name]

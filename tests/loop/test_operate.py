@@ -67,10 +67,12 @@ def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
     assert np.abs(moving["q_d"] - moving["q"]).max() < 5e-4
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("tick", "orders"),
-    [(4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (3000, ()), (2999, (Order(Operator.HOLD),))],
+    broad(
+        [(4500, (Order(Operator.SPEED, (0.4 + 1e-6,)),)), (3000, ()), (2999, (Order(Operator.HOLD),))],
+        quick=1,
+    ),
 )
 def test_a_replay_notices_an_order_that_is_another(operated, tick, orders):
     run, _ = operated

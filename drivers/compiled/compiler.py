@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -66,32 +67,47 @@ def record(dtype: np.dtype[np.void], *names: str) -> Any:
 
 
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
+
+
+@contextmanager
+def compiling(function: Callable[..., Any]) -> Iterator[bool]:
+    """Compile into the folder of a function's source meanwhile; yield whether that is up to date.
+
+    Where a source was saved since this process began, what is compiled is neither taken from the cache nor
+    kept. Ctrl-C waits until the kernel is there.
+    """
+    kept = is_as_imported(Path(function.__code__.co_filename).resolve())
+    if not kept:
+        announce()
+    settings = vars(numba.config)
+    elsewhere = settings["CACHE_LOCATOR_CLASSES"]
+    settings["CACHE_LOCATOR_CLASSES"] = f"{Locator.__module__}.{Locator.__name__}"
+    try:
+        with undisturbed(), lean_libraries():
+            yield kept
+    finally:
+        settings["CACHE_LOCATOR_CLASSES"] = elsewhere
+
+
+def count(function: Callable[..., Any], *, kept: bool, misses: int) -> None:
+    """Report that a kernel was compiled, unless it came out of the cache."""
+    if not kept or misses:
+        count_compiled(Path(function.__code__.co_filename).resolve())
 
 
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """Compile for exactly these argument types when the module is imported; others are refused.
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
-    the interpreter run meanwhile. Where a source was saved since this process began, what is compiled is
-    neither taken from the cache nor kept. Ctrl-C waits until the kernel is there.
+    the interpreter run meanwhile. See `compiling`.
     """
 
     def decorate(function: F) -> F:
-        source = Path(function.__code__.co_filename).resolve()
-        kept = is_as_imported(source)
-        if not kept:
-            announce()
-        settings = vars(numba.config)
-        elsewhere = settings["CACHE_LOCATOR_CLASSES"]
-        settings["CACHE_LOCATOR_CLASSES"] = f"{Locator.__module__}.{Locator.__name__}"
-        try:
-            with undisturbed(), lean_libraries():
-                compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **_OPTIONS)(function)
-        finally:
-            settings["CACHE_LOCATOR_CLASSES"] = elsewhere
-        if hasattr(compiled, "stats") and (not kept or compiled.stats.cache_misses):
-            count_compiled(source)
+        with compiling(function) as kept:
+            compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **OPTIONS)(function)
+        if hasattr(compiled, "stats"):
+            count(function, kept=kept, misses=len(compiled.stats.cache_misses))
         return cast("F", compiled)
 
     return decorate
@@ -118,7 +134,7 @@ def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 def helper(function: F) -> F:
     """Compile as a part of the kernels that call it; elsewhere it is the function as it is written."""
-    return register_jitable(**_OPTIONS)(function)
+    return register_jitable(**OPTIONS)(function)
 
 
 def _foreign(_context: Any, address: Any, arguments: Any) -> Any:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from drivers.compiled import cache
 
-_KERNEL = re.compile(r"^@(?:kernel|direct)\(", re.MULTILINE)
+_KERNEL = re.compile(r"^@(?:kernel|direct|pointed)\(", re.MULTILINE)
 
 
 class Progress(NamedTuple):

@@ -64,7 +64,7 @@ def machine(priority: int) -> dict[str, str]:
     type=_POSITIVE,
     default=60.0,
     show_default=True,
-    help="Length of the real-time parts; on two buses at most 20 s.",
+    help="Length of the runs; on two buses at most 20 s, simulated to the end of the path.",
 )
 @click.option(
     "--memory-minutes",

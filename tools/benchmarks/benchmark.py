@@ -39,7 +39,7 @@ class Benchmark:
     folder: Path
     """For logs; on a disk, so that the recorder's waits are real."""
     seconds: float
-    """Of the run in real time."""
+    """Of each run, in real time and simulated; a path that is shorter ends it."""
     memory_minutes: float
     """Over which the daemon's memory is watched."""
     say: Callable[[str], None]
@@ -81,8 +81,10 @@ class Benchmark:
     @cached_property
     def simulated(self) -> dict[str, Any]:
         """The summary of `hil sim` of the shipped configuration, recorded but not replayed."""
-        self.say("hil sim virtual, ten periods of the path")
-        return simulate(self.configuration, log=self.folder / "sim.mcap", check_replay=False)
+        self.say("hil sim virtual")
+        return simulate(
+            self.configuration, log=self.folder / "sim.mcap", duration_s=self.seconds, check_replay=False
+        )
 
     @cached_property
     def held(self) -> Held:

@@ -16,7 +16,7 @@ from tools.benchmarks.patience import patience_figures
 from tools.benchmarks.process import resident_kB
 
 SETTLE_S = 10.0
-"""Engaging, and the first periods of the path."""
+"""Engaging, and the first periods of the path; no longer than the memory is watched."""
 START_S = 90.0
 CLOSE_S = 300.0
 """The log of a long run is read and replayed before the daemon ends."""
@@ -27,14 +27,15 @@ def memory(benchmark: Benchmark) -> list[Figure]:
     """Run the daemon with its plant, and look at its memory once a second."""
     c = benchmark.endless
     minutes = benchmark.memory_minutes
+    settle_s = min(SETTLE_S, minutes * 60.0)
     log = benchmark.folder / "memory.mcap"
-    benchmark.say(f"memory of hil run for {minutes:g} min, after {SETTLE_S:g} s to settle")
-    command = [sys.executable, "-m", "hil.cli", "run", c.source, "--plant", "--log", str(log)]
+    benchmark.say(f"memory of hil run for {minutes:g} min, after {settle_s:g} s to settle")
+    command = [sys.executable, "-m", "hil.cli", "run", c.source, "--plant", "--arm", "--log", str(log)]
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=output, start_new_session=True)
         try:
             _wait_for(log, process, output)
-            time.sleep(SETTLE_S)
+            time.sleep(settle_s)
             samples = _watch(process, minutes * 60.0, output)
         finally:
             if process.poll() is None:

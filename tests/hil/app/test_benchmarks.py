@@ -453,6 +453,28 @@ def test_one_part_prints_the_machine_the_marks_and_the_same_as_json(monkeypatch,
     assert not list(Path("runs").iterdir()), "nothing stays behind"
 
 
+REAL_TIME = {
+    "realtime": [pytest.mark.realtime(patient=True)],
+    "two_buses": [pytest.mark.realtime],
+    "memory": [pytest.mark.realtime(patient=True)],
+}
+"""Parts that run processes in real time."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", [pytest.param(name, marks=REAL_TIME.get(name, [])) for name in PARTS])
+def test_every_part_can_be_short_yields_its_figures_and_succeeds(part, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    words = ["--only", part, "--seconds", "2", "--memory-minutes", "0.02", "--json", "benchmark.json"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    figures = json.loads(Path("benchmark.json").read_text())["parts"][part]
+    marked = [each for each in figures if "mark" in each]
+    assert marked or part == "two_buses"
+    assert all(each["values"] for each in marked), "a mark that nothing was measured for"
+    assert sum(bool(each["values"]) for each in figures) > len(figures) / 2
+
+
 def test_a_file_that_is_no_summary_is_not_overwritten(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     Path("notes.txt").write_text("keep me")

@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ from hil.trajectory.holding import HoldTrajectory
 from tests.drivers.legs_frames import command_frames
 from tests.hil.app.campaign.campaigns import SMALL, written
 from tests.records import asked, record_of
-from tools.benchmarks import campaign, cyclictest, realtime
+from tools.benchmarks import campaign, cyclictest, realtime, versions
 from tools.benchmarks.__main__ import PARTS, main
 from tools.benchmarks.benchmark import CHANNEL, Benchmark, Held
 from tools.benchmarks.figures import Figure, Mark, lines, number, spread
@@ -473,6 +475,18 @@ def test_every_part_can_be_short_yields_its_figures_and_succeeds(part, monkeypat
     assert marked or part == "two_buses"
     assert all(each["values"] for each in marked), "a mark that nothing was measured for"
     assert sum(bool(each["values"]) for each in figures) > len(figures) / 2
+
+
+@pytest.mark.long
+def test_two_versions_in_turn_give_a_ratio_for_the_loop_and_for_replay(monkeypatch, capsys):
+    here = str(Path(__file__).parents[3])
+    words = ["versions", here, here, "--duration", "2", "--rounds", "1"]
+    monkeypatch.setattr(sys, "argv", words)
+    versions.main()
+    found = re.findall(r"(\w+) +([\d.]+) us a tick, then ([\d.]+): ([\d.]+) times", capsys.readouterr().out)
+    assert [kind for kind, *_ in found] == ["lockstep", "replay"]
+    for _, old, new, ratio in found:
+        assert float(old) / float(new) == pytest.approx(float(ratio), abs=0.02)
 
 
 def test_a_file_that_is_no_summary_is_not_overwritten(monkeypatch, tmp_path):

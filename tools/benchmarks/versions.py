@@ -1,0 +1,119 @@
+"""Two versions of the project in turn: what a tick of `hil sim` and of a replay takes in each.
+
+    python -m tools.benchmarks.versions OLD NEW --duration 10 --rounds 5
+
+OLD and NEW are checkouts. Each round starts a process for each, with this Python and its libraries. It runs
+the configuration in lockstep without a recorder, then replays a recorded run from memory. The figure is the
+median of the quietest tenth of all blocks of 100 ticks on the path.
+"""
+
+import argparse
+import gc
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+from types import SimpleNamespace
+from typing import Any
+
+BLOCK = 100
+"""Ticks."""
+KINDS = ("lockstep", "replay")
+
+
+class Stamps:
+    """The time and the mode at every hundredth tick. Mutable state: these, and how many ticks there were."""
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.taken: list[tuple[int, int]] = []
+
+    def tick(self, row: Any) -> None:
+        """Count a tick."""
+        self.ticks += 1
+        if self.ticks % BLOCK == 0:
+            self.taken.append((time.perf_counter_ns(), int(row["mode"])))
+
+    def blocks(self, mode: int) -> list[float]:
+        """Time of a tick in each block that begins and ends in `mode`, us."""
+        pairs = zip(self.taken, self.taken[1:], strict=False)
+        return [(end - begun) * 1e-3 / BLOCK for (begun, a), (end, b) in pairs if a == b == mode]
+
+
+def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
+    """Run and replay with the version that PYTHONPATH names; return the us of a tick in all blocks."""
+    from drivers.signals import Mode  # noqa: PLC0415
+    from hil.app.compose import build_cycle, build_nodes  # noqa: PLC0415
+    from hil.app.configuration.configuration import load  # noqa: PLC0415
+    from hil.app.sim.build import build_lockstep  # noqa: PLC0415
+    from hil.app.sim.command import simulate  # noqa: PLC0415
+    from hil.loop.replay import replay  # noqa: PLC0415
+    from hil.record.log import Log  # noqa: PLC0415
+
+    c = load(configuration)
+    again, cycle = (build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3) for _ in range(2))
+    stamps = {kind: Stamps() for kind in KINDS}
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "run.mcap"
+        simulate(c, log=log, duration_s=duration_s, check_replay=False)
+        entries = list(Log.open(log).ticks())
+
+    def ticks() -> Iterator[Any]:
+        for entry in entries:
+            stamps["replay"].tick(entry.row)
+            yield entry
+
+    held: Any = SimpleNamespace(ticks=ticks)
+    nodes, plant = build_nodes(c)
+    gc.freeze()
+    gc.disable()
+    try:
+        build_lockstep(c, cycle, nodes).run(duration_s, lambda *each: stamps["lockstep"].tick(each[-1].row))
+    finally:
+        plant.close()
+    if different := replay(held, again).different_ticks:
+        sys.exit(f"{different} ticks of the replay came out differently")
+    return {kind: found.blocks(Mode.TRACKING) for kind, found in stamps.items()}
+
+
+def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str, list[float]]:
+    """Return what `measure` finds with a checkout, in a process of its own."""
+    command = [sys.executable, "-P", __file__, "--configuration", configuration]
+    command += ["--duration", str(duration_s)]
+    own = os.environ | {"PYTHONPATH": str(checkout.resolve())}
+    done = subprocess.run(command, env=own, stdout=subprocess.PIPE, check=True)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def quietest(us: list[float]) -> float:
+    """Return the median of the quietest tenth of blocks."""
+    return median(sorted(us)[: max(1, len(us) // 10)])
+
+
+def main() -> None:
+    """Measure both versions in turn, and print both figures and their ratio."""
+    parser = argparse.ArgumentParser(description="Two versions in turn: what a tick takes in each.")
+    parser.add_argument("checkouts", nargs="*", type=Path, help="two; without any, JSON of this one")
+    parser.add_argument("--configuration", default="virtual")
+    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="3 at least")
+    parser.add_argument("--rounds", type=int, default=5)
+    given = parser.parse_args()
+    run = given.configuration, given.duration
+    if not given.checkouts:
+        print(json.dumps(measure(*run)))
+        return
+    rounds = [[measured(each, *run) for each in given.checkouts] for _ in range(given.rounds)]
+    for kind in KINDS:
+        old, new = (quietest([us for pair in rounds for us in pair[k][kind]]) for k in range(2))
+        ratios = sorted(quietest(a[kind]) / quietest(b[kind]) for a, b in rounds)
+        print(f"{kind:8s} {old:.2f} us a tick, then {new:.2f}: {old / new:.2f} times as fast")
+        print(f"         {ratios[0]:.2f} to {ratios[-1]:.2f} times in single rounds")
+
+
+if __name__ == "__main__":
+    main()

@@ -77,6 +77,25 @@ def test_a_load_that_nobody_measures_and_a_light_model_move_the_legs_by_less_tha
     assert ratio <= 3.0
 
 
+@pytest.mark.long
+def test_at_equal_crossover_the_peak_is_alike_and_the_lasting_error_is_not(loaded, capsys):
+    w_c = crossover("hinf")
+    law = f"  law: inverse_dynamics\n  wn_rad_s: {wn_of(w_c)!r}\n  damping_ratio: 1\n"
+    hinf, equal = loaded["hinf"], tracked(bench(law + LIGHT), FaultPlan([LOAD]))
+    peak, lasting = [], []
+    for rows in (hinf, equal):
+        peak.append(error_mm(rows).max())
+        lasting.append(error_mm(rows)[rows["tick"] * 1e-3 >= LOAD_S + 0.3].max())
+    ratio = total_variation(hinf["tau"]).sum() / total_variation(equal["tau"]).sum()
+    with capsys.disabled():
+        print(f"\nmodel x 0.9, 10 kN, crossover {w_c:.0f} rad/s: H-infinity peak {peak[0]:.2f} mm, from 0.3 s "
+              f"on {lasting[0]:.3f} mm; inverse dynamics {peak[1]:.2f} and {lasting[1]:.2f} mm; force variation "
+              f"{ratio:.2f} times")  # fmt: skip
+    assert peak[0] == pytest.approx(0.83, abs=0.02)
+    assert peak[1] == pytest.approx(0.95, abs=0.02)
+    assert lasting[0] <= lasting[1] / 20.0
+
+
 def small_motion(frequency_Hz, amplitude_m):
     """Six axes at once, so that no leg rests."""
     axes = {"x_m": 0.0, "y_m": 1.0, "z_m": 2.0, "rx_deg": 0.5, "ry_deg": 1.5, "rz_deg": 2.5}
@@ -96,9 +115,14 @@ def rms_mm(rows):
     return 1e3 * float(np.sqrt(((rows["q_d"] - rows["q"])[steady] ** 2).mean()))
 
 
-def crossover():
-    file = ROOT / "configs/controllers/constant_hinf.yaml"
+def crossover(controller):
+    file = ROOT / f"configs/controllers/{controller}.yaml"
     return float(yaml.safe_load(file.read_text())["design"]["crossover_rad_s"])
+
+
+def wn_of(w_c):
+    """Of critically damped PD that crosses over there: |(2 wn j w + wn^2) / w^2| = 1."""
+    return w_c / sqrt(2.0 + sqrt(5.0))
 
 
 @pytest.mark.long
@@ -106,8 +130,8 @@ def crossover():
 def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
     frequency_Hz, amplitude_m, smaller, capsys
 ):
-    w_c = crossover()
-    wn = w_c / sqrt(2.0 + sqrt(5.0))  # |(2 wn j w + wn^2) / w^2| = 1
+    w_c = crossover("constant_hinf")
+    wn = wn_of(w_c)
     laws = {
         "hinf": "  law: state_space\n  controller_file: constant_hinf\n",
         "pd": f"  law: inverse_dynamics\n  wn_rad_s: {wn!r}\n  damping_ratio: 1\n",

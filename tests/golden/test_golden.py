@@ -1,0 +1,23 @@
+"""Every golden case gives the frames and columns that it gave when it was frozen, and replays to the bit."""
+
+import pytest
+
+from tests.golden.cases import CASES, QUICK
+from tests.golden.freeze import CPU, expected
+from tests.golden.runner import differences, digests, replayed, run
+
+
+def test_every_case_is_frozen():
+    assert set(expected()["cases"]) == set(CASES), "python -m tests.golden.freeze adds what is missing"
+    assert set(CASES) >= QUICK
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in CASES]
+)
+def test_a_run_gives_the_same_frames_and_columns_and_replays(name):
+    kept = expected()
+    trace = run(CASES[name])
+    comparison = replayed(CASES[name], trace)
+    assert not differences(kept["cases"][name], digests(trace), same_cpu=kept["cpu"] == CPU)
+    assert comparison.exact, "\n".join(map(str, comparison.first))

@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--replace", action="append", default=[], choices=list(CASES), metavar="NAME")
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
-    kept = expected() if EXPECTED.exists() else {"cpu": CPU, "cases": {}}
+    kept: dict[str, Any] = expected() if EXPECTED.exists() else {"cpu": CPU, "cases": {}}
     cases = kept["cases"]
     if kept["cpu"] != CPU:
         sys.exit(f"expected.json is of {kept['cpu']}, this is {CPU}: columns would not be comparable")

@@ -120,7 +120,6 @@ def run(case: Case) -> Trace:
                 commands=script,
                 armed=not script.arms,
                 over=lambda: script.over,
-                answered=script.answered,
             )
     except Enough:
         pass

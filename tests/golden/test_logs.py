@@ -1,0 +1,31 @@
+"""Logs that were frozen replay to the bit."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from hil.app.replay_suite import replay_case
+from hil.cli import main
+from tests.golden.logs import FOLDER, LOGS, QUICK
+
+
+def test_every_row_of_the_table_has_its_log():
+    assert {path.stem for path in FOLDER.glob("*.mcap")} == set(LOGS)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_frozen_log_replays_to_the_bit(name):
+    found = replay_case(FOLDER / f"{name}.mcap")
+    assert found.verdict == "pass", found.text
+
+
+@pytest.mark.long
+def test_all_frozen_logs_replay_as_one_suite(tmp_path):
+    report = tmp_path / "suite.json"
+    result = CliRunner().invoke(
+        main, ["replay", "--suite", str(FOLDER), "--jobs", "1", "--json", str(report)]
+    )
+    assert result.exit_code == 0, result.output
+    summary = json.loads(report.read_text())
+    assert (summary["passed"], summary["failed"], summary["skipped"]) == (len(LOGS), 0, 0)

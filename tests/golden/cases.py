@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.golden.fault_cases import FAULTY, SOON, STILL, Changes
 from tests.golden.runner import Case
-from tools.drive_families import FAMILIES
+from tools.drive_families import FAMILIES, merged
 
 FUSED: Changes = {
     **SOON,
@@ -291,6 +291,51 @@ CASES |= {
     "the recorder is lost": Case(
         "virtual", {**SOON, "recording": {"on_recorder_loss": "stop"}}, duration_s=0.9, longest_s=1.4,
         altered={k: {"recorder_alive": False} for k in range(500, 1400)},
+    ),
+}  # fmt: skip
+
+# More of what meets: two things at once.
+LIVE: Changes = {"reference": {"type": "live", "limits": LIMITS}}
+CASES |= {
+    "law inverse_dynamics constant": Case(
+        "virtual", law("inverse_dynamics", wn_rad_s=20, model={"variant": "constant", "frozen_at": HOME}), duration_s=0.6, longest_s=1.2
+    ),
+    "law pose_inverse_dynamics on lab": Case(
+        "lab", merged(SOON, {"controller": {"law": "pose_inverse_dynamics", "wn_rad_s": 40}}), duration_s=0.8, longest_s=1.4
+    ),
+    "operator holds in the approach and starts": Case("virtual", SOON, commands=[(0.15, "hold"), (0.6, "start")], duration_s=1.2),
+    "operator sets the speed at hold": Case(
+        "virtual", SOON, commands=[(0.4, "hold"), (0.9, "speed 30"), (1.0, "start"), (1.3, "hold"), (1.3, "start")], duration_s=1.6
+    ),
+    "live set-points with a key that is let go": Case(
+        "virtual", merged(KEY, LIVE), commands=[(0.0, "key for 0.7"), (0.4, "setpoint 0.1 0 1.05"), (1.1, "key for 0.5"), (1.2, "start")],
+        duration_s=1.6, longest_s=2.4,
+    ),
+    "fused pose on two buses": Case(
+        "two_buses", merged(FUSED, {"bus": {"max_load_percent": 90}, "loop": {"rate_Hz": 1000}}),
+        ["encoder_lost leg=4 mode=TRACKING at=0.1"], duration_s=0.8, longest_s=1.2,
+    ),
+    "fused pose with a wrench sensor and a lost encoder": Case(
+        "virtual", merged(FUSED, WRENCH, {"sensors": {"imu": None}}),
+        ["encoder_lost leg=1 mode=TRACKING at=0.1", "wrench_step mode=TRACKING at=0.2 force=0,0,-300"], duration_s=0.6, longest_s=1.2,
+    ),
+    "brake_stuck_open while parking on two_buses": Case("two_buses", SOON, ["brake_stuck_open leg=4 mode=PARKING"], duration_s=0.5, longest_s=1.2),
+    "frames_loss on virtual-cia402": Case(
+        "virtual-cia402", SOON, ["frames_loss probability=0.1 for=0.3 mode=TRACKING at=0.1"], duration_s=1.0, longest_s=1.5
+    ),
+    "encoder_lost on moteus": Case(
+        "desktop", merged(SOON, FAMILIES["moteus"]), ["encoder_lost leg=0 mode=TRACKING at=0.1"], duration_s=0.8, longest_s=1.3
+    ),
+    "drive_silence of odrive while loading": Case(
+        "desktop", merged(SOON, FAMILIES["odrive"]), ["drive_silence leg=0 mode=LOADING"], duration_s=0.8, longest_s=1.2
+    ),
+    "frames_delay of cia402 pdo": Case(
+        "desktop", merged(SOON, FAMILIES["cia402, pdo"]), ["frames_delay by=1 for=0.2 mode=TRACKING at=0.1"], duration_s=0.8, longest_s=1.3
+    ),
+    "a drive is silent for a while before it is armed": Case("virtual", SOON, ["drive_silence leg=5 for=0.05"], duration_s=0.6, longest_s=1.2),
+    "a second start after a fault of the bus": Case(
+        "virtual", STAYS, ["bus_off mode=TRACKING at=0.1 for=0.02"],
+        [(0.1, "arm"), (0.9, "reset"), (1.3, "arm"), (1.4, "start"), (2.0, "end")], longest_s=2.8,
     ),
 }  # fmt: skip
 

@@ -19,5 +19,7 @@ def test_a_run_gives_the_same_frames_and_columns_and_replays(name):
     kept = expected()
     trace = run(CASES[name])
     comparison = replayed(CASES[name], trace)
-    assert not differences(kept["cases"][name], digests(trace), same_cpu=kept["cpu"] == CPU)
+    found = differences(kept["cases"][name], digests(trace), same_cpu=kept["cpu"] == CPU)
+    if found:
+        pytest.fail("\n".join(found), pytrace=False)
     assert comparison.exact, "\n".join(map(str, comparison.first))

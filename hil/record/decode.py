@@ -6,6 +6,7 @@ went through another MCAP writer) by protobuf, with the same result.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,25 +18,19 @@ from numpy.typing import NDArray
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record.layout import FRAME_FLAGS, MAX_DATA, RECORD_HEADER, frame_layout, unpack_varint5
+from hil.record import ring
+from hil.record.layout import FRAME_FLAGS, MAX_DATA, RECORD_HEADER
 from hil.record.mcap_read import MessageTable
 from hil.record.row import RowCodec
 from hil.record.schema import Schema, message_class
+from hil.record.unpack import ITEM_WORDS, Kernels, constants_of, frame_table, kernels_for, words_of
 
 CAN, OPERATOR, EVENTS = "/can", "/operator", "/events"
 ITEM = np.dtype(
-    [
-        ("tick", "<i8"),
-        ("index", "<u4"),
-        ("direction", "u1"),
-        ("flags", "u1"),
-        ("length", "u1"),
-        ("bus", "u1"),
-        ("t_ns", "<i8"),
-        ("id", "<u4"),
-        ("data", "u1", (MAX_DATA,)),
-    ]
+    [("direction" if name == "kind" else name, *rest) for name, *rest in ring.ITEM.descr]
+    + [("tick", "<i8"), ("index", "<i8")]
 )
+"""A frame as the recorder has it, with its direction in place of its kind, and its place."""
 REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 """What protobuf, NumPy and Python raise of schemas, tables and messages of unknown making."""
 _NUMBERS = ("tick", "index", "direction", "id", "bus")
@@ -53,8 +48,9 @@ def why(error: Exception) -> str:
 class Decoder:
     """Decodes the messages of one log. State: the schemas and channels met so far, and what to expect."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, log_bytes: int = 0) -> None:
         self._name = name
+        self._log_bytes = log_bytes
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._classes: dict[int, Any] = {}
@@ -71,14 +67,25 @@ class Decoder:
     ) -> None:
         """Set the topic and columns of the rows, the names of the buses and the UTC of t_ns = 0."""
         self._topic = topic
-        self._buses = [name.encode() for name in can_channels]
+        self._frame = frame_table([name.encode() for name in can_channels])
         self._epoch = epoch_ns
         self._row = RowCodec(columns)
+        layout = self._row.layout
+        constants = constants_of(layout.template[RECORD_HEADER:], layout.mask())
+        self._row_table = constants, self._row.places()
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """What takes the buffers of this log apart."""
+        return kernels_for(self._log_bytes)
 
     def messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
         """Return which messages of a table are of a topic."""
-        ids = [i for i, channel in self._channels.items() if channel.topic == topic]
-        return np.flatnonzero(np.isin(table.channel, ids))
+        found = np.zeros(len(table.channel), np.bool_)
+        for number, channel in self._channels.items():
+            if channel.topic == topic:
+                found |= table.channel == number
+        return np.flatnonzero(found)
 
     def messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
         """Yield the messages of a topic, parsed by protobuf."""
@@ -107,15 +114,12 @@ class Decoder:
     def rows(self, data: bytes, table: MessageTable) -> Rows:
         """Return the rows in a buffer, in its order."""
         mine = self.messages_of(table, self._topic)
-        layout = self._row.layout
-        size = layout.template.size
-        if len(mine) and (table.length[mine] == size).all():
-            starts = (table.offset[mine] + RECORD_HEADER).tolist()
-            stops = (table.offset[mine] + size).tolist()
-            joined = b"".join([data[a:b] for a, b in zip(starts, stops, strict=True)])
-            payloads = np.frombuffer(joined, np.uint8).reshape(len(mine), -1)
-            if layout.fits(payloads):
-                return self._row.read(payloads.view(layout.payload).reshape(len(mine)))
+        words = self._row.dtype.itemsize // 8
+        if (table.length[mine] == self._row.layout.template.size).all():
+            rows = np.empty(len(mine), self._row.dtype)
+            starts, matrix = table.offset[mine] + RECORD_HEADER, rows.view(np.int64).reshape(-1, words)
+            if self.kernels.rows(words_of(data), starts, *self._row_table, matrix) == len(mine):
+                return rows
         taken = int(table.length[mine].sum())
         if len(mine) * self._row.dtype.itemsize > _GROWTH * taken + _FREE:
             raise LogError(
@@ -131,38 +135,14 @@ class Decoder:
     def frames(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
         mine = self.messages_of(table, CAN)
-        items = np.zeros(len(mine), ITEM)
-        buffer = np.frombuffer(data, np.uint8)
-        shortest = [(name, frame_layout(0, name).payload.itemsize) for name in self._buses]
-        sizes = table.length[mine] - RECORD_HEADER
-        for size in np.unique(sizes).tolist():
-            at = np.flatnonzero(sizes == size)
-            for name, least in shortest:
-                length = size - least
-                if 0 <= length <= MAX_DATA:
-                    layout = frame_layout(length, name)
-                    starts = table.offset[mine[at]] + RECORD_HEADER
-                    payloads = buffer[starts[:, None] + np.arange(size)]
-                    fit = layout.fitting(payloads)
-                    known = np.ascontiguousarray(payloads[fit]).view(layout.payload).reshape(-1)
-                    items[at[fit]] = self._unpack(known, length)
-                    at = at[~fit]
-            with self.understood(CAN):
-                for i in at.tolist():
-                    items[i] = self._convert(self._protobuf(data, table, int(mine[i])))
-        return items
-
-    def _unpack(self, frames: Rows, length: int) -> Rows:
-        items = np.zeros(len(frames), ITEM)
-        seconds, nanos = unpack_varint5(frames["seconds"]), unpack_varint5(frames["nanos"])
-        items["t_ns"] = seconds * 1_000_000_000 + nanos - self._epoch
-        for name in _NUMBERS:
-            items[name] = frames[name]
-        for name, bit in FRAME_FLAGS.items():
-            items["flags"] |= (frames[name] != 0) * np.uint8(bit)
-        items["length"] = length
-        if length:
-            items["data"][:, :length] = frames["data"]
+        items, fit = np.zeros(len(mine), ITEM), np.zeros(len(mine), np.bool_)
+        where = table.offset[mine] + RECORD_HEADER, table.length[mine] - RECORD_HEADER
+        matrix = items.view(np.int64).reshape(len(mine), ITEM_WORDS)
+        with np.errstate(over="ignore"):  # of damaged times
+            self.kernels.frames(words_of(data), *where, self._epoch, *self._frame, matrix, fit)
+        with self.understood(CAN):
+            for i in np.flatnonzero(~fit).tolist():
+                items[i] = self._convert(self._protobuf(data, table, int(mine[i])))
         return items
 
     def _convert(self, message: Any) -> Rows:

@@ -2,36 +2,107 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Rows
 from drivers.protocol import BUS, Frame, Received
-from hil.record.layout import MAX_DATA
+from hil.record.ring import ITEM, RECEIVED, SENT, pack_item, unpack_items
 from hil.record.schema import RX, TX
+from hil.record.selection import as_bytes
 from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
 Commands = dict[int, list[tuple[int, int, tuple[float, ...]]]]
 """By tick: index, command and its numbers."""
 
 
-class Tick(NamedTuple):
+class Tick:
     """One recorded tick."""
+
+    _fields = ("row", "received", "sent", "operator", "setpoints", "orders")
 
     row: np.void
     """One element of `hil.record.log.Log.dtype`."""
-    received: tuple[Received, ...]
-    """In the order consumed."""
-    sent: tuple[Frame, ...]
-    """In the order sent, SYNC first."""
     operator: tuple[int, ...]
     """Commands of the operator, numbers of `hil.signals.Operator`."""
-    setpoints: tuple[SetPoint, ...] = ()
+    setpoints: tuple[SetPoint, ...]
     """For a live reference, in the order received."""
-    orders: tuple[Order, ...] = ()
+    orders: tuple[Order, ...]
     """For the motion, in the order received."""
+
+    def __init__(
+        self,
+        row: np.void,
+        received: tuple[Received, ...] | Rows,
+        sent: tuple[Frame, ...] | Rows,
+        operator: tuple[int, ...],
+        setpoints: tuple[SetPoint, ...] = (),
+        orders: tuple[Order, ...] = (),
+    ) -> None:
+        self.row, self.operator, self.setpoints, self.orders = row, operator, setpoints, orders
+        if isinstance(received, tuple):
+            self.received = received
+        else:
+            self.received_items = received
+        if isinstance(sent, tuple):
+            self.sent = sent
+        else:
+            self.sent_items = sent
+
+    @cached_property
+    def received(self) -> tuple[Received, ...]:
+        """In the order consumed."""
+        return tuple(_frames(self.received_items))
+
+    @cached_property
+    def sent(self) -> tuple[Frame, ...]:
+        """In the order sent, SYNC first."""
+        return tuple(frame for _, frame in _frames(self.sent_items))
+
+    @cached_property
+    def received_items(self) -> Rows:
+        """The frames received as elements of `hil.record.ring.ITEM`, read-only."""
+        return _items(self.received, RECEIVED)
+
+    @cached_property
+    def sent_items(self) -> Rows:
+        """The frames sent, the same."""
+        return _items([Received(0, frame) for frame in self.sent], SENT)
+
+    def __iter__(self) -> Iterator[Any]:
+        return (getattr(self, name) for name in self._fields)
+
+    def __len__(self) -> int:
+        return len(self._fields)
+
+    def __getitem__(self, place: Any) -> Any:
+        return tuple(self)[place]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Tick | tuple) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"Tick({', '.join(f'{name}={getattr(self, name)!r}' for name in self._fields)})"
+
+    def _replace(self, **changes: Any) -> Tick:
+        return Tick(**dict(zip(self._fields, self, strict=True)) | changes)
+
+
+def _frames(items: Rows) -> Iterator[Received]:
+    for t_ns, can_id, _, length, flags, data in unpack_items(items.tobytes()):
+        yield Received(t_ns, Frame(can_id, data[:length], flags))
+
+
+def _items(frames: Sequence[Received], kind: int) -> Rows:
+    data = bytearray(ITEM.itemsize * len(frames))
+    for k, (t_ns, frame) in enumerate(frames):
+        pack_item(data, k * ITEM.itemsize, t_ns, frame.id, kind, len(frame.data), frame.flags, frame.data)
+    return np.frombuffer(bytes(data), ITEM)
 
 
 class Event(NamedTuple):
@@ -64,36 +135,34 @@ class LoggedFrame(NamedTuple):
     """Sum of EXTENDED 1, FD 2, BRS 4, ESI 8, REMOTE 16, ERROR 32."""
 
 
-def _contents(items: Rows) -> list[bytes]:
-    """Return the data bytes of frames."""
-    data = np.ascontiguousarray(items["data"]).tobytes()
-    starts = range(0, len(data), MAX_DATA)
-    return [data[a : a + n] for a, n in zip(starts, items["length"].tolist(), strict=True)]
-
-
 def logged(items: Rows) -> Iterator[LoggedFrame]:
     """Yield the frames of `items` (elements of `hil.record.decode.ITEM`) one by one."""
-    columns = (items[name].tolist() for name in ("t_ns", "tick", "direction", "bus", "id"))
-    for t_ns, tick, direction, bus, can_id, data, flags in zip(
-        *columns, _contents(items), items["flags"].tolist(), strict=True
+    frames = unpack_items(_of_ring(items).tobytes())
+    for (t_ns, can_id, direction, length, flags, data), tick in zip(
+        frames, items["tick"].tolist(), strict=True
     ):
-        yield LoggedFrame(t_ns, tick, direction == TX, bus, can_id, data, flags)
+        yield LoggedFrame(t_ns, tick, direction == TX, flags // BUS, can_id, data[:length], flags % BUS)
+
+
+def _of_ring(items: Rows) -> Rows:
+    """Return items as elements of `hil.record.ring.ITEM`, views whose kind is the direction."""
+    return np.ndarray(len(items), ITEM, items, 0, items.strides)
 
 
 def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
     """Yield the ticks of `rows`, with their items."""
-    items = items[np.isin(items["direction"], (RX, TX))]
-    items = items[np.lexsort((items["index"], items["direction"], items["tick"]))]
-    flags = items["flags"] + items["bus"].astype(np.int64) * BUS
-    frames = list(map(Frame, items["id"].tolist(), _contents(items), flags.tolist()))
-    received = list(map(Received, items["t_ns"].tolist(), frames))
+    items = items.compress((items["direction"] == RX) | (items["direction"] == TX))
     key = items["tick"] * 2 + (items["direction"] == TX)
+    order = np.lexsort((items["index"], key))
+    key, frames = key[order], as_bytes(_of_ring(items))[order].view(ITEM)
+    frames["kind"] = np.where(frames["kind"] == TX, SENT, RECEIVED)
+    frames.flags.writeable = False
     wanted = rows["tick"] * 2
     first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in range(3))
     for row, tick, a, b, c in zip(rows, rows["tick"].tolist(), first, middle, last, strict=True):
-        tick_received, tick_sent = tuple(received[a:b]), tuple(frames[b:c])
+        received, sent = frames[a:b], frames[b:c]
         if tick not in commands:
-            yield Tick(row, tick_received, tick_sent, ())
+            yield Tick(row, received, sent, ())
             continue
         given = sorted(commands[tick])
         operator = tuple(command for _, command, _ in given if command not in NUMBERS)
@@ -101,4 +170,4 @@ def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
         orders = tuple(
             Order(Operator(command), numbers) for _, command, numbers in given if command in ORDERS
         )
-        yield Tick(row, tick_received, tick_sent, operator, setpoints, orders)
+        yield Tick(row, received, sent, operator, setpoints, orders)

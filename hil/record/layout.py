@@ -45,17 +45,11 @@ class Layout(NamedTuple):
         block[:] = self.template
         return block.view(self.record).reshape(count)
 
-    def fits(self, payloads: Bytes) -> bool:
-        """Return whether all payloads (n, size) have exactly this layout."""
-        return bool(self.fitting(payloads).all())
-
-    def fitting(self, payloads: Bytes) -> NDArray[np.bool_]:
-        """Return which of the payloads (n, size) have exactly this layout, (n,)."""
-        if payloads.shape[1] != self.payload.itemsize:
-            return np.zeros(len(payloads), np.bool_)
-        expected = self.template[RECORD_HEADER:][self.constant]
-        fit: NDArray[np.bool_] = (payloads[:, self.constant] == expected).all(axis=1)
-        return fit
+    def mask(self) -> Bytes:
+        """Return 0xFF for each byte of the payload that is the same in every message, else 0: (size,)."""
+        mask = np.zeros(self.payload.itemsize, np.uint8)
+        mask[self.constant] = 0xFF
+        return mask
 
 
 class Builder:
@@ -137,12 +131,6 @@ def varint(value: int) -> bytes:
 def pack_varint5(values: Ints) -> Bytes:
     """Encode values below 2^35 as varints padded to five bytes: (n,) -> (n, 5)."""
     return (values[:, None] >> _SHIFTS & 0x7F).astype(np.uint8) | _MORE
-
-
-def unpack_varint5(encoded: Bytes) -> Ints:
-    """Decode five-byte varints: (n, 5) -> (n,)."""
-    values: Ints = ((encoded & 0x7F).astype(np.int64) << _SHIFTS).sum(axis=1)
-    return values
 
 
 @lru_cache(maxsize=1024)

@@ -19,7 +19,7 @@ from hil.record.log_file import LogFile
 from hil.record.mcap_summary import read_summary
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
-from hil.record.selection import Selection, joined
+from hil.record.selection import Selection, joined, together
 from hil.signals import NUMBERS, Operator
 
 if TYPE_CHECKING:
@@ -255,7 +255,7 @@ class Log(LogFile):
         order = np.concatenate(ticks) if ticks else np.zeros(0, np.int64)
         if (np.diff(order) >= 0).all():
             return rows
-        return rows[np.argsort(order, kind="stable")]
+        return rows.take(np.argsort(order, kind="stable"))
 
     def blocks(
         self, *names: str, start_s: float | None = None, stop_s: float | None = None
@@ -271,7 +271,7 @@ class Log(LogFile):
         selection = self._selection(names, start_s, stop_s)
         pending, done = np.zeros(0, self.dtype), -1
         for data, table in self._buffers():
-            pending = np.concatenate((pending, self._decoder.rows(data, table)))
+            pending = together((pending, self._decoder.rows(data, table)))
             if len(pending) < _BATCH:
                 continue
             pending = self._sorted(pending, np.zeros(0, ITEM), done)
@@ -316,10 +316,10 @@ class Log(LogFile):
         """
         pending = np.zeros(0, ITEM)
         for data, table in self._buffers():
-            pending = np.concatenate((pending, self._decoder.frames(data, table)))
+            pending = together((pending, self._decoder.frames(data, table)))
             if not len(pending):
                 continue
-            pending = pending[np.argsort(pending["t_ns"], kind="stable")]
+            pending = pending.take(np.argsort(pending["t_ns"], kind="stable"))
             settled = int(np.searchsorted(pending["t_ns"], pending["t_ns"][-1] - _SETTLED_NS))
             yield from logged(pending[:settled])
             pending = pending[settled:]
@@ -334,13 +334,12 @@ class Log(LogFile):
             The file is damaged, or another program has moved messages too far from their tick.
 
         """
-        rows = np.zeros(0, self.dtype)
-        items = np.zeros(0, ITEM)
+        rows, items = [np.zeros(0, self.dtype)], [np.zeros(0, ITEM)]
         commands: Commands = {}
         done = -1
         for data, table in self._buffers():
-            rows = np.concatenate((rows, self._decoder.rows(data, table)))
-            items = np.concatenate((items, self._decoder.frames(data, table)))
+            rows.append(self._decoder.rows(data, table))
+            items.append(self._decoder.frames(data, table))
             for message in self._decoder.messages(data, table, OPERATOR):
                 with self._decoder.understood(OPERATOR):
                     tick, command = int(message.tick), Operator(message.command)
@@ -352,19 +351,24 @@ class Log(LogFile):
                         f"{self.path}: the operator's command of tick {tick} has {len(numbers)} numbers, "
                         f"allowed: {wanted}"
                     )
-            if len(rows) < _BATCH:
+            if sum(map(len, rows)) < _BATCH:
                 continue
-            rows = self._sorted(rows, items, done)
-            ready, rows = rows[:-_LOOKAHEAD], rows[-_LOOKAHEAD:]
+            frames = together(items)
+            ready = self._sorted(together(rows), frames, done)
+            ready, rows = ready[:-_LOOKAHEAD], [ready[-_LOOKAHEAD:]]
             done = int(ready["tick"][-1])
-            mine = items["tick"] <= done
-            yield from assemble(ready, items[mine], commands)
-            items = items[~mine]
-        yield from assemble(self._sorted(rows, items, done), items, commands)
+            mine = frames["tick"] <= done
+            yield from assemble(ready, frames.compress(mine), commands)
+            items = [frames.compress(~mine)]
+        frames = together(items)
+        yield from assemble(self._sorted(together(rows), frames, done), frames, commands)
 
     def _sorted(self, rows: Rows, items: Rows, done: int) -> Rows:
         """Return rows in tick order; refuse what belongs to ticks up to `done`, already handed out."""
         ticks = np.concatenate((rows["tick"], items["tick"]))
         if len(ticks) and int(ticks.min()) <= done:
             raise LogError(f"{self.path}: messages stand more than {_LOOKAHEAD} ticks out of order")
-        return rows[np.argsort(rows["tick"], kind="stable")]
+        order = rows["tick"]
+        if (order[1:] >= order[:-1]).all():
+            return rows
+        return rows.take(np.argsort(order, kind="stable"))

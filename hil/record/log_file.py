@@ -76,8 +76,8 @@ class LogFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self.metadata, self.attachments = {}, {}
-        self._decoder = Decoder(str(path))
-        self.cut = self._check_file()
+        self.cut, size = self._check_file()
+        self._decoder = Decoder(str(path), size)
         for record in self._records(skip=_MESSAGES):
             self._learn(record)
         identity = self.metadata.get(IDENTITY, {})
@@ -127,8 +127,8 @@ class LogFile:
         except UnicodeDecodeError as error:
             raise LogError(f"{self.path}: attachment {CONFIGURATION} is no text: {error}") from error
 
-    def _check_file(self) -> str:
-        """Return why the file is cut, or nothing; refuse what is no log at all."""
+    def _check_file(self) -> tuple[str, int]:
+        """Return why the file is cut, or nothing, and its bytes; refuse what is no log at all."""
         path = self.path
         try:
             with open_regular(path) as file:
@@ -148,8 +148,8 @@ class LogFile:
             return (
                 f"cut at {size} bytes, the end is missing (power loss, the recorder was killed, or the run "
                 "goes on): run `hil replay --salvage` on it to recover what is there"
-            )
-        return ""
+            ), size
+        return "", size
 
     def verify(self) -> None:
         """Compare the checksum of the whole file.
@@ -241,7 +241,7 @@ class LogFile:
             else:
                 allowance.spend(chunk.uncompressed_size)
                 data = decompress(chunk)
-            table, others = split(data, part=chunk is None)
+            table, others = split(data, part=chunk is None, scan=self._decoder.kernels.scan)
             allowance.count(len(table.channel))
         except LogError as error:
             raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {self.mend}") from None

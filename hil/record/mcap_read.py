@@ -7,8 +7,7 @@ messages as positions in one buffer instead of one object each, and takes no siz
 import os
 import struct
 import zlib
-from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -23,12 +22,10 @@ from drivers.errors import LogError
 from drivers.regular_file import open_regular
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_parse import parse_record
+from hil.record.unpack import PLAIN, SHORTEST, words_of
 
 HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<BQHIQ")
 _CHUNK = struct.Struct("<QQQII")
-_SHORTEST = 22
-"""Bytes of a message's record before its data, without opcode and length."""
 _DESCRIPTIONS, _MOST_DESCRIPTIONS = frozenset({3, 4}), 1024
 """Schemas and channels may stand in a chunk beside the messages, and so many of them."""
 OPCODES = frozenset(int(code) for code in Opcode)
@@ -234,10 +231,12 @@ def decompress_part(content: bytes) -> bytes:
     return found
 
 
-def split(data: bytes, *, part: bool = False) -> tuple[MessageTable, list[Record]]:
+def split(
+    data: bytes, *, part: bool = False, scan: Callable[..., tuple[int, int]] = PLAIN.scan
+) -> tuple[MessageTable, list[Record]]:
     """Find the complete records in a buffer: messages as a table, others as they are.
 
-    part: the buffer may end within a record.
+    part: the buffer may end within a record; scan: the function of `hil.record.unpack`.
 
     Raises
     ------
@@ -245,35 +244,25 @@ def split(data: bytes, *, part: bool = False) -> tuple[MessageTable, list[Record
         A message is shorter than any can be or has no time, or something is left over.
 
     """
-    channel, log_time, offset, length = array("q"), array("Q"), array("q"), array("q")
+    size, words = len(data), words_of(data)
+    table = np.empty((4, size // (SHORTEST + 9)), np.int64)
     others: list[Record] = []
-    position, size = 0, len(data)
-    unpack, head = _MESSAGE.unpack_from, _MESSAGE.size
-    while position + HEAD.size <= size:
-        if position + head <= size:
-            opcode, count, channel_id, _, time_ns = unpack(data, position)
-        else:
-            (opcode, count), channel_id, time_ns = HEAD.unpack_from(data, position), 0, 0
-        end = position + 9 + count
+    position = messages = 0
+    while True:
+        position, messages = map(int, scan(words, size, position, table, messages))
+        opcode, count = HEAD.unpack_from(data, position) if position + HEAD.size <= size else (0, size)
+        end = position + HEAD.size + count
         if end > size:
             break
-        if opcode == 5:
-            if count < _SHORTEST:
-                raise LogError(f"a message of {count} bytes, allowed: {_SHORTEST} and more")
-            channel.append(channel_id)
-            log_time.append(time_ns)
-            offset.append(position)
-            length.append(end - position)
-        elif opcode in _DESCRIPTIONS and len(others) < _MOST_DESCRIPTIONS:
-            others.append(Record(opcode, position, data[position + 9 : end], complete=True))
-        else:
+        if opcode == Opcode.MESSAGE:
+            raise LogError(f"a message of {count} bytes, allowed: {SHORTEST} and more")
+        if opcode not in _DESCRIPTIONS or len(others) >= _MOST_DESCRIPTIONS:
             raise LogError(f"a record of kind {opcode} after {len(others)} others: no chunk has that")
+        others.append(Record(opcode, position, data[position + HEAD.size : end], complete=True))
         position = end
     if position < size and not part:
         raise LogError(f"{size - position} bytes of {size} are no record")
-    times = np.frombuffer(log_time, np.uint64) if log_time else np.zeros(0, np.uint64)
-    if len(times) and int(times.max()) >> 63:
+    channel, log_time, offset, length = table[:, :messages]
+    if (log_time < 0).any():
         raise LogError("a message has a time after the year 2262")
-    columns = (channel, offset, length)
-    found = [np.frombuffer(c, np.int64) if c else np.zeros(0, np.int64) for c in columns]
-    return MessageTable(found[0], times.astype(np.int64), *found[1:]), others
+    return MessageTable(channel, log_time, offset, length), others

@@ -33,7 +33,8 @@ ITEM = np.dtype(
         ("data", "u1", (64,)),
     ]
 )
-pack_item = struct.Struct("<qIBBH64s").pack_into
+_ITEM = struct.Struct("<qIBBH64s")
+pack_item, unpack_items = _ITEM.pack_into, _ITEM.iter_unpack
 """pack_item(buffer, offset, t_ns, id, kind, length, flags, data); the high byte of the flags is the bus."""
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
 """Kinds of item. Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from drivers.arrays import Rows
+from drivers.arrays import Ints, Rows
 from drivers.tick_columns import RECORDED, ROW, Column
 from hil.record.layout import FIXED64, LENGTH, VARINT, Builder, varint
 from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_file, schema_of
@@ -197,13 +197,16 @@ class RowCodec:
             else:
                 field[...] = np.minimum(values.view(np.uint64), UNNAMED)
 
-    def read(self, payloads: Rows) -> Rows:
-        """Return the rows of messages that fit the layout."""
-        rows = np.empty(len(payloads), self.dtype)
+    def places(self) -> Ints:
+        """Return where a message of the layout has the words of a row, in the order of the row: (n,)."""
+        fields: Any = self.layout.payload.fields
+        places: list[int] = []
         for name, c, names in self._fields:
             if not names:
-                rows[c.name] = _values(payloads, name).reshape(rows[c.name].shape)
-        return rows
+                kind, at = fields[name][:2]
+                first = at + (kind.base.fields["value"][1] if kind.base.names else 0)
+                places += [first + k * kind.base.itemsize for k in range(max(c.size, 1))]
+        return np.array(places, np.int64)
 
     def parse(self, message: Any) -> np.void:
         """Return the row of a message that protobuf has read.

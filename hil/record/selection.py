@@ -63,7 +63,7 @@ class Selection(NamedTuple):
         if self.first_ns == -np.inf and self.last_ns == np.inf:
             return rows
         t = rows["t_ns"]
-        return rows[(t >= self.first_ns) & (t <= self.last_ns)]
+        return rows.take(np.flatnonzero((t >= self.first_ns) & (t <= self.last_ns)))
 
     def of_rows(self, rows: Rows) -> Rows:
         """Return rows with these columns alone."""
@@ -73,6 +73,16 @@ class Selection(NamedTuple):
         for name in self.names:
             found[name] = rows[name]
         return found
+
+
+def as_bytes(rows: Rows) -> Rows:
+    """Return the same rows without their columns: NumPy copies with columns one by one."""
+    return rows.view(f"V{rows.dtype.itemsize}")
+
+
+def together(parts: Sequence[Rows]) -> Rows:
+    """Return parts of one type, at least one, behind each other."""
+    return np.concatenate(list(map(as_bytes, parts))).view(parts[0].dtype)
 
 
 def joined(parts: Iterable[Rows], dtype: np.dtype[np.void]) -> Rows:
@@ -85,7 +95,7 @@ def joined(parts: Iterable[Rows], dtype: np.dtype[np.void]) -> Rows:
     for part in parts:
         held.append(part)
         if sum(map(len, held)) >= PIECE:
-            pieces.append(np.concatenate(held))
+            pieces.append(together(held))
             held = []
     rows = np.empty(sum(map(len, pieces)) + sum(map(len, held)), dtype)
     pieces = [*held[::-1], *pieces[::-1]]
@@ -93,7 +103,7 @@ def joined(parts: Iterable[Rows], dtype: np.dtype[np.void]) -> Rows:
     at = 0
     while pieces:
         piece = pieces.pop()
-        rows[at : at + len(piece)] = piece
+        as_bytes(rows)[at : at + len(piece)] = as_bytes(piece)
         at += len(piece)
     return rows
 

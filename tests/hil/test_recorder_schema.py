@@ -15,7 +15,6 @@ from hil.record.layout import (
     Builder,
     frame_layout,
     pack_varint5,
-    unpack_varint5,
     varint,
 )
 from hil.record.schema import frame_schema, message_class, operator_schema
@@ -102,14 +101,13 @@ def test_a_varint_has_seven_bits_a_byte_the_low_ones_first(value, expected):
     assert varint(value).hex() == expected
 
 
-def test_varints_of_five_bytes_carry_35_bits_and_are_read_back():
+def test_varints_of_five_bytes_carry_35_bits():
     values = np.array([0, 1, 127, 128, 999_999_999, (1 << 35) - 1])
     packed = pack_varint5(values)
     assert [bytes(row).hex() for row in packed] == [
         "8080808000", "8180808000", "ff80808000", "8081808000", "ff93ebdc03", "ffffffff7f",
     ]  # fmt: skip
     assert packed.dtype == np.uint8
-    assert unpack_varint5(packed).tolist() == values.tolist()
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 63])
@@ -146,25 +144,3 @@ def test_the_head_of_a_record_has_its_numbers_where_mcap_has_them():
     records["@log_time"], records["@publish_time"] = 0x0708090A0B0C0D0E, 0x0F10111213141516
     head = bytes.fromhex("0201 06050403 0e0d0c0b0a090807 161514131211100f")
     assert records[0].tobytes()[9:31] == head
-
-
-@pytest.mark.parametrize("length", [0, 1, 64])
-@pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
-def test_a_frame_as_ours_is_told_from_one_in_which_a_constant_byte_differs(length, name):
-    layout = frame_layout(length, name)
-    records = layout.new(3)
-    for k, field in enumerate(layout.payload.names or ()):
-        records[field] = k + 1
-    payloads = np.array([list(record.tobytes()[31:]) for record in records], np.uint8)
-    free = sorted(set(range(payloads.shape[1])) - set(layout.constant.tolist()))
-    assert len(free) == 5 + 5 + 4 + 3 + 1 + length + 1 + 3 + 8 + 4 + 1
-    assert layout.fits(payloads)
-    payloads[:, free] = 0xEE
-    assert layout.fits(payloads)
-    for at in layout.constant.tolist():
-        one = payloads.copy()
-        one[1, at] ^= 1
-        assert layout.fitting(one).tolist() == [True, False, True]
-        assert not layout.fits(one)
-    assert layout.fitting(payloads[:, :-1]).tolist() == [False] * 3
-    assert layout.fits(payloads[:0])

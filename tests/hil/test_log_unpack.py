@@ -1,0 +1,223 @@
+"""What is taken out of a chunk, plain and compiled, is what the mcap library and protobuf find in it."""
+
+import struct
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from drivers.errors import LogError
+from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.tick_columns import ROW
+from hil.record.layout import frame_layout
+from hil.record.log import Log, Tick
+from hil.record.mcap_read import decompress, split
+from hil.record.ring import ITEM, RECEIVED, SENT
+from hil.record.row import TICKS, RowCodec
+from hil.record.schema import Schema, message_class
+from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, frame_table, kernels_for, words_of
+from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
+
+BUSES = ["can0", "the_second_can"]
+RECORDED = random_ticks(120, seed=31)
+
+
+@pytest.fixture(scope="module", params=["plain", "compiled"])
+def kernels(request):
+    return PLAIN if request.param == "plain" else compiled()
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return log_of(RECORDED, tmp_path_factory, can_channel=BUSES)
+
+
+@pytest.fixture
+def log(path, kernels, monkeypatch):
+    monkeypatch.setattr("hil.record.decode.kernels_for", lambda _: kernels)
+    return Log(path)
+
+
+@pytest.fixture(scope="module")
+def messages(path):
+    """By topic what protobuf reads of the messages that the library finds."""
+    found = defaultdict(list)
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(
+            log_time_order=False
+        ):
+            assert schema is not None
+            kind = message_class(Schema(schema.name, schema.data))
+            found[channel.topic].append(kind.FromString(message.data))
+    return found
+
+
+def test_a_chunk_has_the_messages_that_the_library_finds_in_it(path, kernels):
+    with path.open("rb") as file:
+        chunks = [each for each in StreamReader(file, emit_chunks=True).records if isinstance(each, Chunk)]
+    for chunk in chunks:
+        data = decompress(chunk)
+        table, others = split(data, scan=kernels.scan)
+        theirs = [each for each in breakup_chunk(chunk) if isinstance(each, Message)]
+        assert table.channel.tolist() == [each.channel_id for each in theirs]
+        assert table.log_time.tolist() == [each.log_time for each in theirs]
+        starts, stops = table.offset + 31, table.offset + table.length
+        assert [data[a:b] for a, b in zip(starts, stops, strict=True)] == [each.data for each in theirs]
+        assert others == []
+    assert len(chunks) > 1
+
+
+def test_rows_are_those_that_protobuf_reads(log, messages):
+    for column in log.columns:
+        name = f"{column.name}_number" if column.names else column.name
+        found = [getattr(message, name) for message in messages["/tick"]]
+        if column.elements:
+            found = [[getattr(each, element) for element in column.elements] for each in found]
+        values = log.rows(column.name)[column.name]
+        np.testing.assert_array_equal(values, np.reshape(found, values.shape), err_msg=column.name)
+    assert log.rows().tobytes() == np.array([tick.row for tick in RECORDED]).tobytes()
+
+
+def test_frames_are_those_that_protobuf_reads(log, messages):
+    flags = {"is_extended": EXTENDED, "fdf": FD, "brs": BRS, "esi": ESI, "is_rtr": REMOTE, "is_error": ERROR}
+    expected = []
+    for message in messages["/can"]:
+        stamp = message.header.stamp
+        bits = sum(bit for name, bit in flags.items() if getattr(message, name))
+        t_ns = stamp.seconds * 1_000_000_000 + stamp.nanos - log.epoch_ns
+        place = t_ns, message.tick, message.direction == 2, message.bus
+        expected.append((*place, message.id, message.data, bits))
+    assert list(log.can_frames()) == sorted(expected, key=lambda each: each[0])
+
+
+def test_ticks_have_their_frames_as_items_of_the_recorder_and_as_tuples(log, messages):
+    assert_same(log.ticks(), RECORDED)
+    sent_at = defaultdict(list)
+    for message in messages["/can"]:
+        if message.direction == 2:
+            stamp = message.header.stamp
+            sent_at[message.tick].append(stamp.seconds * 1_000_000_000 + stamp.nanos - log.epoch_ns)
+    for found, tick in zip(log.ticks(), RECORDED, strict=True):
+        sent = [
+            Received(t_ns, frame)
+            for t_ns, frame in zip(sent_at[int(tick.row["tick"])], tick.sent, strict=True)
+        ]
+        for items, kind, frames in (
+            (found.received_items, RECEIVED, tick.received),
+            (found.sent_items, SENT, sent),
+        ):
+            packed = b"".join(
+                struct.pack("<qIBBH64s", t_ns, frame.id, kind, len(frame.data), frame.flags, frame.data)
+                for t_ns, frame in frames
+            )
+            assert (items.dtype, items.tobytes()) == (ITEM, packed)
+            assert not items.flags.writeable
+            assert items.flags.c_contiguous
+
+
+# -- ticks ---------------------------------------------------------------------------------------------------
+
+
+def test_a_tick_made_of_tuples_has_items_and_takes_changes():
+    tick = RECORDED[5]
+    frame = Frame(0x123, b"\x01\x02", FD | 3 * BUS)
+    other = tick._replace(received=(Received(7, frame),), sent=(frame,))
+    assert other.row is tick.row
+    assert other.received_items.tobytes() == struct.pack(
+        "<qIBBH64s", 7, 0x123, RECEIVED, 2, 0x302, frame.data
+    )
+    assert other.sent_items.tobytes() == struct.pack("<qIBBH64s", 0, 0x123, SENT, 2, 0x302, frame.data)
+    assert Tick(tick.row, other.received_items, other.sent_items, ()).received == other.received
+    row, received, sent, *commands = other
+    assert (row, received, sent, commands) == (other[0], other.received, other.sent, list(other[3:]))
+    assert other == Tick(tick.row, other.received, (frame,), *other[3:]) != tick
+    assert (len(other), repr(other).partition("=")[0]) == (6, "Tick(row")
+
+
+# -- other layouts and damage --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("length", [0, 1, 8, 63, 64])
+@pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
+def test_a_frame_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels, length, name):
+    layout = frame_layout(length, name)
+    payload = np.frombuffer(layout.new(1).tobytes()[31:], np.uint8).copy()
+    free = sorted(set(range(len(payload))) - set(layout.constant.tolist()))
+    assert len(free) == 5 + 5 + 4 + 3 + 1 + length + 1 + 3 + 8 + 4 + 1
+    payload[free] = 0x6E
+    payloads = np.tile(payload, (1 + len(layout.constant), 1))
+    for k, at in enumerate(layout.constant.tolist(), start=1):
+        payloads[k, at] ^= 1
+    count, size = payloads.shape
+    items, fit = np.zeros((count, ITEM_WORDS), np.int64), np.zeros(count, np.bool_)
+    where = np.arange(count) * size, np.full(count, size)
+    kernels.frames(words_of(payloads.tobytes()), *where, 0, *frame_table([b"y", name]), items, fit)
+    assert fit.tolist() == [True] + [False] * (count - 1)
+    assert items[0].any()
+    assert not items[1:].any()
+
+
+def test_a_row_in_which_a_constant_byte_differs_ends_what_is_taken(kernels):
+    codec = RowCodec(TICKS.columns)
+    rows = random_rows(3)
+    records = codec.layout.new(3)
+    codec.write(rows, records)
+    payloads = np.array([list(record.tobytes()[31:]) for record in records], np.uint8)
+    constants = constants_of(codec.layout.template[31:], codec.layout.mask())
+    starts, found = np.arange(3) * payloads.shape[1], np.empty((3, ROW.itemsize // 8), np.int64)
+    for at in [None, *codec.layout.constant.tolist()]:
+        data = payloads.copy()
+        if at is not None:
+            data[1, at] ^= 1
+        given = words_of(data.tobytes()), starts, constants, codec.places(), found
+        assert kernels.rows(*given) == (3 if at is None else 1)
+        assert found[:1].tobytes() == rows[:1].tobytes()
+        assert at is not None or found.tobytes() == rows.tobytes()
+
+
+WHOLE = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "count", [23, 31, 1 << 31, 1 << 32, (1 << 63) - 1, 1 << 63, (1 << 64) - 9, (1 << 64) - 1]
+)
+def test_a_message_that_reaches_past_the_end_is_none(kernels, count):
+    data = WHOLE + struct.pack("<BQHIQQ", 5, count, 1, 0, 0, 0)
+    assert split(data, part=True, scan=kernels.scan)[0].offset.tolist() == [0]
+    with pytest.raises(LogError, match="31 bytes of 62 are no record"):
+        split(data, scan=kernels.scan)
+
+
+@pytest.mark.parametrize("size", range(32))
+def test_what_is_left_behind_the_last_message_is_not_read(kernels, size):
+    table, _ = split(WHOLE + WHOLE[:size], part=True, scan=kernels.scan)
+    assert table.offset.tolist() == ([0, 31] if size == 31 else [0])
+
+
+def test_frames_with_any_bytes_in_their_fields_are_read_alike_plain_and_compiled():
+    rng = np.random.default_rng(5)
+    layouts = [frame_layout(length, name.encode()) for length in (0, 5, 8, 64) for name in BUSES]
+    payloads = []
+    for k in range(200):
+        layout = layouts[k % len(layouts)]
+        data = np.frombuffer(rng.bytes(layout.payload.itemsize), np.uint8).copy()
+        data[layout.constant] = layout.template[31:][layout.constant]
+        payloads.append(data.tobytes())
+    sizes = np.array([len(each) for each in payloads])
+    starts = np.cumsum(sizes) - sizes
+    table, words = frame_table([name.encode() for name in BUSES]), words_of(b"".join(payloads))
+    results = []
+    for each in (PLAIN, compiled()):
+        items, fit = np.zeros((len(payloads), ITEM_WORDS), np.int64), np.zeros(len(payloads), np.bool_)
+        with np.errstate(over="ignore"):
+            each.frames(words, starts, sizes, 1 << 60, *table, items, fit)
+        assert fit.all()
+        results.append(items.tobytes())
+    assert results[0] == results[1]
+
+
+def test_a_long_log_is_read_by_what_is_compiled():
+    assert kernels_for((1 << 20) + 1) is compiled()

@@ -118,7 +118,7 @@ class Decoder:
         if (table.length[mine] == self._row.layout.template.size).all():
             rows = np.empty(len(mine), self._row.dtype)
             starts, matrix = table.offset[mine] + RECORD_HEADER, rows.view(np.int64).reshape(-1, words)
-            if self.kernels.rows(words_of(data), starts, *self._row_table, matrix) == len(mine):
+            if self.kernels.rows(words_of(data), starts, *self._row_table, matrix):
                 return rows
         taken = int(table.length[mine].sum())
         if len(mine) * self._row.dtype.itemsize > _GROWTH * taken + _FREE:

@@ -160,7 +160,7 @@ def test_a_frame_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels, l
     assert not items[1:].any()
 
 
-def test_a_row_in_which_a_constant_byte_differs_ends_what_is_taken(kernels):
+def test_a_row_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels):
     codec = RowCodec(TICKS.columns)
     rows = random_rows(3)
     records = codec.layout.new(3)
@@ -173,8 +173,7 @@ def test_a_row_in_which_a_constant_byte_differs_ends_what_is_taken(kernels):
         if at is not None:
             data[1, at] ^= 1
         given = words_of(data.tobytes()), starts, constants, codec.places(), found
-        assert kernels.rows(*given) == (3 if at is None else 1)
-        assert found[:1].tobytes() == rows[:1].tobytes()
+        assert bool(kernels.rows(*given)) == (at is None)
         assert at is not None or found.tobytes() == rows.tobytes()
 
 

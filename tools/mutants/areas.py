@@ -195,7 +195,7 @@ AREAS = {
             f"hil/record/{name}.py"
             for name in (
                 *("log", "log_file", "mcap_file", "mcap_read", "mcap_summary"),
-                *("data_frame", "decode", "entries", "selection"),
+                *("data_frame", "decode", "entries", "selection", "unpack"),
             )
         ),
         (

@@ -3,7 +3,7 @@
 Pictures only, at a low rate; nothing here is read back.
 """
 
-from math import sqrt
+from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -32,16 +32,17 @@ _ORANGE = Color(r=0.93, g=0.55, b=0.14, a=1.0)
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:
     """Return (x, y, z, w), w >= 0, of a rotation matrix (3, 3), by its largest component."""
-    trace = float(R[0, 0] + R[1, 1] + R[2, 2])
-    squares = (float(R[0, 0]), float(R[1, 1]), float(R[2, 2]), trace)
-    largest = int(np.argmax(squares))
+    m = R.tolist()
+    trace = m[0][0] + m[1][1] + m[2][2]
+    squares = (m[0][0], m[1][1], m[2][2], trace)
+    largest = squares.index(max(squares))
     s = 2.0 * sqrt(1.0 + (2.0 * squares[largest] - trace))
     if largest == 3:
-        return (R[2, 1] - R[1, 2]) / s, (R[0, 2] - R[2, 0]) / s, (R[1, 0] - R[0, 1]) / s, s / 4.0
+        return (m[2][1] - m[1][2]) / s, (m[0][2] - m[2][0]) / s, (m[1][0] - m[0][1]) / s, s / 4.0
     i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
     v = [0.0, 0.0, 0.0]
-    v[i], v[j], v[k] = s / 4.0, (R[i, j] + R[j, i]) / s, (R[i, k] + R[k, i]) / s
-    w = (R[k, j] - R[j, k]) / s
+    v[i], v[j], v[k] = s / 4.0, (m[i][j] + m[j][i]) / s, (m[i][k] + m[k][i]) / s
+    w = (m[k][j] - m[j][k]) / s
     sign = -1.0 if w < 0.0 else 1.0
     return sign * v[0], sign * v[1], sign * v[2], sign * w
 
@@ -54,12 +55,13 @@ def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
         if pose is None:
             continue
         p, R = pose
+        p_x, p_y, p_z = p.tolist()
         x, y, z, w = quaternion(R)
         message = FrameTransform(
             timestamp=stamp,
             parent_frame_id=BASE,
             child_frame_id=name,
-            translation=Vector3(x=p[0], y=p[1], z=p[2]),
+            translation=Vector3(x=p_x, y=p_y, z=p_z),
             rotation=Quaternion(x=x, y=y, z=z, w=w),
         )
         messages.append(message.SerializeToString(deterministic=True))
@@ -67,13 +69,24 @@ def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
 
 
 class SceneDrawer:
-    """Draws platform and legs; the parts that do not move are prepared once."""
+    """Draws platform and legs. Mutable state: the message, in which what moves is set for each picture."""
 
     def __init__(self, scene: Scene) -> None:
         self._a = np.array(scene.base_joints, float)
         self._b = np.array(scene.platform_joints, float)
-        self._base, self._top = around(self._a), around(self._b)
+        base, self._top = around(self._a), around(self._b)
         self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
+        self._update = SceneUpdate(
+            entities=[
+                _entity("base", lines=[self._outline(self._a[base], _GREY)]),
+                _entity("platform", lines=[self._outline(self._b[self._top], _BLUE)]),
+                _entity("legs", cylinders=[self._leg() for _ in self._a]),
+            ]
+        )
+        _, platform, legs = self._update.entities
+        self._stamps = [entity.timestamp for entity in self._update.entities]
+        self._corners = list(platform.lines[0].points)
+        self._legs = [(leg.pose.position, leg.pose.orientation, leg.size) for leg in legs.cylinders]
 
     def update(self, row: Rows, stamp: Timestamp) -> bytes | None:
         """Return a serialised SceneUpdate, or None while there is no pose."""
@@ -85,19 +98,23 @@ class SceneDrawer:
             return self._draw(p, R, stamp)
 
     def _draw(self, p: Array, R: Array, stamp: Timestamp) -> bytes:
+        for each in self._stamps:
+            each.CopyFrom(stamp)
         tops = p + self._b @ R.T
-        update = SceneUpdate(
-            entities=[
-                self._entity("base", stamp, lines=[self._outline(self._a[self._base], _GREY)]),
-                self._entity("platform", stamp, lines=[self._outline(tops[self._top], _BLUE)]),
-                self._entity("legs", stamp, cylinders=list(map(self._leg, self._a, tops))),
-            ]
-        )
-        return bytes(update.SerializeToString(deterministic=True))
-
-    @staticmethod
-    def _entity(name: str, stamp: Timestamp, **primitives: Any) -> Any:
-        return SceneEntity(timestamp=stamp, frame_id=BASE, id=name, frame_locked=True, **primitives)
+        for corner, top in zip(self._corners, tops[self._top].tolist(), strict=True):
+            corner.x, corner.y, corner.z = top
+        axes = tops - self._a
+        lengths = [sqrt(axis.dot(axis)) for axis in axes]
+        directions, middles = axes / np.array(lengths)[:, None], (self._a + tops) / 2.0
+        for (position, turn, size), (x, y, z), middle, length in zip(
+            self._legs, directions.tolist(), middles.tolist(), lengths, strict=True
+        ):
+            # the rotation that takes the z axis to the leg, about z cross leg
+            w = sqrt(max((1.0 + z) / 2.0, 0.0))
+            turn.x, turn.y, turn.w = (1.0, 0.0, 0.0) if w < 1e-9 else (-y / (2.0 * w), x / (2.0 * w), w)
+            position.x, position.y, position.z = middle
+            size.z = length
+        return bytes(self._update.SerializeToString(deterministic=True))
 
     def _outline(self, joints: Array, color: Any) -> Any:
         return LinePrimitive(
@@ -107,21 +124,18 @@ class SceneDrawer:
             color=color,
         )
 
-    def _leg(self, a: Array, b: Array) -> Any:
-        axis = b - a
-        length = float(np.linalg.norm(axis))
-        x, y, z = (axis / length).tolist()
-        # the rotation that takes the z axis to the leg, about z cross leg
-        w = sqrt(max((1.0 + z) / 2.0, 0.0))
-        q_x, q_y, w = (1.0, 0.0, 0.0) if w < 1e-9 else (-y / (2.0 * w), x / (2.0 * w), w)
-        x, y, z = ((a + b) / 2.0).tolist()
+    def _leg(self) -> Any:
         return CylinderPrimitive(
-            pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=q_x, y=q_y, z=0.0, w=w)),
-            size=Vector3(x=self._thickness, y=self._thickness, z=length),
+            pose=Pose(position=Vector3(), orientation=Quaternion()),
+            size=Vector3(x=self._thickness, y=self._thickness),
             bottom_scale=1.5,
             top_scale=1.0,
             color=_ORANGE,
         )
+
+
+def _entity(name: str, **primitives: Any) -> Any:
+    return SceneEntity(frame_id=BASE, id=name, frame_locked=True, **primitives)
 
 
 def _pose(row: Rows, p_column: str, R_column: str) -> tuple[Array, Array] | None:
@@ -131,5 +145,6 @@ def _pose(row: Rows, p_column: str, R_column: str) -> tuple[Array, Array] | None
         return None
     p = np.asarray(row[p_column], float).reshape(3)
     R = np.asarray(row[R_column], float).reshape(3, 3)
+    numbers = R.ravel().tolist()
     # all zero: no pose estimated or no reference yet
-    return (p, R) if np.isfinite(p).all() and np.isfinite(R).all() and R.any() else None
+    return (p, R) if any(numbers) and all(map(isfinite, numbers + p.tolist())) else None

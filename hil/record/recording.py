@@ -210,40 +210,69 @@ class Recording:
         Raises LogError for a frame of more than 64 bytes, and in lockstep where one tick has more frames than
         the ring, RecorderEndedError where the recorder has ended.
         """
-        count = len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)
+        if not self._begun(row, len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)):
+            return
+        buffer, size, capacity = self._ring.item_bytes, ITEM.itemsize, self._ring.item_capacity
+        item = self._items
+        for t_ns, (can_id, data, flags) in received:
+            length = len(data)
+            if length > MAX_DATA:
+                raise _too_long(can_id, length)
+            pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, length, flags, data)
+            item += 1
+        now = int(row["t_ns"])
+        for can_id, data, flags in sent:
+            length = len(data)
+            if length > MAX_DATA:
+                raise _too_long(can_id, length)
+            pack_item(buffer, item % capacity * size, now, can_id, SENT, length, flags, data)
+            item += 1
+        self._end(row, item, operator, setpoints, orders)
+
+    def tick_of_items(
+        self,
+        row: Rows | np.void,
+        received: Rows,
+        sent: Rows,
+        operator: Sequence[int] = (),
+        setpoints: Sequence[SetPoint] = (),
+        orders: Sequence[Order] = (),
+    ) -> None:
+        """Record one tick as `tick` does, its frames as elements of ITEM: kind, time and bus are theirs."""
+        if not self._begun(row, len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)):
+            return
+        self._ring.put(self._items, received)
+        self._ring.put(self._items + len(received), sent)
+        self._end(row, self._items + len(received) + len(sent), operator, setpoints, orders)
+
+    def _begun(self, row: Rows | np.void, count: int) -> bool:
+        """Copy the row where it and `count` items have room; otherwise count the tick as dropped."""
         if not self._has_room(count):
             self.dropped += 1
             self._counters[DROPPED] = self.dropped
-            return
+            return False
+        self._ring.rows[self.ticks % self._ring.capacity] = row
+        return True
+
+    def _end(
+        self,
+        row: Rows | np.void,
+        item: int,
+        operator: Sequence[int],
+        setpoints: Sequence[SetPoint],
+        orders: Sequence[Order],
+    ) -> None:
+        """Copy what the operator sent, from item number `item` on, and publish the tick."""
         ring = self._ring
-        slot = self.ticks % ring.capacity
-        ring.rows[slot] = row
-        if count:
-            buffer, size, capacity = ring.item_bytes, ITEM.itemsize, ring.item_capacity
-            item = self._items
-            for t_ns, (can_id, data, flags) in received:
-                length = len(data)
-                if length > MAX_DATA:
-                    raise _too_long(can_id, length)
-                pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, length, flags, data)
+        if operator or setpoints or orders:
+            now = int(row["t_ns"])
+            bare, poses = [(each, ()) for each in operator], [(_SETPOINT, each) for each in setpoints]
+            for command, numbers in (*bare, *poses, *orders):
+                data = pack_numbers(numbers)
+                offset = item % ring.item_capacity * ITEM.itemsize
+                pack_item(ring.item_bytes, offset, now, command, OPERATOR, len(data), 0, data)
                 item += 1
-            if sent or operator or setpoints or orders:
-                now = int(row["t_ns"])
-                for can_id, data, flags in sent:
-                    length = len(data)
-                    if length > MAX_DATA:
-                        raise _too_long(can_id, length)
-                    pack_item(buffer, item % capacity * size, now, can_id, SENT, length, flags, data)
-                    item += 1
-                for command in operator:
-                    pack_item(buffer, item % capacity * size, now, command, OPERATOR, 0, 0, b"")
-                    item += 1
-                for command, numbers in (*[(_SETPOINT, each) for each in setpoints], *orders):
-                    data = pack_numbers(numbers)
-                    pack_item(buffer, item % capacity * size, now, command, OPERATOR, len(data), 0, data)
-                    item += 1
-            self._items = item
-        ring.ends[slot] = self._items
+        self._items = ring.ends[self.ticks % ring.capacity] = item
         fence()
         self.ticks += 1
         self._counters[WRITTEN] = self.ticks

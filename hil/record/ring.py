@@ -121,6 +121,13 @@ class Ring:
             os.close(self.fd)
         self.fd = -1
 
+    def put(self, number: int, items: Rows) -> None:
+        """Copy items, elements of ITEM, to their places from `number` on; there is room for them."""
+        data, first = items.tobytes(), number % self.item_capacity * ITEM.itemsize
+        here = min(len(data), len(self.item_bytes) - first)
+        self.item_bytes[first : first + here] = data[:here]
+        self.item_bytes[: len(data) - here] = data[here:]
+
     # consumer
     def ready(self, limit: int) -> bool:
         """Return whether `limit` rows wait, or a quarter of the room for items is taken."""

@@ -16,7 +16,7 @@ from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import recording as module
 from hil.record.recording import RecorderEndedError, Recording
-from hil.record.ring import DROPPED, WRITTEN, Ring
+from hil.record.ring import DROPPED, ITEM, RECEIVED, SENT, WRITTEN, Ring, pack_item
 from hil.signals import Operator, Order, SetPoint
 
 
@@ -87,6 +87,32 @@ def test_all_that_a_tick_has_goes_into_the_ring_in_its_order_also_when_the_ring_
             (now, int(Operator.SPEED), 2, 0, 0, struct.pack("<d", 0.5)), (now, int(Operator.HOLD), 2, 0, 0, b""),
         ]  # fmt: skip
         ring.release(batch)
+
+
+def test_frames_as_arrays_go_into_the_ring_as_those_that_are_tuples_also_when_it_has_turned():
+    one, other = recording_of(16), recording_of(16)
+    for number in range(40):
+        received = [Received(7 + k, Frame(k, bytes([k]) * 64, 3 * BUS + FD)) for k in range(number % 9)]
+        sent = [Frame(100 + k, bytes([number]) * k, EXTENDED) for k in range(number % 7)]
+        more: Any = ([5], [SetPoint(*range(6))], [Order(Operator.HOLD)]) if number % 5 == 0 else ()
+        one.tick(row_of(number), received, sent, *more)
+        kinds = [(t_ns, frame, RECEIVED) for t_ns, frame in received]
+        kinds += [(1000 * number, frame, SENT) for frame in sent]
+        items = np.zeros(len(kinds), ITEM)
+        for k, (t_ns, (can_id, data, flags), kind) in enumerate(kinds):
+            pack_item(items.view(np.uint8).data, 80 * k, t_ns, can_id, kind, len(data), flags, data)
+        other.tick_of_items(row_of(number), items[: len(received)], items[len(received) :], *more)
+        found, expected = other._ring.take(16), one._ring.take(16)
+        assert found.items.tobytes() == expected.items.tobytes()
+        assert (found.tick.tolist(), found.rows.tobytes()) == (
+            expected.tick.tolist(),
+            expected.rows.tobytes(),
+        )
+        for each in (one, other):
+            each._ring.release(expected)
+    for number in range(17):
+        other.tick_of_items(row_of(number), items[:0], items[:0])
+    assert (other.dropped, other.ticks) == (1, 40 + 16)
 
 
 @pytest.mark.parametrize("sent", [False, True])

@@ -56,6 +56,9 @@ OUT_INTEGER_MATRIX = types.Array(types.int64, 2, "C")
 """OUT_...: arguments that the kernel fills."""
 DATA = types.Bytes(types.uint8, 1, "C", readonly=True)
 """Argument: `bytes`, as a frame has them."""
+POINTER = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
+BYTE_POINTER = types.CPointer(types.uint8)  # type: ignore[no-untyped-call]
+"""Arguments of a kernel that is called by its address: see `drivers.compiled.machine_code`."""
 REAL = types.float64
 INTEGER = types.int64
 BOOLEAN = types.boolean

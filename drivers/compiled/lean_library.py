@@ -22,6 +22,8 @@ class LeanLibrary(JITCodeLibrary):
     """The machine code of one kernel. Mutable state: the bitcode, until it is parsed."""
 
     _bitcode: bytes | None = None
+    machine_code = b""
+    """As the cache keeps it; empty where it does not."""
 
     def _get_module_for_linking(self) -> Any:
         """Return the kernel as LLVM has it, for a kernel that inlines it."""
@@ -33,7 +35,7 @@ class LeanLibrary(JITCodeLibrary):
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, tuple[str, ...], bytes]]:
         """Return what the cache keeps."""
         name, _, (code, bitcode) = super().serialize_using_object_code()  # type: ignore[no-untyped-call]
-        module = self._get_module_for_linking()
+        self.machine_code, module = code, self._get_module_for_linking()
         named = [*module.functions, *module.global_variables]
         return name, _KIND, (code, tuple(each.name for each in named if not each.is_declaration), bitcode)
 
@@ -45,6 +47,7 @@ class LeanLibrary(JITCodeLibrary):
             return super()._unserialize(codegen, state)  # type: ignore[no-untyped-call]
         library = codegen.create_library(name)
         code, names, library._bitcode = data  # noqa: SLF001
+        library.machine_code = code
         library.enable_object_caching()
         library._set_compiled_object(code)  # noqa: SLF001
         library._finalize_final_module()  # noqa: SLF001

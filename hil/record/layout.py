@@ -1,17 +1,19 @@
 """The wire layout of the log's own messages: protobuf as NumPy structured types.
 
-Every field has a fixed size (fixed64, fixed32, double, one-byte varints, varints padded to five bytes), so
-that a batch of messages is one structured array: written and read with one NumPy copy per column. Any
-protobuf parser reads them; `hil.record.decode` checks the layout of what it reads and falls back to one.
+Every field has a fixed size (fixed64, fixed32, double, one-byte varints, varints padded to five bytes): a
+message is a template in which `hil.record.packer` fills the places of a table, and a batch of messages is
+read as one structured array. Any protobuf parser reads them; `hil.record.decode` checks the layout of what it
+reads and falls back to one.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Bytes, Ints, Rows
+from drivers.arrays import Bytes, Ints
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 
 RECORD_HEADER = 31
@@ -23,8 +25,8 @@ FRAME_FLAGS = {
     "is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI,
 }  # fmt: skip
 """Field of hil.Frame -> flag of `Frame`."""
-_SHIFTS = np.array([0, 7, 14, 21, 28], np.int64)
-_MORE = np.array([0x80, 0x80, 0x80, 0x80, 0], np.uint8)
+FRAME_PLACES = ("seconds", "nanos", "id", "dlc", "direction", "tick", "index", "bus", *FRAME_FLAGS)
+"""Fields of hil.Frame in the order of their places in a `frame_table`."""
 
 
 class Layout(NamedTuple):
@@ -32,18 +34,20 @@ class Layout(NamedTuple):
 
     template: Bytes
     """(size,) all constant bytes in place."""
-    record: np.dtype[np.void]
-    """Fields `@channel @sequence @log_time @publish_time` and the message's own."""
     payload: np.dtype[np.void]
-    """The message's own fields, without the record header."""
+    """The fields of the message, without the record header."""
     constant: NDArray[np.intp]
     """Positions in the payload that are the same in every message."""
 
-    def new(self, count: int) -> Rows:
-        """Return `count` records, constants filled in."""
-        block = np.empty((count, self.template.size), np.uint8)
-        block[:] = self.template
-        return block.view(self.record).reshape(count)
+    def of_channel(self, channel: int) -> Bytes:
+        """Return the template of the records on a channel."""
+        template = self.template.copy()
+        template[9] = channel
+        return template
+
+    def place(self, name: str) -> int:
+        """Return where in the record a field begins."""
+        return RECORD_HEADER + int(self.payload.fields[name][1])  # type: ignore[index]
 
     def mask(self) -> Bytes:
         """Return 0xFF for each byte of the payload that is the same in every message, else 0: (size,)."""
@@ -96,10 +100,8 @@ class Builder:
         size = len(self.template)
         opcode_and_length = b"\x05" + (RECORD_HEADER - 9 + size).to_bytes(8, "little")
         template = opcode_and_length + bytes(RECORD_HEADER - 9) + bytes(self.template)
-        behind = {name: (kind, RECORD_HEADER + offset) for name, (kind, offset) in self.fields.items()}
         return Layout(
             np.frombuffer(template, np.uint8),
-            _type(_MESSAGE_HEADER_FIELDS | behind, RECORD_HEADER + size),
             _type(self.fields, size),
             np.array(self.constant, np.intp),
         )
@@ -110,14 +112,6 @@ def _type(fields: dict[str, tuple[Any, int]], size: int) -> np.dtype[np.void]:
     return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-_MESSAGE_HEADER_FIELDS: dict[str, tuple[Any, int]] = {
-    "@channel": ("<u2", 9),
-    "@sequence": ("<u4", 11),
-    "@log_time": ("<u8", 15),
-    "@publish_time": ("<u8", 23),
-}
-
-
 def varint(value: int) -> bytes:
     """Return a varint in its shortest form."""
     out = bytearray()
@@ -126,11 +120,6 @@ def varint(value: int) -> bytes:
         value >>= 7
     out.append(value)
     return bytes(out)
-
-
-def pack_varint5(values: Ints) -> Bytes:
-    """Encode values below 2^35 as varints padded to five bytes: (n,) -> (n, 5)."""
-    return (values[:, None] >> _SHIFTS & 0x7F).astype(np.uint8) | _MORE
 
 
 @lru_cache(maxsize=1024)
@@ -162,3 +151,19 @@ def frame_layout(length: int, channel: bytes) -> Layout:
     builder.tag(15, VARINT)
     builder.field("bus", "u1")
     return builder.layout()
+
+
+def frame_table(buses: Sequence[bytes], channel: int) -> tuple[Bytes, Ints]:
+    """Return the templates of frames without data, one bus after the other, and their places (buses, 17).
+
+    Of each bus: where its template begins, its size, where data go, where each of FRAME_PLACES is.
+    """
+    layouts = [frame_layout(0, bus) for bus in buses]
+    sizes = [each.template.size for each in layouts]
+    starts = np.cumsum([0, *sizes[:-1]])
+    data = [frame_layout(1, bus).place("data") for bus in buses]
+    places = [[each.place(name) for name in FRAME_PLACES] for each in layouts]
+    table = np.column_stack((starts, sizes, data, places))
+    return np.concatenate([each.of_channel(channel) for each in layouts]), np.ascontiguousarray(
+        table, np.int64
+    )

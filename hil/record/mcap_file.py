@@ -165,7 +165,7 @@ class McapFile:
         self._summary[Opcode.ATTACHMENT_INDEX].add(record_bytes(index))
         self._write(record)
 
-    def add_chunk(self, data: bytes, channel: Ints, log_time: Ints, offset: Ints) -> None:
+    def add_chunk(self, data: bytes | memoryview, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Compress and write the Message records in `data`; the arrays (n,) describe them in order."""
         chunk = Chunk(
             compression="zstd",
@@ -185,18 +185,20 @@ class McapFile:
         parts = [record]
         offsets: dict[int, int] = {}
         position = index_start
-        for channel_id in np.unique(channel).tolist():
-            mine = channel == channel_id
-            entries = np.empty(np.count_nonzero(mine), _INDEX_ENTRY)
-            entries["log_time"] = log_time[mine]
-            entries["offset"] = offset[mine]
-            body = entries.tobytes()
+        ids = channel.astype(np.uint16)
+        order, counts = np.argsort(ids, kind="stable"), np.bincount(ids)
+        entries = np.empty(len(ids), _INDEX_ENTRY)
+        entries["log_time"], entries["offset"] = log_time[order], offset[order]
+        last = 0
+        for channel_id in np.flatnonzero(counts).tolist():
+            first, last = last, last + int(counts[channel_id])
+            body = entries[first:last].tobytes()
             parts.append(
                 struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(body), channel_id, len(body)) + body
             )
             offsets[channel_id] = position
             position += len(parts[-1])
-            self._counts[channel_id] = self._counts.get(channel_id, 0) + len(entries)
+            self._counts[channel_id] = self._counts.get(channel_id, 0) + last - first
         index = ChunkIndex(
             message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time,

@@ -86,6 +86,7 @@ class Recorder:
             can_channel=identity["can_channel"],
             can_channels=json.loads(identity.get("can_channels", "[]")),
             scene=Scene(**setup["scene"]) if setup["scene"] else None,
+            packer=setup.get("packer"),
         )
         # fixed batches make the whole data section, not only its messages, the same for the same run
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
@@ -201,16 +202,15 @@ class Recorder:
 
     def _write(self, messages: Messages) -> None:
         """Write messages as chunks of about CHUNK_SIZE, cut between ticks."""
-        stop = np.cumsum(messages.length)
-        start = stop - messages.length
-        chunks = math.ceil(int(stop[-1]) / CHUNK_SIZE)
-        tick_starts = np.flatnonzero(np.diff(messages.tick, prepend=-1))
-        wanted = np.linspace(0, int(stop[-1]), chunks, endpoint=False)
+        start, tick, data = messages.start, messages.tick, messages.data.data
+        chunks = math.ceil(int(start[-1]) / CHUNK_SIZE)
+        tick_starts = np.append(0, np.flatnonzero(tick[1:] != tick[:-1]) + 1)
+        wanted = np.arange(chunks) * (start[-1] / chunks)
         inner = tick_starts[np.minimum(np.searchsorted(start[tick_starts], wanted), len(tick_starts) - 1)]
-        cuts = np.unique([*inner.tolist(), len(stop)]).tolist()
+        cuts = sorted({*inner.tolist(), len(tick)})
         for first, last in pairwise(cuts):
             self.file.add_chunk(
-                b"".join(messages.data[first:last]),
+                data[start[first] : start[last]],
                 messages.channel[first:last],
                 messages.log_time[first:last],
                 start[first:last] - start[first],

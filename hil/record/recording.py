@@ -17,6 +17,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.clock import MONOTONIC, Clock
+from drivers.compiled.machine_code import machine_code
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, set_up, spawn, write_all
@@ -358,7 +359,9 @@ def _start(ring: Ring, setup: Mapping[str, Any], files: Sequence[bytes]) -> subp
     """Return the recorder process with its log open. Raises LogError."""
     process = spawn(ring)
     try:
-        set_up(process, setup, files)
+        from hil.record.packer import pack  # noqa: PLC0415 - Numba; the process starts meanwhile
+
+        set_up(process, {**setup, "packer": machine_code(pack)}, files)
         reply = answer(process, _START_S)
     except OSError:
         reply = answer(process, 1.0)

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum, IntFlag
 from functools import lru_cache
+from math import prod
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -22,6 +23,8 @@ from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_fil
 NUMBER = "_number"
 UNNAMED = 127
 """What an enum shows of a number from here on, or below 0."""
+WHOLE, NAMED = -1, -2
+"""What of a number goes into a field: all eight bytes, or what its enum shows."""
 MOST_ROW_BYTES = 1 << 16
 """Of a log; ours take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
@@ -173,7 +176,7 @@ def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
 
 
 class RowCodec:
-    """Writes rows into messages and reads them back."""
+    """The layout of rows as messages: where each number goes, and how they are read back."""
 
     def __init__(self, columns: Sequence[Column]) -> None:
         self.dtype = Table("", tuple(columns)).dtype
@@ -182,20 +185,20 @@ class RowCodec:
         for number, (name, c, names) in enumerate(self._fields, start=1):
             _lay_out(builder, number, name, c, names=names)
         self.layout = builder.layout()
-        self._flags = {
-            c.name: np.array(list(c.names.values())) for c in columns if issubclass(c.type, IntFlag)
-        }
 
-    def write(self, rows: Rows, records: Rows) -> None:
-        """Fill `records` of the layout with as many rows."""
+    def packed_places(self) -> Ints:
+        """Return where the words of a row go, (n, 3): word, byte of the record, WHOLE, NAMED or a flag."""
+        places: list[tuple[int, int, int]] = []
         for name, c, names in self._fields:
-            field, values = _values(records, name), rows[c.name]
-            if not names:
-                field[...] = values.reshape(field.shape)
-            elif c.name in self._flags:
-                field[...] = (values[:, None] & self._flags[c.name]) != 0
-            else:
-                field[...] = np.minimum(values.view(np.uint64), UNNAMED)
+            kind, start = self.layout.payload[name], self.layout.place(name)
+            word = self.dtype.fields[c.name][1] // 8  # type: ignore[index]
+            element, shape = kind.subdtype or (kind, ())
+            first = start + (element.fields["value"][1] if element.fields else 0)
+            flags = list(c.names.values()) if names and issubclass(c.type, IntFlag) else []
+            for k in range(prod(shape)):
+                what = flags[k] if flags else NAMED if names else WHOLE
+                places.append((word if flags else word + k, first + k * element.itemsize, what))
+        return np.array(places, np.int64)
 
     def places(self) -> Ints:
         """Return where a message of the layout has the words of a row, in the order of the row: (n,)."""

@@ -74,11 +74,11 @@ class LiveSocket:
         if not heard:
             return
         try:
-            for number, log_time, data in zip(
-                messages.channel.tolist(), messages.log_time.tolist(), messages.data, strict=True
+            for number, log_time, record in zip(
+                messages.channel.tolist(), messages.log_time.tolist(), messages.records(), strict=True
             ):
                 if number in heard:
-                    heard[number].log(bytes(data[RECORD_HEADER:]), log_time=log_time)
+                    heard[number].log(bytes(record[RECORD_HEADER:]), log_time=log_time)
         except RuntimeError:  # the log goes on without its viewers
             self.close()
 

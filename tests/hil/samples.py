@@ -5,7 +5,10 @@ import numpy as np
 from drivers.protocol import BRS, BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
+from hil.record.encode import TICK, Encoder
+from hil.record.layout import RECORD_HEADER
 from hil.record.log import Tick
+from hil.record.ring import ITEM, Batch
 from hil.signals import Operator, Order, SetPoint
 
 FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED, BUS, 127 * BUS | FD)
@@ -21,6 +24,14 @@ def random_rows(count, seed=1, dtype=ROW):
     rows["tick"] = np.arange(count)
     rows["t_ns"] = np.arange(count) * PERIOD_NS + 12345
     return rows
+
+
+def packed_rows(table, rows):
+    """Return the messages of rows as the recorder packs them, without the heads of their records."""
+    encoder = Encoder(table, epoch_ns=0, can_channel="can0", scene=None)
+    made = encoder.encode(Batch(rows, np.zeros(0, ITEM), np.zeros(0, np.int64)))
+    records = [bytes(each) for each in made.records()]
+    return [each[RECORD_HEADER:] for each in records if each[9] == TICK]
 
 
 def random_frame(rng):

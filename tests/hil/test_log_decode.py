@@ -10,13 +10,13 @@ from drivers.protocol import BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import RECORDED, ROW
 from hil.record.decode import ITEM, Decoder, why
 from hil.record.entries import LoggedFrame, assemble, logged
-from hil.record.layout import frame_layout, pack_varint5, varint
+from hil.record.layout import frame_layout, varint
 from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import split
-from hil.record.row import TICKS, RowCodec, row_schema
+from hil.record.row import TICKS, row_schema
 from hil.record.schema import frame_schema, message_class
 from hil.signals import Operator, Order, SetPoint
-from tests.hil.samples import random_rows
+from tests.hil.samples import packed_rows, random_rows
 
 HEAD = 31
 """Bytes of the record in front of the data of a message."""
@@ -47,10 +47,7 @@ def buffer(channel, payloads):
 
 def laid_out(rows):
     """Messages of rows as ours are."""
-    codec = RowCodec(RECORDED)
-    records = codec.layout.new(len(rows))
-    codec.write(rows, records)
-    return [each.tobytes()[HEAD:] for each in records]
+    return packed_rows(TICKS, rows)
 
 
 def padding(size):
@@ -165,13 +162,13 @@ def test_a_frame_of_another_layout_has_up_to_64_bytes_and_all_that_was_said_of_i
 def frame_as_ours(channel, size, **values):
     """A message whose layout is that of ours; its data count from 1, its time is 7 s and 123456789 ns."""
     layout = frame_layout(size, channel)
-    record = layout.new(1)
+    record = np.frombuffer(bytearray(layout.template[HEAD:].tobytes()), layout.payload)
     for name in layout.payload.names or ():
         record[name] = values.get(name, 0)
-    record["seconds"], record["nanos"] = pack_varint5(np.array([7, 123_456_789]))[:, None]
+    record["seconds"], record["nanos"] = list(b"\x87\x80\x80\x80\x00"), list(b"\x95\x9a\xef\xba\x00")
     if size:
         record["data"] = np.arange(1, size + 1)
-    return record.tobytes()[HEAD:]
+    return record.tobytes()
 
 
 def test_frames_as_ours_have_all_that_was_said_of_them_on_buses_of_long_and_short_names(

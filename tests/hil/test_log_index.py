@@ -252,7 +252,7 @@ def test_messages_of_256_KiB_are_one_chunk_and_those_of_a_byte_more_are_two(more
     found: list[int] = []
     recorder: Any = Recorder.__new__(Recorder)
     recorder.file = SimpleNamespace(add_chunk=lambda data, *_: found.append(len(data)))
-    data: list[memoryview | bytes] = [bytes(32 * 1024 + (more if k == 7 else 0)) for k in range(8)]
-    size = np.array([len(each) for each in data])
-    recorder._write(Messages(data, size, size, size, np.arange(8)))
+    start = np.append(32 * 1024 * np.arange(8), 256 * 1024 + more)
+    tick = np.arange(8)
+    recorder._write(Messages(np.zeros(start[-1], np.uint8), start, tick, tick, tick))
     assert (len(found), sum(found)) == (chunks, 256 * 1024 + more)

@@ -108,7 +108,7 @@ def test_an_event_after_the_rows_of_a_batch_has_the_sequence_of_the_tick_to_come
 
     def drain():
         batch = ring.take(256)
-        for each in encoder.encode(batch).data:
+        for each in encoder.encode(batch).records():
             found.append(struct.unpack_from("<HI", each, 9))
         ring.release(batch)
 

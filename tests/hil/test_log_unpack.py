@@ -19,7 +19,7 @@ from hil.record.ring import ITEM, RECEIVED, SENT
 from hil.record.row import TICKS, RowCodec
 from hil.record.schema import Schema, message_class
 from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, frame_table, kernels_for, words_of
-from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
+from tests.hil.samples import assert_same, log_of, packed_rows, random_rows, random_ticks
 
 BUSES = ["can0", "the_second_can"]
 RECORDED = random_ticks(120, seed=31)
@@ -144,7 +144,7 @@ def test_a_tick_made_of_tuples_has_items_and_takes_changes():
 @pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
 def test_a_frame_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels, length, name):
     layout = frame_layout(length, name)
-    payload = np.frombuffer(layout.new(1).tobytes()[31:], np.uint8).copy()
+    payload = layout.template[31:].copy()
     free = sorted(set(range(len(payload))) - set(layout.constant.tolist()))
     assert len(free) == 5 + 5 + 4 + 3 + 1 + length + 1 + 3 + 8 + 4 + 1
     payload[free] = 0x6E
@@ -163,9 +163,7 @@ def test_a_frame_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels, l
 def test_a_row_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels):
     codec = RowCodec(TICKS.columns)
     rows = random_rows(3)
-    records = codec.layout.new(3)
-    codec.write(rows, records)
-    payloads = np.array([list(record.tobytes()[31:]) for record in records], np.uint8)
+    payloads = np.array([list(payload) for payload in packed_rows(TICKS, rows)], np.uint8)
     constants = constants_of(codec.layout.template[31:], codec.layout.mask())
     starts, found = np.arange(3) * payloads.shape[1], np.empty((3, ROW.itemsize // 8), np.int64)
     for at in [None, *codec.layout.constant.tolist()]:

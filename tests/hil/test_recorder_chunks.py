@@ -23,12 +23,10 @@ def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
     """
     found: list[list[tuple[int, int]]] = []
     ticks = [(tick, size) for tick, sizes in enumerate(lengths) for size in sizes]
-    data: list[memoryview | bytes] = [
-        b"%08d" % number + bytes(size - 8) for number, (_, size) in enumerate(ticks)
-    ]
+    data = [b"%08d" % number + bytes(size - 8) for number, (_, size) in enumerate(ticks)]
 
     def add_chunk(written, channel, log_time, offset):
-        numbers = [int(written[at : at + 8]) for at in offset.tolist()]
+        numbers = [int(bytes(written[at : at + 8])) for at in offset.tolist()]
         assert written == b"".join(data[n] for n in numbers)
         assert channel.tolist() == [n % 7 for n in numbers]
         assert log_time.tolist() == [1000 + n for n in numbers]
@@ -37,8 +35,8 @@ def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
     recorder: Any = Recorder.__new__(Recorder)
     recorder.file = SimpleNamespace(add_chunk=add_chunk)
     count = np.arange(len(data))
-    size = np.array([len(each) for each in data])
-    recorder._write(Messages(data, count % 7, 1000 + count, size, np.array([tick for tick, _ in ticks])))
+    start, whole = np.cumsum([0, *map(len, data)]), np.frombuffer(b"".join(data), np.uint8)
+    recorder._write(Messages(whole, start, count % 7, 1000 + count, np.array([tick for tick, _ in ticks])))
     assert [n for chunk in found for _, n in chunk] == count.tolist()
     return found
 

@@ -126,11 +126,14 @@ def test_without_shared_memory_the_message_says_what_to_lower_and_to_raise(start
     ],
 )
 def test_a_recorder_that_is_not_ready_is_ended_and_its_reason_given(monkeypatch, broken, reply, says):
-    process, did = SimpleNamespace(killed=0), []
+    process = SimpleNamespace(killed=0)
+    did: list[tuple[Any, ...]] = []
     process.kill = lambda: setattr(process, "killed", process.killed + 1)
 
     def set_up(*arguments):
-        did.append(("set up", *arguments[1:]))
+        setup, files = arguments[1:]
+        assert setup.pop("packer"), "so that it has not to be imported there"
+        did.append(("set up", setup, files))
         if broken:
             raise BrokenPipeError
 

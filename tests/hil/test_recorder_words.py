@@ -213,13 +213,13 @@ def test_what_is_drained_is_written_counted_shown_and_only_then_given_back_and_s
     ring, write = recorder._ring, recorder._write
 
     def written(messages):
-        did.append(("write", len(messages.data)))
+        did.append(("write", len(messages.channel)))
         write(messages)
 
     recorder._write = written
     recorder._live = SimpleNamespace(show=lambda rows: did.append(("show", rows["tick"].tolist())))
     recorder._publisher = SimpleNamespace(drained=lambda b: did.append(("drained", b.rows["tick"].tolist())))
-    recorder.socket = SimpleNamespace(publish=lambda m: did.append(("send", len(m.data))))
+    recorder.socket = SimpleNamespace(publish=lambda m: did.append(("send", len(m.channel))))
 
     def released(given):
         did.append(("release", len(given.rows)))

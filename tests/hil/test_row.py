@@ -13,6 +13,7 @@ from drivers.tick_columns import RECORDED, ROW, Column
 from hil.record.row import TICKS, RowCodec, Table, columns_of, columns_of_0_1_0, describe, row_schema
 from hil.record.schema import message_class
 from hil.record.unpack import words_of
+from tests.hil.samples import packed_rows
 
 
 def column(
@@ -57,10 +58,8 @@ def test_protobuf_reads_numbers_without_names_as_a_list(kind):
     rows["tick"], rows["A"], rows["b"] = [4, 5], np.arange(12).reshape(2, 2, 3), [[8], [9]]
     rows["c"] = [[21, 22], [23, 24]]
     codec = RowCodec(table.columns)
-    records = codec.layout.new(2)
-    codec.write(rows, records)
     read = message_class(row_schema(table))
-    found = [read.FromString(record.tobytes()[31:]) for record in records]
+    found = [read.FromString(each) for each in packed_rows(table, rows)]
     assert [(m.tick, list(m.A), list(m.b)) for m in found] == [
         (4, [0, 1, 2, 3, 4, 5], [8]),
         (5, [6, 7, 8, 9, 10, 11], [9]),
@@ -238,10 +237,9 @@ def test_a_viewer_sees_the_name_of_a_number_that_has_one_and_the_flags_that_are_
     rows["several"] = np.transpose([numbers[::-1], numbers])
     rows["bits"] = [0, 1, 4, 5, 1 << 62, -1, 2]
     codec = RowCodec(table.columns)
-    records = codec.layout.new(len(rows))
-    codec.write(rows, records)
+    payloads = packed_rows(table, rows)
     schema = row_schema(table)
-    found = [message_class(schema).FromString(record.tobytes()[31:]) for record in records]
+    found = [message_class(schema).FromString(each) for each in payloads]
     shown = [0, 3, 126, 127, 127, 127, 127]
     assert [m.kind_number for m in found] == numbers
     assert [m.kind for m in found] == shown
@@ -250,7 +248,7 @@ def test_a_viewer_sees_the_name_of_a_number_that_has_one_and_the_flags_that_are_
         (False, False, False), (True, False, False), (False, True, False), (True, True, False), (False, False, True),
         (True, True, True), (False, False, False),
     ]  # fmt: skip
-    words = [words_of(record.tobytes()[31:])[codec.places()] for record in records]
+    words = [words_of(payload)[codec.places()] for payload in payloads]
     assert np.array(words).tobytes() == rows.tobytes()
     assert np.array([codec.parse(m) for m in found]).tobytes() == rows.tobytes()
     (file,) = FileDescriptorSet.FromString(schema.descriptors).file

@@ -16,7 +16,7 @@ from drivers.errors import LogError
 from hil.app.compose import build_cycle, record, websocket
 from hil.app.configuration.configuration import load, loads
 from hil.record import Live, Recording
-from hil.record.encode import Encoder
+from hil.record.encode import Encoder, Messages
 from hil.record.layout import RECORD_HEADER
 from hil.record.log import Log
 from hil.record.row import TICKS
@@ -158,9 +158,9 @@ def test_a_server_that_fails_ends_itself_and_not_the_recorder(until):
     channel, unheard = Gone(until=until), Gone(heard=False)
     socket_._server = SimpleNamespace(stop=lambda: stops.append(1))
     socket_._channels = {0: channel, 1: unheard}
-    messages: Any = SimpleNamespace(
-        channel=np.array([0, 1, 0, 0]), log_time=np.arange(4), data=[bytes(RECORD_HEADER + 1)] * 4
-    )
+    size, none = RECORD_HEADER + 1, np.zeros(4, np.int64)
+    records = np.zeros(4 * size, np.uint8), size * np.arange(5)
+    messages = Messages(*records, channel=np.array([0, 1, 0, 0]), log_time=none, tick=none)
     socket_.publish(messages)
     socket_.publish(messages)
     assert (channel.sent, unheard.sent, len(stops)) == (until, 0, 1)

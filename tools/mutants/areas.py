@@ -135,7 +135,18 @@ AREAS = {
             f"hil/record/{name}.py"
             for name in (
                 *("alignment", "child", "descriptions", "encode", "environment", "figures", "layout", "live"),
-                *("metrics", "mirror", "publish", "recorder", "recording", "ring", "row", "scene", "schema"),
+                *(
+                    "metrics",
+                    "mirror",
+                    "packer",
+                    "publish",
+                    "recorder",
+                    "recording",
+                    "ring",
+                    "row",
+                    "scene",
+                    "schema",
+                ),
             )
         ),
         (
@@ -151,6 +162,7 @@ AREAS = {
             "tests/hil/test_row.py",
             "tests/hil/test_environment.py",
             "tests/hil/test_live.py",
+            "tests/hil/test_packer.py",
             "tests/hil/test_recorder*.py",
             "tests/hil/test_log*.py",
             "tests/hil/test_salvage*.py",

@@ -1,0 +1,182 @@
+"""Packs ticks into the bytes of their MCAP Message records: one kernel for whatever columns a table has.
+
+The recorder runs its machine code and imports neither this file nor Numba.
+"""
+
+from drivers.arrays import Bytes, Ints
+from drivers.can.bus_time import FD_LENGTHS
+from drivers.compiled.compiler import BYTE_POINTER, POINTER, helper, kernel
+from hil.record.layout import FRAME_FLAGS, FRAME_PLACES, MAX_DATA
+from hil.record.ring import ITEM, RECEIVED, SENT
+from hil.record.row import NAMED, UNNAMED, WHOLE
+from hil.record.schema import RX, TX
+
+_BITS = tuple(FRAME_FLAGS.values())
+_SECONDS, _NANOS, _ID, _DLC, _DIRECTION, _TICK, _INDEX, _BUS, _FLAGS = range(3, 12)
+"""Columns of a frame table."""
+_FRAME_COLUMNS = 3 + len(FRAME_PLACES)
+_WORDS = ITEM.itemsize // 8
+_S = 1_000_000_000
+
+
+@helper
+def _put(out: Bytes, at: int, value: int, size: int) -> None:
+    """Store so many bytes of a number: where `size` is a constant, the compiler makes one store of them."""
+    for k in range(size):
+        out[at + k] = value >> 8 * k & 0xFF
+
+
+@helper
+def _put_varint5(out: Bytes, at: int, value: int) -> None:
+    for k in range(4):
+        out[at + k] = value >> 7 * k & 0x7F | 0x80
+    out[at + 4] = value >> 28 & 0x7F
+
+
+@helper
+def _put_bytes(out: Bytes, at: int, data: Bytes, first: int, size: int) -> None:
+    for k in range(size):
+        out[at + k] = data[first + k]
+
+
+@helper
+def _put_header(out: Bytes, at: int, tick: int, log_time: int, publish_time: int) -> None:
+    """Fill the header of a record; its opcode, length and channel are in the template."""
+    _put(out, at + 11, tick, 4)
+    _put(out, at + 15, log_time, 8)
+    _put(out, at + 23, publish_time, 8)
+
+
+@helper
+def _put_row(out: Bytes, at: int, rows: Ints, first: int, places: Ints, placed: int) -> None:
+    """Fill the record of the row whose words begin at `first`."""
+    for k in range(placed):
+        value, place, what = rows[first + places[3 * k]], at + places[3 * k + 1], places[3 * k + 2]
+        if what == WHOLE:
+            _put(out, place, value, 8)
+        elif what == NAMED:
+            out[place] = value if 0 <= value < UNNAMED else UNNAMED
+        else:
+            out[place] = (value & what) != 0
+
+
+@helper
+def _put_frame(
+    out: Bytes, at: int, items: Ints, item: int, template: Bytes, table: Ints, row: int, log_time: int
+) -> int:
+    """Write the record of a frame but for its header, tick and index; return how many bytes its data are.
+
+    `row` is where the row of its bus begins in the table.
+    """
+    start, size, data = table[row], table[row + 1], table[row + 2]
+    words = items[_WORDS * item + 1]
+    length: int = min(words >> 40 & 0xFF, MAX_DATA)
+    _put_bytes(out, at, template, start, data)
+    for k in range((length + 7) // 8):
+        _put(out, at + data + 8 * k, items[_WORDS * item + 2 + k], 8)
+    _put_bytes(out, at + data + length, template, start + data, size - data)
+    _put(out, at + 1, size + length - 9, 8)
+    out[at + data - 1] = length
+    _put_varint5(out, at + table[row + _SECONDS], log_time // _S)
+    _put_varint5(out, at + table[row + _NANOS], log_time % _S)
+    _put(out, at + table[row + _ID], words, 4)
+    code = 0  # of ISO 11898-1
+    while FD_LENGTHS[code] < length:
+        code += 1
+    out[at + table[row + _DLC]] = code
+    behind = at + length
+    out[behind + table[row + _DIRECTION]] = RX if words >> 32 & 0xFF == RECEIVED else TX
+    out[behind + table[row + _BUS]] = words >> 56 & 0xFF
+    for k in range(len(_BITS)):
+        place = table[row + _FLAGS + k]
+        out[(behind if place > data else at) + place] = (words >> 48 & _BITS[k]) != 0
+    return length
+
+
+@helper
+def _put_index(index: Ints, message: int, start: int, channel: int, log_time: int, row: int) -> None:
+    at = 4 * message
+    index[at], index[at + 1], index[at + 2], index[at + 3] = start, channel, log_time, row
+
+
+@kernel(*[POINTER] * 6, *[BYTE_POINTER, POINTER] * 4)
+def pack(
+    sizes: Ints,
+    ticks: Ints,
+    times: Ints,
+    rows: Ints,
+    items: Ints,
+    of_row: Ints,
+    row_template: Bytes,
+    row_table: Ints,
+    frame_template: Bytes,
+    frame_table: Ints,
+    rare: Bytes,
+    rare_table: Ints,
+    out: Bytes,
+    index: Ints,
+) -> None:
+    """Write the records of a batch in the order of the file: of each tick its row, its items, its views.
+
+    Parameters
+    ----------
+    sizes
+        Rows, items and rare messages of the batch; words in a row, places in its record and bytes of it;
+        buses; UTC of t_ns = 0, ns. The first becomes the number of messages.
+    ticks, times
+        (rows + 1,) number of each row and its UTC, ns, and those of the row to come.
+    rows, items, of_row
+        As in the ring, in words of eight bytes, and the row of each item.
+    row_template, row_table
+        The record of a row, and the places in it: `hil.record.row.RowCodec.places`.
+    frame_template, frame_table
+        Of `hil.record.layout.frame_table`.
+    rare, rare_table
+        Records that are complete, one behind the other; of each (5,) its row, the item in front of which it
+        stands, its bytes, its channel, its log time. Items that are no frames have no other record.
+    out
+        Filled: the records; there is room for eight bytes more.
+    index
+        Filled, (messages + 1, 4): start in `out`, channel, log time, row; of the last one the start alone.
+
+    """
+    count, total, rares, words = sizes[0], sizes[1], sizes[2], sizes[3]
+    placed, row_size, buses, epoch = sizes[4], sizes[5], sizes[6], sizes[7]
+    at = message = item = following = taken = 0
+    for n in range(count + 1):
+        if n < count:
+            _put_bytes(out, at, row_template, 0, row_size)
+            _put_header(out, at, ticks[n], times[n], times[n])
+            _put_row(out, at, rows, n * words, row_table, placed)
+            _put_index(index, message, at, row_template[9], times[n], n)
+            at += row_size
+            message += 1
+        first = item
+        while True:
+            while (
+                following < rares and rare_table[5 * following] == n and rare_table[5 * following + 1] == item
+            ):
+                size = rare_table[5 * following + 2]
+                _put_bytes(out, at, rare, taken, size)
+                _put_index(
+                    index, message, at, rare_table[5 * following + 3], rare_table[5 * following + 4], n
+                )
+                at += size
+                taken += size
+                message += 1
+                following += 1
+            if item == total or of_row[item] != n:
+                break
+            if items[_WORDS * item + 1] >> 32 & 0xFF <= SENT:
+                log_time = items[_WORDS * item] + epoch
+                frame = _FRAME_COLUMNS * min(items[_WORDS * item + 1] >> 56 & 0xFF, buses - 1)
+                length = _put_frame(out, at, items, item, frame_template, frame_table, frame, log_time)
+                _put_header(out, at, ticks[n], log_time, times[n])
+                _put(out, at + length + frame_table[frame + _TICK], ticks[n], 8)
+                _put(out, at + length + frame_table[frame + _INDEX], item - first, 4)
+                _put_index(index, message, at, frame_template[9], log_time, n)
+                at += frame_table[frame + 1] + length
+                message += 1
+            item += 1
+    index[4 * message] = at
+    sizes[0] = message

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.errors import ProtocolError
+from drivers.frame_array import received_frames
 from drivers.motor_drives import MotorDrives, put
 from drivers.motor_routes import MotorRoutes
 from drivers.protocol import (
@@ -22,7 +23,6 @@ from drivers.protocol import (
     Frame,
     PowerTold,
     Received,
-    frames_of,
 )
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
@@ -222,7 +222,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         return received.t_ns >= since_ns and self.awaited(received.frame) >= 0
 
     def decode(
-        self, dialogue: MotorDialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+        self, dialogue: MotorDialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> MotorDialogue:
         """Fill the measurement of a tick; see `DriveProtocol.decode`.
 
@@ -245,7 +245,7 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         owed = [owes + 1 if done else 2 for owes, done in zip(dialogue.owed, dialogue.done, strict=True)]
         power, said = list(dialogue.power), list(dialogue.said)
         asked = int(_RUN if dialogue.mode == DriveMode.RUN else _OFF)
-        for t_ns, frame in frames_of(run):
+        for t_ns, frame in received_frames(frames):
             heard = self.hear(frame)
             if heard is None:
                 continue

@@ -3,11 +3,10 @@
 A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 """
 
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array, Ints, Rows
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record
@@ -51,28 +50,6 @@ class Received(NamedTuple):
     """ns on the run's monotonic clock."""
     frame: Frame
     """What was received."""
-
-
-HEAD = struct.Struct("<qIHH")
-"""What stands before the data of each frame in a run: time, identifier, flags, number of data bytes."""
-_head = HEAD.pack
-
-
-def run_of(frames: Sequence[Received]) -> bytes:
-    """Return the frames as one run of bytes in their order, each HEAD and data: what compiled codecs read."""
-    return b"".join(
-        [_head(t_ns, identifier, flags, len(data)) + data for t_ns, (identifier, data, flags) in frames]
-    )
-
-
-def frames_of(run: bytes) -> Iterator[Received]:
-    """Return the frames of a run, for codecs that are not compiled."""
-    end = 0
-    while end < len(run):
-        t_ns, identifier, flags, size = HEAD.unpack_from(run, end)
-        at = end + HEAD.size
-        end = at + size
-        yield Received(t_ns, Frame(identifier, run[at:end], flags))
 
 
 class DriveSetup(NamedTuple):
@@ -267,9 +244,9 @@ class DriveProtocol(Protocol):
         """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
 
     def decode(
-        self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+        self, dialogue: Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> Dialogue:
-        """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
+        """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
 
         since_ns: when the loop woke up; the SYNC or poll of each leg was out `latch_ns` of the tick later.
         Fills every column of the part. Frames that are nobody's are ignored; those of another controller and

@@ -8,13 +8,17 @@ from collections.abc import Sequence
 from math import ceil, isfinite, pi
 from typing import NamedTuple
 
+import numpy as np
+
+from drivers.arrays import Rows
 from drivers.config import BusSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import sent_frames
 from drivers.legs.codec import Codec, compile_message, in_range, parsed, read_dbc
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import intact
 from drivers.legs.kernels import FOREIGN
-from drivers.protocol import BUS, OTHER_BUSES, Frame, Received
+from drivers.protocol import BUS, OTHER_BUSES, Frame
 
 KINDS = ("tracker", "imu", "wrench")
 _MESSAGES = {
@@ -106,7 +110,7 @@ class SensorProtocol:
         """Return the index of the bus that a sensor is on: it hears SYNC and sends there."""
         return self._bus[kind]
 
-    def decode(self, frames: Sequence[Received], tick: int, previous: Readings) -> Readings:
+    def decode(self, frames: Rows, tick: int, previous: Readings) -> Readings:
         """Return the samples among this tick's frames.
 
         A frame with the counter of the one before is a repetition and passed over; a gap in the counter
@@ -119,9 +123,7 @@ class SensorProtocol:
         samples: list[list[Sample]] = [[], [], []]
         counters = list(previous.counters)
         rejected = lost = 0
-        for _, (identifier, data, flags) in frames:
-            if identifier not in heard:
-                continue
+        for identifier, data, flags in sent_frames(frames[np.isin(frames["id"], list(heard))]):
             kind, on_bus, register, codec = heard[identifier]
             if flags & FOREIGN != on_bus:
                 continue

@@ -7,7 +7,8 @@ end the drives of each bus have a memory of their own, for they hear that bus al
 
 from collections.abc import Sequence
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array, Ints, Rows
+from drivers.frame_array import received_array, received_frames
 from drivers.identity import Identified, Said
 from drivers.protocol import (
     ALWAYS,
@@ -27,8 +28,6 @@ from drivers.protocol import (
     Received,
     Status,
     Sync,
-    frames_of,
-    run_of,
 )
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Command, Reaction
@@ -215,20 +214,20 @@ class SeveralBuses:
         return leg >= 0 and self.bus_of[leg] != frame.bus
 
     def decode(
-        self, dialogue: Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+        self, dialogue: Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> Dialogue:
         """Fill the measurement of a tick; see `DriveProtocol.decode`.
 
         A frame of a drive that comes on another bus than its own is refused, and counted in `rejected`.
         """
         kept, strays = [], 0
-        for t_ns, frame in frames_of(run):
+        for t_ns, frame in received_frames(frames):
             known = off_bus(frame)
             if self._strays(frame, known) or frame.bus >= len(self.legs):
                 strays += 1
             else:
                 kept.append(Received(t_ns, known))
-        dialogue = self.family.decode(dialogue, run_of(kept), last, tick, since_ns)
+        dialogue = self.family.decode(dialogue, received_array(kept), last, tick, since_ns)
         tick["rejected"] += strays
         return dialogue
 

@@ -4,7 +4,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from drivers.arrays import Rows
-from drivers.protocol import Frame, Received
+from drivers.frame_array import NO_FRAMES
 from drivers.signals import LEGS, BusState, Refusal
 
 
@@ -107,8 +107,8 @@ class TickInput(NamedTuple):
     """How long the time of a virtual bench stood still since the last tick."""
     sync_skew_ns: int = 0
     """From SYNC on the first of several buses to SYNC on the last, of this tick."""
-    frames: tuple[Received, ...] = ()
-    """Received since the last step, in the order consumed."""
+    frames: Rows = NO_FRAMES
+    """Received since the last step, in the order consumed: elements of FRAME."""
     sends_failed: int = 0
     """Frames that the bus did not take: the previous tick's command and this tick's SYNC."""
     bus_errors: int = 0
@@ -137,6 +137,7 @@ class TickInput(NamedTuple):
 class TickOutput(NamedTuple):
     """The frames to send and the record row."""
 
-    frames: tuple[Frame, ...]
+    frames: Rows
+    """Elements of FRAME."""
     row: Rows
     """One element of ROW."""

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import click
 import yaml
 
-from drivers.protocol import Frame
+from drivers.arrays import Rows
+from drivers.frame_array import received_frames, sent_frames
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import parse
@@ -156,8 +157,9 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
         with record(c, cycle, path, "sim", lockstep=True) as recording, collector_paused():
             recorder = recording._process.pid  # noqa: SLF001 - seen from outside
 
-            def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
-                recording.tick(out.row, inp.frames, opening + out.frames, inp.operator)
+            def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
+                sent = sent_frames(opening) + sent_frames(out.frames)
+                recording.tick(out.row, received_frames(inp.frames), sent, inp.operator)
                 if inp.tick in (settled, last):
                     memory[inp.tick == last] = Memory(resident_kB(os.getpid()), resident_kB(recorder))
 
@@ -195,10 +197,10 @@ def differences(shift: Shift) -> tuple[int, int]:
     with collector_paused():
         for entry in log.ticks():
             inp = recorded_input(entry)
-            sent = cycle.begin(inp.tick)
+            sent = sent_frames(cycle.begin(inp.tick))
             out = cycle.step(inp)
             whole = inp.tick == shift.first + ticks
-            same = sent + out.frames == entry.sent and out.row.tobytes() == entry.row.tobytes()
+            same = sent + sent_frames(out.frames) == entry.sent and out.row.tobytes() == entry.row.tobytes()
             ticks, different = ticks + 1, different + (not (whole and same))
     return ticks, different + abs(shift.ticks - ticks)
 

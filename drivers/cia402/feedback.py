@@ -5,10 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.arrays import Rows
 from drivers.cia402 import objects as o
 from drivers.cia402.set_up import Cia402Dialogue, Slope, advanced, answered, moved, put
 from drivers.cia402.states import DRIVE_STATE, STATE_OF, UNHEARD, State
-from drivers.protocol import ERROR, EXTENDED, FD, HEAD, OTHER_BUSES, REMOTE
+from drivers.frame_array import received_frames
+from drivers.protocol import ERROR, EXTENDED, FD, OTHER_BUSES, REMOTE
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Foreign
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
@@ -68,7 +70,7 @@ class Feedback:
         self.ids = frozenset(self.sizes)
 
     def fold(
-        self, dialogue: Cia402Dialogue, run: bytes, last: Record, tick: Record, since_ns: int
+        self, dialogue: Cia402Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int
     ) -> Cia402Dialogue:
         """Fill the measurement of a tick from that of the last one and the frames since.
 
@@ -81,25 +83,22 @@ class Feedback:
         drive that has left Operational, begin its set-up anew.
         """
         heard = _Heard(dialogue, last, tick)
-        number, at = int(tick["tick"]), 0
+        number = int(tick["tick"])
         synced_ns = [since_ns + delay for delay in tick["latch_ns"].tolist()]
-        while at < len(run):
-            t_ns, identifier, flags, size = HEAD.unpack_from(run, at)
-            start = at + HEAD.size
-            at = start + size
+        for t_ns, (identifier, data, flags) in received_frames(frames):
             found = self._kinds.get(identifier)
             if found is None or flags & FOREIGN:
                 continue
             kind, leg = found
             if kind <= _SPEED:
-                if size != _SIZES[kind] or (kind == _PLACE and STATE_OF[run[start] & 0x7F] == UNHEARD):
+                if len(data) != _SIZES[kind] or (kind == _PLACE and STATE_OF[data[0] & 0x7F] == UNHEARD):
                     heard.rejected += 1
                 else:
-                    heard.take(kind, leg, run[start:at], late=t_ns < synced_ns[leg])
+                    heard.take(kind, leg, data, late=t_ns < synced_ns[leg])
             elif kind == _OTHER:
                 heard.foreign |= leg
             else:
-                dialogue = self._spoken(dialogue, kind, leg, run[start:at], heard, number)
+                dialogue = self._spoken(dialogue, kind, leg, data, heard, number)
         return self._close(dialogue, heard, last, tick)
 
     @staticmethod

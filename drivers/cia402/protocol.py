@@ -11,7 +11,7 @@ from math import isfinite
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array, Ints, Rows
 from drivers.cia402 import objects as o
 from drivers.cia402.devices import Devices, Memory
 from drivers.cia402.emergency import meaning
@@ -172,10 +172,10 @@ class Cia402Protocol(Routes):
         return f"EMCY 0x{code:04X}, {meaning(code)}"
 
     def decode(
-        self, dialogue: Cia402Dialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+        self, dialogue: Cia402Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> Cia402Dialogue:
         """Fill the measurement of a tick, see `Feedback.fold`."""
-        return self._feedback.fold(dialogue, run, last, tick, since_ns)
+        return self._feedback.fold(dialogue, frames, last, tick, since_ns)
 
     def command(
         self, dialogue: Cia402Dialogue, command: Command, tick: int

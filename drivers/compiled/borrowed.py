@@ -115,8 +115,9 @@ def _unbox(argument: Any, given: Any, c: Any) -> NativeValue:
 
     def is_dtype() -> Any:
         """Compare the dtype: records have one object for it, an array's may be any that says the same."""
-        if isinstance(argument, BorrowedRecord):
-            return is_object(_DTYPE, argument.symbol)
+        of = argument.dtype if isinstance(argument, types.Array) else argument
+        if isinstance(of, BorrowedRecord):
+            return is_object(_DTYPE, of.symbol)
         dtype, described = as_dtype(argument.dtype), _read(builder, given, _DTYPE, _BYTE.as_pointer())
         numbers = {kind.num for kind in map(np.dtype, np.typecodes["AllInteger"] + "d?") if kind == dtype}
         number = one_of(_read(builder, described, _NUMBER, _INT), *sorted(numbers))
@@ -146,7 +147,7 @@ def _view(argument: Any, given: Any, c: Any) -> Any:
     builder = c.builder
     if isinstance(argument, types.Record):
         return _read(builder, given, _DATA, c.context.get_value_type(argument))
-    size = as_dtype(argument.dtype).itemsize
+    size = c.context.get_abi_sizeof(c.context.get_data_type(argument.dtype))
     sizes = _read(builder, given, _SHAPE, _LONG.as_pointer())
     shape = [builder.load(builder.gep(sizes, [_LONG(k)])) for k in range(argument.ndim)]
     strides = [_LONG(size)]

@@ -72,6 +72,11 @@ def record(dtype: np.dtype[np.void], *names: str) -> Any:
     return BorrowedRecord(dtype, names or dtype.names or ())
 
 
+def records(dtype: np.dtype[np.void]) -> Any:
+    """Argument: a vector of elements of a structured dtype, writeable or not. For `direct` kernels only."""
+    return types.Array(BorrowedRecord(dtype, dtype.names or ()), 1, "C", readonly=True)
+
+
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 
@@ -127,15 +132,20 @@ def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """
 
     def decorate(function: F) -> F:
-        compiled: Any = kernel(*map(borrowed, arguments), unlocked=unlocked)(function)
-        if not hasattr(compiled, "overloads"):  # where Numba is disabled
-            return cast("F", compiled)
-        (only,) = compiled.overloads.values()
-        if not only_numbers(only.signature.return_type):
-            raise TypeError(f"{function.__qualname__}: a direct kernel fills arrays and returns numbers")
-        return cast("F", only.entry_point)
+        return entry(kernel(*map(borrowed, arguments), unlocked=unlocked)(function))
 
     return decorate
+
+
+def entry(compiled: F) -> F:
+    """Return what the interpreter calls of a `kernel` of borrowed arguments: no dispatcher."""
+    made: Any = compiled
+    if not hasattr(made, "overloads"):  # where Numba is disabled
+        return compiled
+    (only,) = made.overloads.values()
+    if not only_numbers(only.signature.return_type):
+        raise TypeError(f"{made.__qualname__}: a direct kernel fills arrays and returns numbers")
+    return cast("F", only.entry_point)
 
 
 def helper(function: F) -> F:

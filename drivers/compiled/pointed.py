@@ -23,6 +23,7 @@ from drivers.compiled.compiler import OPTIONS, compiling, count, foreign, helper
 FAILED = -1
 """Status of a function that could not do its work."""
 _STATUS = types.int32
+_carray: Any = vars(numba)["carray"]
 _C_TYPES: dict[Any, Any] = {types.int64: ctypes.c_int64, types.float64: ctypes.c_double}
 
 
@@ -93,6 +94,16 @@ def record_at(argument: Any) -> Any:
     return intrinsic(at)
 
 
+def records_at(argument: Any) -> Any:
+    """Return what makes, inside a kernel, an array of records of a type from address and count."""
+    to_records = _pointer(argument)
+
+    def at(address: int, count: int) -> Any:
+        return _carray(to_records(address), (count,))
+
+    return helper(at)
+
+
 def _address_of(_context: Any, record: Any) -> Any:
     def generate(_target: Any, builder: Any, _signature: Any, values: Any) -> Any:
         return builder.ptrtoint(values[0], ir.IntType(64))
@@ -116,7 +127,6 @@ def _pointer(kind: Any) -> Any:
     return intrinsic(to_pointer)
 
 
-_carray: Any = vars(numba)["carray"]
 _to_reals: Any = _pointer(types.float64)
 _to_integers: Any = _pointer(types.int64)
 _to_bytes: Any = _pointer(types.uint8)
@@ -126,6 +136,13 @@ _to_bytes: Any = _pointer(types.uint8)
 def reals_at(address: int, count: int) -> Array:
     """Return, inside a kernel, the float64 vector of so many elements at an address."""
     values: Array = _carray(_to_reals(address), (count,))
+    return values
+
+
+@helper
+def matrix_at(address: int, rows: int, columns: int) -> Array:
+    """Return, inside a kernel, the float64 matrix at an address."""
+    values: Array = _carray(_to_reals(address), (rows, columns))
     return values
 
 

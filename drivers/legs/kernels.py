@@ -10,19 +10,12 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Bytes, Ints
-from drivers.compiled.compiler import (
-    DATA,
-    INTEGER,
-    INTEGERS,
-    OUT_BYTES,
-    VECTOR,
-    direct,
-    helper,
-    kernel,
-    record,
-)
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import FAILED, integers_at, pointed, reals_at
+from drivers.frame_array import SENT
+from drivers.frame_pointers import frames_at
 from drivers.legs.crc import FINAL_XOR, RESIDUE, TABLE, TABLE_16
-from drivers.protocol import ERROR, EXTENDED, HEAD, OTHER_BUSES, REMOTE
+from drivers.protocol import ERROR, EXTENDED, OTHER_BUSES, REMOTE
 from drivers.signals import INVALID, LEGS, NEVER, DriveFault, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 
@@ -30,7 +23,6 @@ FOREIGN = EXTENDED | REMOTE | ERROR | OTHER_BUSES
 """Flags of frames that cannot be ours."""
 OLDEST = 8
 """Of the 16 counter values, these many ticks back count as late; the rest are refused."""
-_HEAD = HEAD.size
 QUANTITIES = 3
 """Of a feedback: length, rate, force."""
 FEEDBACK_SIZE, STATUS_SIZE, STATE_AT, FAULT_AT, SETUP_AT, LAST_AT, CHECKED, FIELD = range(8)
@@ -42,13 +34,37 @@ OTHERS = 4 * LEGS
 """Place in `identifiers` of `fold`: E-stop, SYNC, the six CONFIG, and the commands of all layouts."""
 _ESTOP, _SYNC, _CONFIG, _COMMAND = OTHERS, OTHERS + 1, OTHERS + 2, OTHERS + 2 + LEGS
 FORCE_AT, FORCE_SIZE, FORCE_KIND, COUNTER_AT, COUNTER_SIZE = range(5)
-MODE_AT, MODE_SIZE, CHECK_AT, CHECK_SIZE, FORCES, FRAME = range(5, 11)
-"""Places in `form` of `encode`: first force, its bits and kind; first bit and bits of counter and mode; first
-byte and bytes of the check; forces in a frame; then size and register of that check after the identifier of
-each frame. Forces beyond the last frame are not sent."""
+MODE_AT, MODE_SIZE, CHECK_AT, CHECK_SIZE, FORCES = range(5, 10)
+"""Places in the form of a command frame: first force, its bits and kind; first bit and bits of counter and
+mode; first byte and bytes of the check; forces in the frame."""
+FRAME_ID, FRAME_FLAGS, FRAME_BUS, FRAME_SIZE, REGISTER, LEG = range(FORCES + 1, FORCES + 7)
+"""Behind them: the frame itself, the register of its check after the identifier, and the leg of each force,
+-1 where none has that place."""
+COMMAND_FORM = LEG + LEGS
+CODEC = np.dtype(
+    [
+        ("identifiers", "<i8"),  # address of the identifiers of `decode`
+        ("known", "<i8"),  # how many they are
+        ("form", "<i8", (FIELD + 3 * QUANTITIES,)),
+        ("scale", "<f8", (3 * QUANTITIES,)),  # scales, least and largest values of the quantities, SI
+        ("expected", "u1", (2 * LEGS,)),  # two bytes a leg: the checksum of its set-up
+        ("confirmed", "<i8"),  # bit i: drive i has confirmed it
+        ("buses", "<i8"),  # how many there are
+        ("bus_of", "<i8", (LEGS,)),  # of each leg
+        ("commands", "<i8"),  # address of (frames, COMMAND_FORM) integers
+        ("steps", "<i8"),  # address of (frames, 3): step, least and largest force
+        ("frames", "<i8"),  # how many carry a command
+    ]
+)
+"""The controller's end of the drives: tables, and what it remembers. Forces are in N where they are float64,
+in steps where they are rounded."""
+CHANGED = 1
+"""Status of `decode`: not all drives have confirmed their set-up, or one has just done so."""
+_CODEC = record(CODEC)
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _BOOT = int(DriveState.BOOT)
+_ALL = (1 << LEGS) - 1
 _FOREIGN_SYNC, _FOREIGN_COMMAND = int(Foreign.SYNC), int(Foreign.COMMAND)
 _FOREIGN_CONFIG, _FOREIGN_ESTOP = int(Foreign.CONFIG), int(Foreign.ESTOP)
 _TABLE = np.array(TABLE, np.uint8)
@@ -120,8 +136,7 @@ def check_of(data: Any, start: int, end: int, register: int, size: int) -> int:
 
 @helper
 def _take_feedback(
-    run: Any,
-    at: int,
+    data: Any,
     early: bool,
     leg: int,
     form: Ints,
@@ -132,7 +147,7 @@ def _take_feedback(
     tick: Any,
 ) -> bool:
     """Take an intact feedback; tell whether it can be believed. `value` and `word` are scratch."""
-    counted = int(run[at + form[LAST_AT]])
+    counted = int(data[form[LAST_AT]])
     behind = (tick.tick - counted) & 0xF
     state = counted >> 4 & ~INVALID
     invalid = counted >> 4 & INVALID != 0
@@ -141,7 +156,7 @@ def _take_feedback(
     for k in range(QUANTITIES):
         start, bits = form[FIELD + 3 * k], form[FIELD + 3 * k + 1]
         if bits > 0:
-            raw = read(run, at, start, bits, form[FIELD + 3 * k + 2], word)
+            raw = read(data, 0, start, bits, form[FIELD + 3 * k + 2], word)
             low, high = scale[QUANTITIES + k], scale[2 * QUANTITIES + k]
             if form[CHECKED] and not low <= raw <= high:
                 return False
@@ -170,14 +185,14 @@ def _take_feedback(
 
 @helper
 def _take_status(
-    run: Any, at: int, leg: int, form: Ints, expected: Any, confirmed: int, tick: Any
+    data: Any, leg: int, form: Ints, expected: Any, confirmed: int, tick: Any
 ) -> tuple[bool, int]:
     """Take an intact status; tell whether it can be believed, and who has confirmed the set-up."""
-    state, fault = int(run[at + form[STATE_AT]]), int(run[at + form[FAULT_AT]])
+    state, fault = int(data[form[STATE_AT]]), int(data[form[FAULT_AT]])
     if state >= _STATES or fault >= _FAULTS:
         return False, confirmed
     tick.drive_fault[leg] = fault
-    if state != _BOOT and integer(run, at + form[SETUP_AT], 2) == integer(expected, 2 * leg, 2):
+    if state != _BOOT and integer(data, form[SETUP_AT], 2) == integer(expected, 2 * leg, 2):
         return True, confirmed | 1 << leg
     if state != _BOOT:
         tick.altered |= 1 << leg
@@ -212,91 +227,95 @@ def _foreign(identifier: int, identifiers: Ints) -> int:
     return 0
 
 
-@direct(DATA, INTEGER, INTEGERS, INTEGERS, VECTOR, DATA, INTEGER, _TICK, _TICK)
-def fold(
-    run: Any,
-    since_ns: int,
-    identifiers: Ints,
-    form: Ints,
-    scale: Array,
-    expected: Any,
-    confirmed: int,
-    last: Any,
-    tick: Any,
-) -> int:
-    """Fill the measurement of a tick from that of the last one and the frames since.
+@helper
+def _sender(identifier: int, identifiers: Ints) -> int:
+    """Return the place among the identifiers of a drive's feedback or status; -1: it is neither."""
+    for k in range(LEGS):
+        if identifier == identifiers[_FEEDBACK + k]:
+            return _FEEDBACK + k
+        if identifier == identifiers[_STATUS + k]:
+            return _STATUS + k
+    return -1
 
-    run: bytes of `drivers.protocol.run_of`; the rules are those of `LegsProtocol.decode`. identifiers: of
-    the feedbacks, the CRC-8 registers after them, of the statuses, theirs, then OTHERS. scale (9,): scales,
-    least and largest values of the quantities, SI. form: see above. expected: two bytes a leg, the checksum
-    of its set-up; confirmed: bit i, drive i has confirmed it. Returns the latter as it is now.
+
+@pointed(_CODEC, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
+def decode(codec: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
+    """Fill the measurement of a tick, see `LegsProtocol.decode`.
+
+    frames: address of `count` elements of FRAME. Returns CHANGED or 0.
     """
+    identifiers = integers_at(codec.identifiers, codec.known)
+    form, scale, expected = codec.form, codec.scale, codec.expected
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
+    before = confirmed = codec.confirmed
     _begin(last, tick)
     rejected = 0
-    end = 0
-    while end < len(run):
-        t_ns = integer(run, end, 8)
-        identifier = integer(run, end + 8, 4)
-        flags, size = integer(run, end + 12, 2), integer(run, end + 14, 2)
-        at = end + _HEAD
-        end = at + size
-        if flags & FOREIGN:
+    received = frames_at(frames, count)
+    for n in range(count):
+        frame = received[n]
+        identifier, bus, size = int(frame.id), int(frame.bus), int(frame.length)
+        place = _sender(identifier, identifiers)
+        leg = place - _STATUS if place >= _STATUS else place
+        if codec.buses > 1 and (bus >= codec.buses or (place >= 0 and bus != codec.bus_of[leg])):
+            rejected += 1
+        if frame.flags & FOREIGN or bus >= codec.buses or (place >= 0 and bus != codec.bus_of[leg]):
             continue
-        ours = False
-        for k in range(LEGS):
-            if identifier == identifiers[_FEEDBACK + k]:
-                ours = True
-                register = identifiers[_FEEDBACK + LEGS + k]
-                good = size == form[FEEDBACK_SIZE] and register_after(run, at, end, register) == RESIDUE
-                early = t_ns < since_ns
-                if not good or not _take_feedback(run, at, early, k, form, scale, value, word, last, tick):
-                    rejected += 1
-                break
-            if identifier == identifiers[_STATUS + k]:
-                ours = True
-                register = identifiers[_STATUS + LEGS + k]
-                good = size == form[STATUS_SIZE] and register_after(run, at, end, register) == RESIDUE
-                if good:
-                    good, confirmed = _take_status(run, at, k, form, expected, confirmed, tick)
-                if not good:
-                    rejected += 1
-                break
-        if not ours:
+        if place < 0:
             tick.foreign |= _foreign(identifier, identifiers)
+            continue
+        is_status = place >= _STATUS
+        data, register = frame.data, identifiers[place + LEGS]
+        good = size == form[STATUS_SIZE if is_status else FEEDBACK_SIZE]
+        good = good and register_after(data, 0, size, register) == RESIDUE
+        if good and is_status:
+            good, confirmed = _take_status(data, leg, form, expected, confirmed, tick)
+        elif good:
+            early = frame.t_ns < since_ns
+            good = _take_feedback(data, early, leg, form, scale, value, word, last, tick)
+        if not good:
+            rejected += 1
     tick.rejected = rejected
     tick.counted_age[:] = tick.age
-    return confirmed
+    codec.confirmed = confirmed
+    return 0 if confirmed == before == _ALL else CHANGED
 
 
-@kernel(VECTOR, INTEGER, INTEGER, INTEGERS, VECTOR, OUT_BYTES)
-def encode(force: Array, counter: int, mode: int, form: Ints, scale: Array, data: Bytes) -> bool:
-    """Fill `data` with a tick's command frames, one after the other; False if the forces do not fit.
+@helper
+def _carried(value: float, is_float: int, step: float) -> float:
+    """Return a force as its field has it: N, or rounded to whole steps."""
+    return value if is_float else float(np.rint(value / step))
 
-    force (6,) N; of the counter as many bits as there is room for. scale (3,): scale, least and largest
-    force; the two in N where forces are float64, in steps where they are rounded. form: see above.
+
+@pointed(_CODEC, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def command(codec: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
+    """Fill the elements of FRAME at `into` with the frames of a tick's command; return how many they are.
+
+    number: of the tick, of whose low bits the counter has as many as there is room for; force_at: address of
+    (6,) N. FAILED: a force does not fit. An emergency stop is a frame of its own.
     """
+    forces = reals_at(force_at, LEGS)
+    forms = integers_at(codec.commands, codec.frames * COMMAND_FORM)
+    steps = reals_at(codec.steps, 3 * codec.frames)
     word = np.empty(1, np.int64)
-    frames = (form.shape[0] - FRAME) // 2
-    share = form[FORCES]
-    start = 0
-    data[:] = 0
-    if force.shape[0] != LEGS:
-        return False
-    for frame in range(frames):
-        for k in range(share):
-            value = force[frame * share + k]
-            if not form[FORCE_KIND]:
-                value = np.rint(value / scale[0])
-            if not scale[1] <= value <= scale[2]:
-                return False
+    sent = frames_at(into, codec.frames)
+    for n in range(codec.frames):
+        form = forms[n * COMMAND_FORM : (n + 1) * COMMAND_FORM]
+        frame = sent[n]
+        frame.t_ns, frame.kind = 0, SENT
+        frame.id, frame.flags, frame.bus = form[FRAME_ID], form[FRAME_FLAGS], form[FRAME_BUS]
+        frame.length = form[FRAME_SIZE]
+        data = frame.data
+        data[:] = 0
+        for k in range(form[FORCES]):
+            leg = form[LEG + k]
+            value = _carried(forces[leg] if leg >= 0 else 0.0, form[FORCE_KIND], steps[3 * n])
+            if not steps[3 * n + 1] <= value <= steps[3 * n + 2]:
+                return FAILED
             bit = form[FORCE_AT] + k * form[FORCE_SIZE]
-            write(value, data, start, bit, form[FORCE_SIZE], form[FORCE_KIND], word)
-        put(counter, data, start, form[COUNTER_AT], form[COUNTER_SIZE])
-        put(mode, data, start, form[MODE_AT], form[MODE_SIZE])
-        place, size = start + form[CHECK_AT], form[CHECK_SIZE]
-        check = check_of(data, start, place, form[FRAME + 1 + 2 * frame], size)
-        put(check, data, place, 0, 8 * size)
-        start += form[FRAME + 2 * frame]
-    return True
+            write(value, data, 0, bit, form[FORCE_SIZE], form[FORCE_KIND], word)
+        put(number & 0xFF, data, 0, form[COUNTER_AT], form[COUNTER_SIZE])
+        put(mode, data, 0, form[MODE_AT], form[MODE_SIZE])
+        place, size = form[CHECK_AT], form[CHECK_SIZE]
+        put(check_of(data, 0, place, form[REGISTER], size), data, place, 0, 8 * size)
+    return int(codec.frames)

@@ -7,20 +7,26 @@ Checks: `drivers.legs.crc`, over identifier (low byte, high byte), then the data
 little-endian. `docs/guides/protocol.md` has the rules of both ends.
 """
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array, Ints, Rows
+from drivers.compiled.pointed import FAILED, data_at
+from drivers.controller_end import ControllerEnd
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import FRAME, sent_array, sent_frames
+from drivers.legs import kernels
 from drivers.legs.codec import Place
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_command, encode_feedbacks, intact
-from drivers.legs.kernels import FOREIGN, QUANTITIES, encode, fold
+from drivers.legs.kernels import CODEC, COMMAND_FORM, FOREIGN, QUANTITIES
 from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
 from drivers.legs.set_up import NOT_HEARD, checksums_heard, lack
 from drivers.legs.traits import Traits, checked_nodes
@@ -31,6 +37,7 @@ from drivers.protocol import (
     DeviceCommand,
     DeviceMessage,
     Dialogue,
+    DriveProtocol,
     DriveSetup,
     EmergencyStop,
     Frame,
@@ -78,6 +85,71 @@ class LegsDialogue(NamedTuple):
     """Bit i: the last status of drive i has confirmed its set-up."""
     said: tuple[int, ...] = (NOT_HEARD,) * LEGS
     """What the last status of each drive that has not confirmed its set-up says of it."""
+
+
+def encoded(codec: Record, command: Command, tick: int) -> tuple[Frame, ...]:
+    """Return the frames of a command; none where a force does not fit."""
+    into, force = np.empty(int(codec["frames"]), FRAME), np.ascontiguousarray(command.force, float)
+    if force.shape != (LEGS,):
+        return ()
+    sent = kernels.command(codec, tick, int(command.mode), 0, data_at(force), data_at(into))
+    return () if sent == FAILED else sent_frames(into)
+
+
+def decoded(
+    codec: Record,
+    dialogue: LegsDialogue,
+    frames: Rows,
+    last: Record,
+    tick: Record,
+    since_ns: int,
+    heard: Callable[[tuple[int, ...], Rows], tuple[int, ...]],
+) -> LegsDialogue:
+    """Return the dialogue after the frames of a tick, whose measurement is filled."""
+    own = codec.copy()
+    own["expected"] = np.frombuffer(dialogue.expected, np.uint8)
+    own["confirmed"] = dialogue.confirmed
+    if not kernels.decode(own, data_at(frames), len(frames), since_ns, last, tick):
+        return dialogue
+    return dialogue._replace(confirmed=int(own["confirmed"]), said=heard(dialogue.said, frames))
+
+
+class LegsEnd(ControllerEnd):
+    """The controller's end, compiled. The codec's record has what the drives have confirmed."""
+
+    def __init__(
+        self, protocol: LegsFamily, setup: DriveSetup, codec: Record, syncs: Sequence[Sequence[Frame]]
+    ) -> None:
+        """Take the family's tables, which are copied, and its SYNC of each counter."""
+        self._family, self._own = protocol, codec.copy()
+        self._syncs = [sent_array(each) for each in syncs]
+        super().__init__(protocol, setup)
+        self.codec = data_at(self._own)
+
+    def _functions(self) -> tuple[int, int, Any]:
+        return kernels.decode.address, kernels.command.address, (self._own, self._family)
+
+    def start(self) -> None:
+        """Begin the dialogue: no drive has been set up."""
+        super().start()
+        self._own["expected"] = np.frombuffer(self.dialogue.expected, np.uint8)
+        self._own["confirmed"] = 0
+
+    def begin(self, number: int) -> Rows:
+        """Return SYNC."""
+        return self._syncs[number & 0xFF]
+
+    def look(self, frames: Rows) -> None:
+        """Take in what the drives say of their set-up."""
+        said = self._family.heard(self.dialogue.said, frames)
+        self.dialogue = self.dialogue._replace(confirmed=int(self._own["confirmed"]), said=said)
+
+
+class LegsFamily(DriveProtocol, Protocol):
+    """Our own protocol on one bus or several."""
+
+    def heard(self, said: tuple[int, ...], frames: Rows) -> tuple[int, ...]:
+        """Return what the drives have said of their set-up, with the statuses of a tick."""
 
 
 class LegsProtocol(Traits):
@@ -131,7 +203,7 @@ class LegsProtocol(Traits):
         }
         self._sync_register = identifier_state(self._sync.id)
         self._syncs = [
-            Frame(self._sync.id, cycle + _BYTES[crc8(cycle, self._sync_register)], self._sync.flags)
+            (Frame(self._sync.id, cycle + _BYTES[crc8(cycle, self._sync_register)], self._sync.flags),)
             for cycle in _BYTES
         ]
         self._tabulate(messages.command_ids)
@@ -167,13 +239,44 @@ class LegsProtocol(Traits):
         forces = len(self._commands[0].legs)
         fields = [*force, *counter[:2], *mode[:2], check.start // 8, check.size // 8, forces]
         self._command_form = np.array([*fields, *chain(*frames)], np.int64)
+        self._command_fields = fields
         steps = 1 << force.size - 1
         ends = (command.low[0], command.high[0]) if self._exact else (-steps, steps - 1)
         self._command_range = np.array([command.scale[0], *ends], float)
-        self._command_size = sum(size for size, _ in frames)
+        self._codec, self._codec_keeps = self.codec(self.command_rows(range(LEGS), 0))
         self._split = struct.Struct(f"{feedback.length}s" * LEGS).unpack
 
+    def command_rows(self, legs: Sequence[int], bus: int) -> list[tuple[list[int], Array]]:
+        """Return the form of each command frame (`kernels.COMMAND_FORM`) with step and ends of its forces.
+
+        legs: those of the places, in their order; on a bus of several.
+        """
+        rows = []
+        for n, (of, places, register) in enumerate(self._commands):
+            first = n * len(places)
+            own = [*legs[first : first + len(places)], *[-1] * LEGS][:LEGS]
+            frame = [of.id, of.flags, bus, of.length, register, *own]
+            rows.append(([*self._command_fields, *frame], self._command_range))
+        return rows
+
+    def codec(
+        self, rows: Sequence[tuple[list[int], Array]], buses: int = 1, bus_of: Sequence[int] = (0,) * LEGS
+    ) -> tuple[Record, Any]:
+        """Return a record of `kernels.CODEC` for so many buses, and the arrays that it points to."""
+        forms = np.array([form for form, _ in rows], np.int64).reshape(len(rows), COMMAND_FORM)
+        steps = np.array([steps for _, steps in rows], float)
+        codec = np.zeros((), CODEC)
+        codec["identifiers"], codec["known"] = data_at(self._identifiers), len(self._identifiers)
+        codec["form"], codec["scale"] = self._feedback_form, self._feedback_range[: 3 * QUANTITIES]
+        codec["buses"], codec["bus_of"] = buses, bus_of
+        codec["commands"], codec["steps"], codec["frames"] = data_at(forms), data_at(steps), len(rows)
+        return codec, (forms, steps, self._identifiers)
+
     # controller side
+
+    def controller_end(self, setup: DriveSetup) -> LegsEnd:
+        """Return the controller's end, compiled."""
+        return LegsEnd(self, setup, self._codec, self._syncs)
 
     def start(self, setup: DriveSetup) -> LegsDialogue:
         """Return the dialogue before the first CONFIG. Raises ProtocolError as `configure` does."""
@@ -184,7 +287,7 @@ class LegsProtocol(Traits):
 
     def begin(self, _dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
         """Return the SYNC frame: the tick modulo 256."""
-        return (self._syncs[tick & 0xFF],)
+        return self._syncs[tick & 0xFF]
 
     def set_up(self, dialogue: LegsDialogue, tick: Record) -> tuple[LegsDialogue, tuple[Frame, ...]]:
         """Return the CONFIG of a drive that is heard and has none from us or does not confirm it, one a tick.
@@ -243,18 +346,10 @@ class LegsProtocol(Traits):
         force (6,) N, > 0 extends; the counter is that of the tick's SYNC.
         Raises ProtocolError if a force is not finite or does not fit the layout's field.
         """
-        data = np.empty(self._command_size, np.uint8)
-        form, scale = self._command_form, self._command_range
-        if not encode(command.force, tick & 0xFF, int(command.mode), form, scale, data):
-            raise self._unfit(command.force)
-        sent = data.tobytes()
-        start = 0
-        frames = []
-        for of, _, _ in self._commands:
-            end = start + of.length
-            frames.append(_new(Frame, (of.id, sent[start:end], of.flags)))
-            start = end
-        return dialogue, tuple(frames)
+        return dialogue, encoded(self._codec, command, tick) or self._refuse(command.force)
+
+    def _refuse(self, force: Array) -> NoReturn:
+        raise self._unfit(force)
 
     def _unfit(self, force: Array) -> ProtocolError:
         of = self._commands[0].layout
@@ -268,9 +363,9 @@ class LegsProtocol(Traits):
         return (Frame(self._estop.id, b"\0", self._estop.flags),)
 
     def decode(
-        self, dialogue: LegsDialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+        self, dialogue: LegsDialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> LegsDialogue:
-        """Fill the measurement of a tick from that of the last one and the frames since, joined by `run_of`.
+        """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
 
         Every leg first ages by the ticks since the last one, up to NEVER. A feedback whose
         counter is this tick's has age 0, unless it came before `since_ns`: then it answers an older SYNC with
@@ -283,13 +378,11 @@ class LegsProtocol(Traits):
         nobody hears what he sends himself. Other frames are ignored. Fault and set-up come from the status,
         state from the feedback. Layout classic carries no force: it stays as it was.
         """
-        form, scale = self._feedback_form, self._feedback_range
-        expected, before = dialogue.expected, dialogue.confirmed
-        confirmed = fold(run, since_ns, self._identifiers, form, scale, expected, before, last, tick)
-        if confirmed == before == _ALL:
-            return dialogue
-        said = checksums_heard(dialogue.said, run, self._status_id, self._status.length, _SET_UP_AT)
-        return dialogue._replace(confirmed=confirmed, said=said)
+        return decoded(self._codec, dialogue, frames, last, tick, since_ns, self.heard)
+
+    def heard(self, said: tuple[int, ...], frames: Rows) -> tuple[int, ...]:
+        """Return what the drives have said of their set-up, with the statuses of a tick."""
+        return checksums_heard(said, frames, self._status_id, self._status.length, _SET_UP_AT)
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is an intact feedback to this tick's SYNC."""
@@ -367,7 +460,7 @@ class LegsProtocol(Traits):
         of no use; the counter's low four bits count. Raises ProtocolError on NaN.
         """
         data = np.empty(LEGS * self._feedback.length, np.uint8)
-        tables = self._identifiers, self._feedback_form, self._feedback_range
+        tables = self._identifiers, self._feedback_form, self._feedback_range[: 3 * QUANTITIES]
         leg = encode_feedbacks(length, rate, force, state, sync.counter & 0xF, *tables, data)
         if leg >= 0:
             raise ProtocolError(

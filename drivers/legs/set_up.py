@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.frame_array import sent_frames
 from drivers.legs.codec import Codec
 from drivers.legs.crc import identifier_state
 from drivers.legs.device_kernels import intact
 from drivers.legs.kernels import FOREIGN
 from drivers.legs.messages import set_up_checksum
-from drivers.protocol import Frame, frames_of
+from drivers.protocol import Frame
 from drivers.signals import LEGS, Reaction
 
 NOT_HEARD = -1
@@ -17,14 +21,15 @@ _NEWEST = 8
 
 
 def checksums_heard(
-    said: tuple[int, ...], run: bytes, status_ids: Sequence[int], length: int, at: int
+    said: tuple[int, ...], frames: Rows, status_ids: Sequence[int], length: int, at: int
 ) -> tuple[int, ...]:
-    """Return what the drives have said of their set-up, leg order, with the statuses of a run of frames.
+    """Return what the drives have said of their set-up, leg order, with the statuses among frames of FRAME.
 
     A status has `length` bytes, the two of the checksum from `at` on.
     """
-    for _, (identifier, data, flags) in frames_of(run):
-        ours = identifier in status_ids and not flags & FOREIGN and len(data) == length
+    statuses = frames[np.isin(frames["id"], status_ids)]
+    for identifier, data, flags in sent_frames(statuses):
+        ours = not flags & FOREIGN and len(data) == length
         if ours and intact(data, identifier_state(identifier)):
             leg = status_ids.index(identifier)
             said = (*said[:leg], int.from_bytes(data[at : at + 2], "little"), *said[leg + 1 :])

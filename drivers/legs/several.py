@@ -9,16 +9,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.arrays import Rows
 from drivers.legs.messages import SHORT
-from drivers.legs.protocol import LegsDialogue, LegsProtocol
+from drivers.legs.protocol import LegsDialogue, LegsEnd, LegsProtocol, decoded, encoded
 from drivers.protocol import (
     ALWAYS,
     BUS,
-    HEAD,
     OTHER_BUSES,
     DeviceCommand,
     DeviceMessage,
     Dialogue,
+    DriveSetup,
     Frame,
     Memory,
     Received,
@@ -44,8 +45,13 @@ class LegsOnBuses(SeveralBuses):
         self._codecs = [by_places[SHORT if len(there) <= SHORT else LEGS] for there in legs]
         self._first = self._codecs[0]
         super().__init__(self._first, legs)
-        self._chosen = [np.array(there) for there in self.legs]
         self._syncs = [self._spread(self._first.begin(None, cycle)) for cycle in range(256)]
+        rows = [
+            row
+            for bus, (codec, there) in enumerate(zip(self._codecs, self.legs, strict=True))
+            for row in codec.command_rows(there, bus)
+        ]
+        self._codec, self._codec_keeps = self._first.codec(rows, len(self.legs), self.bus_of)
         self._home = {identifier: BUS * self.bus_of[leg] for identifier, leg in self._first.senders.items()}
         self._beyond = BUS * len(self.legs)
 
@@ -55,36 +61,30 @@ class LegsOnBuses(SeveralBuses):
 
     def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
         """Return one tick's command frames of each bus. Raises ProtocolError as `LegsProtocol.command`."""
-        sent: list[Frame] = []
-        for bus, (codec, chosen) in enumerate(zip(self._codecs, self._chosen, strict=True)):
-            force = np.zeros(LEGS)
-            force[: len(chosen)] = command.force[chosen]
-            _, frames = codec.command(dialogue, command._replace(force=force), tick)
-            sent += [Frame(identifier, data, flags + BUS * bus) for identifier, data, flags in frames]
-        return dialogue, tuple(sent)
+        frames = encoded(self._codec, command, tick)
+        if not frames:
+            for codec, there in zip(self._codecs, self.legs, strict=True):
+                force = np.zeros(LEGS)
+                force[: len(there)] = command.force[list(there)]
+                codec.command(dialogue, command._replace(force=force), tick)
+        return dialogue, frames
+
+    def controller_end(self, setup: DriveSetup) -> LegsEnd:
+        """Return the controller's end, compiled."""
+        return LegsEnd(self, setup, self._codec, self._syncs)
 
     def decode(
-        self, dialogue: LegsDialogue, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS
+        self, dialogue: LegsDialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> LegsDialogue:
         """Fill the measurement of a tick; see `SeveralBuses.decode`."""
-        home, beyond = self._home, self._beyond
-        kept, strays, end = [], 0, 0
-        while end < len(run):
-            start = end
-            t_ns, identifier, flags, size = HEAD.unpack_from(run, start)
-            at = start + HEAD.size
-            end = at + size
-            bus = flags & OTHER_BUSES
-            if home.get(identifier, bus) != bus or bus >= beyond:
-                strays += 1
-            elif bus:
-                kept += [HEAD.pack(t_ns, identifier, flags - bus, size), run[at:end]]
-            else:
-                kept.append(run[start:end])
-        dialogue = self._first.decode(dialogue, b"".join(kept), last, tick, since_ns)
-        if strays:
-            tick["rejected"] += strays
-        return dialogue
+        return decoded(self._codec, dialogue, frames, last, tick, since_ns, self.heard)
+
+    def heard(self, said: tuple[int, ...], frames: Rows) -> tuple[int, ...]:
+        """Return what the drives have said of their set-up, each on its own bus."""
+        known = [self._home.get(each) == BUS * bus for each, bus in frames[["id", "bus"]].tolist()]
+        at_home = frames[known].copy()
+        at_home["bus"] = 0
+        return self._first.heard(said, at_home)
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is an intact feedback to this tick's SYNC, on its drive's own bus."""

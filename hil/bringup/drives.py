@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.frame_array import received_array
 from drivers.identity import SERIAL, Identified, Said
-from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received, run_of
+from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from hil.bringup.line import Line
@@ -108,17 +109,17 @@ class Drives:
                 sender = self.protocol.sender(frame)
                 if sender >= 0:
                     self.spoken[sender].add(frame.id)
-        run = run_of(heard.frames)
+        received = received_array(heard.frames)
         live, rest = new_record(), new_record()
         for record in (live, rest):
             record["tick"], record["t_ns"] = tick, heard.since_ns
             record["stretched_ns"] = heard.stretched_ns
         before, alike = self._records, leg is None and not self.locks
-        self._live = self.protocol.decode(self._live, run, before[0], live, heard.since_ns)
+        self._live = self.protocol.decode(self._live, received, before[0], live, heard.since_ns)
         if alike:
             self._rest, rest = self._live, live
         else:
-            self._rest = self.protocol.decode(self._rest, run, before[1], rest, heard.since_ns)
+            self._rest = self.protocol.decode(self._rest, received, before[1], rest, heard.since_ns)
         self._records = live, rest
         self.record = self._seen(live, rest, leg)
         tau = np.zeros(LEGS)

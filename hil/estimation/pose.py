@@ -17,19 +17,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct, record
+from drivers.compiled.compiler import entry, kernel, record
 from drivers.tick_columns import TICK, Record, part
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import MAX_SUBSTEPS, check_rotation, check_vector
 from hil.robot.kinematics_kernels import continuation_kernel, lengths_and_jacobian, newton
 
+ESTIMATOR = np.dtype(
+    [
+        ("base_joints", "<f8", (6, 3)),
+        ("platform_joints", "<f8", (6, 3)),
+        ("radius", "<f8"),
+        ("tolerance", "<f8"),
+        ("max_iterations", "<i8"),
+        ("p", "<f8", (3,)),
+        ("R", "<f8", (3, 3)),
+    ]
+)
+"""The robot, and the last pose: m, base frame."""
+
 
 class Estimator:
     """Tracks the pose from tick to tick.
 
-    Mutable state: the last pose, ``p`` and ``R``. ``update`` adopts a new one only if Newton's method
-    converged and ``hop`` < 1, so that a doubtful tick cannot become the truth by being repeated.
+    Mutable state: the last pose, ``p`` and ``R``, in its `record`. ``update`` adopts a new one only if
+    Newton's method converged and ``hop`` < 1, so that a doubtful tick cannot become the truth by being
+    repeated.
 
     Parameters
     ----------
@@ -54,31 +68,38 @@ class Estimator:
         tolerance: float = 1e-10,
         max_iterations: int = 12,
     ) -> None:
-        self._a = platform.base_joints
-        self._b = platform.platform_joints
-        self._radius = platform.radius
-        self._tolerance = tolerance
-        self._max_iterations = max_iterations
+        own = self.record = np.zeros((), ESTIMATOR)
+        own["base_joints"], own["platform_joints"] = platform.base_joints, platform.platform_joints
+        own["radius"], own["tolerance"] = platform.radius, tolerance
+        own["max_iterations"] = max_iterations
         self.reset(p0, R0)
+
+    @property
+    def p(self) -> Array:
+        """(3,) m: position of the last pose."""
+        position: Array = self.record["p"]
+        return position
+
+    @property
+    def R(self) -> Array:
+        """(3, 3): rotation of the last pose."""
+        rotation: Array = self.record["R"]
+        return rotation
+
+    def adopt(self, p: Array, R: Array) -> None:
+        """Take p (3,) m and R (3, 3) as the last pose."""
+        self.record["p"], self.record["R"] = p, R
 
     def reset(self, p0: ArrayLike, R0: ArrayLike) -> None:
         """Set the last pose."""
-        self.p = check_vector("p0", p0, 3).copy()
-        self.R = check_rotation(R0).copy()
+        self.adopt(check_vector("p0", p0, 3), check_rotation(R0))
 
     def update(self, tick: Record) -> None:
         """Fill the estimate of a tick from its lengths q and rates dq. Never raises.
 
-        `fk_residual` is inf where Newton's method failed: p, R and J are then the last pose's. `hop` >= 1:
-        the
-        pose may belong to another assembly than the last one. Adopts the pose unless one of the two holds.
+        See `estimate_pose`, which adopts the pose.
         """
-        residual, hop = estimate_kernel(
-            self._a, self._b, self._radius, self.p, self.R, self._tolerance, self._max_iterations, tick
-        )
-        if residual < np.inf and hop < 1.0:
-            self.p = tick["p"]
-            self.R = tick["R"]
+        _estimate(self.record, tick)
 
     def acquire(self, q: Array) -> bool:
         """Move the last pose to the lengths ``q`` (6,) m, far away or after a gap; False if it cannot.
@@ -86,45 +107,56 @@ class Estimator:
         Follows a straight line in the lengths, in steps that each pass the watch: see
         ``hil.robot.kinematics.continue_kinematics``. Takes up to some milliseconds: not for the loop.
         """
+        own = self.record
         p, R, _, residual = continuation_kernel(
-            self._a, self._b, q, self.p, self.R, self._tolerance, MAX_SUBSTEPS
+            own["base_joints"],
+            own["platform_joints"],
+            q,
+            self.p,
+            self.R,
+            float(own["tolerance"]),
+            MAX_SUBSTEPS,
         )
         if not residual < np.inf:
             return False
-        self.p = p
-        self.R = R
+        self.adopt(p, R)
         return True
 
 
-@direct(MATRIX, MATRIX, REAL, VECTOR, MATRIX, REAL, INTEGER, record(TICK, *part("estimate")))
-def estimate_kernel(
-    a: Array, b: Array, radius: float, p0: Array, R0: Array, tolerance: float, max_iterations: int, tick: Any
-) -> tuple[float, float]:
-    """Fill the estimate from its q and dq, started at p0, R0; return residual and hop. Never raises.
+@kernel(record(ESTIMATOR), record(TICK, *part("estimate")))
+def estimate_pose(own: Any, tick: Any) -> float:
+    """Fill the estimate from its q and dq, started at the last pose; return the residual, m. Never raises.
 
-    twist = J^-1 dq. Where Newton's method fails (residual inf), p and R are p0 and R0, and J, twist,
-    condition
-    belong there. `condition` as in ``condition_kernel`` with r = ``radius``; inf and twist nan where J is
-    singular.
+    twist = J^-1 dq. Where Newton's method fails (`fk_residual` inf), p and R are those of the last pose, and
+    J, twist, condition belong there. `condition` as in ``condition_kernel`` with the platform's radius; inf
+    and twist nan where J is singular. `hop` >= 1: the pose may belong to another assembly than the last one.
+    The pose becomes the last one unless one of the two holds.
     """
+    a, b = own.base_joints, own.platform_joints
     p, R, J = tick.p, tick.R, tick.J
-    p[:] = p0
-    R[:] = R0
+    p[:] = own.p
+    R[:] = own.R
     order = np.empty(6, np.int64)
     work = np.empty((25, 6))
     LU = work[0:6]
-    iterations, residual, hop = newton(a, b, tick.q, p, R, tolerance, max_iterations, J, order, work)
+    iterations, residual, hop = newton(a, b, tick.q, p, R, own.tolerance, own.max_iterations, J, order, work)
     if residual == np.inf:
-        p[:] = p0
-        R[:] = R0
+        p[:] = own.p
+        R[:] = own.R
         lengths_and_jacobian(a, b, p, R, work[6], J)
     tick.condition = np.inf
     if lu_factor(J, LU, order):
         lu_solve(LU, order, tick.dq, tick.twist)
-        tick.condition = condition_from_lu(J, radius, LU, order, work[6:25])
+        tick.condition = condition_from_lu(J, own.radius, LU, order, work[6:25])
     else:
         tick.twist[:] = np.nan
     tick.fk_iterations = iterations
     tick.fk_residual = residual
     tick.hop = hop
-    return residual, hop
+    if residual < np.inf and hop < 1.0:
+        own.p[:] = p
+        own.R[:] = R
+    return float(residual)
+
+
+_estimate = entry(estimate_pose)

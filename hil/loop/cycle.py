@@ -10,40 +10,37 @@ columns of the tick's record (`drivers.tick_columns`).
 from __future__ import annotations
 
 import struct
-import zlib
 from functools import partial
 from typing import Any
 
-from drivers.arrays import ZERO6, Array
-from drivers.protocol import Dialogue, Frame, run_of
-from drivers.signals import Command, DriveMode, Fault, Mode, Stop, Warn
-from drivers.tick_columns import INPUT_ELEMENTS, TICK, Record, new_record, row_of
+import numpy as np
+
+from drivers.arrays import ZERO6, Rows
+from drivers.controller_end import MOST_FRAMES, controller_end
+from drivers.frame_array import FRAME, sent_array
+from drivers.protocol import Dialogue
+from drivers.signals import DriveMode, Fault, Mode, Stop
+from drivers.tick_columns import INPUT_ELEMENTS, Record, new_record, row_of
 from hil.loop import modes
-from hil.loop.drives_say import all_free, any_powered, confirmed, measured_at_rest, ready
+from hil.loop.compiled_pass import ALL, BROKEN, COMMAND, DIALOGUE, EFFORT, JUDGE, UNLOCATED, act, observe
+from hil.loop.control import Control
+from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready
 from hil.loop.effort import Effort
 from hil.loop.homing import Homing, Stroke
 from hil.loop.jogging import Jogging
-from hil.loop.modes import CONTROLLED, ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
+from hil.loop.modes import ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.obedience import Obedience
 from hil.loop.operating import Operating
 from hil.loop.parts import Parts
-from hil.loop.reference import fill_reference
 from hil.loop.setup_moves import approach
 from hil.loop.sight import Sight
-from hil.loop.steering import NO_SETPOINTS
 from hil.loop.way_back import Inspection
 from hil.safety.guard import Verdict
 from hil.safety.standstill import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
-from hil.trajectory.path import PoseSample
 
-_put_input = struct.Struct(f"<{INPUT_ELEMENTS + 2}q").pack_into
-_put_three = struct.Struct("<3q").pack_into
-_fields: Any = TICK.fields
-_MODE_AT, _SETPOINTS_AT = _fields["mode"][1], _fields["setpoints_taken"][1]
-"""Where three columns begin that are put at once."""
-_POWERED_MODES = (DriveMode.READY, DriveMode.RUN)
+_put_input = struct.Struct(f"<{INPUT_ELEMENTS}q").pack_into
 REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
 
@@ -75,9 +72,11 @@ class Cycle:
         self._under_control = parts.reactions.led_to("ss1")
         self._torque_off = parts.reactions.led_to("sto")
         followers = (parts.predictor, parts.wrench.observer)
-        self._followers = [each for each in followers if each is not None]
+        self.followers = [each for each in followers if each is not None]
         """Who follows the forces that were sent."""
-        self._last_wrench: Array  # external, of the last tick: each step begins with it
+        self.end = controller_end(parts.protocol, parts.setup)
+        """The dialogue with the drives."""
+        self._control = Control(self)
         self.reset()
         self.first = parts.trajectory.sample(0.0)
         """Where the reference begins."""
@@ -85,9 +84,9 @@ class Cycle:
     def reset(self) -> None:
         """Back to the state before the first tick."""
         parts = self.parts
-        self.dialogue: Dialogue = parts.protocol.start(parts.setup)
-        self.tick = new_record()
-        """The last tick's record."""
+        self.end.start()
+        self.tick = self.last = new_record()
+        """The last tick's record, and the one before it."""
         self.sight.reset()
         self.homing.reset()
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R, parts.engage.stop_s)
@@ -109,33 +108,53 @@ class Cycle:
         for part in (parts.law, parts.wrench, parts.predictor, parts.safety, parts.steering):
             if part is not None:
                 part.reset()
+        self._control.reset()
 
-    def begin(self, tick: int) -> tuple[Frame, ...]:
-        """Return the frames that start a tick: the drives answer with their encoders."""
-        return self.parts.protocol.begin(self.dialogue, tick)
+    @property
+    def dialogue(self) -> Dialogue:
+        """What the controller's end of the drives remembers."""
+        return self.end.dialogue
+
+    def begin(self, tick: int) -> Rows:
+        """Return the frames that start a tick, elements of FRAME: the drives answer with their encoders."""
+        return self.end.begin(tick)
 
     def step(self, inp: TickInput) -> TickOutput:
         """Return what to send and what to record for one tick."""
-        parts, number = self.parts, inp.tick
-        run = run_of(inp.frames)
-        last, tick = self.tick, new_record()
-        self._last_wrench = last["wrench"]
+        control, tick, self.last = self._control, new_record(), self.tick
         buffer: Any = tick.base
         _put_input(
-            buffer.data, 0, number,
+            buffer.data, 0, inp.tick,
             inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns, inp.sends_failed,
             inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state, inp.recorder_alive,
-            inp.recorder_dropped, inp.compute_ns, *inp.latch_ns, len(inp.frames), zlib.crc32(run),
+            inp.recorder_dropped, inp.compute_ns, *inp.latch_ns,
         )  # fmt: skip
-        began_ns, reported = inp.t_ns + inp.lateness_ns, self.homing.before(last)
-        self.dialogue = parts.protocol.decode(self.dialogue, run, reported, tick, began_ns)
-        self.homing.correct(tick, last, braked=self.proven)
-        self.tick = tick
-        if parts.sensors is not None:
-            self.sight.hear(parts.sensors, inp, tick)
-        self.sight.estimate(tick, last, began_ns + min(filter(None, inp.latch_ns), default=0))
-        parts.wrench.fill(tick, fusing=self.sight.fusing)
+        self.tick, self.inp = tick, inp
+        record, into = control.record, np.empty(MOST_FRAMES, FRAME)
+        look = observe(record, tick, self.last, inp.frames)
+        if look or inp.orders or inp.operator or inp.setpoints:
+            self._decide(inp, tick, look)
+            control.settle(attentive=bool(inp.operator))
+        if control.probes:
+            act(record, tick, into, EFFORT)
+            self._probe(tick)
+            ended = act(record, tick, into, JUDGE | COMMAND)
+        else:
+            ended = act(record, tick, into, ALL)
+        frames = self._finish(inp, tick, into) if ended else into[: record["sent"]]
+        return TickOutput(frames, row_of(tick))
 
+    def _decide(self, inp: TickInput, tick: Record, look: int) -> None:
+        """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
+        parts, number = self.parts, inp.tick
+        if look & BROKEN:
+            self.end.refuse(ZERO6, DriveMode.OFF, number)
+        if look & DIALOGUE:
+            self.end.look(inp.frames)
+        if look & UNLOCATED:
+            self.sight.locate(tick)
+            self._control.load(tick)
+        self.effort.last_tau = self.last["tau"]
         self.operating.step(inp.orders, number, self.mode, self.motion)
         self._change_mode(inp, tick)
         steering = parts.steering
@@ -144,36 +163,26 @@ class Cycle:
             along = number - self.motion.tick if under_way else None
             follows = self.mode is Mode.TRACKING and self.operating.go
             steering.step(inp.setpoints, along, tracking=follows and not self.operating.parks)
-        t = self.motion.time(number)
-        fill_reference(parts.platform, self._sample(tick), tick)
-        tick["reference_time_s"] = t
-        if self.mode is Mode.TRACKING and self.motion.on_clock:
-            tick["t_d"] = t
-        self._effort(tick)
-        tick["mode"] = self.mode
-        verdict = parts.safety.judge(tick)
-        warnings = verdict.warnings | Warn.SENSOR if parts.wrench.late else verdict.warnings
-        self._latch(inp, verdict)
 
+    def _finish(self, inp: TickInput, tick: Record, into: Rows) -> Rows:
+        """Look at the verdict of a tick, and send what follows from it."""
+        control, record, parts = self._control, self._control.record, self.parts
+        self._latch(inp, Verdict.of(record["verdict"]))
         latches = parts.protocol.stop_latches
         stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))
-        command = self._command(tick, stops=stops)
-        limited = warnings and self.mode in CONTROLLED  # no limit acts without a warning
-        self.effort.shortfall = tick["tau"] - tick["tau_asked"] if limited else ZERO6
-        for follower in self._followers:
-            follower.sent(command.force)
-        self.dialogue, frames = parts.protocol.command(self.dialogue, command, number)
-        if stops:
-            rivalled = self.faults & Fault.SECOND_CONTROLLER
-            if latches or rivalled or last["command_mode"] != DriveMode.OFF:  # else OFF is the stop
-                frames = parts.protocol.emergency_stop() + frames
-        frames += self._set_up(tick)
-        setpoints = NO_SETPOINTS if steering is None else steering.counts
-        if setpoints.refusal:
-            warnings |= Warn.SETPOINT
-        _put_three(buffer.data, _MODE_AT, self.mode, self.faults, warnings)
-        _put_three(buffer.data, _SETPOINTS_AT, *setpoints)
-        return TickOutput(frames, row_of(tick))
+        control.settle()
+        record["command_mode"], record["stops"] = self._command_mode(tick), stops
+        if act(record, tick, into, COMMAND):
+            self.end.refuse(tick["tau"], DriveMode(int(record["command_mode"])), inp.tick)
+        frames = [into[: record["sent"]]]
+        record["stops"] = 0
+        self.effort.last_tau = tick["tau"]
+        off = self.last["command_mode"] == DriveMode.OFF and not (latches or self.rivalled)
+        if stops and not off:  # else OFF is the stop
+            frames.insert(0, sent_array(parts.protocol.emergency_stop()))
+        if self.mode in {Mode.WAITING, Mode.FAULT}:
+            frames.append(self.end.set_up(tick))
+        return np.concatenate(frames) if len(frames) > 1 else frames[0]
 
     # -- modes ---------------------------------------------------------------------------------------
 
@@ -183,7 +192,7 @@ class Cycle:
         resets = self.mode in {Mode.FAULT, Mode.WAITING} or (stays and self.mode is Mode.PARKED)
         if operator and Operator.RESET in operator and resets:
             self.reset_tick = number
-            self.dialogue = self.parts.protocol.start(self.parts.setup)
+            self.end.start()
             self.faults, self.estop = Fault.NONE, False
             self.stop_requested = Stop.NONE
             self.sight.forget()
@@ -316,7 +325,7 @@ class Cycle:
             effort.holding = effort.last_tau
         elif previous not in {Mode.LOADING, Mode.UNLOADING}:
             p, R = self.motion.sample(number)[:2] if blind else (tick["p"], tick["R"])
-            effort.holding = effort.statics(p, R, self._last_wrench if blind else tick["wrench"])
+            effort.holding = effort.statics(p, R, self.last["wrench"] if blind else tick["wrench"])
             self.motion.rest(p, R, number)
         effort.hold(tick, effort.holding, self.motion.sample(number), on_it=True)
         self.parts.safety.resume(effort.holding)
@@ -324,19 +333,32 @@ class Cycle:
 
     # -- reference, effort ---------------------------------------------------------------------------
 
-    def _sample(self, tick: Record) -> PoseSample:
-        if self.mode in CONTROLLED or self.mode is Mode.UNLOADING:
-            return self.motion.sample(int(tick["tick"]))
-        return PoseSample(tick["p"], tick["R"], ZERO6, ZERO6)
+    @property
+    def blind(self) -> bool:
+        """Whether the platform is held by a force alone, as a leg is not measured."""
+        return self.mode is Mode.HELD and bool(self.faults & modes.NOT_MEASURED)
 
-    def _effort(self, tick: Record) -> None:
-        blind = self.mode is Mode.HELD and bool(self.faults & modes.NOT_MEASURED)
-        yields = self.mode is Mode.PARKING and self._yields
-        effort, watch = self.effort, self.obedience
-        mode, free, faulty = self.mode, all_free(tick), bool(self.faults)
-        effort.fill(tick, mode, self.mode_tick, self.motion, free=free, fixed=blind or yields, faulty=faulty)
+    @property
+    def yields(self) -> bool:
+        """Whether what holds the platform while it parks is all the force."""
+        return self.mode is Mode.PARKING and self._yields
+
+    @property
+    def rivalled(self) -> bool:
+        """Whether another controller has been heard."""
+        return bool(self.faults & Fault.SECOND_CONTROLLER)
+
+    @property
+    def probes(self) -> bool:
+        """Whether each leg is watched that does not obey, or one is refused already."""
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
-        if (yields or shuts) and watch.watch(tick, effort.last_tau):
+        return self.yields or shuts or self.obedience.refused is not None
+
+    def _probe(self, tick: Record) -> None:
+        """Watch the legs while a force holds them; one that does not obey gets none."""
+        effort, watch = self.effort, self.obedience
+        shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF
+        if (self.yields or shuts) and watch.watch(tick, effort.last_tau):
             self.faults |= Fault.DRIVE
             held = effort.last_tau.copy()
             held[watch.refused] = 0.0
@@ -380,21 +402,10 @@ class Cycle:
             self.mode, faults, self._under_control, self._torque_off, located=self.sight.located, heard=heard
         )
 
-    def _command(self, tick: Record, *, stops: bool) -> Command:
-        mode = drive_mode(self.mode)
+    def _command_mode(self, tick: Record) -> DriveMode:
+        """Return what the drives are asked for in a tick."""
         if self.mode is Mode.WAITING and self.reset_tick is not None:
             since = int(tick["tick"]) - self.reset_tick
             if since < self.parts.protocol.reset_ticks:  # not for ever: a fault that comes back stays
-                mode = DriveMode.RESET
-        if mode not in _POWERED_MODES:
-            tick["tau"] = 0.0
-        tick["command_mode"] = mode
-        self.effort.last_tau = tick["tau"]
-        return Command(mode, tick["tau"], stops)
-
-    def _set_up(self, tick: Record) -> tuple[Frame, ...]:
-        """Return the start-up dialogue's frames of this tick."""
-        if self.mode not in {Mode.WAITING, Mode.FAULT}:
-            return ()
-        self.dialogue, frames = self.parts.protocol.set_up(self.dialogue, tick)
-        return frames
+                return DriveMode.RESET
+        return drive_mode(self.mode)

@@ -2,16 +2,15 @@
 
 from math import nan
 
-import numpy as np
-
 from drivers.arrays import ZERO6, Array
 from drivers.signals import Mode
-from drivers.tick_columns import Record, copy_of
+from drivers.tick_columns import Record
+from hil.loop.drives_say import all_free
 from hil.loop.learned import Learned
 from hil.loop.modes import CONTROLLED, Durations
 from hil.loop.motion import Motion
 from hil.loop.parts import Parts
-from hil.loop.ramps import holding_share, smoothstep, tau_at_rest
+from hil.loop.ramps import smoothstep, tau_at_rest
 from hil.loop.reference import fill_reference
 from hil.robot.dynamics import Model
 from hil.trajectory.path import PoseSample
@@ -44,8 +43,6 @@ class Effort:
         self.entry_tick: int | None = None
         """When the entry offset began to fade; None while it is whole."""
         self.last_tau = ZERO6
-        self.shortfall = ZERO6
-        """(6,) N: what the drives were told less what had been asked for; limits make the difference."""
         if self.learned is not None:
             self.learned.reset()
 
@@ -65,63 +62,21 @@ class Effort:
         self.entry_tick, self.holding = None, holding
         self.offset = holding - tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
 
-    def fill(
-        self,
-        tick: Record,
-        mode: Mode,
-        mode_tick: int,
-        motion: Motion,
-        *,
-        free: bool,
-        fixed: bool,
-        faulty: bool,
-    ) -> None:
-        """Fill the law's own force, what was learned, and what is asked for.
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the law sees another tick than safety: what the predictor or a load makes of it."""
+        return self.parts.predictor is not None or self.parts.wrench.has_source
 
-        free: all brakes are open; fixed: the holding force as it is, without the law; faulty: a fault is
-        latched.
-        """
-        number, learned = int(tick["tick"]), ZERO6
-        if self.learned is not None:
-            learned = self.learned.step(number, mode, mode_tick, motion, faulty=faulty)
-        if fixed:
-            tick["tau_asked"] = self.holding
-            return
-        seen = self._as_seen(tick, mode, motion, free=free)
-        if mode in CONTROLLED:
-            if self.shortfall is not ZERO6:
-                seen["shortfall"] = self.shortfall
-            self.parts.law.effort(seen)
-            own = seen["tau_law"]
-            if seen is not tick:
-                tick["tau_law"] = own
-            left = self._entry_share(number)
-            asked = own + self.offset * left if left > 0.0 else own
-            if learned is not ZERO6 and mode is not Mode.HELD:
-                tick["tau_learned"] = learned
-                asked = asked + learned
-            if mode is Mode.HELD:
-                asked = np.clip(asked, self.holding - self.reach_N, self.holding + self.reach_N)
-            tick["tau_asked"] = asked
-            return
-        load = self.durations.load
-        if load > 0 and mode in {Mode.LOADING, Mode.UNLOADING}:
-            elapsed = (number - mode_tick) * self.period_s
-            tick["tau_asked"] = self.holding * holding_share(mode, elapsed, load)
-
-    def _as_seen(self, tick: Record, mode: Mode, motion: Motion, *, free: bool) -> Record:
-        """Return the tick as the law sees it: now, or when its force will act.
+    def look_ahead(self, tick: Record, ahead: Record, mode: Mode, motion: Motion) -> None:
+        """Make a copy of a tick what the law sees: now, or when its force will act.
 
         Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone
         makes up for what the law's own model does not hold.
         """
-        predictor, wrench = self.parts.predictor, self.parts.wrench
-        if predictor is None and not wrench.has_source:
-            return tick
-        number, ahead = int(tick["tick"]), copy_of(tick)
+        predictor, number = self.parts.predictor, int(tick["tick"])
         if predictor is not None:
-            predictor.ahead(ahead, free=free)
-        if wrench.has_source:
+            predictor.ahead(ahead, free=all_free(tick))
+        if self.parts.wrench.has_source:
             ahead["wrench"] *= 1.0 - self._entry_share(number)
         if predictor is not None and mode in CONTROLLED:
             sample, t = motion.ahead(number, predictor.horizon_s)
@@ -130,7 +85,6 @@ class Effort:
                 t = motion.time(number) + predictor.horizon_s if along else nan
             fill_reference(self.parts.platform, sample, ahead)
             ahead["t_d"] = t
-        return ahead
 
     def _entry_share(self, tick: int) -> float:
         """Return how much of the entry offset is left, 1 .. 0."""

@@ -81,6 +81,11 @@ class Jogging:
         self.refusal = ""
         """Why the jog does not go on; empty unless a limit has stopped it."""
 
+    @property
+    def waits(self) -> bool:
+        """Whether a word has been taken that moves the platform yet to come."""
+        return self._word is not None
+
     def let_go(self) -> None:
         """Come to rest."""
         self._word = self._stopped = None

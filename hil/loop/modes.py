@@ -146,7 +146,8 @@ _STOPPED = {
     Mode.TRACKING: Mode.STOPPING,
 }
 """Where a stop leads; the other modes are already on their way to rest."""
-
+STOPPABLE = frozenset(_STOPPED)
+"""Modes in which a stop leads elsewhere."""
 _WAITING = frozenset({Mode.LOADING, Mode.RELEASING, Mode.PARKING})
 """Modes that wait for the drives."""
 _DRIVES = {

@@ -87,6 +87,11 @@ class Operating:
             return self.parks or not self.go
         return mode is Mode.STOPPING and self.parks and not self.go
 
+    def busy(self, mode: Mode) -> bool:
+        """Whether it has to be asked in the next tick though no order comes."""
+        parks = self.parks and mode is not Mode.STOPPING
+        return bool(self.answers) or parks or self.jogging.waits or self._inspection is not None
+
     def step(self, orders: Sequence[Order], tick: int, mode: Mode, motion: Motion) -> None:
         """Go on to a tick along the motion, take its orders, look at the key, and set the speed from here."""
         motion.advance(tick)

@@ -1,6 +1,7 @@
 """How the force comes and goes: between nothing, what holds the platform, and the law's own."""
 
 from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import helper
 from drivers.signals import Mode
 from drivers.tick_columns import Record, copy_of
 from hil.control.law import Law
@@ -9,6 +10,7 @@ from hil.robot.geometry import Platform
 from hil.trajectory.path import PoseSample
 
 
+@helper
 def smoothstep(x: float) -> float:
     """Return 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
     x = min(max(x, 0.0), 1.0)

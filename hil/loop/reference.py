@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import MATRIX, VECTOR, direct, record
+from drivers.compiled.compiler import MATRIX, VECTOR, direct, helper, record
 from drivers.tick_columns import TICK, Record, new_record, part
 from hil.mathematics.vectors import add, at, cross, dot, rotate, row
 from hil.robot.geometry import Platform
@@ -21,8 +21,9 @@ def fill_reference(platform: Platform, sample: PoseSample, tick: Record) -> None
     _fill(platform.base_joints, platform.platform_joints, *sample, tick)
 
 
-@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))
-def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
+@helper
+def fill_at(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
+    """Fill the reference of a tick with a sample, for base joints a and platform joints b, (6, 3) m each."""
     tick.p_d[:] = p
     tick.R_d[:] = R
     tick.twist_d[:] = twist
@@ -37,6 +38,11 @@ def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, t
         tick.q_d[i] = l
         tick.dq_d[i] = dl
         tick.ddq_d[i] = dot(ds, u) + dot(s, du)
+
+
+@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))
+def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
+    fill_at(a, b, p, R, twist, dtwist, tick)
 
 
 def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:

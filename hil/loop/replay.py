@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
+from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import BusState
 from drivers.tick_columns import (
@@ -131,7 +132,7 @@ def recorded_input(entry: Tick) -> TickInput:
         raise LogError(f"the row of tick {tick} is damaged: {error}") from None
     return TickInput(
         **columns,
-        frames=entry.received,
+        frames=received_array(entry.received),
         operator=operator,
         setpoints=entry.setpoints,
         orders=entry.orders,
@@ -171,9 +172,9 @@ def stepped(
             gaps.append((expected, missing))
             return
         expected = tick + 1
-        sent = cycle.begin(tick)
+        sent = sent_frames(cycle.begin(tick))
         out = cycle.step(inp)
-        yield Stepped(entry, inp, sent + out.frames, out.row)
+        yield Stepped(entry, inp, sent + sent_frames(out.frames), out.row)
         if progress is not None and (done + 1) % 1000 == 0:
             progress(done + 1)
 

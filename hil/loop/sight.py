@@ -17,6 +17,12 @@ SEARCH_S = 0.02
 """From one look for the first pose to the next."""
 
 
+def latched_ns(tick: Record) -> int:
+    """Return when the first encoder of a tick was latched, ns."""
+    woke_ns = int(tick["t_ns"]) + int(tick["lateness_ns"])
+    return woke_ns + min(filter(None, tick["latch_ns"].tolist()), default=0)
+
+
 class Sight:
     """Fills the estimate of each tick.
 
@@ -55,34 +61,39 @@ class Sight:
         tick["sensors_rejected"] = readings.rejected
         tick["rejected"] += readings.rejected
 
-    def estimate(self, tick: Record, last: Record, latched_ns: int) -> None:
-        """Fill the estimate: pose from lengths; a leg without fresh data is carried on at its last rate.
+    def locate(self, tick: Record) -> None:
+        """Look for the first pose from home, and fill the estimate of a tick before which none was found.
 
-        Until all legs have been heard and the first pose has been found from home, the pose is home's. After
-        a RESET it is looked for from the last one that all six lengths agreed on.
+        Until all legs have been heard and it has been found, the pose is home's. After a RESET it is looked
+        for from the last one that all six lengths agreed on.
         """
-        number, age = int(tick["tick"]), tick["age"]
-        old = any(age.tolist())
         estimator = self.estimator
-        tick["q"], tick["dq"] = tick["length"], tick["rate"]
-        if not self.located:
-            self._look(number, age.tolist(), tick["q"])
-            if not self.located:
-                tick["p"], tick["R"] = estimator.p, estimator.R
-                tick["fk_residual"] = tick["condition"] = inf
-                return
-        fusion = self.parts.fusion
-        if fusion is not None and self.fusing:
-            fusion.estimate(tick, latched_ns, self.readings, last["tau"], self.parts.wrench.last)
-            if tick["legs_used"] == _ALL_LEGS and tick["fk_residual"] < AGREED_m:
-                estimator.p, estimator.R = tick["p"], tick["R"]
+        self._look(int(tick["tick"]), tick["age"].tolist(), tick["q"])
+        if self.located:
+            self.update(tick)
             return
-        if old:
-            tick["q"] += tick["dq"] * (age * self.period_s)
-        estimator.update(tick)
-        if fusion is not None:
-            fusion.start(number, latched_ns, tick["p"], tick["R"])
+        tick["p"], tick["R"] = estimator.p, estimator.R
+        tick["fk_residual"] = tick["condition"] = inf
+
+    def update(self, tick: Record) -> None:
+        """Fill the estimate of a tick: pose from lengths; a leg without fresh data is carried on."""
+        if tick["age"].any():
+            tick["q"] += tick["dq"] * (tick["age"] * self.period_s)
+        self.estimator.update(tick)
+        if self.parts.fusion is not None:
+            self.parts.fusion.start(int(tick["tick"]), latched_ns(tick), tick["p"], tick["R"])
             self.fusing = True
+
+    def fuse(self, tick: Record, last: Record) -> None:
+        """Fill the estimate of a tick once the pose has been found, where a filter gives it."""
+        fusion, estimator = self.parts.fusion, self.estimator
+        assert fusion is not None
+        if not self.fusing:
+            self.update(tick)
+            return
+        fusion.estimate(tick, latched_ns(tick), self.readings, last["tau"], self.parts.wrench.last)
+        if tick["legs_used"] == _ALL_LEGS and tick["fk_residual"] < AGREED_m:
+            estimator.adopt(tick["p"], tick["R"])
 
     def _look(self, number: int, age: list[int], q: Array) -> None:
         """Look for the first pose in a tick with all six lengths, once in SEARCH_S at most."""

@@ -1,11 +1,12 @@
 """Safety: all rules of one tick in a fixed order, between the law and the bus."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Ints
+from drivers.compiled.pointed import data_at
 from drivers.signals import LEGS, Fault, Stop, Warn
 from drivers.tick_columns import Record
 from hil.config.limits import LimitSettings
@@ -38,6 +39,12 @@ class Verdict(NamedTuple):
     faults: Fault
     stop: Stop
     """A controlled stop is asked for."""
+
+    @classmethod
+    def of(cls, bits: Ints) -> Self:
+        """Return the verdict of (3,): faults, warnings, why to stop."""
+        faults, warnings, stop = bits.tolist()
+        return cls(Warn(warnings), Fault(faults), Stop(stop))
 
 
 class Safety:
@@ -113,6 +120,19 @@ class Safety:
         for forces in (self._history, self._lows, self._highs):
             forces[:] = np.clip(tau, -most, most)
 
+    def places(self) -> dict[str, int]:
+        """Return addresses of the records and matrices, and how many rows these have."""
+        matrices = {"history": self._history, "lows": self._lows, "highs": self._highs}
+        return {
+            **{name: data_at(matrix) for name, matrix in matrices.items()},
+            "limits": data_at(self.limits),
+            "memory": data_at(self._memory),
+            "rows": len(self._history),
+            "blocks": len(self._lows),
+            "watched": data_at(self._watched),
+            "watched_rows": len(self._watched),
+        }
+
     @property
     def memory(self) -> Record:
         """What the rules remember, a record of `hil.safety.kernels.MEMORY`: for reading alone."""
@@ -143,8 +163,4 @@ class Safety:
         faults, warnings, stop = judge_tick(
             tick, self.limits, self._memory, self._history, self._lows, self._highs, self._watched
         )
-        return Verdict(
-            Warn(warnings) if warnings else Warn.NONE,
-            Fault(faults) if faults else Fault.NONE,
-            Stop(stop) if stop else Stop.NONE,
-        )
+        return Verdict(Warn(warnings), Fault(faults), Stop(stop))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import OUT_MATRIX, direct, helper, record
+from drivers.compiled.compiler import OUT_MATRIX, entry, helper, kernel, record
 from drivers.signals import LEGS, Fault, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.control.error_axes import error_axes
@@ -112,7 +112,7 @@ MEMORY = np.dtype(
     ]
 )
 """What the rules remember."""
-_TICK = record(
+TICK_SEEN = record(
     TICK, "mode", *part("input", "measurement", "estimate", "fusion", "reference", "effort", "verdict")
 )
 
@@ -311,8 +311,8 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
     return warnings
 
 
-@direct(_TICK, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX)
-def judge_tick(
+@kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX, OUT_MATRIX, OUT_MATRIX)
+def judge(
     tick: Any, limits: Any, memory: Any, history: Array, lows: Array, highs: Array, watched: Array
 ) -> tuple[int, int, int]:
     """Fill tau, no force where the drives are off, and the Lyapunov columns.
@@ -350,3 +350,7 @@ def judge_tick(
     if losing and limits.stop_on_recorder_loss != 0:
         stop = _STOP_RECORDER
     return faults | law, warnings | more, stop
+
+
+judge_tick = entry(judge)
+"""`judge`, from the interpreter."""

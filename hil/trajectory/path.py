@@ -34,6 +34,12 @@ class PoseSample(NamedTuple):
     """(6,) m/s^2, rad/s^2."""
 
 
+SAMPLE_RECORD = np.dtype(
+    [("p", "<f8", (3,)), ("R", "<f8", (3, 3)), ("twist", "<f8", (6,)), ("dtwist", "<f8", (6,))]
+)
+"""A `PoseSample` as a record."""
+
+
 def blank() -> PoseSample:
     """Return a sample that a kernel can fill."""
     return PoseSample(np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6))

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.protocol import ALWAYS, DeviceMessage, DriveProtocol, DriveSetup, Frame, Received, Sync, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import ALWAYS, DeviceMessage, DriveProtocol, DriveSetup, Frame, Received, Sync
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record, new_record
 from tests.drivers.drives_end import answers
@@ -35,7 +36,9 @@ def decode(
     record = new_record()
     record["tick"] = tick
     key: Any = protocol
-    protocol.decode(_dialogue(key), run_of(frames), new_record() if last is None else last, record, since_ns)
+    protocol.decode(
+        _dialogue(key), received_array(frames), new_record() if last is None else last, record, since_ns
+    )
     return record
 
 

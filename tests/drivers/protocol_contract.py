@@ -18,6 +18,7 @@ from drivers.arrays import Array
 from drivers.can.bus_time import frame_bits
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
+from drivers.frame_array import NO_FRAMES, received_array
 from drivers.protocol import (
     ALWAYS,
     BUS,
@@ -29,7 +30,6 @@ from drivers.protocol import (
     Frame,
     Received,
     Sync,
-    run_of,
 )
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
@@ -148,7 +148,9 @@ class Ends:
         self._to_drives(t_ns + 100_000, self.opening)
         self.received, self.to_controller = self.to_controller, []
         last, self.measurement = self.measurement, at_tick(self.tick)
-        self.dialogue = protocol.decode(self.dialogue, run_of(self.received), last, self.measurement, t_ns)
+        self.dialogue = protocol.decode(
+            self.dialogue, received_array(self.received), last, self.measurement, t_ns
+        )
         self.dialogue, self.sent = protocol.command(self.dialogue, command, self.tick)
         self.set_up = ()
         if set_up:
@@ -282,7 +284,7 @@ class ProtocolContract:
             ends.step()
             ends.received.clear()
             m = at_tick(ends.tick + 40)
-            dialogue = protocol.decode(ends.dialogue, b"", ends.measurement, m)
+            dialogue = protocol.decode(ends.dialogue, NO_FRAMES, ends.measurement, m)
             assert not any(protocol.legs_set_up(dialogue))
             return
         drives.state[2], drives.configured[2] = DriveState.BOOT, False
@@ -378,7 +380,7 @@ class ProtocolContract:
 
     def test_what_was_never_heard_is_as_old_as_never(self, protocol):
         m = at_tick(5)
-        protocol.decode(Ends(protocol).dialogue, b"", new_record(), m)
+        protocol.decode(Ends(protocol).dialogue, NO_FRAMES, new_record(), m)
         assert m["age"].tolist() == [NEVER] * LEGS
         assert (m["tick"], m["rejected"]) == (5, 0)
 
@@ -443,8 +445,8 @@ class ProtocolContract:
         ends.step()
         strange = [each._replace(frame=_other(each.frame, flag)) for each in ends.received]
         m = at_tick(ends.tick + 1)
-        nothing = protocol.decode(ends.dialogue, b"", ends.measurement, at_tick(ends.tick + 1))
-        dialogue = protocol.decode(ends.dialogue, run_of(strange), ends.measurement, m)
+        nothing = protocol.decode(ends.dialogue, NO_FRAMES, ends.measurement, at_tick(ends.tick + 1))
+        dialogue = protocol.decode(ends.dialogue, received_array(strange), ends.measurement, m)
         assert (dialogue, m["rejected"], m["age"].tolist()) == (nothing, 0, [1] * LEGS)
         assert not any(protocol.fresh(each, ends.tick, 0) for each in strange)
         memory = protocol.power_up()
@@ -469,7 +471,7 @@ class ProtocolContract:
             for frame in broken:
                 memory, _ = protocol.parse(memory, frame)
             last, m = m, at_tick(tick)
-            dialogue = protocol.decode(dialogue, run_of([Received(0, f) for f in broken]), last, m)
+            dialogue = protocol.decode(dialogue, received_array([Received(0, f) for f in broken]), last, m)
             assert np.isfinite([*m["length"], *m["rate"]]).all()
             assert m["rejected"] > 0
 

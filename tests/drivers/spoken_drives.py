@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.config import TransmissionSettings
+from drivers.frame_array import received_array
 from drivers.motors import Exchange, Heard, MotorDialogue, MotorProtocol
-from drivers.protocol import ALWAYS, DriveSetup, Frame, Received, run_of
+from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
@@ -102,7 +103,7 @@ class Spoken(MotorProtocol):
     ) -> tuple[Any, MotorDialogue]:
         """Return a tick and the dialogue after these words; a word with a time comes then, others in time."""
         timed: list[Any] = [each if type(each) is tuple else (SINCE_NS, each) for each in words]
-        run = run_of([Received(t_ns, self.word(heard)) for t_ns, heard in timed])
+        run = received_array([Received(t_ns, self.word(heard)) for t_ns, heard in timed])
         tick = new_record()
         tick["tick"] = number
         for name in ("blind", "rejected", "doubled", "foreign"):

@@ -17,6 +17,7 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import received_frames
 from drivers.protocol import (
     ALWAYS,
     ERROR,
@@ -35,7 +36,6 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
-    frames_of,
 )
 from drivers.resolution import SINGLE, Resolution
 from drivers.signals import (
@@ -197,7 +197,7 @@ class StubProtocol:
         number, before, rejected = int(tick["tick"]), int(last["tick"]), 0
         for name in ("length", "rate", "drive_force", "drive_state", "drive_fault"):
             tick[name] = last[name]
-        for received in frames_of(run):
+        for received in received_frames(run):
             read = self._read(received.frame)
             if read is None:
                 continue

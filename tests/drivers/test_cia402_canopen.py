@@ -17,7 +17,8 @@ import pytest
 
 from drivers.cia402.objects import ABORTS
 from drivers.config import DriveSettings
-from drivers.protocol import DriveSetup, Frame, Received, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
@@ -266,7 +267,7 @@ def test_our_controller_sets_up_six_drives_of_canopen(network, od):
                     received.append(Received(time.monotonic_ns() - begin, from_message(message)))
             last, tick = tick, new_record()
             tick["tick"] = number
-            dialogue = protocol.decode(dialogue, run_of(received), last, tick, since)
+            dialogue = protocol.decode(dialogue, received_array(received), last, tick, since)
             dialogue, sent = protocol.command(dialogue, Command(DriveMode.OFF, np.zeros(LEGS)), number)
             dialogue, asked = protocol.set_up(dialogue, tick)
             for frame in (*sent, *asked):

@@ -13,6 +13,7 @@ from drivers.cia402.feedback import difference
 from drivers.cia402.set_up import Slope
 from drivers.cia402.states import State, commanded
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import received_array
 from drivers.protocol import (
     Answer,
     DeviceCommand,
@@ -22,7 +23,6 @@ from drivers.protocol import (
     Status,
     Sync,
     UnwatchedCommand,
-    run_of,
 )
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.faults.drive import DriveReset, DriveSilence
@@ -402,7 +402,7 @@ def test_without_a_velocity_pdo_the_rate_is_that_of_the_lengths(lateness_ns):
         )[1]
         last, m = m, at_tick(number)
         m["t_ns"], m["lateness_ns"] = number * 4_000_000, late_ns
-        dialogue = protocol.decode(dialogue, run_of([Received(0, f) for _, f in frames]), last, m, 0)
+        dialogue = protocol.decode(dialogue, received_array([Received(0, f) for _, f in frames]), last, m, 0)
     np.testing.assert_allclose(m["rate"], v, rtol=0, atol=2 * STEP_m / 3.7e-3)
     assert {frame.id >> 7 for frame in protocol.cyclic_frames()} == {1, 3, 4}
 

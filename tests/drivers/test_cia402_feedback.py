@@ -12,7 +12,8 @@ from drivers.cia402.feedback import difference
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.set_up import Cia402Dialogue, Slope
 from drivers.cia402.states import STATUSWORDS, UNHEARD, State
-from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import NEVER, DriveFault, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record, new_record
 from tests.drivers.cia402_drives import drives
@@ -59,7 +60,7 @@ def told(
     for name in ("blind", "rejected", "doubled", "foreign", "altered"):
         tick[name] = 9
     before = last_tick() if last is None else last
-    return tick, protocol.decode(begun(protocol, **fields), run_of(timed), before, tick, WOKE_NS)
+    return tick, protocol.decode(begun(protocol, **fields), received_array(timed), before, tick, WOKE_NS)
 
 
 def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing():
@@ -301,7 +302,7 @@ def test_a_length_is_latched_when_the_sync_of_its_tick_had_ended_on_the_bus_of_i
     tick = new_record()
     tick["tick"], tick["t_ns"], tick["lateness_ns"], tick["latch_ns"] = 13, 900, 100, [10, 20, 30, 40, 50, 60]
     protocol = drives(NODES, velocity=False)
-    run = run_of([Received(1_000 if late else 2_000, place(leg, 131072)) for leg in range(6)])
+    run = received_array([Received(1_000 if late else 2_000, place(leg, 131072)) for leg in range(6)])
     dialogue = protocol.decode(begun(protocol), run, last, tick, 1_000)
     ended = [121, 122, 123, 124, 125, 126] if late else [1_010, 1_020, 1_030, 1_040, 1_050, 1_060]
     lengths = protocol.transmission.length(np.ones(6))
@@ -312,7 +313,7 @@ def test_a_length_is_latched_when_the_sync_of_its_tick_had_ended_on_the_bus_of_i
 
 def test_a_step_is_long_enough_by_the_period_of_the_loop_and_else_leaves_each_leg_its_own_rate():
     protocol = drives(NODES, velocity=False)
-    run = run_of([Received(2_000, place(leg, 131072)) for leg in range(6)])
+    run = received_array([Received(2_000, place(leg, 131072)) for leg in range(6)])
     slopes = (Slope(0.5, 0.004, 0, 0.0),) * 6
     for t_ns, kind in (
         (1_999_999, "kept"),

@@ -15,7 +15,8 @@ from drivers.cia402.device import booted, emergency
 from drivers.cia402.plan import plan
 from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
-from drivers.protocol import DriveSetup, Frame, Received, Sync, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import DriveSetup, Frame, Received, Sync
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, drives
@@ -45,7 +46,7 @@ def decoded(frames, protocol=P, *, since_ns=0, t_ns=1):
     m = new_record()
     m["tick"] = 0
     dialogue = protocol.decode(
-        protocol.start(SETUP), run_of([Received(t_ns, f) for f in frames]), new_record(), m, since_ns
+        protocol.start(SETUP), received_array([Received(t_ns, f) for f in frames]), new_record(), m, since_ns
     )
     return dialogue, m
 
@@ -259,7 +260,7 @@ def after(*ticks):
     for number, frames in enumerate([[FIRST, SPEEDS[0]]] * 20 + list(ticks)):
         last, m = m, new_record()
         m["tick"] = number
-        dialogue = P.decode(dialogue, run_of([Received(1, frame) for frame in frames]), last, m, 0)
+        dialogue = P.decode(dialogue, received_array([Received(1, frame) for frame in frames]), last, m, 0)
     return m
 
 
@@ -282,7 +283,7 @@ def test_a_rate_of_differences_is_timed_by_the_sync_that_each_answer_is_to(late)
         m = new_record()
         m["tick"], m["t_ns"] = k, 100_000 * at[k]
         heard = Received(m["t_ns"].item() + 1, Frame(0x185, b"\x37\x02" + counts[k - late] + bytes(2)))
-        dialogue = protocol.decode(dialogue, run_of([heard]), last, m, int(m["t_ns"]) + 2 * late)
+        dialogue = protocol.decode(dialogue, received_array([heard]), last, m, int(m["t_ns"]) + 2 * late)
         last = m
     assert last["age"][LEG] == late
     assert last["rate"][LEG] == pytest.approx(10 * STEP_m / 1e-4, rel=1e-9)
@@ -291,7 +292,7 @@ def test_a_rate_of_differences_is_timed_by_the_sync_that_each_answer_is_to(late)
 def test_a_leg_is_as_old_as_the_older_one_of_its_two_tpdos():
     last, m = new_record(), new_record()
     last["tick"], last["age"], m["tick"] = 9, 3, 10
-    run = run_of([Received(9, SPEEDS[0]), Received(11, FIRST)])
+    run = received_array([Received(9, SPEEDS[0]), Received(11, FIRST)])
     P.decode(P.start(SETUP), run, last, m, 10)
     assert m["age"][LEG] == 4, "the velocity is that of an older SYNC"
 
@@ -342,5 +343,5 @@ def test_the_error_code_that_is_read_is_the_fault_of_a_drive_whose_emcy_was_miss
     last, m = new_record(), new_record()
     last["drive_state"][leg], last["drive_fault"][leg], m["tick"] = state, held, 1
     answer = Frame(0x580 + NODES[leg], bytes.fromhex(data))
-    P.decode(P.start(SETUP), run_of([Received(1, answer)]), last, m, 0)
+    P.decode(P.start(SETUP), received_array([Received(1, answer)]), last, m, 0)
     assert m["drive_fault"].tolist() == [fault if each == leg else 0 for each in range(LEGS)]

@@ -11,7 +11,8 @@ from drivers.cia402.device import Device
 from drivers.cia402.set_up import TRIES
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
-from drivers.protocol import DriveSetup, EmergencyStop, Frame, Received, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import DriveSetup, EmergencyStop, Frame, Received
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.cia402_drives import COUNTS, NODES, drives, settings
@@ -105,7 +106,7 @@ def decoded(frames, last, number):
     """Return the measurement of a tick after `last`."""
     protocol, tick = drives(), new_record()
     tick["tick"] = number
-    run = run_of([Received(1, frame) for frame in frames])
+    run = received_array([Received(1, frame) for frame in frames])
     protocol.decode(protocol.start(SETUP), run, last, tick, 0)
     return tick
 

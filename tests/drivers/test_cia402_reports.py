@@ -7,7 +7,8 @@ import pytest
 
 from drivers.cia402 import objects as o
 from drivers.cia402.set_up import answered, moved
-from drivers.protocol import DriveSetup, Frame, Received, Status, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import DriveSetup, Frame, Received, Status
 from drivers.signals import LEGS, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.cia402_drives import NODES, drives
@@ -43,7 +44,7 @@ def test_the_controller_takes_a_fault_that_is_over_for_none(leg):
     last, m = new_record(), new_record()
     last["drive_fault"], m["tick"] = 0x8130, 1
     over = Frame(0x080 + NODES[leg], bytes(8))
-    P.decode(P.start(SETUP), run_of([Received(1, over)]), last, m, 0)
+    P.decode(P.start(SETUP), received_array([Received(1, over)]), last, m, 0)
     assert m["drive_fault"].tolist() == [0 if each == leg else 0x8130 for each in range(LEGS)]
 
 

@@ -11,7 +11,8 @@ from drivers import PROTOCOLS
 from drivers.cia402 import objects as o
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
-from drivers.protocol import Frame, Received, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import new_record
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives, settings
@@ -95,7 +96,7 @@ def forces(protocol, permille, rate):
         frames += [Frame(0x180 + node, place), Frame(0x280 + node, speed)]
     tick = new_record()
     tick["tick"] = 0
-    run = run_of([Received(1, frame) for frame in frames])
+    run = received_array([Received(1, frame) for frame in frames])
     protocol.decode(protocol.start(SETUP), run, new_record(), tick, 0)
     assert tick["age"].tolist() == [0] * LEGS
     return tick["drive_force"]

@@ -17,6 +17,7 @@ import drivers
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, SensorSettings, TrackerSettings
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import received_array
 from drivers.legs.messages import LAYOUTS
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import (
@@ -34,7 +35,6 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
-    run_of,
 )
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
@@ -348,7 +348,7 @@ def test_each_drive_confirms_its_own_set_up_and_takes_its_own_word_back():
         (held[4:], [True] * 6),
         (reports(protocol, Status(3, DriveState.OFF, 0, None)), [True] * 3 + [False] + [True] * 2),
     ):
-        run = run_of(received(*frames))
+        run = received_array(received(*frames))
         dialogue = protocol.decode(dialogue, run, new_record(), at_tick(5))
         assert list(protocol.legs_set_up(dialogue)) == there
     assert not any(protocol.legs_set_up(dialogue._replace(sent=(0,) * 6))), "we have sent none yet"

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from drivers.protocol import Received, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import Received
 from drivers.signals import LEGS
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.drivers.test_mit import run_protocols
@@ -31,7 +32,7 @@ class Late:
         m = at_tick(int(self.last["tick"]) + 1)
         begun = int(m["tick"]) * PERIOD_NS
         frames = [Received(begun + 1, each.frame) for each in (*self.others, *self.answers(count))]
-        self.dialogue = self.ends.protocol.decode(self.dialogue, run_of(frames), self.last, m, begun)
+        self.dialogue = self.ends.protocol.decode(self.dialogue, received_array(frames), self.last, m, begun)
         self.last = m
         return m
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import (
     ALWAYS,
@@ -20,7 +21,6 @@ from drivers.protocol import (
     Received,
     Status,
     Sync,
-    run_of,
 )
 from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
@@ -60,7 +60,7 @@ def told(
         tick[name] = 9
     before = last_tick() if last is None else last
     P[layout].decode(
-        P[layout].start(SETUP), run_of([Received(t_ns, f) for f in frames]), before, tick, since_ns
+        P[layout].start(SETUP), received_array([Received(t_ns, f) for f in frames]), before, tick, since_ns
     )
     return tick
 
@@ -217,7 +217,7 @@ def test_a_status_says_the_fault_of_its_drive_and_whether_its_set_up_is_another(
         assert int(tick["rejected"]) == 2
         assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()
         dialogue = P[layout].start(SETUP)._replace(confirmed=0b111111)
-        run = run_of([Received(SINCE_NS, bad)])
+        run = received_array([Received(SINCE_NS, bad)])
         assert P[layout].decode(dialogue, run, last_tick(), tick, SINCE_NS).confirmed == 0b111111
         assert tick["rejected"] == 1
 

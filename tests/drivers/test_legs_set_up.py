@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import received_array
 from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsDialogue, LegsProtocol
 from drivers.legs.several import LegsOnBuses
@@ -24,7 +25,6 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
-    run_of,
 )
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
@@ -50,7 +50,7 @@ def bare(leg: int) -> Frame:
 def told(dialogue: LegsDialogue, *frames: Frame) -> LegsDialogue:
     tick = new_record()
     tick["tick"] = 1
-    return P.decode(dialogue, run_of([Received(5, each) for each in frames]), new_record(), tick)
+    return P.decode(dialogue, received_array([Received(5, each) for each in frames]), new_record(), tick)
 
 
 def at(number: int, age: Any = 0, state: Any = OFF) -> Record:
@@ -328,7 +328,11 @@ def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     for frame, (leg, _) in zip(moved, answers, strict=True):
         assert protocol.fresh(Received(5, frame), 7, 0) == (leg not in (1, 2))
     protocol.decode(
-        protocol.start(SETUP), run_of([Received(5, each) for each in (*moved, strange)]), last, tick, 0
+        protocol.start(SETUP),
+        received_array([Received(5, each) for each in (*moved, strange)]),
+        last,
+        tick,
+        0,
     )
     assert tick["rejected"] == 3
     assert [age == 0 for age in tick["age"]] == [leg not in (1, 2) for leg in range(6)]

@@ -15,6 +15,7 @@ from drivers import PROTOCOLS
 from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
+from drivers.frame_array import NO_FRAMES, received_array
 from drivers.mit.fields import (
     TURN,
     Ranges,
@@ -28,7 +29,7 @@ from drivers.mit.protocol import ENABLE, MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.mit.variants import VARIANTS
 from drivers.motors import Heard
-from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync, run_of
+from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
@@ -441,7 +442,7 @@ def test_another_controller_a_second_answer_and_a_stale_one_are_told_apart(make,
 
     def measured(*frames: Received) -> Any:
         m = at_tick(ends.tick + 1)
-        ends.protocol.decode(ends.dialogue, run_of(frames), ends.measurement, m, begun)
+        ends.protocol.decode(ends.dialogue, received_array(frames), ends.measurement, m, begun)
         return m
 
     m = measured(answer, other)
@@ -470,10 +471,10 @@ def test_an_answer_that_comes_with_the_next_poll_measures_at_its_age_where_its_d
     late = next(each for each in ends.received if ends.protocol.awaited(each.frame) == 2)
     late = late._replace(t_ns=begun - 1)
     missed = at_tick(ends.tick + 1)
-    dialogue = ends.protocol.decode(ends.dialogue, b"", ends.measurement, missed, begun)
+    dialogue = ends.protocol.decode(ends.dialogue, NO_FRAMES, ends.measurement, missed, begun)
     missed["length"][2] = 7.0
     m = at_tick(ends.tick + 2)
-    ends.protocol.decode(dialogue, run_of([late]), missed, m, begun)
+    ends.protocol.decode(dialogue, received_array([late]), missed, m, begun)
     assert m["age"].tolist() == [2, 2, 1, 2, 2, 2]
     assert m["length"][2] == pytest.approx(float(ends.measurement["length"][2]))
     assert m["rejected"] == 1, "a drive that is always late is not relied upon"
@@ -536,7 +537,9 @@ def test_a_position_at_the_end_of_its_range_is_no_reading():
         protocol, Sync(0), length, np.zeros(6), np.zeros(6), np.full(6, DriveState.OFF, np.int64)
     )
     m = at_tick(1)
-    protocol.decode(ends.dialogue, run_of([Received(0, frame) for _, frame in frames]), ends.measurement, m)
+    protocol.decode(
+        ends.dialogue, received_array([Received(0, frame) for _, frame in frames]), ends.measurement, m
+    )
     assert m["blind"].tolist() == [1] * 6
     assert (m["age"] > 0).all()
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
+from drivers.frame_array import received_array
 from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
-from drivers.protocol import EXTENDED, Answer, Frame, Received, Rejected, run_of
+from drivers.protocol import EXTENDED, Answer, Frame, Received, Rejected
 from drivers.signals import LEGS
 from tests.drivers.protocol_contract import SETUP, at_tick, reaction_of
 from tests.drivers.test_odrive import GEAR
@@ -75,7 +76,7 @@ def told(leg: int, number: int) -> str:
     dialogue = dialogue._replace(done=(1,) * LEGS, power=(1,) * LEGS)
     last = at_tick(0)
     last["age"] = 0
-    run = run_of([Received(0, run_mode(leg, number))])
+    run = received_array([Received(0, run_mode(leg, number))])
     dialogue = ROBSTRIDE.decode(dialogue, run, last, at_tick(1))
     assert all(ROBSTRIDE.set_up_lacks(dialogue)[each] for each in range(LEGS) if each != leg)
     return ROBSTRIDE.set_up_lacks(dialogue)[leg]

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
+from drivers.frame_array import received_array
 from drivers.motors import MotorDialogue
 from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
@@ -27,7 +28,6 @@ from drivers.protocol import (
     Rejected,
     Status,
     Sync,
-    run_of,
 )
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
@@ -176,7 +176,7 @@ def test_a_lost_encoder_is_a_blind_leg_and_another_controller_is_heard():
     frames = [f for _, f in answers(ends.protocol, Sync(0), zeros + 1.7, zeros, zeros, state)]
     m = at_tick(ends.tick + 1)
     received = [Received(begun, each) for each in (*frames, Frame(0x2E, bytes(8)))]
-    ends.protocol.decode(ends.dialogue, run_of(received), ends.measurement, m, begun)
+    ends.protocol.decode(ends.dialogue, received_array(received), ends.measurement, m, begun)
     assert m["blind"].tolist() == [0, 1, 0, 0, 0, 0]
     assert m["foreign"] == Foreign.COMMAND
 

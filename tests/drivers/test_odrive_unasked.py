@@ -10,8 +10,9 @@ import pytest
 
 from drivers import PROTOCOLS, build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.frame_array import received_array
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import DriveSetup, Frame, Received, run_of
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
 from hil.app.check.bus import answered_ns
@@ -46,7 +47,7 @@ def heard(ends: Ends, *coming: tuple[int, Frame]) -> Any:
     """Return the measurement of the next tick, of frames that came so many ns after its begin."""
     begun = (ends.tick + 1) * PERIOD_NS
     tick = at_tick(ends.tick + 1)
-    run = run_of([Received(begun + t_ns, frame) for t_ns, frame in coming])
+    run = received_array([Received(begun + t_ns, frame) for t_ns, frame in coming])
     ends.protocol.decode(ends.dialogue, run, ends.measurement, tick, begun)
     return tick
 

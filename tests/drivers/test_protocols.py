@@ -12,8 +12,9 @@ from drivers import PROTOCOLS
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
+from drivers.frame_array import received_array, received_frames
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received, frames_of, run_of
+from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
@@ -253,6 +254,6 @@ def test_sensors_are_refused_where_no_sync_carries_their_stamp(row):
 def test_the_bus_index_travels_in_the_flags_and_bus_0_leaves_every_byte_as_it_was():
     frame = Frame(0x181, b"\1\2", FD)
     assert (frame.bus, Frame(0x181, b"", FD | 3 << 8).bus) == (0, 3)
-    assert run_of([Received(5, frame)]).hex() == "050000000000000081010000020002000102"
+    assert received_array([Received(5, frame)]).hex() == "050000000000000081010000020002000102"
     frames = [Received(5, frame), Received(-7, Frame(0x0A01_1000, b"", EXTENDED | 3 << 8))]
-    assert list(frames_of(run_of(frames))) == frames
+    assert list(received_frames(received_array(frames))) == frames

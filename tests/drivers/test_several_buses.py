@@ -17,9 +17,10 @@ from drivers.can.no_controller import NoController
 from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
 from drivers.errors import BusError, ConfigurationError
+from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
-from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync, run_of
+from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync
 from drivers.sensors import Readings, SensorProtocol
 from drivers.several_buses import off_bus
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
@@ -176,7 +177,9 @@ def test_what_the_drives_answer_is_on_their_bus_and_counts_there_alone(name):
     for frames, strays in (([frame for _, frame in answers], 0), (moved, len(moved))):
         last, tick = new_record(), new_record()
         last["tick"], tick["tick"] = -1, 0
-        protocol.decode(protocol.start(SETUP), run_of([Received(5, each) for each in frames]), last, tick, 0)
+        protocol.decode(
+            protocol.start(SETUP), received_array([Received(5, each) for each in frames]), last, tick, 0
+        )
         assert tick["rejected"] == strays
         assert (tick["age"] == 0).sum() in ((0,) if strays else (6,)) or name == "cia402"
 
@@ -246,7 +249,9 @@ def test_strays_and_frames_of_a_bus_that_is_not_there_are_refused_with_what_is_d
     ]
     last, tick = new_record(), new_record()
     last["tick"], tick["tick"] = -1, 0
-    protocol.decode(protocol.start(SETUP), run_of([Received(5, each) for each in frames]), last, tick, 0)
+    protocol.decode(
+        protocol.start(SETUP), received_array([Received(5, each) for each in frames]), last, tick, 0
+    )
     assert tick["rejected"] == 3
     assert tick["foreign"] == 0
 

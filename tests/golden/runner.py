@@ -12,6 +12,7 @@ import numpy as np
 
 import configs
 from drivers.arrays import Rows
+from drivers.frame_array import received_frames, sent_frames
 from drivers.protocol import BUS, Frame, Received
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
@@ -88,10 +89,11 @@ def new_cycle(c: Configuration) -> Cycle:
     return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
-def entry_of(inp: TickInput, sent: tuple[Frame, ...], row: Rows) -> Tick:
+def entry_of(inp: TickInput, sent: Rows, row: Rows) -> Tick:
     """Return a tick as a log holds it."""
     copied: Any = row.copy()
-    return Tick(copied, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
+    received = received_frames(inp.frames)
+    return Tick(copied, received, sent_frames(sent), inp.operator, inp.setpoints, inp.orders)
 
 
 def run(case: Case) -> Trace:
@@ -104,9 +106,9 @@ def run(case: Case) -> Trace:
     entries: list[Tick] = []
     most = round(case.longest_s * c.loop.rate_Hz)
 
-    def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
+    def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
         inputs.append(inp)
-        entries.append(entry_of(inp, opening + out.frames, out.row))
+        entries.append(entry_of(inp, np.concatenate((opening, out.frames)), out.row))
         if len(entries) >= most:
             raise Enough
 
@@ -137,7 +139,7 @@ def run(case: Case) -> Trace:
 def _stepped(cycle: Cycle, inp: TickInput) -> Tick:
     opening = cycle.begin(inp.tick)
     out = cycle.step(inp)
-    return entry_of(inp, opening + out.frames, out.row)
+    return entry_of(inp, np.concatenate((opening, out.frames)), out.row)
 
 
 def _altered(inputs: Sequence[TickInput], altered: Mapping[int, Mapping[str, Any]]) -> Iterator[TickInput]:

@@ -16,8 +16,9 @@ import pytest
 
 from drivers.can.bus_time import BitTiming
 from drivers.config import TrackerSettings
+from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Received, Status, run_of
+from drivers.protocol import Received, Status
 from drivers.sensors import Readings, Sample
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
@@ -133,7 +134,7 @@ def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layo
     ]
     frames.append(one_feedback(protocol, 4, 1.5, 0.25, 100.0, DriveState.RUN | INVALID, 8))
     frames += reports(protocol, Status(2, DriveState.FAULT, DriveFault.ESTOP))
-    run = run_of([Received(1000 + k, frame) for k, frame in enumerate(frames)])
+    run = received_array([Received(1000 + k, frame) for k, frame in enumerate(frames)])
     last = record_of(
         tick=7, length=1.0, rate=0.5, drive_force=20.0, drive_state=DriveState.READY, drive_fault=1, age=3
     )

@@ -11,7 +11,8 @@ import pytest
 
 from drivers import build_protocol
 from drivers.config import ChannelSettings
-from drivers.protocol import DriveProtocol, DriveSetup, Received, run_of
+from drivers.frame_array import received_array
+from drivers.protocol import DriveProtocol, DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
 from plant_fmu.faults import stranger
 from plant_fmu.faults.bus import BusSecondController
@@ -71,7 +72,7 @@ def test_drives_that_run_obey_his_force_and_the_controller_hears_him(name, kind)
     assert (snapshot.command > 0.8 * FORCE_N).all(), snapshot.command
     assert (snapshot.command < 1.3 * FORCE_N).all(), snapshot.command
     tick = at_tick(BEGINS)
-    codec(name).decode(ends.dialogue, run_of(heard), ends.measurement, tick, BEGINS * PERIOD_NS)
+    codec(name).decode(ends.dialogue, received_array(heard), ends.measurement, tick, BEGINS * PERIOD_NS)
     assert tick["foreign"] & Foreign.COMMAND
 
 

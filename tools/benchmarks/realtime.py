@@ -36,7 +36,7 @@ from tools.benchmarks.cyclictest import cyclictest
 from tools.benchmarks.figures import EARLY, Figure, Mark, spread
 from tools.benchmarks.patience import patience_figures
 from tools.benchmarks.process import cpu_s
-from tools.benchmarks.stages import compute_figure
+from tools.benchmarks.timed_cycle import compute_figure
 
 CYCLICTEST_S = 10.0
 TWO_BUSES_S = 20.0

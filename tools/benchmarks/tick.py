@@ -1,4 +1,4 @@
-"""What one tick computes, whole and stage by stage, with everything in the caches."""
+"""What one tick computes, with everything in the caches."""
 
 import gc
 
@@ -9,7 +9,7 @@ from hil.loop.parts import Parts
 from hil.loop.replay import replay
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, spread
-from tools.benchmarks.stages import StagedCycle, TimedCycle, compute_figure, quietest_figure, stage_figures
+from tools.benchmarks.timed_cycle import TimedCycle, compute_figure, quietest_figure
 
 SLEEP_S = 1e-5
 """As short as a sleep can be: it is not its length that counts."""
@@ -17,17 +17,14 @@ SLEEP_S = 1e-5
 
 def tick(benchmark: Benchmark) -> list[Figure]:
     """Feed the recorded ticks of the simulated run from memory to a cycle, one after the other."""
-    benchmark.say(f"{len(benchmark.held.entries)} ticks from memory, three times through the cycle")
+    benchmark.say(f"{len(benchmark.held.entries)} ticks from memory, twice through the cycle")
     whole, slept = TimedCycle(_parts(benchmark)), TimedCycle(_parts(benchmark), SLEEP_S)
-    staged = StagedCycle(_parts(benchmark))
-    different = max(_feed(benchmark, cycle) for cycle in (staged, whole, slept))
+    different = max(_feed(benchmark, cycle) for cycle in (whole, slept))
     ns = whole.compute_ns()
     figures = [
         compute_figure(ns),
         quietest_figure(ns),
         Figure("  after a sleep", spread(slept.compute_ns()), "us", note=f"of {SLEEP_S * 1e6:.0f} us"),
-        Figure("stages", note="each with a stop-watch of its own, some 5 us in all"),
-        *stage_figures(staged),
     ]
     return (
         [*figures, Figure("result", note=f"{different} ticks came out differently")] if different else figures

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, HilError, LogError
-from drivers.protocol import Frame
+from drivers.frame_array import received_frames, sent_frames
 from drivers.regular_file import open_regular
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
@@ -84,11 +85,11 @@ def _run(
     setpoints: Script | None,
     script: CommandScript,
 ) -> Ending:
-    def observe(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
-        sent = opening + out.frames
-        recording.tick(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
+    def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
+        sent = sent_frames(opening) + sent_frames(out.frames)
+        recording.tick(out.row, received_frames(inp.frames), sent, inp.operator, inp.setpoints, inp.orders)
 
-    def observe_both(inp: TickInput, opening: tuple[Frame, ...], out: TickOutput) -> None:
+    def observe_both(inp: TickInput, opening: Rows, out: TickOutput) -> None:
         observe(inp, opening, out)
         assert truth is not None
         truth.tick(plant_row(inp.tick, lockstep.nodes.snapshot()), (), ())

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple
 
+from drivers.arrays import Rows
 from drivers.can.arbitration import priority, transmit
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import PlantError
+from drivers.frame_array import received_array, sent_array, sent_frames
 from drivers.protocol import ALWAYS, Frame, Received
 from drivers.signals import BusState, Mode
 from hil.loop.cycle import Cycle
@@ -21,7 +23,7 @@ from hil.loop.story.narrator import EventSink, no_event
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
-Observer = Callable[[TickInput, tuple[Frame, ...], TickOutput], None]
+Observer = Callable[[TickInput, Rows, TickOutput], None]
 """Called after every tick with its input, the opening frames and the output."""
 
 _new = tuple.__new__
@@ -127,17 +129,17 @@ class Lockstep:
         operator: tuple[Operator, ...] = (),
         setpoints: tuple[SetPoint, ...] = (),
         orders: tuple[Order, ...] = (),
-    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
+    ) -> tuple[TickInput, Rows, TickOutput]:
         """Advance both ends by one tick."""
         self.tick = tick = self.tick + 1
         t_ns = tick * self.period_ns
-        opening = self.cycle.begin(tick)
+        opening = sent_frames(self.cycle.begin(tick))
         feedback, step_ns = self._exchange(t_ns, opening)
         off = self.nodes.bus_off & (1 << self.buses) - 1
         inp = TickInput(
             tick,
             t_ns,
-            frames=tuple(feedback),
+            frames=received_array(feedback),
             sync_skew_ns=self.skew_ns,
             bus_off=off,
             bus_state=BusState.OFF if off else BusState.UNKNOWN,
@@ -151,9 +153,10 @@ class Lockstep:
             self._report_mode()
         queued_ns = step_ns + self.compute_ns
         # nothing else is queued before the next SYNC
-        if not self._send(queued_ns, out.frames, t_ns + self.period_ns - 1, self._commands):
-            self._queue([(queued_ns, frame) for frame in out.frames], from_drive=False)
-        return inp, opening, out
+        sent = sent_frames(out.frames)
+        if not self._send(queued_ns, sent, t_ns + self.period_ns - 1, self._commands):
+            self._queue([(queued_ns, frame) for frame in sent], from_drive=False)
+        return inp, sent_array(opening), out
 
     def _report_mode(self) -> None:
         """Let the time of the faults count that wait for the controller's mode."""

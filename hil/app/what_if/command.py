@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
+from drivers.frame_array import received_frames
 from drivers.protocol import Frame
 from hil.app.compose import (
     CONTROLLER_FILE,
@@ -127,7 +128,7 @@ def _answer(
 ) -> Answer:
     def observe(inp: TickInput, sent: tuple[Frame, ...], row: Rows) -> None:
         assert recording is not None
-        recording.tick(row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
+        recording.tick(row, received_frames(inp.frames), sent, inp.operator, inp.setpoints, inp.orders)
 
     keep = None if forces is None else forces.keep
     try:

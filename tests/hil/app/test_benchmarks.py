@@ -46,15 +46,12 @@ from tools.benchmarks.plain import (
     joint_inverse_dynamics,
 )
 from tools.benchmarks.process import cpu_s, memory_kB, resident_kB
-from tools.benchmarks.stages import (
+from tools.benchmarks.tick import tick
+from tools.benchmarks.timed_cycle import (
     BLOCK,
-    STAGES,
-    StagedCycle,
     TimedCycle,
     quietest_figure,
-    stage_figures,
 )
-from tools.benchmarks.tick import tick
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
@@ -199,30 +196,12 @@ def test_the_model_for_mujoco_is_the_same_mechanism(case):
     assert relative(robot.leg_forces() - np.linalg.solve(J.T, wrench), np.array(e["leg_forces"])) < 1e-6
 
 
-# -- stages --------------------------------------------------------------------------------------------------
+# -- the tick --------------------------------------------------------------------------------------------------
 
 
 def parts(benchmark) -> Parts:
     c = benchmark.configuration
     return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
-
-
-def test_the_stop_watches_change_nothing_and_see_every_stage_of_every_tick(benchmark):
-    cycle = StagedCycle(parts(benchmark))
-    begun = time.perf_counter_ns()
-    verdict = replay(benchmark.held, cycle)
-    wall = time.perf_counter_ns() - begun
-    assert verdict.exact
-    table = np.array(cycle.stamps).reshape(verdict.ticks, len(STAGES) + 2)
-    stamps, modes = table[:, :-1], table[:, -1]
-    assert (np.diff(stamps.ravel()) >= 0).all()
-    assert modes.tolist() == [int(entry.row["mode"]) for entry in benchmark.held.entries]
-    assert (stamps[:, -1] - stamps[:, 0]).sum() < wall
-    figures = stage_figures(cycle)
-    assert [f.name.strip() for f in figures] == list(STAGES)
-    tracking = stamps[modes == Mode.TRACKING]
-    law = tracking[:, STAGES.index("law") + 1] - tracking[:, STAGES.index("law")]
-    assert figures[STAGES.index("law")].values["median"] == pytest.approx(np.median(law) / 1e3)
 
 
 def test_the_stop_watch_around_the_step_leaves_a_sleep_out(benchmark):
@@ -244,8 +223,7 @@ def test_the_tick_part_gives_the_compute_mark(benchmark):
     assert figures[0].mark == Mark(40.0)
     assert not [f for f in figures if f.name == "result"], "ticks came out differently"
     assert [f.name.strip() for f in figures[1:3]] == ["quietest block", "after a sleep"]
-    assert [f.name.strip() for f in figures[4:]] == list(STAGES)
-    assert all(f.values["median"] > 0.0 for f in figures if f.name != "stages")
+    assert all(f.values["median"] > 0.0 for f in figures)
 
 
 def nanoseconds(steps_us: list[float]) -> Any:

@@ -1,0 +1,284 @@
+"""The compiled pass of a tick: from frames to the estimate, and from the reference to frames.
+
+`observe` decodes and estimates; then the cycle looks at what it returns and decides where there is something
+to be decided; `act` goes from the reference through law and safety to the encoded command. Both work on one
+record, CONTROL, which the cycle owns; what differs from robot to robot is a function by address.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from drivers.compiled.compiler import INTEGER, direct, helper, record, records
+from drivers.compiled.pointed import address_of, call, integers_at, matrix_at, record_at
+from drivers.frame_array import FRAME
+from drivers.signals import DriveMode, Mode, Warn
+from drivers.tick_columns import TICK, part
+from hil.estimation.pose import ESTIMATOR, estimate_pose
+from hil.loop.crc import crc32
+from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
+from hil.loop.ramps import smoothstep
+from hil.loop.reference import fill_at
+from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge
+from hil.trajectory.path import SAMPLE_RECORD
+
+CONTROL = np.dtype(
+    [
+        # functions, each with the address of what it works on; a stage that is not there is 0
+        ("decode", "<i8"), ("command", "<i8"), ("codec", "<i8"),
+        ("sense", "<i8"), ("fuse", "<i8"), ("load", "<i8"), ("learn", "<i8"), ("look_ahead", "<i8"),
+        ("advance", "<i8"), ("sample", "<i8"), ("follow", "<i8"),
+        ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
+        # records of the parts
+        ("estimator", "<i8"), ("limits", "<i8"), ("memory", "<i8"), ("place", "<i8"), ("ahead", "<i8"),
+        ("history", "<i8"), ("rows", "<i8"), ("lows", "<i8"), ("highs", "<i8"), ("blocks", "<i8"),
+        ("watched", "<i8"), ("watched_rows", "<i8"),
+        # constants
+        ("base_joints", "<f8", (6, 3)), ("platform_joints", "<f8", (6, 3)),
+        ("period_s", "<f8"), ("load_s", "<f8"), ("blend_s", "<f8"), ("reach_N", "<f8"),
+        # what the cycle has decided
+        ("mode", "<i8"), ("mode_tick", "<i8"), ("faults", "<i8"), ("command_mode", "<i8"),
+        ("located", "<i8"),  # 1: the pose has been found
+        ("watchful", "<i8"),  # 1: it decides in each tick
+        ("attentive", "<i8"),  # 1: it looks at the verdict of this tick
+        ("due", "<i8"), ("due_states", "<i8"),  # ticks in the mode; bits of the six states that end it then
+        ("overdue", "<i8"),  # ticks in the mode after which the drives are late
+        ("ends", "<i8"),  # 1: the mode ends with the motion
+        ("key_until", "<i8"),  # tick from which the operator's key counts as let go
+        ("fixed", "<i8"),  # 1: the holding force as it is
+        ("holding", "<f8", (6,)), ("offset", "<f8", (6,)),  # N
+        ("entry_tick", "<i8"),  # when the offset began to fade; -1: it is whole
+        ("refused", "<i8"),  # the leg that gets no force; -1: none
+        ("setpoints", "<i8", (3,)), ("stops", "<i8"),
+        # what the pass has found
+        ("tick", "<i8"), ("last", "<i8"),
+        ("path_time", "<f8"), ("on_clock", "<i8"), ("ended", "<i8"),
+        ("learned", "<f8", (6,)), ("shortfall", "<f8", (6,)),
+        ("sensor_late", "<i8"),  # Warn.SENSOR or 0
+        ("verdict", "<i8", (3,)),  # faults, warnings, why to stop
+        ("sent", "<i8"),  # frames of the command
+    ]
+)  # fmt: skip
+"""The controller's state between Python and the pass. Addresses and flags are integers."""
+
+DIALOGUE, UNLOCATED, MODE, BROKEN = 1, 2, 4, 8
+"""What `observe` returns, added up: the drives' dialogue has news, the pose is still to be found, a mode may
+end, a decoder failed."""
+EFFORT, JUDGE, COMMAND = 1, 2, 4
+"""Parts of `act`."""
+ALL = EFFORT | JUDGE | COMMAND
+DONE, VERDICT, UNFIT = range(3)
+"""How `act` ends: all done; before the command, as there is a verdict to look at; a force does not fit."""
+NEVER = 1 << 62
+WHOLE = NOBODY = -1
+_WARN_SETPOINT = int(Warn.SETPOINT)
+_TRACKING, _HELD = int(Mode.TRACKING), int(Mode.HELD)
+_LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)
+_READY, _RUN = int(DriveMode.READY), int(DriveMode.RUN)
+_CONTROLLED = sum(1 << mode for mode in CONTROLLED_MODES)
+_WORDS = TICK.itemsize // 8
+_TICK = record(TICK)
+_CONTROL = record(CONTROL)
+_tick_at = record_at(_TICK)
+_seen_at = record_at(TICK_SEEN)
+_estimated_at = record_at(record(TICK, *part("estimate")))
+_estimator_at = record_at(record(ESTIMATOR))
+_limits_at, _memory_at = record_at(record(LIMITS)), record_at(record(MEMORY))
+_place_at = record_at(record(SAMPLE_RECORD))
+
+
+@helper
+def controlled(mode: int) -> bool:
+    """Tell whether the law acts in a mode."""
+    return bool(_CONTROLLED >> mode & 1)
+
+
+@helper
+def estimate(c: Any, tick: Any) -> None:
+    """Fill the estimate of a tick, a leg without fresh data being carried on at its last rate."""
+    for i in range(6):
+        if tick.age[i]:
+            for j in range(6):
+                tick.q[j] += tick.dq[j] * (tick.age[j] * c.period_s)
+            break
+    estimate_pose(_estimator_at(c.estimator), _estimated_at(c.tick))
+
+
+@helper
+def may_end(c: Any, tick: Any) -> bool:
+    """Tell whether the present mode may end in a tick, so that the cycle has to look."""
+    elapsed = tick.tick - c.mode_tick
+    if c.watchful or elapsed > c.overdue or tick.tick >= c.key_until or tick.altered:
+        return True
+    if c.ends and c.ended:
+        return True
+    if elapsed < c.due:
+        return False
+    for i in range(6):  # noqa: SIM110 - compiled
+        if not c.due_states >> tick.drive_state[i] & 1:
+            return False
+    return True
+
+
+@direct(_CONTROL, _TICK, _TICK, records(FRAME))
+def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
+    """Fill measurement, estimate and wrench of a tick from its input columns and the frames received.
+
+    Returns what there is to look at, bits of DIALOGUE, UNLOCATED, MODE, BROKEN; 0: nothing.
+    """
+    c.tick, c.last = address_of(tick), address_of(last)
+    tick.frames_received = frames.shape[0]
+    tick.frames_crc32 = crc32(frames)
+    began_ns = tick.t_ns + tick.lateness_ns
+    at = np.int64(frames.ctypes.data)
+    status = call(c.decode, (c.codec, at, np.int64(frames.shape[0]), began_ns, c.last, c.tick))
+    if status < 0:
+        return BROKEN
+    look = DIALOGUE if status > 0 else 0
+    if c.sense:
+        call(c.sense, (c.tick,))
+    tick.q[:] = tick.length
+    tick.dq[:] = tick.rate
+    if not c.located:
+        return look | UNLOCATED | MODE
+    if c.fuse:
+        call(c.fuse, (c.tick,))
+    else:
+        estimate(c, tick)
+    if c.load:
+        call(c.load, (c.tick,))
+    call(c.advance, (tick.tick,))
+    return look | MODE if may_end(c, tick) else look
+
+
+@helper
+def entry_share(c: Any, number: int) -> float:
+    """Return how much of the entry offset is left, 1 .. 0."""
+    if c.entry_tick == WHOLE:
+        return 1.0
+    if c.blend_s == 0.0:
+        return 0.0
+    return 1.0 - smoothstep((number - c.entry_tick) * c.period_s / c.blend_s)
+
+
+@helper
+def place(c: Any, tick: Any) -> None:
+    """Fill the reference of a tick: where the motion is, or the pose itself where nothing is controlled."""
+    call(c.sample, (tick.tick,))
+    sample = _place_at(c.place)
+    if not controlled(c.mode) and c.mode != _UNLOADING:
+        sample.p[:] = tick.p
+        sample.R[:] = tick.R
+        sample.twist[:] = 0.0
+        sample.dtwist[:] = 0.0
+    fill_at(c.base_joints, c.platform_joints, sample.p, sample.R, sample.twist, sample.dtwist, tick)
+    tick.reference_time_s = c.path_time
+    if c.mode == _TRACKING and c.on_clock:
+        tick.t_d = c.path_time
+
+
+@helper
+def seen_by_law(c: Any) -> Any:
+    """Return the address of the tick as the law sees it: now, or when its force will act."""
+    if not c.look_ahead:
+        return c.tick
+    now, then = integers_at(c.tick, _WORDS), integers_at(c.ahead, _WORDS)
+    then[:] = now
+    call(c.look_ahead, (c.ahead,))
+    return c.ahead
+
+
+@helper
+def fill_effort(c: Any, tick: Any) -> None:
+    """Fill the law's own force, what was learned, and what is asked for, (6,) N each."""
+    acts = 0
+    if c.learn:
+        acts = call(c.learn, (c.tick,))
+    if c.fixed:
+        tick.tau_asked[:] = c.holding
+        return
+    at = seen_by_law(c)
+    if controlled(c.mode):
+        seen = _tick_at(at)
+        seen.shortfall[:] = c.shortfall
+        if call(c.law, (c.gains, c.constants, c.code, at)) < 0:
+            seen.tau_law[:] = np.nan
+        tick.tau_law[:] = seen.tau_law
+        left = entry_share(c, tick.tick)
+        learns = acts > 0 and c.mode != _HELD
+        for i in range(6):
+            asked = tick.tau_law[i]
+            if left > 0.0:
+                asked += c.offset[i] * left
+            if learns:
+                tick.tau_learned[i] = c.learned[i]
+                asked += c.learned[i]
+            if c.mode == _HELD:
+                asked = within(asked, c.holding[i] - c.reach_N, c.holding[i] + c.reach_N)
+            tick.tau_asked[i] = asked
+    elif c.load_s > 0.0 and c.mode in (_LOADING, _UNLOADING):
+        elapsed_s = (tick.tick - c.mode_tick) * c.period_s
+        if c.mode == _LOADING:
+            share = smoothstep((elapsed_s - c.load_s) / c.load_s)
+        else:
+            share = 1.0 - smoothstep(elapsed_s / c.load_s)
+        for i in range(6):
+            tick.tau_asked[i] = c.holding[i] * share
+
+
+@helper
+def within(value: float, low: float, high: float) -> float:
+    """Return a value between two ends; nan stays nan."""
+    return low if value < low else min(value, high)
+
+
+@helper
+def judge_pass(c: Any, tick: Any) -> None:
+    """Let safety judge a tick: its verdict, and tau."""
+    tick.mode = c.mode
+    history = matrix_at(c.history, c.rows, 6)
+    lows, highs = matrix_at(c.lows, c.blocks, 6), matrix_at(c.highs, c.blocks, 6)
+    watched = matrix_at(c.watched, c.watched_rows, 6)
+    limits, memory = _limits_at(c.limits), _memory_at(c.memory)
+    c.verdict[0], c.verdict[1], c.verdict[2] = judge(
+        _seen_at(c.tick), limits, memory, history, lows, highs, watched
+    )
+    c.verdict[1] |= c.sensor_late
+
+
+@helper
+def send(c: Any, tick: Any, into: Any) -> int:
+    """Fill the command's columns, and its frames at an address; return DONE or UNFIT."""
+    if c.command_mode not in (_READY, _RUN):
+        tick.tau[:] = 0.0
+    tick.command_mode = c.command_mode
+    limited = c.verdict[1] != 0 and controlled(c.mode)
+    for i in range(6):
+        c.shortfall[i] = tick.tau[i] - tick.tau_asked[i] if limited else 0.0
+    if c.follow:
+        call(c.follow, (c.tick,))
+    tick.mode, tick.faults, tick.warnings = c.mode, c.faults, c.verdict[1]
+    tick.setpoints_taken, tick.setpoints_refused = c.setpoints[0], c.setpoints[1]
+    tick.setpoint_refusal = c.setpoints[2]
+    if c.setpoints[2]:
+        tick.warnings |= _WARN_SETPOINT
+    tau = np.int64(tick.tau.ctypes.data)
+    arguments = (c.codec, tick.tick, c.command_mode, c.stops, tau, np.int64(into))
+    c.sent = call(c.command, arguments)
+    return UNFIT if c.sent < 0 else DONE
+
+
+@direct(_CONTROL, _TICK, records(FRAME), INTEGER)
+def act(c: Any, tick: Any, into: Any, parts: int) -> int:
+    """Go through the parts of a tick, EFFORT, JUDGE, COMMAND; return DONE, VERDICT or UNFIT.
+
+    into: elements of FRAME for the command, `sent` of which are filled.
+    """
+    if parts & EFFORT:
+        place(c, tick)
+        fill_effort(c, tick)
+    if parts & JUDGE:
+        judge_pass(c, tick)
+        if c.attentive or c.verdict[0] or c.verdict[2]:
+            return VERDICT
+    return send(c, tick, np.int64(into.ctypes.data)) if parts & COMMAND else DONE

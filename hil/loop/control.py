@@ -1,0 +1,202 @@
+"""What the cycle and the compiled pass share: the one record of the control, and who keeps it current."""
+
+from __future__ import annotations
+
+import ctypes
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drivers.arrays import ZERO6
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import data_at, of_python
+from drivers.controller_end import tick_at
+from drivers.signals import DriveState, Mode, Stop, Warn
+from drivers.tick_columns import Record, new_record
+from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
+from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, STOPPABLE, drive_mode
+from hil.trajectory.path import SAMPLE_RECORD
+
+if TYPE_CHECKING:
+    from hil.loop.cycle import Cycle
+
+_ANY = (1 << len(DriveState)) - 1
+_ENDS_WITH = {
+    Mode.LOADING: 1 << DriveState.READY,
+    Mode.RELEASING: 1 << DriveState.RUN,
+    Mode.PARKING: 1 << DriveState.READY | 1 << DriveState.FAULT,
+    Mode.UNLOADING: _ANY,
+}
+"""Modes that end after a time, and the states of all six drives in which they do."""
+_WATCHED = frozenset({Mode.WAITING, Mode.FAULT, Mode.HELD})
+"""Modes in which the cycle decides in each tick."""
+
+
+def ticks_from(seconds: float, period_s: float, *, beyond: bool = False) -> int:
+    """Return the fewest ticks that take so long at least, or longer where `beyond`."""
+    n = max(ceil(seconds / period_s) - 1, 0)
+    while n * period_s < seconds or (beyond and n * period_s == seconds):
+        n += 1
+    return n
+
+
+class Control:
+    """The record of the control, and the stages in Python that it points to.
+
+    `settle` brings what was decided into the record. Mutable state: the record.
+    """
+
+    def __init__(self, cycle: Cycle) -> None:
+        """Take the cycle whose parts are complete but for their first reset."""
+        self._cycle = cycle
+        parts, effort = cycle.parts, cycle.effort
+        self.record: Record = np.zeros((), CONTROL)
+        self.probes = False
+        self._place, self._ahead = np.zeros((), SAMPLE_RECORD), new_record()
+        self._keeps: list[Any] = []
+        c, end = self.record, cycle.end
+        c["decode"], c["command"], c["codec"] = end.decode, end.command, end.codec
+        c["estimator"] = data_at(cycle.sight.estimator.record)
+        for name, value in parts.safety.places().items():
+            c[name] = value
+        c["place"], c["ahead"] = data_at(self._place), data_at(self._ahead)
+        c["base_joints"], c["platform_joints"] = parts.platform.base_joints, parts.platform.platform_joints
+        c["period_s"], c["load_s"] = cycle.period_s, cycle.durations.load
+        c["blend_s"], c["reach_N"] = parts.engage.blend_s, effort.reach_N
+        c["advance"] = self._stage(self._advance)
+        c["sample"] = self._stage(self._sample)
+        c["law"] = self._law()
+        if parts.last_pose is not None:
+            c["decode"] = self._homed(end.decode)
+        if parts.sensors is not None:
+            c["sense"] = self._stage(self._sense)
+        if parts.fusion is not None:
+            c["fuse"] = self._stage(self._fuse)
+        if parts.wrench.has_source or parts.sensors is not None:
+            c["load"] = self._stage(self._loaded)
+        if effort.learned is not None:
+            c["learn"] = self._stage(self._learn)
+        if effort.looks_ahead:
+            c["look_ahead"] = self._stage(self._look_ahead)
+        if cycle.followers:
+            c["follow"] = self._stage(self._follow)
+
+    def settle(self, *, attentive: bool = False) -> None:
+        """Bring what has been decided into the record; attentive: the verdict of this tick is looked at."""
+        cycle, c = self._cycle, self.record
+        mode, operating, motion, effort = cycle.mode, cycle.operating, cycle.motion, cycle.effort
+        period_s = cycle.period_s
+        self.probes = cycle.probes
+        c["mode"], c["mode_tick"], c["faults"] = mode, cycle.mode_tick, cycle.faults
+        c["command_mode"], c["located"] = drive_mode(mode), cycle.sight.located
+        least = cycle.durations.least(mode)
+        states = _ENDS_WITH.get(mode, 0)
+        c["due"], c["due_states"] = ticks_from(least, period_s) if states else NEVER, states
+        waits = mode in {Mode.LOADING, Mode.RELEASING, Mode.PARKING}
+        c["overdue"] = ticks_from(least + DRIVE_PATIENCE_S, period_s, beyond=True) - 1 if waits else NEVER
+        stays = operating.stays(mode)
+        c["ends"] = mode in ENDING and not motion.away and not (stays and motion.resting)
+        patience = operating.patience
+        key_tick = operating.key_tick if operating.go else None
+        c["key_until"] = NEVER if patience is None or key_tick is None else key_tick + patience
+        steered = cycle.parts.steering is not None
+        c["watchful"] = (
+            mode in _WATCHED
+            or cycle.yields
+            or steered
+            or motion.away
+            or operating.busy(mode)
+            or (cycle.stop_requested is not Stop.NONE and mode in STOPPABLE)
+        )
+        c["attentive"] = attentive or mode in _WATCHED or cycle.estop or cycle.rivalled
+        c["fixed"] = cycle.blind or cycle.yields
+        c["holding"], c["offset"] = effort.holding, effort.offset
+        c["entry_tick"] = WHOLE if effort.entry_tick is None else effort.entry_tick
+        if cycle.parts.steering is not None:
+            c["setpoints"] = cycle.parts.steering.counts
+
+    def reset(self) -> None:
+        """Back to the state before the first tick."""
+        self.record["shortfall"] = 0.0
+        self.settle()
+
+    def _stage(self, function: Any) -> int:
+        """Return the address of a stage in Python: it takes the tick's number or address."""
+
+        def stage(argument: int) -> int:
+            return int(function(argument) or 0)
+
+        address, keeps = of_python(stage, INTEGER)
+        self._keeps.append(keeps)
+        return address
+
+    def _advance(self, number: int) -> None:
+        cycle = self._cycle
+        cycle.motion.advance(number)
+        self.record["ended"] = cycle.motion.finished(number)
+
+    def _sample(self, number: int) -> None:
+        motion, c = self._cycle.motion, self.record
+        c["path_time"], c["on_clock"] = motion.time(number), motion.on_clock
+        for name, value in zip(SAMPLE_RECORD.names or (), motion.sample(number), strict=True):
+            self._place[name] = value
+
+    def _law(self) -> int:
+        cycle = self._cycle
+
+        def effort(_gains: int, _constants: int, _code: int, at: int) -> int:
+            cycle.parts.law.effort(self._ahead if at == int(self.record["ahead"]) else cycle.tick)
+            return 0
+
+        address, keeps = of_python(effort, *[INTEGER] * 4)
+        self._keeps.append(keeps)
+        return address
+
+    def _homed(self, decode: int) -> int:
+        """Return the address of a decoder that adds the turns that the drives have forgotten."""
+        cycle = self._cycle
+        inner = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 6)(decode)
+
+        def homed(codec: int, frames: int, count: int, since_ns: int, _last: int, tick: int) -> int:
+            before = cycle.homing.before(cycle.last)
+            status = inner(codec, frames, count, since_ns, data_at(before), tick)
+            cycle.homing.correct(tick_at(tick), cycle.last, braked=cycle.proven)
+            return int(status)
+
+        address, keeps = of_python(homed, *[INTEGER] * 6)
+        self._keeps += [keeps, inner]
+        return address
+
+    def _sense(self, _tick: int) -> None:
+        cycle = self._cycle
+        assert cycle.parts.sensors is not None
+        cycle.sight.hear(cycle.parts.sensors, cycle.inp, cycle.tick)
+
+    def _fuse(self, _tick: int) -> None:
+        self._cycle.sight.fuse(self._cycle.tick, self._cycle.last)
+
+    def _loaded(self, _tick: int) -> None:
+        self.load(self._cycle.tick)
+
+    def load(self, tick: Record) -> None:
+        """Fill the external wrench of a tick."""
+        cycle = self._cycle
+        cycle.parts.wrench.fill(tick, fusing=cycle.sight.fusing)
+        self.record["sensor_late"] = Warn.SENSOR if cycle.parts.wrench.late else 0
+
+    def _learn(self, _tick: int) -> int:
+        cycle, learned = self._cycle, self._cycle.effort.learned
+        assert learned is not None
+        number = int(cycle.tick["tick"])
+        tau = learned.step(number, cycle.mode, cycle.mode_tick, cycle.motion, faulty=bool(cycle.faults))
+        self.record["learned"] = tau
+        return int(tau is not ZERO6)
+
+    def _look_ahead(self, _tick: int) -> None:
+        cycle = self._cycle
+        cycle.effort.look_ahead(cycle.tick, self._ahead, cycle.mode, cycle.motion)
+
+    def _follow(self, _tick: int) -> None:
+        for follower in self._cycle.followers:
+            follower.sent(self._cycle.tick["tau"])

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Ints
 from drivers.compiled.compiler import helper
 
 _POLYNOMIAL = 0xEDB88320
 _ALL_ONES = 0xFFFFFFFF
 
 
-def _tables() -> Ints:
+def _tables() -> Any:
     """Return (8, 256): the register after a byte, with 0 to 7 zero bytes behind it."""
     tables = np.zeros((8, 256), np.uint32)
     for byte in range(256):

@@ -167,6 +167,7 @@ class Cycle:
     def _finish(self, inp: TickInput, tick: Record, into: Rows) -> Rows:
         """Look at the verdict of a tick, and send what follows from it."""
         control, record, parts = self._control, self._control.record, self.parts
+        self.effort.last_tau = self.last["tau"]
         self._latch(inp, Verdict.of(record["verdict"]))
         latches = parts.protocol.stop_latches
         stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))

@@ -11,8 +11,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
-from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import Frame
+from drivers.frame_array import same_frames, sent_frames
 from drivers.signals import BusState
 from drivers.tick_columns import (
     COLUMNS,
@@ -132,7 +131,7 @@ def recorded_input(entry: Tick) -> TickInput:
         raise LogError(f"the row of tick {tick} is damaged: {error}") from None
     return TickInput(
         **columns,
-        frames=received_array(entry.received),
+        frames=entry.received_items,
         operator=operator,
         setpoints=entry.setpoints,
         orders=entry.orders,
@@ -146,7 +145,7 @@ class Stepped(NamedTuple):
     """What was recorded."""
     inp: TickInput
     """What the cycle was given: the recorded inputs."""
-    sent: tuple[Frame, ...]
+    sent: Rows
     """What it sends, the frames that start the tick first."""
     row: Rows
     """What it records, one element of ROW."""
@@ -172,9 +171,9 @@ def stepped(
             gaps.append((expected, missing))
             return
         expected = tick + 1
-        sent = sent_frames(cycle.begin(tick))
+        opening = cycle.begin(tick)
         out = cycle.step(inp)
-        yield Stepped(entry, inp, sent + sent_frames(out.frames), out.row)
+        yield Stepped(entry, inp, np.concatenate((opening, out.frames)), out.row)
         if progress is not None and (done + 1) % 1000 == 0:
             progress(done + 1)
 
@@ -190,7 +189,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
         narrator.look(inp.operator)
         comparison.ticks, comparison.end = comparison.ticks + 1, inp.tick + 1
         comparison.frames += len(sent)
-        wire = sent != entry.sent
+        wire = not same_frames(sent, entry.sent_items)
         columns = row.tobytes() != entry.row.tobytes()
         if wire or columns:
             comparison.different_ticks += 1
@@ -200,7 +199,9 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
             if not comparison.first:
                 comparison.first = _differences(inp.tick, row, entry.row)
                 if wire:
-                    comparison.first.append(Difference(inp.tick, "sent frames", entry.sent, sent))
+                    comparison.first.append(
+                        Difference(inp.tick, "sent frames", entry.sent, sent_frames(sent))
+                    )
     comparison.story = narrator.story()
     return comparison
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.errors import LogError
+from drivers.frame_array import same_frames, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import LEGS, Fault, Warn
 from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS, ROW
@@ -144,7 +145,7 @@ class _Blocks:
         if self.origin_ns is None:
             self.origin_ns = step.inp.t_ns
         self._recorded[self._count], self._answered[self._count] = step.entry.row, step.row
-        self._wire[self._count] = step.sent != step.entry.sent
+        self._wire[self._count] = not same_frames(step.sent, step.entry.sent_items)
         self._count += 1
         if self._count == BLOCK:
             self.flush()
@@ -204,7 +205,7 @@ def what_if(
     log: Recorded,
     cycle: Cycle,
     *,
-    observe: Callable[[TickInput, tuple[Frame, ...], Rows], None] | None = None,
+    observe: Callable[[TickInput, Rows, Rows], None] | None = None,
     keep: Callable[[Rows, Rows], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Answer:
@@ -223,7 +224,7 @@ def what_if(
         blocks.add(step)
         answer.ticks += 1
         answer.setpoints += len(step.inp.setpoints)
-        if answer.first_frames is None and step.sent != step.entry.sent:
+        if answer.first_frames is None and not same_frames(step.sent, step.entry.sent_items):
             time_s = (step.inp.t_ns - (blocks.origin_ns or 0)) * 1e-9
             answer.first_frames = _first_frames(cycle, step, time_s)
         if observe is not None:
@@ -249,7 +250,7 @@ def _find(answer: Answer, level: str, text: str) -> None:
 
 def _first_frames(cycle: Cycle, step: Stepped, time_s: float) -> OtherFrames:
     """Return the first frame of a tick that differs."""
-    there, here = step.entry.sent, step.sent
+    there, here = step.entry.sent, sent_frames(step.sent)
     n = next((n for n, pair in enumerate(zip(there, here, strict=False)) if pair[0] != pair[1]), None)
     n = min(len(there), len(here)) if n is None else n
     recorded, answered = (frames[n] if n < len(frames) else None for frames in (there, here))

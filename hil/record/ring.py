@@ -21,18 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Ints, Rows
+from drivers.frame_array import FRAME
 
-ITEM = np.dtype(
-    [
-        ("t_ns", "<i8"),
-        ("id", "<u4"),
-        ("kind", "u1"),
-        ("length", "u1"),
-        ("flags", "u1"),
-        ("bus", "u1"),
-        ("data", "u1", (64,)),
-    ]
-)
+ITEM = FRAME
+"""Frames as they are; commands of the operator and pieces of events in the same form."""
 _ITEM = struct.Struct("<qIBBH64s")
 pack_item, unpack_items = _ITEM.pack_into, _ITEM.iter_unpack
 """pack_item(buffer, offset, t_ns, id, kind, length, flags, data); the high byte of the flags is the bus."""

@@ -11,8 +11,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
-from drivers.frame_array import received_frames
-from drivers.protocol import Frame
+from drivers.frame_array import received_frames, sent_frames
 from hil.app.compose import (
     CONTROLLER_FILE,
     FEEDFORWARD_CSV,
@@ -126,9 +125,11 @@ def _answer(
     forces: Forces | None,
     progress: Callable[[int], None] | None,
 ) -> Answer:
-    def observe(inp: TickInput, sent: tuple[Frame, ...], row: Rows) -> None:
+    def observe(inp: TickInput, sent: Rows, row: Rows) -> None:
         assert recording is not None
-        recording.tick(row, received_frames(inp.frames), sent, inp.operator, inp.setpoints, inp.orders)
+        recording.tick(
+            row, received_frames(inp.frames), sent_frames(sent), inp.operator, inp.setpoints, inp.orders
+        )
 
     keep = None if forces is None else forces.keep
     try:

@@ -361,6 +361,7 @@ class Cycle:
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF
         if (self.yields or shuts) and watch.watch(tick, effort.last_tau):
             self.faults |= Fault.DRIVE
+            self._control.record["faults"] = self.faults
             held = effort.last_tau.copy()
             held[watch.refused] = 0.0
             self.parts.safety.resume(held)

@@ -115,6 +115,10 @@ class Cycle:
         """What the controller's end of the drives remembers."""
         return self.end.dialogue
 
+    def settle(self) -> None:
+        """Let the compiled pass know what was changed from outside, as a mode."""
+        self._control.settle()
+
     def begin(self, tick: int) -> Rows:
         """Return the frames that start a tick, elements of FRAME: the drives answer with their encoders."""
         return self.end.begin(tick)

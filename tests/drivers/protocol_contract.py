@@ -14,7 +14,7 @@ import cantools
 import numpy as np
 import pytest
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.can.bus_time import frame_bits
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
@@ -84,9 +84,9 @@ class Twice:
         found = getattr(self._protocol, name)
         return self._checked(found) if callable(found) else found
 
-    def decode(self, dialogue: Any, run: bytes, last: Record, tick: Record, since_ns: int = ALWAYS) -> Any:
+    def decode(self, dialogue: Any, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> Any:
         """As the others, but for the tick, which it fills."""
-        given, other = (dialogue, run, last), copy_of(tick)
+        given, other = (dialogue, frames, last), copy_of(tick)
         before = pickle.dumps(given)
         first = self._protocol.decode(*given, other, since_ns)
         again = self._protocol.decode(*given, tick, since_ns)

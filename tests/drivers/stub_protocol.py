@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array, Ints, Rows
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_frames
@@ -187,7 +187,7 @@ class StubProtocol:
     def decode(
         self,
         dialogue: StubDialogue,
-        run: bytes,
+        frames: Rows,
         last: Record,
         tick: Record,
         since_ns: int = ALWAYS,
@@ -197,7 +197,7 @@ class StubProtocol:
         number, before, rejected = int(tick["tick"]), int(last["tick"]), 0
         for name in ("length", "rate", "drive_force", "drive_state", "drive_fault"):
             tick[name] = last[name]
-        for received in received_frames(run):
+        for received in received_frames(frames):
             read = self._read(received.frame)
             if read is None:
                 continue

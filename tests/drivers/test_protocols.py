@@ -12,7 +12,7 @@ from drivers import PROTOCOLS
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
-from drivers.frame_array import received_array, received_frames
+from drivers.frame_array import received_array, received_frames, sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Mode
@@ -168,7 +168,7 @@ def test_the_dialogue_is_the_same_after_a_reset_of_the_cycle(row):
     c = configuration((NODES, STUB_NODES))
     cycle = build_cycle(c, 50.0, 0.24)
     before = cycle.dialogue
-    cycle.dialogue = before._replace(done=(3,) * 6)
+    cycle.end.dialogue = before._replace(done=(3,) * 6)
     cycle.reset()
     assert cycle.dialogue == before
 
@@ -176,7 +176,7 @@ def test_the_dialogue_is_the_same_after_a_reset_of_the_cycle(row):
 def test_a_loop_that_fails_switches_the_drives_off_also_where_the_poll_is_the_command(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     run = Command(DriveMode.RUN, np.full(6, 100.0))
-    cycle.dialogue, _ = cycle.parts.protocol.command(cycle.dialogue, run, 0)
+    cycle.end.dialogue, _ = cycle.parts.protocol.command(cycle.dialogue, run, 0)
     bus = Wire()
     switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
     assert len(bus.sent) == 5 * 6
@@ -191,11 +191,11 @@ def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_
     lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, BitTiming.of(c.bus), 0.01)
     try:
         lockstep.tick = 0
-        feedback, ended_ns = lockstep._exchange(0, lockstep.cycle.begin(0))
+        feedback, ended_ns = lockstep._exchange(0, sent_frames(lockstep.cycle.begin(0)))
         assert {each.frame.id for each in feedback} >= lockstep.wanted
         assert ended_ns < 4_000_000
         lockstep.fresh = lambda received, tick, since_ns: False
-        feedback, ended_ns = lockstep._exchange(20_000_000, lockstep.cycle.begin(1))
+        feedback, ended_ns = lockstep._exchange(20_000_000, sent_frames(lockstep.cycle.begin(1)))
         assert {each.frame.id for each in feedback} >= lockstep.wanted
         assert ended_ns == 30_000_000
     finally:
@@ -205,7 +205,7 @@ def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_
 def test_drives_whose_set_up_is_not_complete_are_named(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
-    cycle.dialogue = cycle.dialogue._replace(done=(3, 3, 3, 3, 1, 3))
+    cycle.end.dialogue = cycle.dialogue._replace(done=(3, 3, 3, 3, 1, 3))
     said = "drive 4 does not complete its set-up: exchange 1 of 3 is not confirmed"
     assert waiting_text(cycle) == f"the drives are not ready: {said}"
 
@@ -254,6 +254,7 @@ def test_sensors_are_refused_where_no_sync_carries_their_stamp(row):
 def test_the_bus_index_travels_in_the_flags_and_bus_0_leaves_every_byte_as_it_was():
     frame = Frame(0x181, b"\1\2", FD)
     assert (frame.bus, Frame(0x181, b"", FD | 3 << 8).bus) == (0, 3)
-    assert received_array([Received(5, frame)]).hex() == "050000000000000081010000020002000102"
+    content = received_array([Received(5, frame)]).tobytes()
+    assert content == bytes.fromhex("050000000000000081010000000202000102").ljust(80, b"\0")
     frames = [Received(5, frame), Received(-7, Frame(0x0A01_1000, b"", EXTENDED | 3 << 8))]
     assert list(received_frames(received_array(frames))) == frames

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import received_array
 from drivers.legs.crc import crc8, identifier_state
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensors import KINDS, OLDEST, Readings, Sample, SensorProtocol
@@ -25,7 +26,7 @@ def sample(kind, tick, counter, offset_s=0.0004):
 
 
 def decode(tick, *frames, before=None):
-    given = [Received(n, frame) for n, frame in enumerate(frames)]
+    given = received_array([Received(n, frame) for n, frame in enumerate(frames)])
     return P.decode(given, tick, Readings() if before is None else before)
 
 

@@ -17,7 +17,7 @@ from drivers.can.no_controller import NoController
 from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
 from drivers.errors import BusError, ConfigurationError
-from drivers.frame_array import received_array
+from drivers.frame_array import NO_FRAMES, received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync
@@ -121,10 +121,10 @@ def test_a_sensor_is_on_a_bus_that_there_is_and_hears_and_sends_there():
     sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
     frame = sensors.encode("imu", (0.0,) * 6, 7, 0.0, 3)
     assert (sensors.bus_of("imu"), frame.bus) == (1, 1)
-    before = sensors.decode([], 7, Readings())
-    assert len(sensors.decode([Received(0, frame)], 7, before).imu) == 1
+    before = sensors.decode(NO_FRAMES, 7, Readings())
+    assert len(sensors.decode(received_array([Received(0, frame)]), 7, before).imu) == 1
     elsewhere = frame._replace(flags=frame.flags - BUS)
-    assert sensors.decode([Received(0, elsewhere)], 7, before).imu == ()
+    assert sensors.decode(received_array([Received(0, elsewhere)]), 7, before).imu == ()
 
 
 # where a frame goes

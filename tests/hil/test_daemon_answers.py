@@ -144,7 +144,7 @@ def test_a_loop_that_fails_never_repeats_the_force_of_its_last_tick_where_the_po
     desktop = build_cycle(load("desktop"), 400.0, 0.013)
     bus, protocol = Queue(), desktop.parts.protocol
     assert protocol.command_delay_ticks == 1
-    desktop.dialogue, _ = protocol.command(desktop.dialogue, Command(DriveMode.RUN, np.full(6, 5.0)), 6)
+    desktop.end.dialogue, _ = protocol.command(desktop.dialogue, Command(DriveMode.RUN, np.full(6, 5.0)), 6)
     ended = SimpleNamespace(tick=6, period_ns=1_000)
     assert switch_off(desktop, cast("Bus", bus), cast("Deadlines", ended))
     memory, heard = protocol.power_up(), []

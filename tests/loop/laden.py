@@ -6,6 +6,7 @@ from pathlib import Path
 
 import yaml
 
+from drivers.frame_array import received_frames, sent_frames
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.output import closing
@@ -41,7 +42,11 @@ def run(controller: Configuration, plant: Configuration, log: Path, faults: Faul
             ending = lockstep.run(
                 None,
                 lambda inp, opening, out: recording.tick(
-                    out.row, inp.frames, opening + out.frames, inp.operator, setpoints=inp.setpoints
+                    out.row,
+                    received_frames(inp.frames),
+                    sent_frames(opening) + sent_frames(out.frames),
+                    inp.operator,
+                    setpoints=inp.setpoints,
                 ),
                 recording.event,
             )

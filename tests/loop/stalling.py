@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
+from drivers.frame_array import received_array, sent_array, sent_frames
 from drivers.protocol import Frame
 from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import Lockstep
@@ -48,13 +50,13 @@ class Stalling(Lockstep):
         operator: tuple[Operator, ...] = (),
         setpoints: tuple[SetPoint, ...] = (),
         orders: tuple[Order, ...] = (),
-    ) -> tuple[TickInput, tuple[Frame, ...], TickOutput]:
+    ) -> tuple[TickInput, Rows, TickOutput]:
         """Advance both ends by one tick."""
         self.tick = tick = self.tick + 1
         t_ns, next_ns = tick * self.period_ns, (tick + 1) * self.period_ns
         skipped, lateness_ns = self._skipped, self._lateness_ns
         asleep_ns, unseen_ns, held_ns, self._apart_ns = self._stall()
-        opening = self.cycle.begin(tick)
+        opening = sent_frames(self.cycle.begin(tick))
         sent_ns = max(t_ns + lateness_ns + unseen_ns, self.nodes.now_ns)
         window_ns, self.window_ns = self.window_ns, self.window_ns - (sent_ns - t_ns)
         feedback, heard_ns = self._exchange(sent_ns, opening)
@@ -65,7 +67,7 @@ class Stalling(Lockstep):
             lateness_ns,
             skipped,
             sync_skew_ns=self.skew_ns,
-            frames=tuple(feedback),
+            frames=received_array(feedback),
             latch_ns=latch_ns(self.cycle.parts.protocol, opening, self.sent_ns, t_ns + lateness_ns),
             operator=operator,
             setpoints=setpoints,
@@ -73,13 +75,14 @@ class Stalling(Lockstep):
         )
         out = self.cycle.step(inp)
         done_ns = max(heard_ns, sent_ns + self._apart_ns) + self.compute_ns + held_ns
-        if not self._send(done_ns, out.frames, next_ns - 1, self._commands):
-            self._queue([(done_ns, frame) for frame in out.frames], from_drive=False)
+        sent = sent_frames(out.frames)
+        if not self._send(done_ns, sent, next_ns - 1, self._commands):
+            self._queue([(done_ns, frame) for frame in sent], from_drive=False)
         awake_ns = max(done_ns, next_ns + asleep_ns)
         self._skipped = (awake_ns - next_ns) // self.period_ns
         self.tick += self._skipped
         self._lateness_ns = awake_ns - next_ns - self._skipped * self.period_ns
-        return inp, opening, out
+        return inp, sent_array(opening), out
 
     def _stall(self) -> list[int]:
         """Return how long this tick is held up in each of the PLACES, ns."""

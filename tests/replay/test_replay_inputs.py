@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.frame_array import received_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, BusState
 from drivers.tick_columns import INPUT_COLUMNS, ROW
@@ -46,5 +47,5 @@ def test_frames_commands_set_points_and_orders_come_back_as_they_were_recorded()
     setpoints: Any = ("a pose", "another")
     orders: Any = ("an order",)
     found = recorded_input(recorded(frames, (int(Operator.STOP), int(Operator.RESET)), setpoints, orders))
-    assert (found.frames, found.operator) == (frames, (Operator.STOP, Operator.RESET))
+    assert (received_frames(found.frames), found.operator) == (frames, (Operator.STOP, Operator.RESET))
     assert (found.setpoints, found.orders) == (setpoints, orders)

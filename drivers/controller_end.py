@@ -48,7 +48,7 @@ class ControllerEnd:
         self.codec = 0
         """Address of what the two functions work on."""
         self.decode, self.command, self._keeps = self._functions()
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         """What a function in Python met, which returned FAILED."""
         self.start()
 
@@ -61,6 +61,7 @@ class ControllerEnd:
     def start(self) -> None:
         """Begin the dialogue: no drive has been set up. Raises ProtocolError if the set-up does not fit."""
         self.dialogue: Dialogue = self.protocol.start(self._setup)
+        self._set_up = self.protocol.legs_set_up(self.dialogue)
 
     def begin(self, number: int) -> Rows:
         """Return the frames that start a tick as elements of FRAME."""
@@ -86,16 +87,17 @@ class ControllerEnd:
         try:
             decode = self.protocol.decode
             self.dialogue = decode(self.dialogue, frames, tick_at(last), tick_at(tick), since_ns)
-        except Exception as error:  # noqa: BLE001 - nothing may pass a callback
+            before, self._set_up = self._set_up, self.protocol.legs_set_up(self.dialogue)
+        except BaseException as error:  # noqa: BLE001 - nothing may pass a callback
             self.error = error
             return FAILED
-        return 0
+        return int(self._set_up != before)
 
     def _command(self, _codec: int, number: int, mode: int, stop: int, force: int, into: int) -> int:
         command = Command(DriveMode(mode), array_at(force, LEGS, np.float64), bool(stop))
         try:
             self.dialogue, frames = self.protocol.command(self.dialogue, command, number)
-        except Exception as error:  # noqa: BLE001 - as above
+        except BaseException as error:  # noqa: BLE001 - as above
             self.error = error
             return FAILED
         array_at(into, len(frames), FRAME)[:] = sent_array(frames)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from drivers.arrays import ZERO6
 from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import data_at, of_python
+from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.controller_end import tick_at
 from drivers.signals import DriveState, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
@@ -53,6 +54,8 @@ class Control:
         parts, effort = cycle.parts, cycle.effort
         self.record: Record = np.zeros((), CONTROL)
         self.probes = False
+        self.error: BaseException | None = None
+        """What a stage in Python has met in this tick."""
         self._place, self._ahead = np.zeros((), SAMPLE_RECORD), new_record()
         self._keeps: list[Any] = []
         c, end = self.record, cycle.end
@@ -101,13 +104,15 @@ class Control:
         key_tick = operating.key_tick if operating.go else None
         c["key_until"] = NEVER if patience is None or key_tick is None else key_tick + patience
         steered = cycle.parts.steering is not None
+        stops = cycle.stop_requested is not Stop.NONE
         c["watchful"] = (
             mode in _WATCHED
             or cycle.yields
             or steered
             or motion.away
             or operating.busy(mode)
-            or (cycle.stop_requested is not Stop.NONE and mode in STOPPABLE)
+            or (stops and mode in STOPPABLE)
+            or (mode is Mode.STOPPING and operating.parks and (stops or bool(cycle.faults)))
         )
         c["attentive"] = attentive or mode in _WATCHED or cycle.estop or cycle.rivalled
         c["fixed"] = cycle.blind or cycle.yields
@@ -123,13 +128,27 @@ class Control:
 
     def _stage(self, function: Any) -> int:
         """Return the address of a stage in Python: it takes the tick's number or address."""
+        return self._called(lambda argument: int(function(argument) or 0), 1)
 
-        def stage(argument: int) -> int:
-            return int(function(argument) or 0)
+    def _called(self, function: Callable[..., int], n: int) -> int:
+        """Return the address of a function of n integers; what it raises is kept until the tick's end."""
 
-        address, keeps = of_python(stage, INTEGER)
+        def called(*arguments: int) -> int:
+            try:
+                return function(*arguments)
+            except BaseException as error:  # noqa: BLE001 - nothing may pass a callback
+                self.error = error
+                return FAILED
+
+        address, keeps = of_python(called, *[INTEGER] * n)
         self._keeps.append(keeps)
         return address
+
+    def fail(self) -> NoReturn:
+        """Raise what a stage in Python has met."""
+        error, self.error = self.error, None
+        assert error is not None
+        raise error
 
     def _advance(self, number: int) -> None:
         cycle = self._cycle
@@ -149,9 +168,7 @@ class Control:
             cycle.parts.law.effort(self._ahead if at == int(self.record["ahead"]) else cycle.tick)
             return 0
 
-        address, keeps = of_python(effort, *[INTEGER] * 4)
-        self._keeps.append(keeps)
-        return address
+        return self._called(effort, 4)
 
     def _homed(self, decode: int) -> int:
         """Return the address of a decoder that adds the turns that the drives have forgotten."""
@@ -159,14 +176,13 @@ class Control:
         inner = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 6)(decode)
 
         def homed(codec: int, frames: int, count: int, since_ns: int, _last: int, tick: int) -> int:
-            before = cycle.homing.before(cycle.last)
-            status = inner(codec, frames, count, since_ns, data_at(before), tick)
+            before, known = cycle.homing.before(cycle.last), cycle.homing.known
+            status = int(inner(codec, frames, count, since_ns, data_at(before), tick))
             cycle.homing.correct(tick_at(tick), cycle.last, braked=cycle.proven)
-            return int(status)
+            return max(status, 1) if status >= 0 and cycle.homing.known != known else status
 
-        address, keeps = of_python(homed, *[INTEGER] * 6)
-        self._keeps += [keeps, inner]
-        return address
+        self._keeps.append(inner)
+        return self._called(homed, 6)
 
     def _sense(self, _tick: int) -> None:
         cycle = self._cycle

@@ -146,6 +146,8 @@ class Cycle:
         else:
             ended = act(record, tick, into, ALL)
         frames = self._finish(inp, tick, into) if ended else into[: record["sent"]]
+        if control.error is not None:
+            control.fail()
         return TickOutput(frames, row_of(tick))
 
     def _decide(self, inp: TickInput, tick: Record, look: int) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.arrays import Rows
+from drivers.frame_array import sent_frames
 from drivers.legs.protocol import TRIES, LegsProtocol
 from drivers.protocol import Configure, EmergencyStop, Frame, Received, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
@@ -37,8 +39,8 @@ def heard(bench: Bench, *frames: Frame) -> tuple[Received, ...]:
     return (*bench.drives.feedback(bench.tick + 1), *(Received(t_ns, frame) for frame in frames))
 
 
-def estops(frames: tuple[Frame, ...]) -> int:
-    return sum(isinstance(parse(OURS, frame), EmergencyStop) for frame in frames)
+def estops(frames: Rows) -> int:
+    return sum(isinstance(parse(OURS, frame), EmergencyStop) for frame in sent_frames(frames))
 
 
 @pytest.fixture

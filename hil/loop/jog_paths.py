@@ -5,11 +5,13 @@ does not come.
 """
 
 from math import hypot, inf
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import MATRIX, REAL, VECTOR, direct, kernel
+from drivers.compiled.compiler import MATRIX, REAL, VECTOR, kernel, record
+from drivers.compiled.pointed import Callee, data_at, pointed
 from hil.mathematics.linear_algebra import lu_factor, lu_solve
 from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at, row, scale
@@ -20,29 +22,29 @@ from hil.robot.kinematics_kernels import (
     leg_lengths_kernel,
     lengths_and_jacobian,
 )
-from hil.trajectory.path import SAMPLE, PoseSample, blank
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, PoseSample, context_of
 
+AXIS = np.dtype([("p0", "<f8", 3), ("R0", "<f8", (3, 3)), ("rate", "<f8", 6)])
 TOLERANCE_M = 1e-12
 """By how much the lengths of a leg's jog may be off."""
 SUBSTEPS = 40
 """Most steps from one pose to the next: a tick takes one, the way to rest a few."""
 
 
-@direct(REAL, VECTOR, MATRIX, VECTOR, *SAMPLE)
-def _evaluate(
-    t: float, p0: Array, R0: Array, rate: Array, p: Array, R: Array, twist: Array, dtwist: Array
-) -> None:
+@pointed(record(AXIS), REAL, record(SAMPLE))
+def evaluate(jog: Any, t: float, into: Any) -> int:
     """Fill the sample of p = p0 + t v, R = exp([t w]) R0 with the constant twist [v; w] = rate."""
     still = (0.0, 0.0, 0.0)
-    w = at(rate, 3)
+    w, R0 = at(jog.rate, 3), jog.R0
     turn = np.empty((3, 3))
     rotation_motion(scale(t, w), w, still, turn)
     for i in range(3):
-        p[i] = p0[i] + t * rate[i]
+        into.p[i] = jog.p0[i] + t * jog.rate[i]
         for j in range(3):
-            R[i, j] = turn[i, 0] * R0[0, j] + turn[i, 1] * R0[1, j] + turn[i, 2] * R0[2, j]
-    twist[:] = rate
-    dtwist[:] = 0.0
+            into.R[i, j] = turn[i, 0] * R0[0, j] + turn[i, 1] * R0[1, j] + turn[i, 2] * R0[2, j]
+    into.twist[:] = jog.rate
+    into.dtwist[:] = 0.0
+    return 0
 
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR)
@@ -67,7 +69,7 @@ def pose_rates(a: Array, b: Array, p: Array, R: Array, dq: Array) -> tuple[Array
     return twist, dtwist
 
 
-class AxisJog:
+class AxisJog(CompiledTrajectory):
     """Along x, y or z of the base frame, or about one of these through the platform's origin.
 
     here: a pose at rest. rate (6,) m/s, rad/s: the constant twist.
@@ -76,15 +78,10 @@ class AxisJog:
     duration_s = None
 
     def __init__(self, here: PoseSample, rate: Array) -> None:
-        self._p, self._R, self._rate = here.p.copy(), np.array(here.R, order="C"), rate
+        jog = context_of(AXIS, p0=here.p, R0=here.R, rate=rate)
+        self.callee = Callee(evaluate.address, data_at(jog), jog)
 
-    def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s) >= 0."""
-        sample = blank()
-        _evaluate(t, self._p, self._R, self._rate, *sample)
-        return sample
-
-    ahead = sample
+    ahead = CompiledTrajectory.sample
 
 
 class LegJog:

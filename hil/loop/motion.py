@@ -1,13 +1,26 @@
 """Which path the platform is on, and where along it."""
 
+from math import inf, isnan
+
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.compiled.pointed import Callee
+from hil.loop.motion_kernels import (
+    MOTION,
+    NO_STOP,
+    SLOWS,
+    advance_to,
+    ended_overdue,
+    sample_ahead,
+    sample_at,
+    ticks_to_end,
+)
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.override import Override
-from hil.trajectory.path import PoseSample, Trajectory
-from hil.trajectory.stopping import StoppingTrajectory, slowed
+from hil.trajectory.path import SAMPLE, PoseSample, Trajectory, callee_of, of_record, require
+from hil.trajectory.stopping import StoppingTrajectory
 
 
 class Motion:
@@ -16,26 +29,39 @@ class Motion:
     A trajectory whose state goes from tick to tick (`LiveTrajectory`) is not slowed down along a path: it has
     a speed of its own.
     Mutable state: all of these, what comes next, and the path that was left for another trajectory with the
-    time along it. `start`, `rest` and `stop` replace the trajectory and forget what was left.
+    time along it. `start`, `rest` and `stop` replace the trajectory and forget what was left. `record`, a
+    MOTION, holds what the compiled pass needs of them.
     """
 
     def __init__(self, period_s: float, p: Array, R: Array, change_s: float) -> None:
         """Start at rest at p (3,) m, R (3, 3), base frame. change_s: see `Override`."""
         self.period_s = period_s
         self.override = Override(period_s, change_s)
+        self.record = np.zeros((), MOTION)
         self.rest(p, R, 0)
 
     def start(self, trajectory: Trajectory, tick: int, then: Trajectory | None = None) -> None:
         """Begin a trajectory whose time zero is this tick, `then` another one as soon as it has ended."""
-        self.trajectory = trajectory
         self.tick = tick
+        self._go_along(trajectory)
         self.override.begin(tick)
         if isinstance(trajectory, LiveTrajectory):
             self.override.settle(tick, 1.0)
-        self._stopped: int | None = None
-        """Of a stop from less than full speed: the tick at which it came to rest, -1 before that."""
-        self._then = then
+        self.record["stopped"] = NO_STOP
+        self._expect(then)
         self._left: tuple[Trajectory, float] | None = None
+
+    def _go_along(self, trajectory: Trajectory) -> None:
+        self.trajectory = trajectory
+        self._callee = callee_of(trajectory)
+        duration = trajectory.duration_s
+        self.record["function"], self.record["context"] = self._callee[:2]
+        self.record["duration"] = inf if duration is None else duration
+
+    def _expect(self, then: Trajectory | None) -> None:
+        self._then = then
+        self._next = Callee(0, 0, None) if then is None else callee_of(then)
+        self.record["then_function"], self.record["then_context"] = self._next[:2]
 
     def rest(self, p: Array, R: Array, tick: int) -> None:
         """Stay at a pose from this tick on."""
@@ -90,23 +116,23 @@ class Motion:
 
     def advance(self, tick: int) -> None:
         """Go on to a tick."""
-        self.override.advance(tick)
-        if self._stopped == -1 and self.override.resting:
-            self._stopped = tick
+        advance_to(self.record, self.override.record, tick)
 
     def stop(self, tick: int, duration_s: float) -> None:
         """Slow down to rest along the present path within `duration_s`; a live one within its own limits.
 
         Where the speed is just rising it takes up to a third longer.
         """
-        self._then = self._left = None
+        self._expect(None)
+        self._left = None
         if isinstance(self.trajectory, LiveTrajectory):
             self.trajectory.brake()
+            self._go_along(self.trajectory)
         elif self.override.full:
-            self.trajectory = StoppingTrajectory(self.trajectory, self.time(tick), duration_s)
+            self._go_along(StoppingTrajectory(self.trajectory, self.time(tick), duration_s))
         else:
             self.override.aim(tick, 0.0)
-            self._stopped = tick if self.override.resting else -1
+            self.record["stopped"] = tick if self.override.resting else SLOWS
 
     def time(self, tick: int) -> float:
         """Return the time along the present trajectory, s."""
@@ -125,28 +151,17 @@ class Motion:
 
     def finished(self, tick: int) -> bool:
         """Tell whether the present trajectory has ended."""
-        if self._stopped is not None:
-            return 0 <= self._stopped <= tick
-        duration = self.trajectory.duration_s
-        return duration is not None and self.time(tick) >= duration
+        return ended_overdue(self.record, self.override.record, tick, 0.0)[0]
 
     def overdue(self, tick: int, patience_s: float) -> bool:
         """Tell whether the present trajectory ended longer than `patience_s` ago."""
-        if self._stopped is not None:
-            return self.finished(tick) and (tick - self._stopped) * self.period_s > patience_s
-        duration = self.trajectory.duration_s
-        return duration is not None and self.time(tick) > duration + patience_s
+        return ended_overdue(self.record, self.override.record, tick, patience_s)[1]
 
     def sample(self, tick: int) -> PoseSample:
         """Return where the platform should be at this tick."""
-        override = self.override
-        return self._along(self.time(tick), override.sigma, override.dsigma)
-
-    def _along(self, t: float, sigma: float, dsigma: float) -> PoseSample:
-        sample = self.trajectory.sample(t)
-        if sigma == 1.0 and dsigma == 0.0:
-            return sample
-        return PoseSample(sample.p, sample.R, *slowed(sample.twist, sample.dtwist, sigma, dsigma))
+        into = np.empty((), SAMPLE)
+        require(sample_at(self.record, self.override.record, tick, into), self._callee)
+        return of_record(into)
 
     def before(self, tick: int, then: Trajectory) -> float | None:
         """Return the time before `then` begins, s, at most 0; None where it is not what comes next.
@@ -155,19 +170,7 @@ class Motion:
         """
         if self._then is not then or not self.override.full:
             return None
-        return -self._ticks_left(tick) * self.period_s
-
-    def _ticks_left(self, tick: int) -> int:
-        """Return in how many ticks the present trajectory will have ended, at full speed; 0 where it has.
-
-        By path time: a hold on the way puts the end off.
-        """
-        duration = self.trajectory.duration_s
-        assert duration is not None
-        ticks = max(int((duration - self.time(tick)) / self.period_s), 0)
-        while self.time(tick + ticks) < duration:
-            ticks += 1
-        return ticks
+        return -ticks_to_end(self.record, self.override.record, tick) * self.period_s
 
     def ahead(self, tick: int, s: float) -> tuple[PoseSample, float | None]:
         """Return where the platform should be `s` seconds after this tick, and that time along `then`.
@@ -176,10 +179,7 @@ class Motion:
         tick at which the present one has ended; where that has passed, it is waited for. Below full speed
         none is expected.
         """
-        if not self.override.full:
-            return self._along(*self.override.ahead(tick, s)), None
-        if self._then is not None and not self.finished(tick):
-            along = s - self._ticks_left(tick) * self.period_s
-            if along >= 0.0:
-                return self._then.sample(along), along
-        return self.trajectory.sample(self.time(tick) + s), None
+        into = np.empty((), SAMPLE)
+        status, along = sample_ahead(self.record, self.override.record, tick, s, into)
+        require(status, self._callee if isnan(along) else self._next)
+        return of_record(into), None if isnan(along) else along

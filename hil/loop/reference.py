@@ -13,17 +13,9 @@ from hil.robot.kinematics_kernels import leg, leg_motion
 from hil.trajectory.path import PoseSample
 
 
-def fill_reference(platform: Platform, sample: PoseSample, tick: Record) -> None:
-    """Fill p_d to dtwist_d with the sample, and q_d, dq_d = J twist_d, ddq_d = J dtwist_d + (dJ/dt) twist_d.
-
-    An unreachable pose gives lengths outside the hard ends, which `hil check` and safety refuse.
-    """
-    _fill(platform.base_joints, platform.platform_joints, *sample, tick)
-
-
 @helper
-def fill_at(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
-    """Fill the reference of a tick with a sample, for base joints a and platform joints b, (6, 3) m each."""
+def fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
+    """Fill the reference of a tick; see `fill_reference`. a, b (6, 3) m: joints of base and platform."""
     tick.p_d[:] = p
     tick.R_d[:] = R
     tick.twist_d[:] = twist
@@ -40,9 +32,23 @@ def fill_at(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array,
         tick.ddq_d[i] = dot(ds, u) + dot(s, du)
 
 
+@helper
+def fill_sample(a: Array, b: Array, sample: Any, tick: Any) -> None:
+    """Fill the reference of a tick with a record of SAMPLE."""
+    fill(a, b, sample.p, sample.R, sample.twist, sample.dtwist, tick)
+
+
+def fill_reference(platform: Platform, sample: PoseSample, tick: Record) -> None:
+    """Fill p_d to dtwist_d with the sample, and q_d, dq_d = J twist_d, ddq_d = J dtwist_d + (dJ/dt) twist_d.
+
+    An unreachable pose gives lengths outside the hard ends, which `hil check` and safety refuse.
+    """
+    _fill(platform.base_joints, platform.platform_joints, *sample, tick)
+
+
 @direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))
 def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
-    fill_at(a, b, p, R, twist, dtwist, tick)
+    fill(a, b, p, R, twist, dtwist, tick)
 
 
 def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:

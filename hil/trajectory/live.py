@@ -10,17 +10,34 @@ derivative, (a(t) - a(t - T))/T, by 2 A / T.
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import INTEGER, OUT_MATRIX, REAL, VECTOR, direct, helper, kernel
+from drivers.compiled.compiler import INTEGER, INTEGERS, MATRIX, REAL, VECTOR, helper, kernel, record
+from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
-from hil.trajectory.path import SAMPLE, PoseSample, blank, lift
-from hil.trajectory.piecewise import TENSOR
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, copy_sample, lift
 
-WORDS = VECTOR.copy(dtype=INTEGER)
-HISTORY = OUT_MATRIX.copy(ndim=3)
+LIVE = np.dtype(
+    [
+        ("tick", "<i8"),
+        ("halted", "<i8"),
+        ("share", "<f8"),
+        ("period", "<f8"),
+        ("rows", "<i8"),
+        ("history", "<i8"),
+        ("window", "<i8", 6),
+        *((name, "<f8", 6) for name in ("V", "step", "target", "rest", "x1", "v1", "rest1")),
+        *SAMPLE.descr,
+    ]
+)
+"""halted: 1 where the place of rest is the target; share: of the largest velocity V, what is allowed;
+history: the address of its rows; window: of each word, ticks; x1, v1, rest1: the next tick as it is proposed;
+and the sample of the tick."""
+TO_JUDGE = 1
+"""Status of `proceed`."""
 WINDOW_S = 4.0
 """Longest window of the second stage."""
 _ROUNDING = 1e-9
@@ -56,36 +73,57 @@ def next_speed(distance: float, v: float, V: float, step: float, period: float) 
     return min(max(w, -V), V)
 
 
-@kernel(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL)
-def propose(
-    x: Array, v: Array, target: Array, V: Array, step: Array, period: float
-) -> tuple[Array, Array, Array]:
-    """Position, speed and the place of rest of the first stage at the next tick, (6,) each.
+@helper
+def first_stage(
+    x: float, v: float, target: float, V: float, step: float, period: float
+) -> tuple[float, float, float]:
+    """Position, speed and the place of rest of a word of the first stage at the next tick.
 
-    The place of rest is where braking from then on ends; step (6,) is A period.
+    The place of rest is where braking from then on ends; step is A period.
     """
-    x1, v1, rest = np.empty(6), np.empty(6), np.empty(6)
-    for i in range(6):
-        w = next_speed(target[i] - x[i], v[i], V[i], step[i], period)
-        x1[i] = x[i] + 0.5 * period * (v[i] + w)
-        if w == 0.0 and abs(target[i] - x1[i]) < _LANDED:
-            x1[i] = target[i]
-        v1[i] = w
-        rest[i] = x1[i] + 0.5 * period * w * ticks_to_stop(w, step[i])
-    return x1, v1, rest
+    w = next_speed(target - x, v, V, step, period)
+    x1 = x + 0.5 * period * (v + w)
+    if w == 0.0 and abs(target - x1) < _LANDED:
+        x1 = target
+    return x1, w, x1 + 0.5 * period * w * ticks_to_stop(w, step)
 
 
-@kernel(HISTORY, INTEGER, VECTOR, VECTOR, REAL)
-def enter(history: Array, k: int, x1: Array, v1: Array, period: float) -> None:
-    """Enter position and speed of tick k + 1 into the history, and the mean position from tick k to it."""
-    rows = history.shape[0]
-    now, then = k % rows, (k + 1) % rows
+@helper
+def history_of(live: Any) -> Array:
+    """Return the history (rows, 4, 6) of the first stage: tick k in row k modulo their number."""
+    return reals_at(live.history, live.rows * 24).reshape((live.rows, 4, 6))
+
+
+@helper
+def propose(live: Any) -> None:
+    """Fill x1, v1, rest1: the first stage at the next tick.
+
+    No velocity jumps to a lower share. On the way to rest the share does not count: that way has been judged
+    as it is.
+    """
+    history, now = history_of(live), live.tick % live.rows
     for i in range(6):
-        v = history[now, SPEED, i]
-        history[now, MEAN, i] = history[now, POSITION, i] + period * (2.0 * v + v1[i]) / 6.0
-        history[then, POSITION, i] = x1[i]
-        history[then, SPEED, i] = v1[i]
+        v, V, target = history[now, SPEED, i], live.V[i], live.rest[i]
+        if not live.halted:
+            target = live.target[i]
+            if live.share != 1.0:
+                V = min(V, max(live.share * V, abs(v) - live.step[i]))
+        x1, v1, rest = first_stage(history[now, POSITION, i], v, target, V, live.step[i], live.period)
+        live.x1[i], live.v1[i], live.rest1[i] = x1, v1, rest
+
+
+@helper
+def enter(live: Any) -> None:
+    """Enter x1, v1 of the next tick into the history, and the mean position until then; go on to it."""
+    history, rows, period = history_of(live), live.rows, live.period
+    now, then = live.tick % rows, (live.tick + 1) % rows
+    for i in range(6):
+        v, v1 = history[now, SPEED, i], live.v1[i]
+        history[now, MEAN, i] = history[now, POSITION, i] + period * (2.0 * v + v1) / 6.0
+        history[then, POSITION, i] = live.x1[i]
+        history[then, SPEED, i] = v1
         history[then, TOTAL, i] = history[now, TOTAL, i] + history[now, MEAN, i]
+    live.tick += 1
 
 
 @helper
@@ -96,7 +134,7 @@ def braked(s: float, x: float, v: float, n: float, period: float) -> float:
     return x * s + period * v * (curve + 0.5 * n * (s - moving))
 
 
-@kernel(TENSOR, INTEGER, WORDS, VECTOR, VECTOR, VECTOR, REAL)
+@kernel(MATRIX.copy(ndim=3), INTEGER, INTEGERS, VECTOR, VECTOR, VECTOR, REAL)
 def way_to_rest(
     history: Array, k: int, window: Ints, x1: Array, v1: Array, step: Array, period: float
 ) -> Array:
@@ -124,17 +162,14 @@ def way_to_rest(
     return chi
 
 
-@direct(TENSOR, INTEGER, WORDS, REAL, *SAMPLE)
-def evaluate(
-    history: Array, k: int, window: Ints, period: float,
-    p: Array, R: Array, twist: Array, dtwist: Array,
-) -> None:  # fmt: skip
-    """Fill p, R, twist, dtwist at tick k: the means over each word's window (6,) of ticks."""
-    rows = history.shape[0]
-    now = k % rows
+@helper
+def evaluate(live: Any) -> None:
+    """Fill p, R, twist, dtwist: the means over each word's window of ticks."""
+    history, rows, period = history_of(live), live.rows, live.period
+    now = live.tick % rows
     chi, dchi, ddchi = np.empty(6), np.empty(6), np.empty(6)
     for i in range(6):
-        m = window[i]
+        m = live.window[i]
         x, v = history[now, POSITION, i], history[now, SPEED, i]
         total = 0.0
         row = now
@@ -144,71 +179,111 @@ def evaluate(
         chi[i] = x + total / m
         dchi[i] = (x - history[row, POSITION, i]) / (m * period)
         ddchi[i] = (v - history[row, SPEED, i]) / (m * period)
-    lift(chi, dchi, ddchi, p, R, twist, dtwist)
+    lift(chi, dchi, ddchi, live)
 
 
-class LiveTrajectory:
+@pointed(record(LIVE), INTEGER, INTEGER)
+def proceed(live: Any, tick: int, good: int) -> int:
+    """Go on to a tick; return 0, or TO_JUDGE before the first step of which the way to rest is to be judged.
+
+    good: 1 where that of the very next step has been judged.
+    """
+    while live.tick < tick:
+        propose(live)
+        if not live.halted:
+            moves = False
+            for i in range(6):
+                moves = moves or live.v1[i] != 0.0
+            if moves and not good:
+                return TO_JUDGE
+            live.rest[:] = live.rest1
+        good = 0
+        enter(live)
+    evaluate(live)
+    return 0
+
+
+@pointed(record(LIVE), REAL, record(SAMPLE))
+def present(live: Any, _t: float, into: Any) -> int:
+    """Fill the sample of the tick last gone on to."""
+    copy_sample(live, into)
+    return 0
+
+
+class LiveTrajectory(CompiledTrajectory):
     """Goes to wherever it was last sent, holds there, and stops on `brake`.
 
     start (6,) m, rad: where it begins; limits (3, 6): largest velocity, acceleration and jerk of the words.
-    Mutable state: the target, the place of rest, the tick, the history of the first stage, the share of its
-    velocity that is allowed, and the end that `brake` sets. `reset` restores the initial one. Raises
-    ConfigurationError where a jerk is so small that the window would be longer than WINDOW_S.
+    Mutable state: the record, with the target, the place of rest, the tick and the share of its velocity that
+    is allowed, the history of the first stage, and the end that `brake` sets. `reset` restores the initial
+    one. Raises ConfigurationError where a jerk is so small that the window would be longer than WINDOW_S.
     """
 
     def __init__(self, start: Array, limits: Array, period_s: float) -> None:
         self._start = np.array(start, float)
         self._period = period_s
-        self._V = np.array(limits[0], float)
-        self._step = limits[1] * period_s
         window_s = 2.0 * limits[1] / limits[2]
         if window_s.max() > WINDOW_S:
             raise ConfigurationError(
                 f"reference.limits: acceleration over jerk is {window_s.max() / 2:g} s on some axis, "
                 f"allowed: at most {WINDOW_S / 2:g} s; raise the jerk or lower the acceleration."
             )
-        self._window = np.ceil(window_s / period_s - _ROUNDING).astype(np.int64).clip(1)
-        self._history = np.empty((int(self._window.max()) + 1, 4, 6))
+        window = np.ceil(window_s / period_s - _ROUNDING).astype(np.int64).clip(1)
+        self._history = np.empty((int(window.max()) + 1, 4, 6))
+        self._live = context_of(
+            LIVE,
+            rows=len(self._history),
+            history=self._history,
+            period=period_s,
+            window=window,
+            V=limits[0],
+            step=limits[1] * period_s,
+        )
+        self.callee = Callee(present.address, data_at(self._live), (self._live, self._history))
         self.reset()
 
     def reset(self) -> None:
         """Back to the start, at rest, at time zero."""
-        self._tick = 0
-        self._share = 1.0
-        """Of the largest velocity: what is allowed."""
-        self._target = self._start
-        self._rest = self._start
+        self._live["tick"] = 0
+        self._live["share"] = 1.0
+        self._live["target"] = self._live["rest"] = self._start
+        for name in ("x1", "v1", "rest1"):
+            self._live[name] = 0.0
         self._history[:, POSITION] = self._history[:, MEAN] = self._start
         self._history[:, SPEED] = 0.0
         # Row 0 is tick 0, the others came before it.
         before = np.arange(-len(self._history), 0)[:, None] + 1.0
         self._history[:, TOTAL] = np.roll(before, 1, axis=0) * self._start
         self.duration_s: float | None = None
-        self._sample = self._evaluate()
+        self.halt()
+        self._proceed(0, judged=False)
 
     def aim(self, chi: Array) -> None:
         """Set the target (6,) m, rad."""
-        self._target = chi
+        self._live["target"] = chi
+        self._live["halted"] = 0
 
     def limit(self, share: float) -> None:
         """Allow a share 0 .. 1 of the largest velocity; what is faster is braked within the acceleration."""
-        self._share = share
+        self._live["share"] = share
 
     def halt(self) -> None:
         """Come to rest as soon as the limits allow, and stay there until there is another target."""
-        self._target = self._rest
+        self._live["halted"] = 1
 
     @property
     def resting(self) -> bool:
         """Whether it stands still at the place of rest."""
-        return self._target is self._rest and not (self._sample.twist.any() or self._sample.dtwist.any())
+        live = self._live
+        return bool(live["halted"]) and not (live["twist"].any() or live["dtwist"].any())
 
     def brake(self) -> None:
         """Come to rest as soon as the limits allow; from then on there is an end."""
-        v = self._history[self._tick % len(self._history), SPEED]
-        ticks = int(np.ceil(np.abs(v) / self._step - _ROUNDING).max())
-        self._target = self._rest
-        self.duration_s = (self._tick + ticks + 1 + len(self._history)) * self._period
+        tick = int(self._live["tick"])
+        v = self._history[tick % len(self._history), SPEED]
+        ticks = int(np.ceil(np.abs(v) / self._live["step"] - _ROUNDING).max())
+        self.halt()
+        self.duration_s = (tick + ticks + 1 + len(self._history)) * self._period
 
     def advance(self, tick: int, admit: Callable[[Array], int]) -> int:
         """Go on to a tick, counted from time zero.
@@ -217,44 +292,28 @@ class LiveTrajectory:
         begins with the next tick is good it goes on towards the target; else it brakes at once, on the way
         that was good a tick ago, whose end becomes the target. Returns what was found against the way, or 0.
         """
-        found = 0
-        while self._tick < tick:
-            row = self._history[self._tick % len(self._history)]
-            x, v = row[POSITION].copy(), row[SPEED].copy()
-            x1, v1, rest = propose(x, v, self._target, self._allowed(v), self._step, self._period)
-            if self._target is not self._rest and v1.any():
-                against = self._judge(x1, v1, admit)
-                if against:
-                    found = against
-                    self._target = self._rest
-                    x1, v1, rest = propose(x, v, self._target, self._V, self._step, self._period)
-            if self._target is not self._rest:
-                self._rest = rest
-            enter(self._history, self._tick, x1, v1, self._period)
-            self._tick += 1
-        self._sample = self._evaluate()
+        found, judged = 0, False
+        while self._proceed(tick, judged=judged) == TO_JUDGE:
+            against = self._judge(admit)
+            judged = not against
+            if against:
+                found = against
+                self.halt()
         return found
 
-    def _allowed(self, v: Array) -> Array:
-        """Return the velocities (6,) allowed at the next tick, from v (6,): no jump to a lower share.
+    def _proceed(self, tick: int, *, judged: bool) -> int:
+        return proceed(self.callee.context, tick, int(judged))
 
-        On the way to rest the share does not count: that way has been judged as it is.
-        """
-        if self._share == 1.0 or self._target is self._rest:
-            return self._V
-        V: Array = np.minimum(self._V, np.maximum(self._share * self._V, np.abs(v) - self._step))
-        return V
-
-    def _judge(self, x1: Array, v1: Array, admit: Callable[[Array], int]) -> int:
-        """Return what is first found against the way to rest from x1, v1 at the next tick, its end first."""
-        way = way_to_rest(self._history, self._tick, self._window, x1, v1, self._step, self._period)
+    def _judge(self, admit: Callable[[Array], int]) -> int:
+        """Return what is first found against the way to rest from the next tick on, its end first."""
+        live = self._live
+        way = way_to_rest(
+            self._history,
+            int(live["tick"]),
+            live["window"],
+            live["x1"],
+            live["v1"],
+            live["step"],
+            self._period,
+        )
         return next(filter(None, map(admit, way[::-1])), 0)
-
-    def sample(self, t: float) -> PoseSample:  # noqa: ARG002 - what comes later is not known
-        """Return the sample of the tick last advanced to."""
-        return self._sample
-
-    def _evaluate(self) -> PoseSample:
-        sample = blank()
-        evaluate(self._history, self._tick, self._window, self._period, *sample)
-        return sample

@@ -9,9 +9,28 @@ times the speed. No acceleration jumps. The motion is p_d(s), sigma p_d', sigma^
 along the path no faster than configured, and never with more than a controlled stop adds.
 """
 
-from drivers.compiled.compiler import REAL, kernel
-from hil.trajectory.live import next_speed
+from typing import Any
 
+import numpy as np
+
+from drivers.compiled.compiler import INTEGER, REAL, direct, helper, kernel, record
+from hil.trajectory.live import next_speed
+from hil.trajectory.path import context_of
+
+OVERRIDE = np.dtype(
+    [
+        ("tick", "<i8"),
+        ("s", "<f8"),
+        ("sigma", "<f8"),
+        ("dsigma", "<f8"),
+        ("target", "<f8"),
+        ("limit", "<f8"),
+        ("step", "<f8"),
+        ("period", "<f8"),
+    ]
+)
+"""The tick of the last change with its path time s, sigma with its rate, 1/s, and the target; the limits of
+`change`, and the period, s."""
 PEAK, CURVATURE = 1.5, 4.5
 """Largest rate of sigma times T, and its largest rate times T^2."""
 _LANDED = 1e-12
@@ -46,80 +65,153 @@ def braking(sigma: float, dsigma: float, limit: float, step: float, period: floa
     return s
 
 
+@helper
+def time_at(override: Any, tick: int) -> float:
+    """Path time in s at a tick to which it has been advanced; while sigma is constant, at any."""
+    return float(override.s + override.sigma * ((tick - override.tick) * override.period))
+
+
+@helper
+def is_settled(override: Any) -> bool:
+    """Whether sigma changes no more."""
+    return bool(override.sigma == override.target and override.dsigma == 0.0)
+
+
+@helper
+def is_full(override: Any) -> bool:
+    """Whether path time is the clock's."""
+    return bool(override.sigma == 1.0 and is_settled(override))
+
+
+@helper
+def is_resting(override: Any) -> bool:
+    """Whether path time stands still and stays so."""
+    return bool(override.sigma == 0.0 and is_settled(override))
+
+
+@helper
+def go_on(override: Any, tick: int) -> None:
+    """Go on to a tick."""
+    while not is_settled(override) and override.tick < tick:
+        ds, override.sigma, override.dsigma = change(
+            override.sigma, override.dsigma, override.target, override.limit, override.step, override.period
+        )
+        override.s += ds
+        override.tick += 1
+
+
+@helper
+def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, float]:
+    """Path time, sigma and its rate `h` seconds after a tick, as they go on by themselves."""
+    sigma = min(max(override.sigma + override.dsigma * h, 0.0), 1.0)
+    s = time_at(override, tick) + 0.5 * h * (override.sigma + sigma)
+    return s, sigma, override.dsigma
+
+
+@direct(record(OVERRIDE), INTEGER)
+def _time(override: Any, tick: int) -> float:
+    return time_at(override, tick)
+
+
+@direct(record(OVERRIDE))
+def _settled_full_resting(override: Any) -> tuple[bool, bool, bool]:
+    return is_settled(override), is_full(override), is_resting(override)
+
+
+@direct(record(OVERRIDE), INTEGER)
+def _advance(override: Any, tick: int) -> None:
+    go_on(override, tick)
+
+
+@direct(record(OVERRIDE), INTEGER, REAL)
+def _ahead(override: Any, tick: int, h: float) -> tuple[float, float, float]:
+    return looked_ahead(override, tick, h)
+
+
+def _column(name: str, meaning: str) -> Any:
+    def read(override: "Override") -> float:
+        return float(override.record[name])
+
+    def write(override: "Override", value: float) -> None:
+        override.record[name] = value
+
+    return property(read, write, doc=meaning)
+
+
 class Override:
     """Path time from tick to tick.
 
-    Mutable state: the tick of the last change with its path time, sigma, its rate, and the target.
+    Mutable state: `record`, an OVERRIDE.
     """
 
     def __init__(self, period_s: float, change_s: float) -> None:
         """Run at full speed. change_s > 0: T, in which sigma goes from 1 to 0."""
-        self._period = period_s
-        self._limit = PEAK / change_s
-        self._step = CURVATURE / (change_s * change_s) * period_s
-        self.sigma = self.target = 1.0
-        self.dsigma = 0.0
-        """1/s."""
-        self.begin(0)
+        self.record = context_of(
+            OVERRIDE,
+            limit=PEAK / change_s,
+            step=CURVATURE / (change_s * change_s) * period_s,
+            period=period_s,
+            sigma=1.0,
+            target=1.0,
+        )
+
+    sigma: float = _column("sigma", "The share of the clock, 0 .. 1.")
+    dsigma: float = _column("dsigma", "Its rate, 1/s.")
+    target: float = _column("target", "Where it goes, 0 .. 1.")
 
     def begin(self, tick: int) -> None:
         """Let path time be zero at a tick; the speed stays as it is."""
-        self._tick, self._s = tick, 0.0
+        self._from(tick, 0.0)
 
     def place(self, tick: int, s: float) -> None:
         """Rest at path time s (s) from a tick on."""
         self.settle(tick, 0.0)
-        self._s = s
+        self._from(tick, s)
 
     def settle(self, tick: int, sigma: float) -> None:
         """Run at sigma from a tick on, at once."""
-        self._s = self.time(tick)
-        self._tick = tick
+        self._from(tick, self.time(tick))
         self.sigma = self.target = sigma
         self.dsigma = 0.0
 
     def aim(self, tick: int, target: float) -> None:
         """Let sigma go to a target from a tick on, to which it has been advanced."""
         if target != self.target:
-            self._s = self.time(tick)
-            self._tick = tick
+            self._from(tick, self.time(tick))
             self.target = target
+
+    def _from(self, tick: int, s: float) -> None:
+        self.record["tick"], self.record["s"] = tick, s
 
     @property
     def settled(self) -> bool:
         """Whether sigma changes no more."""
-        return self.sigma == self.target and self.dsigma == 0.0
+        return _settled_full_resting(self.record)[0]
 
     @property
     def full(self) -> bool:
         """Whether path time is the clock's."""
-        return self.sigma == 1.0 and self.settled
+        return _settled_full_resting(self.record)[1]
 
     @property
     def resting(self) -> bool:
         """Whether path time stands still and stays so."""
-        return self.sigma == 0.0 and self.settled
+        return _settled_full_resting(self.record)[2]
 
     def advance(self, tick: int) -> None:
         """Go on to a tick."""
-        while not self.settled and self._tick < tick:
-            ds, self.sigma, self.dsigma = change(
-                self.sigma, self.dsigma, self.target, self._limit, self._step, self._period
-            )
-            self._s += ds
-            self._tick += 1
+        _advance(self.record, tick)
 
     def time(self, tick: int) -> float:
         """Return path time in s at a tick to which it has been advanced; while sigma is constant, at any."""
-        return self._s + self.sigma * ((tick - self._tick) * self._period)
+        return _time(self.record, tick)
 
     def rests_at(self, tick: int, target: float) -> float:
         """Return path time at rest, s, if sigma goes toward a target for one more tick and then to zero."""
-        limits = self._limit, self._step, self._period
+        limits = [float(self.record[name]) for name in ("limit", "step", "period")]
         ds, sigma, dsigma = change(self.sigma, self.dsigma, target, *limits)
         return self.time(tick) + ds + braking(sigma, dsigma, *limits)
 
     def ahead(self, tick: int, h: float) -> tuple[float, float, float]:
         """Return path time, sigma and its rate `h` seconds after a tick, as they go on by themselves."""
-        sigma = min(max(self.sigma + self.dsigma * h, 0.0), 1.0)
-        return self.time(tick) + 0.5 * h * (self.sigma + sigma), sigma, self.dsigma
+        return _ahead(self.record, tick, h)

@@ -1,24 +1,30 @@
-"""What every trajectory gives, and the step from a six-word path to it.
+"""What every trajectory gives, the function that gives it, and the step from a six-word path to it.
+
+A trajectory of ours is a C function of the record that it owns: `callee`. One in plain Python is called by
+the same door, see `callee_of`.
 
 The six words chi = (x, y, z, rx, ry, rz) are the position in m and the rotation vector in rad of the platform
 frame in the base frame.
 """
 
+import ctypes
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import OUT_MATRIX, OUT_VECTOR, helper
+from drivers.compiled.compiler import INTEGER, REAL, direct, helper, record
+from drivers.compiled.pointed import FAILED, Callee, address_of, call, data_at, of_python
 from drivers.errors import ConfigurationError
+from drivers.tick_columns import Record
 from hil.config.reference import AxisLimits, Waypoint
 from hil.config.values import Pose
 from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at
 
-SAMPLE = (OUT_VECTOR, OUT_MATRIX, OUT_VECTOR, OUT_VECTOR)
-"""The arguments of a kernel that fills p, R, twist, dtwist: returning them would cost 0.3 us each."""
+SAMPLE = np.dtype([("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6), ("dtwist", "<f8", 6)])
+"""A `PoseSample` as a record: what the function of a trajectory, `(context, t, into)`, fills."""
 
 
 class PoseSample(NamedTuple):
@@ -34,15 +40,9 @@ class PoseSample(NamedTuple):
     """(6,) m/s^2, rad/s^2."""
 
 
-SAMPLE_RECORD = np.dtype(
-    [("p", "<f8", (3,)), ("R", "<f8", (3, 3)), ("twist", "<f8", (6,)), ("dtwist", "<f8", (6,))]
-)
-"""A `PoseSample` as a record."""
-
-
-def blank() -> PoseSample:
-    """Return a sample that a kernel can fill."""
-    return PoseSample(np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6))
+def of_record(sample: Record) -> PoseSample:
+    """Return the parts of a record that has those of SAMPLE: views of it."""
+    return PoseSample(sample["p"], sample["R"], sample["twist"], sample["dtwist"])
 
 
 class Trajectory(Protocol):
@@ -56,14 +56,105 @@ class Trajectory(Protocol):
         """Return the sample at t (s). Outside [0, duration] the nearest end pose, at rest."""
 
 
+class CompiledTrajectory:
+    """A trajectory that is a function of a record: `callee`, which whoever derives from it sets."""
+
+    callee: Callee
+
+    def sample(self, t: float) -> PoseSample:
+        """Return the sample at t (s); see `Trajectory`."""
+        return sampled_by(self.callee, t)
+
+
+class _Door:
+    """A trajectory in plain Python as a function. `error`: what its last failure was."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+        self.error: BaseException | None = None
+        self.address, self._callback = of_python(self._sample, INTEGER, REAL, INTEGER)
+
+    def _sample(self, _context: int, t: float, where: int) -> int:
+        memory: Any = (ctypes.c_double * (SAMPLE.itemsize // 8)).from_address(where)
+        np.frombuffer(memory)[:] = np.nan
+        try:
+            for into, part in zip(
+                of_record(np.ndarray((), SAMPLE, memory)), self._trajectory.sample(t), strict=True
+            ):
+                into[:] = part
+        except BaseException as error:  # noqa: BLE001 - nothing can be raised through machine code
+            np.frombuffer(memory)[:] = np.nan
+            self.error = error
+            return FAILED
+        return 0
+
+
+def callee_of(trajectory: Trajectory) -> Callee:
+    """Return the function of a trajectory and what it works on.
+
+    Where one in plain Python raises, the status is FAILED, the sample nan, and `failure` finds the exception.
+    """
+    own = getattr(trajectory, "callee", None)
+    if isinstance(own, Callee):
+        return own
+    door = _Door(trajectory)
+    return Callee(door.address, 0, door)
+
+
+def failure(keeps: Any) -> BaseException | None:
+    """Return what a trajectory in plain Python has raised, last: one of those that a callee keeps."""
+    if isinstance(keeps, _Door):
+        return keeps.error
+    if isinstance(keeps, tuple):
+        return next(filter(None, map(failure, keeps)), None)
+    return None
+
+
+def sampled_by(callee: Callee, t: float) -> PoseSample:
+    """Return the sample at t (s) in arrays of its own. Raises what a trajectory in plain Python does."""
+    into = np.empty((), SAMPLE)
+    require(_by_address(callee.address, callee.context, t, into), callee)
+    return of_record(into)
+
+
+def require(status: int, callee: Callee) -> None:
+    """Raise what a trajectory in plain Python has raised, where the status is that of a failure."""
+    if status < 0:
+        raise failure(callee) or RuntimeError("a trajectory's function gave no sample")
+
+
+@direct(INTEGER, INTEGER, REAL, record(SAMPLE))
+def _by_address(function: int, context: int, t: float, into: Any) -> int:
+    status: int = call(function, (context, t, address_of(into)))
+    return status
+
+
+def context_of(dtype: np.dtype[np.void], **values: Any) -> Record:
+    """Return a record of a dtype with these values; an array that does not fit in goes by its address."""
+    context: Record = np.zeros((), dtype)
+    for name, value in values.items():
+        by_address = isinstance(value, np.ndarray) and not dtype[name].shape
+        context[name] = data_at(value) if by_address else value
+    return context
+
+
 @helper
-def lift(chi: Array, dchi: Array, ddchi: Array, p: Array, R: Array, twist: Array, dtwist: Array) -> None:
-    """Fill p, R, twist, dtwist of a six-word path with value chi, first and second derivative."""
-    omega, domega = rotation_motion(at(chi, 3), at(dchi, 3), at(ddchi, 3), R)
+def copy_sample(one: Any, into: Any) -> None:
+    """Fill a record of SAMPLE with the same parts of another record."""
+    into.p[:] = one.p
+    into.R[:] = one.R
+    into.twist[:] = one.twist
+    into.dtwist[:] = one.dtwist
+
+
+@helper
+def lift(chi: Array, dchi: Array, ddchi: Array, into: Any) -> None:
+    """Fill a record of SAMPLE from a six-word path with value chi, first and second derivative."""
+    omega, domega = rotation_motion(at(chi, 3), at(dchi, 3), at(ddchi, 3), into.R)
     for i in range(3):
-        p[i] = chi[i]
-        twist[i], twist[3 + i] = dchi[i], omega[i]
-        dtwist[i], dtwist[3 + i] = ddchi[i], domega[i]
+        into.p[i] = chi[i]
+        into.twist[i], into.twist[3 + i] = dchi[i], omega[i]
+        into.dtwist[i], into.dtwist[3 + i] = ddchi[i], domega[i]
 
 
 @helper

@@ -1,25 +1,30 @@
 """Piecewise polynomial paths: way-points and splines are both one of these."""
 
+from typing import Any
+
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct
-from hil.trajectory.path import SAMPLE, PoseSample, blank, lift
+from drivers.compiled.compiler import REAL, record
+from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, lift
 
 DEGREE = 5
-TENSOR = MATRIX.copy(ndim=3)
+PIECES = np.dtype([("knots", "<i8"), ("coefficients", "<i8"), ("segments", "<i8"), ("periods", "<i8")])
+"""Addresses of the knots (n + 1,) and the coefficients (n, 6, 6), n, and the passes; 0 is for ever."""
 
 
-@direct(REAL, VECTOR, TENSOR, INTEGER, *SAMPLE)
-def evaluate(
-    t: float, knots: Array, coefficients: Array, periods: int, p: Array, R: Array, twist: Array, dtwist: Array
-) -> None:
-    """Fill p, R, twist, dtwist at t (s) of chi(u) = sum_k c[segment, k] u^k, u in [0, 1] on each segment.
+@pointed(record(PIECES), REAL, record(SAMPLE))
+def evaluate(path: Any, t: float, into: Any) -> int:
+    """Fill the sample at t (s) of chi(u) = sum_k c[segment, k] u^k, u in [0, 1] on each segment.
 
-    knots (n + 1,) s from 0; coefficients (n, 6, 6) by segment, power, word; `periods` passes, 0 is for ever.
-    At a knot the segment that begins there counts, except at the very end.
+    knots in s from 0; coefficients by segment, power, word. At a knot the segment that begins there counts,
+    except at the very end.
     """
-    period = knots[-1]
+    segments, periods = path.segments, path.periods
+    knots = reals_at(path.knots, segments + 1)
+    coefficients = reals_at(path.coefficients, segments * 36).reshape((segments, 6, 6))
+    period = knots[segments]
     moving = t >= 0.0 and (periods == 0 or t <= periods * period)
     local = max(t, 0.0)
     pass_number = np.floor(local / period)
@@ -27,7 +32,7 @@ def evaluate(
         local = period
     else:
         local -= pass_number * period
-    low, high = 0, knots.shape[0] - 1
+    low, high = 0, segments
     while high - low > 1:
         middle = (low + high) // 2
         if knots[middle] <= local:
@@ -48,10 +53,11 @@ def evaluate(
         if moving:
             dchi[word] = rate / h
             ddchi[word] = curvature / (h * h)
-    lift(chi, dchi, ddchi, p, R, twist, dtwist)
+    lift(chi, dchi, ddchi, into)
+    return 0
 
 
-class PiecewisePolynomial:
+class PiecewisePolynomial(CompiledTrajectory):
     """chi(t) polynomial between knots, run through `periods` times (None: for ever).
 
     knots (n + 1,) s, increasing from 0; coefficients (n, 6, 6) [segment, power, word] in the segment's
@@ -60,18 +66,15 @@ class PiecewisePolynomial:
 
     def __init__(self, knots: Array, coefficients: Array, periods: int | None = 1) -> None:
         self._knots = np.array(knots, float, order="C")
-        self._coefficients = np.array(coefficients, float, order="C")
-        self._periods = 0 if periods is None else periods
+        pieces = np.array(coefficients, float, order="C")
         self.period_s = float(self._knots[-1])
         self.duration_s = None if periods is None else periods * self.period_s
+        path = context_of(
+            PIECES, knots=self._knots, coefficients=pieces, segments=len(pieces), periods=periods or 0
+        )
+        self.callee = Callee(evaluate.address, data_at(path), (path, self._knots, pieces))
 
     @property
     def knots(self) -> Array:
         """(n + 1,) s, between which the path is a polynomial: its acceleration may jump there."""
         return self._knots.copy()
-
-    def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s); see `Trajectory`."""
-        sample = blank()
-        evaluate(t, self._knots, self._coefficients, self._periods, *sample)
-        return sample

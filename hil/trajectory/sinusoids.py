@@ -1,17 +1,38 @@
 """Sums of sinusoids about a centre, faded in and out."""
 
 import math
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import INTEGERS, MATRIX, REAL, VECTOR, direct, helper
+from drivers.arrays import Array
+from drivers.compiled.compiler import REAL, helper, record
+from drivers.compiled.pointed import Callee, data_at, integers_at, pointed, reals_at
 from drivers.errors import ConfigurationError
 from hil.config.reference import SinusoidReference
 from hil.config.values import AXES, Pose
 from hil.mathematics.trigonometry import sincos
-from hil.trajectory.path import SAMPLE, PoseSample, blank, lift, quintic, require_half_turn, six_words
+from hil.trajectory.path import (
+    SAMPLE,
+    CompiledTrajectory,
+    context_of,
+    lift,
+    quintic,
+    require_half_turn,
+    six_words,
+)
 
+WAVES = np.dtype(
+    [
+        ("axis", "<i8"),
+        ("wave", "<i8"),
+        ("count", "<i8"),
+        ("centre", "<f8", 6),
+        ("duration", "<f8"),
+        ("ramp", "<f8"),
+    ]
+)
+"""Addresses of the word of each component (n,), and of amplitude (m or rad), Hz, rad of each (n, 3); n."""
 _TURN = 2.0 * math.pi
 
 
@@ -30,21 +51,18 @@ def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
     return 1.0, 0.0, 0.0
 
 
-@direct(REAL, VECTOR, INTEGERS, MATRIX, REAL, REAL, *SAMPLE)
-def evaluate(
-    t: float, centre: Array, axis: Ints, wave: Array, duration: float, ramp: float,
-    p: Array, R: Array, twist: Array, dtwist: Array,
-) -> None:  # fmt: skip
-    """Fill p, R, twist, dtwist at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase).
-
-    centre (6,) m, rad; axis (n,) word of each component; wave (n, 3) amplitude (m or rad), Hz, rad.
-    """
+@pointed(record(WAVES), REAL, record(SAMPLE))
+def evaluate(path: Any, t: float, into: Any) -> int:
+    """Fill the sample at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase)."""
+    duration = path.duration
+    axis, wave = integers_at(path.axis, path.count), reals_at(path.wave, 3 * path.count)
     moving = 0.0 <= t <= duration
     t = min(max(t, 0.0), duration)
-    e, de, dde = fade(t, duration, ramp)
-    chi, dchi, ddchi = centre.copy(), np.zeros(6), np.zeros(6)
-    for i in range(axis.shape[0]):
-        a, f, phase = wave[i, 0], wave[i, 1], wave[i, 2]
+    e, de, dde = fade(t, duration, path.ramp)
+    chi, dchi, ddchi = np.empty(6), np.zeros(6), np.zeros(6)
+    chi[:] = path.centre
+    for i in range(path.count):
+        a, f, phase = wave[3 * i], wave[3 * i + 1], wave[3 * i + 2]
         turns = f * t
         s, c = sincos(_TURN * (turns - np.floor(turns)) + phase)
         w = _TURN * f
@@ -54,10 +72,11 @@ def evaluate(
         if moving:
             dchi[k] += de * x + e * dx
             ddchi[k] += dde * x + 2.0 * de * dx + e * ddx
-    lift(chi, dchi, ddchi, p, R, twist, dtwist)
+    lift(chi, dchi, ddchi, into)
+    return 0
 
 
-class SinusoidTrajectory:
+class SinusoidTrajectory(CompiledTrajectory):
     """chi(t) = centre + e(t) sum of a sin(2 pi f t + phase) on single words, e(t) fading in and out.
 
     With `ramp_s` 0 it starts and ends at speed. Raises ConfigurationError when the two ramps do not fit, or a
@@ -72,9 +91,8 @@ class SinusoidTrajectory:
                 f"{settings.duration_s:g}; at most {settings.duration_s / 2:g} s fits."
             )
         self.duration_s = settings.duration_s
-        self._ramp = settings.ramp_s
-        self._centre = six_words(settings.centre or home)
-        self._axis = np.array([AXES.index(c.axis) for c in settings.components], np.int64)
+        centre = six_words(settings.centre or home)
+        axis = np.array([AXES.index(c.axis) for c in settings.components], np.int64)
         self._wave = np.array(
             [
                 (
@@ -88,12 +106,16 @@ class SinusoidTrajectory:
         )
         if largest is None:
             largest = np.zeros(6)
-            np.add.at(largest, self._axis, np.abs(self._wave[:, 0]))
-        turn = np.abs(self._centre[3:]) + largest[3:]
+            np.add.at(largest, axis, np.abs(self._wave[:, 0]))
+        turn = np.abs(centre[3:]) + largest[3:]
         require_half_turn(float(np.linalg.norm(turn)), "reference: centre and amplitudes")
-
-    def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s); see `Trajectory`."""
-        sample = blank()
-        evaluate(t, self._centre, self._axis, self._wave, self.duration_s, self._ramp, *sample)
-        return sample
+        path = context_of(
+            WAVES,
+            axis=axis,
+            wave=self._wave,
+            count=len(axis),
+            centre=centre,
+            duration=self.duration_s,
+            ramp=settings.ramp_s,
+        )
+        self.callee = Callee(evaluate.address, data_at(path), (path, axis, self._wave))

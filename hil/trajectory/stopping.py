@@ -1,11 +1,17 @@
 """A controlled stop: the same path, its time slowed to rest."""
 
-from drivers.arrays import Array
-from drivers.compiled.compiler import REAL, VECTOR, kernel
-from hil.trajectory.path import PoseSample, Trajectory
+from typing import Any
+
+import numpy as np
+
+from drivers.compiled.compiler import REAL, helper, record
+from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, Trajectory, callee_of, context_of
+
+STOP = np.dtype([("function", "<i8"), ("context", "<i8"), ("t_stop", "<f8"), ("slowing", "<f8")])
 
 
-@kernel(REAL, REAL, REAL)
+@helper
 def path_time(t: float, t_stop: float, duration: float) -> tuple[float, float, float]:
     """Path time sigma(t) with its first and second derivative.
 
@@ -21,13 +27,25 @@ def path_time(t: float, t_stop: float, duration: float) -> tuple[float, float, f
     return sigma, rate, 6.0 * u * (u - 1.0) / duration
 
 
-@kernel(VECTOR, VECTOR, REAL, REAL)
-def slowed(twist: Array, dtwist: Array, rate: float, curvature: float) -> tuple[Array, Array]:
-    """Twist and its rate (6,) along a path whose time runs at `rate`: the chain rule."""
-    return rate * twist, rate * rate * dtwist + curvature * twist
+@helper
+def slow(sample: Any, rate: float, curvature: float) -> None:
+    """Turn twist and dtwist into those along a path whose time runs at `rate`: the chain rule."""
+    for i in range(6):
+        along = sample.twist[i]
+        sample.twist[i] = rate * along
+        sample.dtwist[i] = rate * rate * sample.dtwist[i] + curvature * along
 
 
-class StoppingTrajectory:
+@pointed(record(STOP), REAL, record(SAMPLE))
+def evaluate(stop: Any, t: float, into: Any) -> int:
+    """Fill the sample of the path that is stopped along."""
+    sigma, rate, curvature = path_time(t, stop.t_stop, stop.slowing)
+    status: int = call(stop.function, (stop.context, sigma, address_of(into)))
+    slow(into, rate, curvature)
+    return status
+
+
+class StoppingTrajectory(CompiledTrajectory):
     """`trajectory` until `t_stop` (s), then slowed to rest along the same path within `duration_s` > 0.
 
     Time is that of `trajectory`: it can take its place at t_stop without a jump in pose, twist or dtwist.
@@ -35,14 +53,9 @@ class StoppingTrajectory:
     """
 
     def __init__(self, trajectory: Trajectory, t_stop: float, duration_s: float) -> None:
-        self._trajectory = trajectory
-        self._t_stop = float(t_stop)
-        self._slowing = float(duration_s)
-        self.duration_s = self._t_stop + self._slowing
-
-    def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s); see `Trajectory`."""
-        sigma, rate, curvature = path_time(t, self._t_stop, self._slowing)
-        p, R, twist, dtwist = self._trajectory.sample(sigma)
-        twist, dtwist = slowed(twist, dtwist, rate, curvature)
-        return PoseSample(p, R, twist, dtwist)
+        self.duration_s = float(t_stop) + float(duration_s)
+        path = callee_of(trajectory)
+        stop = context_of(
+            STOP, function=path.address, context=path.context, t_stop=t_stop, slowing=duration_s
+        )
+        self.callee = Callee(evaluate.address, data_at(stop), (stop, path))

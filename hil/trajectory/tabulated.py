@@ -1,15 +1,41 @@
 """A trajectory evaluated before the run, at the loop's ticks."""
 
+from typing import Any
+
 import numpy as np
 
+from drivers.compiled.compiler import REAL, record
+from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, record_at
 from drivers.errors import ConfigurationError
-from hil.trajectory.path import PoseSample, Trajectory
+from hil.trajectory.path import (
+    SAMPLE,
+    CompiledTrajectory,
+    Trajectory,
+    callee_of,
+    context_of,
+    copy_sample,
+)
 
-BYTES_PER_TICK = 8 * (3 + 9 + 6 + 6)
+BYTES_PER_TICK = SAMPLE.itemsize
 LARGEST_MB = 256
+TABLE = np.dtype(
+    [("function", "<i8"), ("context", "<i8"), ("samples", "<i8"), ("count", "<i8"), ("period", "<f8")]
+)
+_sample_at = record_at(record(SAMPLE))
 
 
-class TabulatedTrajectory:
+@pointed(record(TABLE), REAL, record(SAMPLE))
+def look_up(table: Any, t: float, into: Any) -> int:
+    """Fill the sample from the table, or, between its instants, from the trajectory that it was made of."""
+    k = np.rint(t / table.period)
+    if 0.0 <= k < table.count and k * table.period == t:
+        copy_sample(_sample_at(table.samples + int(k) * BYTES_PER_TICK), into)
+        return 0
+    status: int = call(table.function, (table.context, t, address_of(into)))
+    return status
+
+
+class TabulatedTrajectory(CompiledTrajectory):
     """`trajectory` read from a table of its samples at whole multiples of `period_s`, with the same bits.
 
     Other instants, as a stop along the path has them, are evaluated when they are asked for. Raises
@@ -18,7 +44,6 @@ class TabulatedTrajectory:
 
     def __init__(self, trajectory: Trajectory, period_s: float) -> None:
         self.duration_s = require_end(trajectory)
-        self._trajectory = trajectory
         self._period = period_s
         ticks = int(self.duration_s / period_s) + 2
         size = ticks * BYTES_PER_TICK * 1e-6
@@ -27,19 +52,17 @@ class TabulatedTrajectory:
                 f"reference.evaluation: the table of {ticks} ticks would take {size:.0f} MB, allowed: at "
                 f"most {LARGEST_MB}; evaluate it online."
             )
-        samples = [trajectory.sample(k * period_s) for k in range(ticks)]
-        self._table = tuple(np.array(column) for column in zip(*samples, strict=True))
-        for column in self._table:
-            column.flags.writeable = False
-        self._ticks = ticks
-
-    def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s); see `Trajectory`."""
-        k = round(t / self._period)
-        if 0 <= k < self._ticks and k * self._period == t:
-            p, R, twist, dtwist = self._table
-            return PoseSample(p[k], R[k], twist[k], dtwist[k])
-        return self._trajectory.sample(t)
+        samples = np.array([tuple(trajectory.sample(k * period_s)) for k in range(ticks)], SAMPLE)
+        path = callee_of(trajectory)
+        table = context_of(
+            TABLE,
+            function=path.address,
+            context=path.context,
+            samples=samples,
+            count=ticks,
+            period=period_s,
+        )
+        self.callee = Callee(look_up.address, data_at(table), (table, samples, path))
 
 
 def require_end(trajectory: Trajectory) -> float:

@@ -35,7 +35,7 @@ def test_stroke_times_and_reactions_of_the_configuration_each_come_to_their_plac
     assert cycle.durations == Durations(0.02, 0.03, UNLIKE.closing_s) == cycle.effort.durations
     assert cycle.homing._period_s == cycle.motion.period_s == cycle.effort.period_s == 0.002
     assert cycle.operating.least_s == 0.9
-    assert cycle.motion.override._limit == pytest.approx(PEAK / 0.9)
+    assert cycle.motion.override.record["limit"] == pytest.approx(PEAK / 0.9)
     parts, reactions = cycle.parts, VIRTUAL.reactions
     np.testing.assert_array_equal(cycle.first.p, parts.trajectory.sample(0.0).p)
     judge: Any = cycle.operating._judged

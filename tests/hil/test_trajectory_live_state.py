@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.trajectory.live import LiveTrajectory, propose
+from hil.trajectory.live import LiveTrajectory, first_stage
 from tests.hil.test_trajectory_live import LIMITS, PERIOD, START, UNLIKE, A, J, V, anywhere, live, off
 
 WINDOW = round(2 * A / J / PERIOD)
@@ -25,10 +25,10 @@ def test_a_reset_leaves_nothing_of_what_was():
         end(trajectory)
         goes(trajectory, 300, 400)
         trajectory.reset()
-        kept, new = vars(trajectory), vars(fresh)
-        assert kept.keys() == new.keys()
-        for name, value in new.items():
-            np.testing.assert_equal(kept[name], value, err_msg=name)
+        for name in set(trajectory._live.dtype.names) - {"history"}:
+            np.testing.assert_equal(trajectory._live[name], fresh._live[name], err_msg=name)
+        np.testing.assert_array_equal(trajectory._history, fresh._history)
+        assert trajectory.duration_s is None
         assert trajectory.resting
         np.testing.assert_array_equal(goes(trajectory, 1, 3).p, START[:3])
 
@@ -56,7 +56,7 @@ def test_each_word_has_its_own_velocity_acceleration_and_window(word):
     trajectory.aim(START + 10.0 * np.eye(6)[word])
     v, a, j = UNLIKE[:, word]
     x = trajectory._history
-    assert trajectory._window[word] == np.ceil(round(2 * a / j / PERIOD, 6))
+    assert trajectory._live["window"][word] == np.ceil(round(2 * a / j / PERIOD, 6))
     goes(trajectory, 1, 11)
     k = 10 % len(x)
     np.testing.assert_allclose(x[k, 1, word], 10 * PERIOD * a, rtol=1e-12)
@@ -73,7 +73,7 @@ def test_each_word_has_its_own_velocity_acceleration_and_window(word):
 def test_a_window_is_of_the_fewest_whole_ticks_that_keep_the_jerk_and_of_one_at_least(rate_Hz, A, J, ticks):
     """2 A / J: 0.7 m/s^3 after 1.393 m/s^2 are 3.98 s, by numbers as they are rounded 31840.000000000004 ticks."""
     trajectory = live(np.array([[V] * 6, [A] * 6, [J] * 6]), period=1.0 / rate_Hz)
-    np.testing.assert_array_equal(trajectory._window, [ticks] * 6)
+    np.testing.assert_array_equal(trajectory._live["window"], [ticks] * 6)
 
 
 @pytest.mark.parametrize("word", range(6))
@@ -82,7 +82,7 @@ def test_a_platform_of_which_one_word_moves_or_begins_to_move_does_not_rest(part
     trajectory = live()
     trajectory.halt()
     assert trajectory.resting
-    trajectory._sample = trajectory.sample(0.0)._replace(**{part: np.eye(6)[word]})
+    trajectory._live[part] = np.eye(6)[word]
     assert not trajectory.resting
 
 
@@ -93,7 +93,7 @@ def test_a_halt_is_at_the_place_of_rest_and_another_target_ends_it():
     assert not trajectory.resting
     trajectory.halt()
     assert not trajectory.resting, "it still comes to rest"
-    rest = trajectory._rest
+    rest = trajectory._live["rest"].copy()
     sample = goes(trajectory, 500, 500 + round(V / A / PERIOD) + WINDOW + 2)
     assert trajectory.resting
     np.testing.assert_allclose(sample.p, rest[:3], rtol=0, atol=1e-12)
@@ -186,9 +186,9 @@ def test_a_refused_way_is_left_for_the_rest_that_was_good_a_tick_ago():
     trajectory = live()
     trajectory.aim(FAR)
     goes(trajectory, 1, 300)
-    good = trajectory._rest.copy()
+    good = trajectory._live["rest"].copy()
     goes(trajectory, 300, 301, lambda _: 1)
-    np.testing.assert_array_equal(trajectory._rest, good)
+    np.testing.assert_array_equal(trajectory._live["rest"], good)
     sample = goes(trajectory, 301, 1000)
     np.testing.assert_allclose(sample.p, good[:3], rtol=0, atol=1e-12)
     assert trajectory.resting
@@ -201,7 +201,7 @@ def test_a_refused_way_is_told_and_braked_within_the_limits_at_any_share_and_ove
     trajectory = live()
     trajectory.aim(FAR)
     goes(trajectory, 1, 500)
-    good, rows = trajectory._rest.copy(), trajectory._history
+    good, rows = trajectory._live["rest"].copy(), trajectory._history
     trajectory.limit(share)
     assert trajectory.advance(499 + ticks, lambda _: 5) == 5
     assert trajectory.advance(500 + ticks, lambda _: 5) == 0
@@ -220,11 +220,17 @@ def test_where_nothing_moves_nothing_is_judged():
     goes(trajectory, 1, 10, never)
 
 
+def stepped(x, v, target, step):
+    return np.array(
+        [first_stage(*word, PERIOD) for word in zip(x, v, target, LIMITS[0], step, strict=True)]
+    ).T
+
+
 def test_the_first_stage_steps_by_the_mean_speed_and_tells_where_braking_ends():
     x, v = np.zeros(6), np.array([0.0, 0.1, -0.1, 0.3, 0.1, 0.0])
     target = np.array([1.0, 1.0, -1.0, 1.0, -1.0, 0.0])
     step = A * PERIOD * np.array([1.0, 2.0, 1.0, 1.0, 4.0, 1.0])
-    x1, v1, rest = propose(x, v, target, LIMITS[0], step, PERIOD)
+    x1, v1, rest = stepped(x, v, target, step)
     np.testing.assert_allclose(v1, [1e-3, 0.102, -0.101, 0.3, 0.096, 0.0], rtol=1e-12)
     np.testing.assert_allclose(x1, 0.5 * PERIOD * (v + v1), rtol=1e-12)
     ticks = np.array([1, 51, 101, 300, 24, 0])
@@ -236,7 +242,7 @@ def test_each_word_that_comes_to_rest_within_rounding_of_its_target_is_put_on_it
     x = np.array([0.1, -0.2, 1.0, 0.01, -0.03, 0.05])
     v = np.array([4e-4, -3e-4, 2e-4, -1e-4, 5e-4, 6e-4])
     target = x + 0.5 * PERIOD * v + off_m
-    x1, v1, rest = propose(x, v, target, LIMITS[0], np.full(6, A * PERIOD), PERIOD)
+    x1, v1, rest = stepped(x, v, target, np.full(6, A * PERIOD))
     assert not v1.any()
     assert x1.tobytes() == target.tobytes()
     assert rest.tobytes() == target.tobytes()

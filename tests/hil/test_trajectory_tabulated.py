@@ -117,7 +117,7 @@ def test_a_table_that_would_be_too_large_is_refused():
 def test_what_was_evaluated_before_the_run_cannot_be_altered_by_who_reads_it():
     path = build(WaypointReference, "offline", 0.01)
     assert isinstance(path, TabulatedTrajectory)
+    before = [column.tobytes() for column in path.sample(0.5)]
     for column in path.sample(0.5):
-        with pytest.raises(ValueError, match="read-only"):
-            np.add(column, 1.0, out=column)
-    assert path.sample(0.5).twist.any()
+        np.add(column, 1.0, out=column)
+    assert [column.tobytes() for column in path.sample(0.5)] == before

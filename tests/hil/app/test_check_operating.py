@@ -18,7 +18,6 @@ from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.override import Override
-from hil.trajectory.stopping import slowed
 
 pytestmark = pytest.mark.usefixtures("unproven")
 
@@ -45,13 +44,14 @@ def stopped(c, model, trajectory, at_s, up=False):
     override, period = Override(1.0 / RATE_Hz, c.engage.stop_s), 1.0 / RATE_Hz
     override.place(0, at_s) if up else override.settle(0, 1.0)
     if not up:
-        override._s = at_s
+        override.record["s"] = at_s
     override.aim(0, 1.0 if up else 0.0)
     forces, rates, still = [], [], np.zeros(6)
     for tick in range(round(1.2 * c.engage.stop_s * RATE_Hz)):
         override.advance(tick)
         s = trajectory.sample(override.time(tick))
-        twist, dtwist = slowed(s.twist, s.dtwist, override.sigma, override.dsigma)
+        sigma, dsigma = override.sigma, override.dsigma
+        twist, dtwist = sigma * s.twist, sigma**2 * s.dtwist + dsigma * s.twist
         forces.append(model.inverse_dynamics(s.p, s.R, twist, dtwist, still))
         a, b = model.platform.base_joints, model.platform.platform_joints
         legs = s.p + b @ s.R.T - a

@@ -1,0 +1,144 @@
+"""Every reference by its address: ours, and one in plain Python, which may fail."""
+
+import numpy as np
+import pytest
+
+from drivers.compiled.compiler import INTEGER, MATRIX, direct, record
+from drivers.compiled.pointed import FAILED
+from drivers.tick_columns import TICK, new_record, part
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
+from hil.loop.motion import Motion
+from hil.loop.motion_kernels import MOTION, place_reference, sample_at
+from hil.loop.reference import fill_reference, fill_sample
+from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.live import LiveTrajectory
+from hil.trajectory.move import GeodesicMove
+from hil.trajectory.override import OVERRIDE
+from hil.trajectory.path import SAMPLE, callee_of, sampled_by
+from hil.trajectory.stopping import StoppingTrajectory
+from hil.trajectory.tabulated import TabulatedTrajectory
+
+T, HERE, THERE, EYE = 0.25, np.array([0.0, 0.0, 1.0]), np.array([0.1, -0.1, 1.1]), np.eye(3)
+MOVE = GeodesicMove(HERE, EYE, THERE, EYE, 2.0)
+
+
+class Plain:
+    """The move in plain Python, which fails from `bad_s` on."""
+
+    duration_s = 2.0
+
+    def __init__(self, bad_s=np.inf):
+        self.bad_s = bad_s
+
+    def sample(self, t):
+        if t >= self.bad_s:
+            raise ZeroDivisionError(t)
+        return MOVE.sample(t)
+
+
+def same(one, other):
+    return all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("wrapped", [lambda path: path, lambda path: StoppingTrajectory(path, 0.5, 1.0)])
+def test_a_path_in_plain_python_gives_the_bits_of_ours_by_its_address(wrapped):
+    ours, plain = wrapped(MOVE), wrapped(Plain())
+    for t in (-1.0, 0.0, 0.7, 1.3, 5.0):
+        assert same(sampled_by(callee_of(plain), t), ours.sample(t))
+
+
+@pytest.mark.parametrize(
+    "wrapped",
+    [
+        lambda path: path,
+        lambda path: StoppingTrajectory(path, 5.0, 1.0),
+        lambda path: TabulatedTrajectory(path, 0.25),
+        lambda path: StoppingTrajectory(TabulatedTrajectory(path, 0.25), 5.0, 1.0),
+    ],
+)
+def test_what_a_path_in_plain_python_raises_is_kept_and_raised_again_by_the_motion(wrapped):
+    path, motion, into = Plain(), Motion(T, HERE, EYE, 0.5), np.zeros((), SAMPLE)
+    motion.start(wrapped(path), 0)
+    motion.sample(3)
+    path.bad_s = 3.0
+    assert sample_at(motion.record, motion.override.record, 12, into) == FAILED
+    assert all(np.isnan(into[name]).all() for name in SAMPLE.names)
+    with pytest.raises(ZeroDivisionError, match="3"):
+        motion.sample(12)
+    assert same(motion.sample(4), MOVE.sample(1.0))
+
+
+@pytest.mark.parametrize("sample", [None, (HERE, EYE, np.zeros(6)), (HERE, EYE, np.zeros(6), np.zeros(5))])
+def test_a_path_in_plain_python_that_gives_no_sample_fails(sample):
+    path = Plain()
+    path.sample = lambda t: sample
+    with pytest.raises((TypeError, ValueError)):
+        sampled_by(callee_of(path), 0.0)
+
+
+def test_a_sample_is_not_altered_by_the_next_one():
+    live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), 1e-3)
+    for path in (MOVE, HoldTrajectory(HERE, EYE), TabulatedTrajectory(MOVE, T), live):
+        first = path.sample(0.5)
+        before = [each.tobytes() for each in first]
+        live.aim(np.ones(6))
+        live.advance(1, lambda _: 0)
+        for each in path.sample(1.0):
+            each[:] = 7.0
+        assert [each.tobytes() for each in first] == before
+
+
+def test_the_motion_s_record_is_that_of_its_path_after_every_change():
+    motion = Motion(T, HERE, EYE, 0.5)
+    live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), T)
+
+    def recorded(path, duration, then=(0, 0)):
+        known = motion.record["function"], motion.record["context"], motion.record["duration"]
+        assert known == (*path.callee[:2], duration)
+        assert (motion.record["then_function"], motion.record["then_context"]) == then
+
+    recorded(motion.trajectory, np.inf)
+    motion.start(MOVE, 0, then=live)
+    recorded(MOVE, 2.0, live.callee[:2])
+    motion.stop(4, 0.5)
+    recorded(motion.trajectory, 1.5)
+    motion.leave(MOVE, 5)
+    left = motion.trajectory
+    recorded(MOVE, 2.0)
+    motion.resume(6)
+    assert motion.trajectory is not left
+    recorded(motion.trajectory, 1.5)
+    motion.start(live, 7)
+    recorded(live, np.inf)
+    motion.stop(8, 0.5)
+    recorded(live, live.duration_s)
+
+
+@direct(
+    record(OVERRIDE),
+    record(MOTION),
+    INTEGER,
+    record(SAMPLE),
+    record(TICK, *part("reference")),
+    MATRIX,
+    MATRIX,
+)
+def place(override, motion, tick, sample, columns, a, b):
+    status = place_reference(override, motion.function, motion.context, tick, sample)
+    fill_sample(a, b, sample, columns)
+    return status
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3, 1.0])
+def test_a_compiled_pass_fills_the_reference_as_python_does(sigma):
+    platform = build_platform(load("lab").platform)
+    motion, sample = Motion(T, HERE, EYE, 0.5), np.zeros((), SAMPLE)
+    motion.start(MOVE, 2)
+    motion.aim(3, sigma, go=True)
+    motion.advance(4)
+    compiled, plain = new_record(), new_record()
+    joints = platform.base_joints, platform.platform_joints
+    assert place(motion.override.record, motion.record, 4, sample, compiled, *joints) == 0
+    fill_reference(platform, motion.sample(4), plain)
+    assert compiled.tobytes() == plain.tobytes()

@@ -17,20 +17,23 @@ from drivers.tick_columns import TICK, part
 from hil.estimation.pose import ESTIMATOR, estimate_pose
 from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
+from hil.loop.motion_kernels import MOTION, advance, ended, place_reference
 from hil.loop.ramps import smoothstep
-from hil.loop.reference import fill_at
+from hil.loop.reference import fill_sample
 from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge
-from hil.trajectory.path import SAMPLE_RECORD
+from hil.trajectory.override import OVERRIDE, is_full, time_at
+from hil.trajectory.path import SAMPLE
 
 CONTROL = np.dtype(
     [
         # functions, each with the address of what it works on; a stage that is not there is 0
         ("decode", "<i8"), ("command", "<i8"), ("codec", "<i8"),
         ("sense", "<i8"), ("fuse", "<i8"), ("load", "<i8"), ("learn", "<i8"), ("look_ahead", "<i8"),
-        ("advance", "<i8"), ("sample", "<i8"), ("follow", "<i8"),
+         ("follow", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
         # records of the parts
-        ("estimator", "<i8"), ("limits", "<i8"), ("memory", "<i8"), ("place", "<i8"), ("ahead", "<i8"),
+        ("estimator", "<i8"), ("motion", "<i8"), ("override", "<i8"), ("sample", "<i8"), ("ahead", "<i8"),
+        ("limits", "<i8"), ("memory", "<i8"),
         ("history", "<i8"), ("rows", "<i8"), ("lows", "<i8"), ("highs", "<i8"), ("blocks", "<i8"),
         ("watched", "<i8"), ("watched_rows", "<i8"),
         # constants
@@ -43,6 +46,7 @@ CONTROL = np.dtype(
         ("attentive", "<i8"),  # 1: it looks at the verdict of this tick
         ("due", "<i8"), ("due_states", "<i8"),  # ticks in the mode; bits of the six states that end it then
         ("overdue", "<i8"),  # ticks in the mode after which the drives are late
+        ("on_path", "<i8"),  # 1: on the path, and not on a jog from it
         ("ends", "<i8"),  # 1: the mode ends with the motion
         ("key_until", "<i8"),  # tick from which the operator's key counts as let go
         ("fixed", "<i8"),  # 1: the holding force as it is
@@ -52,7 +56,6 @@ CONTROL = np.dtype(
         ("setpoints", "<i8", (3,)), ("stops", "<i8"),
         # what the pass has found
         ("tick", "<i8"), ("last", "<i8"),
-        ("path_time", "<f8"), ("on_clock", "<i8"), ("ended", "<i8"),
         ("learned", "<f8", (6,)), ("shortfall", "<f8", (6,)),
         ("sensor_late", "<i8"),  # Warn.SENSOR or 0
         ("verdict", "<i8", (3,)),  # faults, warnings, why to stop
@@ -84,7 +87,8 @@ _seen_at = record_at(TICK_SEEN)
 _estimated_at = record_at(record(TICK, *part("estimate")))
 _estimator_at = record_at(record(ESTIMATOR))
 _limits_at, _memory_at = record_at(record(LIMITS)), record_at(record(MEMORY))
-_place_at = record_at(record(SAMPLE_RECORD))
+_motion_at, _override_at = record_at(record(MOTION)), record_at(record(OVERRIDE))
+_sample_at = record_at(record(SAMPLE))
 
 
 @helper
@@ -110,7 +114,7 @@ def may_end(c: Any, tick: Any) -> bool:
     elapsed = tick.tick - c.mode_tick
     if c.watchful or elapsed > c.overdue or tick.tick >= c.key_until or tick.altered:
         return True
-    if c.ends and c.ended:
+    if c.ends and ended(_motion_at(c.motion), _override_at(c.override), tick.tick):
         return True
     if elapsed < c.due:
         return False
@@ -147,7 +151,7 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
         estimate(c, tick)
     if c.load:
         call(c.load, (c.tick,))
-    call(c.advance, (tick.tick,))
+    advance(_motion_at(c.motion), _override_at(c.override), tick.tick)
     return look | MODE if may_end(c, tick) else look
 
 
@@ -164,17 +168,18 @@ def entry_share(c: Any, number: int) -> float:
 @helper
 def place(c: Any, tick: Any) -> None:
     """Fill the reference of a tick: where the motion is, or the pose itself where nothing is controlled."""
-    call(c.sample, (tick.tick,))
-    sample = _place_at(c.place)
-    if not controlled(c.mode) and c.mode != _UNLOADING:
+    sample, motion, override = _sample_at(c.sample), _motion_at(c.motion), _override_at(c.override)
+    if controlled(c.mode) or c.mode == _UNLOADING:
+        place_reference(override, motion.function, motion.context, tick.tick, sample)
+    else:
         sample.p[:] = tick.p
         sample.R[:] = tick.R
         sample.twist[:] = 0.0
         sample.dtwist[:] = 0.0
-    fill_at(c.base_joints, c.platform_joints, sample.p, sample.R, sample.twist, sample.dtwist, tick)
-    tick.reference_time_s = c.path_time
-    if c.mode == _TRACKING and c.on_clock:
-        tick.t_d = c.path_time
+    fill_sample(c.base_joints, c.platform_joints, sample, tick)
+    tick.reference_time_s = time_at(override, tick.tick)
+    if c.mode == _TRACKING and c.on_path and is_full(override):
+        tick.t_d = tick.reference_time_s
 
 
 @helper

@@ -17,7 +17,7 @@ from drivers.signals import DriveState, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, STOPPABLE, drive_mode
-from hil.trajectory.path import SAMPLE_RECORD
+from hil.trajectory.path import SAMPLE
 
 if TYPE_CHECKING:
     from hil.loop.cycle import Cycle
@@ -56,19 +56,17 @@ class Control:
         self.probes = False
         self.error: BaseException | None = None
         """What a stage in Python has met in this tick."""
-        self._place, self._ahead = np.zeros((), SAMPLE_RECORD), new_record()
+        self._sample, self._ahead = np.zeros((), SAMPLE), new_record()
         self._keeps: list[Any] = []
         c, end = self.record, cycle.end
         c["decode"], c["command"], c["codec"] = end.decode, end.command, end.codec
         c["estimator"] = data_at(cycle.sight.estimator.record)
         for name, value in parts.safety.places().items():
             c[name] = value
-        c["place"], c["ahead"] = data_at(self._place), data_at(self._ahead)
+        c["sample"], c["ahead"] = data_at(self._sample), data_at(self._ahead)
         c["base_joints"], c["platform_joints"] = parts.platform.base_joints, parts.platform.platform_joints
         c["period_s"], c["load_s"] = cycle.period_s, cycle.durations.load
         c["blend_s"], c["reach_N"] = parts.engage.blend_s, effort.reach_N
-        c["advance"] = self._stage(self._advance)
-        c["sample"] = self._stage(self._sample)
         c["law"] = self._law()
         if parts.last_pose is not None:
             c["decode"] = self._homed(end.decode)
@@ -115,6 +113,7 @@ class Control:
             or (mode is Mode.STOPPING and operating.parks and (stops or bool(cycle.faults)))
         )
         c["attentive"] = attentive or mode in _WATCHED or cycle.estop or cycle.rivalled
+        c["on_path"] = not motion.away
         c["fixed"] = cycle.blind or cycle.yields
         c["holding"], c["offset"] = effort.holding, effort.offset
         c["entry_tick"] = WHOLE if effort.entry_tick is None else effort.entry_tick
@@ -123,7 +122,12 @@ class Control:
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
+        motion = self._cycle.motion
         self.record["shortfall"] = 0.0
+        self.record["motion"], self.record["override"] = (
+            data_at(motion.record),
+            data_at(motion.override.record),
+        )
         self.settle()
 
     def _stage(self, function: Any) -> int:
@@ -149,17 +153,6 @@ class Control:
         error, self.error = self.error, None
         assert error is not None
         raise error
-
-    def _advance(self, number: int) -> None:
-        cycle = self._cycle
-        cycle.motion.advance(number)
-        self.record["ended"] = cycle.motion.finished(number)
-
-    def _sample(self, number: int) -> None:
-        motion, c = self._cycle.motion, self.record
-        c["path_time"], c["on_clock"] = motion.time(number), motion.on_clock
-        for name, value in zip(SAMPLE_RECORD.names or (), motion.sample(number), strict=True):
-            self._place[name] = value
 
     def _law(self) -> int:
         cycle = self._cycle

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import sqrt
 from typing import Any, Literal
 
 import numpy as np
 
-from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import OUT_VECTOR, VECTOR, direct, record
-from drivers.tick_columns import TICK, Record
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import pointed, reals_at
 from hil.config.model import ModelSettings
 from hil.config.values import Positive, ThreePositive
-from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, Memoryless, gains, per_axis
+from hil.control.law import DesiredLoop, LawContext, LawSettings, per_axis
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.mathematics.linear_algebra import solve_transposed
 from hil.mathematics.rotations import relative_rotation, rotation_vector_kernel
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
-GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6)])
+RotationError = Literal["shortest_turn", "vector_difference"]
+GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("vector_difference", "<i8")])
+"""The diagonals; whether that is the rotation's error, or the shortest turn."""
 
 
+@helper
 def _vector_difference(R: Array, R_d: Array) -> Array:
     """Return phi_d - phi (3,) rad, phi the rotation vector of the pose."""
     return rotation_vector_kernel(R_d) - rotation_vector_kernel(R)
@@ -41,7 +44,7 @@ class CartesianPDSettings(LawSettings):
     kv_position_N_s_m: Positive | ThreePositive
     kp_rotation_N_m_rad: Positive | ThreePositive
     kv_rotation_N_m_s_rad: Positive | ThreePositive
-    rotation_error: Literal["shortest_turn", "vector_difference"] = "shortest_turn"
+    rotation_error: RotationError = "shortest_turn"
     """log(R_d R^T), or the difference of the rotation vectors of the two poses as it is often printed."""
     model: ModelSettings | None = None
     """Its gravity is compensated; default none is."""
@@ -61,7 +64,7 @@ class CartesianPDSettings(LawSettings):
     def build(self, context: LawContext) -> CartesianPD:
         """Return the law."""
         model = None if self.model is None else context.model(self.model)
-        return CartesianPD(*self.gains(), model, ROTATION_ERRORS[self.rotation_error])
+        return CartesianPD(*self.gains(), model, self.rotation_error)
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
         """Return frequency and damping ratio of the heaviest translation under the largest gains."""
@@ -81,7 +84,26 @@ class CartesianPDSettings(LawSettings):
         }
 
 
-class CartesianPD(Memoryless):
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
+    if k.vector_difference:
+        e_R = _vector_difference(tick.R, tick.R_d)
+    else:
+        e_R = relative_rotation(tick.R, tick.R_d)
+    pull, load, rest = np.empty(6), np.empty(6), np.zeros(6)
+    for i in range(6):
+        e = tick.p_d[i] - tick.p[i] if i < 3 else e_R[i - 3]
+        pull[i] = k.K_p[i] * e + k.K_v[i] * (tick.twist_d[i] - tick.twist[i])
+        load[i] = -pull[i]
+    if constants == 0:
+        tick.tau_law[:] = solve_transposed(tick.J, pull)
+    else:
+        c = reals_at(constants, SIZE)
+        tick.tau_law[:] = inverse_dynamics_kernel(c, code, tick.p, tick.R, rest, rest, load)
+    return 0
+
+
+class CartesianPD(PointedLaw):
     """tau = J^-T [K_p e + K_v (twist_d - twist) + G], e = [p_d - p; e_R], G only with a model.
 
     K_p and K_v are diagonal in the base frame. ``shortest_turn``: e_R = log(R_d R^T), the rotation vector
@@ -94,31 +116,13 @@ class CartesianPD(Memoryless):
     pose itself. It is another law wherever the platform is turned: its stiffness is K_p times the inverse of
     d omega / d phi', which is not symmetric, so that no energy belongs to it; and it jumps where the platform
     itself is turned by half a turn.
+
+    tau is NaN where J is singular.
     """
 
-    def __init__(
-        self, K_p: Array, K_v: Array, model: Model | None, rotation_error: Callable[[Array, Array], Array]
-    ) -> None:
+    dtype = GAINS
+    fill = _fill
+
+    def __init__(self, K_p: Array, K_v: Array, model: Model | None, rotation_error: RotationError) -> None:
         """K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad are the diagonals, position first."""
-        self.gains = gains(GAINS, K_p, K_v)
-        self.model = model
-        self.rotation_error = rotation_error
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        pull, model = np.empty(6), self.model
-        _pull(self.gains, self.rotation_error(tick["R"], tick["R_d"]), tick, pull)
-        if model is None:
-            tick["tau_law"] = solve_transposed(tick["J"], pull)
-        else:
-            tick["tau_law"] = inverse_dynamics_kernel(
-                model.constants, model.code, tick["p"], tick["R"], ZERO6, ZERO6, -pull
-            )
-
-
-@direct(record(GAINS), VECTOR, record(TICK, *LAW_COLUMNS), OUT_VECTOR)
-def _pull(k: Any, e_R: Array, tick: Any, wrench: Array) -> None:
-    """Fill K_p e + K_v (twist_d - twist), (6,) N, N m, base frame."""
-    for i in range(6):
-        e = tick.p_d[i] - tick.p[i] if i < 3 else e_R[i - 3]
-        wrench[i] = k.K_p[i] * e + k.K_v[i] * (tick.twist_d[i] - tick.twist[i])
+        super().__init__(model, K_p, K_v, rotation_error == "vector_difference")

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
-from drivers.tick_columns import Record
-from hil.control.law import LawContext, Memoryless, ModelBasedSettings, per_leg
-from hil.control.pd import JointPD, LegGains
+from hil.control.law import LawContext, ModelBasedSettings, per_leg
+from hil.control.pd import GAINS as PD_GAINS
+from hil.control.pd import JointPD, LegGains, pd_force
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 from hil.trajectory.path import PoseSample
 
+GAINS = np.dtype(
+    [*PD_GAINS.descr, ("period_s", "<f8"), ("preview_s", "<f8"), ("table", "<i8"), ("rows", "<i8")]
+)
+"""Those of the PD; the table's times; its address, 0 for online, and the number of its rows."""
 ENDLESS = (
     "offline needs a reference that ends, because its forces are computed before the run, allowed: online, "
     "or a reference with duration_s or periods"
@@ -46,7 +53,25 @@ class FeedforwardPDSettings(LegGains, ModelBasedSettings):
         return FeedforwardPD(pd, model, context.period_s, table, context.preview_s)
 
 
-class FeedforwardPD(Memoryless):
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
+    feedforward, place = np.empty(6), np.rint((tick.t_d - k.preview_s) / k.period_s)
+    if 0.0 <= place < k.rows and place * k.period_s + k.preview_s == tick.t_d:
+        feedforward[:] = reals_at(k.table + 48 * int(place), 6)
+    else:
+        wrench = np.zeros(6)
+        if k.table == 0:
+            wrench[:] = tick.wrench
+        c = reals_at(constants, SIZE)
+        feedforward[:] = inverse_dynamics_kernel(
+            c, code, tick.p_d, tick.R_d, tick.twist_d, tick.dtwist_d, wrench
+        )
+    for i in range(6):
+        tick.tau_law[i] = pd_force(k, tick, i) + feedforward[i]
+    return 0
+
+
+class FeedforwardPD(PointedLaw):
     """tau = tau_ff + K_v (dq_d - dq) + K_p (q_d - q), tau_ff = J^-T (M dtwist_d + H + G - wrench) + friction.
 
     All of tau_ff is of the reference, not of the measured pose. With an exact model and q near q_d the error
@@ -54,36 +79,30 @@ class FeedforwardPD(Memoryless):
 
     Offline, tau_ff is a table of the whole trajectory at the ticks of the loop, made before the run; on the
     way to the trajectory, while stopping and at rest it is computed as online. An external load is not
-    known beforehand: offline leaves it out. Without one, both give the same bits.
+    known beforehand: offline leaves it out. Without one, both give the same bits. tau is NaN where J is
+    singular on the reference.
     """
+
+    dtype = GAINS
+    fill = _fill
 
     def __init__(
         self, pd: JointPD, model: Model, period_s: float, table: Array | None = None, preview_s: float = 0.0
     ) -> None:
         """Take tau_ff (n, 6) N at the times k period_s + preview_s as table, or None for online."""
-        self.pd = pd
-        self.model = model
-        self.period_s = period_s
+        super().__init__(model, *pd.gains.item(), period_s, preview_s)
         self.table = table
-        self.preview_s = preview_s
 
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular on the reference."""
-        feedforward = self._tabulated(float(tick["t_d"]))
-        if feedforward is None:
-            wrench = tick["wrench"] if self.table is None else ZERO6
-            reference = PoseSample(tick["p_d"], tick["R_d"], tick["twist_d"], tick["dtwist_d"])
-            feedforward = tau_ff(self.model, reference, wrench)
-        self.pd.effort(tick)
-        tick["tau_law"] += feedforward
+    @property
+    def table(self) -> Array | None:
+        """tau_ff (n, 6) N at the times k period_s + preview_s; None: it is computed online."""
+        return self._table
 
-    def _tabulated(self, t: float) -> Array | None:
-        """Return the table's row for the time t; None where t is not one of its times."""
-        if self.table is None or math.isnan(t):
-            return None
-        k = round((t - self.preview_s) / self.period_s)
-        listed = 0 <= k < len(self.table) and k * self.period_s + self.preview_s == t
-        return self.table[k] if listed else None
+    @table.setter
+    def table(self, table: Array | None) -> None:
+        self._table = None if table is None else np.ascontiguousarray(table, np.float64)
+        self.gains["table"] = 0 if self._table is None else data_at(self._table)
+        self.gains["rows"] = 0 if self._table is None else len(self._table)
 
 
 def tau_ff(model: Model, reference: PoseSample, wrench: Array) -> Array:

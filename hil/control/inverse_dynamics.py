@@ -7,18 +7,21 @@ the robot is the model's business (hil.robot.dynamics.Model), not the law's.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick_columns import TICK, Record
-from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, LinearisingLaw, ModelBasedSettings
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import pointed, reals_at
+from drivers.tick_columns import Record
+from hil.control.law import ErrorGains, LawContext, ModelBasedSettings
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import joint_idc_kernel
+from hil.robot.dynamics_kernels import SIZE, joint_idc_kernel
 
-GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6)])
+GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("loaded", "<i8")])
+"""The diagonals; whether the external wrench is taken off."""
 
 
 class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
@@ -31,25 +34,40 @@ class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         return JointInverseDynamics(context.model(self.model), *self.gains())
 
 
-@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
-def fill_linearised_pd(k: Any, c: Array, code: int, tick: Any) -> None:
-    """Fill tau_law for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2; NaN where J is singular."""
-    ddq_star = np.empty(6)
+@helper
+def linearise(constants: int, code: int, tick: Any, ddq_star: Array, wrench: Array) -> None:
+    """Fill tau_law for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
+    c = reals_at(constants, SIZE)
+    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, wrench)
+
+
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
+    """Fill tau_law for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2."""
+    ddq_star, wrench = np.empty(6), np.zeros(6)
     for i in range(6):
         e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
         ddq_star[i] = tick.ddq_d[i] + k.K_D[i] * de + k.K_P[i] * e
-    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)
+        if k.loaded:
+            wrench[i] = tick.wrench[i]
+    linearise(constants, code, tick, ddq_star, wrench)
+    return 0
 
 
-class JointInverseDynamics(LinearisingLaw):
+class JointInverseDynamics(PointedLaw):
     """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction, ddq* = ddq_d + K_D dE + K_P E.
 
     E = q_d - q (6,) m; K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals. Friction is that of the measured
-    rates.
+    rates. tau is NaN where J is singular.
     """
 
     dtype = GAINS
-    fill = staticmethod(fill_linearised_pd)
+    fill = _fill
+    compensates_wrench: ClassVar[bool] = True
+    """Whether the external wrench is taken off; otherwise it counts as none."""
+
+    def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
+        super().__init__(model, K_P, K_D, self.compensates_wrench)
 
 
 def linearising_tau(model: Model, tick: Record, ddq_star: Array) -> Array:

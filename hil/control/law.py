@@ -1,7 +1,8 @@
 """The contract of a control law, and what the file of one declares.
 
 A law turns estimate and reference of a tick into leg forces. It knows no mode, no limit, no bus and no
-clock; the cycle adds the bumpless entry, safety limits the result.
+clock; the cycle adds the bumpless entry, safety limits the result. How a compiled pass calls it:
+`hil.control.pointed_law`.
 """
 
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
@@ -10,7 +11,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.section import Section
-from drivers.tick_columns import Record, part
+from drivers.tick_columns import Record
 from hil.config.axis_model import AxisSpace
 from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController
@@ -58,43 +59,6 @@ class Law(Protocol):
 
         Where the law looks ahead, estimate and reference are those of the instant at which its force acts.
         """
-
-
-LAW_COLUMNS = part("estimate", "reference", "effort")
-"""What the kernel of a law sees of a tick."""
-
-
-class Memoryless:
-    """A law without mutable state."""
-
-    def reset(self) -> None:
-        """Nothing is accumulated."""
-
-
-def gains(dtype: np.dtype[np.void], *values: Array | float) -> Record:
-    """Return the gains of a law as a record of `dtype`, in the order of its fields."""
-    record = np.zeros((), dtype)
-    for name, value in zip(dtype.names or (), values, strict=True):
-        record[name] = value
-    return record
-
-
-class LinearisingLaw(Memoryless):
-    """A law around inverse dynamics that is one kernel: of its gains, its model and the tick."""
-
-    dtype: ClassVar[np.dtype[np.void]]
-    """Of its gains."""
-    fill: "ClassVar[staticmethod[[Any, Array, int, Any], None]]"
-    """Fills tau_law from the gains, the model's constants and code, and the tick."""
-
-    def __init__(self, model: Model, *values: Array | float) -> None:
-        """Take the gains in the order of their record."""
-        self.model = model
-        self.gains = gains(self.dtype, *values)
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        self.fill(self.gains, self.model.constants, self.model.code, tick)
 
 
 class ErrorDynamics(NamedTuple):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-from drivers.tick_columns import Record, copy_of
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.control.inverse_dynamics import JointInverseDynamics
 from hil.control.law import ErrorGains, LawContext
@@ -35,12 +34,4 @@ class PartialLinearisation(JointInverseDynamics):
     a far larger one than H's: on the book's path (wn 20 rad/s) H costs 0.23 mm of leg error, J_dot twist 2.6.
     """
 
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        if not tick["wrench"].any():
-            super().effort(tick)
-            return
-        unloaded = copy_of(tick)
-        unloaded["wrench"] = 0.0
-        super().effort(unloaded)
-        tick["tau_law"] = unloaded["tau_law"]
+    compensates_wrench = False

@@ -8,10 +8,11 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import direct, record
-from drivers.tick_columns import TICK, Record
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import pointed
 from hil.config.values import NonNegative, Positive, SixNonNegative, SixPositive
-from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, LawSettings, Memoryless, gains, per_leg
+from hil.control.law import DesiredLoop, LawContext, LawSettings, per_leg
+from hil.control.pointed_law import SEEN, PointedLaw
 
 GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("m", "<f8", 6)])
 
@@ -62,7 +63,21 @@ class PDSettings(DriveGains):
         return self.pd()
 
 
-class JointPD(Memoryless):
+@helper
+def pd_force(k: Any, tick: Any, i: int) -> float:
+    """Return K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d of leg i, N."""
+    e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
+    return float(k.K_p[i] * e + k.K_v[i] * de + k.m[i] * tick.ddq_d[i])
+
+
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, _constants: int, _code: int, tick: Any) -> int:
+    for i in range(6):
+        tick.tau_law[i] = pd_force(k, tick, i)
+    return 0
+
+
+class JointPD(PointedLaw):
     """tau = K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d, K_p, K_v and m diagonal.
 
     m is what each drive has to accelerate along its own leg. Where gears make it dominate the platform,
@@ -71,17 +86,9 @@ class JointPD(Memoryless):
     E = q_d - q. m = 0 is the notes' law.
     """
 
+    dtype = GAINS
+    fill = _fill
+
     def __init__(self, K_p: Array, K_v: Array, m: Array) -> None:
         """K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg are the diagonals."""
-        self.gains = gains(GAINS, K_p, K_v, m)
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law."""
-        _fill(self.gains, tick)
-
-
-@direct(record(GAINS), record(TICK, *LAW_COLUMNS))
-def _fill(k: Any, tick: Any) -> None:
-    for i in range(6):
-        e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
-        tick.tau_law[i] = k.K_p[i] * e + k.K_v[i] * de + k.m[i] * tick.ddq_d[i]
+        super().__init__(None, K_p, K_v, m)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from drivers.arrays import ZERO6
-from drivers.tick_columns import Record
-from hil.control.law import LawContext, Memoryless, ModelBasedSettings
-from hil.control.pd import DriveGains, JointPD
+import numpy as np
+
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import pointed, reals_at
+from hil.control.law import LawContext, ModelBasedSettings
+from hil.control.pd import GAINS, DriveGains, JointPD, pd_force
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 
 class PDGravitySettings(DriveGains, ModelBasedSettings):
@@ -26,22 +29,25 @@ class PDGravitySettings(DriveGains, ModelBasedSettings):
         return JointPDGravity(self.pd(), context.model(self.model))
 
 
-class JointPDGravity(Memoryless):
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
+    c, none = reals_at(constants, SIZE), np.zeros(6)
+    weight = inverse_dynamics_kernel(c, code, tick.p, tick.R, none, none, none)
+    for i in range(6):
+        tick.tau_law[i] = pd_force(k, tick, i) + weight[i]
+    return 0
+
+
+class JointPDGravity(PointedLaw):
     """tau = K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d + J^-T G, J and G at the measured pose.
 
     With an exact G a reference at rest is reached without error: V = kinetic energy + e.K_p e / 2 falls by
     dq.K_v dq (Takegaki and Arimoto, 1981; LaSalle). In motion the error is that of the PD less gravity.
+    tau is NaN where J is singular.
     """
 
-    def __init__(self, pd: JointPD, model: Model) -> None:
-        self.pd = pd
-        self.model = model
+    dtype = GAINS
+    fill = _fill
 
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular."""
-        self.pd.effort(tick)
-        model = self.model
-        weight = inverse_dynamics_kernel(
-            model.constants, model.code, tick["p"], tick["R"], ZERO6, ZERO6, ZERO6
-        )
-        tick["tau_law"] += weight
+    def __init__(self, pd: JointPD, model: Model) -> None:
+        super().__init__(model, *pd.gains.item())

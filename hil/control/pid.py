@@ -7,14 +7,16 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import OUT_VECTOR, direct, record
-from drivers.tick_columns import TICK, Record
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import pointed
 from hil.config.values import Positive, SixPositive
-from hil.control.law import LAW_COLUMNS, DesiredLoop, LawContext, gains, per_leg
-from hil.control.pd import DriveGains, JointPD
+from hil.control.law import DesiredLoop, LawContext, per_leg
+from hil.control.pd import GAINS as PD_GAINS
+from hil.control.pd import DriveGains, JointPD, pd_force
+from hil.control.pointed_law import SEEN, PointedLaw
 
-GAINS = np.dtype([("K_i_T", "<f8", 6), ("share", "<f8", 6), ("xi_max", "<f8", 6)])
-"""K_i times the period; what one call takes of the shortfall; largest xi."""
+GAINS = np.dtype([*PD_GAINS.descr, *((name, "<f8", 6) for name in ("K_i_T", "share", "xi_max", "xi"))])
+"""Those of the PD; K_i times the period; what one call takes of the shortfall; largest xi; xi."""
 
 
 class PIDSettings(DriveGains):
@@ -46,7 +48,17 @@ class PIDSettings(DriveGains):
         }
 
 
-class JointPID:
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, _constants: int, _code: int, tick: Any) -> int:
+    """Take xi one period on and add it to the PD's force."""
+    for i in range(6):
+        value = k.xi[i] + k.K_i_T[i] * (tick.q_d[i] - tick.q[i]) + k.share[i] * tick.shortfall[i]
+        k.xi[i] = min(max(value, -k.xi_max[i]), k.xi_max[i])
+        tick.tau_law[i] = pd_force(k, tick, i) + k.xi[i]
+    return 0
+
+
+class JointPID(PointedLaw):
     """tau = K_p e + K_v de + m ddq_d + xi, dxi/dt = K_i e + shortfall / T_t, |xi| <= xi_max; e = q_d - q.
 
     The integral takes away the error that a constant load leaves to a PD. While a limit holds the force back,
@@ -63,25 +75,16 @@ class JointPID:
         self, pd: JointPD, K_i: Array, xi_max: Array, period_s: float, T_t: float | None = None
     ) -> None:
         """K_i (6,) N/(m s) and xi_max (6,) N; T_t in s."""
-        self.pd = pd
         tracking = np.sqrt(pd.gains["K_v"] / K_i) if T_t is None else np.full(6, T_t)
-        self.gains = gains(GAINS, period_s * K_i, np.minimum(period_s / tracking, 1.0), xi_max)
-        self.reset()
+        share = np.minimum(period_s / tracking, 1.0)
+        super().__init__(None, *pd.gains.item(), period_s * K_i, share, xi_max)
 
     def reset(self) -> None:
         """Forget the integral."""
-        self.xi = np.zeros(6)
+        self.xi[:] = 0.0
 
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; adds one period to the integral."""
-        self.pd.effort(tick)
-        _integrate(self.gains, self.xi, tick)
-
-
-@direct(record(GAINS), OUT_VECTOR, record(TICK, *LAW_COLUMNS))
-def _integrate(k: Any, xi: Array, tick: Any) -> None:
-    """Take xi one period on and add it to tau_law."""
-    for i in range(6):
-        value = xi[i] + k.K_i_T[i] * (tick.q_d[i] - tick.q[i]) + k.share[i] * tick.shortfall[i]
-        xi[i] = min(max(value, -k.xi_max[i]), k.xi_max[i])
-        tick.tau_law[i] += xi[i]
+    @property
+    def xi(self) -> Array:
+        """The integral (6,) N: a view, that of the law's own record."""
+        integral: Array = self.gains["xi"]
+        return integral

@@ -7,13 +7,15 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, kernel, record
-from drivers.tick_columns import TICK
-from hil.control.inverse_dynamics import GAINS
-from hil.control.law import LAW_COLUMNS, ErrorGains, LawContext, LinearisingLaw, ModelBasedSettings
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, kernel, record
+from drivers.compiled.pointed import pointed, reals_at
+from hil.control.law import ErrorGains, LawContext, ModelBasedSettings
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.mathematics.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
 from hil.mathematics.vectors import add, at, cross, rotate, rotate_back, sub
-from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
+
+GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6)])
 
 
 class PoseInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
@@ -58,18 +60,19 @@ def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwis
     return dtwist
 
 
-@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
-def _fill(k: Any, c: Array, code: int, tick: Any) -> None:
-    p, R, twist = tick.p, tick.R, tick.twist
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
+    c, p, R, twist = reals_at(constants, SIZE), tick.p, tick.R, tick.twist
     errors = pose_errors(p, R, twist, tick.p_d, tick.R_d, tick.twist_d)
     u = np.empty(6)
     for i in range(6):
         u[i] = k.K_D[i] * errors[1, i] + k.K_P[i] * errors[0, i]
     dtwist = demanded_dtwist(errors, u, twist, tick.twist_d, tick.dtwist_d)
     tick.tau_law[:] = inverse_dynamics_kernel(c, code, p, R, twist, dtwist, tick.wrench)
+    return 0
 
 
-class PoseInverseDynamics(LinearisingLaw):
+class PoseInverseDynamics(PointedLaw):
     """tau = J^-T (M dtwist* + H + G - wrench) + friction, all at the measured pose.
 
     With an exact model dtwist = dtwist*, and that is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
@@ -88,4 +91,4 @@ class PoseInverseDynamics(LinearisingLaw):
     """
 
     dtype = GAINS
-    fill = staticmethod(_fill)
+    fill = _fill

@@ -35,21 +35,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick_columns import TICK
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import pointed
 from hil.config.values import NonNegative
+from hil.control.inverse_dynamics import linearise
 from hil.control.law import (
-    LAW_COLUMNS,
     DesiredLoop,
     ErrorDynamics,
     ErrorGains,
     LawContext,
-    LinearisingLaw,
     ModelBasedSettings,
 )
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
-from hil.robot.dynamics_kernels import joint_idc_kernel
 
 GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("rho", "<f8"), ("epsilon", "<f8")])
 
@@ -96,8 +94,8 @@ class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         }
 
 
-@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
-def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(g: Any, constants: int, code: int, tick: Any) -> int:
     ddq_star, y = np.empty(6), np.empty(6)
     square = 0.0
     for i in range(6):
@@ -109,10 +107,11 @@ def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
     if size > 0.0:
         for i in range(6):
             ddq_star[i] += g.rho * (y[i] / size)
-    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)
+    linearise(constants, code, tick, ddq_star, tick.wrench)
+    return 0
 
 
-class RobustInverseDynamics(LinearisingLaw):
+class RobustInverseDynamics(PointedLaw):
     """ddq* = ddq_d + K_D de + K_P e + rho y / max(|y|, epsilon), y = de + K_D e / 2, by inverse dynamics.
 
     e = q_d - q (6,) m, |y| over all legs. K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals; rho in m/s^2,
@@ -120,4 +119,4 @@ class RobustInverseDynamics(LinearisingLaw):
     """
 
     dtype = GAINS
-    fill = staticmethod(_fill)
+    fill = _fill

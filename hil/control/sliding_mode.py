@@ -30,20 +30,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, VECTOR, direct, record
-from drivers.tick_columns import TICK
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import pointed
 from hil.config.values import NonNegative, Positive
+from hil.control.inverse_dynamics import linearise
 from hil.control.law import (
-    LAW_COLUMNS,
     DesiredLoop,
     ErrorDynamics,
     LawContext,
-    LinearisingLaw,
     ModelBasedSettings,
 )
+from hil.control.pointed_law import SEEN, PointedLaw
 from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
-from hil.robot.dynamics_kernels import joint_idc_kernel
 
 GAINS = np.dtype([("slope", "<f8"), ("k", "<f8"), ("phi", "<f8")])
 
@@ -108,18 +106,19 @@ class SlidingModeSettings(ModelBasedSettings):
         }
 
 
-@direct(record(GAINS), VECTOR, INTEGER, record(TICK, *LAW_COLUMNS))
-def _fill(g: Any, c: Array, code: int, tick: Any) -> None:
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(g: Any, constants: int, code: int, tick: Any) -> int:
     ddq_star = np.empty(6)
     for i in range(6):
         de = tick.dq_d[i] - tick.dq[i]
         s = de + g.slope * (tick.q_d[i] - tick.q[i])
         switched = s / g.phi if abs(s) < g.phi else np.sign(s)
         ddq_star[i] = tick.ddq_d[i] + g.slope * de + g.k * switched
-    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, tick.wrench)
+    linearise(constants, code, tick, ddq_star, tick.wrench)
+    return 0
 
 
-class SlidingMode(LinearisingLaw):
+class SlidingMode(PointedLaw):
     """ddq* = ddq_d + lambda de + k sat(s / phi), s = de + lambda e, by exact inverse dynamics.
 
     e = q_d - q (6,) m; sat(x) is x between -1 and 1, and sgn(s) stands for it where phi = 0, sgn(0) = 0.
@@ -127,4 +126,4 @@ class SlidingMode(LinearisingLaw):
     """
 
     dtype = GAINS
-    fill = staticmethod(_fill)
+    fill = _fill

@@ -27,16 +27,31 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import model_validator
 
-from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import MATRIX, OUT_MATRIX, VECTOR, kernel
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
-from drivers.tick_columns import Record
 from hil.config.linear_controller import LinearController
+from hil.control.inverse_dynamics import linearise
 from hil.control.law import DesiredLoop, LawContext, ModelBasedSettings
-from hil.control.linearised_axes import AXES, Axes
+from hil.control.linearised_axes import accelerations, pose_acceleration
+from hil.control.pointed_law import SEEN, PointedLaw
+from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 _INPUTS = {"error": 0, "rate_error": 1}
 """Row of the axes' errors."""
+GAINS = np.dtype(
+    [
+        ("pose", "<i8"),
+        ("order", "<i8"),
+        ("D", "<f8", 2),
+        *((name, "<i8") for name in ("A", "B", "C", "L", "x")),
+    ]
+)
+"""Whether the axes are the pose's; n; D; where A (n, n), B (n, 2), C, L (n,) and the state x (n, 6) are.
+"""
 
 
 class StateSpaceSettings(ModelBasedSettings):
@@ -66,7 +81,7 @@ class StateSpaceSettings(ModelBasedSettings):
         if controller is None:
             raise ConfigurationError(f"controller.controller_file: {self.controller_file} was not read")
         require_rate(controller, 1.0 / context.period_s)
-        return StateSpace(AXES[controller.axes](context.model(self.model)), controller)
+        return StateSpace(context.model(self.model), controller)
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
@@ -75,37 +90,101 @@ class StateSpaceSettings(ModelBasedSettings):
         return {"controller_file": "hinf", "delay_compensation": None}
 
 
-class StateSpace:
+@helper
+def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array:
+    """Return what the limits took from the last u, (6,) m/s^2, rad/s^2: of the axes, for the shortfall."""
+    taken, limited = np.zeros(6), False
+    for i in range(6):
+        limited = limited or tick.shortfall[i] != 0.0
+    if limited:
+        c = reals_at(constants, SIZE)
+        found = accelerations(c, code, tick.p, tick.R, tick.shortfall)
+        for i in range(6):
+            taken[i] = found[1, i]
+        if k.pose:
+            taken = pose_acceleration(errors, found[0])
+    return taken
+
+
+@helper
+def _step(k: Any, y: Array, taken: Array) -> Array:
+    """Return u (6,) and take x (n, 6) one step on. y (2, 6): e and de; taken (6,): of the last u.
+
+    The axes are the inner loop: six sums side by side, each in the order of the states.
+    """
+    n = k.order
+    A, B, C, L = reals_at(k.A, n * n), reals_at(k.B, 2 * n), reals_at(k.C, n), reals_at(k.L, n)
+    x, after, u = reals_at(k.x, 6 * n), np.empty(6 * n), np.empty(6)
+    for axis in range(6):
+        u[axis] = k.D[0] * y[0, axis] + k.D[1] * y[1, axis]
+    for i in range(n):
+        for axis in range(6):
+            x[6 * i + axis] += L[i] * taken[axis]
+            u[axis] += C[i] * x[6 * i + axis]
+    for i in range(n):
+        for axis in range(6):
+            after[6 * i + axis] = B[2 * i] * y[0, axis] + B[2 * i + 1] * y[1, axis]
+        for j in range(n):
+            for axis in range(6):
+                after[6 * i + axis] += A[n * i + j] * x[6 * j + axis]
+    for i in range(n):
+        for axis in range(6):
+            x[6 * i + axis] = after[6 * i + axis]
+    return u
+
+
+@pointed(record(GAINS), INTEGER, INTEGER, SEEN)
+def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
+    """Fill tau_law and take the controller one step on."""
+    twist = tick.twist
+    if k.pose:
+        errors = pose_errors(tick.p, tick.R, twist, tick.p_d, tick.R_d, tick.twist_d)
+    else:
+        errors = np.empty((2, 6))
+        for i in range(6):
+            errors[0, i] = tick.q_d[i] - tick.q[i]
+            errors[1, i] = tick.dq_d[i] - tick.dq[i]
+    u = _step(k, errors, _taken(k, constants, code, tick, errors))
+    if k.pose:
+        dtwist = demanded_dtwist(errors, u, twist, tick.twist_d, tick.dtwist_d)
+        c = reals_at(constants, SIZE)
+        tick.tau_law[:] = inverse_dynamics_kernel(c, code, tick.p, tick.R, twist, dtwist, tick.wrench)
+    else:
+        for i in range(6):
+            u[i] = tick.ddq_d[i] + u[i]
+        linearise(constants, code, tick, u, tick.wrench)
+    return 0
+
+
+class StateSpace(PointedLaw):
     """ddq* = ddq_d + C x + D y, x[k+1] = A x + B y + L a, for six axes with one controller.
+
+    tau is NaN where J is singular.
 
     Mutable state: ``x`` (n, 6), zero after `reset`. With it the law begins as its D alone, and the cycle's
     entry takes off what that asks for.
     """
 
-    def __init__(self, axes: Axes, controller: LinearController) -> None:
+    dtype = GAINS
+    fill = _fill
+
+    def __init__(self, model: Model, controller: LinearController) -> None:
         n = len(controller.A)
-        self.axes = axes
         self.order = n
         """States of the controller of one axis."""
-        self.A = np.array(controller.A, float).reshape(n, n)
-        self.B, self.D = np.zeros((n, 2)), np.zeros(2)
+        A = np.array(controller.A, float).reshape(n, n)
+        B, D = np.zeros((n, 2)), np.zeros(2)
         for column, name in enumerate(controller.inputs):
-            self.B[:, _INPUTS[name]] += [row[column] for row in controller.B]
-            self.D[_INPUTS[name]] += controller.D[0][column]
-        self.C = np.array(controller.C[0], float)
-        self.L = np.array(controller.anti_windup, float)
-        self.reset()
+            B[:, _INPUTS[name]] += [row[column] for row in controller.B]
+            D[_INPUTS[name]] += controller.D[0][column]
+        C, L = np.array(controller.C[0], float), np.array(controller.anti_windup, float)
+        self.x = np.zeros((n, 6))
+        self._matrices = A, B, C, L
+        super().__init__(model, controller.axes == "pose", n, D, *map(data_at, (*self._matrices, self.x)))
 
     def reset(self) -> None:
         """Back to x = 0."""
-        self.x = np.zeros((self.order, 6))
-
-    def effort(self, tick: Record) -> None:
-        """Fill tau_law; NaN where J is singular. Takes the controller one step on."""
-        errors, shortfall = self.axes.errors(tick), tick["shortfall"]
-        taken = self.axes.acceleration(tick, errors, shortfall) if shortfall.any() else ZERO6
-        u = _step(self.A, self.B, self.C, self.D, self.L, self.x, errors, taken)
-        tick["tau_law"] = self.axes.tau(tick, errors, u)
+        self.x[:] = 0.0
 
 
 def require_rate(controller: LinearController, rate_Hz: float) -> None:
@@ -115,32 +194,3 @@ def require_rate(controller: LinearController, rate_Hz: float) -> None:
             f"controller.controller_file: made for {controller.rate_Hz:g} Hz, and the loop runs at "
             f"{rate_Hz:g} Hz, where it is another controller; design again for that rate"
         )
-
-
-@kernel(MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, OUT_MATRIX, MATRIX, VECTOR)
-def _step(
-    A: Array, B: Array, C: Array, D: Array, L: Array, x: Array, y: Array, taken: Array
-) -> Array:  # fmt: skip
-    """Return u (6,) and take x (n, 6) one step on. y (2, 6): e and de; taken (6,): of the last u.
-
-    The axes are the inner loop: six sums side by side, each in the order of the states.
-    """
-    n = len(C)
-    u = np.empty(6)
-    for k in range(6):
-        u[k] = D[0] * y[0, k] + D[1] * y[1, k]
-    for i in range(n):
-        for k in range(6):
-            x[i, k] += L[i] * taken[k]
-            u[k] += C[i] * x[i, k]
-    after = np.empty((n, 6))
-    for i in range(n):
-        for k in range(6):
-            after[i, k] = B[i, 0] * y[0, k] + B[i, 1] * y[1, k]
-        for j in range(n):
-            for k in range(6):
-                after[i, k] += A[i, j] * x[j, k]
-    for i in range(n):
-        for k in range(6):
-            x[i, k] = after[i, k]
-    return u

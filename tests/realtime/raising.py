@@ -5,13 +5,13 @@ from __future__ import annotations
 from drivers.tick_columns import Record
 from hil.cli import main
 from hil.control.inverse_dynamics import JointInverseDynamics
-from hil.control.law import LinearisingLaw
+from hil.control.pointed_law import PointedLaw
 
 _sound = JointInverseDynamics.effort
 _raised = False
 
 
-def _effort(self: LinearisingLaw, tick: Record) -> None:
+def _effort(self: PointedLaw, tick: Record) -> None:
     """Raise once: the replay at the end of the run has to get by."""
     global _raised  # noqa: PLW0603
     if not _raised and abs(tick["dq"]).max() > 0.6:

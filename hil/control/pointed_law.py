@@ -1,0 +1,133 @@
+"""A law as a compiled pass calls it: by its address, on the record of its gains, its model and the tick.
+
+A law of this project is one compiled function (`PointedLaw`). A law in plain Python has `reset` and `effort`
+alone and needs no compiler: `called_by_pointer` gives it the same pointer.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from math import nan
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python
+from drivers.tick_columns import TICK, Record, part
+from hil.control.law import Law
+from hil.robot.dynamics import Model
+
+LAW_COLUMNS = part("estimate", "reference", "effort")
+"""What a law sees of a tick."""
+SEEN = record(TICK, *LAW_COLUMNS)
+"""Last argument of a law's function, after gains, address of the model's constants or 0, and code."""
+
+
+class Pointer(NamedTuple):
+    """A law's C function and its first three arguments; the fourth is the tick's address."""
+
+    address: int
+    gains: int
+    """Address of the record of gains and state."""
+    constants: int
+    """Address of the model's constants (SIZE,); 0 without a model."""
+    code: int
+    """The model's variant."""
+    keeps: PointedLaw | PythonLaw
+    """Keeps all of them in memory, and what the law has raised."""
+
+
+def gains(dtype: np.dtype[np.void], *values: Array | float) -> Record:
+    """Return a law's gains as a record of `dtype`, in the order of its fields; the fields left are zero."""
+    filled = np.zeros((), dtype)
+    for name, value in zip((dtype.names or ())[: len(values)], values, strict=True):
+        filled[name] = value
+    return filled
+
+
+class PointedLaw:
+    """A law that is one compiled function of the record of its gains, its model and the tick.
+
+    A subclass names the record and the function. Mutable state, where a law has any, is in the record.
+    """
+
+    dtype: ClassVar[np.dtype[np.void]]
+    fill: ClassVar[Pointed]
+    """Fills tau_law; NaN where the law has no answer."""
+    raised: None = None
+    """Compiled laws raise nothing."""
+
+    def __init__(self, model: Model | None, *values: Array | float) -> None:
+        """Take the gains in the order of their record."""
+        self.gains = gains(self.dtype, *values)
+        self._model = model
+        constants, code = (0, 0) if model is None else (data_at(model.constants), model.code)
+        self._called_with = data_at(self.gains), constants, code
+
+    @property
+    def model(self) -> Model:
+        """What the law believes of the robot. Raises AttributeError where it has no model."""
+        if self._model is None:
+            raise AttributeError(f"{type(self).__name__} has no model")
+        return self._model
+
+    @property
+    def pointer(self) -> Pointer:
+        """The function and what it works on."""
+        return Pointer(self.fill.address, *self._called_with, self)
+
+    def reset(self) -> None:
+        """Nothing is accumulated."""
+
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law, as the compiled pass does."""
+        self.fill(*self._called_with, tick)
+
+
+_effort = PointedLaw.effort
+_COLUMNS = TICK.itemsize // 8
+_Buffer = ctypes.c_double * _COLUMNS
+_fields: Any = TICK.fields
+_TAU_LAW = slice(_fields["tau_law"][1] // 8, _fields["tau_law"][1] // 8 + 6)
+
+
+class PythonLaw:
+    """A law in plain Python behind the pointer of a compiled one.
+
+    It is given a copy of the tick; only tau_law comes back, NaN where the law left it out or raised.
+
+    Mutable state: what the law raised in the last call.
+    """
+
+    def __init__(self, law: Law) -> None:
+        self.law = law
+        self.raised: BaseException | None = None
+        """None: it did not."""
+        self._address, self._callback = of_python(self._called, INTEGER, INTEGER, INTEGER, INTEGER)
+
+    @property
+    def pointer(self) -> Pointer:
+        """The callback; it works on the tick alone."""
+        return Pointer(self._address, 0, 0, 0, self)
+
+    def _called(self, _gains: int, _constants: int, _code: int, tick: int) -> int:
+        try:
+            values = np.frombuffer(_Buffer.from_address(tick), np.float64)
+            values[_TAU_LAW] = nan
+            own = values.copy()
+            self.raised = None
+            self.law.effort(np.ndarray((), TICK, own))
+            values[_TAU_LAW] = own[_TAU_LAW]
+        except BaseException as error:  # noqa: BLE001 - nothing may leave a callback, Ctrl-C neither
+            self.raised = error
+            return FAILED
+        return 0
+
+
+def called_by_pointer(law: Law) -> Pointer:
+    """Return the pointer of a law: its own function, or a callback where its `effort` is Python."""
+    if isinstance(law, PointedLaw) and getattr(law.effort, "__func__", None) is _effort:
+        return law.pointer
+    return PythonLaw(law).pointer

@@ -86,7 +86,7 @@ class CartesianPDSettings(LawSettings):
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
-    if k.vector_difference:
+    if k.vector_difference:  # noqa: SIM108 - as lines this long are not
         e_R = _vector_difference(tick.R, tick.R_d)
     else:
         e_R = relative_rotation(tick.R, tick.R_d)

@@ -114,7 +114,8 @@ class PythonLaw:
 
     def _called(self, _gains: int, _constants: int, _code: int, tick: int) -> int:
         try:
-            values = np.frombuffer(_Buffer.from_address(tick), np.float64)
+            buffer: Any = _Buffer.from_address(tick)
+            values = np.frombuffer(buffer, np.float64)
             values[_TAU_LAW] = nan
             own = values.copy()
             self.raised = None

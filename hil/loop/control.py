@@ -15,6 +15,7 @@ from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.controller_end import tick_at
 from drivers.signals import DriveState, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
+from hil.control.pointed_law import called_by_pointer
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
@@ -67,7 +68,9 @@ class Control:
         c["base_joints"], c["platform_joints"] = parts.platform.base_joints, parts.platform.platform_joints
         c["period_s"], c["load_s"] = cycle.period_s, cycle.durations.load
         c["blend_s"], c["reach_N"] = parts.engage.blend_s, effort.reach_N
-        c["law"] = self._law()
+        self.law = called_by_pointer(parts.law)
+        """The law's function, and what it has raised."""
+        c["law"], c["gains"], c["constants"], c["code"] = self.law[:4]
         if parts.last_pose is not None:
             c["decode"] = self._homed(end.decode)
         if parts.sensors is not None:
@@ -153,15 +156,6 @@ class Control:
         error, self.error = self.error, None
         assert error is not None
         raise error
-
-    def _law(self) -> int:
-        cycle = self._cycle
-
-        def effort(_gains: int, _constants: int, _code: int, at: int) -> int:
-            cycle.parts.law.effort(self._ahead if at == int(self.record["ahead"]) else cycle.tick)
-            return 0
-
-        return self._called(effort, 4)
 
     def _homed(self, decode: int) -> int:
         """Return the address of a decoder that adds the turns that the drives have forgotten."""

@@ -71,6 +71,9 @@ class JointPID(PointedLaw):
     carries the load while it fades, and the integral takes over.
     """
 
+    dtype = GAINS
+    fill = _fill
+
     def __init__(
         self, pd: JointPD, K_i: Array, xi_max: Array, period_s: float, T_t: float | None = None
     ) -> None:

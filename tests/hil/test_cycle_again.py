@@ -19,7 +19,7 @@ from hil.signals import Operator, Order, SetPoint
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 from tests.hil.control.test_pid import pid
-from tests.hil.test_cycle import Bench
+from tests.hil.test_cycle import Bench, held_to
 from tests.live_reference import LIVE_REFERENCE
 from tests.records import record_of
 
@@ -228,7 +228,7 @@ def test_a_table_made_for_the_path_at_full_speed_is_not_used_below_it(order):
 # -- the force that comes back
 
 
-def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_test(monkeypatch):
+def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_test():
     """The step from tick to tick is made for a law that goes on."""
     gentle = VIRTUAL.limits.model_copy(update={"force_step_N": 200.0})
     bench = a_bench(limits=gentle, engage=BRISK.model_copy(update={"force_ramp_s": 0.1}))
@@ -238,12 +238,10 @@ def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_tes
         bench.step()
         assert bench.tick < 2000
     modes = [bench.cycle.mode]
-    safety, judge = bench.cycle.parts.safety, bench.cycle.parts.safety.judge
-    monkeypatch.setattr(safety, "judge", lambda tick: judge(tick)._replace(faults=Fault.BRAKE))
-    bench.step()
+    with held_to(bench, standstill_m=-1.0):
+        bench.step()
     modes.append(bench.cycle.mode)
     assert modes == [Mode.UNLOADING, Mode.HELD]
-    monkeypatch.setattr(safety, "judge", judge)
     bench.step()
     np.testing.assert_allclose(bench.drives.commands[-1].force, 3618.625746, atol=1.0)
 

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from drivers.frame_array import sent_frames
+from drivers.protocol import Frame
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
 from hil.app.compose import build_cycle
 from hil.loop import cycle as cycle_module
 from hil.loop.cycle import Cycle
+from hil.loop.modes import CONTROLLED
 from hil.safety.guard import Verdict
 from hil.safety.standstill import REST_m_s
 from hil.signals import Operator
+from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import VIRTUAL
 from tests.hil.test_cycle_held import LAST, aside, measured
-from tests.records import record_of
 
 OPERATOR_STAYS = VIRTUAL.operator.model_copy(update={"stays": True})
 
@@ -61,7 +65,7 @@ def test_a_reset_clears_what_is_latched_where_nothing_is_held_and_nowhere_else(
     monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
     cycle.mode, cycle.mode_tick, cycle.estop, cycle.stop_requested = mode, 50, True, Stop.MISSED
     cycle.faults, fresh = Fault.DRIVE, cycle.dialogue
-    cycle.dialogue = cycle.parts.protocol.start(cycle.parts.setup._replace(watchdog_s=0.5))
+    cycle.end.dialogue = cycle.parts.protocol.start(cycle.parts.setup._replace(watchdog_s=0.5))
     cycle._change_mode(said(Operator.RELEASE), measured(cycle))
     assert not told
     cycle._change_mode(said(Operator.STOP, Operator.RESET), measured(cycle))
@@ -278,6 +282,39 @@ def test_the_first_stop_that_safety_asks_for_is_kept_whatever_it_asks_for_later(
 # -- what the law is asked, and what the drives are told
 
 
+class Law:
+    """Asks for the same always. State: how often."""
+
+    asked = 0
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def effort(self, tick: Any) -> None:
+        self.asked += 1
+        tick["tau_law"] = LAST
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """Six drives and a cycle that stays in its mode, with a law that asks for the same always."""
+    parts = build_cycle(VIRTUAL, 1000.0, 0.01).parts
+    bench = Bench(cycle=Cycle(replace(parts, law=Law())))  # type: ignore[arg-type]
+    for _ in range(50):
+        bench.step()
+    bench.cycle._change_mode = lambda *_: None  # type: ignore[method-assign]
+    return bench
+
+
+def stepped(bench: Bench, mode: Mode, *operator: Operator, faults: Fault = Fault.NONE) -> Any:
+    """Return the record of the next tick, which is in a mode."""
+    cycle = bench.cycle
+    cycle.mode, cycle.faults = mode, faults
+    cycle.settle()
+    bench.step(operator)
+    return cycle.tick
+
+
 @pytest.mark.parametrize(
     ("mode", "faults", "yields", "fixed", "watched"),
     [
@@ -291,66 +328,70 @@ def test_the_first_stop_that_safety_asks_for_is_kept_whatever_it_asks_for_later(
     ],
 )
 def test_the_law_is_left_out_and_the_drives_are_watched_where_they_are_to_be(
-    cycle, monkeypatch, mode, faults, yields, fixed, watched
+    bench, monkeypatch, mode, faults, yields, fixed, watched
 ):
-    seen, told = [], list[Any]()
-    monkeypatch.setattr(cycle.effort, "fill", lambda *_, **how: seen.append(how))
+    cycle, seen, told = bench.cycle, list[Any](), list[Any]()
     monkeypatch.setattr(cycle.parts.safety, "resume", told.append)
 
     def watch(tick: Any, tau: Any) -> bool:
-        np.testing.assert_array_equal(tau, LAST)
-        seen.append("watched")
+        np.testing.assert_array_equal(tau, cycle.last["tau"])
+        seen.append(tick["tau_asked"].copy())
         cycle.obedience.refused = 4
         return True
 
     monkeypatch.setattr(cycle.obedience, "watch", watch)
-    cycle.mode, cycle.faults, cycle._yields = mode, faults, yields
-    cycle.effort.last_tau = LAST
-    tick = measured(cycle, tau_asked=LAST, drive_state=int(DriveState.RUN))
-    cycle._effort(tick)
-    assert seen == [{"free": True, "fixed": fixed, "faulty": bool(faults)}, *["watched"] * watched]
-    held = np.where(np.arange(6) == 4, 0.0, LAST)
-    np.testing.assert_array_equal(tick["tau_asked"], held if watched else LAST)
+    cycle._yields = yields
+    cycle.effort.holding = 1.5 * LAST
+    cycle.last["tau"] = cycle.tick["tau"] = 2.0 * LAST
+    before = cycle.parts.law.asked
+    tick = stepped(bench, mode, faults=faults)
+    whole = 1.5 * LAST if fixed else LAST
+    assert cycle.parts.law.asked == before + (not fixed)
+    np.testing.assert_array_equal(seen, [whole] * watched)
+    np.testing.assert_array_equal(tick["tau_asked"], np.where(watched & (np.arange(6) == 4), 0.0, whole))
     assert tick["legs_refused"] == (16 if watched else 0)
     assert cycle.faults == faults | (Fault.DRIVE if watched else Fault.NONE)
-    np.testing.assert_array_equal(told, [held] * watched if watched else [])
-    np.testing.assert_array_equal(cycle.effort.last_tau, LAST)
+    np.testing.assert_array_equal(told, [np.where(np.arange(6) == 4, 0.0, 2.0 * LAST)] * watched)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_drives_that_are_not_to_be_powered_are_told_no_force(cycle, mode):
-    cycle.mode = mode
-    tick = measured(cycle, tau=LAST)
-    command = cycle._command(tick, stops=mode is Mode.FAULT)
-    powered = command.mode in {DriveMode.READY, DriveMode.RUN}
-    assert powered == (mode not in {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
-    for force in (command.force, tick["tau"], cycle.effort.last_tau):
-        np.testing.assert_array_equal(force, LAST * powered)
-    assert tick["command_mode"] == command.mode
-    assert command.stop is (mode is Mode.FAULT)
+def test_drives_that_are_not_to_be_powered_are_told_no_force(bench, mode):
+    powered = mode not in {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT}
+    asked = mode in CONTROLLED
+    bench.cycle.effort.reach_N = 1e9
+    tick = stepped(bench, mode)
+    command = bench.drives.commands[-1]
+    sent = DriveMode(command.mode)
+    assert (sent in {DriveMode.READY, DriveMode.RUN}) == powered
+    np.testing.assert_allclose(command.force, LAST * asked, atol=0.5)
+    np.testing.assert_array_equal(tick["tau"], LAST * asked)
+    assert tick["command_mode"] == sent
+    assert bench.drives.estops == 0
 
 
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.FAULT])
-def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(cycle, mode):
-    cycle.mode = mode
-    ticks = cycle.parts.protocol.reset_ticks
-    assert cycle._command(measured(cycle), stops=False).mode == DriveMode.OFF
-    cycle.reset_tick = 50
-    modes = [
-        cycle._command(record_of(tick=50 + k), stops=False).mode for k in (0, ticks - 1, ticks, 9 * ticks)
-    ]
+def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(bench, mode):
+    ticks = bench.cycle.parts.protocol.reset_ticks
+    assert stepped(bench, mode)["command_mode"] == DriveMode.OFF
+    bench.cycle.reset_tick = bench.tick + 1
+    modes = [int(stepped(bench, mode)["command_mode"]) for _ in range(3 * ticks)]
     sent = DriveMode.RESET if mode is Mode.WAITING else DriveMode.OFF
-    assert modes == [sent, sent, DriveMode.OFF, DriveMode.OFF]
+    assert modes == [sent] * ticks + [DriveMode.OFF] * (2 * ticks)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_drives_are_set_up_while_they_are_waited_for_and_after_a_fault(cycle, monkeypatch, mode):
-    monkeypatch.setattr(cycle.parts.protocol, "set_up", lambda dialogue, tick: ("gone on", ("frame",)))
-    cycle.mode, before = mode, cycle.dialogue
-    frames = cycle._set_up(measured(cycle))
+def test_drives_are_set_up_while_they_are_waited_for_and_after_a_fault(bench, monkeypatch, mode):
+    protocol = bench.cycle.parts.protocol
+    gone_on, frame = bench.cycle.dialogue._replace(sent=(7,) * 6), Frame(0x7A5, b"\1")
+    monkeypatch.setattr(protocol, "set_up", lambda dialogue, tick: (gone_on, (frame,)))
+    before = bench.cycle.dialogue
+    cycle = bench.cycle
+    cycle.mode = mode
+    cycle.settle()
+    frames = sent_frames(bench.step().frames)
     begun = mode in {Mode.WAITING, Mode.FAULT}
-    assert frames == (("frame",) if begun else ())
-    assert cycle.dialogue == ("gone on" if begun else before)
+    assert (frames[-1] == frame) == begun
+    assert cycle.dialogue == (gone_on if begun else before)
 
 
 def test_a_platform_that_yields_takes_its_reference_along(cycle, monkeypatch):

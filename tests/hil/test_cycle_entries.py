@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import Fault, Mode
+from drivers.signals import Mode
 from hil.app.compose import build_cycle
+from hil.loop.steering import NO_SETPOINTS
 from hil.signals import Operator
-from tests.hil.test_cycle import Bench
+from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import VIRTUAL, a_bench
 from tests.records import record_of
 
@@ -26,14 +27,6 @@ def stopped(mode: Mode) -> Bench:
         bench.step()
         assert bench.tick < 2000
     return bench
-
-
-def struck(bench: Bench, fault: Fault, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tick in which safety finds a fault."""
-    safety, judge = bench.cycle.parts.safety, bench.cycle.parts.safety.judge
-    monkeypatch.setattr(safety, "judge", lambda tick: judge(tick)._replace(faults=fault))
-    bench.step()
-    monkeypatch.setattr(safety, "judge", judge)
 
 
 @pytest.mark.parametrize(("before", "mode"), [(Mode.RELEASING, Mode.APPROACH), (Mode.LOADING, Mode.TRACKING)])
@@ -50,13 +43,14 @@ def test_a_motion_begins_at_the_speed_that_is_asked_for_and_parks_no_more(before
 
 @pytest.mark.parametrize("more", [0.9, 1.1])
 def test_a_platform_whose_brake_has_failed_its_test_is_held_by_the_force_that_held_it_and_not_by_the_law_alone(
-    monkeypatch, more
+    more,
 ):
     """A load has come meanwhile of which the law knows nothing."""
     bench = stopped(Mode.UNLOADING)
     effort = bench.cycle.effort
     effort.holding = more * effort.holding
-    struck(bench, Fault.BRAKE, monkeypatch)
+    with held_to(bench, standstill_m=-1.0):
+        bench.step()
     assert bench.cycle.mode is Mode.HELD
     for _ in range(5):
         bench.step()
@@ -64,9 +58,10 @@ def test_a_platform_whose_brake_has_failed_its_test_is_held_by_the_force_that_he
         np.testing.assert_allclose(bench.cycle.tick["tau"], more * 3618.625746, atol=1.0)
 
 
-def test_the_reference_stays_with_a_platform_that_yields_until_the_brakes_are_shut(monkeypatch):
+def test_the_reference_stays_with_a_platform_that_yields_until_the_brakes_are_shut():
     bench = stopped(Mode.PARKING)
-    struck(bench, Fault.FOLLOWING, monkeypatch)
+    with held_to(bench, following_error_m=-1.0):
+        bench.step()
     modes = []
     for _ in range(12):
         bench.drives.length = bench.drives.length + 2e-6
@@ -87,6 +82,7 @@ def test_a_reset_of_the_cycle_resets_every_part_that_remembers():
     stubs: dict[str, Any] = {
         name: SimpleNamespace(reset=lambda name=name: told.append(name)) for name in names
     }
+    stubs["steering"].counts = NO_SETPOINTS
     cycle.parts = replace(cycle.parts, **stubs)
     cycle.reset()
     assert sorted(told) == sorted(names)

@@ -49,7 +49,7 @@ def test_it_is_held_where_it_is_with_the_load_it_has_or_where_it_should_be_if_it
     cycle, before, blind
 ):
     cycle.mode, cycle.faults = before, Fault.STALE if blind else Fault.BRAKE
-    cycle._last_wrench = OLD_LOAD
+    cycle.last = record_of(wrench=OLD_LOAD)
     cycle._enter(Mode.HELD, measured(cycle, p=aside(cycle), wrench=LOAD))
     p, load = (cycle.parts.home_p, OLD_LOAD) if blind else (aside(cycle), LOAD)
     np.testing.assert_array_equal(cycle.motion.sample(60).p, p)

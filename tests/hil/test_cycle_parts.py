@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,11 @@ from drivers.signals import Fault, Mode, Stop
 from drivers.tick_columns import new_record
 from hil.app.compose import build_cycle
 from hil.loop.cycle import Cycle
-from hil.loop.homing import Homing, LastPose, Stroke
+from hil.loop.homing import LastPose
 from hil.loop.modes import Durations
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.override import PEAK
+from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import LIVE, VIRTUAL, a_bench
 from tests.records import record_of
 
@@ -50,17 +51,17 @@ def test_where_a_jog_comes_to_rest_is_judged_but_by_the_steering_where_the_refer
     assert live.parts.steering is not None
 
 
-def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle):
+def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle, monkeypatch):
     fresh = cycle.dialogue
     told: list[str] = []
     names = ("sight", "homing", "effort", "obedience", "operating")
     for name in names:
-        setattr(cycle, name, SimpleNamespace(reset=lambda name=name: told.append(name)))
+        monkeypatch.setattr(getattr(cycle, name), "reset", lambda name=name: told.append(name))
     cycle.mode, cycle.mode_tick, cycle.reset_tick = Mode.HELD, 77, 5
     cycle._yields, cycle.proven, cycle.estop = True, False, True
     cycle.faults, cycle.stop_requested = Fault.BRAKE, Stop.MISSED
     cycle.tick = record_of(tick=9, length=1.0)
-    cycle.dialogue = "used"
+    cycle.end.dialogue = "used"
     cycle.motion.rest(np.ones(3), np.eye(3), 8)
     cycle.reset()
     assert sorted(told) == sorted(names)
@@ -74,13 +75,12 @@ def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle):
 
 
 def test_turns_that_drives_have_forgotten_come_to_their_lengths_and_none_to_a_leap_behind_open_brakes():
-    bench = a_bench()
-    cycle = bench.cycle
-    parts = cycle.parts
+    parts = a_bench().cycle.parts
     true = leg_lengths(parts.platform, parts.home_p, parts.home_R)
     step = np.full(6, 0.01)
     pose = LastPose(true, np.full(6, 1e-4), step, step, "parked", "hil homing")
-    cycle.homing = Homing(pose, Stroke(0.0, 9.0, None), cycle.period_s)
+    cycle = Cycle(replace(parts, last_pose=pose))
+    bench = Bench(cycle=cycle)
     bench.drives.length = true - step * np.array([1, 2, 3, 4, 5, 6])
     bench.until(Mode.RELEASING)
     np.testing.assert_allclose(bench.cycle.tick["length"], true, rtol=0.0, atol=1e-6)

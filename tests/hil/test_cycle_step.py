@@ -10,89 +10,94 @@ import numpy as np
 import pytest
 
 from drivers.arrays import ZERO6
-from drivers.signals import DriveMode, Fault, Mode, Stop, Warn
+from drivers.frame_array import sent_frames
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import Frame, Received
+from drivers.signals import DriveMode, Fault, Mode, Warn
 from hil.app.compose import build_cycle
+from hil.estimation.external_wrench import ExternalWrench
 from hil.loop import cycle as cycle_module
 from hil.loop.cycle import Cycle
+from hil.loop.homing import LastPose
 from hil.loop.steering import Counts
-from hil.safety.guard import Verdict
-from hil.signals import Operator, Order, TickInput
+from hil.signals import Operator, Order
+from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import LIVE, VIRTUAL
-from tests.hil.test_cycle_held import LAST, aside
+from tests.hil.test_cycle_held import aside
+from tests.hil.test_cycle_looks import Uncompiled
 
 ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])
+LENIENT = VIRTUAL.limits.model_copy(update={"following_error_m": 10.0})
 
 
-@pytest.fixture(scope="module")
-def made() -> Cycle:
-    return build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
+class Law:
+    """Asks for the same always. State: the shortfall that it saw last."""
+
+    shortfall = ZERO6
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def effort(self, tick: Any) -> None:
+        self.shortfall = tick["shortfall"].copy()
+        tick["tau_law"] = ASKED
+
+
+def staying(bench: Bench) -> Bench:
+    """Return a bench that is about to begin tick 50, and stays in its mode."""
+    for _ in range(50):
+        bench.step()
+    bench.cycle._change_mode = lambda *_: None  # type: ignore[method-assign]
+    return bench
+
+
+def a_bench(**parts: Any) -> Bench:
+    """Return such a bench, with a live reference and a law that asks for the same always."""
+    c = VIRTUAL.model_copy(update={"reference": LIVE, "limits": LENIENT})
+    made = build_cycle(c, 1000.0, 0.01).parts
+    return staying(Bench(cycle=Cycle(replace(made, **{"law": Law()} | parts))))
 
 
 @pytest.fixture
-def cycle(made: Cycle, monkeypatch: pytest.MonkeyPatch) -> Cycle:
-    """A cycle that stays in its mode, asks for a force, and is judged well."""
-    made.reset()
-    monkeypatch.setattr(made, "_change_mode", lambda *_: None)
-
-    def fill(tick: Any, *_: Any, **__: Any) -> None:
-        tick["tau_asked"] = ASKED
-
-    monkeypatch.setattr(made.effort, "fill", fill)
-    judged(made, monkeypatch)
-    return made
+def bench() -> Bench:
+    return a_bench()
 
 
-def judged(
-    cycle: Cycle,
-    monkeypatch: pytest.MonkeyPatch,
-    warnings: Warn = Warn.NONE,
-    faults: Fault = Fault.NONE,
-    share: float = 1.0,
-) -> list[Any]:
-    """Let safety find this, and leave a share of the force; return the ticks that it sees."""
-    seen: list[Any] = []
-
-    def judge(tick: Any) -> Verdict:
-        seen.append((int(tick["mode"]), tick["tau_asked"].copy()))
-        tick["tau"] = share * tick["tau_asked"]
-        return Verdict(warnings, faults, Stop.NONE)
-
-    monkeypatch.setattr(cycle.parts.safety, "judge", judge)
-    return seen
-
-
-def step(cycle: Cycle, number: int = 50, **changes: Any) -> Any:
-    return cycle.step(TickInput(number, 1_000_000 * number, **changes)).row
+def step(bench: Bench, mode: Mode, operator: tuple[Operator, ...] = (), **changes: Any) -> Any:
+    """Return the row of the next tick, which is in a mode."""
+    bench.cycle.mode = mode
+    bench.cycle.settle()
+    return bench.step(operator, **changes).row
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING])
 @pytest.mark.parametrize("elsewhere", [False, True])
 @pytest.mark.parametrize("what", ["goes", "on hold", "parks"])
 def test_a_live_reference_moves_on_its_own_way_alone_and_takes_set_points_where_it_may_go(
-    cycle, monkeypatch, mode, elsewhere, what
+    bench, monkeypatch, mode, elsewhere, what
 ):
     told: list[Any] = []
+    cycle = bench.cycle
     steering: Any = cycle.parts.steering
     monkeypatch.setattr(steering, "step", lambda points, along, *, tracking: told.append((along, tracking)))
-    cycle.mode = mode
     if elsewhere:
         cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     else:
         cycle.motion.start(cycle.parts.trajectory, 20)
     cycle.operating.go, cycle.operating.parks = what != "on hold", what == "parks"
-    step(cycle)
+    step(bench, mode)
     under_way = mode in {Mode.TRACKING, Mode.STOPPING} and not elsewhere
     assert told == [(30 if under_way else None, mode is Mode.TRACKING and what == "goes")]
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
 @pytest.mark.parametrize("away", [False, True])
-def test_the_time_along_the_reference_is_told_to_the_law_only_on_it_and_to_the_log_always(cycle, mode, away):
-    cycle.mode = mode
+def test_the_time_along_the_reference_is_told_to_the_law_only_on_it_and_to_the_log_always(bench, mode, away):
+    cycle = bench.cycle
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     if away:
         cycle.motion._left = cycle.parts.trajectory, 0.0
-    row = step(cycle)
+    row = step(bench, mode)
     assert row["reference_time_s"] == pytest.approx(0.03)
     np.testing.assert_array_equal(row["p_d"], aside(cycle))
     if mode is Mode.TRACKING and not away:
@@ -103,57 +108,49 @@ def test_the_time_along_the_reference_is_told_to_the_law_only_on_it_and_to_the_l
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_the_reference_is_where_the_motion_is_as_long_as_legs_must_follow_it_and_else_where_they_are(
-    cycle, mode
+    bench, mode
 ):
-    cycle.mode = mode
+    cycle = bench.cycle
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
-    row = step(cycle)
+    row = step(bench, mode)
     follows = mode not in {Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.PARKED, Mode.FAULT}
-    np.testing.assert_array_equal(row["p_d"], aside(cycle) if follows else cycle.parts.home_p)
-
-
-@pytest.mark.parametrize("mode", list(Mode))
-def test_safety_judges_the_force_that_is_asked_for_in_the_mode_of_this_tick(cycle, monkeypatch, mode):
-    seen = judged(cycle, monkeypatch)
-    cycle.mode = mode
-    step(cycle)
-    assert seen[0][0] == mode
-    np.testing.assert_array_equal(seen[0][1], ASKED)
+    np.testing.assert_array_equal(row["p_d"], aside(cycle) if follows else row["p"])
 
 
 @pytest.mark.parametrize(
-    ("mode", "warnings", "limited"),
+    ("mode", "limit_N", "limited"),
     [
-        (Mode.TRACKING, Warn.FORCE_STEP, True),
-        (Mode.HELD, Warn.FORCE_LIMIT, True),
-        (Mode.TRACKING, Warn.NONE, False),
-        (Mode.LOADING, Warn.FORCE_LIMIT, False),
+        (Mode.TRACKING, 10.0, True),
+        (Mode.HELD, 10.0, True),
+        (Mode.TRACKING, 100.0, False),
+        (Mode.LOADING, 10.0, False),
     ],
 )
-def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(
-    cycle, monkeypatch, mode, warnings, limited
-):
-    judged(cycle, monkeypatch, warnings, share=0.5)
-    cycle.mode, cycle.effort.shortfall = mode, LAST
-    step(cycle)
-    if limited:
-        np.testing.assert_array_equal(cycle.effort.shortfall, -0.5 * ASKED)
-    else:
-        assert cycle.effort.shortfall is ZERO6
+def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(bench, mode, limit_N, limited):
+    cycle = bench.cycle
+    cycle.effort.holding, cycle.mode_tick = ASKED, -100_000
+    with held_to(bench, force_N=limit_N):
+        warnings = int(step(bench, mode)["warnings"])
+    assert bool(warnings & Warn.FORCE_LIMIT) == (limit_N < 11.0)
+    step(bench, Mode.TRACKING)
+    kept = np.clip(ASKED, -limit_N, limit_N) - ASKED if limited else ZERO6
+    np.testing.assert_array_equal(cycle.parts.law.shortfall, kept)
+    cycle.reset()
+    assert not cycle._control.record["shortfall"].any()
 
 
 @pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("refusal", [0, 4])
 def test_the_row_has_what_safety_warns_of_and_beside_it_silent_sensors_and_refused_set_points(
-    cycle, monkeypatch, late, refusal
+    monkeypatch, late, refusal
 ):
-    judged(cycle, monkeypatch, Warn.STALE)
-    wrench = SimpleNamespace(late=late, fill=lambda *_, **__: None)
-    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench))
-    steering: Any = cycle.parts.steering
+    bench = a_bench(wrench=ExternalWrench(None, 1000.0 if late else None, 1e-3))
+    steering: Any = bench.cycle.parts.steering
     monkeypatch.setattr(steering, "step", lambda *_, **__: None)
     steering.counts = Counts(7, 9, refusal)
-    row = step(cycle)
+    bench.drives.silent = {2}
+    for _ in range(2):
+        row = step(bench, Mode.TRACKING)
     expected = Warn.STALE | (Warn.SENSOR if late else Warn.NONE) | (Warn.SETPOINT if refusal else Warn.NONE)
     assert Warn(int(row["warnings"])) == expected
     assert [int(row[name]) for name in ("setpoints_taken", "setpoints_refused", "setpoint_refusal")] == [
@@ -161,58 +158,83 @@ def test_the_row_has_what_safety_warns_of_and_beside_it_silent_sensors_and_refus
     ]
 
 
-def test_the_row_has_the_mode_and_the_faults_that_the_tick_has_led_to(cycle, monkeypatch):
-    judged(cycle, monkeypatch, faults=Fault.BUS)
-    cycle.mode = Mode.TRACKING
-    row = step(cycle)
+def test_the_row_has_the_mode_and_the_faults_that_the_tick_has_led_to(bench):
+    row = step(bench, Mode.TRACKING, bus_off=True)
     assert (Mode(int(row["mode"])), Fault(int(row["faults"]))) == (Mode.FAULT, Fault.BUS)
     assert not row["tau"].any()
 
 
-def test_a_tick_begins_with_what_the_dialogue_asks_for_in_it(cycle, monkeypatch):
-    monkeypatch.setattr(cycle.parts.protocol, "begin", lambda *asked: asked)
-    assert cycle.begin(7) == (cycle.dialogue, 7)
+def test_a_tick_begins_with_what_the_dialogue_asks_for_in_it(bench):
+    cycle = bench.cycle
+    for number in (7, 300):
+        assert sent_frames(cycle.begin(number)) == cycle.parts.protocol.begin(cycle.dialogue, number)
 
 
 @pytest.mark.parametrize("sensors", [None, "the sensors"])
-def test_sensors_are_heard_before_the_pose_is_estimated_as_of_the_first_latch_and_the_load_after_it(
-    cycle, monkeypatch, sensors
-):
+def test_sensors_are_heard_before_the_pose_is_estimated_and_the_load_after_it(monkeypatch, sensors):
     told: list[Any] = []
-    last = cycle.tick
-    wrench = SimpleNamespace(late=False, fill=lambda tick, *, fusing: told.append(("load", tick, fusing)))
-    monkeypatch.setattr(cycle, "parts", replace(cycle.parts, wrench=wrench, sensors=sensors))
+    wrench: Any = SimpleNamespace(late=False, has_source=True, observer=None, last=ZERO6)
+    wrench.reset = lambda: None
+    wrench.fill = lambda tick, *, fusing: told.append(("load", tick, fusing))
+    fused = VIRTUAL.estimation.model_copy(update={"pose": "fused"})
+    parts = build_cycle(VIRTUAL.model_copy(update={"estimation": fused}), 1000.0, 0.01).parts
+    cycle = Cycle(replace(parts, wrench=wrench, sensors=sensors))  # type: ignore[arg-type]
     monkeypatch.setattr(cycle.sight, "hear", lambda *what: told.append(("heard", *what)))
-    monkeypatch.setattr(cycle.sight, "estimate", lambda *what: told.append(("pose", *what)))
-    monkeypatch.setattr(cycle.sight, "fusing", True)
-    inp = TickInput(50, 50_000_000, 300, latch_ns=(0, 9, 7, 8, 0, 9))
-    cycle.step(inp)
+    bench = staying(Bench(cycle=cycle))
+    monkeypatch.setattr(cycle.sight, "fuse", lambda *what: told.append(("pose", *what)))
+    told.clear()
+    last = cycle.tick
+    bench.step()
     tick = cycle.tick
     assert tick is not last
-    heard = [("heard", sensors, inp, tick)] if sensors else []
-    assert told == [*heard, ("pose", tick, last, 50_000_307), ("load", tick, True)]
+    heard = [("heard", sensors, cycle.inp, tick)] if sensors else []
+    assert told == [*heard, ("pose", tick, last), ("load", tick, True)]
 
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("proven", [False, True])
 def test_a_leg_whose_drive_was_off_is_known_to_be_braked_in_any_mode_by_the_last_test_of_the_brakes_alone(
-    cycle, monkeypatch, mode, proven
+    monkeypatch, mode, proven
 ):
     told: list[Any] = []
+    length, step_m = np.full(6, 1.5), np.full(6, 0.01)
+    bench = a_bench(last_pose=LastPose(length, step_m, step_m, step_m, "parked", "hil homing"))
+    cycle = bench.cycle
     monkeypatch.setattr(cycle.homing, "correct", lambda *what, braked: told.append((*what, braked)))
-    last, cycle.mode, cycle.proven = cycle.tick, mode, proven
-    step(cycle)
-    assert told == [(cycle.tick, last, proven)]
+    cycle.proven = proven
+    step(bench, mode)
+    ((tick, last, braked),) = told
+    assert (int(tick["tick"]), last is cycle.last, braked) == (50, True, proven)
 
 
-def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(cycle, monkeypatch):
+def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(bench, monkeypatch):
     told: list[Any] = []
+    cycle = bench.cycle
     monkeypatch.setattr(cycle.operating, "step", lambda *what: told.append(what))
     monkeypatch.setattr(cycle, "_change_mode", lambda *what: told.append(what))
-    cycle.mode, orders = Mode.TRACKING, (Order(Operator.HOLD),)
-    inp = TickInput(50, 50_000_000, orders=orders)
-    cycle.step(inp)
-    assert told == [(orders, 50, Mode.TRACKING, cycle.motion), (inp, cycle.tick)]
+    orders = (Order(Operator.HOLD),)
+    step(bench, Mode.TRACKING, orders=orders)
+    assert told == [(orders, 50, Mode.TRACKING, cycle.motion), (cycle.inp, cycle.tick)]
+
+
+STOP, COMMAND, SET_UP = (Frame(identifier, b"\1") for identifier in (0x7A1, 0x7A2, 0x7A3))
+
+
+@pytest.fixture
+def spoken(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return such a bench, whose family sends these frames, and what that is told of a stop."""
+    family = build_cycle(VIRTUAL, 1000.0, 0.01).parts.protocol
+    bench = a_bench(protocol=Uncompiled(family))
+    told: list[Any] = []
+
+    def command(dialogue: Any, command: Any, number: int) -> Any:
+        told.append((command.stop, command.mode, number))
+        return dialogue, (COMMAND,)
+
+    monkeypatch.setattr(family, "command", command)
+    monkeypatch.setattr(family, "emergency_stop", lambda: (STOP,))
+    monkeypatch.setattr(family, "set_up", lambda dialogue, _tick: (dialogue, (SET_UP,)))
+    return bench, told
 
 
 @pytest.mark.parametrize(
@@ -231,48 +253,35 @@ def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(cycl
     ],
 )
 def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone_is_the_stop(
-    cycle, monkeypatch, what, told_last, stops, sent
+    spoken, monkeypatch, what, told_last, stops, sent
 ):
-    protocol, told, asked = cycle.parts.protocol, list[Any](), list[Any]()
-
-    def command(dialogue: Any, command: Any, number: int) -> Any:
-        told.append((command.stop, command.mode, number))
-        return dialogue, ("command",)
-
-    monkeypatch.setattr(type(protocol), "stop_latches", "latches" in what)
-    monkeypatch.setattr(protocol, "command", command)
-    monkeypatch.setattr(protocol, "emergency_stop", lambda: ("stop",))
-    monkeypatch.setattr(protocol, "set_up", lambda dialogue, _tick: (dialogue, ("set-up",)))
+    (bench, told), asked = spoken, list[Any]()
+    cycle = bench.cycle
+    monkeypatch.setattr(LegsProtocol, "stop_latches", "latches" in what)
     monkeypatch.setattr(
         cycle_module,
         "confirmed",
         lambda *args: asked.append(args) or "confirmed" in what,  # type: ignore[func-returns-value]
     )
-    cycle.mode, cycle.estop = Mode.FAULT, "asked" in what
+    cycle.estop = "asked" in what
     cycle.faults = Fault.SECOND_CONTROLLER if "rivals" in what else Fault.DRIVE
     cycle.tick["command_mode"] = told_last
-    operator = (Operator.STOP, Operator.ESTOP) if "said" in what else ()
-    frames = cycle.step(TickInput(50, 50_000_000, operator=operator)).frames
-    assert frames == (*("stop",) * sent, "command", "set-up")
+    cycle.mode = Mode.FAULT
+    cycle.settle()
+    frames = bench.step((Operator.STOP, Operator.ESTOP) if "said" in what else ()).frames
+    assert sent_frames(frames) == (*(STOP,) * sent, COMMAND, SET_UP)
     assert told == [(stops, DriveMode.OFF, 50)]
     assert asked == [(cycle.tick, "latches" in what)] * ("asked" in what)
 
 
-@pytest.mark.parametrize("fault", [Fault.ESTOP, Fault.SECOND_CONTROLLER])
+@pytest.mark.parametrize("identifier", [0x001, 0x080])
 def test_the_stop_of_another_node_or_a_second_controller_is_answered_in_the_tick_in_which_it_is_found(
-    cycle, monkeypatch, fault
+    spoken, identifier
 ):
-    protocol, told = cycle.parts.protocol, list[Any]()
-
-    def command(dialogue: Any, command: Any, _tick: int) -> Any:
-        told.append((command.stop, command.mode))
-        return dialogue, ("command",)
-
-    monkeypatch.setattr(protocol, "command", command)
-    monkeypatch.setattr(protocol, "emergency_stop", lambda: ("stop",))
-    cycle.mode = Mode.TRACKING
-    cycle.tick["command_mode"] = DriveMode.RUN
-    assert cycle.step(TickInput(50, 50_000_000)).frames == ("command",)
-    judged(cycle, monkeypatch, faults=fault)
-    assert cycle.step(TickInput(51, 51_000_000)).frames[:2] == ("stop", "command")
-    assert told == [(False, DriveMode.RUN), (True, DriveMode.OFF)]
+    bench, told = spoken
+    bench.cycle.mode = Mode.TRACKING
+    bench.cycle.settle()
+    assert sent_frames(bench.step().frames) == (COMMAND,)
+    heard = (*bench.drives.feedback(51), Received(51_300_000, Frame(identifier, b"\1\2")))
+    assert sent_frames(bench.step(frames=heard).frames)[:2] == (STOP, COMMAND)
+    assert [each[:2] for each in told] == [(False, DriveMode.RUN), (True, DriveMode.OFF)]

@@ -54,6 +54,17 @@ def hear(sight: Sight, readings: Readings, **columns: Any) -> Any:
     return tick
 
 
+def see(sight: Sight, tick: Any, last: Any = None) -> None:
+    """Fill the estimate of a tick, as the cycle has it filled."""
+    tick["q"], tick["dq"] = tick["length"], tick["rate"]
+    if not sight.located:
+        sight.locate(tick)
+    elif sight.parts.fusion is not None:
+        sight.fuse(tick, record_of() if last is None else last)
+    else:
+        sight.update(tick)
+
+
 def test_refused_frames_of_sensors_come_to_those_of_drives_and_stand_apart(parts):
     tick = hear(Sight(parts), Readings(rejected=2), rejected=3)
     assert (int(tick["rejected"]), int(tick["sensors_rejected"])) == (5, 2)
@@ -83,7 +94,7 @@ def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(part
     told = []
     for n in range(2):
         tick = hear(sight, Readings(wrench=(Sample(4, 0.0, tuple(seen)),) if n == 0 else ()), age=0)
-        sight.estimate(tick, record_of(), 0)
+        see(sight, tick)
         told.append(fusing.wrench)
         wrench.fill(tick, fusing=True)
         np.testing.assert_array_equal(tick["wrench"], seen)
@@ -99,9 +110,9 @@ def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, leg
     fusing.legs, fusing.residual = legs, residual
     sight = Sight(replace(parts, wrench=Hearing(), fusion=fusing))
     sight.located = sight.fusing = True
-    tick = record_of(tick=5, age=0, length=1.5)
+    tick = record_of(tick=5, age=0, length=1.5, t_ns=1000, lateness_ns=200, latch_ns=[0, 39, 34, 50, 0, 34])
     sight.readings = Readings(rejected=3)
-    sight.estimate(tick, record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), 1234)
+    see(sight, tick, record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))
     assert fusing.told == (1234, Readings(rejected=3), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     np.testing.assert_array_equal(sight.estimator.p, fusing.p if agreed else parts.home_p)
     np.testing.assert_array_equal(sight.estimator.R, TURNED if agreed else parts.home_R)
@@ -140,6 +151,9 @@ class Looking:
     def update(self, tick: Any) -> None:
         tick["p"] = 7.0
 
+    def adopt(self, p: Any, R: Any) -> None:
+        self.p, self.R = p, R
+
 
 def looking(parts: Any, rate_Hz: float = 1000.0) -> tuple[Sight, Looking]:
     sight = Sight(replace(parts, rate_Hz=rate_Hz))
@@ -151,7 +165,7 @@ def looking(parts: Any, rate_Hz: float = 1000.0) -> tuple[Sight, Looking]:
 def test_the_first_pose_is_looked_for_every_20_ms_but_not_in_more_than_one_tick_of_six(parts, rate_Hz, every):
     sight, looks = looking(parts, rate_Hz)
     for number in range(1, 4 * every + 1):
-        sight.estimate(record_of(tick=number, age=0, length=float(number)), record_of(), 0)
+        see(sight, record_of(tick=number, age=0, length=float(number)))
     assert looks.asked == [every, 2 * every, 3 * every, 4 * every]
 
 
@@ -161,7 +175,7 @@ def test_a_look_that_is_due_waits_for_a_tick_in_which_all_six_were_heard(parts, 
     late = 1 * (np.arange(6) == leg)
     for number in range(15, 31):
         tick = record_of(tick=number, age=0 if number == 27 else late, length=float(number))
-        sight.estimate(tick, record_of(), 0)
+        see(sight, tick)
         assert sight.sought is (number >= 27)
         np.testing.assert_array_equal(tick["p"], looks.p)
         np.testing.assert_array_equal(tick["R"], looks.R)
@@ -176,7 +190,7 @@ def test_a_pose_that_was_found_is_followed_from_that_tick_on_and_looked_for_no_m
     for number in range(40, 100):
         looks.finds = number >= 60
         tick = record_of(tick=number, age=0)
-        sight.estimate(tick, record_of(), 0)
+        see(sight, tick)
         assert sight.located is (number >= 60)
         assert (float(tick["p"][0]) == 7.0) is (number >= 60)
     assert len(looks.asked) == 2
@@ -188,7 +202,7 @@ def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_ag
     sight.located = True
     rates, ages = 0.1 * (1.0 + np.arange(6)), (3 + leg) * (np.arange(6) == leg)
     tick = record_of(tick=9, length=1.5, rate=rates, age=ages)
-    sight.estimate(tick, record_of(), 0)
+    see(sight, tick)
     np.testing.assert_allclose(tick["q"], 1.5 + 1e-3 * rates * ages, rtol=0.0, atol=1e-15)
     np.testing.assert_array_equal(tick["dq"], rates)
     np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
@@ -200,9 +214,9 @@ def test_the_filter_begins_at_the_pose_of_the_legs_and_fills_the_ticks_that_foll
     fusing.start = lambda number, ns, p, R: begun.append((number, ns, p.copy(), R.copy()))
     sight, looks = looking(replace(parts, wrench=Hearing(), fusion=fusing))
     looks.finds = True
-    ticks = [record_of(tick=number, age=0, length=1.5) for number in (20, 21)]
+    ticks = [record_of(tick=number, age=0, length=1.5, t_ns=1234) for number in (20, 21)]
     for tick in ticks:
-        sight.estimate(tick, record_of(), 1234)
+        see(sight, tick)
         assert sight.fusing
     assert begun[0][:2] == (20, 1234)
     np.testing.assert_array_equal(begun[0][2], ticks[0]["p"])
@@ -215,7 +229,7 @@ def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts
     sight = Sight(parts)
     p = parts.home_p + 0.1
     for back, stays in ((sight.forget, True), (sight.reset, False)):
-        sight.estimator.p, sight.estimator.R = p, TURNED
+        sight.estimator.adopt(p, TURNED)
         sight.located = sight.sought = sight._due = sight.fusing = True
         sight.in_time, sight.readings = [4] * 6, Readings(rejected=3)
         back()

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import BusError
+from drivers.frame_array import received_frames, sent_array
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode
 from hil.loop import daemon
@@ -44,7 +45,7 @@ class World:
         setup = SimpleNamespace(watchdog_s=0.02)
         parts = SimpleNamespace(protocol=protocol, safety=safety, rate_Hz=1000.0, steering=None, setup=setup)
         self.cycle: Any = SimpleNamespace(
-            parts=parts, begin=lambda _: OPENING, step=self.step, mode=Mode.WAITING, dialogue="the last one",
+            parts=parts, begin=lambda _: sent_array(OPENING), step=self.step, mode=Mode.WAITING, dialogue="the last one",
             faults=Fault.SPEED, operating=SimpleNamespace(answers=[]), tick={"tick": 0},
         )  # fmt: skip
         self.clock: Any = SimpleNamespace(
@@ -72,7 +73,7 @@ class World:
         self.passed_ns += self.of("took_ns", 0)
         if "error" in self.ticks[self.now]:
             raise self.ticks[self.now]["error"]
-        return SimpleNamespace(frames=COMMANDS, row=f"row {inp.tick}")
+        return SimpleNamespace(frames=sent_array(COMMANDS), row=f"row {inp.tick}")
 
     def send(self, frames: Any) -> int:
         self.passed_ns += 50
@@ -160,8 +161,9 @@ def test_the_log_has_of_a_tick_what_was_read_sent_and_said():
     world.run(heard=heard)
     frames = (Received(7, Frame(0x181, b"")),)
     said = (Operator.STOP,), (POINT,), (ORDER,)
-    assert world.rows[0] == ("row 0", frames, OPENING + COMMANDS, *said)
-    assert (world.inputs[0].frames, world.inputs[0].setpoints) == (frames, (POINT,))
+    row, received, *others = world.rows[0]
+    assert (row, tuple(received), *others) == ("row 0", frames, OPENING + COMMANDS, *said)
+    assert (received_frames(world.inputs[0].frames), world.inputs[0].setpoints) == (frames, (POINT,))
 
 
 def test_a_tick_is_told_of_what_the_bus_refused_since_the_last_one_commands_as_well_as_questions():

@@ -42,8 +42,8 @@ def evaluate(jog: Any, t: float, into: Any) -> int:
         into.p[i] = jog.p0[i] + t * jog.rate[i]
         for j in range(3):
             into.R[i, j] = turn[i, 0] * R0[0, j] + turn[i, 1] * R0[1, j] + turn[i, 2] * R0[2, j]
-    into.twist[:] = jog.rate
-    into.dtwist[:] = 0.0
+    for i in range(6):
+        into.twist[i], into.dtwist[i] = jog.rate[i], 0.0
     return 0
 
 

@@ -9,9 +9,10 @@ from drivers.compiled.pointed import Callee
 from hil.loop.motion_kernels import (
     MOTION,
     NO_STOP,
+    OVERDUE,
     SLOWS,
     advance_to,
-    ended_overdue,
+    end,
     sample_ahead,
     sample_at,
     ticks_to_end,
@@ -151,11 +152,11 @@ class Motion:
 
     def finished(self, tick: int) -> bool:
         """Tell whether the present trajectory has ended."""
-        return ended_overdue(self.record, self.override.record, tick, 0.0)[0]
+        return end(self.record, self.override.record, tick, 0.0) != 0
 
     def overdue(self, tick: int, patience_s: float) -> bool:
         """Tell whether the present trajectory ended longer than `patience_s` ago."""
-        return ended_overdue(self.record, self.override.record, tick, patience_s)[1]
+        return end(self.record, self.override.record, tick, patience_s) == OVERDUE
 
     def sample(self, tick: int) -> PoseSample:
         """Return where the platform should be at this tick."""

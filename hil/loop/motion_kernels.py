@@ -26,6 +26,7 @@ MOTION = np.dtype(
 )
 """The trajectory's function and what it works on, its length in s (inf without an end), the tick at which a
 stop from less than full speed came to rest, and the same two of what comes next, 0 where nothing does."""
+ENDED, OVERDUE = 1, 2
 NO_STOP, SLOWS = -2, -1
 """`stopped` without such a stop, and until it has come to rest."""
 
@@ -113,9 +114,11 @@ def advance_to(motion: Any, override: Any, tick: int) -> None:
 
 
 @direct(record(MOTION), record(OVERRIDE), INTEGER, REAL)
-def ended_overdue(motion: Any, override: Any, tick: int, patience: float) -> tuple[bool, bool]:
-    """Whether the present trajectory has ended, and whether it did longer than `patience` (s) ago."""
-    return ended(motion, override, tick), overdue(motion, override, tick, patience)
+def end(motion: Any, override: Any, tick: int, patience: float) -> int:
+    """Return 0 before the trajectory has ended, then ENDED, and OVERDUE after `patience` (s) more."""
+    if overdue(motion, override, tick, patience):
+        return OVERDUE
+    return ENDED if ended(motion, override, tick) else 0
 
 
 @direct(record(MOTION), record(OVERRIDE), INTEGER)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import INTEGER, INTEGERS, MATRIX, REAL, VECTOR, helper, kernel, record
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, OUT_MATRIX, REAL, direct, helper, record
 from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
 from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, copy_sample, lift
@@ -90,8 +90,14 @@ def first_stage(
 
 @helper
 def history_of(live: Any) -> Array:
-    """Return the history (rows, 4, 6) of the first stage: tick k in row k modulo their number."""
-    return reals_at(live.history, live.rows * 24).reshape((live.rows, 4, 6))
+    """Return the history of the first stage: tick k in row k modulo their number, see `place`."""
+    return reals_at(live.history, live.rows * 24)
+
+
+@helper
+def place(row: int, part: int, word: int) -> int:
+    """Where the history has a part of a word."""
+    return (row * 4 + part) * 6 + word
 
 
 @helper
@@ -103,12 +109,12 @@ def propose(live: Any) -> None:
     """
     history, now = history_of(live), live.tick % live.rows
     for i in range(6):
-        v, V, target = history[now, SPEED, i], live.V[i], live.rest[i]
+        v, V, target = history[place(now, SPEED, i)], live.V[i], live.rest[i]
         if not live.halted:
             target = live.target[i]
             if live.share != 1.0:
                 V = min(V, max(live.share * V, abs(v) - live.step[i]))
-        x1, v1, rest = first_stage(history[now, POSITION, i], v, target, V, live.step[i], live.period)
+        x1, v1, rest = first_stage(history[place(now, POSITION, i)], v, target, V, live.step[i], live.period)
         live.x1[i], live.v1[i], live.rest1[i] = x1, v1, rest
 
 
@@ -118,11 +124,11 @@ def enter(live: Any) -> None:
     history, rows, period = history_of(live), live.rows, live.period
     now, then = live.tick % rows, (live.tick + 1) % rows
     for i in range(6):
-        v, v1 = history[now, SPEED, i], live.v1[i]
-        history[now, MEAN, i] = history[now, POSITION, i] + period * (2.0 * v + v1) / 6.0
-        history[then, POSITION, i] = live.x1[i]
-        history[then, SPEED, i] = v1
-        history[then, TOTAL, i] = history[now, TOTAL, i] + history[now, MEAN, i]
+        v, v1 = history[place(now, SPEED, i)], live.v1[i]
+        history[place(now, MEAN, i)] = history[place(now, POSITION, i)] + period * (2.0 * v + v1) / 6.0
+        history[place(then, POSITION, i)] = live.x1[i]
+        history[place(then, SPEED, i)] = v1
+        history[place(then, TOTAL, i)] = history[place(now, TOTAL, i)] + history[place(now, MEAN, i)]
     live.tick += 1
 
 
@@ -134,32 +140,30 @@ def braked(s: float, x: float, v: float, n: float, period: float) -> float:
     return x * s + period * v * (curve + 0.5 * n * (s - moving))
 
 
-@kernel(MATRIX.copy(ndim=3), INTEGER, INTEGERS, VECTOR, VECTOR, VECTOR, REAL)
-def way_to_rest(
-    history: Array, k: int, window: Ints, x1: Array, v1: Array, step: Array, period: float
-) -> Array:
-    """Words (n, 6) at which the platform would be if it braked from x1, v1 (6,) at tick k + 1 on.
+@direct(record(LIVE), OUT_MATRIX)
+def way_to_rest(live: Any, chi: Array) -> int:
+    """Fill words (n, 6) at which the platform would be if it braked from x1, v1 on; return their number.
 
     The axes come to rest one after the other: where the last of them does is not all of the way.
     """
-    rows = history.shape[0]
+    history, rows, period, k = history_of(live), live.rows, live.period, live.tick
     now = k % rows
     longest = 0
     for i in range(6):
-        longest = max(longest, int(ticks_to_stop(v1[i], step[i])) + window[i])
+        longest = max(longest, int(ticks_to_stop(live.v1[i], live.step[i])) + live.window[i])
     marks = min(int(np.ceil(longest * period / MARK_S)), MOST_MARKS)
-    chi = np.empty((marks, 6))
     for i in range(6):
-        m, n = window[i], ticks_to_stop(v1[i], step[i])
-        mean = history[now, POSITION, i] + period * (2.0 * history[now, SPEED, i] + v1[i]) / 6.0
-        total = history[now, TOTAL, i] + mean
+        x1, v1, m = live.x1[i], live.v1[i], live.window[i]
+        n = ticks_to_stop(v1, live.step[i])
+        mean = history[place(now, POSITION, i)] + period * (2.0 * history[place(now, SPEED, i)] + v1) / 6.0
+        total = history[place(now, TOTAL, i)] + mean
         for j in range(marks):
             s = -(-longest * (j + 1) // marks)
-            before = braked(s - m, x1[i], v1[i], n, period) if s > m else 0.0
+            before = braked(s - m, x1, v1, n, period) if s > m else 0.0
             if s < m:
-                before = history[(k + 1 + s - m) % rows, TOTAL, i] - total
-            chi[j, i] = (braked(s, x1[i], v1[i], n, period) - before) / m
-    return chi
+                before = history[place((k + 1 + s - m) % rows, TOTAL, i)] - total
+            chi[j, i] = (braked(s, x1, v1, n, period) - before) / m
+    return marks
 
 
 @helper
@@ -170,15 +174,15 @@ def evaluate(live: Any) -> None:
     chi, dchi, ddchi = np.empty(6), np.empty(6), np.empty(6)
     for i in range(6):
         m = live.window[i]
-        x, v = history[now, POSITION, i], history[now, SPEED, i]
+        x, v = history[place(now, POSITION, i)], history[place(now, SPEED, i)]
         total = 0.0
         row = now
         for _ in range(m):
             row = row - 1 if row > 0 else rows - 1
-            total += history[row, MEAN, i] - x
+            total += history[place(row, MEAN, i)] - x
         chi[i] = x + total / m
-        dchi[i] = (x - history[row, POSITION, i]) / (m * period)
-        ddchi[i] = (v - history[row, SPEED, i]) / (m * period)
+        dchi[i] = (x - history[place(row, POSITION, i)]) / (m * period)
+        ddchi[i] = (v - history[place(row, SPEED, i)]) / (m * period)
     lift(chi, dchi, ddchi, live)
 
 
@@ -196,7 +200,8 @@ def proceed(live: Any, tick: int, good: int) -> int:
                 moves = moves or live.v1[i] != 0.0
             if moves and not good:
                 return TO_JUDGE
-            live.rest[:] = live.rest1
+            for i in range(6):
+                live.rest[i] = live.rest1[i]
         good = 0
         enter(live)
     evaluate(live)
@@ -306,14 +311,6 @@ class LiveTrajectory(CompiledTrajectory):
 
     def _judge(self, admit: Callable[[Array], int]) -> int:
         """Return what is first found against the way to rest from the next tick on, its end first."""
-        live = self._live
-        way = way_to_rest(
-            self._history,
-            int(live["tick"]),
-            live["window"],
-            live["x1"],
-            live["v1"],
-            live["step"],
-            self._period,
-        )
-        return next(filter(None, map(admit, way[::-1])), 0)
+        way = np.empty((MOST_MARKS, 6))
+        marks = way_to_rest(self._live, way)
+        return next(filter(None, map(admit, way[:marks][::-1])), 0)

@@ -34,6 +34,7 @@ OVERRIDE = np.dtype(
 PEAK, CURVATURE = 1.5, 4.5
 """Largest rate of sigma times T, and its largest rate times T^2."""
 _LANDED = 1e-12
+_CHANGES, _STEADY, _RESTS, _FULL = range(4)
 
 
 @kernel(REAL, REAL, REAL, REAL, REAL, REAL)
@@ -114,8 +115,13 @@ def _time(override: Any, tick: int) -> float:
 
 
 @direct(record(OVERRIDE))
-def _settled_full_resting(override: Any) -> tuple[bool, bool, bool]:
-    return is_settled(override), is_full(override), is_resting(override)
+def _phase(override: Any) -> int:
+    """Return _CHANGES, or at what speed it stays: at rest, at full speed, or in between."""
+    if is_resting(override):
+        return _RESTS
+    if is_full(override):
+        return _FULL
+    return _STEADY if is_settled(override) else _CHANGES
 
 
 @direct(record(OVERRIDE), INTEGER)
@@ -186,17 +192,17 @@ class Override:
     @property
     def settled(self) -> bool:
         """Whether sigma changes no more."""
-        return _settled_full_resting(self.record)[0]
+        return _phase(self.record) != _CHANGES
 
     @property
     def full(self) -> bool:
         """Whether path time is the clock's."""
-        return _settled_full_resting(self.record)[1]
+        return _phase(self.record) == _FULL
 
     @property
     def resting(self) -> bool:
         """Whether path time stands still and stays so."""
-        return _settled_full_resting(self.record)[2]
+        return _phase(self.record) == _RESTS
 
     def advance(self, tick: int) -> None:
         """Go on to a tick."""

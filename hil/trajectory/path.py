@@ -141,10 +141,12 @@ def context_of(dtype: np.dtype[np.void], **values: Any) -> Record:
 @helper
 def copy_sample(one: Any, into: Any) -> None:
     """Fill a record of SAMPLE with the same parts of another record."""
-    into.p[:] = one.p
-    into.R[:] = one.R
-    into.twist[:] = one.twist
-    into.dtwist[:] = one.dtwist
+    for i in range(3):
+        into.p[i] = one.p[i]
+        for j in range(3):
+            into.R[i, j] = one.R[i, j]
+    for i in range(6):
+        into.twist[i], into.dtwist[i] = one.twist[i], one.dtwist[i]
 
 
 @helper

@@ -60,7 +60,8 @@ def evaluate(path: Any, t: float, into: Any) -> int:
     t = min(max(t, 0.0), duration)
     e, de, dde = fade(t, duration, path.ramp)
     chi, dchi, ddchi = np.empty(6), np.zeros(6), np.zeros(6)
-    chi[:] = path.centre
+    for k in range(6):
+        chi[k] = path.centre[k]
     for i in range(path.count):
         a, f, phase = wave[3 * i], wave[3 * i + 1], wave[3 * i + 2]
         turns = f * t

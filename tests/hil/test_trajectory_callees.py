@@ -1,5 +1,7 @@
 """Every reference by its address: ours, and one in plain Python, which may fail."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -63,7 +65,7 @@ def test_what_a_path_in_plain_python_raises_is_kept_and_raised_again_by_the_moti
     motion.sample(3)
     path.bad_s = 3.0
     assert sample_at(motion.record, motion.override.record, 12, into) == FAILED
-    assert all(np.isnan(into[name]).all() for name in SAMPLE.names)
+    assert all(np.isnan(into[name]).all() for name in SAMPLE.fields)
     with pytest.raises(ZeroDivisionError, match="3"):
         motion.sample(12)
     assert same(motion.sample(4), MOVE.sample(1.0))
@@ -71,8 +73,7 @@ def test_what_a_path_in_plain_python_raises_is_kept_and_raised_again_by_the_moti
 
 @pytest.mark.parametrize("sample", [None, (HERE, EYE, np.zeros(6)), (HERE, EYE, np.zeros(6), np.zeros(5))])
 def test_a_path_in_plain_python_that_gives_no_sample_fails(sample):
-    path = Plain()
-    path.sample = lambda t: sample
+    path = SimpleNamespace(duration_s=1.0, sample=lambda t: sample)
     with pytest.raises((TypeError, ValueError)):
         sampled_by(callee_of(path), 0.0)
 

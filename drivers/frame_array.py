@@ -4,12 +4,13 @@ One element of FRAME is one frame, 80 bytes, from the bus to the log. `Received`
 (`drivers.protocol`) are the same for people and tests.
 """
 
+import struct
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.protocol import BUS, Frame, Received
+from drivers.protocol import Frame, Received
 
 FRAME = np.dtype(
     [
@@ -23,47 +24,53 @@ FRAME = np.dtype(
     ]
 )
 """t_ns: the end of a received frame on the wire, ns; flags: EXTENDED to ERROR; bus: its index."""
+_FRAME = struct.Struct("<qIBBH64s")
+pack_frame, unpack_frames = _FRAME.pack_into, _FRAME.iter_unpack
+"""pack_frame(buffer, offset, t_ns, id, kind, length, flags, data), unpack_frames(bytes): the high byte of the
+flags is the bus."""
 RECEIVED, SENT = range(2)
 """Values of `kind`."""
 NO_FRAMES: Rows = np.zeros(0, FRAME)
 NO_FRAMES.flags.writeable = False
 
 
-def _array(frames: Iterable[tuple[int, int, bytes, int]], count: int, kind: int) -> Rows:
-    array = np.zeros(count, FRAME)
-    data = array["data"]
-    for k, (t_ns, identifier, content, flags) in enumerate(frames):
-        array[k] = t_ns, identifier, kind, len(content), flags % BUS, flags // BUS, 0
-        data[k, : len(content)] = np.frombuffer(content, np.uint8)
-    return array
+def _array(frames: Iterable[tuple[int, Frame]], count: int, kind: int) -> Rows:
+    data = bytearray(FRAME.itemsize * count)
+    for k, (t_ns, (identifier, content, flags)) in enumerate(frames):
+        pack_frame(data, k * FRAME.itemsize, t_ns, identifier, kind, len(content), flags, content)
+    return np.frombuffer(bytes(data), FRAME)
 
 
 def received_array(frames: Sequence[Received]) -> Rows:
-    """Return received frames as elements of FRAME, in their order."""
-    return _array(((t_ns, *frame) for t_ns, frame in frames), len(frames), RECEIVED)
+    """Return received frames as elements of FRAME, in their order: read-only."""
+    return _array(frames, len(frames), RECEIVED)
 
 
 def sent_array(frames: Sequence[Frame]) -> Rows:
     """Return frames to send as elements of FRAME, in their order; nobody has sent them yet: t_ns is 0."""
-    return _array(((0, *frame) for frame in frames), len(frames), SENT)
+    return _array(((0, frame) for frame in frames), len(frames), SENT)
 
 
-def sent_frames(array: Rows) -> tuple[Frame, ...]:
-    """Return elements of FRAME as frames."""
-    content, size = np.ascontiguousarray(array["data"]).tobytes(), FRAME["data"].itemsize
-    flags = (array["flags"] + array["bus"].astype(np.int64) * BUS).tolist()
-    rows = zip(array["id"].tolist(), array["length"].tolist(), flags, strict=True)
-    return tuple(
-        [
-            Frame(each, content[k * size : k * size + length], bits)
-            for k, (each, length, bits) in enumerate(rows)
-        ]
-    )
+def sent_at(t_ns: int, *parts: Rows) -> Rows:
+    """Return frames as one array, sent at an instant, ns."""
+    sent = np.concatenate(parts)
+    sent["t_ns"] = t_ns
+    return sent
 
 
 def received_frames(array: Rows) -> tuple[Received, ...]:
     """Return elements of FRAME as received frames."""
-    return tuple(map(Received, array["t_ns"].tolist(), sent_frames(array)))
+    return tuple(
+        [
+            Received(t_ns, Frame(identifier, data[:length], flags))
+            for t_ns, identifier, _, length, flags, data in unpack_frames(array.tobytes())
+        ]
+    )
+
+
+def sent_frames(array: Rows) -> tuple[Frame, ...]:
+    """Return elements of FRAME as frames."""
+    return tuple([frame for _, frame in received_frames(array)])
 
 
 def same_frames(these: Rows, those: Rows) -> bool:

@@ -21,7 +21,7 @@ import click
 import yaml
 
 from drivers.arrays import Rows
-from drivers.frame_array import received_frames, sent_frames
+from drivers.frame_array import sent_at, sent_frames
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import parse
@@ -158,8 +158,8 @@ def work(c: Configuration, first: int, seconds: float) -> Shift:
             recorder = recording._process.pid  # noqa: SLF001 - seen from outside
 
             def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
-                sent = sent_frames(opening) + sent_frames(out.frames)
-                recording.tick(out.row, received_frames(inp.frames), sent, inp.operator)
+                sent = sent_at(inp.t_ns, opening, out.frames)
+                recording.tick_of_items(out.row, inp.frames, sent, inp.operator)
                 if inp.tick in (settled, last):
                     memory[inp.tick == last] = Memory(resident_kB(os.getpid()), resident_kB(recorder))
 

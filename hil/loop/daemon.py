@@ -13,7 +13,7 @@ from typing import NamedTuple
 from drivers.arrays import ZERO6
 from drivers.can.bus import Bus
 from drivers.errors import BusError, HilError
-from drivers.frame_array import received_array, sent_frames
+from drivers.frame_array import received_array, sent_at, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake
@@ -131,8 +131,8 @@ def _run(course: Course, shell: Shell) -> Ending:
     while True:
         tick, t_ns, lateness_ns, skipped = wake = deadlines.wait()
         stood_before_ns, stood_ns = stood_ns, clock.stretched()
-        opening = sent_frames(cycle.begin(tick))
-        frames, latched_ns, refused = _ask(cycle, shell, wake, opening)
+        opening = cycle.begin(tick)
+        frames, latched_ns, refused = _ask(cycle, shell, wake, sent_frames(opening))
         sends_failed += refused
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
@@ -167,9 +167,9 @@ def _run(course: Course, shell: Shell) -> Ending:
         begun = time.perf_counter_ns()
         out = cycle.step(inp)
         compute_ns = time.perf_counter_ns() - begun
-        command = sent_frames(out.frames)
-        sends_failed = bus.send(command)
-        recording.tick(out.row, frames, opening + command, inp.operator, inp.setpoints, inp.orders)
+        sends_failed = bus.send(sent_frames(out.frames))
+        sent = sent_at(t_ns, opening, out.frames)
+        recording.tick_of_items(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
         console.answer(recording, t_ns)
         ending = course.ending(tick)
         if ending is not None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import BUS, Frame, Received
-from hil.record.ring import ITEM, RECEIVED, SENT, pack_item, unpack_items
+from hil.record.ring import ITEM, RECEIVED, SENT, unpack_items
 from hil.record.schema import RX, TX
 from hil.record.selection import as_bytes
 from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
@@ -55,22 +56,22 @@ class Tick:
     @cached_property
     def received(self) -> tuple[Received, ...]:
         """In the order consumed."""
-        return tuple(_frames(self.received_items))
+        return received_frames(self.received_items)
 
     @cached_property
     def sent(self) -> tuple[Frame, ...]:
         """In the order sent, SYNC first."""
-        return tuple(frame for _, frame in _frames(self.sent_items))
+        return sent_frames(self.sent_items)
 
     @cached_property
     def received_items(self) -> Rows:
         """The frames received as elements of `hil.record.ring.ITEM`, read-only."""
-        return _items(self.received, RECEIVED)
+        return received_array(self.received)
 
     @cached_property
     def sent_items(self) -> Rows:
         """The frames sent, the same."""
-        return _items([Received(0, frame) for frame in self.sent], SENT)
+        return sent_array(self.sent)
 
     def __iter__(self) -> Iterator[Any]:
         return (getattr(self, name) for name in self._fields)
@@ -91,18 +92,6 @@ class Tick:
 
     def _replace(self, **changes: Any) -> Tick:
         return Tick(**dict(zip(self._fields, self, strict=True)) | changes)
-
-
-def _frames(items: Rows) -> Iterator[Received]:
-    for t_ns, can_id, _, length, flags, data in unpack_items(items.tobytes()):
-        yield Received(t_ns, Frame(can_id, data[:length], flags))
-
-
-def _items(frames: Sequence[Received], kind: int) -> Rows:
-    data = bytearray(ITEM.itemsize * len(frames))
-    for k, (t_ns, frame) in enumerate(frames):
-        pack_item(data, k * ITEM.itemsize, t_ns, frame.id, kind, len(frame.data), frame.flags, frame.data)
-    return np.frombuffer(bytes(data), ITEM)
 
 
 class Event(NamedTuple):

@@ -21,13 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Ints, Rows
-from drivers.frame_array import FRAME
+from drivers.frame_array import FRAME, pack_frame, unpack_frames
 
 ITEM = FRAME
 """Frames as they are; commands of the operator and pieces of events in the same form."""
-_ITEM = struct.Struct("<qIBBH64s")
-pack_item, unpack_items = _ITEM.pack_into, _ITEM.iter_unpack
-"""pack_item(buffer, offset, t_ns, id, kind, length, flags, data); the high byte of the flags is the bus."""
+pack_item, unpack_items = pack_frame, unpack_frames
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
 """Kinds of item. Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces
 follow, flags the level."""

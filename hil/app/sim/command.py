@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, HilError, LogError
-from drivers.frame_array import received_frames, sent_frames
+from drivers.frame_array import sent_at
 from drivers.regular_file import open_regular
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
@@ -86,8 +86,8 @@ def _run(
     script: CommandScript,
 ) -> Ending:
     def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
-        sent = sent_frames(opening) + sent_frames(out.frames)
-        recording.tick(out.row, received_frames(inp.frames), sent, inp.operator, inp.setpoints, inp.orders)
+        sent = sent_at(inp.t_ns, opening, out.frames)
+        recording.tick_of_items(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
 
     def observe_both(inp: TickInput, opening: Rows, out: TickOutput) -> None:
         observe(inp, opening, out)

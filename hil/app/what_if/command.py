@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
-from drivers.frame_array import received_frames, sent_frames
+from drivers.frame_array import sent_at
 from hil.app.compose import (
     CONTROLLER_FILE,
     FEEDFORWARD_CSV,
@@ -127,9 +127,8 @@ def _answer(
 ) -> Answer:
     def observe(inp: TickInput, sent: Rows, row: Rows) -> None:
         assert recording is not None
-        recording.tick(
-            row, received_frames(inp.frames), sent_frames(sent), inp.operator, inp.setpoints, inp.orders
-        )
+        answered = sent_at(inp.t_ns, sent)
+        recording.tick_of_items(row, inp.frames, answered, inp.operator, inp.setpoints, inp.orders)
 
     keep = None if forces is None else forces.keep
     try:

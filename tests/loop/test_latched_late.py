@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.arrays import Array
+from drivers.frame_array import received_frames, sent_frames
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.loop.replay import replay
@@ -57,8 +58,8 @@ def run(place: str, buses: str = "") -> Ran:
     true: list[Array] = []
 
     def observe(inp: Any, opening: Any, out: Any) -> None:
-        sent = opening + out.frames
-        ticks.append(Tick(out.row.copy(), inp.frames, sent, tuple(map(int, inp.operator))))
+        sent = sent_frames(opening) + sent_frames(out.frames)
+        ticks.append(Tick(out.row.copy(), received_frames(inp.frames), sent, tuple(map(int, inp.operator))))
         true.append(nodes.snapshot().rate.copy())
 
     try:

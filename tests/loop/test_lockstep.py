@@ -7,6 +7,7 @@ import pytest
 
 from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.frame_array import received_frames, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
@@ -108,12 +109,13 @@ def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monk
     for _ in range(300):
         inp, opening, out = lockstep.step(operator)
         operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()
-        got.update(inp.frames)
+        heard = received_frames(inp.frames)
+        got.update(heard)
         if len(answers) > 6:
             continue
-        last_ns = max(t_ns for t_ns, frame in inp.frames if frame.id in cycle.parts.protocol.feedback_ids)
-        queued = [(inp.t_ns, frame) for frame in opening] + answers
-        queued += [(last_ns + 60_000, frame) for frame in out.frames]
+        last_ns = max(t_ns for t_ns, frame in heard if frame.id in cycle.parts.protocol.feedback_ids)
+        queued = [(inp.t_ns, frame) for frame in sent_frames(opening)] + answers
+        queued += [(last_ns + 60_000, frame) for frame in sent_frames(out.frames)]
         entries = [
             (t_ns, priority(frame.id, frame.flags), n, frame_time_ns(len(frame.data), frame.flags, timing))
             for n, (t_ns, frame) in enumerate(queued)

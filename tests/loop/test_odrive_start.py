@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.can.bus_time import BitTiming
+from drivers.frame_array import received_frames
 from drivers.signals import DriveState, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.sim.lockstep import Lockstep
@@ -42,7 +43,7 @@ def started() -> Started:
     estimates: list[tuple[int, int]] = []
 
     def observe(given: TickInput, _opening: object, out: Any) -> None:
-        own = [t_ns for t_ns, frame in given.frames if frame.id & 0x1F == ESTIMATES]
+        own = [t_ns for t_ns, frame in received_frames(given.frames) if frame.id & 0x1F == ESTIMATES]
         estimates.append((len(own), sum(t_ns >= given.t_ns for t_ns in own)))
         rows.append(out.row)
         axes.append(nodes.snapshot())

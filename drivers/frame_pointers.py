@@ -1,8 +1,52 @@
-"""Frames inside a kernel, by their address."""
+"""Frames and measurements inside a kernel: what the decoders of all families share."""
 
-from drivers.compiled.compiler import record
+from typing import Any
+
+import numpy as np
+
+from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import records_at
 from drivers.frame_array import FRAME
+from drivers.signals import LEGS, NEVER
 
 frames_at = records_at(record(FRAME))
 """frames_at(address, count): the elements of FRAME there."""
+
+
+@helper
+def place_of(number: int, numbers: Any) -> int:
+    """Return the place of a number among six; -1: it is not there."""
+    for k in range(LEGS):
+        if number == numbers[k]:
+            return k
+    return -1
+
+
+@helper
+def whole(data: Any, at: int, size: int = 4) -> int:
+    """Return the number of so many bytes, little-endian, not signed; up to seven."""
+    number = np.int64(0)
+    for k in range(size):
+        number |= np.int64(data[at + k]) << 8 * k
+    return number
+
+
+@helper
+def signed(number: int, bits: int) -> int:
+    """Return a number of so many bits as a signed one."""
+    return number - ((number >> (bits - 1)) << bits)
+
+
+@helper
+def begin_measurement(last: Any, tick: Any) -> None:
+    """Let the measurement of a tick begin as that of the last one, a little older, with nothing found."""
+    tick.length[:] = last.length
+    tick.rate[:] = last.rate
+    tick.drive_force[:] = last.drive_force
+    tick.drive_state[:] = last.drive_state
+    tick.drive_fault[:] = last.drive_fault
+    gone = tick.tick - last.tick if last.tick >= 0 else 1
+    for leg in range(LEGS):
+        tick.age[leg] = min(NEVER, last.age[leg] + gone)
+        tick.blind[leg] = 0
+    tick.rejected = tick.foreign = tick.doubled = tick.altered = 0

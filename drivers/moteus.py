@@ -12,14 +12,16 @@ reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 
 import struct
 from collections.abc import Mapping, Sequence
-from math import isinf, isnan, nan
+from math import isnan, nan
 
 import numpy as np
 
+from drivers import moteus_kernels as kernels
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import REVISION, SERIAL, Said
+from drivers.moteus_kernels import ALL_NODES, FAULTED, POSITION, STOPPED, TIMED_OUT
 from drivers.moteus_registers import (
     COMMAND,
     FAULT,
@@ -43,21 +45,14 @@ from drivers.moteus_registers import (
     reply_to,
 )
 from drivers.motor_drives import MotorMemory, put
+from drivers.motor_kernels import EAR, FALLS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-from drivers.motors import (
-    OWN_CODE,
-    Exchange,
-    Heard,
-    MotorDialogue,
-    MotorProtocol,
-)
+from drivers.motors import OWN_CODE, Exchange, MotorProtocol
 from drivers.protocol import (
     BRS,
-    ERROR,
     EXTENDED,
     FD,
     OTHER_BUSES,
-    REMOTE,
     Configure,
     DeviceMessage,
     DriveSetup,
@@ -70,10 +65,6 @@ from drivers.transmission import Transmission
 
 REPLY_WANTED = 0x8000
 """Bit of an identifier."""
-ALL_NODES = 0x7F
-"""As destination: all drives."""
-STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
-"""Modes."""
 QUERY = bytes.fromhex("11001f01130d")
 """Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
 WHO, WHICH = bytes.fromhex("1ba002"), bytes.fromhex("198102")
@@ -102,18 +93,13 @@ FAULTS = {
     50: "velocity control error",
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
-_STRANGE = REMOTE | ERROR | OTHER_BUSES
+_STRANGE = kernels.STRANGE | OTHER_BUSES
 _WORD = 0xFFFFFFFF
 _SERIAL = tuple(range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
 _VERSION = 0x010000
 """Of the emulated drives' firmware."""
-_OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+_RUN, _FAULT = DriveState.RUN, DriveState.FAULT
 _MAX_TORQUE = 1e4
-
-
-def _is_code(value: float) -> bool:
-    """Tell whether this is a mode or a fault: both are asked for as int8."""
-    return 0.0 <= value < 128.0 and value.is_integer()
 
 
 def _who(leg: int, said: Mapping[int, float]) -> Said | None:
@@ -131,6 +117,8 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
     return b"\x01\0\x0a\x0c\x06\x20" + values + b"\x0d\x27" + struct.pack("<f", timeout_s) + QUERY
 
 
+TORQUE_AT = 14
+"""Of its bytes the first one of the torque."""
 STOP = pad(b"\x01\0\0" + QUERY)
 _QUERIED = asked(QUERY)
 _WELL = {VOLTAGE: 24.0, TEMPERATURE: 30.0, TRAJECTORY_COMPLETE: 0.0, HOME_STATE: 0.0}
@@ -139,6 +127,7 @@ _WELL = {VOLTAGE: 24.0, TEMPERATURE: 30.0, TRAJECTORY_COMPLETE: 0.0, HOME_STATE:
 class MoteusProtocol(MotorProtocol):
     """The tables of six drives."""
 
+    ear, rule = kernels.hear, FALLS
     set_up_frames = 0
     shares_identifiers = False
 
@@ -149,7 +138,8 @@ class MoteusProtocol(MotorProtocol):
 
         Raises ConfigurationError for ids that a frame cannot carry.
         """
-        super().__init__(transmission)
+        tables = np.zeros((), EAR)
+        super().__init__(transmission, tables, (TORQUE_AT, 32, 0.0))
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 126 or node == host:
                 raise ConfigurationError(
@@ -164,6 +154,7 @@ class MoteusProtocol(MotorProtocol):
         self._command_ids = tuple(REPLY_WANTED | host << 8 | node for node in nodes)
         self._reply_ids = tuple(node << 8 | host for node in nodes)
         self._nodes, self._host = tuple(nodes), host
+        tables["nodes"], tables["replies"] = nodes, self._reply_ids
         self._legs = {node: leg for leg, node in enumerate(nodes)}
         self._answering_legs = {identifier: leg for leg, identifier in enumerate(self._reply_ids)}
         self.feedback_ids = frozenset(self._reply_ids)
@@ -208,13 +199,13 @@ class MoteusProtocol(MotorProtocol):
         """Return the identifier of a reply, -1 for what is none."""
         return frame.id if super().awaited(frame) >= 0 else -1
 
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return a torque with its query, or a stop with its query: for one that stopped by itself, too."""
-        data = STOP
-        fallen = dialogue.ran[leg] and dialogue.power[leg] == _OFF
-        if dialogue.mode == DriveMode.RUN and not fallen:
-            data = pad(torque_command(dialogue.torque[leg], self._most, dialogue.watchdog_s))
-        return Frame(self._command_ids[leg], data, EXTENDED | FD | BRS)
+    def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
+        """Return a stop, whatever is asked for but torque, and torque; each with its query."""
+        torque = pad(torque_command(0.0, self._most, watchdog_s))
+        return tuple(
+            tuple(Frame(each, data, EXTENDED | FD | BRS) for each in self._command_ids)
+            for data in (STOP, STOP, STOP, torque)
+        )
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return the queries for the serial number, and for the version of the firmware."""
@@ -239,34 +230,6 @@ class MoteusProtocol(MotorProtocol):
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of the identifier."""
         return self._legs.get(frame.id & ALL_NODES)
-
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what a reply says."""
-        identifier, _, flags = frame
-        if flags & _STRANGE or not flags & FD:
-            return None
-        if bool(flags & EXTENDED) != (identifier > 0x7FF):
-            return None
-        to = identifier & ALL_NODES
-        if identifier <= 0xFFFF and (to in self._legs or to == ALL_NODES):
-            return Heard(self._legs.get(to, 0), foreign=True)
-        reply = self._reply_of(frame)
-        if reply is None:
-            return None
-        leg, said = reply
-        if not {MODE, PLACE, SPEED, TORQUE, FAULT} <= said.keys():
-            return Heard(leg, broken=_who(leg, said) is None)
-        figures = said[PLACE], said[SPEED], said[TORQUE]
-        if not (_is_code(said[MODE]) and _is_code(said[FAULT])) or any(map(isinf, figures)):
-            return Heard(leg, broken=True)
-        mode, fault = int(said[MODE]), 0
-        power = _RUN if mode == POSITION else _OFF
-        if mode in (FAULTED, TIMED_OUT):
-            power = _FAULT
-            fault = int(DriveFault.WATCHDOG) if mode == TIMED_OUT else OWN_CODE + int(said[FAULT])
-        motion = None if isnan(said[PLACE]) or isnan(said[SPEED]) else (said[PLACE], said[SPEED])
-        torque = None if isnan(said[TORQUE]) else said[TORQUE]
-        return Heard(leg, motion=motion, feedback=True, torque=torque, power=power, fault=fault)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return a stop for each drive: it does not latch."""

@@ -11,11 +11,17 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from math import isfinite, nan
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from drivers.compiled.compiler import helper
 
 NOP = 0x50
 WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
 """Kinds of subframes."""
+NOT_WHOLE, NOTHING = -1, -2
+"""Instead of a kind: the data end within a group, or there is none."""
+_MOST_BITS = 63
+"""Of a number; no register and no count is as large."""
 MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
 TRAJECTORY_COMPLETE, HOME_STATE, VOLTAGE, TEMPERATURE, FAULT = 0x00B, 0x00C, 0x00D, 0x00E, 0x00F
 COMMAND, TIMEOUT = 0x020, 0x027
@@ -26,18 +32,9 @@ READ_ERROR, NO_REGISTER = 0x31, 1
 _READABLE = 0x10
 """Registers below are states of the drive."""
 _FLOAT = 3
-_SIZES = (1, 2, 4, 4)
+SIZES = (1, 2, 4, 4)
+"""Bytes of a value, by its width."""
 _FORMS = ("b", "h", "i", "f")
-_SCALES = {
-    PLACE: (0.01, 0.0001, 0.00001),
-    SPEED: (0.1, 0.00025, 0.00001),
-    TORQUE: (0.5, 0.01, 0.001),
-    VOLTAGE: (0.5, 0.1, 0.001),
-    TEMPERATURE: (1.0, 0.1, 0.001),
-}
-"""Of an int8, int16, int32."""
-_COMMAND_SCALES = {COMMAND: PLACE, COMMAND + 1: SPEED, COMMAND + 2: TORQUE, COMMAND + 5: TORQUE}
-_TIME_SCALES = (0.01, 0.001, 0.000001)
 _LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 Asked = tuple[tuple[int, int], ...]
@@ -49,15 +46,40 @@ def pad(data: bytes) -> bytes:
     return data + bytes((NOP,)) * (_LENGTHS[bisect_left(_LENGTHS, len(data))] - len(data))
 
 
-def _varuint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a number of seven bits a byte, and where it ends. Raises IndexError if the data end before."""
+@helper
+def _varuint(data: Any, size: int, at: int) -> tuple[int, int]:
+    """Return a number of seven bits a byte, and where it ends; NOT_WHOLE if the data end before."""
     number = shift = 0
-    while True:
-        number |= (data[at] & 0x7F) << shift
-        shift += 7
+    while at < size:
+        byte = int(data[at])
         at += 1
-        if not data[at - 1] & 0x80:
+        if shift < _MOST_BITS:
+            number |= (byte & 0x7F) << shift
+        elif byte & 0x7F:
+            number |= 1 << (_MOST_BITS - 1)
+        shift += 7
+        if byte < 0x80:
             return number, at
+    return 0, NOT_WHOLE
+
+
+@helper
+def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
+    """Return kind, width, first register and count of the group at a place, and where its values begin.
+
+    Kind NOTHING: it has none; ERRORS: it ends the frame; NOT_WHOLE.
+    """
+    head = int(data[at])
+    at += 1
+    kind, width, count = head & 0xF0, head >> 2 & 3, head & 3
+    if head == NOP or kind == ERRORS:
+        return NOTHING if head == NOP else kind, width, 0, 0, at
+    if count == 0:
+        count, at = _varuint(data, size, at)
+        if count == 0:
+            return NOTHING if at >= 0 else NOT_WHOLE, width, 0, 0, at
+    first, at = _varuint(data, size, at)
+    return kind if at >= 0 else NOT_WHOLE, width, first, count, at
 
 
 @lru_cache(maxsize=64)  # drives at rest are sent the same again and again
@@ -67,73 +89,63 @@ def registers(data: bytes, kind: int) -> Mapping[int, float] | None:
     Registers without a scale come as they are. Errors (0x30, 0x31) end the frame. None if it is not whole.
     """
     found: dict[int, float] = {}
-    try:
-        for found_kind, width, first, count, at in _groups(data):
-            if found_kind == ERRORS:
-                break
-            if found_kind == READ:
-                continue
-            if found_kind != kind or at + count * _SIZES[width] > len(data):
-                return None
-            for k, raw in enumerate(struct.unpack_from(f"<{count}{_FORMS[width]}", data, at)):
-                found[first + k] = _value(first + k, width, raw)
-    except IndexError:
-        return None
+    for found_kind, width, first, count, at in _groups(data):
+        if found_kind in (ERRORS, READ):
+            continue
+        if found_kind != kind or at + count * SIZES[width] > len(data):
+            return None
+        for k, raw in enumerate(struct.unpack_from(f"<{count}{_FORMS[width]}", data, at)):
+            found[first + k] = value(first + k, width, raw)
     return MappingProxyType(found)
 
 
 def _groups(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
-    """Give kind, width, first register, count and place of the values of each group of registers.
-
-    Raises IndexError where a group is not whole.
-    """
+    """Give the groups of a frame, see `group`, up to the first that is not whole."""
     at = 0
     while at < len(data):
-        head = data[at]
-        at += 1
-        if head == NOP:
-            continue
-        kind, width, count = head & 0xF0, head >> 2 & 3, head & 3
-        if kind == ERRORS:
-            yield kind, width, 0, 0, at
+        kind, width, first, count, at = group(data, len(data), at)
+        if kind != NOTHING:
+            yield kind, width, first, count, at
+        if kind in (ERRORS, NOT_WHOLE):
             return
-        if count == 0:
-            count, at = _varuint(data, at)
-            if count == 0:
-                continue
-        first, at = _varuint(data, at)
-        yield kind, width, first, count, at
-        if kind != READ:
-            at += count * _SIZES[width]
+        if kind not in (READ, NOTHING):
+            at += count * SIZES[width]
 
 
-def _scale(register: int, width: int) -> float | None:
-    """Return the scale of a register, None where it comes as it is."""
+@helper
+def _scale(register: int, width: int) -> float:
+    """Return the scale of a register, 0 where it comes as it is."""
     if width == _FLOAT:
-        return None
-    if register == TIMEOUT:
-        return _TIME_SCALES[width]
-    scales = _SCALES.get(_COMMAND_SCALES.get(register, register))
-    return None if scales is None else scales[width]
+        return 0.0
+    if register in (PLACE, COMMAND):
+        return (0.01, 0.0001, 0.00001)[width]
+    if register in (SPEED, COMMAND + 1):
+        return (0.1, 0.00025, 0.00001)[width]
+    if register in (TORQUE, COMMAND + 2, COMMAND + 5):
+        return (0.5, 0.01, 0.001)[width]
+    if register == VOLTAGE:
+        return (0.5, 0.1, 0.001)[width]
+    if register == TEMPERATURE:
+        return (1.0, 0.1, 0.001)[width]
+    return (0.01, 0.001, 0.000001)[width] if register == TIMEOUT else 0.0
 
 
-def _value(register: int, width: int, raw: float) -> float:
+@helper
+def value(register: int, width: int, raw: float) -> float:
+    """Return what a register of a width holds, NaN for what is not known."""
     scale = _scale(register, width)
-    if scale is None:
+    if scale == 0.0:
         return float(raw)
-    return nan if raw == -(1 << (8 * _SIZES[width] - 1)) else raw * scale
+    return nan if raw == -(1 << (8 * SIZES[width] - 1)) else raw * scale
 
 
 @lru_cache(maxsize=64)
 def asked(data: bytes) -> Asked:
     """Return what a frame asks for, in its order, up to where it is not whole."""
     found: list[tuple[int, int]] = []
-    try:
-        for kind, width, first, count, _ in _groups(data):
-            if kind == READ:
-                found += [(first + k, width) for k in range(min(count, _LENGTHS[-1]))]
-    except IndexError:
-        pass
+    for kind, width, first, count, _ in _groups(data):
+        if kind == READ:
+            found += [(first + k, width) for k in range(min(count, _LENGTHS[-1]))]
     return tuple(found)
 
 
@@ -177,7 +189,7 @@ def _parts(wanted: Asked, known: tuple[int, ...]) -> tuple[_Part, ...]:
         else:
             count = next((k for k in range(count) if first + k not in known), count)
         head = (REPLY | width << 2 | count,) if count < 4 else (REPLY | width << 2, count)
-        most = 0 if width == _FLOAT else (1 << (8 * _SIZES[width] - 1)) - 1
+        most = 0 if width == _FLOAT else (1 << (8 * SIZES[width] - 1)) - 1
         fields = tuple((k, _scale(k, width) or 1.0, most) for k in range(first, first + count))
         values = struct.Struct(f"<{count}{_FORMS[width]}")
         parts.append(_Part(bytes((*head, *_as_varuint(first))), values, fields))

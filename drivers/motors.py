@@ -7,114 +7,81 @@ back by itself while RUN is asked for has restarted: BOOT. It is not enabled aga
 anew, where it says so: a moteus may have obeyed the next command before it answers.
 """
 
+import struct
 from abc import abstractmethod
-from typing import NamedTuple
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
+from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
+from drivers.compiled.pointed import FAILED, Pointed, data_at
+from drivers.controller_end import MOST_FRAMES
 from drivers.errors import ProtocolError
-from drivers.frame_array import received_frames
+from drivers.frame_array import FRAME, sent_array, sent_frames
+from drivers.motor_dialogue import OWN_CODE, RETRY_TICKS, Exchange, Heard, MotorDialogue
 from drivers.motor_drives import MotorDrives, put
-from drivers.motor_routes import MotorRoutes
-from drivers.protocol import (
-    ALWAYS,
-    DriveSetup,
-    Frame,
-    PowerTold,
-    Received,
+from drivers.motor_end import MotorsEnd, after, remember
+from drivers.motor_kernels import (
+    ANSWER,
+    BROKEN,
+    FEEDBACK,
+    FOREIGN,
+    HEARD,
+    KEEPS,
+    MOTION,
+    MOTORS,
+    POWER,
+    TORQUE,
+    wire_state,
 )
+from drivers.motor_routes import MotorRoutes
+from drivers.protocol import ALWAYS, BUS, OTHER_BUSES, DriveSetup, Frame, PowerTold, Received
 from drivers.resolution import Resolution
-from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
+from drivers.several_buses import SeveralBuses
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
+from drivers.transmission import Transmission
 
-OWN_CODE = 0x100
-"""Added to a fault code of a family, so that none is taken for a DriveFault."""
-RETRY_TICKS = 10
-"""After which a request without an answer is repeated."""
-RESTART_TICKS = 20
-"""A drive that was silent for so long may have restarted: it is set up anew."""
-_KEPT = ("length", "rate", "drive_force", "drive_state", "drive_fault")
+__all__ = ["OWN_CODE", "RETRY_TICKS", "Exchange", "Heard", "MotorDialogue", "MotorProtocol", "wire_state"]
 _NO_BRAKE = (
     "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
     "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
 )
-_RUN, _OFF, _FAULT = DriveState.RUN, DriveState.OFF, DriveState.FAULT
+_RUN = DriveState.RUN
+_pack = struct.Struct("<qI4B64s").pack
+"""Makes an element of FRAME."""
 
 
-class Heard(NamedTuple):
-    """What one frame of a drive says."""
-
-    leg: int
-    broken: bool = False
-    """It cannot be trusted."""
-    foreign: bool = False
-    """It is a command, so another controller's."""
-    motion: tuple[float, float] | None = None
-    """Turns of the motor and turns/s; None in a frame that is no feedback, or where it is of no use."""
-    feedback: bool = False
-    """It answers the poll."""
-    torque: float | None = None
-    """N m."""
-    power: int | None = None
-    """DriveState OFF (disabled), RUN (enabled) or FAULT; None where it does not say."""
-    fault: int = 0
-    """DriveFault, or OWN_CODE and the family's code."""
-    answer: tuple[int, float] | None = None
-    """Register and value, of the start-up dialogue."""
-
-
-class Exchange(NamedTuple):
-    """One request of the start-up dialogue, and what its answer must be."""
-
-    name: str
-    register: int
-    frames: tuple[Frame, ...]
-    """Sent together; the last one is answered."""
-    value: float
-    """What the drive must answer, in the drive's unit."""
-
-
-class MotorDialogue(NamedTuple):
-    """The controller's end; tuples have one element a leg."""
-
-    exchanges: tuple[tuple[Exchange, ...], ...]
-    watchdog_s: float
-    mode: int = DriveMode.OFF
-    torque: tuple[float, ...] = (0.0,) * LEGS
-    """N m, of the last command."""
-    rate: tuple[float, ...] = (0.0,) * LEGS
-    """m/s, last read: it decides the losses."""
-    power: tuple[int, ...] = (int(DriveState.BOOT),) * LEGS
-    """DriveState OFF, RUN or FAULT, as last heard; BOOT: not yet."""
-    ran: tuple[bool, ...] = (False,) * LEGS
-    """Which were enabled since RUN is asked for."""
-    done: tuple[int, ...] = (0,) * LEGS
-    """1 for a drive that is heard, and 1 for each exchange that it has confirmed."""
-    asked: tuple[int, ...] = (-RETRY_TICKS,) * LEGS
-    """Tick of the last request."""
-    read: tuple[float | None, ...] = (None,) * LEGS
-    """What the last answer held that was not the right one."""
-    said: tuple[int, ...] = (0,) * LEGS
-    """Tick in which it last said whether it is enabled."""
-    owed: tuple[int, ...] = (0,) * LEGS
-    """Polls that a drive that is heard has not answered, RESTART_TICKS at most."""
-    patience_ticks: int = NEVER
-    """After which a drive that does not say so is in BOOT: nobody knows what it does."""
-
-
-def wire_state(power: int, mode: int, *, set_up: bool, ran: bool) -> DriveState:
-    """Return the DriveState of a drive that says only whether it is enabled; see the module's docstring."""
-    if power in (_FAULT, _RUN):
-        return DriveState(power)
-    if not set_up or (ran and mode == DriveMode.RUN):
-        return DriveState.BOOT
-    return DriveState.READY if mode in (DriveMode.READY, DriveMode.RUN) else _OFF
+@lru_cache(maxsize=64)
+def prepared(protocol: "MotorProtocol", watchdog_s: float) -> tuple[Record, Rows]:
+    """Return the record of a family before its first frame, and the frames that it points to."""
+    m, t = np.zeros((), MOTORS), protocol.transmission
+    frames = sent_array([frame for row in protocol.requests(watchdog_s) for frame in row])
+    m["hear"], m["ear"], m["frames"] = protocol.ear.address, data_at(protocol.tables), data_at(frames)
+    m["rule"], m["clears"] = protocol.rule, protocol.clears
+    m["torque_at"], m["torque_bits"], m["torque_end"] = protocol.torque_field
+    m["torque_limit"], m["unasked"] = protocol.torque_limit, protocol.unasked_s > 0.0
+    m["reports"], m["full_loss_m_s"] = protocol.reports_power, t.full_loss_m_s
+    m["offset"], m["m_per_turn"], m["N_per_Nm"] = t.offset_m, t.m_per_turn, t.N_per_Nm
+    m["driving"], m["back_driving"] = t.driving, t.back_driving
+    return m, frames
 
 
 class MotorProtocol(MotorRoutes, MotorDrives):
-    """Controller's end of such a family. Holds tables only."""
+    """Controller's end of such a family, compiled in `drivers.motor_kernels`. Holds tables only."""
 
+    ear: Pointed
+    """The family's `hear`."""
+    rule = KEEPS
+    """What a drive is sent, see `drivers.motor_kernels`."""
+    clears = False
+    """Whether CLEAR is sent to a drive in fault alone."""
+    commanding = kernels.command
+    """What takes a command."""
+    polls: tuple[Frame, ...] = ()
+    """What starts a tick, where that is not the command."""
     database: tuple[str, str] | None = None
     command_delay_ticks = 1
     set_up_frames: int
@@ -132,15 +99,18 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     feedback_ids = frozenset(range(LEGS))
     """Legs: answers of several drives may share an identifier, or change it."""
 
+    def __init__(
+        self, transmission: Transmission, tables: Record, torque_field: tuple[int, int, float]
+    ) -> None:
+        """Take what `ear` works on, and where a command has its torque: first byte, bits, end in N m."""
+        super().__init__(transmission)
+        self.tables, self.torque_field = tables, torque_field
+
     # what a family gives
 
     @abstractmethod
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what a drive's frame says; None for a frame that is nobody's."""
-
-    @abstractmethod
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return what starts a tick for one drive."""
+    def requests(self, watchdog_s: float) -> Sequence[Sequence[Frame]]:
+        """Return the frames to the six drives, by what they ask for: IDLE, CLEAR, ENABLE, DRIVE, PREPARE."""
 
     @abstractmethod
     def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
@@ -208,9 +178,49 @@ class MotorProtocol(MotorRoutes, MotorDrives):
             )
         return MotorDialogue(self.exchanges(setup), setup.watchdog_s)
 
+    def hear(self, frame: Frame) -> Heard | None:
+        """Return what a drive's frame says; None for a frame that is nobody's."""
+        identifier, data, flags = frame
+        heard = np.zeros((), HEARD)
+        row = _pack(0, identifier, 0, len(data), flags % BUS, 0, data)
+        if flags & OTHER_BUSES or not self.ear(self.tables, row, heard):
+            return None
+        leg, has, turns, speed, torque, power, fault, register, value = heard.tolist()
+        return Heard(
+            leg,
+            broken=bool(has & BROKEN),
+            foreign=bool(has & FOREIGN),
+            motion=(turns, speed) if has & MOTION else None,
+            feedback=bool(has & FEEDBACK),
+            torque=torque if has & TORQUE else None,
+            power=power if has & POWER else None,
+            fault=fault,
+            answer=(register, value) if has & ANSWER else None,
+        )
+
+    def record(self, dialogue: MotorDialogue) -> Record:
+        """Return a record of the kernels with what the dialogue remembers."""
+        m = prepared(self, dialogue.watchdog_s)[0].copy()
+        remember(m, dialogue)
+        return m
+
+    def controller_end(self, setup: DriveSetup, buses: SeveralBuses | None = None) -> MotorsEnd:
+        """Return the controller's end, compiled, on several buses where these are given."""
+        record, frames = prepared(self, setup.watchdog_s)
+        return MotorsEnd(buses or self, setup, (record, frames, self.commanding), self.polls)
+
+    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
+        """Return what one drive is sent in each tick."""
+        return self._next(dialogue)[leg]
+
+    def _next(self, dialogue: MotorDialogue) -> tuple[Frame, ...]:
+        into = np.empty(LEGS, FRAME)
+        kernels.begin(self.record(dialogue), 0, data_at(into))
+        return sent_frames(into)
+
     def begin(self, dialogue: MotorDialogue, _tick: int) -> tuple[Frame, ...]:
-        """Return one poll a drive; it carries the command of the tick before."""
-        return tuple([self.poll(dialogue, leg) for leg in range(LEGS)])
+        """Return one poll a drive: it carries the command of the tick before, where `polls` are none."""
+        return self.polls or self._next(dialogue)
 
     def awaited(self, frame: Frame) -> int:
         """Return the leg whose feedback a frame is, -1 for none."""
@@ -232,124 +242,33 @@ class MotorProtocol(MotorRoutes, MotorDrives):
         before: then the first ones may be those, and the last one counts. Of drives that send readings
         unasked, too, the newest counts; the others say nothing of them.
         """
-        unasked = self.unasked_s > 0.0
-        for name in _KEPT:
-            tick[name] = last[name]
-        number, before = int(tick["tick"]), int(last["tick"])
-        tick["age"] = np.minimum(last["age"] + (number - before if before >= 0 else 1), NEVER)
-        tick["blind"] = 0
-        rejected, doubled, foreign = 0, 0, 0
-        answers: dict[int, Heard] = {}
-        late: dict[int, Heard] = {}
-        faults = tick["drive_fault"]
-        owed = [owes + 1 if done else 2 for owes, done in zip(dialogue.owed, dialogue.done, strict=True)]
-        power, said = list(dialogue.power), list(dialogue.said)
-        asked = int(_RUN if dialogue.mode == DriveMode.RUN else _OFF)
-        for t_ns, frame in received_frames(frames):
-            heard = self.hear(frame)
-            if heard is None:
-                continue
-            leg = heard.leg
-            if heard.broken:
-                rejected += 1
-            elif heard.foreign:
-                foreign = int(Foreign.COMMAND)
-            elif heard.answer is not None:
-                dialogue = self._confirm(dialogue, leg, *heard.answer)
-            elif heard.feedback and t_ns < since_ns:
-                owed[leg] -= 1
-                rejected += not unasked and dialogue.done[leg] > len(dialogue.exchanges[leg])
-                if last["age"][leg] > 0 and before >= 0:
-                    late[leg] = heard
-            elif heard.feedback and leg in answers and owed[leg] <= 0 and not unasked:
-                doubled |= (answers[leg] != heard) << leg
-            else:
-                if heard.power is not None or not self.reports_power:
-                    power[leg] = asked if heard.power is None else heard.power
-                    faults[leg] = heard.fault
-                    said[leg] = number
-                if heard.feedback:
-                    owed[leg] -= 1
-                    answers[leg] = heard
-        left = [
-            min(max(owes, 0), RESTART_TICKS) * (done > 0)
-            for owes, done in zip(owed, dialogue.done, strict=True)
-        ]
-        dialogue = dialogue._replace(owed=tuple(left))
-        if answers or late or (tuple(power), tuple(said)) != (dialogue.power, dialogue.said):
-            dialogue = dialogue._replace(power=tuple(power), said=tuple(said))
-            dialogue = self._measure(dialogue, late | answers, tick)
-            for leg in late.keys() - answers.keys():
-                if tick["age"][leg] == 0:
-                    tick["age"][leg] = number - before
-        tick["counted_age"], tick["rejected"], tick["doubled"] = tick["age"], rejected, doubled
-        tick["foreign"] = foreign
-        return self._restarted(dialogue, tick)
-
-    def _measure(self, dialogue: MotorDialogue, answers: dict[int, Heard], tick: Record) -> MotorDialogue:
-        """Fill in what the answers of this tick say of the legs."""
-        t, mode = self.transmission, dialogue.mode
-        motion = [answers[leg].motion if leg in answers else None for leg in range(LEGS)]
-        turns, speeds = np.array([each or (0.0, 0.0) for each in motion]).T
-        length, rate = t.length(turns), t.rate(speeds)
-        torque = np.array([answers[leg].torque or 0.0 if leg in answers else 0.0 for leg in range(LEGS)])
-        force = t.force(torque, rate)
-        done, ran = list(dialogue.done), list(dialogue.ran)
-        for leg, heard in answers.items():
-            done[leg] = max(done[leg], 1)
-            if heard.motion is None:
-                tick["blind"][leg] = 1
-                continue
-            tick["length"][leg], tick["rate"][leg], tick["age"][leg] = length[leg], rate[leg], 0
-            if heard.torque is not None:
-                tick["drive_force"][leg] = force[leg]
-        for leg, power in enumerate(dialogue.power):
-            set_up = done[leg] > len(dialogue.exchanges[leg]) and power != DriveState.BOOT
-            tick["drive_state"][leg] = wire_state(power, mode, set_up=set_up, ran=ran[leg])
-            ran[leg] = mode == DriveMode.RUN and (ran[leg] or power == _RUN)
-        rates = tuple(tick["rate"].tolist())
-        return dialogue._replace(done=tuple(done), ran=tuple(ran), rate=rates)
-
-    def _confirm(self, dialogue: MotorDialogue, leg: int, register: int, value: float) -> MotorDialogue:
-        step = dialogue.done[leg] - 1
-        if not 0 <= step < len(dialogue.exchanges[leg]):
-            return dialogue
-        asked = dialogue.exchanges[leg][step]
-        if register != asked.register:
-            return dialogue
-        if np.float32(value) != np.float32(asked.value):
-            return dialogue._replace(read=put(dialogue.read, leg, value))
-        return dialogue._replace(
-            done=put(dialogue.done, leg, step + 2),
-            asked=put(dialogue.asked, leg, -RETRY_TICKS),
-            read=put(dialogue.read, leg, None),
-        )
-
-    @staticmethod
-    def _restarted(dialogue: MotorDialogue, tick: Record) -> MotorDialogue:
-        """Forget the set-up of drives that were silent for long, and the state of those that tell none."""
-        for leg, age in enumerate(tick["age"].tolist()):
-            if age > RESTART_TICKS and dialogue.done[leg]:
-                dialogue = dialogue._replace(done=put(dialogue.done, leg, 0))
-            if tick["tick"] - dialogue.said[leg] > dialogue.patience_ticks:
-                dialogue = dialogue._replace(power=put(dialogue.power, leg, int(DriveState.BOOT)))
-        return dialogue
+        m = self.record(dialogue)
+        kernels.decode(m, data_at(frames), len(frames), since_ns, last, tick)
+        return after(m, dialogue)
 
     def command(
-        self, dialogue: MotorDialogue, command: Command, _tick: int
+        self, dialogue: MotorDialogue, command: Command, tick: int
     ) -> tuple[MotorDialogue, tuple[Frame, ...]]:
-        """Remember one tick's command for the next polls. Raises ProtocolError if a force does not fit."""
-        force = command.force
+        """Return a tick's command frames: none where the next polls carry it.
+
+        Raises ProtocolError if a force does not fit.
+        """
+        m, into = self.record(dialogue), np.empty(MOST_FRAMES, FRAME)
+        force = np.ascontiguousarray(command.force, float)
+        given = m, tick, int(command.mode), 0, data_at(force), data_at(into)
+        sent = FAILED if force.shape != (LEGS,) else self.commanding(*given)
+        if sent == FAILED:
+            raise self._unfit(force, dialogue.rate)
+        return after(m, dialogue), sent_frames(into[:sent])
+
+    def _unfit(self, force: Array, rate: Sequence[float]) -> ProtocolError:
         if force.shape != (LEGS,) or not np.isfinite(force).all():
-            raise ProtocolError(f"force command {force.tolist()} N: six finite ones are allowed")
-        torque = self.transmission.torque(force, np.array(dialogue.rate))
-        if np.abs(torque).max() > self.torque_limit * (1.0 + 1e-9):
-            raise ProtocolError(
-                f"force command {force.tolist()} N needs {np.abs(torque).max():.4g} N m: up to "
-                f"{self.torque_limit:g} N m are allowed; lower limits.force_N or change drives.transmission"
-            )
-        ran = dialogue.ran if command.mode == dialogue.mode else (False,) * LEGS
-        return dialogue._replace(mode=int(command.mode), torque=tuple(torque.tolist()), ran=ran), ()
+            return ProtocolError(f"force command {force.tolist()} N: six finite ones are allowed")
+        most = np.abs(self.transmission.torque(force, np.array(rate))).max()
+        return ProtocolError(
+            f"force command {force.tolist()} N needs {most:.4g} N m: up to {self.torque_limit:g} N m are "
+            "allowed; lower limits.force_N or change drives.transmission"
+        )
 
     def set_up(self, dialogue: MotorDialogue, tick: Record) -> tuple[MotorDialogue, tuple[Frame, ...]]:
         """Return the next request of one drive, if it is heard and disabled."""

@@ -20,24 +20,28 @@ from math import ceil
 
 import numpy as np
 
+from drivers import odrive_kernels as kernels
 from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import SERIAL, Said
 from drivers.motor_drives import MotorMemory, put
+from drivers.motor_kernels import EAR, PREPARES
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-from drivers.motors import (
-    OWN_CODE,
-    RETRY_TICKS,
-    Exchange,
-    Heard,
-    MotorDialogue,
-    MotorProtocol,
+from drivers.motors import OWN_CODE, Exchange, MotorDialogue, MotorProtocol
+from drivers.odrive_kernels import (
+    ADDRESS,
+    AXIS_STATE,
+    CLEAR,
+    CLOSED_LOOP,
+    COMMANDS,
+    ESTIMATES,
+    ESTOP,
+    HEARTBEAT,
+    MODES,
+    TORQUE,
 )
 from drivers.protocol import (
-    ERROR,
-    EXTENDED,
-    FD,
     OTHER_BUSES,
     REMOTE,
     Answer,
@@ -50,14 +54,11 @@ from drivers.protocol import (
     Status,
     Sync,
 )
-from drivers.signals import INVALID, LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 
-ADDRESS = 0x06
-"""Asked for by a remote frame it is answered with node number, serial number and connection."""
-HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
-IDLE, CLOSED_LOOP = 1, 8
-"""Axis states."""
+IDLE = 1
+"""Axis state."""
 TORQUE_CONTROL, PASSTHROUGH = 1, 1
 UNASKED = "encoder_msg_rate_ms"
 """Setting of an axis, and option here: how often it sends its estimates unasked; 0: never."""
@@ -91,32 +92,24 @@ ERRORS = {
     0x40000000: "calibration error",
 }
 _FAULTS = {
-    DriveFault.WATCHDOG: 0x1000000,
-    DriveFault.ESTOP: 0x2000000,
+    DriveFault.WATCHDOG: kernels.WATCHDOG_EXPIRED,
+    DriveFault.ESTOP: kernels.STOP_REQUESTED,
     DriveFault.OVERFORCE: 0x1000,
     DriveFault.SENSOR: 0x8,
     DriveFault.STROKE: 0x10000,
 }
-_CAUSES = {bit: fault for fault, bit in _FAULTS.items() if fault in (DriveFault.WATCHDOG, DriveFault.ESTOP)}
-_STRANGE = EXTENDED | FD | ERROR | OTHER_BUSES
+_STRANGE = kernels.STRANGE | OTHER_BUSES
 _MAX_TORQUE = 1e4
 """N m: more is a mistake, whatever a single can hold."""
-_OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+_RUN = DriveState.RUN
 _SIZES = {ESTOP: (), AXIS_STATE: (4, 8), MODES: (8,), TORQUE: (4, 8), CLEAR: (0, 1)}
 """Lengths that an axis accepts of what it hears; of Estop any."""
-_COMMANDS = frozenset({*_SIZES, 0x04, 0x06, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F})
-"""What a controller sends with data; the emulated axis has those of `_SIZES`."""
-
-
-def _idle(dialogue: MotorDialogue, leg: int) -> bool:
-    """Tell whether an axis says that it has not closed its loop, for which it has had time."""
-    has_had_time = dialogue.said[leg] - dialogue.asked[leg] >= RETRY_TICKS
-    return has_had_time and dialogue.power[leg] == _OFF and not dialogue.ran[leg]
 
 
 class ODriveProtocol(MotorProtocol):
     """The tables of six axes."""
 
+    ear, commanding, rule = kernels.hear, kernels.push, PREPARES
     command_delay_ticks = 0
     set_up_frames = 0
     stop_latches = True
@@ -135,17 +128,18 @@ class ODriveProtocol(MotorProtocol):
 
         Raises ConfigurationError for a node over 62: 63 is "not set".
         """
-        super().__init__(transmission)
+        tables = np.zeros((), EAR)
+        super().__init__(transmission, tables, (0, 32, 0.0))
         self._watchdog_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
         for leg, node in enumerate(nodes):
             if not 0 <= node <= 62:
                 raise ConfigurationError(
                     f"drives.node_ids[{leg}]: out of range, allowed with odrive: 0 to 62, given: {node}"
                 )
-        self._nodes = tuple(nodes)
+        self._nodes, tables["nodes"] = tuple(nodes), nodes
         self._legs = {node: leg for leg, node in enumerate(nodes)}
         self.feedback_ids = frozenset(node << 5 | ESTIMATES for node in nodes)
-        self._polls = tuple(Frame(node << 5 | ESTIMATES, b"", REMOTE) for node in nodes)
+        self.polls = tuple(Frame(node << 5 | ESTIMATES, b"", REMOTE) for node in nodes)
 
     def _to(self, leg: int, command: int, data: bytes) -> Frame:
         return Frame(self._nodes[leg] << 5 | command, data)
@@ -193,43 +187,20 @@ class ODriveProtocol(MotorProtocol):
         ticks = ceil(MISSED_BEATS * self._heartbeat_s * setup.rate_Hz)
         return super().start(setup)._replace(patience_ticks=max(ticks, 2))
 
-    def begin(self, _dialogue: MotorDialogue, _tick: int) -> tuple[Frame, ...]:
-        """Return the six remote frames."""
-        return self._polls
-
     def awaited(self, frame: Frame) -> int:
         """Return the identifier of estimates, -1 for a remote frame."""
         return frame.id if super().awaited(frame) >= 0 else -1
 
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return what one axis is told in each tick: its torque, its control mode, or to be idle."""
-        if dialogue.mode == DriveMode.RUN:
-            return self._to(leg, TORQUE, struct.pack("<fxxxx", dialogue.torque[leg]))
-        if dialogue.mode == DriveMode.READY and dialogue.power[leg] == _OFF:
-            return self._to(leg, MODES, struct.pack("<II", TORQUE_CONTROL, PASSTHROUGH))
-        return self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", IDLE))
-
-    def command(
-        self, dialogue: MotorDialogue, command: Command, tick: int
-    ) -> tuple[MotorDialogue, tuple[Frame, ...]]:
-        """Return one frame an axis, and one more where its loop is to be closed or its errors cleared.
-
-        Raises ProtocolError as the base.
-        """
-        before = dialogue.mode
-        dialogue, _ = super().command(dialogue, command, tick)
-        if before == DriveMode.RUN != dialogue.mode:  # a heartbeat of before may have said that it was off
-            power = tuple(int(_RUN) if each == _OFF else each for each in dialogue.power)
-            dialogue = dialogue._replace(power=power)
-        frames: list[Frame] = []
-        for leg in range(LEGS):
-            if dialogue.mode == DriveMode.RUN and (before != DriveMode.RUN or _idle(dialogue, leg)):
-                dialogue = dialogue._replace(asked=put(dialogue.asked, leg, tick))
-                frames.append(self._to(leg, AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP)))
-            frames.append(self.poll(dialogue, leg))
-            if dialogue.mode == DriveMode.RESET:
-                frames.append(self._to(leg, CLEAR, b"\0"))
-        return dialogue, tuple(frames)
+    def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
+        """Return what makes an axis idle, clears its errors, closes its loop, is its torque and its mode."""
+        asked = (
+            (AXIS_STATE, struct.pack("<Ixxxx", IDLE)),
+            (CLEAR, b"\0"),
+            (AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP)),
+            (TORQUE, bytes(8)),
+            (MODES, struct.pack("<II", TORQUE_CONTROL, PASSTHROUGH)),
+        )
+        return tuple(tuple(self._to(leg, kind, data) for leg in range(LEGS)) for kind, data in asked)
 
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of the node number in the identifier."""
@@ -246,28 +217,6 @@ class ODriveProtocol(MotorProtocol):
         if leg is None or identifier & 0x1F != ADDRESS or flags & (_STRANGE | REMOTE) or len(data) != 8:
             return None
         return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None
-
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what estimates or a heartbeat say."""
-        identifier, data, flags = frame
-        leg, kind = self._legs.get(identifier >> 5), identifier & 0x1F
-        if flags & (_STRANGE | REMOTE) or identifier > 0x7FF or leg is None:
-            return None
-        if kind in _COMMANDS and self.identity(frame) is None:
-            return Heard(leg, foreign=True)
-        if kind not in (HEARTBEAT, ESTIMATES):
-            return None
-        if len(data) != 8:
-            return Heard(leg, broken=True)
-        if kind == HEARTBEAT:
-            error, state = struct.unpack("<IB", data[:5])
-            power = _FAULT if error else _RUN if state == CLOSED_LOOP else _OFF
-            fault = int(_CAUSES.get(error, OWN_CODE + error)) if error else 0
-            return Heard(leg, power=power, fault=fault)
-        turns, speed = struct.unpack("<ff", data)
-        if not np.isfinite((turns, speed)).all():
-            return Heard(leg, feedback=True, power=None)
-        return Heard(leg, motion=(turns, speed), feedback=True)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return Estop for each axis: it latches."""
@@ -290,7 +239,7 @@ class ODriveProtocol(MotorProtocol):
             return memory, (Sync(0, (leg,)),)
         if kind == ESTOP:
             return memory._replace(enabled=put(memory.enabled, leg, False)), (EmergencyStop((leg,)),)
-        if kind not in _COMMANDS:
+        if not COMMANDS >> kind & 1:
             return memory, ()
         if kind not in _SIZES:
             return memory, (Rejected(f"command {kind:#x} is not emulated"),)
@@ -366,7 +315,7 @@ class ODriveProtocol(MotorProtocol):
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six remote frames, estimates and torques."""
         torques = (self._to(leg, TORQUE, bytes(8)) for leg in range(LEGS))
-        return (*self._polls, *torques, *self.example_feedbacks())
+        return (*self.polls, *torques, *self.example_feedbacks())
 
 
 def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:

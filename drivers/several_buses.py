@@ -8,6 +8,7 @@ end the drives of each bus have a memory of their own, for they hear that bus al
 from collections.abc import Sequence
 
 from drivers.arrays import Array, Ints, Rows
+from drivers.controller_end import ControllerEnd
 from drivers.frame_array import received_array, received_frames
 from drivers.identity import Identified, Said
 from drivers.protocol import (
@@ -166,37 +167,43 @@ class SeveralBuses:
         """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
         return self.family.start(setup)
 
+    def controller_end(self, setup: DriveSetup) -> ControllerEnd:
+        """Return the controller's end, compiled where the family's is."""
+        make = getattr(self.family, "controller_end", None)
+        end: ControllerEnd = ControllerEnd(self, setup) if make is None else make(setup, self)
+        return end
+
     def begin(self, dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
         """Frames that start a tick: SYNC on every bus, or each drive's poll on its own."""
-        return self._spread(self.family.begin(dialogue, tick))
+        return self.spread(self.family.begin(dialogue, tick))
 
     def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
         """Frames of one tick's command. Raises ProtocolError if a force does not fit."""
         dialogue, frames = self.family.command(dialogue, command, tick)
-        return dialogue, self._spread(frames)
+        return dialogue, self.spread(frames)
 
     def set_up(self, dialogue: Dialogue, tick: Record) -> tuple[Dialogue, tuple[Frame, ...]]:
         """Frames of the start-up dialogue of this tick."""
         dialogue, frames = self.family.set_up(dialogue, tick)
-        return dialogue, self._spread(frames)
+        return dialogue, self.spread(frames)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
-        return self._spread(self.family.emergency_stop())
+        return self.spread(self.family.emergency_stop())
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Those of the family, each on the bus of its leg; none where it has none."""
         family = self.family
         if not isinstance(family, Identified):
             return ()
-        return tuple(self._spread(frames) for frames in family.identity_requests())
+        return tuple(self.spread(frames) for frames in family.identity_requests())
 
     def identity(self, frame: Frame) -> Said | None:
         """Return what a frame says of who sends it on its own bus."""
         said = self.family.identity(off_bus(frame)) if isinstance(self.family, Identified) else None
         return said if said is not None and self.bus_of[said.leg] == frame.bus else None
 
-    def _spread(self, frames: Sequence[Frame]) -> tuple[Frame, ...]:
+    def spread(self, frames: Sequence[Frame]) -> tuple[Frame, ...]:
         """Put each frame on the buses of the legs that it is for."""
         addressed, bus_of = self.family.addressed, self.bus_of
         sent = []
@@ -326,7 +333,7 @@ class SeveralBuses:
         found: list[Frame] = []
         for frame in self.family.cyclic_frames():
             leg = self.family.sender(frame)
-            found += [on_bus(frame, self.bus_of[leg])] if leg >= 0 else self._spread([frame])
+            found += [on_bus(frame, self.bus_of[leg])] if leg >= 0 else self.spread([frame])
         return tuple(found)
 
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import OUT_VECTOR, REAL, VECTOR, direct
+from drivers.compiled.compiler import OUT_VECTOR, REAL, VECTOR, direct, helper
 from drivers.signals import LEGS
 
 if TYPE_CHECKING:
@@ -42,16 +42,22 @@ def forgotten_length(settings: TransmissionSettings, turns: float | list[float])
     return np.abs(Transmission.of(settings).m_per_turn) * _row(turns)
 
 
+@helper
+def loss_of(force: float, rate: float, driving: float, back_driving: float, full_loss_m_s: float) -> float:
+    """Return F0 / F of one leg; NaN of a force or a rate that is NaN."""
+    share = min(max(rate / full_loss_m_s, -1.0), 1.0)
+    # 0 - share, not -share: a NaN keeps its sign, and recorded logs their bits
+    w = share if force > 0.0 else 0.0 - share if force < 0.0 else share * force
+    return 1.0 + (w * (1.0 / driving - 1.0) if w > 0.0 else w * (1.0 - back_driving))
+
+
 @direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)
 def _fill_loss(
     force: Array, rate: Array, driving: Array, back_driving: Array, full_loss_m_s: float, loss: Array
 ) -> None:
-    """Fill in F0 / F of six legs; NaN of a force or a rate that is NaN."""
+    """Fill in F0 / F of six legs."""
     for leg in range(LEGS):
-        f, share = force[leg], min(max(rate[leg] / full_loss_m_s, -1.0), 1.0)
-        # 0 - share, not -share: a NaN keeps its sign, and recorded logs their bits
-        w = share if f > 0.0 else 0.0 - share if f < 0.0 else share * f
-        loss[leg] = 1.0 + (w * (1.0 / driving[leg] - 1.0) if w > 0.0 else w * (1.0 - back_driving[leg]))
+        loss[leg] = loss_of(force[leg], rate[leg], driving[leg], back_driving[leg], full_loss_m_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from drivers.arrays import Array, Bytes, Ints
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, reals_at
 from drivers.frame_array import SENT
-from drivers.frame_pointers import frames_at
+from drivers.frame_pointers import begin_measurement, frames_at
 from drivers.legs.crc import FINAL_XOR, RESIDUE, TABLE, TABLE_16
 from drivers.protocol import ERROR, EXTENDED, OTHER_BUSES, REMOTE
-from drivers.signals import INVALID, LEGS, NEVER, DriveFault, DriveState, Foreign
+from drivers.signals import INVALID, LEGS, DriveFault, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 
 FOREIGN = EXTENDED | REMOTE | ERROR | OTHER_BUSES
@@ -200,21 +200,6 @@ def _take_status(
 
 
 @helper
-def _begin(last: Any, tick: Any) -> None:
-    """Let the measurement of a tick begin as that of the last one, a little older."""
-    tick.length[:] = last.length
-    tick.rate[:] = last.rate
-    tick.drive_force[:] = last.drive_force
-    tick.drive_state[:] = last.drive_state
-    tick.drive_fault[:] = last.drive_fault
-    gone = tick.tick - last.tick if last.tick >= 0 else 1
-    for leg in range(LEGS):
-        tick.age[leg] = min(NEVER, last.age[leg] + gone)
-        tick.blind[leg] = 0
-    tick.foreign = tick.doubled = tick.altered = 0
-
-
-@helper
 def _foreign(identifier: int, identifiers: Ints) -> int:
     """Return which frame of the controller has this identifier; the own ones are not received."""
     for k in range(OTHERS, identifiers.shape[0]):
@@ -249,7 +234,7 @@ def decode(codec: Any, frames: int, count: int, since_ns: int, last: Any, tick: 
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
     before = confirmed = codec.confirmed
-    _begin(last, tick)
+    begin_measurement(last, tick)
     rejected = 0
     received = frames_at(frames, count)
     for n in range(count):

@@ -45,7 +45,7 @@ class LegsOnBuses(SeveralBuses):
         self._codecs = [by_places[SHORT if len(there) <= SHORT else LEGS] for there in legs]
         self._first = self._codecs[0]
         super().__init__(self._first, legs)
-        self._syncs = [self._spread(self._first.begin(None, cycle)) for cycle in range(256)]
+        self._syncs = [self.spread(self._first.begin(None, cycle)) for cycle in range(256)]
         rows = [
             row
             for bus, (codec, there) in enumerate(zip(self._codecs, self.legs, strict=True))

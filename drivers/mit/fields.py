@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.codes import code, value
+from drivers.compiled.compiler import helper
 from drivers.resolution import Resolution
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
@@ -47,17 +49,6 @@ def resolution(r: Ranges, bits: int, transmission: Transmission) -> Resolution:
     )
 
 
-def code(value: float, low: float, high: float, bits: int) -> int:
-    """Return the code of a value, saturated at the ends."""
-    x = min(max(value, low), high)
-    return int((x - low) * ((1 << bits) - 1) / (high - low))
-
-
-def value(number: int, low: float, high: float, bits: int) -> float:
-    """Return the value of a code."""
-    return number * (high - low) / ((1 << bits) - 1) + low
-
-
 def pack_command(position: float, velocity: float, kp: float, kd: float, torque: float, r: Ranges) -> bytes:
     """Return the eight bytes of a command: 16, 12, 12, 12 and 12 bits, most significant first."""
     number = code(position, -r.position, r.position, 16)
@@ -90,6 +81,7 @@ def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, 
     )
 
 
+@helper
 def unpack_motion(data: bytes, r: Ranges) -> tuple[int, float, float, float]:
     """Return the code of the position, rad, rad/s and N m of five bytes of a reply."""
     p = data[0] << 8 | data[1]

@@ -14,6 +14,7 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.identity import REVISION, SERIAL, Said
+from drivers.mit import kernels
 from drivers.mit.fields import (
     TOP_COMMAND,
     TURN,
@@ -22,24 +23,27 @@ from drivers.mit.fields import (
     pack_command,
     resolution,
     unpack_command,
-    unpack_motion,
+)
+from drivers.mit.kernels import (
+    CTRL_MODE,
+    PMAX,
+    READ,
+    REFRESH,
+    REGISTERS,
+    SN,
+    SW_VER,
+    TIMEOUT,
+    TMAX,
+    VMAX,
+    WRITE,
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
 from drivers.motor_drives import MotorMemory, put
+from drivers.motor_kernels import EAR
 from drivers.motor_settings import unwatched
-from drivers.motors import (
-    OWN_CODE,
-    Exchange,
-    Heard,
-    MotorDialogue,
-    MotorProtocol,
-)
+from drivers.motors import OWN_CODE, Exchange, MotorProtocol
 from drivers.protocol import (
-    ERROR,
-    EXTENDED,
-    FD,
     OTHER_BUSES,
-    REMOTE,
     Answer,
     Configure,
     DeviceMessage,
@@ -53,19 +57,17 @@ from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Re
 from drivers.transmission import Transmission
 
 ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
-STRANGE = EXTENDED | FD | REMOTE | ERROR | OTHER_BUSES
-REGISTERS = 0x7FF
-"""Identifier of Damiao's requests."""
-READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
-TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
+STRANGE = kernels.STRANGE | OTHER_BUSES
 TICKS_PER_S = 20_000
 """Of Damiao's TIMEOUT."""
 NO_WATCHDOG_S = 1e6
-_OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+_RUN, _FAULT = DriveState.RUN, DriveState.FAULT
 
 
 class MitProtocol(MotorProtocol):
     """One variant's tables."""
+
+    ear = kernels.hear
 
     def __init__(
         self, variant: str, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission
@@ -74,10 +76,12 @@ class MitProtocol(MotorProtocol):
 
         Raises ConfigurationError for nodes that the frames cannot tell apart.
         """
-        super().__init__(transmission)
+        tables = np.zeros((), EAR)
+        super().__init__(transmission, tables, (6, 12, ranges.torque))
         self.name, self.variant, self.ranges = variant, VARIANTS[variant], ranges
         self.damiao = variant == "damiao"
         self.set_up_frames = 1 if self.damiao else 0
+        self.clears = self.damiao
         self.reports_power = self.has_watchdog = self.damiao
         self._codes = DRIVE_FAULT_CODES.get(variant, {})
         most = 15 if self.damiao else 127
@@ -96,6 +100,16 @@ class MitProtocol(MotorProtocol):
                     f"drives.options: host_id {host} makes replies come on {reply:#x}, a drive's own "
                     "identifier or none; allowed: one that keeps them apart"
                 )
+        known = self.variant
+        tables["nodes"], tables["replies"], tables["registers"] = nodes, self._replies, self.damiao
+        tables["position"], tables["velocity"], tables["torque"] = (
+            ranges.position,
+            ranges.velocity,
+            ranges.torque,
+        )
+        tables["shortest"], tables["longest"] = known.reply_bytes[0], known.reply_bytes[-1]
+        tables["clamps"], tables["faults"] = known.clamps, sum(1 << code for code in known.faults)
+        tables["silence"] = -1 if known.silence is None else known.silence
         span = 2.0 * ranges.torque / 0xFFF
         self._top = TOP_COMMAND * span - ranges.torque
 
@@ -166,65 +180,17 @@ class MitProtocol(MotorProtocol):
             return None
         return Said(leg, _SAID[data[3]], int.from_bytes(data[4:], "little"))
 
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return torque for an enabled drive, ENABLE for one that is to be, else DISABLE: a poll too."""
-        node = self._nodes[leg]
-        if dialogue.mode != DriveMode.RUN:
-            clears = self.damiao and dialogue.mode == DriveMode.RESET and dialogue.power[leg] == _FAULT
-            return Frame(node, CLEAR if clears else DISABLE)
-        if not dialogue.ran[leg] and dialogue.power[leg] != _RUN:
-            return Frame(node, ENABLE)
-        return Frame(node, pack_command(0.0, 0.0, 0.0, 0.0, dialogue.torque[leg], self.ranges))
+    def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
+        """Return DISABLE, what clears a fault, ENABLE, and torque: polls, all of them."""
+        nothing = pack_command(0.0, 0.0, 0.0, 0.0, -self.ranges.torque, self.ranges)
+        rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, nothing
+        return tuple(tuple(Frame(node, data) for node in self._nodes) for data in rows)
 
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of a drive's identifier, or of the one that a register request names."""
         if frame.id != REGISTERS or not self.damiao:
             return self._legs.get(frame.id)
         return self._legs.get(frame.data[0] | frame.data[1] << 8) if len(frame.data) > 1 else None
-
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what a reply says: position turns, velocity turns/s, torque N m, status."""
-        identifier, data, flags = frame
-        if flags & STRANGE:
-            return None
-        if identifier in self._legs or (self.damiao and identifier == REGISTERS):
-            return Heard(self._legs.get(identifier, 0), foreign=True)
-        if identifier not in self._replies:
-            return None
-        first = self._replies.index(identifier)
-        if len(data) not in self.variant.reply_bytes:
-            return Heard(first, broken=True)
-        if self.damiao:
-            return self._hear_damiao(first, data)
-        if data[0] not in self._legs:
-            return Heard(first, broken=True)
-        fault = data[7] if len(data) == 8 else 0
-        return self._motion(self._legs[data[0]], data[1:6], _FAULT if fault else None, fault)
-
-    def _hear_damiao(self, leg: int, data: bytes) -> Heard:
-        node = self._nodes[leg]
-        # A status is 0, 1 or above 7, so only a disabled drive near the lower end of its position could look
-        # like a register's answer: it has the position code 0x0033 or 0x0055 there.
-        if data[0] == node and data[1] == 0 and data[2] in (READ, WRITE):
-            if data[3] not in _KIND or data[3] in _SAID:
-                return Heard(leg)
-            (value,) = struct.unpack(_KIND[data[3]], data[4:])
-            return Heard(leg, answer=(data[3], float(value)))
-        status = data[0] >> 4
-        if data[0] & 0xF != node or (status > 1 and status not in self.variant.faults):
-            return Heard(leg, broken=True)
-        return self._motion(
-            leg, data[1:6], (_OFF, _RUN)[status] if status < 2 else _FAULT, status * (status > 1)
-        )
-
-    def _motion(self, leg: int, data: bytes, power: DriveState | None, code: int) -> Heard:
-        place, position, velocity, torque = unpack_motion(data, self.ranges)
-        at_end = self.variant.clamps and place in (0, 0xFFFF)
-        fault = OWN_CODE + code if code else 0
-        if code and code == self.variant.silence:
-            fault = int(DriveFault.WATCHDOG)
-        motion = None if at_end else (position / TURN, velocity / TURN)
-        return Heard(leg, motion=motion, feedback=True, torque=torque, power=power, fault=fault)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return DISABLE for each drive: it does not latch."""

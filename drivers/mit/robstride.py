@@ -12,25 +12,29 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.arrays import Array, Ints
+from drivers.codes import code, value
 from drivers.errors import ConfigurationError
 from drivers.identity import SERIAL, Said
-from drivers.mit.fields import TURN, Ranges, code, resolution, value
+from drivers.mit import robstride_kernels as kernels
+from drivers.mit.fields import TURN, Ranges, resolution
+from drivers.mit.robstride_kernels import (
+    CONTROL,
+    ENABLE,
+    FEEDBACK,
+    READ,
+    RESETTING,
+    RUNNING,
+    STOP,
+    WRITE,
+)
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
 from drivers.motor_drives import MotorMemory, put
+from drivers.motor_kernels import EAR, IN_IDENTIFIER
 from drivers.motor_settings import unwatched
-from drivers.motors import (
-    OWN_CODE,
-    Exchange,
-    Heard,
-    MotorDialogue,
-    MotorProtocol,
-)
+from drivers.motors import OWN_CODE, Exchange, MotorProtocol
 from drivers.protocol import (
-    ERROR,
     EXTENDED,
-    FD,
     OTHER_BUSES,
-    REMOTE,
     Answer,
     Configure,
     DeviceMessage,
@@ -45,27 +49,27 @@ from drivers.transmission import Transmission
 
 WHO, ASKED_WHO = 0, 0xFE
 """Type of the request for the processor's number and of its answer, and whom that is for."""
-CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 1, 2, 3, 4, 17, 18
 RUN_MODE = 0x7005
 OPERATION = 0
 """Of RUN_MODE: MIT's five numbers."""
-RESETTING, CALIBRATING, RUNNING = range(3)
-"""Mode of a feedback."""
 NO_WATCHDOG_S = 1e6
-_STRANGE = FD | REMOTE | ERROR | OTHER_BUSES
+_STRANGE = kernels.STRANGE | OTHER_BUSES
 _ZEROS = bytes(8)
-_OFF, _RUN, _FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+_RUN, _FAULT = DriveState.RUN, DriveState.FAULT
 
 
 class RobStrideProtocol(MotorProtocol):
     """The tables of six drives."""
 
+    ear = kernels.hear
+    clears = True
     set_up_frames = 2
     has_watchdog = False
 
     def __init__(self, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission) -> None:
         """Take the ranges, six motor numbers and the host's. Raises ConfigurationError for others."""
-        super().__init__(transmission)
+        tables = np.zeros((), EAR)
+        super().__init__(transmission, tables, (IN_IDENTIFIER, 16, ranges.torque))
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 127:
                 raise ConfigurationError(
@@ -79,6 +83,12 @@ class RobStrideProtocol(MotorProtocol):
         self.ranges, self._nodes, self._host = ranges, tuple(nodes), host
         self._legs = {node: leg for leg, node in enumerate(nodes)}
         self._codes = DRIVE_FAULT_CODES["robstride"]
+        tables["nodes"], tables["host"] = nodes, host
+        tables["position"], tables["velocity"], tables["torque"] = (
+            ranges.position,
+            ranges.velocity,
+            ranges.torque,
+        )
 
     @property
     def torque_limit(self) -> float:
@@ -144,57 +154,22 @@ class RobStrideProtocol(MotorProtocol):
             for leg in range(LEGS)
         )
 
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return torque for an enabled drive, ENABLE for one that is to be, else STOP: a poll too."""
-        if dialogue.mode != DriveMode.RUN:
-            clears = dialogue.mode == DriveMode.RESET and dialogue.power[leg] == _FAULT
-            return self._to(STOP, leg, bytes((clears, *bytes(7))))
-        if not dialogue.ran[leg] and dialogue.power[leg] != _RUN:
-            return self._to(ENABLE, leg)
+    def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
+        """Return STOP, the STOP that clears faults, ENABLE, and torque: polls, all of them."""
         r = self.ranges
         middle = struct.pack(
             ">HHHH", code(0.0, -r.position, r.position, 16), code(0.0, -r.velocity, r.velocity, 16), 0, 0
         )
-        return self._to(CONTROL, leg, middle, code(dialogue.torque[leg], -r.torque, r.torque, 16))
+        return (
+            tuple(self._to(STOP, leg) for leg in range(LEGS)),
+            tuple(self._to(STOP, leg, bytes((1, *bytes(7)))) for leg in range(LEGS)),
+            tuple(self._to(ENABLE, leg) for leg in range(LEGS)),
+            tuple(self._to(CONTROL, leg, middle, 0) for leg in range(LEGS)),
+        )
 
     def leg_addressed(self, frame: Frame) -> int | None:
         """Return the leg of the motor number in the identifier's low byte."""
         return self._legs.get(frame.id & 0xFF)
-
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what a feedback or a register's answer says."""
-        identifier, data, flags = frame
-        if not flags & EXTENDED or flags & _STRANGE:
-            return None
-        kind, middle, target = identifier >> 24, identifier >> 8 & 0xFFFF, identifier & 0xFF
-        if target in self._legs and kind in (CONTROL, ENABLE, STOP, READ, WRITE):
-            return Heard(self._legs[target], foreign=True)
-        leg = self._legs.get(middle & 0xFF)
-        if target != self._host or leg is None or kind not in (FEEDBACK, READ):
-            return None
-        if len(data) != 8:
-            return Heard(leg, broken=True)
-        if kind == READ:
-            register, number = struct.unpack("<HxxI", data)
-            return Heard(leg, answer=(register, float(number & 0xFF)))
-        return self._feedback(leg, data, middle >> 14, middle >> 8 & 0x3F)
-
-    def _feedback(self, leg: int, data: bytes, mode: int, faults: int) -> Heard:
-        r = self.ranges
-        p, v, t, _ = struct.unpack(">HHHH", data)
-        motion = (
-            value(p, -r.position, r.position, 16) / TURN,
-            value(v, -r.velocity, r.velocity, 16) / TURN,
-        )
-        power = _FAULT if faults else _RUN if mode == RUNNING else _OFF
-        return Heard(
-            leg,
-            motion=None if p in (0, 0xFFFF) else motion,
-            feedback=True,
-            torque=value(t, -r.torque, r.torque, 16),
-            power=power,
-            fault=OWN_CODE + faults if faults else 0,
-        )
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return STOP for each drive: it does not latch."""

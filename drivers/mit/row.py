@@ -1,11 +1,17 @@
 """The codec of a configuration with `drives.protocol: mit`."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from drivers.config import BusSettings, DriveSettings
 from drivers.mit.fields import Ranges
-from drivers.mit.protocol import MitProtocol
-from drivers.mit.robstride import RobStrideProtocol
 from drivers.mit.variants import VARIANTS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
+
+if TYPE_CHECKING:  # each has compiled code of its own
+    from drivers.mit.protocol import MitProtocol
+    from drivers.mit.robstride import RobStrideProtocol
 
 _HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
 """Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's."""
@@ -26,8 +32,12 @@ def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol | RobStrideProto
     host = options.whole("host_id", _HOSTS[variant])
     protocol: MitProtocol | RobStrideProtocol
     if variant == "robstride":
+        from drivers.mit.robstride import RobStrideProtocol  # noqa: PLC0415 - compiled code
+
         protocol = RobStrideProtocol(ranges, drives.node_ids, host, transmission)
     else:
+        from drivers.mit.protocol import MitProtocol  # noqa: PLC0415 - compiled code
+
         protocol = MitProtocol(variant, ranges, drives.node_ids, host, transmission)
     refuse_torque(transmission, drives.force_limit_N, protocol.torque_limit, f"mit, variant {variant},")
     return protocol

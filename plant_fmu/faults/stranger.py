@@ -4,7 +4,7 @@ import numpy as np
 
 from drivers.cia402.set_up import Cia402Dialogue
 from drivers.cia402.states import State
-from drivers.motors import MotorDialogue
+from drivers.motor_dialogue import MotorDialogue
 from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame
 from drivers.signals import LEGS, Command, DriveMode, DriveState
 

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import of_python
 from drivers.config import TransmissionSettings
-from drivers.frame_array import received_array
+from drivers.controller_end import array_at
+from drivers.frame_array import FRAME, received_array, sent_frames
+from drivers.motor_kernels import HEARD
 from drivers.motors import Exchange, Heard, MotorDialogue, MotorProtocol
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import DriveMode, DriveState, Reaction
@@ -43,7 +50,9 @@ class Spoken(MotorProtocol):
         unasked_s: float = 0.0,
         transmission: Any = UNLIKE,
     ) -> None:
-        super().__init__(transmission)
+        super().__init__(transmission, np.zeros(()), (1, 32, 2.0))
+        address, self._keeps = of_python(self._hear, INTEGER, INTEGER, INTEGER)
+        self.ear: Any = SimpleNamespace(address=address)
         self.reports_power, self.unasked_s = reports, unasked_s
         self._counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
         self.words: list[Heard | None] = []
@@ -56,8 +65,28 @@ class Spoken(MotorProtocol):
     def hear(self, frame: Frame) -> Heard | None:
         return self.words[frame.id]
 
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        return Frame(0x100 + leg, bytes((dialogue.mode,)))
+    def _hear(self, _ear: int, frame: int, into: int) -> int:
+        heard = self.hear(sent_frames(array_at(frame, 1, FRAME))[0])
+        if heard is not None:
+            bits = (
+                heard.broken,
+                heard.foreign,
+                heard.motion,
+                heard.feedback,
+                heard.torque,
+                heard.power,
+                heard.answer,
+            )
+            has = sum(1 << k for k, bit in enumerate(bits) if bit is not None and bit is not False)
+            motion, answer = heard.motion or (0.0, 0.0), heard.answer or (0, 0.0)
+            array_at(into, 1, HEARD)[0] = (
+                heard.leg, has, *motion, heard.torque or 0.0, heard.power or 0, heard.fault, *answer,
+            )  # fmt: skip
+        return int(heard is not None)
+
+    def requests(self, _watchdog_s: float) -> Any:
+        """A number for each row: IDLE to DRIVE."""
+        return [[Frame(0x100 + leg, bytes((row,))) for leg in range(6)] for row in range(4)]
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
         return tuple(

@@ -16,13 +16,13 @@ MODES = list(DriveMode)
 def test_an_enabled_and_a_faulted_drive_count_as_what_they_say_whatever_they_are_asked_for(power, mode):
     for set_up in (False, True):
         for ran in (False, True):
-            assert wire_state(power, mode, set_up=set_up, ran=ran) is power
+            assert wire_state(power, mode, set_up=set_up, ran=ran) == power
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_disabled_drive_that_is_not_set_up_has_just_booted(mode):
     for ran in (False, True):
-        assert wire_state(DriveState.OFF, mode, set_up=False, ran=ran) is DriveState.BOOT
+        assert wire_state(DriveState.OFF, mode, set_up=False, ran=ran) == DriveState.BOOT
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_a_disabled_drive_that_is_not_set_up_has_just_booted(mode):
 def test_a_disabled_drive_has_restarted_only_where_it_ran_and_is_asked_to_run_and_waits_before_it_has(
     mode, ran, state
 ):
-    assert wire_state(DriveState.OFF, mode, set_up=True, ran=ran) is state
+    assert wire_state(DriveState.OFF, mode, set_up=True, ran=ran) == state
 
 
 @pytest.mark.parametrize(

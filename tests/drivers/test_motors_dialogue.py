@@ -9,6 +9,7 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.motor_drives import MotorMemory
+from drivers.motor_kernels import ENABLE
 from drivers.motors import Heard, MotorDialogue
 from drivers.protocol import DriveSetup, Frame, Status
 from drivers.signals import NEVER, Command, DriveFault, DriveMode, DriveState, Reaction
@@ -74,8 +75,8 @@ def test_a_reaction_that_the_drives_do_not_have_is_refused_with_the_one_that_the
 
 def test_a_tick_begins_with_the_polls_of_all_drives_in_leg_order():
     protocol = Spoken()
-    polls = protocol.begin(protocol.begun(mode=int(DriveMode.READY)), 3)
-    assert polls == tuple(Frame(0x100 + leg, b"\1") for leg in range(6))
+    polls = protocol.begin(protocol.begun(mode=int(DriveMode.RUN)), 3)
+    assert polls == tuple(Frame(0x100 + leg, bytes((ENABLE,))) for leg in range(6))
 
 
 # commands

@@ -19,8 +19,8 @@ from drivers.cia402.device import (
     restarted,
 )
 from drivers.cia402.dictionary import Pdo, pdos, with_value
-from drivers.cia402.feedback import FOREIGN
 from drivers.cia402.plan import Settings, plan
+from drivers.cia402.routes import FOREIGN
 from drivers.cia402.states import State
 from drivers.errors import ProtocolError
 from drivers.protocol import Alive, DeviceMessage, DriveSetup, Frame, Rejected, Status, Sync

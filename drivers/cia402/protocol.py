@@ -7,20 +7,23 @@ our heartbeat follows. A TPDO carries no counter: it answers the SYNC after whic
 
 import struct
 from collections.abc import Sequence
-from math import isfinite
 
 import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
+from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.devices import Devices, Memory
 from drivers.cia402.emergency import meaning
-from drivers.cia402.feedback import FOREIGN, Feedback
+from drivers.cia402.end import Cia402End, Drives
+from drivers.cia402.kernels import MOST_PERMILLE
 from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan
-from drivers.cia402.routes import Routes
+from drivers.cia402.routes import FOREIGN, Routes
 from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
-from drivers.cia402.states import RESET_FAULT, STOP_QUICKLY, State, controlword
+from drivers.cia402.states import STOP_QUICKLY
+from drivers.compiled.pointed import FAILED, data_at
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import (
     ALWAYS,
     DeviceMessage,
@@ -32,14 +35,13 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.resolution import Resolution
+from drivers.several_buses import SeveralBuses
 from drivers.signals import LEGS, Command, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
 MAX_NODE = 127
-MOST_PERMILLE = 32_767
 _RPDO = struct.Struct("<Hh")
-_RUNNING = (DriveMode.READY, DriveMode.RUN)
 _BEATS = 4
 """Heartbeats of ours within the drives' watchdog, where the rate allows."""
 
@@ -97,9 +99,6 @@ class Cia402Protocol(Routes):
         self._permille_Nm = 1e-3 * rated_torque_Nm
         self.dangers = (_BRAKES,) if velocity else (_BRAKES, _DIFFERENCE)
         N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
-        self._lossless = bool(
-            (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
-        )
         self._permille_per_N = [1.0 / scale for scale in N_per_permille]
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
         self._settings = Settings(
@@ -111,12 +110,29 @@ class Cia402Protocol(Routes):
         )
         self._heartbeat = Frame(o.HEARTBEAT_ID + controller_node, bytes((o.OPERATES,)))
         self._sync = (Frame(o.SYNC_ID, b""),)
+        self._drives = Drives(self._tables(N_per_permille), (self._heartbeat,))
         self._rpdo_ids = [o.RPDO_ID[0] + node for node in self.node_ids]
-        self._feedback = Feedback(self.node_ids, transmission, N_per_permille, velocity, controller_node)
-        self.feedback_ids = self._feedback.ids
+        self._sizes = {
+            o.TPDO_ID[k] + node: size
+            for k, size in enumerate((8, 4)[: 1 + velocity])
+            for node in self.node_ids
+        }
+        """Bytes of each TPDO, by its identifier."""
+        self.feedback_ids = frozenset(self._sizes)
         self._devices = Devices(
             self.node_ids, transmission, self._settings.rated_torque_mNm, N_per_permille, velocity
         )
+
+    def _tables(self, N_per_permille: Sequence[float]) -> Record:
+        """Return a record of the kernels before its first frame."""
+        c, t = np.zeros((), kernels.DRIVES), self.transmission
+        c["nodes"], c["controller"], c["velocity"] = self.node_ids, self.controller_node, self.velocity
+        c["lossless"] = (t.driving == 1.0).all() and (t.back_driving == 1.0).all()
+        c["offset"], c["m_per_count"] = t.offset_m, t.m_per_turn / t.counts
+        c["N_per_permille"], c["permille_per_N"] = N_per_permille, self._permille_per_N
+        c["permille_Nm"], c["N_per_Nm"], c["full_loss_m_s"] = self._permille_Nm, t.N_per_Nm, t.full_loss_m_s
+        c["driving"], c["back_driving"] = t.driving, t.back_driving
+        return c
 
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return a count of length, and of rate what TPDO2 or the difference of lengths leaves.
@@ -137,7 +153,9 @@ class Cia402Protocol(Routes):
 
     def carried(self, dialogue: Cia402Dialogue, force: Array) -> Array:
         """Return what whole thousandths of the rated torque give legs at rest of forces (6,) N."""
-        permille = self._permille(force, dialogue.rate)
+        running = dialogue._replace(stopped=0)
+        _, frames = self.command(running, Command(DriveMode.RUN, force), 1)
+        permille = [_RPDO.unpack(frame.data)[1] for frame in frames[:LEGS]]
         return np.array([n / scale for n, scale in zip(permille, self._permille_per_N, strict=True)])
 
     # controller's end
@@ -153,6 +171,10 @@ class Cia402Protocol(Routes):
         beat = max(2, int(setup.watchdog_s * setup.rate_Hz) // _BEATS)
         return Cia402Dialogue(setup, plans, beat)
 
+    def controller_end(self, setup: DriveSetup, buses: SeveralBuses | None = None) -> Cia402End:
+        """Return the controller's end, compiled, on several buses where these are given."""
+        return Cia402End(buses or self, setup, self._drives.record, *self._sync, self._heartbeat)
+
     def begin(self, _dialogue: Cia402Dialogue, _tick: int) -> tuple[Frame, ...]:
         """Return the SYNC, without counter."""
         return self._sync
@@ -160,7 +182,7 @@ class Cia402Protocol(Routes):
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         """Tell whether a frame is a TPDO that arrived after the tick's SYNC."""
         t_ns, (identifier, data, flags) = received
-        expected = self._feedback.sizes.get(identifier)
+        expected = self._sizes.get(identifier)
         return expected == len(data) and not flags & FOREIGN and t_ns >= since_ns
 
     def awaited(self, frame: Frame) -> int:
@@ -174,8 +196,20 @@ class Cia402Protocol(Routes):
     def decode(
         self, dialogue: Cia402Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> Cia402Dialogue:
-        """Fill the measurement of a tick, see `Feedback.fold`."""
-        return self._feedback.fold(dialogue, frames, last, tick, since_ns)
+        """Fill the measurement of a tick from that of the last one and the frames since.
+
+        since_ns: when the loop woke up. A TPDO that came after this tick's SYNC had ended answers it; an
+        earlier one answers the last one, and counts with age 1 if nothing newer is held. Refused, and counted
+        in `rejected`: a wrong length, a statusword or an NMT state that there is not, an SDO frame that is no
+        expedited answer. A second TPDO of a tick with other data makes the node `doubled`, and the first one
+        counts; unless the drive owes one to an earlier SYNC since it was missed within the last STRAYING
+        ticks: then the last one counts. A leg is as old as the older one of its two TPDOs. Boot-up, and a
+        drive that has left Operational, begin its set-up anew.
+        """
+        drives = self._drives
+        drives.dialogue = dialogue
+        kernels.decode(drives.record, data_at(frames), len(frames), since_ns, last, tick)
+        return drives.dialogue
 
     def command(
         self, dialogue: Cia402Dialogue, command: Command, tick: int
@@ -185,48 +219,18 @@ class Cia402Protocol(Routes):
         force (6,) N, > 0 extends. Raises ProtocolError if a torque is not finite or not -32767..32767
         thousandths of the rated one.
         """
-        mode, stopped = command.mode, dialogue.stopped
-        torques = self._permille(command.force, dialogue.rate)
-        resets = dialogue.resets
-        if mode == DriveMode.RESET:
-            stopped = 0
-            resets = sum(1 << leg for leg in range(LEGS) if not dialogue.done(leg))
-        if command.stop:
-            stopped = (1 << LEGS) - 1
-        late = [leg for leg in range(LEGS) if resets >> leg & 1 and dialogue.done(leg)] if resets else []
-        resets &= ~sum(1 << leg for leg in late)
-        if (mode, stopped, resets) != (dialogue.mode, dialogue.stopped, dialogue.resets):
-            dialogue = dialogue._replace(mode=mode, stopped=stopped, resets=resets)
-        powered, edge = mode in _RUNNING, tick & 1 == 0
-        frames = []
-        for leg, (identifier, state, torque) in enumerate(
-            zip(self._rpdo_ids, dialogue.states, torques, strict=True)
-        ):
-            halted = bool(stopped >> leg & 1)
-            word = controlword(mode, state, edge=edge, stopped=halted)
-            if leg in late and state == State.FAULT and mode == DriveMode.OFF:
-                word = RESET_FAULT
-            frames.append(Frame(identifier, _RPDO.pack(word, torque if powered and not halted else 0)))
-        if tick % dialogue.beat == 0:
-            frames.append(self._heartbeat)
-        return dialogue, tuple(frames)
-
-    def _permille(self, force: Array, rate: tuple[float, ...]) -> list[int]:
-        """Return torques in thousandths of the rated one."""
-        values = force.tolist()
-        if len(values) == LEGS and all(map(isfinite, values)):
-            if self._lossless:
-                shares = [f * scale for f, scale in zip(values, self._permille_per_N, strict=True)]
-            else:
-                shares = (self.transmission.torque(force, np.array(rate)) / self._permille_Nm).tolist()
-            torques = [round(share) for share in shares]
-            if max(map(abs, torques)) <= MOST_PERMILLE:
-                return torques
-        most = min(MOST_PERMILLE / abs(scale) for scale in self._permille_per_N)
-        raise ProtocolError(
-            f"force command {values} N does not fit 0x6071: six of up to {most:.6g} N are allowed; lower "
-            "limits.force_N, or correct drives.options.rated_torque_Nm or drives.transmission"
-        )
+        drives, force = self._drives, np.ascontiguousarray(command.force, float)
+        drives.dialogue, into = dialogue, np.empty(LEGS + 1, FRAME)
+        given = drives.record, tick, int(command.mode), command.stop, data_at(force), data_at(into)
+        sent = FAILED if force.shape != (LEGS,) else kernels.command(*given)
+        if sent == FAILED:
+            most = min(MOST_PERMILLE / abs(scale) for scale in self._permille_per_N)
+            raise ProtocolError(
+                f"force command {force.tolist()} N does not fit 0x6071: six of up to {most:.6g} N are "
+                "allowed; lower limits.force_N, or correct drives.options.rated_torque_Nm or "
+                "drives.transmission"
+            )
+        return drives.dialogue, sent_frames(into[:sent])
 
     def set_up(self, dialogue: Cia402Dialogue, tick: Record) -> tuple[Cia402Dialogue, tuple[Frame, ...]]:
         """Return the requests of this tick, see `drivers.cia402.plan`."""

@@ -1,10 +1,12 @@
 """Which drive a frame of CANopen concerns: the predefined connection set says it by the node number."""
 
 from drivers.cia402 import objects as o
-from drivers.cia402.feedback import FOREIGN
+from drivers.cia402.kernels import STRANGE
 from drivers.identity import REVISION, SERIAL, Said
-from drivers.protocol import ALL_LEGS, Frame
+from drivers.protocol import ALL_LEGS, OTHER_BUSES, Frame
 
+FOREIGN = STRANGE | OTHER_BUSES
+"""Flags of frames that cannot be ours."""
 _NODE = 0x7F
 _FROM_DRIVES = frozenset((o.EMCY_ID, *o.TPDO_ID, o.SDO_REPLY_ID, o.HEARTBEAT_ID))
 _IDENTITY = {o.SERIAL: SERIAL, o.REVISION: REVISION}

@@ -13,6 +13,7 @@ it is open in Operation Enabled and Quick Stop Active alone.
 
 from enum import IntEnum
 
+from drivers.compiled.compiler import helper
 from drivers.signals import DriveMode, DriveState
 
 
@@ -83,25 +84,30 @@ DRIVE_STATE = (
 
 DISABLE_VOLTAGE, STOP_QUICKLY, SHUTDOWN, SWITCH_ON, ENABLE, RESET_FAULT = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80
 """Controlwords."""
-_POWERED = (State.SWITCHED_ON, State.ENABLED)
+_OFF, _READY, _RUN, _RESET = map(int, DriveMode)
+_POWERED = int(State.SWITCHED_ON), int(State.ENABLED)
+_DISABLED, _READY_TO_SWITCH_ON = int(State.DISABLED), int(State.READY_TO_SWITCH_ON)
+_QUICK_STOP = int(State.QUICK_STOP)
 
 
-def controlword(mode: int, state: int, *, edge: bool, stopped: bool) -> int:
+@helper
+def controlword(mode: int, state: int, edge: bool, stopped: bool) -> int:
     """Return the controlword that brings a drive from its state a step towards a mode.
 
     edge: whether this tick's RESET has bit 7; a fault is cleared at its rising edge. stopped: the drive has
     been stopped quickly, and is enabled by a RESET alone. Only a drive that reports Switched On is enabled.
     An OFF goes through Ready to Switch On, because Disable Voltage would end a quick stop.
     """
-    if mode == DriveMode.RESET:
+    powered = state in _POWERED
+    if mode == _RESET:
         return RESET_FAULT if edge else DISABLE_VOLTAGE
-    if mode == DriveMode.OFF or stopped:
-        return SHUTDOWN if state in (*_POWERED, State.QUICK_STOP) else DISABLE_VOLTAGE
-    if mode == DriveMode.RUN:
-        return ENABLE if state in _POWERED else DISABLE_VOLTAGE
-    if state == State.DISABLED:
+    if mode == _OFF or stopped:
+        return SHUTDOWN if powered or state == _QUICK_STOP else DISABLE_VOLTAGE
+    if mode == _RUN:
+        return ENABLE if powered else DISABLE_VOLTAGE
+    if state == _DISABLED:
         return SHUTDOWN
-    return SWITCH_ON if state in (State.READY_TO_SWITCH_ON, *_POWERED) else DISABLE_VOLTAGE
+    return SWITCH_ON if powered or state == _READY_TO_SWITCH_ON else DISABLE_VOLTAGE
 
 
 def commanded(word: int, state: State, *, rises: bool) -> State:

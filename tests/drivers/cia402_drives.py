@@ -1,6 +1,8 @@
 """CiA 402 drives of the tests: a screw of 20 mm, 2^17 counts a turn, 9 N m of rated torque."""
 
+from drivers.cia402 import kernels
 from drivers.cia402.protocol import Cia402Protocol
+from drivers.cia402.set_up import Slope
 from drivers.config import TransmissionSettings
 from drivers.transmission import Transmission
 
@@ -27,3 +29,10 @@ def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, **changes) -> Ci
     return Cia402Protocol(
         node_ids, transmission, rated_Nm, force_limit_N=10_000.0, heartbeat_ms=24.0, velocity=velocity
     )
+
+
+def difference(length: float, t_ns: int, before: Slope, rate: float, period_s: float) -> tuple[float, Slope]:
+    """Return the rate at the end of a step and what the next one needs, see `kernels.difference`."""
+    has_length = before.length is not None
+    found, after = kernels.difference(length, t_ns, before, has_length, rate, period_s)
+    return found, Slope(*after)

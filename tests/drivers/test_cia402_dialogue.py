@@ -9,7 +9,6 @@ from drivers.cia402 import dictionary
 from drivers.cia402 import objects as o
 from drivers.cia402.device import Device, control, reported
 from drivers.cia402.emergency import meaning
-from drivers.cia402.feedback import difference
 from drivers.cia402.set_up import Slope
 from drivers.cia402.states import State, commanded
 from drivers.errors import ConfigurationError, ProtocolError
@@ -26,7 +25,7 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.faults.drive import DriveReset, DriveSilence
-from tests.drivers.cia402_drives import PERMILLE_N, SCREW_m, STEP_m, drives
+from tests.drivers.cia402_drives import PERMILLE_N, SCREW_m, STEP_m, difference, drives
 from tests.drivers.protocol_contract import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 
 RUN = Command(DriveMode.RUN, FORCE)
@@ -323,7 +322,8 @@ def test_a_drive_that_was_stopped_gets_no_torque_and_the_others_theirs():
     dialogue = protocol.start(SETUP)._replace(states=(int(State.ENABLED),) * LEGS, stopped=1 << 2)
     _, frames = protocol.command(dialogue, RUN, 1)
     torques = [int.from_bytes(frame.data[2:4], "little", signed=True) for frame in frames[:LEGS]]
-    sent = protocol._permille(FORCE, (0.0,) * LEGS)
+    _, frames = protocol.command(dialogue._replace(stopped=0), RUN, 1)
+    sent = [int.from_bytes(frame.data[2:4], "little", signed=True) for frame in frames[:LEGS]]
     assert torques == [0 if leg == 2 else each for leg, each in enumerate(sent)]
     assert sent[2] != 0
 

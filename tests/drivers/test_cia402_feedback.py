@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.feedback import difference
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.set_up import Cia402Dialogue, Slope
 from drivers.cia402.states import STATUSWORDS, UNHEARD, State
@@ -16,7 +15,7 @@ from drivers.frame_array import received_array
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import NEVER, DriveFault, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record, new_record
-from tests.drivers.cia402_drives import drives
+from tests.drivers.cia402_drives import difference, drives
 from tests.drivers.spoken_drives import UNLIKE, last_tick
 
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)

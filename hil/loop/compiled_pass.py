@@ -27,7 +27,7 @@ from hil.trajectory.path import SAMPLE
 CONTROL = np.dtype(
     [
         # functions, each with the address of what it works on; a stage that is not there is 0
-        ("decode", "<i8"), ("command", "<i8"), ("codec", "<i8"),
+        ("decode", "<i8"), ("decoder", "<i8"), ("command", "<i8"), ("codec", "<i8"),
         ("sense", "<i8"), ("fuse", "<i8"), ("load", "<i8"), ("learn", "<i8"), ("look_ahead", "<i8"),
          ("follow", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
@@ -135,7 +135,7 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
     tick.frames_crc32 = crc32(frames)
     began_ns = tick.t_ns + tick.lateness_ns
     at = np.int64(frames.ctypes.data)
-    status = call(c.decode, (c.codec, at, np.int64(frames.shape[0]), began_ns, c.last, c.tick))
+    status = call(c.decode, (c.decoder, at, np.int64(frames.shape[0]), began_ns, c.last, c.tick))
     if status < 0:
         return BROKEN
     look = DIALOGUE if status > 0 else 0

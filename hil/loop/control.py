@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from math import ceil
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -61,6 +60,7 @@ class Control:
         self._keeps: list[Any] = []
         c, end = self.record, cycle.end
         c["decode"], c["command"], c["codec"] = end.decode, end.command, end.codec
+        c["decoder"] = end.codec
         c["estimator"] = data_at(cycle.sight.estimator.record)
         for name, value in parts.safety.places().items():
             c[name] = value
@@ -72,7 +72,7 @@ class Control:
         """The law's function, and what it has raised."""
         c["law"], c["gains"], c["constants"], c["code"] = self.law[:4]
         if parts.last_pose is not None:
-            c["decode"] = self._homed(end.decode)
+            c["decode"], c["decoder"] = self._homed(end.decode, end.codec)
         if parts.sensors is not None:
             c["sense"] = self._stage(self._sense)
         if parts.fusion is not None:
@@ -92,6 +92,7 @@ class Control:
         mode, operating, motion, effort = cycle.mode, cycle.operating, cycle.motion, cycle.effort
         period_s = cycle.period_s
         self.probes = cycle.probes
+        cycle.homing.record["braked"] = cycle.proven
         c["mode"], c["mode_tick"], c["faults"] = mode, cycle.mode_tick, cycle.faults
         c["command_mode"], c["located"] = drive_mode(mode), cycle.sight.located
         least = cycle.durations.least(mode)
@@ -157,19 +158,19 @@ class Control:
         assert error is not None
         raise error
 
-    def _homed(self, decode: int) -> int:
-        """Return the address of a decoder that adds the turns that the drives have forgotten."""
-        cycle = self._cycle
-        inner = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 6)(decode)
+    def _homed(self, decode: int, codec: int) -> tuple[int, int]:
+        """Return a decoder that adds the turns that the drives have forgotten, and what it works on."""
+        from hil.loop import homing_kernels  # noqa: PLC0415 - compiled code that few robots need
 
-        def homed(codec: int, frames: int, count: int, since_ns: int, _last: int, tick: int) -> int:
-            before, known = cycle.homing.before(cycle.last), cycle.homing.known
-            status = int(inner(codec, frames, count, since_ns, data_at(before), tick))
+        cycle, record = self._cycle, self._cycle.homing.record
+
+        def correct(tick: int) -> int:
+            known = cycle.homing.known
             cycle.homing.correct(tick_at(tick), cycle.last, braked=cycle.proven)
-            return max(status, 1) if status >= 0 and cycle.homing.known != known else status
+            return int(cycle.homing.known != known)
 
-        self._keeps.append(inner)
-        return self._called(homed, 6)
+        record["decode"], record["codec"], record["correct"] = decode, codec, self._called(correct, 1)
+        return homing_kernels.decode.address, data_at(record)
 
     def _sense(self, _tick: int) -> None:
         cycle = self._cycle

@@ -11,11 +11,33 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import helper
 from drivers.signals import LEGS
-from drivers.tick_columns import Record, copy_of
+from drivers.tick_columns import Record
 
 SILENT_TICKS = 20
 """A drive that was silent for so long may have been switched off."""
+
+
+HOMING = np.dtype(
+    [
+        ("decode", "<i8"), ("codec", "<i8"),  # the family's decoder, and what it works on
+        ("correct", "<i8"),  # correct(tick): `Homing.correct`, where there is something to decide
+        ("period_s", "<f8"), ("step_m", "<f8", (LEGS,)),
+        ("braked", "<i8"),  # 1: the brakes are proven shut since they were last open, or were not open
+        ("opened", "<i8"),  # 1: the brakes have been open
+        ("added", "<f8", (LEGS,)), ("raw", "<f8", (LEGS,)),
+        ("known", "<i8", (LEGS,)), ("lost", "<i8", (LEGS,)),
+        ("wrong", "<i8", (LEGS,)),  # 1: something disagrees
+    ]
+)  # fmt: skip
+"""What `Homing` and the decoder around the family's have in common."""
+
+
+@helper
+def leaps(reported: float, expected: float, step_m: float) -> bool:
+    """Tell whether a reading is half a step or more from where the last one and its rate lead."""
+    return bool(abs(reported - expected) >= 0.5 * step_m)
 
 
 class LastPose(NamedTuple):
@@ -58,19 +80,18 @@ class Homing:
     def __init__(self, pose: LastPose | None, stroke: Stroke, period_s: float) -> None:
         """Take where the legs stood; None: the drives forget nothing."""
         self._pose, self._stroke, self._period_s = pose, stroke, period_s
+        self.record: Record = np.zeros((), HOMING)
+        self.record["period_s"], self.record["step_m"] = period_s, ZERO6 if pose is None else pose.step_m
+        self.added, self.raw = self.record["added"], self.record["raw"]
+        """(6,) m each: whole multiples of the step; lengths as the drives report them."""
+        self._known, self._lost = self.record["known"], self.record["lost"]
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
-        self.added: Array = ZERO6.copy()
-        """(6,) m, whole multiples of the step."""
-        self.raw: Array = ZERO6
-        """(6,) m, as the drives report them."""
-        self.opened = False
-        """Whether the brakes have been open."""
+        for name in ("added", "raw", "known", "lost", "wrong", "opened"):
+            self.record[name] = 0
         self._last = ZERO6 if self._pose is None else self._pose.length.copy()
-        self._known = [False] * LEGS
-        self._lost = [False] * LEGS
         self._wrong = [""] * LEGS
 
     @property
@@ -87,17 +108,14 @@ class Homing:
         )
 
     @property
+    def opened(self) -> bool:
+        """Whether the brakes have been open."""
+        return bool(self.record["opened"])
+
+    @property
     def known(self) -> bool:
         """Whether the turns of all six legs are known."""
-        return self._pose is None or (all(self._known) and not any(self._wrong))
-
-    def before(self, last: Record) -> Record:
-        """Return the last tick's record with the lengths that the drives reported, for the decoder."""
-        if self._pose is None:
-            return last
-        reported = copy_of(last)
-        reported["length"] = self.raw
-        return reported
+        return self._pose is None or (bool(self._known.all()) and not any(self._wrong))
 
     def correct(self, tick: Record, last: Record, *, braked: bool) -> None:
         """Add the forgotten turns to the lengths of a tick.
@@ -106,14 +124,14 @@ class Homing:
         """
         if self._pose is None:
             return
-        self.opened = self.opened or not braked
+        self.record["opened"] = self.opened or not braked
         raw: Array = tick["length"].copy()
         for leg, age in enumerate(tick["age"].tolist()):
             if self._known[leg] and (age > SILENT_TICKS or self._leaps(leg, raw, tick, last)):
                 self._forget(leg, float(last["length"][leg]), braked=braked)
             if age <= 1 and not self._lost[leg] and (not self._known[leg] or self._wrong[leg]):
                 self._find(leg, float(raw[leg]))
-        self.raw = raw
+        self.raw[:], self.record["wrong"] = raw, list(map(bool, self._wrong))
         tick["length"] = raw + self.added
 
     def _leaps(self, leg: int, raw: Array, tick: Record, last: Record) -> bool:
@@ -121,7 +139,7 @@ class Homing:
         assert self._pose is not None
         ticks = int(tick["tick"]) - int(last["tick"]) + int(last["age"][leg]) - int(tick["age"][leg])
         expected = self.raw[leg] + last["rate"][leg] * ticks * self._period_s
-        return bool(abs(raw[leg] - expected) >= 0.5 * self._pose.step_m[leg])
+        return leaps(raw[leg], expected, self._pose.step_m[leg])
 
     def _forget(self, leg: int, length: float, *, braked: bool) -> None:
         self._known[leg] = False

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import of_python
+from drivers.controller_end import tick_at
 from drivers.signals import NEVER
 from drivers.tick_columns import new_record
+from hil.loop import homing_kernels
 from hil.loop.homing import SILENT_TICKS, Homing, LastPose, Stroke, unwrapped_turns
 
 STEP = np.array([0.0025, 0.0025, 0.005, 0.01, 0.1, 0.0025])
@@ -28,18 +32,33 @@ class Leg:
         self.last = new_record()
         self.last["age"] = NEVER
         self.number = -1
+        self.seen = np.zeros(6)
+        """(6,) m, what the decoder saw of the last tick."""
+        record, integers = self.homing.record, [INTEGER] * 6
+        record["decode"], self._reading = of_python(self._read, *integers)
+        record["correct"], self._correcting = of_python(self._correct, INTEGER)
+
+    def _read(self, _codec, _frames, _count, _since_ns, last, tick):
+        """Decode: a silent leg keeps the length that it reported last."""
+        self.seen = tick_at(last)["length"].copy()
+        quiet = list(self.silent)
+        tick_at(tick)["length"][quiet] = self.seen[quiet]
+        return 0
+
+    def _correct(self, tick):
+        self.homing.correct(tick_at(tick), self.last, braked=bool(self.homing.record["braked"]))
+        return 0
 
     def hear(self, reported, *, braked=True, silent=(), rate=0.0, skipped=0, late=(), by=1):
         self.number += 1 + skipped
         tick = new_record()
         tick["tick"] = self.number
         tick["rate"] = rate
-        before = self.homing.before(self.last)
+        tick["length"] = reported
         for leg in range(6):
-            quiet = leg in silent
-            tick["age"][leg] = self.last["age"][leg] + 1 if quiet else by * (leg in late)
-            tick["length"][leg] = before["length"][leg] if quiet else reported[leg]
-        self.homing.correct(tick, self.last, braked=braked)
+            tick["age"][leg] = self.last["age"][leg] + 1 if leg in silent else by * (leg in late)
+        self.silent, self.homing.record["braked"] = silent, braked
+        homing_kernels.decode(self.homing.record, 0, 0, 0, self.last, tick)
         self.last = tick
         return tick["length"]
 
@@ -84,8 +103,8 @@ def test_the_turn_stays_while_the_leg_moves_on_past_many_turns():
 def test_the_decoder_sees_the_lengths_that_the_drives_reported():
     legs = Leg()
     legs.hear(forgotten(PARKED))
-    np.testing.assert_array_equal(legs.homing.before(legs.last)["length"], forgotten(PARKED))
     found = legs.hear(forgotten(PARKED), silent=(3,))
+    np.testing.assert_array_equal(legs.seen, forgotten(PARKED))
     np.testing.assert_allclose(found, PARKED, atol=1e-12)
 
 
@@ -333,8 +352,10 @@ def test_a_reset_forgets_what_was_found_what_disagreed_and_whose_turn_was_lost()
     assert not legs.homing.refusal
     assert vars(legs.homing).keys() == vars(Leg().homing).keys()
     for name, value in vars(Leg().homing).items():
-        if name not in {"_pose", "_stroke", "_period_s"}:
+        if name not in {"_pose", "_stroke", "_period_s", "record"}:
             np.testing.assert_array_equal(getattr(legs.homing, name), value, err_msg=name)
+    assert not legs.homing.opened
+    assert not legs.homing.record["wrong"].any()
     legs.number, legs.last = -1, new_record()
     np.testing.assert_allclose(legs.hear(forgotten(PARKED)), PARKED, atol=1e-12)
     assert legs.homing.known
@@ -367,7 +388,6 @@ def test_drives_that_forget_nothing_are_left_alone():
     homing = Homing(None, Stroke(0.2, 0.5, None), PERIOD_S)
     tick = new_record()
     tick["length"] = 0.123
-    assert homing.before(tick) is tick
     homing.correct(tick, new_record(), braked=False)
     assert homing.known
     assert (tick["length"] == 0.123).all()

@@ -1,6 +1,6 @@
 """The Plant protocol: physics behind six force inputs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from drivers.arrays import Array
@@ -43,6 +43,24 @@ def whole_steps(dt_s: float, step_s: float) -> int:
     if n < 1 or abs(dt_s - n * step_s) > 1e-9 * dt_s:
         raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step_s!r} s")
     return n
+
+
+class Moved(NamedTuple):
+    """A plant by address, for a compiled pass: functions and the context that both take first.
+
+    A plant that has them returns them from `moved()`.
+    """
+
+    move: int
+    """(context, force, brake, wrench, steps, measured) -> 0, or why it did not: holds three arrays (6,) for
+    some internal steps and fills in lengths and rates (12,); all by address."""
+    applied: int
+    """(context, force) -> 1, or 0 where the applied force is not known: fills in (6,)."""
+    context: int
+    refused: Callable[[int, Array, Array, Array, int], PlantError]
+    """Returns the error of a status of `move`, with force, brake, wrench and the steps that it had."""
+    keeps: Any
+    """What has to stay in memory."""
 
 
 class Plant(Protocol):

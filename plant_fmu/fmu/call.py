@@ -1,23 +1,27 @@
-"""One communication step of an FMU in one compiled call: inputs, step, outputs.
+"""Communication steps of an FMU in one compiled call: inputs, step, outputs.
 
 Other threads run meanwhile: one of them ends a child process whose FMU hangs.
 """
+
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array, Bytes, Ints
 from drivers.compiled.compiler import (
     BYTES,
+    INTEGER,
     INTEGERS,
     OUT_INTEGERS,
     OUT_VECTOR,
     REAL,
     VECTOR,
-    direct,
     foreign,
     helper,
     kernel,
+    record,
 )
+from drivers.compiled.pointed import bytes_at, integers_at, pointed, reals_at
 from drivers.signals import LEGS
 
 INSTANCE, COUNTED, SET, GET, STEP, FLAGS, LAST = range(7)
@@ -31,8 +35,22 @@ CALL = SLOTS + 3
 
 DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
 """How an exchange ended."""
+CLOSED = 7
+"""There was none: the FMU is not initialised."""
 MEASURED = 2 * LEGS
 """The first outputs: lengths and rates."""
+APPLIED = MEASURED + 18
+"""Where the applied forces stand among the outputs, as far as they are known: behind pose and twist."""
+FMU = np.dtype(
+    [
+        *((name, "<i8") for name in ("call", "inputs", "input_count", "held", "outputs", "output_count")),
+        *((name, "<i8") for name in ("flags", "ready", "ticks", "known", "status")),
+        ("step_s", "<f8"),
+    ]
+)
+"""One FMU: addresses of `call`, of inputs, of the bits that the FMU holds of them, of outputs and DoStep's
+flags; whether it is initialised, internal steps since then, whether the applied forces are known; the FMU's
+last status; s, its internal step."""
 _WARNING = 1
 """The worst status of both standards that still is a success."""
 _TERMINATED, _EARLY = 1, 2
@@ -89,7 +107,7 @@ def do_step(call: Ints, t_s: float, dt_s: float) -> int:
     return int(foreign(call[STEP], (call[INSTANCE], t_s, dt_s, never_back)))
 
 
-@direct(
+@kernel(
     INTEGERS, VECTOR, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_INTEGERS, OUT_VECTOR, BYTES, unlocked=True
 )
 def exchange(
@@ -132,3 +150,42 @@ def exchange(
     if flags[_TERMINATED] or flags[_EARLY]:
         return INTERRUPTED, status
     return fetch(call, outputs)
+
+
+@pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
+    """Hold force, brake and wrench for some internal steps, and fill lengths and rates `measured` (12,).
+
+    They are addresses; force, brake, wrench (6,). Returns how the exchange ended. The communication time is a
+    multiple of the internal step, not a sum.
+    """
+    if not fmu.ready:
+        return CLOSED
+    outputs = reals_at(fmu.outputs, fmu.output_count)
+    ended, status = exchange(
+        integers_at(fmu.call, CALL),
+        reals_at(force, LEGS),
+        reals_at(brake, LEGS),
+        reals_at(wrench, LEGS),
+        fmu.ticks * fmu.step_s,
+        steps * fmu.step_s,
+        reals_at(fmu.inputs, fmu.input_count),
+        integers_at(fmu.held, fmu.input_count),
+        outputs,
+        bytes_at(fmu.flags, 3),
+    )
+    fmu.status = status
+    if ended in (DONE, OUTPUTS_REFUSED, OUTPUT_NOT_FINITE):
+        fmu.ticks += steps
+    if ended == DONE:
+        reals_at(measured, MEASURED)[:] = outputs[:MEASURED]
+    return int(ended)
+
+
+@pointed(record(FMU), INTEGER)
+def applied(fmu: Any, force: int) -> int:
+    """Fill in the applied forces (6,) N at an address; return 1, or 0 where they are not known."""
+    if not fmu.known:
+        return 0
+    reals_at(force, LEGS)[:] = reals_at(fmu.outputs, fmu.output_count)[APPLIED : APPLIED + LEGS]
+    return 1

@@ -20,21 +20,19 @@ from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as _Free
 from fmpy.fmi3 import FMU3Slave
 
 from drivers.arrays import Array
+from drivers.compiled.pointed import data_at
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members, extract, open_archive, read_member
 from plant_fmu.fmu.check import Interface, read_interface
 from plant_fmu.fmu.spec import FmuSpec
-from plant_fmu.plant import Truth, whole_steps
+from plant_fmu.plant import Moved, Truth, whole_steps
 
 _MESSAGES = 20
 _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 _REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
-_APPLIED = fmu_call.MEASURED + 18
-"""Where the applied forces stand among the outputs: behind pose and twist."""
-_STEPPED = {fmu_call.OUTPUTS_REFUSED, fmu_call.OUTPUT_NOT_FINITE}
 _READ_BY_OTHERS = {
     "modelDescription.xml",
     "model.png",
@@ -84,8 +82,8 @@ def _needs_library_alone(members: Sequence[str], library: str) -> bool:
 class FmuHost:
     """Plant in front of one FMU instance.
 
-    Mutable state: the FMU instance, the tick count behind the communication time, the transfer buffers,
-    the inputs that the FMU holds.
+    Mutable state: the FMU instance, its record with the tick count behind the communication time, the
+    transfer buffers, the inputs that the FMU holds.
     Closing terminates and frees the instance and removes the folder that the FMU was unpacked to. Where the
     FMU can want nothing of that but its library, as ours, it is removed once that is loaded: a process that
     is killed leaves nothing behind.
@@ -96,7 +94,7 @@ class FmuHost:
         self.spec = spec
         self.internal_step_s = spec.step_s
         self._fmu: Any = None
-        self._initialised = False
+        self._record = np.zeros((), fmu_call.FMU)
         self._used = False
         self._messages: list[str] = []
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
@@ -178,7 +176,7 @@ class FmuHost:
             places[key] = place
             place += channel.count
         self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
-        self._applied = self._outputs[_APPLIED:]
+        self._applied = self._outputs[fmu_call.APPLIED :]
         self._held = np.zeros(self._inputs.size, np.int64)
         self._flags = np.zeros(3, np.uint8)
         self._last = np.zeros(1)
@@ -194,6 +192,12 @@ class FmuHost:
         for at, references in zip((fmu_call.INPUTS, fmu_call.OUTPUTS), self._references, strict=True):
             call[at], call[at + 1] = references.ctypes.data, references.size
         call[fmu_call.SLOTS :] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
+        self._given, self._measures = np.zeros((3, LEGS)), np.zeros(fmu_call.MEASURED)
+        self._record[()] = (
+            data_at(call), data_at(self._inputs), self._inputs.size, data_at(self._held),
+            data_at(self._outputs), self._outputs.size, data_at(self._flags), False, 0,
+            bool(self.spec.truth), 0, self.internal_step_s,
+        )  # fmt: skip
 
     def _refused(self, status: int, what: str) -> PlantError:
         return PlantError(f"{self.spec.path}: the FMU refused to {what} ({_label(status)}){self._said()}")
@@ -205,7 +209,7 @@ class FmuHost:
         try:
             if self._used:
                 fmu.reset()
-            self._initialised, self._used = False, True
+            self._record["ready"], self._used = False, True
             if self._interface.major == 2:
                 fmu.setupExperiment(startTime=0.0)
             for start in self._interface.starts:
@@ -225,7 +229,7 @@ class FmuHost:
             ) from error
         if not fmu_call.succeeded(status):
             raise self._refused(status, "take its inputs")
-        self._initialised = True
+        self._record["ready"] = True
 
     def _set_start(self, setter: str, references: list[int], values: list[Any], name: str) -> None:
         try:
@@ -243,7 +247,7 @@ class FmuHost:
         refuses or a value is not finite.
         """
         self._initialise()
-        self._ticks = 0
+        self._record["ticks"] = 0
         ended, status = fmu_call.fetch(self._call, self._outputs)
         if ended != fmu_call.DONE:
             raise self._failed(ended, status, "")
@@ -269,28 +273,43 @@ class FmuHost:
         dropped. Raises PlantError on a dt that is no multiple of the internal step (1e-9 relative), a value
         that is not finite, or a call that the FMU refuses; its own message is part of the error's.
         """
-        step = self.internal_step_s
-        n = whole_steps(dt_s, step)
-        if not self._initialised:
-            raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
-        t_s = self._ticks * step
-        memory = self._inputs, self._held, self._outputs, self._flags
-        ended, status = fmu_call.exchange(self._call, force, brake, wrench, t_s, n * step, *memory)
+        steps = whole_steps(dt_s, self.internal_step_s)
+        self._given[:] = force, brake, wrench
+        at = data_at(self._given)
+        given = (at, at + 8 * LEGS, at + 16 * LEGS)
+        ended = fmu_call.move(self._record, *given, steps, self._measures)
         if ended != fmu_call.DONE:
-            if ended == fmu_call.NOT_FINITE:
-                raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
-            if ended in _STEPPED:
-                self._ticks += n
-            raise self._failed(ended, status, f"step from {t_s:.9g} s by {dt_s:.9g} s")
-        self._ticks += n
-        return self._measured()
+            raise self._did_not_step(ended, *self._given, steps)
+        y = self._measures.copy()
+        return y[:LEGS], y[LEGS:]
+
+    def _did_not_step(self, ended: int, force: Array, brake: Array, wrench: Array, steps: int) -> PlantError:
+        if ended == fmu_call.CLOSED:
+            return self._closed()
+        if ended == fmu_call.NOT_FINITE:
+            return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
+        step = self.internal_step_s
+        begun = int(self._record["ticks"]) * step
+        return self._failed(
+            ended, int(self._record["status"]), f"step from {begun:.9g} s by {steps * step:.9g} s"
+        )
+
+    def _closed(self) -> PlantError:
+        return PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
+
+    def moved(self) -> Moved:
+        """Return this plant by address."""
+        record = self._record
+        return Moved(
+            fmu_call.move.address, fmu_call.applied.address, data_at(record), self._did_not_step, self
+        )
 
     def truth(self) -> Truth | None:
         """Pose, twist and applied forces now; None where the FMU is not known to have them."""
         if not self.spec.truth:
             return None
-        if not self._initialised:
-            raise PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
+        if not self._record["ready"]:
+            raise self._closed()
         y = self._outputs[fmu_call.MEASURED :].copy()
         return _new(Truth, (y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:]))
 
@@ -301,7 +320,7 @@ class FmuHost:
     def close(self) -> None:
         """Terminate, free, unload, remove the unpacked files. A second call does nothing."""
         fmu, self._fmu = self._fmu, None
-        initialised, self._initialised = self._initialised, False
+        initialised, self._record["ready"] = bool(self._record["ready"]), False
         try:
             if fmu is not None:
                 if initialised:

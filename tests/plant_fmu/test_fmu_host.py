@@ -15,6 +15,8 @@ import fmpy
 import numpy as np
 import pytest
 
+from drivers.compiled.compiler import INTEGER, REAL
+from drivers.compiled.pointed import of_python
 from drivers.errors import PlantError
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members
@@ -334,21 +336,33 @@ def test_of_many_messages_the_last_are_told():
         (fmu_call.OUTPUT_NOT_FINITE, True),
     ],
 )
-def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(monkeypatch, ended, stepped):
+def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(ended, stepped):
     host = FmuHost(spec(build("3.0")))
-    ends, begun_s = iter([(ended, 3), (fmu_call.DONE, 0)]), []
+    begun_s: list[float] = []
 
-    def exchange(_call, _force, _brake, _wrench, t_s, _dt_s, *_memory):
+    def step(_instance: int, t_s: float, _dt_s: float, *_places: int) -> int:
         begun_s.append(t_s)
-        return next(ends)
+        return 3 if ended == fmu_call.STEP_REFUSED and len(begun_s) == 1 else 0
 
-    monkeypatch.setattr(fmu_call, "exchange", exchange)
+    def refuse(_instance: int, _references: int, _count: int, values: int, _size: int) -> int:
+        ct.c_double.from_address(values).value = np.nan
+        return 0 if ended == fmu_call.OUTPUT_NOT_FINITE else 3
+
+    stepping, refusing = (
+        of_python(step, INTEGER, REAL, REAL, *[INTEGER] * 5),
+        of_python(refuse, *[INTEGER] * 5),
+    )
+    host._call[fmu_call.STEP] = stepping[0]
+    at = fmu_call.SET if ended == fmu_call.INPUTS_REFUSED else fmu_call.GET
+    before = host._call[at]
+    if ended != fmu_call.STEP_REFUSED:
+        host._call[at] = refusing[0]
     with pytest.raises(PlantError):
         host.step(FORCE, np.zeros(6), np.zeros(6), 2e-3)
+    host._call[at] = before
     host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
-    monkeypatch.undo()
     host.close()
-    assert begun_s == [0.0, 2e-3 if stepped else 0.0]
+    assert begun_s[-1] == (2e-3 if stepped else 0.0)
 
 
 @pytest.mark.parametrize("proxy", [True, False], ids=["filled in", "as they are"])

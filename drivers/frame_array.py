@@ -34,21 +34,31 @@ NO_FRAMES: Rows = np.zeros(0, FRAME)
 NO_FRAMES.flags.writeable = False
 
 
-def _array(frames: Iterable[tuple[int, Frame]], count: int, kind: int) -> Rows:
-    data = bytearray(FRAME.itemsize * count)
-    for k, (t_ns, (identifier, content, flags)) in enumerate(frames):
-        pack_frame(data, k * FRAME.itemsize, t_ns, identifier, kind, len(content), flags, content)
-    return np.frombuffer(bytes(data), FRAME)
+_new = tuple.__new__
+"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
+
+
+def _array(frames: Iterable[tuple[int, Frame]], kind: int) -> Rows:
+    pack = _FRAME.pack
+    content = [
+        pack(t_ns, identifier, kind, len(data), flags, data) for t_ns, (identifier, data, flags) in frames
+    ]
+    return np.frombuffer(b"".join(content), FRAME)
 
 
 def received_array(frames: Sequence[Received]) -> Rows:
     """Return received frames as elements of FRAME, in their order: read-only."""
-    return _array(frames, len(frames), RECEIVED)
+    return _array(frames, RECEIVED)
 
 
 def sent_array(frames: Sequence[Frame]) -> Rows:
     """Return frames to send as elements of FRAME, in their order; nobody has sent them yet: t_ns is 0."""
-    return _array(((0, frame) for frame in frames), len(frames), SENT)
+    return _array([(0, frame) for frame in frames], SENT)
+
+
+def timed_array(frames: Iterable[tuple[int, Frame]]) -> Rows:
+    """Return (instant, frame to send) as elements of FRAME, in their order: read-only."""
+    return _array(frames, SENT)
 
 
 def sent_at(t_ns: int, *parts: Rows) -> Rows:
@@ -62,8 +72,8 @@ def received_frames(array: Rows) -> tuple[Received, ...]:
     """Return elements of FRAME as received frames."""
     return tuple(
         [
-            Received(t_ns, Frame(identifier, data[:length], flags))
-            for t_ns, identifier, _, length, flags, data in unpack_frames(array.tobytes())
+            _new(Received, (t_ns, _new(Frame, (identifier, data[:size], flags))))
+            for t_ns, identifier, _, size, flags, data in unpack_frames(array.tobytes())
         ]
     )
 

@@ -20,12 +20,14 @@ import numpy as np
 from drivers.arrays import Array, Ints, Rows
 from drivers.compiled.pointed import FAILED, data_at
 from drivers.controller_end import ControllerEnd
+from drivers.ends import Hearing
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import FRAME, sent_array, sent_frames
 from drivers.legs import kernels
 from drivers.legs.codec import Place
 from drivers.legs.crc import crc8, identifier_state
-from drivers.legs.device_kernels import BROKEN, UNFIT, UNKNOWN_MODE, decode_command, encode_feedbacks, intact
+from drivers.legs.device_kernels import NO_SYNC, intact
+from drivers.legs.drives_end import LegsEnd
 from drivers.legs.kernels import CODEC, COMMAND_FORM, FOREIGN, QUANTITIES
 from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
 from drivers.legs.set_up import NOT_HEARD, checksums_heard, lack
@@ -34,7 +36,6 @@ from drivers.protocol import (
     ALL_LEGS,
     ALWAYS,
     Configure,
-    DeviceCommand,
     DeviceMessage,
     Dialogue,
     DriveProtocol,
@@ -53,18 +54,11 @@ TRIES = 10
 """How often a drive that does not confirm its set-up is sent its CONFIG."""
 SETUP_S = 0.02
 """From one CONFIG of a drive to its next."""
-NO_SYNC = -1
-"""Memory of drives that have heard no SYNC yet."""
 _ALL = (1 << LEGS) - 1
 _POWERED = (DriveState.READY, DriveState.RUN)
 _BYTES = [bytes([value]) for value in range(256)]
 _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
-_UNTRUSTED = {
-    BROKEN: "CRC of a command",
-    UNKNOWN_MODE: "unknown mode",
-    UNFIT: "force not finite or out of range",
-}
 _REACTIONS = len(Reaction)
 _STATE_AT, _FAULT_AT, _SET_UP_AT = range(3)
 """Bytes of a status."""
@@ -114,7 +108,7 @@ def decoded(
     return dialogue._replace(confirmed=int(own["confirmed"]), said=heard(dialogue.said, frames))
 
 
-class LegsEnd(ControllerEnd):
+class LegsController(ControllerEnd):
     """The controller's end, compiled. The codec's record has what the drives have confirmed."""
 
     def __init__(
@@ -189,9 +183,10 @@ class LegsProtocol(Traits):
         self._has_force = "Force" in self._feedback.signals
         self._exact = self._feedback.exact
         feedback_id = [self._feedback.id - 1 + node for node in nodes]
+        self.feedback_by_leg = tuple(feedback_id)
+        """Identifiers of the feedbacks, leg order."""
         self.feedback_ids = frozenset(feedback_id)
         self._counter_at = self._feedback.place("Counter").start // 8
-        self._feedback_legs = list(enumerate(feedback_id))
         # Per leg: identifier, CRC register after it.
         self._feedback_key = [(identifier, identifier_state(identifier)) for identifier in feedback_id]
         self._feedback_register = dict(self._feedback_key)
@@ -207,16 +202,15 @@ class LegsProtocol(Traits):
             for cycle in _BYTES
         ]
         self._tabulate(messages.command_ids)
-        # Device side: identifier -> parser.
-        self._parsers: dict[int, Callable[[int, bytes], DeviceMessage]] = {
-            self._estop.id: lambda _present, _data: EmergencyStop(),
-            self._sync.id: self._parse_sync,
-            **{command.layout.id: partial(self._parse_command, command) for command in self._commands},
+        # Device side: identifier -> parser of what is not compiled.
+        self._parsers: dict[int, Callable[[bytes], DeviceMessage]] = {
+            self._estop.id: lambda _data: EmergencyStop(),
             **{
                 identifier: partial(self._parse_config, leg, identifier_state(identifier))
                 for leg, identifier in enumerate(self._config_id)
             },
         }
+        self._end = LegsEnd([self])
 
     def _tabulate(self, command_ids: Sequence[int]) -> None:
         """Make the tables of `drivers.legs.kernels` and `drivers.legs.device_kernels`."""
@@ -244,7 +238,26 @@ class LegsProtocol(Traits):
         ends = (command.low[0], command.high[0]) if self._exact else (-steps, steps - 1)
         self._command_range = np.array([command.scale[0], *ends], float)
         self._codec, self._codec_keeps = self.codec(self.command_rows(range(LEGS), 0))
-        self._split = struct.Struct(f"{feedback.length}s" * LEGS).unpack
+
+    @property
+    def commands(self) -> tuple[Ints, Array, int, tuple[CommandFrame, ...]]:
+        """Form and range of the commands, the bits of a Cycle that they carry, and the frames."""
+        return self._command_form, self._command_range, self._counter_mask, self._commands
+
+    def fill_end(self, end: Any) -> None:
+        """Fill in what all buses have in common; see `drivers.legs.device_kernels.END`."""
+        for name, table in (
+            ("identifiers", self._identifiers),
+            ("form", self._feedback_form),
+            ("scale", self._feedback_range),
+        ):
+            end[name] = data_at(table)
+        end["sync_id"], end["sync_size"] = self._sync.id, self._sync.length
+        end["sync_register"], end["feedback_flags"] = self._sync_register, self._feedback.flags
+        end["estop_id"], end["status_flags"] = self._estop.id, self._status.flags
+        end["counter_at"], end["version"] = self._counter_at, self._version
+        end["rated_mN"], end["watchdog_s"] = round(self.rated_force_N * 1e3), self._config.scale[0]
+        end["config_id"], end["slot"] = self._config_id, self._slots
 
     def command_rows(self, legs: Sequence[int], bus: int) -> list[tuple[list[int], Array]]:
         """Return the form of each command frame (`kernels.COMMAND_FORM`) with step and ends of its forces.
@@ -274,9 +287,9 @@ class LegsProtocol(Traits):
 
     # controller side
 
-    def controller_end(self, setup: DriveSetup) -> LegsEnd:
+    def controller_end(self, setup: DriveSetup) -> LegsController:
         """Return the controller's end, compiled."""
-        return LegsEnd(self, setup, self._codec, self._syncs)
+        return LegsController(self, setup, self._codec, self._syncs)
 
     def start(self, setup: DriveSetup) -> LegsDialogue:
         """Return the dialogue before the first CONFIG. Raises ProtocolError as `configure` does."""
@@ -409,31 +422,25 @@ class LegsProtocol(Traits):
         force that is not finite, a command that is not for the present SYNC, a SYNC that repeats the present
         one, a CONFIG of another version of the protocol.
         """
-        parser = self._parsers.get(frame.id)
-        if parser is None or frame.flags & FOREIGN:
+        if frame.flags & FOREIGN:
             return memory, ()
-        message = parser(memory, frame.data)
-        return message.counter if isinstance(message, Sync) else memory, (message,)
+        parser = self._parsers.get(frame.id)
+        if parser is not None:
+            return memory, (parser(frame.data),)
+        end = self._end
+        end.memory = memory
+        messages = end.heard(frame)
+        return end.memory, messages
 
-    def _parse_sync(self, present: int, data: bytes) -> DeviceMessage:
-        if len(data) != self._sync.length or not intact(data, self._sync_register):
-            return Rejected("length or CRC of SYNC")
-        return Rejected("repeated SYNC") if data[0] == present else Sync(data[0])
+    def drives_end(self) -> LegsEnd | None:
+        """Return the drives' end by address, powered up; None for a protocol that changes it."""
+        return LegsEnd([self]) if type(self) is LegsProtocol else None
 
-    def _parse_command(self, command: CommandFrame, present: int, data: bytes) -> DeviceMessage:
-        of, legs, register = command
-        if len(data) != of.length:
-            return Rejected(f"command of {len(data)} bytes")
-        force = np.empty(len(legs))
-        last = decode_command(data, register, self._command_form, self._command_range, force)
-        if last < 0:
-            return Rejected(_UNTRUSTED[last])
-        counter = last & 0xFF
-        if present == NO_SYNC or counter != present & self._counter_mask:
-            return Rejected(f"command {counter} while the present SYNC is {present}")
-        return _new(DeviceCommand, (legs, last >> 8, force, counter))
+    def hearing(self) -> Hearing | None:
+        """Return the controller's end by address, as far as it hears; None as `drives_end`."""
+        return self._end.hearing(self.feedback_by_leg) if type(self) is LegsProtocol else None
 
-    def _parse_config(self, leg: int, register: int, _present: int, data: bytes) -> DeviceMessage:
+    def _parse_config(self, leg: int, register: int, data: bytes) -> DeviceMessage:
         codec = self._config
         if len(data) != codec.length or not intact(data, register):
             return Rejected("length or CRC of CONFIG")
@@ -459,27 +466,22 @@ class LegsProtocol(Traits):
         length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
         of no use; the counter's low four bits count. Raises ProtocolError on NaN.
         """
-        data = np.empty(LEGS * self._feedback.length, np.uint8)
-        tables = self._identifiers, self._feedback_form, self._feedback_range[: 3 * QUANTITIES]
-        leg = encode_feedbacks(length, rate, force, state, sync.counter & 0xF, *tables, data)
-        if leg >= 0:
+        frames = self._end.answers(sync, length, rate, force, state)
+        if frames is None:
+            unknown = np.isnan(length) | np.isnan(rate) | (np.isnan(force) & self._has_force)
+            leg = int(np.flatnonzero(unknown)[0])
             raise ProtocolError(
                 f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
             )
-        flags = self._feedback.flags
-        bodies = self._split(data.data)
-        return memory, [(leg, _new(Frame, (id_, bodies[leg], flags))) for leg, id_ in self._feedback_legs]
+        return memory, frames
 
     def report(self, memory: int, status: Status) -> tuple[int, tuple[Frame, ...]]:
         """Encode one drive's heartbeat."""
-        leg, state, fault, holds, _ = status
-        checksum = 0
-        if holds is not None:
-            body = self._config_body(leg, holds.watchdog_s, holds.reaction)
-            checksum = set_up_checksum(self._config_id[leg], body, self.rated_force_N)
-        identifier, data = self._status_id[leg], self._status.pack(state, fault, checksum)
-        check = crc8(data, identifier_state(identifier))
-        return memory, (Frame(identifier, data + _BYTES[check], self._status.flags),)
+        frames = self._end.reports(status)
+        if frames is None:
+            assert status.set_up is not None
+            self._config_body(status.leg, status.set_up.watchdog_s, status.set_up.reaction)
+        return memory, frames or ()
 
     # bus time
 

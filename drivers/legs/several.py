@@ -10,8 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.ends import Hearing
+from drivers.legs.drives_end import LegsEnd
 from drivers.legs.messages import SHORT
-from drivers.legs.protocol import LegsDialogue, LegsEnd, LegsProtocol, decoded, encoded
+from drivers.legs.protocol import LegsController, LegsDialogue, LegsProtocol, decoded, encoded
 from drivers.protocol import (
     ALWAYS,
     BUS,
@@ -69,9 +71,9 @@ class LegsOnBuses(SeveralBuses):
                 codec.command(dialogue, command._replace(force=force), tick)
         return dialogue, frames
 
-    def controller_end(self, setup: DriveSetup) -> LegsEnd:
+    def controller_end(self, setup: DriveSetup) -> LegsController:
         """Return the controller's end, compiled."""
-        return LegsEnd(self, setup, self._codec, self._syncs)
+        return LegsController(self, setup, self._codec, self._syncs)
 
     def decode(
         self, dialogue: LegsDialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
@@ -96,6 +98,15 @@ class LegsOnBuses(SeveralBuses):
     def awaited(self, frame: Frame) -> int:
         """Return the identifier."""
         return frame.id
+
+    def drives_end(self) -> LegsEnd | None:
+        """Return the drives' end by address, powered up; None for a protocol that changes it."""
+        return LegsEnd(self._codecs, self.legs) if type(self) is LegsOnBuses else None
+
+    def hearing(self) -> Hearing | None:
+        """Return the controller's end by address, as far as it hears; None as `drives_end`."""
+        end, ids = self.drives_end(), self._first.feedback_by_leg
+        return None if end is None else end.hearing(ids)
 
     def _parse(self, own: Memory, frame: Frame, bus: int) -> tuple[Memory, tuple[DeviceMessage, ...]]:
         """Decode a frame at the drives of one bus; a command's slots become their legs."""

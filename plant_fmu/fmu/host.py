@@ -279,7 +279,8 @@ class FmuHost:
         given = (at, at + 8 * LEGS, at + 16 * LEGS)
         ended = fmu_call.move(self._record, *given, steps, self._measures)
         if ended != fmu_call.DONE:
-            raise self._did_not_step(ended, *self._given, steps)
+            held_force, held_brake, held_wrench = self._given
+            raise self._did_not_step(ended, held_force, held_brake, held_wrench, steps)
         y = self._measures.copy()
         return y[:LEGS], y[LEGS:]
 

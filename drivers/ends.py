@@ -1,0 +1,152 @@
+"""Both ends of a drive family by address: what compiled passes call, and the records that go between.
+
+A family that is compiled returns a `DrivesEnd` from `drives_end()` and a `Hearing` from `hearing()`. For the
+others, and for what a compiled end leaves to it (FAILED), the owner of the pass calls the methods of
+`DriveProtocol`.
+"""
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import of_python, record_at
+from drivers.frame_array import FRAME, received_frames
+from drivers.protocol import (
+    Alive,
+    DeviceCommand,
+    DeviceMessage,
+    DriveProtocol,
+    Memory,
+    Rejected,
+    Sync,
+    UnwatchedCommand,
+)
+from drivers.signals import LEGS
+
+SYNC, COMMAND, UNWATCHED, ALIVE, REJECTED, OTHER = range(6)
+"""Kinds of a message; OTHER: one that its owner looks at himself."""
+MESSAGE = np.dtype(
+    [
+        *((name, "<i8") for name in ("kind", "mode", "counter", "count")),
+        ("legs", "<i8", (LEGS,)),
+        ("force", "<f8", (LEGS,)),
+    ]
+)
+"""A `DeviceMessage`: its first `count` legs, and of a command the force for each, N."""
+READING = np.dtype(
+    [
+        *((name, "<f8", (LEGS,)) for name in ("length", "rate", "force")),
+        *((name, "<i8", (LEGS,)) for name in ("state", "fault")),
+    ]
+)
+"""What six drives read, as `DriveProtocol.answer` takes it."""
+frame_at: Any = record_at(record(FRAME))
+message_at: Any = record_at(record(MESSAGE))
+reading_at: Any = record_at(record(READING))
+
+
+class DrivesEnd(Protocol):
+    """A drives' end by address. Mutable state: what the drives remember, in the record at `context`.
+
+    parse (context, frame, messages) -> how many messages it fills in; answer (context, sync, reading, frames,
+    legs) -> how many frames, with the leg of each; report (context, leg, state, fault, watchdog or -1 before
+    the drive is set up, reaction, due, frames) -> how many frames. All arguments are integers: addresses of
+    FRAME, MESSAGE, READING and int64, and numbers; the watchdog in ns. FAILED leaves it to the protocol.
+    """
+
+    parse: int
+    answer: int
+    report: int
+    context: int
+
+    @property
+    def memory(self) -> Memory:
+        """What the drives remember, as the protocol's methods take it."""
+
+    @memory.setter
+    def memory(self, memory: Memory) -> None: ...
+
+
+class PythonEnd:
+    """The drives' end of a protocol that is not compiled. Mutable state: the memory."""
+
+    parse = answer = report = context = 0
+
+    def __init__(self, memory: Memory) -> None:
+        self.memory = memory
+
+
+def drives_end(protocol: DriveProtocol) -> DrivesEnd:
+    """Return the drives' end of a protocol, powered up."""
+    compiled = getattr(type(protocol), "drives_end", None)
+    end = None if compiled is None else compiled(protocol)
+    return PythonEnd(protocol.power_up()) if end is None else end
+
+
+class Hearing(NamedTuple):
+    """What the controller's end makes of frames, by address."""
+
+    fresh: int
+    """(context, frame, tick, since_ns) -> the place in `wanted` of a frame that is `fresh`, from 1 on; 0 for
+    one that is not."""
+    addressed: int
+    """(context, frame) -> bit i: a frame is for leg i."""
+    context: int
+    wanted: tuple[int, ...]
+    """`DriveProtocol.feedback_ids`."""
+    keeps: Any
+
+
+def hearing(protocol: DriveProtocol) -> Hearing:
+    """Return the controller's end of a protocol, as far as it hears."""
+    compiled = getattr(type(protocol), "hearing", None)
+    found: Hearing | None = None if compiled is None else compiled(protocol)
+    return _python_hearing(protocol) if found is None else found
+
+
+def frames_at(address: int, count: int) -> Rows:
+    """Return, outside of kernels, the elements of FRAME at an address."""
+    memory: Any = (ctypes.c_char * (FRAME.itemsize * count)).from_address(address)
+    frames: Rows = np.frombuffer(memory, FRAME, count)
+    return frames
+
+
+def _python_hearing(protocol: DriveProtocol) -> Hearing:
+    wanted = tuple(sorted(protocol.feedback_ids))
+    places = {each: place for place, each in enumerate(wanted, 1)}
+
+    def fresh(_context: int, frame: int, tick: int, since_ns: int) -> int:
+        (received,) = received_frames(frames_at(frame, 1))
+        if not protocol.fresh(received, tick, since_ns):
+            return 0
+        return places.get(protocol.awaited(received.frame), len(wanted) + 1)
+
+    def addressed(_context: int, frame: int) -> int:
+        (received,) = received_frames(frames_at(frame, 1))
+        return sum(1 << leg for leg in protocol.addressed(received.frame))
+
+    looks, keeps_fresh = of_python(fresh, *[INTEGER] * 4)
+    asks, keeps_addressed = of_python(addressed, *[INTEGER] * 2)
+    return Hearing(looks, asks, 0, wanted, (keeps_fresh, keeps_addressed))
+
+
+_KINDS = {Sync: SYNC, DeviceCommand: COMMAND, UnwatchedCommand: UNWATCHED, Alive: ALIVE, Rejected: REJECTED}
+
+
+def put_messages(messages: Sequence[DeviceMessage], into: Rows) -> None:
+    """Fill elements of MESSAGE with messages; what is none of the kinds here is OTHER."""
+    for k, message in enumerate(messages):
+        each: Any = into[k]
+        each["kind"] = _KINDS.get(type(message), OTHER)
+        if isinstance(message, Sync | Alive | DeviceCommand):
+            count = each["count"] = len(message.legs)
+            each["legs"][:count] = message.legs
+        if isinstance(message, Sync | DeviceCommand):
+            each["counter"] = message.counter
+        if isinstance(message, DeviceCommand):
+            each["mode"] = message.mode
+            each["force"][:count] = message.force

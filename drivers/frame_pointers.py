@@ -25,10 +25,10 @@ def place_of(number: int, numbers: Any) -> int:
 @helper
 def whole(data: Any, at: int, size: int = 4) -> int:
     """Return the number of so many bytes, little-endian, not signed; up to seven."""
-    number = np.int64(0)
+    number: Any = np.int64(0)
     for k in range(size):
         number |= np.int64(data[at + k]) << 8 * k
-    return number
+    return int(number)
 
 
 @helper

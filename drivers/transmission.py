@@ -51,13 +51,20 @@ def loss_of(force: float, rate: float, driving: float, back_driving: float, full
     return 1.0 + (w * (1.0 / driving - 1.0) if w > 0.0 else w * (1.0 - back_driving))
 
 
-@direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)
-def _fill_loss(
+@helper
+def fill_loss(
     force: Array, rate: Array, driving: Array, back_driving: Array, full_loss_m_s: float, loss: Array
 ) -> None:
     """Fill in F0 / F of six legs."""
     for leg in range(LEGS):
         loss[leg] = loss_of(force[leg], rate[leg], driving[leg], back_driving[leg], full_loss_m_s)
+
+
+@direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)
+def _fill_loss(
+    force: Array, rate: Array, driving: Array, back_driving: Array, full_loss_m_s: float, loss: Array
+) -> None:
+    fill_loss(force, rate, driving, back_driving, full_loss_m_s, loss)
 
 
 @dataclass(frozen=True, eq=False)

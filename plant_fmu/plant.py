@@ -57,7 +57,7 @@ class Moved(NamedTuple):
     applied: int
     """(context, force) -> 1, or 0 where the applied force is not known: fills in (6,)."""
     context: int
-    refused: Callable[[int, Array, Array, Array, int], PlantError]
+    refused: Callable[[int, Array, Array, Array, int], BaseException]
     """Returns the error of a status of `move`, with force, brake, wrench and the steps that it had."""
     keeps: Any
     """What has to stay in memory."""

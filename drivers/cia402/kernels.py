@@ -135,7 +135,8 @@ def _take(c: Any, kind: int, leg: int, data: Any, late: bool, tick: Any) -> None
         return
     slot = kind * LEGS + leg
     held = c.held[slot]
-    word, torque = np.int64(0), np.int64(0)
+    word: Any = np.int64(0)
+    torque: Any = np.int64(0)
     if kind == _PLACE:
         word, torque = whole(data, 0, 2), signed(whole(data, 6, 2), 16)
     number = signed(whole(data, 2 if kind == _PLACE else 0), 32)

@@ -1,9 +1,7 @@
 """The own protocol's tables by address, for compiled passes, and its frames for callers in Python."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,6 +11,7 @@ from drivers.ends import MESSAGE, READING, SYNC, Hearing
 from drivers.frame_array import FRAME, sent_array, sent_frames
 from drivers.legs import device_kernels as kernels
 from drivers.legs.device_kernels import BUS, END, NO_SYNC
+from drivers.legs.messages import CommandFrame
 from drivers.protocol import (
     ALL_LEGS,
     DeviceCommand,
@@ -24,9 +23,6 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS
 
-if TYPE_CHECKING:
-    from drivers.legs.protocol import LegsProtocol
-
 _UNTRUSTED = {
     kernels.SYNC_BROKEN: "length or CRC of SYNC",
     kernels.SYNC_REPEATED: "repeated SYNC",
@@ -36,6 +32,17 @@ _UNTRUSTED = {
 }
 
 
+class Tables(Protocol):
+    """What the end of the drives of a bus is made from."""
+
+    @property
+    def commands(self) -> tuple[Ints, Array, int, tuple[CommandFrame, ...]]:
+        """Form and range of the commands, the bits of a Cycle that they carry, and the frames."""
+
+    def fill_end(self, end: Any) -> None:
+        """Fill in what all buses have in common; see `drivers.legs.device_kernels.END`."""
+
+
 class LegsEnd:
     """Six drives of the own protocol. Mutable state: the Cycle of the present SYNC of each bus."""
 
@@ -43,7 +50,7 @@ class LegsEnd:
     answer = kernels.answer.address
     report = kernels.report.address
 
-    def __init__(self, codecs: Sequence[LegsProtocol], legs: Sequence[Sequence[int]] | None = None) -> None:
+    def __init__(self, codecs: Sequence[Tables], legs: Sequence[Sequence[int]] | None = None) -> None:
         """Take the tables of each bus and its legs; None: there is one bus, and its drives hear all of it."""
         first = codecs[0]
         there = [ALL_LEGS] if legs is None else legs
@@ -62,7 +69,7 @@ class LegsEnd:
         self._frames, self._legs = np.zeros(LEGS, FRAME), np.zeros(LEGS, np.int64)
 
     @staticmethod
-    def _fill(bus: Any, codec: LegsProtocol, legs: Sequence[int]) -> None:
+    def _fill(bus: Any, codec: Tables, legs: Sequence[int]) -> None:
         form, scale, mask, commands = codec.commands
         bus["present"], bus["legs"], bus["leg"][: len(legs)] = NO_SYNC, len(legs), legs
         bus["form"], bus["form_size"], bus["scale"], bus["mask"] = (

@@ -218,7 +218,7 @@ def _serve(
         while not stop.reason:
             received = bus.drain_now()
             rows.write(now, answered=not received)
-            due = (nodes.readings.next_ns, *(t_ns for t_ns, _ in later))
+            due = (nodes.next_reading_ns, *(t_ns for t_ns, _ in later))
             received = received or bus.wait(min((now + IDLE_NS, *(t_ns for t_ns in due if t_ns > now))))
             now = bus.clock.now()
             faults.strike(now)

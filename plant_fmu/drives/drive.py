@@ -11,11 +11,12 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.config import DriveSettings
+from drivers.protocol import Configure, Status
 from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import kernels
-from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, READY, RUN, WORKS
+from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, OFF, READY, RUN, WORKS
 from plant_fmu.faults.fault import Present
 
 _NO_COUNTER = -1
@@ -32,7 +33,7 @@ def at_motor(settings: DriveSettings, transmission: Transmission | None) -> Driv
 class Drives:
     """Six drives that have just been powered up. Every array has one element a drive.
 
-    `enter`, `obey` and `actuate` are the kernels of these names, on these drives.
+    `enter` is the kernel of this name, on these drives.
 
     Mutable state: two matrices, whose rows are the attributes; `kernels` says what they are; where legs stood
     when a fault began that scales what their encoders count.
@@ -86,27 +87,26 @@ class Drives:
             1e6 * emulation.brake_close_ms,
         ])  # fmt: skip
         self.enter = partial(kernels.enter, integers, reals)
-        self.obey = partial(kernels.obey, integers, reals, common)
-        self.actuate = partial(kernels.actuate, integers, reals, common)
+        self.matrices = integers, reals, common
+        """What the pass works on."""
 
-    def next_move_ns(self) -> int:
-        """Return when the next brake will have opened or closed, ns."""
-        return int(min(map(min, self.moved_ns.tolist())))  # twelve numbers: NumPy takes longer
+    def set_up(self, configure: Configure) -> bool:
+        """Set a drive up, unless it is powered; tell whether it was."""
+        leg = configure.leg
+        if self.state[leg] in (READY, RUN):
+            return False
+        self.watchdog_ns[leg] = round(configure.watchdog_s * 1e9)
+        self.reaction[leg] = configure.reaction
+        self.configured[leg] = True
+        if self.state[leg] == BOOT:
+            self.enter(leg, OFF, DriveFault.NONE)
+        return True
 
-    def heard(self, legs: Ints, t_ns: int) -> None:
-        """Feed the watchdogs of drives that are powered."""
-        powered = legs[np.isin(self.state[legs], (READY, RUN))]
-        self.deadline_ns[powered] = t_ns + self.watchdog_ns[powered]
-
-    def obey_unwatched(
-        self, length: Array, rate: Array, legs: Ints, force: Array, mode: int, counter: int, t_ns: int
-    ) -> tuple[bool, bool, int, int]:
-        """Obey as `obey` does, and feed no watchdog but that of a drive that is powered just now."""
-        before, powered = self.deadline_ns.copy(), np.isin(self.state, (READY, RUN))
-        done = self.obey(length, rate, legs, force, mode, counter, t_ns)
-        same = powered & np.isin(self.state, (READY, RUN))
-        self.deadline_ns[same] = before[same]
-        return done
+    def status(self, leg: int, *, due: bool) -> Status:
+        """Return what a drive is in."""
+        set_up = Configure(leg, int(self.watchdog_ns[leg]) * 1e-9, Reaction(int(self.reaction[leg])))
+        holds = set_up if self.configured[leg] else None
+        return Status(leg, int(self.state[leg]), int(self.fault[leg]), holds, due)
 
     def disturb(self, present: Present, length: Array, rate: Array, t_ns: int) -> None:
         """Let the faults of this instant act, the plant being there.

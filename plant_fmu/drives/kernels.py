@@ -7,9 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import (
-    BOOLEAN,
     INTEGER,
-    INTEGERS,
     OUT_INTEGER_MATRIX,
     OUT_INTEGERS,
     OUT_MATRIX,
@@ -139,9 +137,14 @@ def _follow(integers: Ints, reals: Array, leg: int, t_ns: int) -> None:
 
 
 @helper
-def _actuate(
+def actuate(
     integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool, t_ns: int
 ) -> bool:
+    """Set FORCE and BRAKES from the drives' states at `t_ns`; with `lag` over the next grid step.
+
+    length m and rate m/s are the plant's. A drive that shuts its brake keeps its last force until that has
+    closed. Returns whether a drive follows its encoder by itself.
+    """
     controls = False
     for leg in range(LEGS):
         f = reals[COMMAND, leg]
@@ -174,7 +177,13 @@ def _actuate(
     return controls
 
 
-@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, INTEGERS, VECTOR, INTEGER, INTEGER, INTEGER)
+@helper
+def next_move_ns(integers: Ints) -> int:
+    """Return when the next brake will have opened or closed, ns."""
+    return int(min(integers[MOVED].min(), integers[FOLLOWED].min()))
+
+
+@helper
 def obey(
     integers: Ints,
     reals: Array,
@@ -185,13 +194,15 @@ def obey(
     command: Array,
     mode: int,
     counter: int,
+    feeds: bool,
     t_ns: int,
 ) -> tuple[bool, bool, int, int]:
     """Give the drives `legs` a command of so many N each at `t_ns`, the plant being there, and actuate.
 
-    Returns whether the counter was new to one of them; if so, whether a drive follows its encoder by itself,
-    see `actuate`; the legs that entered a state (bit i: leg i); and the earliest instant at which a watchdog
-    ends or a brake has moved.
+    A command that does not feed the watchdogs feeds that of a drive alone that is powered just now. Returns
+    whether the counter was new to one of them; if so, whether a drive follows its encoder by itself, see
+    `actuate`; the legs that entered a state (bit i: leg i); and the earliest instant at which a watchdog ends
+    or a brake has moved.
     """
     fresh, entered = False, 0
     for k in range(legs.shape[0]):
@@ -200,7 +211,7 @@ def obey(
             continue
         fresh = True
         integers[COUNTER, leg] = counter
-        state = integers[STATE, leg]
+        before = state = integers[STATE, leg]
         following = _NEXT[mode, state]
         if following != _STAYS:
             state = following if integers[CONFIGURED, leg] else BOOT
@@ -210,14 +221,23 @@ def obey(
             integers[ACTING, leg] = BRAKE
         if state in (READY, RUN):
             reals[COMMAND, leg] = command[k]
+            if feeds or before not in (READY, RUN):
+                integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
+    controls = fresh and actuate(integers, reals, stage, length, rate, False, t_ns)
+    return fresh, controls, entered, min(integers[DEADLINE].min(), next_move_ns(integers))
+
+
+@helper
+def feed(integers: Ints, legs: Ints, t_ns: int) -> None:
+    """Feed the watchdogs of drives that are powered."""
+    for k in range(legs.shape[0]):
+        leg = legs[k]
+        if integers[STATE, leg] in (READY, RUN):
             integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
-    controls = fresh and _actuate(integers, reals, stage, length, rate, False, t_ns)
-    moved = min(integers[MOVED].min(), integers[FOLLOWED].min())
-    return fresh, controls, entered, min(integers[DEADLINE].min(), moved)
 
 
-@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
-def read_encoders(
+@helper
+def encoders(
     integers: Ints,
     reals: Array,
     length: Array,
@@ -239,13 +259,17 @@ def read_encoders(
         l[leg] = np.rint(at / quantum_m) * quantum_m if quantum_m > 0.0 else at
 
 
-@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, VECTOR, BOOLEAN, INTEGER)
-def actuate(
-    integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool, t_ns: int
-) -> bool:
-    """Set FORCE and BRAKES from the drives' states at `t_ns`; with `lag` over the next grid step.
-
-    length m and rate m/s are the plant's. A drive that shuts its brake keeps its last force until that has
-    closed. Returns whether a drive follows its encoder by itself.
-    """
-    return bool(_actuate(integers, reals, stage, length, rate, lag, t_ns))
+@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
+def read_encoders(
+    integers: Ints,
+    reals: Array,
+    length: Array,
+    rate: Array,
+    dt_s: float,
+    quantum_m: float,
+    l: Array,
+    dl: Array,
+    state: Ints,
+) -> None:
+    """Fill in what is read; see `encoders`."""
+    encoders(integers, reals, length, rate, dt_s, quantum_m, l, dl, state)

@@ -10,49 +10,41 @@ point while a drive controls by itself (damp, hold) or lags.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import lru_cache
-from math import floor
-from operator import itemgetter
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
+from drivers.ends import drives_end
 from drivers.errors import PlantError, ProtocolError
+from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import (
-    Alive,
     Answer,
     Configure,
-    DeviceCommand,
+    DeviceMessage,
     DriveProtocol,
     EmergencyStop,
     Frame,
+    Memory,
     Received,
-    Rejected,
-    Status,
     Sync,
-    UnwatchedCommand,
 )
-from drivers.signals import LEGS, DriveFault, Reaction
+from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives import live, record
 from plant_fmu.drives.drive import Drives, at_motor
-from plant_fmu.drives.kernels import BOOT, BRAKE, DAMP, FAULT, HOLD, NEVER_NS, OFF, READY, RUN
+from plant_fmu.drives.kernels import BRAKE, DAMP, FAULT, HOLD, NEVER_NS, RUN
+from plant_fmu.drives.python_plant import moved
 from plant_fmu.drives.reading import Reading
+from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
 from plant_fmu.drives.snapshot import Snapshot
-from plant_fmu.drives.timer import Timer
+from plant_fmu.drives.state import MESSAGE_AT, NOW, SYNCS, State
 from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
 from plant_fmu.plant import Plant, Truth
-
-_TIME = itemgetter(0)
-
-
-@lru_cache(maxsize=64)
-def _indices(legs: tuple[int, ...]) -> Ints:
-    return np.array(legs, np.int64)
 
 
 class Nodes:
@@ -90,310 +82,320 @@ class Nodes:
 
     def start(self, t0_ns: int) -> None:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
-        self._t0_ns = self._now_ns = t0_ns
-        self._k = 0
-        self._length, self._rate = self._plant.reset()
+        length, rate = self._plant.reset()
         gear = self._settings.transmission
-        self._transmission = None if gear is None else Transmission.of(gear)
-        self._drives = Drives(at_motor(self._settings, self._transmission), self._emulation, self._h_s)
-        self._turns = Turns(self._settings.homing, self._transmission, self._length)
-        self._memory = self._protocol.power_up()
-        self._heartbeats = Timer(1e6 * self._settings.heartbeat_ms, t0_ns)
-        self.readings = Timer(1e9 * self._protocol.unasked_s, t0_ns, 1)
-        self._calm_ns = t0_ns
-        """No watchdog, brake, edge or heartbeat is due before this instant."""
+        transmission = None if gear is None else Transmission.of(gear)
+        self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
+        self._turns = Turns(self._settings.homing, transmission, length)
+        self._end, self._moved = drives_end(self._protocol), moved(self._plant)
+        self._state = State(t0_ns, self._drives.matrices, self._end, self._moved)
+        self._state.speak(1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s)
+        if transmission is not None:
+            self._state.drive_by(transmission)
+        self._record = n = self._state.record
+        n["length"], n["rate"], n["lags"] = length, rate, self._drives.lags
+        n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
+        self._heard: Sequence[DeviceMessage] = ()
         self._schedule = Schedule(self._faults, t0_ns)
         gateway = Gateway(self._schedule, self._protocol, t0_ns)
         self._gateway = gateway if self._faults.touches_frames else None
-        self._reading = Reading()
-        self._missed: list[Received] = []
+        self._spoiled = Reading()
+        self._missed: list[Rows] = []
+        self._frames = NO_FRAMES
+        self.waiting = self._schedule.waiting
+        """Faults whose mode the controller has not reached."""
         self._edges, self._present = self._schedule.edges_ns(t0_ns + 1), self._schedule.present(t0_ns)
         self._truth: Truth | None = None
         self._truth_k = -1
-        self.syncs = 0
-        """SYNC frames or polls heard since the start."""
-        self._commands = self._repeated = self._rejected = 0
         self._disturb(t0_ns)
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
-        """Live until `t_ns`, hearing `received`, and return (instant queued, frame) in time order.
+        """As `advance`, with frames in place of arrays: (instant at which to queue it, frame to send)."""
+        return [*received_frames(self.advance(t_ns, received_array(received)))]
 
-        `received` holds what arrived since the last step, times up to `t_ns`; a frame older than the
-        last step's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
+    def advance(self, t_ns: int, received: Rows) -> Rows:
+        """Live until `t_ns`, hearing elements of FRAME; return those to queue at their instants, in order.
+
+        `received` holds what arrived since the last pass, times up to `t_ns`; a frame older than the
+        last pass's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
         status every heartbeat, one drive after the other, and where drives do so when state or fault change.
-        A watchdog that ends at `t_ns` exactly waits for the next step: a command of that instant is in time.
-        Frames that faults delay or add may be for an instant to come. Raises PlantError if `t_ns` lies before
-        the last step's or the plant fails.
+        A watchdog that ends at `t_ns` exactly waits for the next pass: a command of that instant is in time.
+        Frames that faults delay or add may be for an instant to come. What is returned is good until the next
+        pass. Raises PlantError if `t_ns` lies before the last one's or the plant fails.
         """
-        if t_ns < self._now_ns:
-            raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self._now_ns} ns")
-        out: list[tuple[int, Frame]] = []
+        if t_ns < self._state.words[NOW]:
+            raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self.now_ns} ns")
         if self._present.hangs:
-            self._missed += received
-            if not self._schedule.present(t_ns).hangs:
-                received, self._missed = self._missed, []
-            else:
-                return out
+            self._missed.append(received.copy())
+            if self._schedule.present(t_ns).hangs:
+                return NO_FRAMES
+            received, self._missed = np.concatenate(self._missed), []
         if self._gateway is not None:
-            received = self._gateway.hear(received, t_ns)
-        frames = received if len(received) < 2 else sorted(received, key=_TIME)
-        for t_frame_ns, frame in frames:
-            t = min(max(t_frame_ns, self._now_ns), t_ns)
-            self._pass_time(t, out)
-            self._receive(t, frame, out)
-        self._pass_time(t_ns, out)
-        self._advance(t_ns)
-        return out if self._gateway is None else self._gateway.send(out)
+            received = received_array(self._gateway.hear(received_frames(received), t_ns))
+        self._frames = received
+        status = self._state.live(received, t_ns, again=False)
+        while status:
+            self._decide(status)
+            status = self._state.live(self._frames, t_ns, again=status != record.UNSORTED)
+        out = self._state.sent
+        return out if self._gateway is None else timed_array(self._gateway.send(received_frames(out)))
+
+    def _decide(self, status: int) -> None:
+        """Do what the pass has stopped for."""
+        n = self._record
+        match status:
+            case record.PLANT:
+                self._refuse()
+            case record.UNSORTED:
+                self._frames = self._frames[np.argsort(self._frames["t_ns"], kind="stable")]
+            case record.FULL:
+                self._state.reserve(2 * len(self._state.out))
+            case record.WATCHDOG:
+                self._end_watchdogs(int(n["at_ns"]))
+            case record.EDGE:
+                self._pass_edge(int(n["at_ns"]))
+            case record.PARSE:
+                self._parse()
+            case record.MESSAGE_OTHER:
+                self._do(self._heard[self._state.words[MESSAGE_AT]], int(n["t_ns"]))
+                self._state.words[MESSAGE_AT] += 1
+            case record.BEFORE_READING:
+                self._look_before(int(n["t_ns"]))
+            case record.AFTER_READING:
+                reading = self._state.reading
+                self._spoiled.spoil(self._present, int(n["t_ns"]), reading["length"], reading["rate"])
+            case record.ANSWER:
+                self._answer(int(n["t_ns"]))
+            case record.FORGE:
+                self._forge(int(n["t_ns"]))
+            case record.REPORT:
+                self._send_status(int(n["reports"][n["reported"]]), int(n["t_ns"]), due=bool(n["due"]))
+                n["reported"] += 1
+
+    def _refuse(self) -> None:
+        n, drives = self._record, self._drives
+        force, brake, wrench = n["at_leg"].copy(), drives.brake.copy(), n["wrench"].copy()
+        raise self._moved.refused(int(n["refusal"]), force, brake, wrench, int(n["steps"]))
 
     def reached(self, mode: str) -> None:
         """Let the time of the faults count that wait for a mode of the controller: it has been reached."""
-        if self._schedule.reached(mode, self._now_ns):
-            self._edges = self._schedule.edges_ns(self._now_ns)
-            self._calm_ns = self._now_ns
-
-    @property
-    def bus_off(self) -> int:
-        """Bit i: a fault has cut bus i."""
-        return self._present.bus_off
+        now_ns = self.now_ns
+        if self._schedule.reached(mode, now_ns):
+            self._edges = self._schedule.edges_ns(now_ns)
+            self._record["calm_ns"] = now_ns
+            self._note_edge()
+        self.waiting = self._schedule.waiting
 
     @property
     def now_ns(self) -> int:
-        """The end of the last step; of one that failed, how far it came."""
-        return self._now_ns
+        """The end of the last pass; of one that failed, how far it came."""
+        return int(self._state.words[NOW])
+
+    @property
+    def next_reading_ns(self) -> int:
+        """When the next drive sends its reading unasked."""
+        return int(self._record["reading_ns"])
+
+    @property
+    def syncs(self) -> int:
+        """SYNC frames or polls heard since the start."""
+        return int(self._state.words[SYNCS])
+
+    @property
+    def _memory(self) -> Memory:
+        return self._end.memory
+
+    @_memory.setter
+    def _memory(self, memory: Memory) -> None:
+        self._end.memory = memory
 
     def starts_ns(self, fault: Fault) -> int:
         """Return when a fault begins; `NEVER_NS` where it will not, as things stand."""
         return self._schedule.starts_ns(fault)
 
     @property
-    def waiting(self) -> tuple[Fault, ...]:
-        """Faults whose mode the controller has not reached."""
-        return self._schedule.waiting
-
-    @property
     def begun(self) -> tuple[Fault, ...]:
         """Faults that have begun."""
-        return self._schedule.begun(self._now_ns)
+        return self._schedule.begun(self.now_ns)
 
     def snapshot(self) -> Snapshot:
         """Return the plant's end as it is now; arrays are copies. A plant that has failed tells no truth."""
-        truth = None
+        truth, n = None, self._record
         with suppress(PlantError):  # the next step says so
             truth = self._know()
         return Snapshot(
             t_ns=self._grid_ns(),
-            length=np.array(self._length),
-            rate=np.array(self._rate),
+            length=n["length"].copy(),
+            rate=n["rate"].copy(),
             command=self._drives.command.copy(),
             force=self._drives.force.copy(),
             applied=self._drives.force.copy() if truth is None else truth.applied_force,
             state=self._drives.state.copy(),
             fault=self._drives.fault.copy(),
             brake=self._drives.brake.copy(),
-            wrench=self._wrench.copy(),
+            wrench=n["wrench"].copy(),
             truth=truth,
             syncs=self.syncs,
-            commands=self._commands,
-            repeated=self._repeated,
-            rejected=self._rejected,
+            commands=int(n["commands"]),
+            repeated=int(n["repeated"]),
+            rejected=int(n["rejected"]),
         )
 
     # time
 
     def _grid_ns(self) -> int:
-        return self._t0_ns + round(self._k * self._h_ns)
+        n = self._record
+        return int(n["t0_ns"]) + round(int(n["k"]) * self._h_ns)
 
-    def _pass_time(self, t: int, out: list[tuple[int, Frame]]) -> None:
-        """Let watchdogs (before t), brakes, plan edges and heartbeats (up to t) happen, in order."""
-        while t >= self._calm_ns:
-            deadlines = self._drives.deadline_ns.tolist()
-            watchdog = min(deadlines)
-            edge = self._edges[0] if self._edges else NEVER_NS
-            moved = self._drives.next_move_ns()
-            other = min(edge, beat := self._heartbeats.next_ns, self.readings.next_ns, moved)
-            if watchdog < t and watchdog <= other:
-                self._now_ns = max(self._now_ns, watchdog)
-                for leg in range(LEGS):
-                    if deadlines[leg] <= watchdog:
-                        self._fail(leg, DriveFault.WATCHDOG, watchdog, out)
-            elif other > t:
-                self._calm_ns = min(max(watchdog, t + 1), other)
-            elif moved == other:
-                self._advance(moved)
-                self._actuate(moved)
-            elif edge == other:
-                del self._edges[0]
-                self._advance(edge)
-                self._now_ns = max(self._now_ns, edge)
-                self._present = self._schedule.present(edge)
-                self._disturb(edge)
-            elif beat == other:
-                self._send_status(self._heartbeats.speak(), beat, out, due=True)
-            else:
-                self._latch(Sync(0, (self.readings.speak(),)), other, out)
-        self._now_ns = t
+    def _end_watchdogs(self, t: int) -> None:
+        """Let the watchdogs end that do at `t`."""
+        n = self._record
+        n["now_ns"] = max(int(n["now_ns"]), t)
+        for leg, deadline_ns in enumerate(self._drives.deadline_ns.tolist()):
+            if deadline_ns <= t:
+                self._fail(leg, DriveFault.WATCHDOG, t)
+
+    def _pass_edge(self, t: int) -> None:
+        """Let faults begin or end that do at `t`."""
+        n = self._record
+        del self._edges[0]
+        self._advance(t)
+        n["now_ns"] = max(int(n["now_ns"]), t)
+        self._present = self._schedule.present(t)
+        self._disturb(t)
+
+    def _note_edge(self) -> None:
+        self._record["edge_ns"] = self._edges[0] if self._edges else NEVER_NS
 
     def _advance(self, t: int) -> None:
         """Bring the plant to the grid point nearest to t."""
-        n = floor((t - self._t0_ns) / self._h_ns + 0.5) - self._k
-        if n <= 0:
-            return
-        if self._drives.lags or self._controls:
-            for _ in range(n):
-                self._actuate(self._grid_ns(), lag=self._drives.lags)
-                self._move(1)
-        else:
-            self._move(n)
-
-    def _move(self, n: int) -> None:
-        force, brake = self._at_leg(self._drives.force), self._drives.brake
-        self._length, self._rate = self._plant.step(force, brake, self._wrench, n * self._h_s)
-        if self._present.not_finite:
-            self._length = np.full(LEGS, np.nan)
-        self._k += n
-
-    def _at_leg(self, force: Array) -> Array:
-        """Return what the losses between motors and legs leave of forces (6,) N."""
-        return force if self._transmission is None else self._transmission.delivered(force, self._rate)
+        if live.advance(self._record, t) != record.DONE:
+            self._refuse()
 
     def _weigh(self) -> None:
         """Set the wrench on the platform; a mass weighs where it is by now."""
-        self._wrench = self._present.wrench
+        wrench = self._present.wrench
         truth = self._know() if self._present.masses else None
         if truth is not None:
-            self._wrench = self._wrench + weight(self._present.masses, truth, self._faults.gravity)
+            wrench = wrench + weight(self._present.masses, truth, self._faults.gravity)
+        self._record["wrench"] = wrench
 
     def _know(self) -> Truth | None:
         """Return the plant's truth, asked for once per instant."""
-        if self._truth_k != self._k:
+        k = int(self._record["k"])
+        if self._truth_k != k:
             self._truth = self._plant.truth()
-            self._truth_k = self._k
+            self._truth_k = k
         return self._truth
 
     # drives
 
     def _disturb(self, t: int) -> None:
-        if self._present.crashes:
+        present, n = self._present, self._record
+        self._note_edge()
+        self.bus_off = present.bus_off
+        """Bit i: a fault has cut bus i."""
+        if present.crashes:
             raise PlantError("the plant crashed: fault plant_crash")
-        self._drives.disturb(self._present, self._length, self._rate, t)
-        self._reading.begin(self._present)
-        self._turns.switch_on(self._present.reset, self._length)
-        self._memory = self._protocol.restarted(self._memory, np.flatnonzero(self._present.reset).tolist())
+        n["silent"] = sum(1 << leg for leg, silent in enumerate(present.silent) if silent)
+        n["not_finite"] = present.not_finite
+        before = LOOKS_BEFORE * bool(present.masses or present.drifts)
+        after = LOOKS_AFTER * bool(present.noise or any(present.late_ns))
+        n["look"] = before | after | FORGES * any(by_m is not None for by_m in present.forged_m)
+        self._drives.disturb(present, n["length"], n["rate"], t)
+        self._spoiled.begin(present)
+        self._turns.switch_on(present.reset, n["length"])
+        n["uncounted"] = self._turns.uncounted_m
+        self._memory = self._protocol.restarted(self._memory, np.flatnonzero(present.reset).tolist())
         self._weigh()
-        self._actuate(t)
+        live.actuate(n, t)
 
-    def _actuate(self, t: int, *, lag: bool = False) -> None:
-        """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
-        self._controls = self._drives.actuate(self._length, self._rate, lag, t)
-
-    def _fail(self, leg: int, fault: DriveFault, t: int, out: list[tuple[int, Frame]]) -> None:
+    def _fail(self, leg: int, fault: DriveFault, t: int) -> None:
         """Latch a fault; the first one stays, but for an emergency stop."""
-        drives = self._drives
+        drives, n = self._drives, self._record
         self._advance(t)
         brakes = fault is DriveFault.ESTOP or drives.state[leg] != RUN or self._present.lost[leg]
         if drives.state[leg] != FAULT:
             drives.acting[leg] = BRAKE if brakes else drives.reaction[leg]
-            drives.held_m[leg] = drives.encoders(self._length, self._rate)[0][leg]
+            drives.held_m[leg] = drives.encoders(n["length"], n["rate"])[0][leg]
             drives.enter(leg, FAULT, fault)
             if drives.acting[leg] in (DAMP, HOLD):
                 drives.deadline_ns[leg] = t + self._brake_after_ns
-            self._send_status(leg, t, out)
+            self._send_status(leg, t)
         elif brakes:
             drives.acting[leg] = BRAKE
             drives.deadline_ns[leg] = NEVER_NS
             if fault is DriveFault.ESTOP and drives.fault[leg] != fault:
                 drives.fault[leg] = fault
-                self._send_status(leg, t, out)
-        self._actuate(t)
-        self._calm_ns = min(self._calm_ns, drives.next_move_ns())
+                self._send_status(leg, t)
+        live.actuate(n, t)
+        n["calm_ns"] = min(int(n["calm_ns"]), int(drives.moved_ns.min()))
 
     # frames
 
-    def _receive(self, t: int, frame: Frame, out: list[tuple[int, Frame]]) -> None:
-        self._memory, messages = self._protocol.parse(self._memory, frame)
-        for message in messages:
-            match message:
-                case Sync():
-                    self.syncs += 1
-                    self._latch(message, t, out)
-                case DeviceCommand():
-                    self._obey(message, t, out)
-                case Alive(legs=legs):
-                    self._drives.heard(_indices(legs), t)
-                case Configure():
-                    self._configure(message, t, out)
-                case EmergencyStop(legs=legs):
-                    for leg in legs:
-                        self._fail(leg, DriveFault.ESTOP, t, out)
-                case Answer():
-                    self._send(message.leg, t, (message.frame,), out)
-                case Rejected():
-                    self._rejected += 1
+    def _parse(self) -> None:
+        """Let the protocol decode a frame."""
+        frame = sent_frames(self._frames[int(self._record["frame"])][np.newaxis])[0]
+        self._memory, self._heard = self._protocol.parse(self._memory, frame)
+        self._state.hear(self._heard)
 
-    def _latch(self, sync: Sync, t: int, out: list[tuple[int, Frame]]) -> None:
-        self._advance(t)
-        dt = (t - self._grid_ns()) * 1e-9
-        present = self._present
-        if present.masses:
+    def _do(self, message: DeviceMessage, t: int) -> None:
+        """Do what a message says that is not of every tick."""
+        match message:
+            case Configure():
+                self._configure(message, t)
+            case EmergencyStop(legs=legs):
+                for leg in legs:
+                    self._fail(leg, DriveFault.ESTOP, t)
+            case Answer():
+                self._send(message.leg, t, (message.frame,))
+
+    def _look_before(self, t: int) -> None:
+        """Let act what does before the encoders are read."""
+        if self._present.masses:
             self._weigh()
-        if present.drifts:
-            self._drives.drift(present, t)
-        force = self._plant.applied_force()
-        if force is None:
-            force = self._at_leg(self._drives.force)
-        quantum, fault = self._emulation.encoder_resolution_m, self._drives.fault
-        length, rate, state = self._drives.encoders(self._length, self._rate, dt, quantum)
-        if present.noise or any(present.late_ns):
-            self._reading.spoil(present, t, length, rate)
-        length, read = self._turns.counted(length), (rate, force, state, fault)
+        if self._present.drifts:
+            self._drives.drift(self._present, t)
+
+    def _answered(self, length: Array) -> list[tuple[int, Frame]]:
+        """Return what the drives answer that read lengths (6,) m; their memory stays as it is."""
+        asked, reading = self._state.asked, self._state.reading
+        sync = Sync(int(asked["counter"]), tuple(asked["legs"][: asked["count"]].tolist()))
+        read = (reading["rate"], reading["force"], reading["state"], self._drives.fault)
+        self._answering, frames = self._protocol.answer(self._memory, sync, length, *read)
+        return frames
+
+    def _answer(self, t: int) -> None:
+        """Let the protocol answer."""
         try:
-            self._memory, frames = self._protocol.answer(self._memory, sync, length, *read)
+            frames = self._answered(self._state.reading["length"])
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
-        out += [(t, frame) for leg, frame in frames if not present.silent[leg]]
-        for leg, by_m in enumerate(present.forged_m):
+        self._memory = self._answering
+        for leg, frame in frames:
+            self._send(leg, t, (frame,))
+        self._record["latching"] = False
+        if self._record["look"] & FORGES:
+            self._forge(t)
+
+    def _forge(self, t: int) -> None:
+        """Send what others send under the name of a drive."""
+        for leg, by_m in enumerate(self._present.forged_m):
             if by_m is not None:
-                _, other = self._protocol.answer(self._memory, sync, length + by_m, *read)
-                out += [(t, frame) for k, frame in other if k == leg]
+                other = self._answered(self._state.reading["length"] + by_m)
+                self._state.queue(t, [frame for k, frame in other if k == leg])
 
-    def _obey(self, command: DeviceCommand, t: int, out: list[tuple[int, Frame]]) -> None:
-        self._advance(t)
-        legs, mode, force, counter = command
-        obey = self._drives.obey_unwatched if isinstance(command, UnwatchedCommand) else self._drives.obey
-        length, rate = self._length, self._rate
-        fresh, controls, entered, earliest = obey(length, rate, _indices(legs), force, mode, counter, t)
-        if entered:
-            for leg in legs:
-                if entered >> leg & 1:
-                    self._send_status(leg, t, out)
-        if fresh:
-            self._calm_ns = min(self._calm_ns, earliest)
-            self._commands += 1
-            self._controls = controls
+    def _configure(self, configure: Configure, t: int) -> None:
+        if self._drives.set_up(configure):
+            self._send_status(configure.leg, t)
         else:
-            self._repeated += 1
+            self._record["rejected"] += 1
 
-    def _configure(self, configure: Configure, t: int, out: list[tuple[int, Frame]]) -> None:
-        drives, leg = self._drives, configure.leg
-        if drives.state[leg] in (READY, RUN):
-            self._rejected += 1
-            return
-        drives.watchdog_ns[leg] = round(configure.watchdog_s * 1e9)
-        drives.reaction[leg] = configure.reaction
-        drives.configured[leg] = True
-        if drives.state[leg] == BOOT:
-            drives.enter(leg, OFF, DriveFault.NONE)
-        self._send_status(leg, t, out)
+    def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
+        self._memory, frames = self._protocol.report(self._memory, self._drives.status(leg, due=due))
+        self._send(leg, t, frames)
 
-    def _send_status(self, leg: int, t: int, out: list[tuple[int, Frame]], *, due: bool = False) -> None:
-        drives = self._drives
-        set_up = Configure(leg, int(drives.watchdog_ns[leg]) * 1e-9, Reaction(int(drives.reaction[leg])))
-        holds = set_up if drives.configured[leg] else None
-        status = Status(leg, int(drives.state[leg]), int(drives.fault[leg]), holds, due)
-        self._memory, frames = self._protocol.report(self._memory, status)
-        self._send(leg, t, frames, out)
-
-    def _send(self, leg: int, t: int, frames: Sequence[Frame], out: list[tuple[int, Frame]]) -> None:
+    def _send(self, leg: int, t: int, frames: Sequence[Frame]) -> None:
         """Queue frames of one drive, as far as it is not silent."""
         if not self._present.silent[leg]:
-            out += [(t, frame) for frame in frames]
+            self._state.queue(t, frames)

@@ -6,15 +6,15 @@ the mean over the plant's last internal step, as of a device that integrates.
 """
 
 from collections.abc import Callable, Sequence
-from operator import itemgetter
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings, SensorSettings
 from drivers.errors import PlantError
-from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.frame_array import received_frames, timed_array
+from drivers.protocol import DriveProtocol, Frame
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
 from plant_fmu.drives.kernels import NEVER_NS
@@ -73,12 +73,12 @@ class SensedNodes(Nodes):
         self._waiting: list[tuple[int, Frame]] = []
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
 
-    def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
-        """As `Nodes.step`, with the frames of the sensors among the drives'."""
-        out: list[tuple[int, Frame]] = []
-        frames = sorted(received, key=itemgetter(0))
+    def advance(self, t_ns: int, received: Rows) -> Rows:
+        """As `Nodes.advance`, with the frames of the sensors among the drives'."""
+        out: list[Rows] = []
+        frames = received[np.argsort(received["t_ns"], kind="stable")]
         while (due_ns := min(self._due_ns.values())) <= t_ns:
-            heard = [frame for frame in frames if frame.t_ns <= due_ns]
+            heard = frames[frames["t_ns"] <= due_ns]
             frames = frames[len(heard) :]
             due = [kind for kind, at in self._due_ns.items() if at == due_ns]
             out += self._live(due_ns, heard)
@@ -90,32 +90,33 @@ class SensedNodes(Nodes):
                 self._due_ns[kind] = self._start_ns + round(self._count[kind] * self._period_ns[kind])
         out += self._live(t_ns, frames)
         sent = [entry for entry in self._waiting if entry[0] <= t_ns]
-        if sent:
-            self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
-            out = sorted(out + sent, key=itemgetter(0))
-        return out
+        if not sent:
+            return np.concatenate(out)
+        self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
+        both = np.concatenate([*out, timed_array(sent)])
+        return both[np.argsort(both["t_ns"], kind="stable")]
 
-    def _live(self, t_ns: int, frames: list[Received]) -> list[tuple[int, Frame]]:
+    def _live(self, t_ns: int, frames: Rows) -> list[Rows]:
         """Let plant and drives live until `t_ns`, and note the SYNCs they hear.
 
         On the way the twist is noted one step of the plant before the IMU measures, or as soon as may be.
         """
         t_ns = max(t_ns, self._until_ns)
-        for at_ns, frame in frames:
+        for at_ns, frame in received_frames(frames):
             cycle = self._sensors.cycle_of(frame)
             if cycle is not None:
                 self._sync[frame.bus] = at_ns, cycle
-        out: list[tuple[int, Frame]] = []
+        out: list[Rows] = []
         due_ns = self._due_ns.get("imu", NEVER_NS)
         before_ns = due_ns - round(self._plant.internal_step_s * 1e9)
         if self._noted_ns != due_ns and before_ns <= t_ns:
             before_ns = max(before_ns, self._until_ns)
-            early = [frame for frame in frames if frame.t_ns <= before_ns]
+            early = frames[frames["t_ns"] <= before_ns]
             frames = frames[len(early) :]
-            out = super().step(before_ns, early)
+            out.append(super().advance(before_ns, early).copy())
             self._noted_ns, self._before = due_ns, (self._grid_ns(), self._true().twist)
         self._until_ns = t_ns
-        return out + super().step(t_ns, frames)
+        return [*out, super().advance(t_ns, frames).copy()]
 
     def _accelerate(self) -> None:
         """Find the acceleration since the twist was noted."""
@@ -170,7 +171,7 @@ class SensedNodes(Nodes):
         )
 
     def _load(self, truth: Truth) -> Array:
-        s, wrench = self._noise.wrench, self._wrench
+        s, wrench = self._noise.wrench, self._record["wrench"]
         return self._turned(
             truth,
             (wrench[:3], s.force_bias_N, s.force_noise_N),

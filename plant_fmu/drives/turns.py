@@ -22,7 +22,8 @@ class Turns:
         self, settings: HomingSettings | None, transmission: Transmission | None, length: Array
     ) -> None:
         """Switch on at lengths (6,) m; encoders without settings forget nothing."""
-        self._uncounted_m = np.zeros(LEGS)
+        self.uncounted_m = np.zeros(LEGS)
+        """(6,) m that the drives do not report."""
         self._transmission = None if settings is None else transmission
         self._forgets = np.broadcast_to(1.0 if settings is None else settings.forgotten_turns, LEGS)
         self.switch_on([True] * LEGS, length)
@@ -32,8 +33,4 @@ class Turns:
         if self._transmission is not None and any(which):
             whole = np.round(self._transmission.turns(length) / self._forgets) * self._forgets
             uncounted_m = self._transmission.m_per_turn * whole
-            self._uncounted_m = np.where(which, uncounted_m, self._uncounted_m)
-
-    def counted(self, length: Array) -> Array:
-        """Return as what the drives report lengths (6,) m."""
-        return length - self._uncounted_m
+            self.uncounted_m = np.where(which, uncounted_m, self.uncounted_m)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from drivers.arrays import Array
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
+from drivers.frame_array import received_frames
 from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
@@ -345,9 +346,9 @@ class TroubleContract(ProtocolContract):
     def test_a_fault_is_told_with_its_leg_and_its_meaning(self, protocol):
         line = Line(protocol)
         line.running()
-        told: list[tuple[int, Frame]] = []
-        line.nodes._fail(LEG, DriveFault.OVERFORCE, line.nodes.now_ns, told)
-        line.to_controller += [Received(t, frame) for t, frame in told]
+        line.nodes._record["sent"] = 0
+        line.nodes._fail(LEG, DriveFault.OVERFORCE, line.nodes.now_ns)
+        line.to_controller += received_frames(line.nodes._state.sent)
         for _ in range(12):
             line.step(RUN, set_up=False)
         states, codes = line.states(), line.measurement["drive_fault"].tolist()

@@ -25,7 +25,7 @@ from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives, at_motor
-from plant_fmu.drives.kernels import NEVER_NS
+from plant_fmu.drives.kernels import NEVER_NS, feed
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.brake import BrakeStuckClosed, BrakeStuckOpen
 from plant_fmu.faults.drive import DriveSign, DriveSilence
@@ -36,6 +36,7 @@ from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import command_frames, decode
+from tests.plant_fmu.by_hand import obey
 
 MS = 1_000_000
 US = 1_000
@@ -456,7 +457,7 @@ def test_a_heartbeat_feeds_the_watchdog_of_each_powered_drive_for_its_own_time()
     for leg, state in enumerate(states):
         drives.enter(leg, int(state), int(DriveFault.NONE))
     drives.watchdog_ns[:] = np.arange(1, 7) * MS
-    drives.heard(np.arange(1, 6), 100)
+    feed(drives.matrices[0], np.arange(1, 6), 100)
     assert drives.deadline_ns.tolist() == [
         NEVER_NS,
         100 + 2 * MS,
@@ -474,7 +475,7 @@ def test_a_command_that_feeds_no_watchdog_starts_that_of_a_drive_which_it_powers
     drives.watchdog_ns[:], drives.configured[:] = 5 * MS, True
     drives.deadline_ns[1::2] = 3 * MS
     zero = np.zeros(6)
-    drives.obey_unwatched(zero, zero, np.arange(6), zero, int(DriveMode.READY), 0, MS)
+    obey(drives, zero, zero, np.arange(6), zero, int(DriveMode.READY), 0, MS, feeds=False)
     assert (drives.state == DriveState.READY).all()
     assert drives.deadline_ns.tolist() == [6 * MS, 3 * MS] * 3
 

@@ -312,9 +312,9 @@ def test_an_emulated_drive_counts_from_the_turn_in_which_it_is_switched_on():
     length = np.array([0.3007, 0.3017, 0.3043, 0.2957, 0.3, 0.31])
     turns = Turns(HomingSettings(file="a", limit_m=1e-4), gear, length)
     # a turn is 2.5 mm of leg: 0.7 mm is 0.28 turns, 1.7 mm -0.68, 4.3 mm 1.72, -4.3 mm 1.72, 10 mm -4
-    reported = gear.turns(turns.counted(length))
+    reported = gear.turns(length - turns.uncounted_m)
     np.testing.assert_allclose(reported, [0.28, 0.32, -0.28, -0.28, 0.0, 0.0], atol=1e-9)
     moved = length + 0.0075
-    np.testing.assert_allclose(gear.turns(turns.counted(moved))[0], 3.28, atol=1e-9)
+    np.testing.assert_allclose(gear.turns(moved - turns.uncounted_m)[0], 3.28, atol=1e-9)
     turns.switch_on([True] + [False] * 5, moved)
-    np.testing.assert_allclose(gear.turns(turns.counted(moved))[:2], [0.28, -2.68], atol=1e-9)
+    np.testing.assert_allclose(gear.turns(moved - turns.uncounted_m)[:2], [0.28, -2.68], atol=1e-9)

@@ -1,0 +1,412 @@
+"""Six drives and the plant behind them live until an instant, in one compiled pass.
+
+The pass does what every tick needs. What needs a decision, or a part that is not compiled, stops it: it
+returns what that is, its owner does that one thing and enters it again.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import call, integers_at, pointed, reals_at
+from drivers.ends import (
+    ALIVE,
+    COMMAND,
+    MESSAGE,
+    REJECTED,
+    SYNC,
+    UNWATCHED,
+    frame_at,
+    message_at,
+    reading_at,
+)
+from drivers.frame_array import FRAME, SENT
+from drivers.signals import LEGS
+from drivers.transmission import fill_loss
+from plant_fmu.drives.kernels import (
+    BRAKES,
+    CLOSING,
+    CONFIGURED,
+    DEADLINE,
+    FOLLOWED,
+    FORCE,
+    NEVER_NS,
+    REACTION,
+    REASON,
+    STATE,
+    TRUE,
+    encoders,
+    feed,
+    next_move_ns,
+    obey,
+)
+from plant_fmu.drives.kernels import WATCHDOG as WATCHDOG_NS
+from plant_fmu.drives.kernels import actuate as actuate_drives
+from plant_fmu.drives.record import (
+    AFTER_READING,
+    ANSWER,
+    BEFORE_READING,
+    DONE,
+    EDGE,
+    FORGE,
+    FORGES,
+    FULL,
+    HEAR,
+    LOOKS_AFTER,
+    LOOKS_BEFORE,
+    MESSAGE_OTHER,
+    MESSAGES,
+    NODES,
+    PARSE,
+    PLANT,
+    REPORT,
+    ROOM,
+    TIME,
+    UNSORTED,
+    WATCHDOG,
+)
+
+_nodes: Any = record(NODES)
+_FRAME, _MESSAGE = FRAME.itemsize, MESSAGE.itemsize
+_FRAME_WORDS, _MESSAGE_WORDS = _FRAME // 8, _MESSAGE // 8
+
+
+@helper
+def _integers(n: Any) -> Ints:
+    return integers_at(n.integers, (FOLLOWED + 1) * LEGS).reshape((FOLLOWED + 1, LEGS))
+
+
+@helper
+def _reals(n: Any) -> Array:
+    return reals_at(n.reals, (TRUE + 1) * LEGS).reshape((TRUE + 1, LEGS))
+
+
+@helper
+def _stage(n: Any) -> Array:
+    return reals_at(n.stage, CLOSING + 1)
+
+
+@helper
+def _grid_ns(n: Any) -> int:
+    return int(n.t0_ns + np.int64(np.rint(n.k * n.h_ns)))
+
+
+@helper
+def due_ns(t0_ns: int, number: int, share: float) -> int:
+    """Return when something is due that has been `number` times; without a distance never."""
+    return t0_ns + int(np.int64(np.rint(number * share))) if share > 0.0 else NEVER_NS
+
+
+# the plant
+
+
+@helper
+def _at_leg(n: Any, into: Array) -> None:
+    """Fill in what the losses between motors and legs leave of the drives' forces."""
+    force = _reals(n)[FORCE]
+    if n.geared:
+        fill_loss(force, n.rate, n.driving, n.back_driving, n.full_loss_m_s, into)
+        for leg in range(LEGS):
+            into[leg] = force[leg] / into[leg]
+    else:
+        into[:] = force
+
+
+@helper
+def _move(n: Any, steps: int) -> int:
+    _at_leg(n, n.at_leg)
+    brake = n.reals + BRAKES * 8 * LEGS
+    measured = n.measured
+    given = (n.plant, n.at_leg.ctypes.data, brake, n.wrench.ctypes.data, steps, measured.ctypes.data)
+    n.steps = steps
+    n.refusal = call(n.move, given)
+    if n.refusal != 0:
+        return PLANT
+    n.length[:] = measured[:LEGS]
+    n.rate[:] = measured[LEGS:]
+    if n.not_finite:
+        n.length[:] = np.nan
+    n.k += steps
+    return DONE
+
+
+@helper
+def _actuate(n: Any, t_ns: int, lag: bool) -> None:
+    n.controls = actuate_drives(_integers(n), _reals(n), _stage(n), n.length, n.rate, lag, t_ns)
+
+
+@helper
+def _advance(n: Any, t_ns: int) -> int:
+    """Bring the plant to the grid point nearest to `t_ns`."""
+    steps = np.int64(np.floor((t_ns - n.t0_ns) / n.h_ns + 0.5)) - n.k
+    if steps <= 0:
+        return DONE
+    if not n.lags and not n.controls:
+        return _move(n, steps)
+    for _ in range(steps):
+        _actuate(n, _grid_ns(n), n.lags != 0)
+        status = _move(n, 1)
+        if status != DONE:
+            return status
+    return DONE
+
+
+# time
+
+
+@helper
+def _begin_latch(n: Any, t_ns: int) -> None:
+    n.t_ns, n.latching, n.part = t_ns, 1, 0
+
+
+@helper
+def _happen(n: Any, t_ns: int) -> int:
+    """Let the next thing happen that is due by `t_ns`; if nothing is, note until when."""
+    watchdog = _integers(n)[DEADLINE].min()
+    moved = next_move_ns(_integers(n))
+    other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
+    if watchdog < t_ns and watchdog <= other:
+        n.at_ns = watchdog
+        return WATCHDOG
+    if other > t_ns:
+        n.calm_ns = min(max(watchdog, t_ns + 1), other)
+    elif moved == other:
+        status = _advance(n, moved)
+        if status != DONE:
+            return status
+        _actuate(n, moved, False)
+    elif n.edge_ns == other:
+        n.at_ns = other
+        return EDGE
+    elif n.beat_ns == other:
+        n.reports[0], n.reported, n.pending, n.due, n.t_ns = n.beat % LEGS, 0, 1, 1, other
+        n.beat += 1
+        n.beat_ns = due_ns(n.t0_ns, n.beat, n.beat_share)
+    else:
+        asked = message_at(n.asked)
+        asked.kind, asked.counter, asked.count, asked.legs[0] = SYNC, 0, 1, n.spoken % LEGS
+        n.spoken += 1
+        n.reading_ns = due_ns(n.t0_ns, n.spoken + 1, n.reading_share)
+        _begin_latch(n, other)
+    return DONE
+
+
+@helper
+def _pass_time(n: Any, frames: int, count: int) -> int:
+    """Let something happen before the next frame, or reach it."""
+    t_ns = n.until_ns
+    if n.frame < count:
+        t_ns = min(max(frame_at(frames + n.frame * _FRAME).t_ns, n.now_ns), t_ns)
+    if t_ns >= n.calm_ns:
+        return _happen(n, t_ns)
+    n.now_ns = n.t_ns = t_ns
+    if n.frame < count:
+        n.place = HEAR
+        return DONE
+    n.frame += 1
+    return _advance(n, t_ns)
+
+
+# frames
+
+
+@helper
+def _put(n: Any, count: int, leg: int) -> None:
+    """Send frames that are filled in, of one drive, or for -1 of those in `senders`; none of silent ones."""
+    senders = integers_at(n.senders, ROOM)
+    words = _FRAME_WORDS
+    first = n.sent
+    for k in range(first, first + count):
+        sender = senders[k - first] if leg < 0 else leg
+        if n.silent >> sender & 1:
+            continue
+        if k != n.sent:
+            source = integers_at(n.out + k * _FRAME, words)
+            integers_at(n.out + n.sent * _FRAME, words)[:] = source
+        frame = frame_at(n.out + n.sent * _FRAME)
+        frame.t_ns, frame.kind = n.t_ns, SENT
+        n.sent += 1
+
+
+@helper
+def _report(n: Any) -> int:
+    """Send what one drive is in."""
+    if n.sent + ROOM > n.room:
+        return FULL
+    if n.report == 0:
+        return REPORT
+    integers, leg = _integers(n), n.reports[n.reported]
+    watchdog = integers[WATCHDOG_NS, leg] if integers[CONFIGURED, leg] else -1
+    state, fault, reaction = integers[STATE, leg], integers[REASON, leg], integers[REACTION, leg]
+    into = n.out + n.sent * _FRAME
+    count = call(n.report, (n.end, leg, state, fault, watchdog, reaction, n.due, into))
+    if count < 0:
+        return REPORT
+    _put(n, count, leg)
+    n.reported += 1
+    return DONE
+
+
+@helper
+def _read(n: Any) -> int:
+    """Read the encoders, as late as the plant's grid point lies back, and the forces."""
+    reading = reading_at(n.reading)
+    integers = _integers(n)
+    known = call(n.applied, (n.plant, reading.force.ctypes.data))
+    if known < 0:
+        n.refusal = known
+        return PLANT
+    if known == 0:
+        _at_leg(n, reading.force)
+    dt_s = (n.t_ns - _grid_ns(n)) * 1e-9
+    given = (n.length, n.rate, dt_s, n.quantum_m)
+    encoders(integers, _reals(n), *given, reading.length, reading.rate, reading.state)
+    reading.fault[:] = integers[REASON]
+    return DONE
+
+
+@helper
+def _latch(n: Any) -> int:
+    """Latch the encoders and answer, up to what somebody else has to do in between."""
+    if n.part == 0:
+        status = _advance(n, n.t_ns)
+        if status != DONE:
+            return status
+        n.part = 1
+        if n.look & LOOKS_BEFORE:
+            return BEFORE_READING
+    if n.part == 1:
+        status = _read(n)
+        if status != DONE:
+            return status
+        n.part = 2
+        if n.look & LOOKS_AFTER:
+            return AFTER_READING
+    if n.part == 2:
+        reading_at(n.reading).length[:] -= n.uncounted
+        n.part = 3
+    if n.sent + ROOM > n.room:
+        return FULL
+    count = -1
+    if n.answer != 0:
+        into = n.out + n.sent * _FRAME
+        count = call(n.answer, (n.end, n.asked, n.reading, into, n.senders))
+    if count < 0:
+        return ANSWER
+    _put(n, count, -1)
+    n.latching = 0
+    return FORGE if n.look & FORGES else DONE
+
+
+@helper
+def _obey(n: Any, command: Any) -> int:
+    status = _advance(n, n.t_ns)
+    if status != DONE:
+        return status
+    legs = command.legs[: command.count]
+    given = (command.force, command.mode, command.counter, command.kind == COMMAND, n.t_ns)
+    matrices = (_integers(n), _reals(n), _stage(n))
+    fresh, controls, entered, earliest = obey(*matrices, n.length, n.rate, legs, *given)
+    n.pending = n.reported = n.due = 0
+    for k in range(command.count):
+        if entered >> legs[k] & 1:
+            n.reports[n.pending] = legs[k]
+            n.pending += 1
+    if fresh:
+        n.calm_ns = min(n.calm_ns, earliest)
+        n.commands += 1
+        n.controls = controls
+    else:
+        n.repeated += 1
+    return DONE
+
+
+@helper
+def _hear(n: Any) -> int:
+    """Do what the next message says."""
+    if n.message == n.heard:
+        n.place = TIME
+        n.frame += 1
+        return DONE
+    at = n.messages + n.message * _MESSAGE
+    message = message_at(at)
+    kind = message.kind
+    if kind == SYNC:
+        n.syncs += 1
+        words = _MESSAGE_WORDS
+        integers_at(n.asked, words)[:] = integers_at(at, words)
+        _begin_latch(n, n.t_ns)
+    elif kind in (COMMAND, UNWATCHED):
+        status = _obey(n, message)
+        if status != DONE:
+            return status
+    elif kind == ALIVE:
+        feed(_integers(n), message.legs[: message.count], n.t_ns)
+    elif kind == REJECTED:
+        n.rejected += 1
+    else:
+        return MESSAGE_OTHER
+    n.message += 1
+    return DONE
+
+
+@helper
+def _parse(n: Any, frame: int) -> int:
+    count = -1
+    if n.parse != 0:
+        count = call(n.parse, (n.end, frame, n.messages))
+    if count < 0:
+        return PARSE
+    n.heard, n.message, n.place = count, 0, MESSAGES
+    return DONE
+
+
+@helper
+def _is_sorted(frames: int, count: int) -> bool:
+    for k in range(1, count):
+        at = frames + k * _FRAME
+        if frame_at(at).t_ns < frame_at(at - _FRAME).t_ns:
+            return False
+    return True
+
+
+@pointed(_nodes, INTEGER, INTEGER, INTEGER, INTEGER)
+def live(n: Any, frames: int, count: int, until_ns: int, again: int) -> int:
+    """Live until `until_ns`, hearing `count` FRAME elements in the order of time; return why it ends.
+
+    again: goes on where it has ended.
+    """
+    if not again:
+        n.until_ns = until_ns
+        n.frame = n.place = n.heard = n.message = n.latching = n.pending = n.reported = n.sent = 0
+        if not _is_sorted(frames, count):
+            return UNSORTED
+    while n.frame <= count:
+        if n.reported < n.pending:
+            status = _report(n)
+        elif n.latching:
+            status = _latch(n)
+        elif n.place == MESSAGES:
+            status = _hear(n)
+        elif n.place == HEAR:
+            status = _parse(n, frames + n.frame * _FRAME)
+        else:
+            status = _pass_time(n, frames, count)
+        if status != DONE:
+            return status
+    return DONE
+
+
+@pointed(_nodes, INTEGER)
+def advance(n: Any, t_ns: int) -> int:
+    """Bring the plant to the grid point nearest to an instant; return DONE or PLANT."""
+    return _advance(n, t_ns)
+
+
+@pointed(_nodes, INTEGER)
+def actuate(n: Any, t_ns: int) -> int:
+    """Set force and brake of the plant from the drives' states."""
+    _actuate(n, t_ns, False)
+    return DONE

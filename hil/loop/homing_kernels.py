@@ -30,16 +30,16 @@ def decode(h: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     believed = last.length.copy()
     last.length[:] = h.raw
     tick_at = address_of(tick)
-    status = np.int64(call(h.decode, (h.codec, frames, count, since_ns, address_of(last), tick_at)))
+    status: Any = np.int64(call(h.decode, (h.codec, frames, count, since_ns, address_of(last), tick_at)))
     last.length[:] = believed
     if status < 0:
-        return status
+        return int(status)
     for leg in range(LEGS):
         if _decides(h, leg, last, tick):
-            news = np.int64(call(h.correct, (tick_at,)))
-            return news if news < 0 else max(status, news)
+            news: Any = np.int64(call(h.correct, (tick_at,)))
+            return int(news if news < 0 else max(status, news))
     h.opened |= not h.braked
     h.raw[:] = tick.length
     for leg in range(LEGS):
         tick.length[leg] += h.added[leg]
-    return status
+    return int(status)

@@ -160,7 +160,7 @@ class Motion:
 
     def sample(self, tick: int) -> PoseSample:
         """Return where the platform should be at this tick."""
-        into = np.empty((), SAMPLE)
+        into = np.ndarray((), SAMPLE)
         require(sample_at(self.record, self.override.record, tick, into), self._callee)
         return of_record(into)
 
@@ -180,7 +180,7 @@ class Motion:
         tick at which the present one has ended; where that has passed, it is waited for. Below full speed
         none is expected.
         """
-        into = np.empty((), SAMPLE)
+        into = np.ndarray((), SAMPLE)
         status, along = sample_ahead(self.record, self.override.record, tick, s, into)
         require(status, self._callee if isnan(along) else self._next)
         return of_record(into), None if isnan(along) else along

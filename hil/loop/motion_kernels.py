@@ -107,12 +107,6 @@ def sample_at(motion: Any, override: Any, tick: int, sample: Any) -> int:
     return place_reference(override, motion.function, motion.context, tick, sample)
 
 
-@direct(record(MOTION), record(OVERRIDE), INTEGER)
-def advance_to(motion: Any, override: Any, tick: int) -> None:
-    """Go on to a tick."""
-    advance(motion, override, tick)
-
-
 @direct(record(MOTION), record(OVERRIDE), INTEGER, REAL)
 def end(motion: Any, override: Any, tick: int, patience: float) -> int:
     """Return 0 before the trajectory has ended, then ENDED, and OVERDUE after `patience` (s) more."""
@@ -121,13 +115,7 @@ def end(motion: Any, override: Any, tick: int, patience: float) -> int:
     return ENDED if ended(motion, override, tick) else 0
 
 
-@direct(record(MOTION), record(OVERRIDE), INTEGER)
-def ticks_to_end(motion: Any, override: Any, tick: int) -> int:
-    """In how many ticks the present trajectory will have ended; see `ticks_left`."""
-    return ticks_left(motion, override, tick)
-
-
-@direct(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))
-def sample_ahead(motion: Any, override: Any, tick: int, s: float, sample: Any) -> tuple[int, float]:
-    """Fill the sample; see `ahead`."""
-    return ahead(motion, override, tick, s, sample)
+advance_to = direct(record(MOTION), record(OVERRIDE), INTEGER)(advance)
+ticks_to_end = direct(record(MOTION), record(OVERRIDE), INTEGER)(ticks_left)
+sample_ahead = direct(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))(ahead)
+"""advance, ticks_left and ahead for Python."""

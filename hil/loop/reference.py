@@ -46,9 +46,7 @@ def fill_reference(platform: Platform, sample: PoseSample, tick: Record) -> None
     _fill(platform.base_joints, platform.platform_joints, *sample, tick)
 
 
-@direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))
-def _fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
-    fill(a, b, p, R, twist, dtwist, tick)
+_fill = direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))(fill)
 
 
 def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:

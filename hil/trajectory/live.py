@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, OUT_MATRIX, REAL, direct, helper, record
-from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
+from drivers.compiled.compiler import INTEGER, OUT_MATRIX, direct, helper, record
+from drivers.compiled.pointed import Callee, address_of, data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, copy_sample, lift
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, kept, lift, sample_at
 
 LIVE = np.dtype(
     [
@@ -36,6 +36,7 @@ LIVE = np.dtype(
 """halted: 1 where the place of rest is the target; share: of the largest velocity V, what is allowed;
 history: the address of its rows; window: of each word, ticks; x1, v1, rest1: the next tick as it is proposed;
 and the sample of the tick."""
+_SAMPLE = LIVE.itemsize - SAMPLE.itemsize
 TO_JUDGE = 1
 """Status of `proceed`."""
 WINDOW_S = 4.0
@@ -166,9 +167,25 @@ def way_to_rest(live: Any, chi: Array) -> int:
     return marks
 
 
-@helper
-def evaluate(live: Any) -> None:
-    """Fill p, R, twist, dtwist: the means over each word's window of ticks."""
+@pointed(record(LIVE), INTEGER, INTEGER)
+def proceed(live: Any, tick: int, good: int) -> int:
+    """Go on to a tick; return 0, or TO_JUDGE before the first step of which the way to rest is to be judged.
+
+    good: 1 where that of the very next step has been judged. The sample at the tick is of the means over each
+    word's window of ticks.
+    """
+    while live.tick < tick:
+        propose(live)
+        if not live.halted:
+            moves = False
+            for i in range(6):
+                moves = moves or live.v1[i] != 0.0
+            if moves and not good:
+                return TO_JUDGE
+            for i in range(6):
+                live.rest[i] = live.rest1[i]
+        good = 0
+        enter(live)
     history, rows, period = history_of(live), live.rows, live.period
     now = live.tick % rows
     chi, dchi, ddchi = np.empty(6), np.empty(6), np.empty(6)
@@ -183,35 +200,7 @@ def evaluate(live: Any) -> None:
         chi[i] = x + total / m
         dchi[i] = (x - history[place(row, POSITION, i)]) / (m * period)
         ddchi[i] = (v - history[place(row, SPEED, i)]) / (m * period)
-    lift(chi, dchi, ddchi, live)
-
-
-@pointed(record(LIVE), INTEGER, INTEGER)
-def proceed(live: Any, tick: int, good: int) -> int:
-    """Go on to a tick; return 0, or TO_JUDGE before the first step of which the way to rest is to be judged.
-
-    good: 1 where that of the very next step has been judged.
-    """
-    while live.tick < tick:
-        propose(live)
-        if not live.halted:
-            moves = False
-            for i in range(6):
-                moves = moves or live.v1[i] != 0.0
-            if moves and not good:
-                return TO_JUDGE
-            for i in range(6):
-                live.rest[i] = live.rest1[i]
-        good = 0
-        enter(live)
-    evaluate(live)
-    return 0
-
-
-@pointed(record(LIVE), REAL, record(SAMPLE))
-def present(live: Any, _t: float, into: Any) -> int:
-    """Fill the sample of the tick last gone on to."""
-    copy_sample(live, into)
+    lift(chi, dchi, ddchi, sample_at(address_of(live) + _SAMPLE))
     return 0
 
 
@@ -244,7 +233,7 @@ class LiveTrajectory(CompiledTrajectory):
             V=limits[0],
             step=limits[1] * period_s,
         )
-        self.callee = Callee(present.address, data_at(self._live), (self._live, self._history))
+        self.callee = Callee(kept.address, data_at(self._live) + _SAMPLE, (self._live, self._history))
         self.reset()
 
     def reset(self) -> None:
@@ -307,7 +296,7 @@ class LiveTrajectory(CompiledTrajectory):
         return found
 
     def _proceed(self, tick: int, *, judged: bool) -> int:
-        return proceed(self.callee.context, tick, int(judged))
+        return proceed(data_at(self._live), tick, int(judged))
 
     def _judge(self, admit: Callable[[Array], int]) -> int:
         """Return what is first found against the way to rest from the next tick on, its end first."""

@@ -109,11 +109,6 @@ def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, floa
     return s, sigma, override.dsigma
 
 
-@direct(record(OVERRIDE), INTEGER)
-def _time(override: Any, tick: int) -> float:
-    return time_at(override, tick)
-
-
 @direct(record(OVERRIDE))
 def _phase(override: Any) -> int:
     """Return _CHANGES, or at what speed it stays: at rest, at full speed, or in between."""
@@ -124,14 +119,9 @@ def _phase(override: Any) -> int:
     return _STEADY if is_settled(override) else _CHANGES
 
 
-@direct(record(OVERRIDE), INTEGER)
-def _advance(override: Any, tick: int) -> None:
-    go_on(override, tick)
-
-
-@direct(record(OVERRIDE), INTEGER, REAL)
-def _ahead(override: Any, tick: int, h: float) -> tuple[float, float, float]:
-    return looked_ahead(override, tick, h)
+_time = direct(record(OVERRIDE), INTEGER)(time_at)
+_advance = direct(record(OVERRIDE), INTEGER)(go_on)
+_ahead = direct(record(OVERRIDE), INTEGER, REAL)(looked_ahead)
 
 
 def _column(name: str, meaning: str) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, REAL, direct, helper, record
-from drivers.compiled.pointed import FAILED, Callee, address_of, call, data_at, of_python
+from drivers.compiled.pointed import FAILED, Callee, address_of, call, data_at, of_python, pointed, record_at
 from drivers.errors import ConfigurationError
 from drivers.tick_columns import Record
 from hil.config.reference import AxisLimits, Waypoint
@@ -25,6 +25,9 @@ from hil.mathematics.vectors import at
 
 SAMPLE = np.dtype([("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6), ("dtwist", "<f8", 6)])
 """A `PoseSample` as a record: what the function of a trajectory, `(context, t, into)`, fills."""
+
+
+sample_at = record_at(record(SAMPLE))
 
 
 class PoseSample(NamedTuple):
@@ -64,6 +67,24 @@ class CompiledTrajectory:
     def sample(self, t: float) -> PoseSample:
         """Return the sample at t (s); see `Trajectory`."""
         return sampled_by(self.callee, t)
+
+
+@helper
+def copy_sample(one: Any, into: Any) -> None:
+    """Fill a record of SAMPLE with the same parts of another record."""
+    for i in range(3):
+        into.p[i] = one.p[i]
+        for j in range(3):
+            into.R[i, j] = one.R[i, j]
+    for i in range(6):
+        into.twist[i], into.dtwist[i] = one.twist[i], one.dtwist[i]
+
+
+@pointed(record(SAMPLE), REAL, record(SAMPLE))
+def kept(sample: Any, _t: float, into: Any) -> int:
+    """Fill the sample with one that is kept."""
+    copy_sample(sample, into)
+    return 0
 
 
 class _Door:
@@ -112,7 +133,7 @@ def failure(keeps: Any) -> BaseException | None:
 
 def sampled_by(callee: Callee, t: float) -> PoseSample:
     """Return the sample at t (s) in arrays of its own. Raises what a trajectory in plain Python does."""
-    into = np.empty((), SAMPLE)
+    into = np.ndarray((), SAMPLE)
     require(_by_address(callee.address, callee.context, t, into), callee)
     return of_record(into)
 
@@ -136,17 +157,6 @@ def context_of(dtype: np.dtype[np.void], **values: Any) -> Record:
         by_address = isinstance(value, np.ndarray) and not dtype[name].shape
         context[name] = data_at(value) if by_address else value
     return context
-
-
-@helper
-def copy_sample(one: Any, into: Any) -> None:
-    """Fill a record of SAMPLE with the same parts of another record."""
-    for i in range(3):
-        into.p[i] = one.p[i]
-        for j in range(3):
-            into.R[i, j] = one.R[i, j]
-    for i in range(6):
-        into.twist[i], into.dtwist[i] = one.twist[i], one.dtwist[i]
 
 
 @helper

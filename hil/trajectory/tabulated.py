@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import REAL, record
-from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, record_at
+from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed
 from drivers.errors import ConfigurationError
 from hil.trajectory.path import (
     SAMPLE,
@@ -14,6 +14,7 @@ from hil.trajectory.path import (
     callee_of,
     context_of,
     copy_sample,
+    sample_at,
 )
 
 BYTES_PER_TICK = SAMPLE.itemsize
@@ -21,7 +22,6 @@ LARGEST_MB = 256
 TABLE = np.dtype(
     [("function", "<i8"), ("context", "<i8"), ("samples", "<i8"), ("count", "<i8"), ("period", "<f8")]
 )
-_sample_at = record_at(record(SAMPLE))
 
 
 @pointed(record(TABLE), REAL, record(SAMPLE))
@@ -29,7 +29,7 @@ def look_up(table: Any, t: float, into: Any) -> int:
     """Fill the sample from the table, or, between its instants, from the trajectory that it was made of."""
     k = np.rint(t / table.period)
     if 0.0 <= k < table.count and k * table.period == t:
-        copy_sample(_sample_at(table.samples + int(k) * BYTES_PER_TICK), into)
+        copy_sample(sample_at(table.samples + int(k) * BYTES_PER_TICK), into)
         return 0
     status: int = call(table.function, (table.context, t, address_of(into)))
     return status

@@ -299,7 +299,7 @@ class Law:
 def bench() -> Bench:
     """Six drives and a cycle that stays in its mode, with a law that asks for the same always."""
     parts = build_cycle(VIRTUAL, 1000.0, 0.01).parts
-    bench = Bench(cycle=Cycle(replace(parts, law=Law())))  # type: ignore[arg-type]
+    bench = Bench(cycle=Cycle(replace(parts, law=Law())))
     for _ in range(50):
         bench.step()
     bench.cycle._change_mode = lambda *_: None  # type: ignore[method-assign]

@@ -178,7 +178,7 @@ def test_sensors_are_heard_before_the_pose_is_estimated_and_the_load_after_it(mo
     wrench.fill = lambda tick, *, fusing: told.append(("load", tick, fusing))
     fused = VIRTUAL.estimation.model_copy(update={"pose": "fused"})
     parts = build_cycle(VIRTUAL.model_copy(update={"estimation": fused}), 1000.0, 0.01).parts
-    cycle = Cycle(replace(parts, wrench=wrench, sensors=sensors))  # type: ignore[arg-type]
+    cycle = Cycle(replace(parts, wrench=wrench, sensors=sensors))
     monkeypatch.setattr(cycle.sight, "hear", lambda *what: told.append(("heard", *what)))
     bench = staying(Bench(cycle=cycle))
     monkeypatch.setattr(cycle.sight, "fuse", lambda *what: told.append(("pose", *what)))

@@ -1,16 +1,49 @@
 """The external wrench that the law counts on: none, the observer's, or the sensor's."""
 
+from typing import Any
+
 import numpy as np
 
-from drivers.arrays import ZERO6, Array
+from drivers.arrays import Array
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, reals_at
 from drivers.signals import LEGS
-from drivers.tick_columns import Record
+from drivers.tick_columns import TICK, Record
 from hil.estimation.observer import WrenchObserver
 from hil.mathematics.rotations import turned
 
 _ALL_LEGS = (1 << LEGS) - 1
 SENSOR_PATIENCE = 3.0
 """Sample periods of the wrench sensor without a sample that warn."""
+WRENCH = np.dtype(
+    [
+        *((name, "<i8") for name in ("observe", "observer", "sensed", "read_at", "late")),
+        ("residual", "<i8"),
+        ("period_s", "<f8"),
+        ("rate_Hz", "<f8"),
+        ("last", "<f8", 6),
+        ("reading", "<f8", 6),
+    ]
+)
+"""The observer's function and record, 0 where it is not the source; whether the sensor is, when it was read
+and whether that is too long ago; where the observer's estimate is."""
+
+
+@pointed(record(WRENCH), INTEGER, record(TICK, "tick", "legs_used", "wrench", "wrench_sensor"))
+def _fill(k: Any, fusing: int, tick: Any) -> int:
+    """Fill wrench and wrench_sensor, as `ExternalWrench.fill`."""
+    status = 0
+    if k.observe:
+        seen = 1 if fusing == 0 or tick.legs_used == _ALL_LEGS else 0
+        status = call(k.observe, (k.observer, seen, address_of(tick)))
+        k.last[:] = reals_at(k.residual, 6)
+        tick.wrench[:] = k.last
+    elif k.sensed:
+        k.last[:] = k.reading
+        tick.wrench[:] = k.last
+        k.late = (tick.tick - k.read_at) * k.period_s * k.rate_Hz > SENSOR_PATIENCE
+    tick.wrench_sensor[:] = k.reading
+    return status
 
 
 class ExternalWrench:
@@ -25,44 +58,53 @@ class ExternalWrench:
     ) -> None:
         """observer: where it is the source; sensor_rate_Hz: set where the sensor is; neither: no source."""
         self.observer = observer
-        self._sensor_rate_Hz = sensor_rate_Hz
-        self._period_s = period_s
+        self._record = np.zeros((), WRENCH)
+        self._record["period_s"] = period_s
+        if observer is not None:
+            self._record["observe"], self._record["observer"] = observer.look[:2]
+            self._record["residual"] = data_at(observer.residual)
+        if sensor_rate_Hz is not None:
+            self._record["sensed"], self._record["rate_Hz"] = 1, sensor_rate_Hz
+        self.look = Callee(_fill.address, data_at(self._record), self)
+        """(wrench, fusing, tick): what `fill` calls."""
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
-        self.last = ZERO6
-        """(6,): of the last tick."""
-        self.reading = ZERO6
-        """(6,): the last reading of the sensor, source or not."""
-        self.read_at = 0
-        self.late = False
-        """Whether the sensor is the source and has left out samples: its last one is held."""
+        for name in ("last", "reading", "read_at", "late"):
+            self._record[name] = 0
         if self.observer is not None:
             self.observer.reset()
 
+    @property
+    def last(self) -> Array:
+        """(6,): of the last tick."""
+        return self._record["last"].copy()
+
+    @property
+    def reading(self) -> Array:
+        """(6,): the last reading of the sensor, source or not."""
+        return self._record["reading"].copy()
+
+    @property
+    def late(self) -> bool:
+        """Whether the sensor is the source and has left out samples: its last one is held."""
+        return bool(self._record["late"])
+
     def forget(self) -> None:
         """Forget the reading: a sensor that is there gives another before the brakes open."""
-        self.reading = ZERO6
+        self._record["reading"] = 0.0
 
     def hear(self, tick: int, values: tuple[float, ...], R: Array) -> None:
         """Take in a sample (6,) of the sensor, which turns with the platform: R (3, 3)."""
-        self.reading = turned(R, np.array(values))
-        self.read_at = tick
+        self._record["reading"] = turned(R, np.array(values))
+        self._record["read_at"] = tick
 
     @property
     def has_source(self) -> bool:
         """Whether anything gives the wrench; it is zero where nothing does."""
-        return self.observer is not None or self._sensor_rate_Hz is not None
+        return bool(self._record["observe"] or self._record["sensed"])
 
     def fill(self, tick: Record, *, fusing: bool) -> None:
         """Fill the wrench of a tick, zero without a source, and what the sensor last read; call it once."""
-        number = int(tick["tick"])
-        if self.observer is not None:
-            seen = not fusing or tick["legs_used"] == _ALL_LEGS
-            tick["wrench"] = self.last = self.observer.observe(tick, seen=bool(seen))
-        elif self._sensor_rate_Hz is not None:
-            tick["wrench"] = self.last = self.reading
-            late_ticks = (number - self.read_at) * self._period_s * self._sensor_rate_Hz
-            self.late = late_ticks > SENSOR_PATIENCE
-        tick["wrench_sensor"] = self.reading
+        _fill(self._record, int(fusing), tick)

@@ -23,15 +23,99 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import INTEGER, OUT_VECTOR, REAL, VECTOR, direct, record
+from drivers.arrays import Array
+from drivers.compiled.apart import apart
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
+from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import DriveState
 from drivers.tick_columns import TICK, Record
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import add_friction, fill_jacobian, model_force
-from hil.robot.force_path import ForcePath, decay
+from hil.robot.dynamics_kernels import SIZE, add_friction, fill_jacobian, model_force
+from hil.robot.force_path import ForcePath, advance, decay, path_at, sent
 
-_POWERED = (DriveState.READY, DriveState.RUN)
+_READY, _RUN = int(DriveState.READY), int(DriveState.RUN)
+OBSERVER = np.dtype(
+    [
+        *((name, "<i8") for name in ("path", "constants", "code", "begun", "tick", "follows")),
+        ("left", "<f8"),
+        ("residual", "<f8", 6),
+        ("p", "<f8", 3),
+        ("R", "<f8", (3, 3)),
+        ("twist", "<f8", 6),
+    ]
+)
+"""Where the record of the force path is; the model; whether a tick has been seen, the last one, and whether
+its p, R and twist count; what is left of r - w after a period; and r."""
+
+
+@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
+def unexplained(
+    c: Array,
+    code: int,
+    p0: Array,
+    R0: Array,
+    twist0: Array,
+    p1: Array,
+    R1: Array,
+    twist1: Array,
+    tau: Array,
+    T: float,
+) -> Array:
+    """Return w (6,) N, N m, the mean over T s of M dtwist + H + G - J^T (tau - friction).
+
+    The platform moved from p0, R0, twist0 to p1, R1, twist1; tau (6,) N is the mean leg force.
+    """
+    dtwist = (twist1 - twist0) / T
+    w = np.zeros(6)
+    f, net, J = np.empty(6), np.empty(6), np.empty((6, 6))
+    for end in range(2):
+        p, R, twist = (p0, R0, twist0) if end == 0 else (p1, R1, twist1)
+        model_force(c, code, p, R, twist, dtwist, f)
+        fill_jacobian(c, code, p, R, J)
+        net[:] = tau
+        add_friction(c, p, R, twist, -1.0, net)
+        for j in range(6):
+            total = f[j]
+            for i in range(6):
+                total -= J[i, j] * net[i]
+            w[j] += 0.5 * total
+    return w
+
+
+_unexplained = apart(unexplained)
+
+
+@pointed(record(OBSERVER), INTEGER, record(TICK, "tick", "drive_state", "p", "R", "twist"))
+def _observe(k: Any, seen: int, tick: Any) -> int:
+    """Take the residual on to a tick, as `WrenchObserver.observe`."""
+    path, tau = path_at(k.path), np.empty(6)
+    periods = tick.tick - k.tick if k.begun else 1
+    advance(path, periods, tau)
+    k.begun, k.tick = 1, tick.tick
+    runs = powered = True
+    for i in range(6):
+        runs = runs and tick.drive_state[i] == _RUN
+        powered = powered and (tick.drive_state[i] == _RUN or tick.drive_state[i] == _READY)
+    if not powered:
+        for i in range(6):
+            k.residual[i] = 0.0
+    if not runs or not seen:
+        k.follows = 0
+        return 0
+    if k.follows:
+        c, T = reals_at(k.constants, SIZE), periods * path.period_s
+        w = _unexplained(c, k.code, k.p, k.R, k.twist, tick.p, tick.R, tick.twist, tau, T)
+        left = k.left ** float(periods)
+        for i in range(6):
+            k.residual[i] = w[i] + (k.residual[i] - w[i]) * left
+    k.follows = 1
+    for i in range(3):
+        k.p[i] = tick.p[i]
+        for j in range(3):
+            k.R[i, j] = tick.R[i, j]
+    for i in range(6):
+        k.twist[i] = tick.twist[i]
+    return 0
 
 
 class WrenchObserver:
@@ -47,16 +131,31 @@ class WrenchObserver:
         """path: how commands become forces."""
         self.model = model
         self._path = path
-        self._left = decay(2.0 * pi * bandwidth_Hz * path.period_s)
+        self._record = np.zeros((), OBSERVER)
+        for name, value in {
+            "path": data_at(path.record),
+            "constants": data_at(model.constants),
+            "code": model.code,
+            "left": decay(2.0 * pi * bandwidth_Hz * path.period_s),
+        }.items():
+            self._record[name] = value
+        self.look = Callee(_observe.address, data_at(self._record), self)
+        """(observer, seen, tick): what `observe` calls."""
+        self.take = Callee(sent.address, data_at(path.record), self)
+        """(path, address of the command): what `sent` calls."""
         self.reset()
 
     def reset(self) -> None:
         """No load, no force under way."""
         self._path.reset()
-        self._tick: int | None = None
-        self._last: Record | None = None
-        self.residual = ZERO6
-        """(6,) N, N m: r, the estimate."""
+        for name in ("residual", "begun", "follows"):
+            self._record[name] = 0
+
+    @property
+    def residual(self) -> Array:
+        """(6,) N, N m: r, the estimate; a view of what the next tick changes."""
+        r: Array = self._record["residual"]
+        return r
 
     def sent(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
@@ -71,54 +170,5 @@ class WrenchObserver:
         seen: the motion is measured in all directions. Where it is not, a model that is given this estimate
         carries the state on, and would confirm whatever it says: the estimate stays as it is, too.
         """
-        number = int(tick["tick"])
-        periods = 1 if self._tick is None else number - self._tick
-        tau = self._path.advance(periods)
-        self._tick = number
-        drives = tick["drive_state"].tolist()
-        if not all(s == DriveState.RUN for s in drives):
-            self._last = None
-            if not all(s in _POWERED for s in drives):
-                self.residual = ZERO6
-            return self.residual
-        if not seen:
-            self._last = None
-            return self.residual
-        last, self._last = self._last, tick
-        if last is not None:
-            w = np.empty(6)
-            T = periods * self._path.period_s
-            fill_unexplained(self.model.constants, self.model.code, last, tick, tau, T, w)
-            self.residual = w + (self.residual - w) * self._left**periods
-        return self.residual
-
-
-@direct(
-    VECTOR,
-    INTEGER,
-    record(TICK, "p", "R", "twist"),
-    record(TICK, "p", "R", "twist"),
-    VECTOR,
-    REAL,
-    OUT_VECTOR,
-)
-def fill_unexplained(c: Array, code: int, last: Any, tick: Any, tau: Array, T: float, w: Array) -> None:
-    """Fill w (6,) N, N m, the mean over T s of M dtwist + H + G - J^T (tau - friction).
-
-    The platform moved from the pose and twist of the last tick to those of this one; tau (6,) N is the mean
-    leg force.
-    """
-    dtwist = (tick.twist - last.twist) / T
-    w[:] = 0.0
-    f, net, J = np.empty(6), np.empty(6), np.empty((6, 6))
-    for end in range(2):
-        p, R, twist = (last.p, last.R, last.twist) if end == 0 else (tick.p, tick.R, tick.twist)
-        model_force(c, code, p, R, twist, dtwist, f)
-        fill_jacobian(c, code, p, R, J)
-        net[:] = tau
-        add_friction(c, p, R, twist, -1.0, net)
-        for j in range(6):
-            total = f[j]
-            for i in range(6):
-                total -= J[i, j] * net[i]
-            w[j] += 0.5 * total
+        _observe(self._record, int(seen), tick)
+        return self.residual.copy()

@@ -10,14 +10,56 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, record
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.tick_columns import TICK, Record, part
 from hil.mathematics.rotations import cayley_step
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import BASE, PLATFORM, forward_dynamics_kernel
-from hil.robot.force_path import ForcePath
+from hil.robot.dynamics_kernels import BASE, PLATFORM, SIZE, forward_dynamics
+from hil.robot.force_path import SEGMENT, ForcePath, advance, as_records, follow, path_at, sent
 from hil.robot.kinematics_kernels import lengths_and_jacobian
+
+PREDICTOR = np.dtype(
+    [(name, "<i8") for name in ("path", "segments", "count", "constants", "code", "begun", "tick")]
+)
+"""Where the record of the force path is, and the segments of the horizon, and how many; the model; whether a
+tick has been seen, and which was the last."""
+_SEGMENT_BYTES = SEGMENT.itemsize
+
+
+@pointed(record(PREDICTOR), INTEGER, record(TICK, "tick", *part("estimate")))
+def _ahead(k: Any, free: int, tick: Any) -> int:
+    """Move q, dq, p, R, twist, J on by the steps of the horizon, if `free`."""
+    path = path_at(k.path)
+    force, mean = np.empty(6), np.empty(6)
+    if k.begun:
+        advance(path, tick.tick - k.tick, mean)
+    k.begun, k.tick = 1, tick.tick
+    if not free:
+        return 0
+    c = reals_at(k.constants, SIZE)
+    p, R, twist = tick.p, tick.R, tick.twist
+    force[:] = path.force
+    for n in range(k.count):
+        h = follow(path, k.segments + _SEGMENT_BYTES * n, force, mean)
+        for half in range(2):
+            for i in range(3):
+                p[i] += 0.5 * h * twist[i]
+            cayley_step(R, scale(0.5 * h, at(twist, 3)))
+            if half == 0:
+                dtwist = forward_dynamics(c, k.code, p, R, twist, mean, tick.wrench)
+                for i in range(6):
+                    twist[i] += h * dtwist[i]
+    a = c[BASE : BASE + 18].reshape((6, 3))
+    b = c[PLATFORM : PLATFORM + 18].reshape((6, 3))
+    lengths_and_jacobian(a, b, p, R, tick.q, tick.J)
+    for i in range(6):
+        total = 0.0
+        for j in range(6):
+            total += tick.J[i, j] * twist[j]
+        tick.dq[i] = total
+    return 0
 
 
 class Predictor:
@@ -35,14 +77,26 @@ class Predictor:
         self.model = model
         self.horizon_s = path.transport_s + path.lag_s + hold_s
         self._path = path
-        self._segments = path.segments(self.horizon_s)
-        self._durations = np.array([segment.duration_s for segment in self._segments])
+        self._segments = as_records(path.segments(self.horizon_s))
+        self._record = np.zeros((), PREDICTOR)
+        for name, value in {
+            "path": data_at(path.record),
+            "segments": data_at(self._segments),
+            "count": len(self._segments),
+            "constants": data_at(model.constants),
+            "code": model.code,
+        }.items():
+            self._record[name] = value
+        self.look = Callee(_ahead.address, data_at(self._record), self)
+        """(predictor, free, tick): what `ahead` calls."""
+        self.take = Callee(sent.address, data_at(path.record), self)
+        """(path, address of the command): what `sent` calls."""
         self.reset()
 
     def reset(self) -> None:
         """No force under way."""
         self._path.reset()
-        self._tick: int | None = None
+        self._record["begun"] = 0
 
     def sent(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
@@ -53,34 +107,4 @@ class Predictor:
 
         free: all brakes are open. Where they are not, the platform stays where it is.
         """
-        number = int(tick["tick"])
-        if self._tick is not None:
-            self._path.advance(number - self._tick)
-        self._tick = number
-        if free:
-            forces, _ = self._path.follow(self._segments)
-            _predict(self.model.constants, self.model.code, self._durations, np.array(forces), tick)
-
-
-@direct(VECTOR, INTEGER, VECTOR, MATRIX, record(TICK, *part("estimate")))
-def _predict(c: Array, code: int, durations: Array, forces: Array, tick: Any) -> None:
-    """Move q, dq, p, R, twist, J on by the steps `durations` (n,) s under the `forces` (n, 6) N."""
-    p, R, twist = tick.p, tick.R, tick.twist
-    for n in range(durations.shape[0]):
-        h = durations[n]
-        for half in range(2):
-            for i in range(3):
-                p[i] += 0.5 * h * twist[i]
-            cayley_step(R, scale(0.5 * h, at(twist, 3)))
-            if half == 0:
-                dtwist = forward_dynamics_kernel(c, code, p, R, twist, forces[n], tick.wrench)
-                for i in range(6):
-                    twist[i] += h * dtwist[i]
-    a = c[BASE : BASE + 18].reshape((6, 3))
-    b = c[PLATFORM : PLATFORM + 18].reshape((6, 3))
-    lengths_and_jacobian(a, b, p, R, tick.q, tick.J)
-    for i in range(6):
-        total = 0.0
-        for j in range(6):
-            total += tick.J[i, j] * twist[j]
-        tick.dq[i] = total
+        _ahead(self._record, int(free), tick)

@@ -26,8 +26,7 @@ from scipy.signal import lfilter
 
 from drivers.arrays import ZERO6, Array, Flags
 from drivers.errors import IdentificationError
-from drivers.tick_columns import new_record
-from hil.estimation.observer import fill_unexplained
+from hil.estimation.observer import unexplained
 from hil.robot.dynamics import SLIDING_SPEED, Model
 from hil.robot.kinematics_kernels import jacobian_kernel
 
@@ -133,12 +132,9 @@ def needed_forces(motion: Motion, model: Model) -> Array:
     """Return the mean leg forces (n - 1, 6) N that the motion of each period took; nan where not usable."""
     found = np.full((len(motion.tau) - 1, 6), np.nan)
     a, b = model.platform.base_joints, model.platform.platform_joints
-    w, last, tick = np.empty(6), new_record(), new_record()
     for k in np.flatnonzero(motion.usable):
         ends = [(motion.p[n], motion.R[n], motion.twist[n]) for n in (k, k + 1)]
-        for record, end in zip((last, tick), ends, strict=True):
-            record["p"], record["R"], record["twist"] = end
-        fill_unexplained(model.constants, model.code, last, tick, ZERO6, motion.period_s, w)
+        w = unexplained(model.constants, model.code, *ends[0], *ends[1], ZERO6, motion.period_s)
         J = np.mean([jacobian_kernel(a, b, p, R) for p, R, _ in ends], axis=0)
         found[k] = np.linalg.solve(J.T, w)
     return found

@@ -1,14 +1,71 @@
 """The learned feed-forward of a tick: when it acts, and how it comes and goes without a bump."""
 
-from typing import NamedTuple
+from math import isnan, nan
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import INTEGER, REAL, helper, record
+from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Mode
 from hil.loop.motion import Motion
 from hil.loop.ramps import smoothstep
 from hil.trajectory.path import Trajectory
+
+_APPROACH, _TRACKING, _PARKING = int(Mode.APPROACH), int(Mode.TRACKING), int(Mode.PARKING)
+LEARNED = np.dtype(
+    [
+        ("rows", "<i8"),
+        ("count", "<i8"),
+        ("start_s", "<f8"),
+        ("step_s", "<f8"),
+        ("step", "<f8"),
+        *((name, "<i8") for name in ("faulty", "acts", "left")),
+        ("share", "<f8"),
+        ("tau", "<f8", 6),
+    ]
+)
+"""Where the forces (count, 6) N are; their times; what a tick adds to the share; the state of `Learned`."""
+
+
+@helper
+def between(rows: Array, place: float, into: Array) -> None:
+    """Fill `into` (6,) with `rows` (6 n,) at a place 0 .. n - 1, linear between two rows; the last behind."""
+    last = len(rows) // 6 - 2
+    place = min(place, last + 1.0)
+    k = min(int(place), last)
+    for i in range(6):
+        before, after = rows[6 * k + i], rows[6 * k + 6 + i]
+        into[i] = before + (place - k) * (after - before)
+
+
+@pointed(record(LEARNED), INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
+def _step(k: Any, tick: int, mode: int, mode_tick: int, t: float, faulty: int, into: int) -> int:
+    """Fill the forces of a tick, (6,) N at `into`, as `Learned.step`; return 1 where any act.
+
+    t: of `Learned.time`.
+    """
+    if faulty:
+        k.faulty = 1
+    if tick == mode_tick and mode in (_APPROACH, _TRACKING):
+        k.left = 0
+    early = mode == _APPROACH and t < k.start_s
+    on = not (isnan(t) or early or k.faulty or k.left)
+    if on and (k.acts or k.share == 0.0):
+        k.acts = 1
+        k.share = min(k.share + k.step, 1.0)
+        between(reals_at(k.rows, 6 * k.count), (t - k.start_s) / k.step_s, k.tau)
+    elif mode != _PARKING or k.faulty:
+        if k.acts and mode == _TRACKING and tick != mode_tick:
+            k.left = 1
+        k.acts = 0
+        k.share = max(k.share - k.step, 0.0)
+    tau = reals_at(into, 6)
+    share = smoothstep(k.share)
+    for i in range(6):
+        tau[i] = k.tau[i] if k.share == 1.0 else k.tau[i] * share
+    return 1 if k.share > 0.0 else 0
 
 
 class LearnedForces(NamedTuple):
@@ -27,11 +84,9 @@ class LearnedForces(NamedTuple):
 
         t: s, not before start_s.
         """
-        last = len(self.tau) - 2
-        place = min((t - self.start_s) / self.step_s, last + 1.0)
-        k = min(int(place), last)
-        before, after = self.tau[k], self.tau[k + 1]
-        return np.asarray(before + (place - k) * (after - before), np.float64)
+        tau = np.empty(6)
+        between(self.tau.ravel(), (t - self.start_s) / self.step_s, tau)
+        return tau
 
 
 class Learned:
@@ -49,43 +104,42 @@ class Learned:
     def __init__(self, forces: LearnedForces, trajectory: Trajectory, period_s: float) -> None:
         self.forces = forces
         self._trajectory = trajectory
-        self._step = period_s / forces.fade_s
+        self._rows = np.ascontiguousarray(forces.tau, np.float64)
+        self._record = np.zeros((), LEARNED)
+        for name, value in {
+            "rows": data_at(self._rows),
+            "count": len(self._rows),
+            "start_s": forces.start_s,
+            "step_s": forces.step_s,
+            "step": period_s / forces.fade_s,
+        }.items():
+            self._record[name] = value
+        self.look = Callee(_step.address, data_at(self._record), self)
+        """(learned, tick, mode, mode_tick, time, faulty, where the forces go): what `step` calls."""
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
-        self._faulty = self._acts = self._left = False
-        self._share = 0.0
-        self._tau = ZERO6
+        for name in ("faulty", "acts", "left", "share", "tau"):
+            self._record[name] = 0
 
     def step(self, tick: int, mode: Mode, mode_tick: int, motion: Motion, *, faulty: bool) -> Array:
-        """Return the forces (6,) N of a tick in a mode that was entered at mode_tick.
+        """Return the forces (6,) N of a tick in a mode that was entered at mode_tick; ZERO6 where none act.
 
         faulty: a fault is latched.
         """
-        self._faulty = self._faulty or faulty
-        if tick == mode_tick and mode in {Mode.APPROACH, Mode.TRACKING}:
-            self._left = False
-        t = self._time(tick, mode, motion)
-        if t is not None and (self._acts or self._share == 0.0):
-            self._acts = True
-            self._share = min(self._share + self._step, 1.0)
-            self._tau = self.forces.at(t)
-        elif mode is not Mode.PARKING or self._faulty:
-            self._left = self._left or (self._acts and mode is Mode.TRACKING and tick != mode_tick)
-            self._acts = False
-            self._share = max(self._share - self._step, 0.0)
-        if self._share == 0.0:
-            return ZERO6
-        return self._tau if self._share == 1.0 else self._tau * smoothstep(self._share)
+        tau, t = np.empty(6), self.time(tick, mode, motion)
+        acts = _step(self._record, tick, int(mode), mode_tick, t, int(faulty), tau)
+        return tau if acts else ZERO6
 
-    def _time(self, tick: int, mode: Mode, motion: Motion) -> float | None:
-        """Return the time of the reference at which forces act; None where none do."""
-        if self._faulty or self._left:
-            return None
+    def time(self, tick: int, mode: Mode, motion: Motion) -> float:
+        """Return the time of the reference at which forces could act, s; nan off it.
+
+        On the way to its start that is before 0.
+        """
+        t = None
         if mode is Mode.APPROACH:
             t = motion.before(tick, self._trajectory)
-            return None if t is None or t < self.forces.start_s else t
-        if mode is Mode.TRACKING and motion.trajectory is self._trajectory and motion.on_clock:
-            return motion.time(tick)
-        return None
+        elif mode is Mode.TRACKING and motion.trajectory is self._trajectory and motion.on_clock:
+            t = motion.time(tick)
+        return nan if t is None else t

@@ -9,6 +9,8 @@ from hil.loop.reference import fill_reference
 from hil.robot.geometry import Platform
 from hil.trajectory.path import PoseSample
 
+_LOADING = int(Mode.LOADING)
+
 
 @helper
 def smoothstep(x: float) -> float:
@@ -17,12 +19,13 @@ def smoothstep(x: float) -> float:
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
-def holding_share(mode: Mode, elapsed_s: float, load_s: float) -> float:
+@helper
+def holding_share(mode: int, elapsed_s: float, load_s: float) -> float:
     """Return the share of the holding force in LOADING and UNLOADING, where both take `load_s` > 0 for it.
 
     LOADING begins with a brake test, as long without any.
     """
-    if mode is Mode.LOADING:
+    if mode == _LOADING:
         return smoothstep((elapsed_s - load_s) / load_s)
     return 1.0 - smoothstep(elapsed_s / load_s)
 

@@ -1,14 +1,31 @@
 """From the commanded forces to those in the legs: a pure delay, a hold over one period, a first-order lag."""
 
-from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import data_at, pointed, reals_at, record_at
 
-_NOTHING = np.zeros(6)
-_NOTHING.flags.writeable = False
+SEGMENT = np.dtype([("sent", "<i8"), ("duration_s", "<f8"), ("mean", "<f8"), ("end", "<f8")])
+"""A `Segment`."""
+FORCE_PATH = np.dtype(
+    [
+        ("period_s", "<f8"),
+        ("segments", "<i8"),
+        ("count", "<i8"),
+        ("sent", "<i8"),
+        ("slots", "<i8"),
+        ("force", "<f8", 6),
+    ]
+)
+"""Where the segments of one period are, and how many; where the commands are that still act, (slots, 6) N,
+the last one sent first; and the force (6,) N at the last instant of measurement."""
+path_at = record_at(record(FORCE_PATH))
+segment_at = record_at(record(SEGMENT))
+_SEGMENT_BYTES = SEGMENT.itemsize
 
 
 def decay(x: float) -> float:
@@ -40,14 +57,71 @@ class Segment(NamedTuple):
     """The share left at its end."""
 
 
+def as_records(segments: Sequence[Segment]) -> Rows:
+    """Return segments as compiled code reads them."""
+    return np.array(list(segments), SEGMENT)
+
+
+@helper
+def follow(path: Any, address: int, force: Array, mean: Array) -> float:
+    """Take `force` (6,) N over the segment at an address, fill its `mean` (6,) N; return the duration, s."""
+    segment = segment_at(address)
+    command = reals_at(path.sent + 48 * segment.sent, 6)
+    for i in range(6):
+        gap = force[i] - command[i]
+        mean[i] = command[i] + gap * segment.mean
+        force[i] = command[i] + gap * segment.end
+    return float(segment.duration_s)
+
+
+@helper
+def send(path: Any, command: Array) -> None:
+    """Put a command (6,) N before those that still act."""
+    sent = reals_at(path.sent, 6 * path.slots)
+    for k in range(6 * (path.slots - 1)):
+        place = 6 * path.slots - 1 - k
+        sent[place] = sent[place - 6]
+    for i in range(6):
+        sent[i] = command[i]
+
+
+@helper
+def advance(path: Any, periods: int, tau: Array) -> None:
+    """Go on by periods and fill the mean force `tau` (6,) N, as `ForcePath.advance`."""
+    mean = np.empty(6)
+    tau[:] = 0.0
+    for k in range(periods):
+        if k:
+            send(path, reals_at(path.sent, 6))
+        for n in range(path.count):
+            duration_s = follow(path, path.segments + _SEGMENT_BYTES * n, path.force, mean)
+            for i in range(6):
+                tau[i] += duration_s * mean[i]
+    for i in range(6):
+        tau[i] /= periods * path.period_s
+
+
+@pointed(record(FORCE_PATH), INTEGER)
+def sent(path: Any, command: int) -> int:
+    """Take note of the command at an address, (6,) N, that answers the last measurement."""
+    send(path, reals_at(command, 6))
+    return 0
+
+
+@pointed(record(FORCE_PATH), INTEGER, INTEGER)
+def _advance(path: Any, periods: int, into: int) -> int:
+    advance(path, periods, reals_at(into, 6))
+    return 0
+
+
 class ForcePath:
     """The forces in the six legs, as far as the commands determine them.
 
     A command that is computed from the measurement of an instant t drives the force stage from
     t + transport on, until the next one takes over: with lag T, T df/dt = command - f.
 
-    Mutable state: the force at the last instant of measurement and the commands that still act. `reset`
-    clears both; `send` and `advance` go on.
+    Mutable state: the force at the last instant of measurement and the commands that still act, in `record`
+    and what it points to. `reset` clears both; `send` and `advance` go on.
     """
 
     def __init__(self, period_s: float, transport_s: float, lag_s: float) -> None:
@@ -55,14 +129,27 @@ class ForcePath:
         self.transport_s = transport_s
         self.lag_s = lag_s
         self._whole = int(transport_s / period_s)
-        self._period = self.segments(period_s, newest=1)
-        self.reset()
+        self._period = as_records(self.segments(period_s, newest=1))
+        self._sent = np.zeros((self._whole + 2, 6))
+        self.record = np.zeros((), FORCE_PATH)
+        for name, value in {
+            "period_s": period_s,
+            "segments": data_at(self._period),
+            "count": len(self._period),
+            "sent": data_at(self._sent),
+            "slots": len(self._sent),
+        }.items():
+            self.record[name] = value
+
+    @property
+    def force(self) -> Array:
+        """(6,) N at the last instant of measurement."""
+        return self.record["force"].copy()
 
     def reset(self) -> None:
         """No force, and none under way."""
-        self.force = _NOTHING
-        """(6,) N at the last instant of measurement."""
-        self._sent = deque([_NOTHING] * (self._whole + 2), maxlen=self._whole + 2)
+        self.record["force"] = 0.0
+        self._sent[:] = 0.0
 
     def segments(self, duration_s: float, *, newest: int = 0) -> tuple[Segment, ...]:
         """Cut `duration_s` from an instant of measurement on by the commands that act.
@@ -90,28 +177,13 @@ class ForcePath:
 
     def send(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
-        self._sent.appendleft(command)
+        sent(self.record, np.ascontiguousarray(command, np.float64))
 
     def advance(self, periods: int = 1) -> Array:
         """Go on to the next measurement, `periods` later; return the mean force (6,) N until then.
 
         Where periods were skipped, the drives went on with what they had.
         """
-        total = np.zeros(6)
-        for k in range(periods):
-            if k:
-                self.send(self._sent[0])
-            means, self.force = self.follow(self._period)
-            for segment, mean in zip(self._period, means, strict=True):
-                total = total + segment.duration_s * mean
-        return total / (periods * self.period_s)
-
-    def follow(self, segments: tuple[Segment, ...]) -> tuple[list[Array], Array]:
-        """Return the mean force (6,) N over each segment from the last measurement on, and the last force."""
-        force, means = self.force, []
-        for segment in segments:
-            command = self._sent[segment.sent]
-            gap = force - command
-            means.append(command + gap * segment.mean)
-            force = command + gap * segment.end
-        return means, force
+        mean = np.empty(6)
+        _advance(self.record, periods, mean)
+        return mean

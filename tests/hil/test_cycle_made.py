@@ -82,7 +82,7 @@ def test_what_the_observer_believes_of_the_force_and_how_fast_it_is_come_from_it
     assert observer is not None
     path = observer._path
     assert (path.period_s, path.transport_s, path.lag_s) == pytest.approx((0.002, 0.4e-3, 0.9e-3))
-    assert observer._left == pytest.approx(exp(-2.0 * pi * 5.0 * 0.002))
+    assert observer._record["left"] == pytest.approx(exp(-2.0 * pi * 5.0 * 0.002))
 
 
 def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(monkeypatch):
@@ -112,7 +112,7 @@ def test_a_wrench_sensor_that_is_there_is_the_source_only_where_it_is_said_to_be
     sensors = VIRTUAL.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=400.0)})
     c = but(sensors=sensors, estimation=EstimationSettings(wrench=WrenchSettings(source=source)))
     wrench = build_cycle(c, 1000.0, 0.01).parts.wrench
-    assert wrench._sensor_rate_Hz == (400.0 if source == "sensor" else None)
+    assert wrench._record["rate_Hz"] == (400.0 if source == "sensor" else 0.0)
     assert (wrench.observer is not None) == (source == "observer")
     assert wrench.has_source == (source != "none")
 

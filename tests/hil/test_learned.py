@@ -207,10 +207,11 @@ def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
 def test_a_reset_forgets_the_fault_the_way_that_was_left_and_the_force_that_acts() -> None:
     run = Run().tracking(300)
     run.go(5, speed=0.5)
-    assert run.learned._left
-    run.learned._faulty = run.learned._acts = True
+    state = run.learned._record
+    assert state["left"]
+    state["faulty"] = state["acts"] = 1
     run.learned.reset()
-    assert [run.learned._faulty, run.learned._acts, run.learned._left] == [False] * 3
+    assert [int(state[name]) for name in ("faulty", "acts", "left")] == [0] * 3
     assert not run.go(1, speed=0.5).any(), "nothing is left that could fade"
 
 

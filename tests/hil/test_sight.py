@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 from drivers.sensors import Readings, Sample
+from drivers.signals import DriveState
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.estimation.external_wrench import ExternalWrench
+from hil.estimation.observer import WrenchObserver
 from hil.loop.sight import AGREED_m, Sight
+from hil.robot.dynamics import Model
+from hil.robot.force_path import ForcePath
 from tests.records import record_of
 
 ALL = 0b111111
@@ -85,8 +89,9 @@ def test_the_newest_sample_of_the_load_counts_turned_by_the_pose_as_it_is_seen_n
 @pytest.mark.parametrize("source", ["sensor", "observer"])
 def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(parts, source):
     seen = np.array([100.0, -200.0, 300.0, 10.0, -20.0, 30.0])
-    watching: Any = SimpleNamespace(observe=lambda *_, **__: seen, reset=lambda: None)
+    watching = WrenchObserver(Model(parts.platform), ForcePath(1e-3, 0.0, 0.0), 20.0)
     wrench = ExternalWrench(watching if source == "observer" else None, 1000.0, 1e-3)
+    watching.residual[:] = seen
     fusing = Fusing()
     fusing.R = np.eye(3)
     sight = Sight(replace(parts, wrench=wrench, fusion=fusing))
@@ -96,6 +101,7 @@ def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(part
         tick = hear(sight, Readings(wrench=(Sample(4, 0.0, tuple(seen)),) if n == 0 else ()), age=0)
         see(sight, tick)
         told.append(fusing.wrench)
+        tick["drive_state"] = DriveState.READY  # a brake is shut: what was seen before stays
         wrench.fill(tick, fusing=True)
         np.testing.assert_array_equal(tick["wrench"], seen)
     np.testing.assert_array_equal(told, [np.zeros(6), seen])

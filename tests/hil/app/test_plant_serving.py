@@ -7,13 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from plant_fmu.drives.timer import Timer
 
 from drivers.errors import RunError
 from drivers.protocol import Frame
 from hil.app import plant
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
-from plant_fmu.drives.timer import Timer
 from tests.records import record_of
 
 LATER = Frame(5, b"later")

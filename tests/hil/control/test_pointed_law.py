@@ -1,0 +1,132 @@
+"""Laws called by their address: the compiled ones, and one in plain Python behind the same pointer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.compiled.compiler import INTEGER, direct, record
+from drivers.compiled.pointed import FAILED, address_of, call
+from drivers.tick_columns import TICK, copy_of
+from hil.control.pd import JointPD
+from hil.control.pointed_law import called_by_pointer
+from tests.hil.control.test_laws import BOOK, SETTINGS, make, on_reference, sample
+from tests.records import asked, record_of
+
+
+@direct(INTEGER, INTEGER, INTEGER, INTEGER, record(TICK))
+def call_law(address, gains, constants, code, tick):
+    return call(address, (gains, constants, code, address_of(tick)))
+
+
+def by_pointer(law, tick):
+    """Call a law as a compiled pass does; return the status and what it has kept."""
+    pointer = called_by_pointer(law)
+    return call_law(*pointer[:4], tick), pointer.keeps
+
+
+class Constant:
+    """Asks for the same always, after something else. State: the ticks that it was given."""
+
+    def __init__(self, first=lambda tick: None, tau=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
+        self.first, self.tau, self.given = first, tau, []
+
+    def reset(self):
+        """Nothing is accumulated."""
+
+    def effort(self, tick):
+        self.given.append(tick)
+        self.first(tick)
+        if self.tau is not None:
+            tick["tau_law"] = self.tau
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_law_gives_the_same_bits_by_its_address_as_from_python(name):
+    one, other = make(name), make(name)
+    for case in BOOK["states"][::4]:
+        tick = on_reference(sample(case))
+        tick["q"] += 1e-3
+        tick["shortfall"] = 50.0
+        expected = asked(one, tick)
+        status, keeps = by_pointer(other, tick)
+        assert (status, keeps) == (0, other)
+        assert tick["tau_law"].tobytes() == expected.tobytes()
+
+
+def test_a_law_in_python_fills_its_force_and_nothing_else():
+    def spoil(tick):
+        for column in TICK.names or ():
+            tick[column] = -7
+
+    tick = record_of(tick=5, q=1.5, tau_law=99.0)
+    expected = copy_of(tick)
+    expected["tau_law"] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    status, keeps = by_pointer(Constant(spoil), tick)
+    assert (status, keeps.raised) == (0, None)
+    assert tick.tobytes() == expected.tobytes()
+
+
+def test_a_law_in_python_may_keep_and_copy_the_ticks_that_it_is_given():
+    law = Constant()
+    for number in range(3):
+        by_pointer(law, record_of(tick=number, q=number))
+    assert [(int(copy_of(tick)["tick"]), tick["q"][0]) for tick in law.given] == [
+        (0, 0.0),
+        (1, 1.0),
+        (2, 2.0),
+    ]
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("a defect"), KeyboardInterrupt()])
+def test_a_law_that_raises_asks_for_no_number_and_its_error_is_kept(error):
+    def raising(tick):
+        tick["tau_law"] = 5.0
+        raise error
+
+    tick = record_of(tau_law=99.0)
+    status, keeps = by_pointer(Constant(raising), tick)
+    assert status == FAILED
+    assert keeps.raised is error
+    assert np.isnan(tick["tau_law"]).all()
+
+
+def test_an_error_counts_for_its_own_call_alone():
+    errors = [ValueError("once")]
+
+    def once(tick):
+        del tick
+        if errors:
+            raise errors.pop()
+
+    pointer = called_by_pointer(Constant(once))
+    statuses = [call_law(*pointer[:4], record_of()) for _ in range(2)]
+    assert (statuses, pointer.keeps.raised) == ([FAILED, 0], None)
+
+
+@pytest.mark.parametrize("tau", [None, np.nan])
+def test_a_law_without_an_answer_asks_for_no_number(tau):
+    tick = record_of(tau_law=99.0)
+    assert by_pointer(Constant(tau=tau), tick)[0] == 0
+    assert np.isnan(tick["tau_law"]).all()
+
+
+@pytest.mark.parametrize("where", ["class", "object"])
+def test_an_effort_in_python_counts_on_top_of_a_compiled_law(where, monkeypatch):
+    class Doubled(JointPD):
+        def effort(self, tick):
+            super().effort(tick)
+            tick["tau_law"] *= 2.0
+
+    given = np.full(6, 1e3), np.zeros(6), np.zeros(6)
+    law = Doubled(*given) if where == "class" else JointPD(*given)
+    if where == "object":
+        monkeypatch.setattr(law, "effort", Doubled(*given).effort)
+    tick = record_of(q_d=1.0)
+    assert by_pointer(law, tick)[0] == 0
+    assert (tick["tau_law"] == 2e3).all()
+
+
+def test_a_law_without_a_model_has_none():
+    with pytest.raises(AttributeError, match="JointPD has no model"):
+        _ = make("pd").model

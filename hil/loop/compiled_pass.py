@@ -18,7 +18,7 @@ from hil.estimation.pose import ESTIMATOR, estimate_pose
 from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
 from hil.loop.motion_kernels import MOTION, advance, ended, place_reference
-from hil.loop.ramps import smoothstep
+from hil.loop.ramps import holding_share, smoothstep
 from hil.loop.reference import fill_sample
 from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge
 from hil.trajectory.override import OVERRIDE, is_full, time_at
@@ -223,10 +223,7 @@ def fill_effort(c: Any, tick: Any) -> None:
             tick.tau_asked[i] = asked
     elif c.load_s > 0.0 and c.mode in (_LOADING, _UNLOADING):
         elapsed_s = (tick.tick - c.mode_tick) * c.period_s
-        if c.mode == _LOADING:
-            share = smoothstep((elapsed_s - c.load_s) / c.load_s)
-        else:
-            share = 1.0 - smoothstep(elapsed_s / c.load_s)
+        share = holding_share(c.mode, elapsed_s, c.load_s)
         for i in range(6):
             tick.tau_asked[i] = c.holding[i] * share
 

@@ -34,5 +34,6 @@ def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, **changes) -> Ci
 def difference(length: float, t_ns: int, before: Slope, rate: float, period_s: float) -> tuple[float, Slope]:
     """Return the rate at the end of a step and what the next one needs, see `kernels.difference`."""
     has_length = before.length is not None
-    found, after = kernels.difference(length, t_ns, before, has_length, rate, period_s)
+    given: Any = before
+    found, after = kernels.difference(length, t_ns, given, has_length, rate, period_s)
     return found, Slope(*after)

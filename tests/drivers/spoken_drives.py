@@ -50,7 +50,7 @@ class Spoken(MotorProtocol):
         unasked_s: float = 0.0,
         transmission: Any = UNLIKE,
     ) -> None:
-        super().__init__(transmission, np.zeros(()), (1, 32, 2.0))
+        super().__init__(transmission, np.zeros((), np.dtype([("nothing", "<i8")])), (1, 32, 2.0))
         address, self._keeps = of_python(self._hear, INTEGER, INTEGER, INTEGER)
         self.ear: Any = SimpleNamespace(address=address)
         self.reports_power, self.unasked_s = reports, unasked_s

@@ -292,4 +292,4 @@ def test_learned_forces_act_on_the_reference_of_the_loop_and_come_and_go_in_thei
     assert cycle.effort.learned is not None
     assert cycle.effort.learned.forces is FORCES
     assert cycle.effort.learned._trajectory is parts.trajectory
-    assert cycle.effort.learned._step == pytest.approx(1e-3 / 0.05)
+    assert cycle.effort.learned._record["step"] == pytest.approx(1e-3 / 0.05)

@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from drivers.legs.protocol import NO_SYNC, LegsProtocol
+from drivers.legs.device_kernels import NO_SYNC
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Configure, Frame, Rejected, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.drives_end import reports

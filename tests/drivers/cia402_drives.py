@@ -1,5 +1,7 @@
 """CiA 402 drives of the tests: a screw of 20 mm, 2^17 counts a turn, 9 N m of rated torque."""
 
+from typing import Any
+
 from drivers.cia402 import kernels
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.set_up import Slope

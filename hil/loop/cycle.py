@@ -174,8 +174,9 @@ class Cycle:
         """Look at the verdict of a tick, and send what follows from it."""
         control, record, parts = self._control, self._control.record, self.parts
         self.effort.last_tau = self.last["tau"]
-        raised = control.law.keeps.raised
-        if raised is not None:
+        law = control.law.keeps
+        if law.raised is not None:
+            raised, law.raised = law.raised, None
             raise raised
         self._latch(inp, Verdict.of(record["verdict"]))
         latches = parts.protocol.stop_latches

@@ -134,6 +134,7 @@ class Failing:
     def effort(self, tick: Any) -> None:
         if tick["tick"] >= 100:
             raise ZeroDivisionError
+        tick["tau_law"] = 0.0
 
 
 def test_the_error_of_a_law_ends_the_step_in_which_it_came_up(parts):
@@ -141,3 +142,6 @@ def test_the_error_of_a_law_ends_the_step_in_which_it_came_up(parts):
     with pytest.raises(ZeroDivisionError):
         bench.until(Mode.TRACKING)
     assert bench.tick == 100
+    bench.cycle.reset()
+    bench.step()
+    assert bench.cycle.mode is Mode.WAITING

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import BusError
-from drivers.frame_array import received_frames, sent_array
+from drivers.frame_array import received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode
 from hil.loop import daemon
@@ -53,7 +53,7 @@ class World:
         )  # fmt: skip
         self.recording: Any = SimpleNamespace(
             dropped=0, trouble="the recorder is gone", alive=True,
-            tick=lambda *what: self.rows.append(what), event=lambda *what: self.events.append(what),
+            tick_of_items=lambda *what: self.rows.append(what), event=lambda *what: self.events.append(what),
         )  # fmt: skip
         self.ending: Any = SimpleNamespace(name="the end")
 
@@ -161,8 +161,9 @@ def test_the_log_has_of_a_tick_what_was_read_sent_and_said():
     world.run(heard=heard)
     frames = (Received(7, Frame(0x181, b"")),)
     said = (Operator.STOP,), (POINT,), (ORDER,)
-    row, received, *others = world.rows[0]
-    assert (row, tuple(received), *others) == ("row 0", frames, OPENING + COMMANDS, *said)
+    row, received, sent, *others = world.rows[0]
+    assert (row, *others) == ("row 0", *said)
+    assert (received_frames(received), sent_frames(sent)) == (frames, OPENING + COMMANDS)
     assert (received_frames(world.inputs[0].frames), world.inputs[0].setpoints) == (frames, (POINT,))
 
 

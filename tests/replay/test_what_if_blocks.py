@@ -7,12 +7,14 @@ import pytest
 
 from drivers.config import SensorSettings
 from drivers.errors import ConfigurationError
+from drivers.frame_array import NO_FRAMES, sent_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.what_if.allowed import refuse_other_inputs
 from hil.loop import what_if as kernel
+from hil.record.entries import Tick
 
 FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Fault.STALE}
 """What is latched from a tick on: a second one beside the first, then a reset, then the first one again."""
@@ -31,7 +33,7 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
         row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
         row["mode"] = Mode.FAULT if latched else Mode.IDLE
         inp = SimpleNamespace(t_ns=int(row["t_ns"]))
-        blocks.add(SimpleNamespace(entry=SimpleNamespace(row=row, sent=()), inp=inp, row=row, sent=()))  # type: ignore[arg-type]
+        blocks.add(SimpleNamespace(entry=Tick(row, (), (), ()), inp=inp, row=row, sent=NO_FRAMES))  # type: ignore[arg-type]
     blocks.flush()
     assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
     assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
@@ -53,7 +55,7 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
         there["faults"] = Fault.SPEED if 6 <= tick < 12 else Fault.NONE
         here["tau"] = 1.0 if tick < 6 else 50.0
         inp = SimpleNamespace(t_ns=0)
-        blocks.add(SimpleNamespace(entry=SimpleNamespace(row=there, sent=()), inp=inp, row=here, sent=()))  # type: ignore[arg-type]
+        blocks.add(SimpleNamespace(entry=Tick(there, (), (), ()), inp=inp, row=here, sent=NO_FRAMES))  # type: ignore[arg-type]
     blocks.flush()
     assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
     assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
@@ -98,7 +100,7 @@ def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts
     for tick, count in enumerate(counts):
         row = np.zeros((), ROW)
         inp = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
-        steps.append(SimpleNamespace(entry=SimpleNamespace(row=row, sent=()), inp=inp, row=row, sent=()))
+        steps.append(SimpleNamespace(entry=Tick(row, (), (), ()), inp=inp, row=row, sent=NO_FRAMES))
     monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
     idle = SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None
@@ -114,7 +116,7 @@ def steps(pairs, begun_ns=0):
         row = np.zeros((), ROW)
         row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
         inp = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
-        found.append(SimpleNamespace(entry=SimpleNamespace(row=row, sent=there), inp=inp, row=row, sent=here))
+        found.append(SimpleNamespace(entry=Tick(row, (), there, ()), inp=inp, row=row, sent=sent_array(here)))
     protocol = SimpleNamespace(addressed=lambda frame: (frame.id,))
     return iter(found), SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
@@ -204,7 +206,7 @@ def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the
         there["warnings"] = Warn.FORCE_STEP if tick in {1, 2, 5} else Warn.NONE
         here["warnings"] = Warn.FORCE_STEP | Warn.LATE if tick in {2, 4, 5, 6, 11} else Warn.NONE
         inp = SimpleNamespace(t_ns=0)
-        blocks.add(SimpleNamespace(entry=SimpleNamespace(row=there, sent=()), inp=inp, row=here, sent=()))  # type: ignore[arg-type]
+        blocks.add(SimpleNamespace(entry=Tick(there, (), (), ()), inp=inp, row=here, sent=NO_FRAMES))  # type: ignore[arg-type]
     blocks.flush()
     assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
 
@@ -215,7 +217,7 @@ def test_who_observes_a_what_if_is_told_what_is_answered_and_not_what_was_record
     told = []
 
     def observe(inp, sent, row):
-        told.append((inp.tick, sent, int(row["tick"])))
+        told.append((inp.tick, sent_frames(sent), int(row["tick"])))
 
     kernel.what_if(None, cycle, observe=observe)  # type: ignore[arg-type]
     assert told == [(0, (B,), 0), (1, (C,), 1), (2, (), 2)]

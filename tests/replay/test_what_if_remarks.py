@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from drivers.protocol import Frame
+from drivers.frame_array import received_frames, sent_array
+from drivers.protocol import Frame, Received
 from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.what_if import command
@@ -102,22 +103,25 @@ def test_no_remark_hides_another(remarks):
 
 
 def test_the_log_of_an_answer_gets_the_inputs_of_each_tick_with_what_is_answered(monkeypatch):
-    inp: Any = SimpleNamespace(frames="received", operator="keys", setpoints="poses", orders="orders")
+    inp: Any = SimpleNamespace(t_ns=7, frames="received", operator="keys", setpoints="poses", orders="orders")
     called: list[Any] = []
+    sent = sent_array([Frame(1, b"\1")])
 
     def what_if(log, cycle, *, observe, keep, progress):
         called.append((log, cycle, keep, progress))
         if observe is not None:
-            observe(inp, "sent", "row")
+            observe(inp, sent, "row")
         return Answer(ticks=1)
 
     monkeypatch.setattr(command, "what_if", what_if)
     ticks: list[Any] = []
-    recording: Any = SimpleNamespace(tick=lambda *given: ticks.append(given))
+    recording: Any = SimpleNamespace(tick_of_items=lambda *given: ticks.append(given))
     forces = Forces()
     given: tuple[Any, Any] = ("log", "cycle")
     assert command._answer(*given, recording, forces, print).ticks == 1
-    assert ticks == [("row", "received", "sent", "keys", "poses", "orders")]
+    ((row, received, answered, *others),) = ticks
+    assert (row, received, *others) == ("row", "received", "keys", "poses", "orders")
+    assert received_frames(answered) == (Received(7, Frame(1, b"\1")),)
     assert command._answer(*given, None, None, None).ticks == 1
     assert called == [(*given, forces.keep, print), (*given, None, None)]
     assert len(ticks) == 1

@@ -92,7 +92,7 @@ def looped(
     cycle.step = watched  # type: ignore[method-assign]
     course = Course(cycle)
     course.commands = lambda tick, _said=(): (commands or {}).get(tick, ())  # type: ignore[method-assign, assignment]
-    recording = SimpleNamespace(alive=True, dropped=5, tick=lambda *_: None, event=lambda *_: None)
+    recording = SimpleNamespace(alive=True, dropped=5, tick_of_items=lambda *_: None, event=lambda *_: None)
     run(course, Shell(wire, wire, recording, OperatorPanel(), window_ns))  # type: ignore[arg-type]
     plant.close()
     return inputs[:TICKS], wire

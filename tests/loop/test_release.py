@@ -167,7 +167,7 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
             if held[0] in {100, 200, 300}:
                 panel.interrupt(2, None)
 
-    recording: Any = SimpleNamespace(alive=True, dropped=0, tick=tick, event=lambda *_: None)
+    recording: Any = SimpleNamespace(alive=True, dropped=0, tick_of_items=tick, event=lambda *_: None)
 
     def take(*, anew: bool) -> Heard:
         del anew

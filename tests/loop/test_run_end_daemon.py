@@ -106,7 +106,7 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
 
     there, nodes, plant = ends()
     wire, seen = Wire(nodes, round(1e9 / rate)), []
-    recording = SimpleNamespace(alive=True, dropped=0, tick=lambda row, *_, **__: seen.append(row))
+    recording = SimpleNamespace(alive=True, dropped=0, tick_of_items=lambda row, *_, **__: seen.append(row))
     shell = Shell(wire, wire, recording, OperatorPanel(), 0)  # type: ignore[arg-type]
     ran = run(Course(there, duration_s), shell)
     plant.close()
@@ -169,7 +169,7 @@ def latched(kind, answer_ns):
         if len(rows) == 3:
             raise RuntimeError("enough")
 
-    recording = SimpleNamespace(alive=True, dropped=0, tick=tick)
+    recording = SimpleNamespace(alive=True, dropped=0, tick_of_items=tick)
     shell = Shell(wire, wire, recording, OperatorPanel(), 0, answer_ns=answer_ns)  # type: ignore[arg-type]
     run(Course(build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)), shell)
     plant.close()

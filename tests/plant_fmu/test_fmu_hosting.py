@@ -181,7 +181,8 @@ def hosting(fmu: Instance | None, *, initialised: bool) -> tuple[FmuHost, list[s
     removed: list[str] = []
     host = object.__new__(FmuHost)
     host.spec, host.internal_step_s = FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3), 1e-3
-    host._fmu, host._initialised, host._messages = fmu, initialised, ["why"]
+    host._fmu, host._messages = fmu, ["why"]
+    host._record = {"ready": initialised}  # type: ignore[assignment]
     host._folder = SimpleNamespace(cleanup=lambda: removed.append("folder"))  # type: ignore[assignment]
     return host, removed
 

@@ -60,7 +60,7 @@ def test_a_pose_is_off_by_its_bias_and_by_its_noise_as_it_is_drawn():
 def test_rates_forces_and_moments_are_off_by_bias_and_noise_in_the_platform_frame():
     nodes = drawing(sensed(Mover(), noise=NOISY))
     nodes._dtwist = np.array([1.0, 2.0, 3.0, 9.0, 9.0, 9.0])
-    nodes._wrench = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+    nodes._record["wrench"] = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
     rate = [0.7 + 0.01 + 0.25, -0.5 + 0.02 - 0.5, 0.9 + 0.03 + 0.75]
     force = [2.0 + 0.4 + 2.0, -1.0 + 0.5 - 4.0, 3.0 + 9.81 + 0.6 + 6.0]
     np.testing.assert_allclose(nodes._inertial(TRUTH), [*rate, *force], rtol=1e-12)

@@ -33,7 +33,7 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
         row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
         row["mode"] = Mode.FAULT if latched else Mode.IDLE
         inp = SimpleNamespace(t_ns=int(row["t_ns"]))
-        blocks.add(SimpleNamespace(entry=Tick(row, (), (), ()), inp=inp, row=row, sent=NO_FRAMES))  # type: ignore[arg-type]
+        blocks.add(SimpleNamespace(entry=Tick(row[()], (), (), ()), inp=inp, row=row, sent=NO_FRAMES))  # type: ignore[arg-type]
     blocks.flush()
     assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
     assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
@@ -100,7 +100,7 @@ def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts
     for tick, count in enumerate(counts):
         row = np.zeros((), ROW)
         inp = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
-        steps.append(SimpleNamespace(entry=Tick(row, (), (), ()), inp=inp, row=row, sent=NO_FRAMES))
+        steps.append(SimpleNamespace(entry=Tick(row[()], (), (), ()), inp=inp, row=row, sent=NO_FRAMES))
     monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
     idle = SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None
@@ -116,7 +116,9 @@ def steps(pairs, begun_ns=0):
         row = np.zeros((), ROW)
         row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
         inp = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
-        found.append(SimpleNamespace(entry=Tick(row, (), there, ()), inp=inp, row=row, sent=sent_array(here)))
+        found.append(
+            SimpleNamespace(entry=Tick(row[()], (), there, ()), inp=inp, row=row, sent=sent_array(here))
+        )
     protocol = SimpleNamespace(addressed=lambda frame: (frame.id,))
     return iter(found), SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,

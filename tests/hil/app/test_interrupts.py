@@ -231,7 +231,7 @@ def test_only_what_comes_of_an_interrupt_is_taken_for_one():
 
 def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    row, ticks = Recording.tick, []
+    row, ticks = Recording.tick_of_items, []
 
     def tick(self, *given):
         row(self, *given)
@@ -239,7 +239,7 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
         if len(ticks) == 150:
             press()
 
-    monkeypatch.setattr(Recording, "tick", tick)
+    monkeypatch.setattr(Recording, "tick_of_items", tick)
     code, said = process("sim", "--duration", "0.3", "--log", path)
     assert code == 130
     assert said == f"hil: interrupted at 0.149 s of simulated time; the log until then: {path}\n"

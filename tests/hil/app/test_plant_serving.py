@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from plant_fmu.drives.timer import Timer
 
 from drivers.errors import RunError
 from drivers.protocol import Frame
@@ -40,9 +39,27 @@ class Waited:
         self.sent += [(self.t_ns, frame) for frame in frames]
 
 
+class Timer:
+    """When the next drive speaks: at first_ns, and every period_ns."""
+
+    def __init__(self, first_ns: int = 1 << 62, period_ns: int = 0) -> None:
+        self.next_ns, self._period_ns = first_ns, period_ns
+
+    def speak(self) -> None:
+        self.next_ns += self._period_ns
+
+
+class Drives(SimpleNamespace):
+    """Six drives with a timer."""
+
+    @property
+    def next_reading_ns(self) -> int:
+        return int(self.readings.next_ns)
+
+
 def serve(bus: Waited, stop: plant._Stop, step: Any, readings: Timer) -> None:
     """Serve until the stop, with `step` for what the drives do, and their timer."""
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
+    nodes = Drives(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults = SimpleNamespace(strike=lambda _: None)
     plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
@@ -58,7 +75,7 @@ def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
             stop.reason = "enough"
         return [(now_ns + t_ns, frame) for t_ns, frame in found]
 
-    serve(bus, stop, step, Timer(0.0, 0))
+    serve(bus, stop, step, Timer())
     idle = plant.IDLE_NS
     first = 1_000 + idle
     assert bus.deadlines == [first, first + 301_000, first + 301_000 + idle]
@@ -66,7 +83,7 @@ def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
 
 
 def test_the_bench_wakes_up_when_the_next_drive_speaks_by_its_timer():
-    bus, stop, readings = Waited(), plant._Stop(), Timer(6 * 300_000.0, 1_000, 1)
+    bus, stop, readings = Waited(), plant._Stop(), Timer(301_000, 300_000)
 
     def step(_now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
         readings.speak()
@@ -80,7 +97,7 @@ def test_the_bench_wakes_up_when_the_next_drive_speaks_by_its_timer():
 
 def test_a_bench_that_hangs_while_a_timer_is_due_waits_and_does_not_spin():
     """No drive speaks meanwhile: the instant of the next one lies in the past."""
-    bus, stop, readings = Waited(), plant._Stop(), Timer(6 * 300_000.0, 1_000, 1)
+    bus, stop, readings = Waited(), plant._Stop(), Timer(301_000, 300_000)
 
     def step(_now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
         if len(bus.deadlines) == 4:
@@ -120,7 +137,7 @@ def test_the_words_of_a_plant_are_shortened_where_they_go_to_the_file_of_its_sup
         return []
 
     monkeypatch.setattr(plant, "shorten", shortened.append)
-    nodes = SimpleNamespace(start=lambda _: None, step=step, snapshot=record_of, readings=Timer(0.0, 0))
+    nodes = Drives(start=lambda _: None, step=step, snapshot=record_of, readings=Timer())
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults: Any = SimpleNamespace(strike=lambda _: None)
     reading, writing = os.pipe()

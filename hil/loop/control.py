@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import ceil
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from hil.control.pointed_law import called_by_pointer
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
-
-if TYPE_CHECKING:
-    from hil.loop.cycle import Cycle
 
 _ANY = (1 << len(DriveState)) - 1
 _ENDS_WITH = {
@@ -48,8 +45,8 @@ class Control:
     `settle` brings what was decided into the record. Mutable state: the record.
     """
 
-    def __init__(self, cycle: Cycle) -> None:
-        """Take the cycle whose parts are complete but for their first reset."""
+    def __init__(self, cycle: Any) -> None:
+        """Take the cycle (`hil.loop.cycle.Cycle`), whose parts are complete but for their first reset."""
         self._cycle = cycle
         parts, effort = cycle.parts, cycle.effort
         self.record: Record = np.zeros((), CONTROL)

@@ -1,6 +1,7 @@
 """Of a what-if: faults are listed once, the first other frames have their time, other sensors are refused."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
     blocks, latched = kernel._Blocks(answer, None), Fault.NONE
     for tick in range(20):
         latched = FAULTS.get(tick, latched)
-        row = np.zeros((), ROW)
+        row: Any = np.zeros((), ROW)
         row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
         row["mode"] = Mode.FAULT if latched else Mode.IDLE
         inp = SimpleNamespace(t_ns=int(row["t_ns"]))
@@ -98,7 +99,7 @@ def test_a_sensor_may_be_left_out_and_may_not_be_added(kind):
 def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts, monkeypatch):
     steps = []
     for tick, count in enumerate(counts):
-        row = np.zeros((), ROW)
+        row: Any = np.zeros((), ROW)
         inp = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
         steps.append(SimpleNamespace(entry=Tick(row[()], (), (), ()), inp=inp, row=row, sent=NO_FRAMES))
     monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
@@ -113,7 +114,7 @@ def steps(pairs, begun_ns=0):
     """Return ticks 2 ms apart with (recorded, answered) frames; a cycle that speaks for no leg but one."""
     found = []
     for tick, (there, here) in enumerate(pairs):
-        row = np.zeros((), ROW)
+        row: Any = np.zeros((), ROW)
         row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
         inp = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
         found.append(

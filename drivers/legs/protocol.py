@@ -1,10 +1,7 @@
 """The own protocol, compiled at start from legs.dbc into struct codecs and tables.
 
-In the loop the controller's end uses the tables, with `drivers.legs.kernels`, and the drives' end `struct`.
-No state, no clock.
-
-Checks: `drivers.legs.crc`, over identifier (low byte, high byte), then the data before the check. Fields are
-little-endian. `docs/guides/protocol.md` has the rules of both ends.
+No state, no clock. Checks: `drivers.legs.crc`, over identifier (low byte, high byte), then the data before
+the check. Fields are little-endian. `docs/guides/protocol.md` has the rules of both ends.
 """
 
 from __future__ import annotations
@@ -13,24 +10,22 @@ import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NoReturn
 
 import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
-from drivers.compiled.pointed import FAILED, data_at
-from drivers.controller_end import ControllerEnd
+from drivers.compiled.pointed import data_at
 from drivers.ends import Hearing
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import FRAME, sent_array, sent_frames
-from drivers.legs import kernels
 from drivers.legs.codec import Place
+from drivers.legs.controller import LegsController, LegsDialogue, codec_of, decoded, encoded
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import NO_SYNC, intact
 from drivers.legs.drives_end import LegsEnd
-from drivers.legs.kernels import CODEC, COMMAND_FORM, FOREIGN, QUANTITIES
+from drivers.legs.kernels import FOREIGN, QUANTITIES
 from drivers.legs.messages import LAYOUTS, CommandFrame, read_messages, set_up_checksum
-from drivers.legs.set_up import NOT_HEARD, checksums_heard, lack
+from drivers.legs.set_up import checksums_heard, lack
 from drivers.legs.traits import Traits, checked_nodes
 from drivers.protocol import (
     ALL_LEGS,
@@ -38,7 +33,6 @@ from drivers.protocol import (
     Configure,
     DeviceMessage,
     Dialogue,
-    DriveProtocol,
     DriveSetup,
     EmergencyStop,
     Frame,
@@ -62,88 +56,6 @@ _new = tuple.__new__
 _REACTIONS = len(Reaction)
 _STATE_AT, _FAULT_AT, _SET_UP_AT = range(3)
 """Bytes of a status."""
-
-
-class LegsDialogue(NamedTuple):
-    """What the controller's end remembers."""
-
-    configure: tuple[Frame, ...]
-    """CONFIG of each drive."""
-    expected: bytes
-    """What the status of each drive that is set up says of its set-up, two bytes each."""
-    interval: int
-    """Ticks from one CONFIG of a drive to its next."""
-    sent: tuple[int, ...]
-    """How often each drive has been sent its CONFIG."""
-    confirmed: int = 0
-    """Bit i: the last status of drive i has confirmed its set-up."""
-    said: tuple[int, ...] = (NOT_HEARD,) * LEGS
-    """What the last status of each drive that has not confirmed its set-up says of it."""
-
-
-def encoded(codec: Record, command: Command, tick: int) -> tuple[Frame, ...]:
-    """Return the frames of a command; none where a force does not fit."""
-    into, force = np.empty(int(codec["frames"]), FRAME), np.ascontiguousarray(command.force, float)
-    if force.shape != (LEGS,):
-        return ()
-    sent = kernels.command(codec, tick, int(command.mode), 0, data_at(force), data_at(into))
-    return () if sent == FAILED else sent_frames(into)
-
-
-def decoded(
-    codec: Record,
-    dialogue: LegsDialogue,
-    frames: Rows,
-    last: Record,
-    tick: Record,
-    since_ns: int,
-    heard: Callable[[tuple[int, ...], Rows], tuple[int, ...]],
-) -> LegsDialogue:
-    """Return the dialogue after the frames of a tick, whose measurement is filled."""
-    own = codec.copy()
-    own["expected"] = np.frombuffer(dialogue.expected, np.uint8)
-    own["confirmed"] = dialogue.confirmed
-    if not kernels.decode(own, data_at(frames), len(frames), since_ns, last, tick):
-        return dialogue
-    return dialogue._replace(confirmed=int(own["confirmed"]), said=heard(dialogue.said, frames))
-
-
-class LegsController(ControllerEnd):
-    """The controller's end, compiled. The codec's record has what the drives have confirmed."""
-
-    def __init__(
-        self, protocol: LegsFamily, setup: DriveSetup, codec: Record, syncs: Sequence[Sequence[Frame]]
-    ) -> None:
-        """Take the family's tables, which are copied, and its SYNC of each counter."""
-        self._family, self._own = protocol, codec.copy()
-        self._syncs = [sent_array(each) for each in syncs]
-        super().__init__(protocol, setup)
-        self.codec = data_at(self._own)
-
-    def _functions(self) -> tuple[int, int, Any]:
-        return kernels.decode.address, kernels.command.address, (self._own, self._family)
-
-    def start(self) -> None:
-        """Begin the dialogue: no drive has been set up."""
-        super().start()
-        self._own["expected"] = np.frombuffer(self.dialogue.expected, np.uint8)
-        self._own["confirmed"] = 0
-
-    def begin(self, number: int) -> Rows:
-        """Return SYNC."""
-        return self._syncs[number & 0xFF]
-
-    def look(self, frames: Rows) -> None:
-        """Take in what the drives say of their set-up."""
-        said = self._family.heard(self.dialogue.said, frames)
-        self.dialogue = self.dialogue._replace(confirmed=int(self._own["confirmed"]), said=said)
-
-
-class LegsFamily(DriveProtocol, Protocol):
-    """Our own protocol on one bus or several."""
-
-    def heard(self, said: tuple[int, ...], frames: Rows) -> tuple[int, ...]:
-        """Return what the drives have said of their set-up, with the statuses of a tick."""
 
 
 class LegsProtocol(Traits):
@@ -276,14 +188,8 @@ class LegsProtocol(Traits):
         self, rows: Sequence[tuple[list[int], Array]], buses: int = 1, bus_of: Sequence[int] = (0,) * LEGS
     ) -> tuple[Record, Any]:
         """Return a record of `kernels.CODEC` for so many buses, and the arrays that it points to."""
-        forms = np.array([form for form, _ in rows], np.int64).reshape(len(rows), COMMAND_FORM)
-        steps = np.array([steps for _, steps in rows], float)
-        codec = np.zeros((), CODEC)
-        codec["identifiers"], codec["known"] = data_at(self._identifiers), len(self._identifiers)
-        codec["form"], codec["scale"] = self._feedback_form, self._feedback_range[: 3 * QUANTITIES]
-        codec["buses"], codec["bus_of"] = buses, bus_of
-        codec["commands"], codec["steps"], codec["frames"] = data_at(forms), data_at(steps), len(rows)
-        return codec, (forms, steps, self._identifiers)
+        tables = self._identifiers, self._feedback_form, self._feedback_range[: 3 * QUANTITIES]
+        return codec_of(tables, rows, buses, bus_of)
 
     # controller side
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.ends import Hearing
+from drivers.legs.controller import LegsController, LegsDialogue, decoded, encoded
 from drivers.legs.drives_end import LegsEnd
 from drivers.legs.messages import SHORT
-from drivers.legs.protocol import LegsController, LegsDialogue, LegsProtocol, decoded, encoded
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import (
     ALWAYS,
     BUS,

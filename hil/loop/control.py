@@ -12,11 +12,11 @@ from drivers.arrays import ZERO6
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.controller_end import tick_at
-from drivers.signals import DriveState, Mode, Stop, Warn
+from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
 from hil.control.pointed_law import called_by_pointer
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
-from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, STOPPABLE, drive_mode
+from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
 
 _ANY = (1 << len(DriveState)) - 1
@@ -113,13 +113,30 @@ class Control:
             or (stops and mode in STOPPABLE)
             or (mode is Mode.STOPPING and operating.parks and (stops or bool(cycle.faults)))
         )
-        c["attentive"] = attentive or mode in _WATCHED or cycle.estop or cycle.rivalled
+        c["attentive"] = (
+            attentive or mode in _WATCHED or cycle.estop or bool(cycle.faults & Fault.SECOND_CONTROLLER)
+        )
         c["on_path"] = not motion.away
-        c["fixed"] = cycle.blind or cycle.yields
+        c["fixed"] = (mode is Mode.HELD and bool(cycle.faults & NOT_MEASURED)) or cycle.yields
         c["holding"], c["offset"] = effort.holding, effort.offset
         c["entry_tick"] = WHOLE if effort.entry_tick is None else effort.entry_tick
         if cycle.parts.steering is not None:
             c["setpoints"] = cycle.parts.steering.counts
+
+    def probe(self, tick: Record) -> None:
+        """Watch the legs while a force holds them; one that does not obey gets none."""
+        cycle, watch = self._cycle, self._cycle.obedience
+        last_tau = cycle.effort.last_tau
+        shuts = cycle.mode is Mode.HELD and not cycle.faults & NO_PROOF
+        if (cycle.yields or shuts) and watch.watch(tick, last_tau):
+            cycle.faults |= Fault.DRIVE
+            self.record["faults"] = cycle.faults
+            held = last_tau.copy()
+            held[watch.refused] = 0.0
+            cycle.parts.safety.resume(held)
+        if watch.refused is not None:
+            tick["tau_asked"][watch.refused] = 0.0
+            tick["legs_refused"] = 1 << watch.refused
 
     def reset(self) -> None:
         """Back to the state before the first tick."""

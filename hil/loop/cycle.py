@@ -48,10 +48,10 @@ REST_PATIENCE_S = 1.0
 class Cycle:
     """Six encoders in, six forces out, once per tick.
 
-    Mutable state, all of it: the drive protocol's dialogue, the last tick's record, what is seen of the
-    platform, the turns that the drives have forgotten, mode and the tick of its entry, latched faults,
-    E-stop, whether the brakes are proven shut, the motion, what the operator allows, the effort's ramps, what
-    law, predictor, observer, external wrench, steering and safety keep. `reset` restores the initial one.
+    Mutable state, all of it: the dialogue with the drives, the records of the last two ticks, what is seen of
+    the platform, the forgotten turns, mode and the tick of its entry, latched faults, E-stop, whether the
+    brakes are proven shut, the motion, what the operator allows, the effort's ramps, the record of the
+    compiled pass, what law, observers, steering and safety keep. `reset` restores the initial one.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -133,15 +133,14 @@ class Cycle:
             inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state, inp.recorder_alive,
             inp.recorder_dropped, inp.compute_ns, *inp.latch_ns,
         )  # fmt: skip
-        self.tick, self.inp = tick, inp
-        record, into = control.record, np.empty(MOST_FRAMES, FRAME)
+        self.tick, self.inp, record, into = tick, inp, control.record, np.empty(MOST_FRAMES, FRAME)
         look = observe(record, tick, self.last, inp.frames)
         if look or inp.orders or inp.operator or inp.setpoints:
             self._decide(inp, tick, look)
             control.settle(attentive=bool(inp.operator))
         if control.probes:
             act(record, tick, into, EFFORT)
-            self._probe(tick)
+            control.probe(tick)
             ended = act(record, tick, into, JUDGE | COMMAND)
         else:
             ended = act(record, tick, into, ALL)
@@ -188,7 +187,9 @@ class Cycle:
         frames = [into[: record["sent"]]]
         record["stops"] = 0
         self.effort.last_tau = tick["tau"]
-        off = self.last["command_mode"] == DriveMode.OFF and not (latches or self.rivalled)
+        off = self.last["command_mode"] == DriveMode.OFF and not (
+            latches or self.faults & Fault.SECOND_CONTROLLER
+        )
         if stops and not off:  # else OFF is the stop
             frames.insert(0, sent_array(parts.protocol.emergency_stop()))
         if self.mode in {Mode.WAITING, Mode.FAULT}:
@@ -345,39 +346,15 @@ class Cycle:
     # -- reference, effort ---------------------------------------------------------------------------
 
     @property
-    def blind(self) -> bool:
-        """Whether the platform is held by a force alone, as a leg is not measured."""
-        return self.mode is Mode.HELD and bool(self.faults & modes.NOT_MEASURED)
-
-    @property
     def yields(self) -> bool:
         """Whether what holds the platform while it parks is all the force."""
         return self.mode is Mode.PARKING and self._yields
-
-    @property
-    def rivalled(self) -> bool:
-        """Whether another controller has been heard."""
-        return bool(self.faults & Fault.SECOND_CONTROLLER)
 
     @property
     def probes(self) -> bool:
         """Whether each leg is watched that does not obey, or one is refused already."""
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
         return self.yields or shuts or self.obedience.refused is not None
-
-    def _probe(self, tick: Record) -> None:
-        """Watch the legs while a force holds them; one that does not obey gets none."""
-        effort, watch = self.effort, self.obedience
-        shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF
-        if (self.yields or shuts) and watch.watch(tick, effort.last_tau):
-            self.faults |= Fault.DRIVE
-            self._control.record["faults"] = self.faults
-            held = effort.last_tau.copy()
-            held[watch.refused] = 0.0
-            self.parts.safety.resume(held)
-        if watch.refused is not None:
-            tick["tau_asked"][watch.refused] = 0.0
-            tick["legs_refused"] = 1 << watch.refused
 
     # -- safety, command -----------------------------------------------------------------------------
 

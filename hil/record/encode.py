@@ -117,7 +117,8 @@ class Encoder:
         out, index = np.empty(room, np.uint8), np.empty((count + total + len(rare) + 1, 4), np.int64)
         words = [np.ascontiguousarray(each).view(np.int64) for each in (rows, items)]
         rare_arrays = np.frombuffer(records, np.uint8), np.array(places, np.int64)
-        self._pack(sizes, ticks, times, *words, of_row, *self._row, *self._frame, *rare_arrays, out, index)
+        when = np.concatenate((ticks, times, of_row))
+        self._pack(sizes, when, *words, *self._row, *self._frame, *rare_arrays, out, index)
         start, channel, log_time, row = np.ascontiguousarray(index[: sizes[0] + 1].T)
         return Messages(out[: start[-1]], start, channel[:-1], log_time[:-1], row[:-1])
 

@@ -99,14 +99,12 @@ def _put_index(index: Ints, message: int, start: int, channel: int, log_time: in
     index[at], index[at + 1], index[at + 2], index[at + 3] = start, channel, log_time, row
 
 
-@kernel(*[POINTER] * 6, *[BYTE_POINTER, POINTER] * 4)
+@kernel(*[POINTER] * 4, *[BYTE_POINTER, POINTER] * 4)
 def pack(
     sizes: Ints,
-    ticks: Ints,
-    times: Ints,
+    when: Ints,
     rows: Ints,
     items: Ints,
-    of_row: Ints,
     row_template: Bytes,
     row_table: Ints,
     frame_template: Bytes,
@@ -123,10 +121,11 @@ def pack(
     sizes
         Rows, items and rare messages of the batch; words in a row, places in its record and bytes of it;
         buses; UTC of t_ns = 0, ns. The first becomes the number of messages.
-    ticks, times
-        (rows + 1,) number of each row and its UTC, ns, and those of the row to come.
-    rows, items, of_row
-        As in the ring, in words of eight bytes, and the row of each item.
+    when
+        (rows + 1,) number of each row and of the row to come, (rows + 1,) their UTC, ns, and (items,) the row
+        of each item.
+    rows, items
+        As in the ring, in words of eight bytes.
     row_template, row_table
         The record of a row, and the places in it: `hil.record.row.RowCodec.places`.
     frame_template, frame_table
@@ -143,12 +142,14 @@ def pack(
     count, total, rares, words = sizes[0], sizes[1], sizes[2], sizes[3]
     placed, row_size, buses, epoch = sizes[4], sizes[5], sizes[6], sizes[7]
     at = message = item = following = taken = 0
+    times = count + 1
+    of_row = 2 * times
     for n in range(count + 1):
         if n < count:
             _put_bytes(out, at, row_template, 0, row_size)
-            _put_header(out, at, ticks[n], times[n], times[n])
+            _put_header(out, at, when[n], when[times + n], when[times + n])
             _put_row(out, at, rows, n * words, row_table, placed)
-            _put_index(index, message, at, row_template[9], times[n], n)
+            _put_index(index, message, at, row_template[9], when[times + n], n)
             at += row_size
             message += 1
         first = item
@@ -165,14 +166,14 @@ def pack(
                 taken += size
                 message += 1
                 following += 1
-            if item == total or of_row[item] != n:
+            if item == total or when[of_row + item] != n:
                 break
             if items[_WORDS * item + 1] >> 32 & 0xFF <= SENT:
                 log_time = items[_WORDS * item] + epoch
                 frame = _FRAME_COLUMNS * min(items[_WORDS * item + 1] >> 56 & 0xFF, buses - 1)
                 length = _put_frame(out, at, items, item, frame_template, frame_table, frame, log_time)
-                _put_header(out, at, ticks[n], log_time, times[n])
-                _put(out, at + length + frame_table[frame + _TICK], ticks[n], 8)
+                _put_header(out, at, when[n], log_time, when[times + n])
+                _put(out, at + length + frame_table[frame + _TICK], when[n], 8)
                 _put(out, at + length + frame_table[frame + _INDEX], item - first, 4)
                 _put_index(index, message, at, frame_template[9], log_time, n)
                 at += frame_table[frame + 1] + length

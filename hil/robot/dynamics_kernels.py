@@ -15,11 +15,7 @@ from hil.mathematics.linear_algebra import lu_factor, lu_solve, lu_solve_transpo
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
 from hil.robot.kinematics_kernels import jacobian_rate_twist, leg, leg_motion
 
-FULL = 0
-NO_H = 1
-PRINTED = 2
-CONSTANT = 3
-CONSTANT_MG = 4
+FULL, NO_H, PRINTED, CONSTANT, CONSTANT_MG = range(5)
 
 # Where things are in c.
 BASE = 0  # (6, 3) base joints

@@ -68,7 +68,7 @@ from plant_fmu.drives.record import (
     WATCHDOG,
 )
 
-_nodes: Any = record(NODES)
+NODES_RECORD: Any = record(NODES)
 _FRAME, _MESSAGE = FRAME.itemsize, MESSAGE.itemsize
 _FRAME_WORDS, _MESSAGE_WORDS = _FRAME // 8, _MESSAGE // 8
 
@@ -133,12 +133,13 @@ def _move(n: Any, steps: int) -> int:
 
 
 @helper
-def _actuate(n: Any, t_ns: int, lag: bool) -> None:
+def drive(n: Any, t_ns: int, lag: bool) -> None:
+    """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
     n.controls = actuate_drives(_integers(n), _reals(n), _stage(n), n.length, n.rate, lag, t_ns)
 
 
 @helper
-def _advance(n: Any, t_ns: int) -> int:
+def move_to(n: Any, t_ns: int) -> int:
     """Bring the plant to the grid point nearest to `t_ns`."""
     steps = np.int64(np.floor((t_ns - n.t0_ns) / n.h_ns + 0.5)) - n.k
     if steps <= 0:
@@ -146,7 +147,7 @@ def _advance(n: Any, t_ns: int) -> int:
     if not n.lags and not n.controls:
         return _move(n, steps)
     for _ in range(steps):
-        _actuate(n, _grid_ns(n), n.lags != 0)
+        drive(n, _grid_ns(n), n.lags != 0)
         status = _move(n, 1)
         if status != DONE:
             return status
@@ -173,10 +174,10 @@ def _happen(n: Any, t_ns: int) -> int:
     if other > t_ns:
         n.calm_ns = min(max(watchdog, t_ns + 1), other)
     elif moved == other:
-        status = _advance(n, moved)
+        status = move_to(n, moved)
         if status != DONE:
             return status
-        _actuate(n, moved, False)
+        drive(n, moved, False)
     elif n.edge_ns == other:
         n.at_ns = other
         return EDGE
@@ -206,7 +207,7 @@ def _pass_time(n: Any, frames: int, count: int) -> int:
         n.place = HEAR
         return DONE
     n.frame += 1
-    return _advance(n, t_ns)
+    return move_to(n, t_ns)
 
 
 # frames
@@ -271,7 +272,7 @@ def _read(n: Any) -> int:
 def _latch(n: Any) -> int:
     """Latch the encoders and answer, up to what somebody else has to do in between."""
     if n.part == 0:
-        status = _advance(n, n.t_ns)
+        status = move_to(n, n.t_ns)
         if status != DONE:
             return status
         n.part = 1
@@ -302,7 +303,7 @@ def _latch(n: Any) -> int:
 
 @helper
 def _obey(n: Any, command: Any) -> int:
-    status = _advance(n, n.t_ns)
+    status = move_to(n, n.t_ns)
     if status != DONE:
         return status
     legs = command.legs[: command.count]
@@ -372,7 +373,7 @@ def _is_sorted(frames: int, count: int) -> bool:
     return True
 
 
-@pointed(_nodes, INTEGER, INTEGER, INTEGER, INTEGER)
+@pointed(NODES_RECORD, INTEGER, INTEGER, INTEGER, INTEGER)
 def live(n: Any, frames: int, count: int, until_ns: int, again: int) -> int:
     """Live until `until_ns`, hearing `count` FRAME elements in the order of time; return why it ends.
 
@@ -396,17 +397,4 @@ def live(n: Any, frames: int, count: int, until_ns: int, again: int) -> int:
             status = _pass_time(n, frames, count)
         if status != DONE:
             return status
-    return DONE
-
-
-@pointed(_nodes, INTEGER)
-def advance(n: Any, t_ns: int) -> int:
-    """Bring the plant to the grid point nearest to an instant; return DONE or PLANT."""
-    return _advance(n, t_ns)
-
-
-@pointed(_nodes, INTEGER)
-def actuate(n: Any, t_ns: int) -> int:
-    """Set force and brake of the plant from the drives' states."""
-    _actuate(n, t_ns, False)
     return DONE

@@ -3,9 +3,8 @@
 Time. The plant moves on a grid of its internal step h from `start`. A command, a fault or a
 watchdog acts at the grid point nearest to its instant, at most h/2 away. An encoder is latched
 between grid points by length + rate dt, |dt| <= h/2: with leg acceleration a it is wrong by at most
-a h^2/8 in length and a h/2 in rate (10 m/s^2 and 100 us: 13 nm and 0.5 mm/s). An instant on the grid
-is exact. `Plant.step` is called once between two instants that matter, and once per grid
-point while a drive controls by itself (damp, hold) or lags.
+a h^2/8 in length and a h/2 in rate (10 m/s^2 and 100 us: 13 nm and 0.5 mm/s). `Plant.step` is called once
+between two instants that matter, and once per grid point while a drive controls by itself or lags.
 """
 
 from collections.abc import Sequence
@@ -32,7 +31,7 @@ from drivers.protocol import (
 from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives import live, record
+from plant_fmu.drives import moves, record
 from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import BRAKE, DAMP, FAULT, HOLD, NEVER_NS, RUN
 from plant_fmu.drives.python_plant import moved
@@ -269,7 +268,7 @@ class Nodes:
 
     def _advance(self, t: int) -> None:
         """Bring the plant to the grid point nearest to t."""
-        if live.advance(self._record, t) != record.DONE:
+        if moves.advance(self._record, t) != record.DONE:
             self._refuse()
 
     def _weigh(self) -> None:
@@ -308,7 +307,7 @@ class Nodes:
         n["uncounted"] = self._turns.uncounted_m
         self._memory = self._protocol.restarted(self._memory, np.flatnonzero(present.reset).tolist())
         self._weigh()
-        live.actuate(n, t)
+        moves.actuate(n, t)
 
     def _fail(self, leg: int, fault: DriveFault, t: int) -> None:
         """Latch a fault; the first one stays, but for an emergency stop."""
@@ -328,7 +327,7 @@ class Nodes:
             if fault is DriveFault.ESTOP and drives.fault[leg] != fault:
                 drives.fault[leg] = fault
                 self._send_status(leg, t)
-        live.actuate(n, t)
+        moves.actuate(n, t)
         n["calm_ns"] = min(int(n["calm_ns"]), int(drives.moved_ns.min()))
 
     # frames

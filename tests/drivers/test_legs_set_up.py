@@ -9,8 +9,9 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
+from drivers.legs.controller import LegsDialogue
 from drivers.legs.messages import set_up_checksum
-from drivers.legs.protocol import LegsDialogue, LegsProtocol
+from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import (
     ALL_LEGS,

@@ -24,6 +24,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.sim.lockstep import Lockstep
 from hil.control.law import LawContext
+from hil.control.pointed_law import called_by_pointer
 from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
 from hil.safety.guard import Verdict
 from hil.signals import Operator
@@ -307,6 +308,10 @@ class WithoutBend:
 def drop_bend(cycle, _plant):
     law = WithoutBend(cycle.parts.law, cycle.parts.platform)
     cycle.parts = cycle.effort.parts = replace(cycle.parts, law=law)
+    control = cycle._control
+    control.law = called_by_pointer(law)
+    for name, value in zip(("law", "gains", "constants", "code"), control.law, strict=False):
+        control.record[name] = value
 
 
 @pytest.mark.parametrize(

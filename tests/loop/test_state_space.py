@@ -116,7 +116,7 @@ def test_the_controller_has_made_one_step_after_the_first_tick(tmp_path, monkeyp
         until(lockstep, Mode.RELEASING)
     finally:
         close()
-    assert calls[-2:] == ["reset", "effort"]
+    assert calls[-2:] == ["effort", "reset"]
 
 
 # -- limits --------------------------------------------------------------------------------------------------

@@ -363,13 +363,21 @@ def test_a_law_that_gives_no_number_for_a_leg_is_told_with_it(monkeypatch):
 
 def test_a_reference_that_is_no_number_is_told_with_the_columns_it_spoils(monkeypatch):
     """No measurement leads there, as drives and sensors that send no numbers are refused."""
-    sample = Motion.sample
+    start = Motion.start
 
-    def defective(self, tick):
-        whole = sample(self, tick)
-        return whole._replace(twist=whole.twist * (np.nan if tick >= 1400 else 1.0))
+    class Defective:
+        def __init__(self, sound, tick):
+            self.sound, self.tick, self.duration_s = sound, tick, sound.duration_s
 
-    monkeypatch.setattr(Motion, "sample", defective)
+        def sample(self, t):
+            whole = self.sound.sample(t)
+            return whole._replace(twist=whole.twist * (np.nan if self.tick + round(1e3 * t) >= 1400 else 1.0))
+
+    def defective(self, trajectory, tick, then=None):
+        start(self, trajectory, tick, then)
+        self._go_along(Defective(trajectory, tick))
+
+    monkeypatch.setattr(Motion, "start", defective)
     ran = run(load("virtual"))
     found = [each for each in story_of(ran).findings if each.fault == "NOT_FINITE"]
     row = ran.rows[1400]

@@ -193,6 +193,7 @@ class FmuHost:
             call[at], call[at + 1] = references.ctypes.data, references.size
         call[fmu_call.SLOTS :] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
         self._given, self._measures = np.zeros((3, LEGS)), np.zeros(fmu_call.MEASURED)
+        self._places = data_at(self._record), data_at(self._given), data_at(self._measures)
         self._record[()] = (
             data_at(call), data_at(self._inputs), self._inputs.size, data_at(self._held),
             data_at(self._outputs), self._outputs.size, data_at(self._flags), False, 0,
@@ -274,10 +275,11 @@ class FmuHost:
         that is not finite, or a call that the FMU refuses; its own message is part of the error's.
         """
         steps = whole_steps(dt_s, self.internal_step_s)
+        if not self._record["ready"]:
+            raise self._closed()
         self._given[:] = force, brake, wrench
-        at = data_at(self._given)
-        given = (at, at + 8 * LEGS, at + 16 * LEGS)
-        ended = fmu_call.move(self._record, *given, steps, self._measures)
+        record, given, measures = self._places
+        ended = fmu_call.move(record, given, given + 8 * LEGS, given + 16 * LEGS, steps, measures)
         if ended != fmu_call.DONE:
             held_force, held_brake, held_wrench = self._given
             raise self._did_not_step(ended, held_force, held_brake, held_wrench, steps)

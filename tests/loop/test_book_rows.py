@@ -17,16 +17,16 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 from scipy.spatial.transform import Rotation
 
-from drivers.signals import Fault, Mode, Stop, Warn
+from drivers.signals import Fault, Mode, Warn
 from hil.app.check.command import inspect
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.sim.lockstep import Lockstep
 from hil.control.law import LawContext
-from hil.control.pointed_law import called_by_pointer
+from hil.loop.cycle import Cycle
 from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
-from hil.safety.guard import Verdict
+from hil.safety.encoder_limits import NONE
 from hil.signals import Operator
 from hil.trajectory.build import build_trajectory
 from plant_fmu.faults.load import WrenchStep
@@ -92,7 +92,7 @@ def ideal(law, *changes, rate_Hz=1000, small=False):
 def track(configuration, seconds, faults=None, prepare=None):
     """Both ends in lockstep until `seconds` of the reference are tracked, or a fault; return those rows.
 
-    prepare(cycle, plant) changes parts before the first tick.
+    prepare(cycle, plant) changes parts before the first tick, or returns another cycle.
     """
     rate = configuration.loop.rate_Hz
     cycle = build_cycle(configuration, rate, configuration.drives.watchdog_ms * 1e-3)
@@ -100,7 +100,7 @@ def track(configuration, seconds, faults=None, prepare=None):
     rows: list[np.ndarray] = []
     try:
         if prepare is not None:
-            prepare(cycle, plant)
+            cycle = prepare(cycle, plant) or cycle
         lockstep = Lockstep(cycle, nodes, None, configuration.loop.window_s(rate))
         operator: tuple[Operator, ...] = ()
         while len(rows) < round(seconds * rate):
@@ -232,31 +232,23 @@ def test_the_shortest_turn_changes_the_task_space_row_by_less_than_a_third_of_a_
 # -- constant dynamics through a singularity -------------------------------------------------------------------
 
 
-class LetPass:
-    """Safety that lets every force through and never faults."""
-
-    def reset(self):
-        pass
-
-    def judge(self, tick):
-        tick["tau"] = tick["tau_asked"]
-        return Verdict(Warn.NONE, Fault.NONE, Stop.NONE)
+BOUNDLESS = (
+    *("consistency_m", "condition", "length_max_m", "deceleration_m_s2", "speed_m_s", "following_error_m"),
+    *("standstill_m", "force_N", "force_step_N", "force_window_N"),
+)
+"""Limits without which safety lets every force through and never faults."""
 
 
 class Follow:
-    """An estimator that is told the true pose, through the singularity, too."""
+    """A filter that is told the true pose, through the singularity, too."""
 
     def __init__(self, platform, plant):
         self.platform, self.plant = platform, plant
-        self.p, self.R = np.zeros(3), np.eye(3)
 
-    def reset(self, p, R):
-        self.p, self.R = p, R
+    def start(self, _number, _latched_ns, _p, _R):
+        pass
 
-    def acquire(self, _q):
-        return True
-
-    def update(self, tick):
+    def estimate(self, tick, *_):
         truth = self.plant.truth()
         tick["p"], tick["R"], tick["twist"] = truth.p, truth.R, truth.twist
         tick["J"] = jacobian(self.platform, truth.p, truth.R)
@@ -265,8 +257,13 @@ class Follow:
 
 
 def let_pass_and_follow(cycle, plant):
-    cycle.parts = replace(cycle.parts, safety=LetPass())
-    cycle.sight.estimator = Follow(cycle.parts.platform, plant)
+    limits = cycle.parts.safety.limits
+    for name, value in NONE._asdict().items():
+        limits[name] = value
+    for name in BOUNDLESS:
+        limits[name] = np.inf
+    limits["length_min_m"], limits["stroke_margin_m"] = -np.inf, 0.0
+    return Cycle(replace(cycle.parts, fusion=Follow(cycle.parts.platform, plant)))
 
 
 @pytest.mark.long
@@ -307,11 +304,7 @@ class WithoutBend:
 
 def drop_bend(cycle, _plant):
     law = WithoutBend(cycle.parts.law, cycle.parts.platform)
-    cycle.parts = cycle.effort.parts = replace(cycle.parts, law=law)
-    control = cycle._control
-    control.law = called_by_pointer(law)
-    for name, value in zip(("law", "gains", "constants", "code"), control.law, strict=False):
-        control.record[name] = value
+    return Cycle(replace(cycle.parts, law=law))
 
 
 @pytest.mark.parametrize(

@@ -290,7 +290,7 @@ def test_an_fmu_is_set_up_in_order_and_reset_before_each_further_time(monkeypatc
     ]
     host._initialise()
     assert calls == set_up
-    assert host._initialised
+    assert host._record["ready"]
     host._inputs[:] = 5.0
     host._initialise()
     assert calls == [*set_up, ("reset",), *set_up]
@@ -301,7 +301,7 @@ def test_an_fmu_that_refuses_its_first_inputs_is_not_initialised(monkeypatch):
     with pytest.raises(PlantError, match=r"refused to take its inputs \(error\): why"):
         host._initialise()
     assert calls[-1][0] == "put"
-    assert not host._initialised
+    assert not host._record["ready"]
     host._fmu = None
     with pytest.raises(PlantError, match="the FMU is closed; open it again"):
         host._initialise()
@@ -320,7 +320,7 @@ def test_an_fmu_that_cannot_be_set_up_anew_takes_no_step_although_it_ran_before(
     setattr(host._fmu, failing, fail)
     with pytest.raises(PlantError, match=r"cannot be initialised|refused parameter 'm'"):
         host._initialise()
-    assert not host._initialised
+    assert not host._record["ready"]
     host.internal_step_s = 0.001
     with pytest.raises(PlantError, match="closed or failed to initialise; reset it"):
         host.step(np.zeros(6), np.ones(6), np.zeros(6), 0.001)

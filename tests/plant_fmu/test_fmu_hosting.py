@@ -331,9 +331,10 @@ def test_a_reset_begins_at_0_and_refuses_what_is_no_measurement(monkeypatch):
     host._call, host._outputs, host._initialise = None, np.arange(12.0), lambda: None
     ended = fmu_call.DONE
     monkeypatch.setattr(fmu_call, "fetch", lambda *_: (ended, 3))
-    host._ticks = 9
+    host._record["ticks"] = 9
     q, dq = host.reset()
-    assert (q.tolist(), dq.tolist(), host._ticks) == (list(range(6)), list(range(6, 12)), 0)
+    assert (q.tolist(), dq.tolist()) == (list(range(6)), list(range(6, 12)))
+    assert host._record["ticks"] == 0
     for ended, said in (  # noqa: B007 - what the next fetch answers
         (fmu_call.OUTPUTS_REFUSED, r"refused to give its outputs \(error\)"),
         (fmu_call.OUTPUT_NOT_FINITE, "gave a value that is not finite"),

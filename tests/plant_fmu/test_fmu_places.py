@@ -42,11 +42,13 @@ OUTPUTS = {
 
 def prepared(monkeypatch: pytest.MonkeyPatch, major: int, *inputs: str) -> Any:
     host: Any = object.__new__(FmuHost)
-    host.spec, host._initialised, host._fmu = SPEC, True, SimpleNamespace(component=77)
+    host.spec, host.internal_step_s, host._fmu = SPEC, SPEC.step_s, SimpleNamespace(component=77)
+    host._record = np.zeros((), fmu_call.FMU)
     channels = {name: Channel((10 * k + 1,), 6) for k, name in enumerate(inputs)}
     host._interface = SimpleNamespace(major=major, inputs=channels, outputs=OUTPUTS)
     monkeypatch.setattr(hosting, "_address", lambda fmu, name: ADDRESSES[name] * (fmu is host._fmu))
     host._prepare_calls()
+    host._record["ready"] = True
     return host
 
 

@@ -13,8 +13,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import FAILED, Pointed, call, data_at, of_python, record_at
 from drivers.tick_columns import TICK, Record, part
 from hil.control.law import Law
 from hil.robot.dynamics import Model
@@ -23,6 +23,19 @@ LAW_COLUMNS = part("estimate", "reference", "effort")
 """What a law sees of a tick."""
 SEEN = record(TICK, *LAW_COLUMNS)
 """Last argument of a law's function, after gains, address of the model's constants or 0, and code."""
+_seen_at: Any = record_at(SEEN)
+
+
+@helper
+def ask(law: int, gains: int, constants: int, code: int, tick: int) -> None:
+    """Let a law fill tau_law of the tick at an address: nan where it has no answer.
+
+    Ctrl-C at the first instruction of a callback ends it without a status.
+    """
+    seen = _seen_at(tick)
+    seen.tau_law[:] = np.nan
+    if call(law, (gains, constants, code, tick)) < 0:
+        seen.tau_law[:] = np.nan
 
 
 class Pointer(NamedTuple):
@@ -96,7 +109,7 @@ _TAU_LAW = slice(_fields["tau_law"][1] // 8, _fields["tau_law"][1] // 8 + 6)
 class PythonLaw:
     """A law in plain Python behind the pointer of a compiled one.
 
-    It is given a copy of the tick; only tau_law comes back, NaN where the law left it out or raised.
+    It is given a copy of the tick; only tau_law comes back.
 
     Mutable state: what the law raised in the last call.
     """
@@ -112,11 +125,19 @@ class PythonLaw:
         """The callback; it works on the tick alone."""
         return Pointer(self._address, 0, 0, 0, self)
 
+    def reset(self) -> None:
+        """Reset the law."""
+        self.law.reset()
+
+    def effort(self, tick: Record) -> None:
+        """Fill tau_law as the compiled pass does: what the law raises is kept."""
+        tick["tau_law"] = nan
+        self._called(0, 0, 0, data_at(tick))
+
     def _called(self, _gains: int, _constants: int, _code: int, tick: int) -> int:
         try:
             buffer: Any = _Buffer.from_address(tick)
             values = np.frombuffer(buffer, np.float64)
-            values[_TAU_LAW] = nan
             own = values.copy()
             self.raised = None
             self.law.effort(np.ndarray((), TICK, own))

@@ -31,11 +31,10 @@ and whether that is too long ago; where the observer's estimate is."""
 
 @pointed(record(WRENCH), INTEGER, record(TICK, "tick", "legs_used", "wrench", "wrench_sensor"))
 def _fill(k: Any, fusing: int, tick: Any) -> int:
-    """Fill wrench and wrench_sensor, as `ExternalWrench.fill`."""
-    status = 0
+    """Fill wrench and wrench_sensor, as `ExternalWrench.fill`; return 1 where the sensor is late."""
     if k.observe:
         seen = 1 if fusing == 0 or tick.legs_used == _ALL_LEGS else 0
-        status = call(k.observe, (k.observer, seen, address_of(tick)))
+        call(k.observe, (k.observer, seen, address_of(tick)))
         k.last[:] = reals_at(k.residual, 6)
         tick.wrench[:] = k.last
     elif k.sensed:
@@ -43,7 +42,7 @@ def _fill(k: Any, fusing: int, tick: Any) -> int:
         tick.wrench[:] = k.last
         k.late = (tick.tick - k.read_at) * k.period_s * k.rate_Hz > SENSOR_PATIENCE
     tick.wrench_sensor[:] = k.reading
-    return status
+    return int(k.late)
 
 
 class ExternalWrench:

@@ -12,14 +12,17 @@ import numpy as np
 from drivers.compiled.compiler import INTEGER, direct, helper, record, records
 from drivers.compiled.pointed import address_of, call, integers_at, matrix_at, record_at
 from drivers.frame_array import FRAME
-from drivers.signals import DriveMode, Mode, Warn
+from drivers.signals import DriveMode, DriveState, Mode, Warn
 from drivers.tick_columns import TICK, part
+from hil.control.pointed_law import ask
 from hil.estimation.pose import ESTIMATOR, estimate_pose
 from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
-from hil.loop.motion_kernels import MOTION, advance, ended, place_reference
+from hil.loop.motion_kernels import MOTION, advance, ahead, ended, place_reference
 from hil.loop.ramps import holding_share, smoothstep
 from hil.loop.reference import fill_sample
+from hil.robot.force_path import path_at
+from hil.robot.force_path import send as send_force
 from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge
 from hil.trajectory.override import OVERRIDE, is_full, time_at
 from hil.trajectory.path import SAMPLE
@@ -28,8 +31,8 @@ CONTROL = np.dtype(
     [
         # functions, each with the address of what it works on; a stage that is not there is 0
         ("decode", "<i8"), ("decoder", "<i8"), ("command", "<i8"), ("codec", "<i8"),
-        ("sense", "<i8"), ("fuse", "<i8"), ("load", "<i8"), ("learn", "<i8"), ("look_ahead", "<i8"),
-         ("follow", "<i8"),
+        ("sense", "<i8"), ("fuse", "<i8"), ("load", "<i8"), ("loads", "<i8"),
+        ("learn", "<i8"), ("learner", "<i8"), ("predict", "<i8"), ("predictor", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
         # records of the parts
         ("estimator", "<i8"), ("motion", "<i8"), ("override", "<i8"), ("sample", "<i8"), ("ahead", "<i8"),
@@ -39,9 +42,13 @@ CONTROL = np.dtype(
         # constants
         ("base_joints", "<f8", (6, 3)), ("platform_joints", "<f8", (6, 3)),
         ("period_s", "<f8"), ("load_s", "<f8"), ("blend_s", "<f8"), ("reach_N", "<f8"),
+        ("horizon_s", "<f8"),  # of the predictor
+        ("has_load", "<i8"),  # 1: something gives the external wrench
+        ("paths", "<i8", (2,)),  # records of the force paths that follow what is sent
         # what the cycle has decided
         ("mode", "<i8"), ("mode_tick", "<i8"), ("faults", "<i8"), ("command_mode", "<i8"),
-        ("located", "<i8"),  # 1: the pose has been found
+        ("located", "<i8"), ("fusing", "<i8"),  # 1: the pose has been found; the filter has begun
+        ("along", "<i8"),  # 1: on the reference with learned forces, or on the way to its start
         ("watchful", "<i8"),  # 1: it decides in each tick
         ("attentive", "<i8"),  # 1: it looks at the verdict of this tick
         ("due", "<i8"), ("due_states", "<i8"),  # ticks in the mode; bits of the six states that end it then
@@ -74,10 +81,10 @@ DONE, VERDICT, UNFIT = range(3)
 """How `act` ends: all done; before the command, as there is a verdict to look at; a force does not fit."""
 NEVER = 1 << 62
 WHOLE = NOBODY = -1
-_WARN_SETPOINT = int(Warn.SETPOINT)
+_WARN_SENSOR, _WARN_SETPOINT = int(Warn.SENSOR), int(Warn.SETPOINT)
 _TRACKING, _HELD = int(Mode.TRACKING), int(Mode.HELD)
 _LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)
-_READY, _RUN = int(DriveMode.READY), int(DriveMode.RUN)
+_READY, _RUN, _FREE = int(DriveMode.READY), int(DriveMode.RUN), int(DriveState.RUN)
 _CONTROLLED = sum(1 << mode for mode in CONTROLLED_MODES)
 _WORDS = TICK.itemsize // 8
 _TICK = record(TICK)
@@ -106,6 +113,13 @@ def estimate(c: Any, tick: Any) -> None:
                 tick.q[j] += tick.dq[j] * (tick.age[j] * c.period_s)
             break
     estimate_pose(_estimator_at(c.estimator), _estimated_at(c.tick))
+
+
+@helper
+def load(c: Any) -> None:
+    """Fill the external wrench of a tick."""
+    if c.load:
+        c.sensor_late = _WARN_SENSOR if call(c.load, (c.loads, c.fusing, c.tick)) > 0 else 0
 
 
 @helper
@@ -149,8 +163,7 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
         call(c.fuse, (c.tick,))
     else:
         estimate(c, tick)
-    if c.load:
-        call(c.load, (c.tick,))
+    load(c)
     advance(_motion_at(c.motion), _override_at(c.override), tick.tick)
     return look | MODE if may_end(c, tick) else look
 
@@ -183,13 +196,39 @@ def place(c: Any, tick: Any) -> None:
 
 
 @helper
-def seen_by_law(c: Any) -> Any:
-    """Return the address of the tick as the law sees it: now, or when its force will act."""
-    if not c.look_ahead:
+def all_free(tick: Any) -> bool:
+    """Tell whether all brakes are open, on the drives' own word."""
+    for i in range(6):  # noqa: SIM110 - compiled
+        if tick.drive_state[i] != _FREE:
+            return False
+    return True
+
+
+@helper
+def seen_by_law(c: Any, tick: Any) -> Any:
+    """Return the address of the tick as the law sees it: now, or when its force will act.
+
+    Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone makes
+    up for what the law's own model does not hold.
+    """
+    if not (c.predict or c.has_load):
         return c.tick
     now, then = integers_at(c.tick, _WORDS), integers_at(c.ahead, _WORDS)
     then[:] = now
-    call(c.look_ahead, (c.ahead,))
+    seen = _tick_at(c.ahead)
+    if c.predict:
+        call(c.predict, (c.predictor, np.int64(all_free(tick)), c.ahead))
+    if c.has_load:
+        share = 1.0 - entry_share(c, tick.tick)
+        for i in range(6):
+            seen.wrench[i] *= share
+    if c.predict and controlled(c.mode):
+        sample, motion, override = _sample_at(c.sample), _motion_at(c.motion), _override_at(c.override)
+        _, t = ahead(motion, override, tick.tick, c.horizon_s, sample)
+        if np.isnan(t) and c.mode == _TRACKING and c.on_path and is_full(override):
+            t = time_at(override, tick.tick) + c.horizon_s
+        fill_sample(c.base_joints, c.platform_joints, sample, seen)
+        seen.t_d = t
     return c.ahead
 
 
@@ -198,16 +237,16 @@ def fill_effort(c: Any, tick: Any) -> None:
     """Fill the law's own force, what was learned, and what is asked for, (6,) N each."""
     acts = 0
     if c.learn:
-        acts = call(c.learn, (c.tick,))
+        given = (c.learner, c.motion, c.override, tick.tick, c.mode, c.mode_tick, c.along, c.faults)
+        acts = call(c.learn, (*given, np.int64(c.learned.ctypes.data)))
     if c.fixed:
         tick.tau_asked[:] = c.holding
         return
-    at = seen_by_law(c)
+    at = seen_by_law(c, tick)
     if controlled(c.mode):
         seen = _tick_at(at)
         seen.shortfall[:] = c.shortfall
-        if call(c.law, (c.gains, c.constants, c.code, at)) < 0:
-            seen.tau_law[:] = np.nan
+        ask(c.law, c.gains, c.constants, c.code, at)
         tick.tau_law[:] = seen.tau_law
         left = entry_share(c, tick.tick)
         learns = acts > 0 and c.mode != _HELD
@@ -257,8 +296,9 @@ def send(c: Any, tick: Any, into: Any) -> int:
     limited = c.verdict[1] != 0 and controlled(c.mode)
     for i in range(6):
         c.shortfall[i] = tick.tau[i] - tick.tau_asked[i] if limited else 0.0
-    if c.follow:
-        call(c.follow, (c.tick,))
+    for k in range(2):
+        if c.paths[k]:
+            send_force(path_at(c.paths[k]), tick.tau)
     tick.mode, tick.faults, tick.warnings = c.mode, c.faults, c.verdict[1]
     tick.setpoints_taken, tick.setpoints_refused = c.setpoints[0], c.setpoints[1]
     tick.setpoint_refusal = c.setpoints[2]

@@ -8,13 +8,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from drivers.arrays import ZERO6
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.controller_end import tick_at
 from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
-from hil.control.pointed_law import called_by_pointer
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
@@ -65,9 +63,7 @@ class Control:
         c["base_joints"], c["platform_joints"] = parts.platform.base_joints, parts.platform.platform_joints
         c["period_s"], c["load_s"] = cycle.period_s, cycle.durations.load
         c["blend_s"], c["reach_N"] = parts.engage.blend_s, effort.reach_N
-        self.law = called_by_pointer(parts.law)
-        """The law's function, and what it has raised."""
-        c["law"], c["gains"], c["constants"], c["code"] = self.law[:4]
+        c["law"], c["gains"], c["constants"], c["code"] = effort.law[:4]
         if parts.last_pose is not None:
             c["decode"], c["decoder"] = self._homed(end.decode, end.codec)
         if parts.sensors is not None:
@@ -75,13 +71,16 @@ class Control:
         if parts.fusion is not None:
             c["fuse"] = self._stage(self._fuse)
         if parts.wrench.has_source or parts.sensors is not None:
-            c["load"] = self._stage(self._loaded)
+            c["load"], c["loads"] = parts.wrench.look[:2]
+        c["has_load"] = parts.wrench.has_source
         if effort.learned is not None:
-            c["learn"] = self._stage(self._learn)
-        if effort.looks_ahead:
-            c["look_ahead"] = self._stage(self._look_ahead)
-        if cycle.followers:
-            c["follow"] = self._stage(self._follow)
+            c["learn"], c["learner"] = effort.learned.look[:2]
+        if parts.predictor is not None:
+            c["predict"], c["predictor"] = parts.predictor.look[:2]
+            c["horizon_s"] = parts.predictor.horizon_s
+        for k, follower in enumerate((parts.predictor, parts.wrench.observer)):
+            if follower is not None:
+                c["paths"][k] = follower.take.context
 
     def settle(self, *, attentive: bool = False) -> None:
         """Bring what has been decided into the record; attentive: the verdict of this tick is looked at."""
@@ -116,7 +115,8 @@ class Control:
         c["attentive"] = (
             attentive or mode in _WATCHED or cycle.estop or bool(cycle.faults & Fault.SECOND_CONTROLLER)
         )
-        c["on_path"] = not motion.away
+        c["on_path"], c["fusing"] = not motion.away, cycle.sight.fusing
+        c["along"] = effort.learned is not None and effort.learned.along(mode, motion)
         c["fixed"] = (mode is Mode.HELD and bool(cycle.faults & NOT_MEASURED)) or cycle.yields
         c["holding"], c["offset"] = effort.holding, effort.offset
         c["entry_tick"] = WHOLE if effort.entry_tick is None else effort.entry_tick
@@ -194,27 +194,8 @@ class Control:
     def _fuse(self, _tick: int) -> None:
         self._cycle.sight.fuse(self._cycle.tick, self._cycle.last)
 
-    def _loaded(self, _tick: int) -> None:
-        self.load(self._cycle.tick)
-
     def load(self, tick: Record) -> None:
         """Fill the external wrench of a tick."""
         cycle = self._cycle
         cycle.parts.wrench.fill(tick, fusing=cycle.sight.fusing)
         self.record["sensor_late"] = Warn.SENSOR if cycle.parts.wrench.late else 0
-
-    def _learn(self, _tick: int) -> int:
-        cycle, learned = self._cycle, self._cycle.effort.learned
-        assert learned is not None
-        number = int(cycle.tick["tick"])
-        tau = learned.step(number, cycle.mode, cycle.mode_tick, cycle.motion, faulty=bool(cycle.faults))
-        self.record["learned"] = tau
-        return int(tau is not ZERO6)
-
-    def _look_ahead(self, _tick: int) -> None:
-        cycle = self._cycle
-        cycle.effort.look_ahead(cycle.tick, self._ahead, cycle.mode, cycle.motion)
-
-    def _follow(self, _tick: int) -> None:
-        for follower in self._cycle.followers:
-            follower.sent(self._cycle.tick["tau"])

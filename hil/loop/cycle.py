@@ -71,9 +71,6 @@ class Cycle:
         self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging, judge)
         self._under_control = parts.reactions.led_to("ss1")
         self._torque_off = parts.reactions.led_to("sto")
-        followers = (parts.predictor, parts.wrench.observer)
-        self.followers = [each for each in followers if each is not None]
-        """Who follows the forces that were sent."""
         self.end = controller_end(parts.protocol, parts.setup)
         """The dialogue with the drives."""
         self._control = Control(self)
@@ -173,10 +170,10 @@ class Cycle:
         """Look at the verdict of a tick, and send what follows from it."""
         control, record, parts = self._control, self._control.record, self.parts
         self.effort.last_tau = self.last["tau"]
-        law = control.law.keeps
-        if law.raised is not None:
-            raised, law.raised = law.raised, None
-            raise raised
+        law = self.effort.law.keeps
+        if isinstance(law.raised, KeyboardInterrupt):
+            law.raised = None
+            raise KeyboardInterrupt
         self._latch(inp, Verdict.of(record["verdict"]))
         latches = parts.protocol.stop_latches
         stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))

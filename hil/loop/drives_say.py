@@ -2,16 +2,11 @@
 
 from collections.abc import Iterable
 
-from drivers.signals import LEGS, DriveFault, DriveState, Mode
+from drivers.signals import DriveFault, DriveState, Mode
 from drivers.tick_columns import Record
 from hil.safety.standstill import REST_m_s
 
 _POWERED = (DriveState.READY, DriveState.RUN)
-
-
-def all_free(tick: Record) -> bool:
-    """Tell whether all brakes are open, on the drives' own word."""
-    return bool(tick["drive_state"].tolist().count(DriveState.RUN) == LEGS)
 
 
 def any_powered(tick: Record) -> bool:

@@ -1,17 +1,12 @@
 """The force asked for: the law's own, and how it takes over from what holds the platform and gives way."""
 
-from math import nan
-
 from drivers.arrays import ZERO6, Array
-from drivers.signals import Mode
 from drivers.tick_columns import Record
-from hil.loop.drives_say import all_free
+from hil.control.pointed_law import called_by_pointer
 from hil.loop.learned import Learned
-from hil.loop.modes import CONTROLLED, Durations
-from hil.loop.motion import Motion
+from hil.loop.modes import Durations
 from hil.loop.parts import Parts
-from hil.loop.ramps import smoothstep, tau_at_rest
-from hil.loop.reference import fill_reference
+from hil.loop.ramps import tau_at_rest
 from hil.robot.dynamics import Model
 from hil.trajectory.path import PoseSample
 
@@ -26,6 +21,8 @@ class Effort:
         self.parts = parts
         self.durations = durations
         self.period_s = 1.0 / parts.rate_Hz
+        self.law = called_by_pointer(parts.law)
+        """The law's function, and what keeps it and what it has raised."""
         self.model = Model(parts.platform, leg_spin=parts.leg_spin)
         forces = parts.learned
         self.learned = None if forces is None else Learned(forces, parts.trajectory, self.period_s)
@@ -60,35 +57,4 @@ class Effort:
         it begins with this very tick, and the offset fits.
         """
         self.entry_tick, self.holding = None, holding
-        self.offset = holding - tau_at_rest(self.parts.law, self.parts.platform, tick, sample, on_it=on_it)
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether the law sees another tick than safety: what the predictor or a load makes of it."""
-        return self.parts.predictor is not None or self.parts.wrench.has_source
-
-    def look_ahead(self, tick: Record, ahead: Record, mode: Mode, motion: Motion) -> None:
-        """Make a copy of a tick what the law sees: now, or when its force will act.
-
-        Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone
-        makes up for what the law's own model does not hold.
-        """
-        predictor, number = self.parts.predictor, int(tick["tick"])
-        if predictor is not None:
-            predictor.ahead(ahead, free=all_free(tick))
-        if self.parts.wrench.has_source:
-            ahead["wrench"] *= 1.0 - self._entry_share(number)
-        if predictor is not None and mode in CONTROLLED:
-            sample, t = motion.ahead(number, predictor.horizon_s)
-            if t is None:
-                along = mode is Mode.TRACKING and motion.on_clock
-                t = motion.time(number) + predictor.horizon_s if along else nan
-            fill_reference(self.parts.platform, sample, ahead)
-            ahead["t_d"] = t
-
-    def _entry_share(self, tick: int) -> float:
-        """Return how much of the entry offset is left, 1 .. 0."""
-        if self.entry_tick is None:
-            return 1.0
-        blend = self.parts.engage.blend_s
-        return 0.0 if blend == 0.0 else 1.0 - smoothstep((tick - self.entry_tick) * self.period_s / blend)
+        self.offset = holding - tau_at_rest(self.law.keeps, self.parts.platform, tick, sample, on_it=on_it)

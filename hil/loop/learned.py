@@ -6,11 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import INTEGER, REAL, helper, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Mode
 from hil.loop.motion import Motion
+from hil.loop.motion_kernels import MOTION, ticks_left
 from hil.loop.ramps import smoothstep
+from hil.trajectory.override import OVERRIDE, is_full, time_at
 from hil.trajectory.path import Trajectory
 
 _APPROACH, _TRACKING, _PARKING = int(Mode.APPROACH), int(Mode.TRACKING), int(Mode.PARKING)
@@ -40,13 +42,36 @@ def between(rows: Array, place: float, into: Array) -> None:
         into[i] = before + (place - k) * (after - before)
 
 
-@pointed(record(LEARNED), INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
-def _step(k: Any, tick: int, mode: int, mode_tick: int, t: float, faulty: int, into: int) -> int:
-    """Fill the forces of a tick, (6,) N at `into`, as `Learned.step`; return 1 where any act.
+@helper
+def time_of_reference(motion: Any, override: Any, tick: int, mode: int, along: int) -> float:
+    """Return the time of the reference at which forces could act, s: before 0 on the way to its start.
 
-    t: of `Learned.time`.
+    along: on the reference, or on the way to it. Off it, and where path time is not the clock's, nan.
     """
-    if faulty:
+    if not along or not is_full(override):
+        return nan
+    if mode == _APPROACH:
+        return float(-ticks_left(motion, override, tick) * override.period)
+    return float(time_at(override, tick))
+
+
+@pointed(
+    record(LEARNED), record(MOTION), record(OVERRIDE), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER
+)
+def _step(
+    k: Any,
+    motion: Any,
+    override: Any,
+    tick: int,
+    mode: int,
+    mode_tick: int,
+    along: int,
+    faults: int,
+    into: int,
+) -> int:
+    """Fill the forces of a tick, (6,) N at `into`, as `Learned.step`; return 1 where any act."""
+    t = time_of_reference(motion, override, tick, mode, along)
+    if faults:
         k.faulty = 1
     if tick == mode_tick and mode in (_APPROACH, _TRACKING):
         k.left = 0
@@ -115,7 +140,7 @@ class Learned:
         }.items():
             self._record[name] = value
         self.look = Callee(_step.address, data_at(self._record), self)
-        """(learned, tick, mode, mode_tick, time, faulty, where the forces go): what `step` calls."""
+        """(learned, motion, override, tick, mode, mode_tick, along, faults, where the forces go)."""
         self.reset()
 
     def reset(self) -> None:
@@ -128,18 +153,13 @@ class Learned:
 
         faulty: a fault is latched.
         """
-        tau, t = np.empty(6), self.time(tick, mode, motion)
-        acts = _step(self._record, tick, int(mode), mode_tick, t, int(faulty), tau)
+        tau, along = np.empty(6), self.along(mode, motion)
+        moves = motion.record, motion.override.record
+        acts = _step(self._record, *moves, tick, int(mode), mode_tick, int(along), int(faulty), tau)
         return tau if acts else ZERO6
 
-    def time(self, tick: int, mode: Mode, motion: Motion) -> float:
-        """Return the time of the reference at which forces could act, s; nan off it.
-
-        On the way to its start that is before 0.
-        """
-        t = None
+    def along(self, mode: Mode, motion: Motion) -> bool:
+        """Tell whether the platform is on the reference of the forces, or on the way to its start."""
         if mode is Mode.APPROACH:
-            t = motion.before(tick, self._trajectory)
-        elif mode is Mode.TRACKING and motion.trajectory is self._trajectory and motion.on_clock:
-            t = motion.time(tick)
-        return nan if t is None else t
+            return motion.then is self._trajectory
+        return mode is Mode.TRACKING and motion.trajectory is self._trajectory and not motion.away

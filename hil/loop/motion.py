@@ -15,7 +15,6 @@ from hil.loop.motion_kernels import (
     end,
     sample_ahead,
     sample_at,
-    ticks_to_end,
 )
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
@@ -60,7 +59,7 @@ class Motion:
         self.record["duration"] = inf if duration is None else duration
 
     def _expect(self, then: Trajectory | None) -> None:
-        self._then = then
+        self.then = then
         self._next = Callee(0, 0, None) if then is None else callee_of(then)
         self.record["then_function"], self.record["then_context"] = self._next[:2]
 
@@ -95,11 +94,6 @@ class Motion:
     def away(self) -> bool:
         """Whether a path has been left that `resume` comes back to."""
         return self._left is not None
-
-    @property
-    def on_clock(self) -> bool:
-        """Whether the platform is on its path, and path time is the clock's."""
-        return self._left is None and self.override.full
 
     def aim(self, tick: int, speed: float, *, go: bool) -> None:
         """Let the speed change smoothly to a share 0 .. 1 of the configured one, or to rest."""
@@ -163,15 +157,6 @@ class Motion:
         into = np.ndarray((), SAMPLE)
         require(sample_at(self.record, self.override.record, tick, into), self._callee)
         return of_record(into)
-
-    def before(self, tick: int, then: Trajectory) -> float | None:
-        """Return the time before `then` begins, s, at most 0; None where it is not what comes next.
-
-        None below full speed, too: then nobody knows when it begins.
-        """
-        if self._then is not then or not self.override.full:
-            return None
-        return -ticks_to_end(self.record, self.override.record, tick) * self.period_s
 
     def ahead(self, tick: int, s: float) -> tuple[PoseSample, float | None]:
         """Return where the platform should be `s` seconds after this tick, and that time along `then`.

@@ -128,20 +128,35 @@ def test_a_family_in_python_is_decided_on_in_the_same_ticks_as_one_that_is_compi
 class Failing:
     """A law that meets an error."""
 
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
     def reset(self) -> None:
         """Nothing is kept."""
 
     def effort(self, tick: Any) -> None:
         if tick["tick"] >= 100:
-            raise ZeroDivisionError
+            raise self.error
         tick["tau_law"] = 0.0
 
 
-def test_the_error_of_a_law_ends_the_step_in_which_it_came_up(parts):
-    bench = Bench(cycle=Cycle(replace(parts, law=Failing())))
-    with pytest.raises(ZeroDivisionError):
+def test_a_law_that_raises_is_a_latched_fault(parts):
+    error = ZeroDivisionError("a defect")
+    bench = Bench(cycle=Cycle(replace(parts, law=Failing(error))))
+    bench.until(Mode.IDLE)
+    bench.step((Operator.ENGAGE,))
+    while not bench.cycle.faults:
+        assert bench.tick < 1000
+        bench.step()
+    assert bench.cycle.faults == Fault.LAW
+    assert bench.cycle.effort.law.keeps.raised is error
+    assert np.isnan(bench.cycle.tick["tau_law"]).all()
+
+
+def test_ctrl_c_in_a_law_ends_the_step_in_which_it_came(parts):
+    bench = Bench(cycle=Cycle(replace(parts, law=Failing(KeyboardInterrupt()))))
+    with pytest.raises(KeyboardInterrupt):
         bench.until(Mode.TRACKING)
-    assert bench.tick == 100
     bench.cycle.reset()
     bench.step()
     assert bench.cycle.mode is Mode.WAITING

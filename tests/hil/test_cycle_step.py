@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.arrays import ZERO6
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import Callee, of_python
 from drivers.frame_array import sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
@@ -177,6 +179,13 @@ def test_sensors_are_heard_before_the_pose_is_estimated_and_the_load_after_it(mo
     wrench: Any = SimpleNamespace(late=False, has_source=True, observer=None, last=ZERO6)
     wrench.reset = lambda: None
     wrench.fill = lambda tick, *, fusing: told.append(("load", tick, fusing))
+
+    def look(_context: int, fusing: int, _tick: int) -> int:
+        told.append(("load", cycle.tick, bool(fusing)))
+        return 0
+
+    address, keeps = of_python(look, *[INTEGER] * 3)
+    wrench.look = Callee(address, 0, keeps)
     fused = VIRTUAL.estimation.model_copy(update={"pose": "fused"})
     parts = build_cycle(VIRTUAL.model_copy(update={"estimation": fused}), 1000.0, 0.01).parts
     cycle = Cycle(replace(parts, wrench=wrench, sensors=sensors))

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from drivers.compiled.compiler import direct, record
 from drivers.signals import LEGS, DriveFault, DriveState, Mode
-from hil.loop.drives_say import all_free, any_powered, confirmed, measured_at_rest, ready, unconfirmed
+from drivers.tick_columns import TICK
+from hil.loop.compiled_pass import all_free
+from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready, unconfirmed
 from hil.safety.standstill import REST_m_s
 from tests.records import record_of
 
@@ -20,9 +23,10 @@ def said(leg, state, others, **columns):
 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_the_brakes_are_open_when_the_last_of_six_is(leg):
-    assert all_free(record_of(drive_state=DriveState.RUN))
-    assert not all_free(said(leg, DriveState.READY, DriveState.RUN))
-    assert not all_free(said(leg, DriveState.RUN, DriveState.READY))
+    free = direct(record(TICK, "drive_state"))(all_free)
+    assert free(record_of(drive_state=DriveState.RUN))
+    assert not free(said(leg, DriveState.READY, DriveState.RUN))
+    assert not free(said(leg, DriveState.RUN, DriveState.READY))
 
 
 @pytest.mark.parametrize("leg", range(LEGS))

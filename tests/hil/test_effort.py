@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.compiled.pointed import data_at
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import Callee, data_at, of_python
 from drivers.frame_array import FRAME
-from drivers.signals import DriveState, Fault, Mode
+from drivers.signals import LEGS, DriveState, Fault, Mode
 from drivers.tick_columns import Record, copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
@@ -91,9 +93,23 @@ def test_held_again_the_entry_offset_is_whole_again(parts):
     np.testing.assert_array_equal(filled(cycle, Mode.HELD, late + 2)["tau_asked"], HOLDING)
 
 
+def learns(cycle: Cycle) -> list[tuple[int, ...]]:
+    """Let LEARNED be what was learned; return what the cycle asks for it, to be filled."""
+    asked: list[tuple[int, ...]] = []
+
+    def look(*given: int) -> int:
+        asked.append(given[:-1])
+        (ctypes.c_double * LEGS).from_address(given[-1])[:] = list(LEARNED)
+        return 1
+
+    cycle._control.record["learn"], keeps = of_python(look, *[INTEGER] * 9)
+    cycle._control._keeps.append(keeps)
+    return asked
+
+
 def test_what_was_learned_is_added_to_what_is_asked_but_never_where_the_platform_is_held(parts):
     cycle, _ = a_cycle(parts, learned=FORCES)
-    cycle.effort.learned = SimpleNamespace(step=lambda *_, **__: LEARNED)  # type: ignore[assignment]
+    learns(cycle)
     moving = filled(cycle, Mode.TRACKING)
     np.testing.assert_array_equal(moving["tau_asked"], HOLDING + LEARNED)
     np.testing.assert_array_equal(moving["tau_learned"], LEARNED)
@@ -129,10 +145,15 @@ class Predictor:
 
     horizon_s = 1e-3
     free: bool | None = None
+    take = Callee(0, 0, None)
 
-    def ahead(self, tick: Record, *, free: bool) -> None:
-        del tick
-        self.free = free
+    def __init__(self) -> None:
+        address, keeps = of_python(self._ahead, *[INTEGER] * 3)
+        self.look = Callee(address, 0, keeps)
+
+    def _ahead(self, _context: int, free: int, _tick: int) -> int:
+        self.free = bool(free)
+        return 0
 
 
 @pytest.mark.parametrize("free", [True, False])
@@ -210,18 +231,18 @@ def test_a_reset_forgets_every_force_and_when_one_began_to_fade(parts):
 @pytest.mark.parametrize("faulty", [False, True])
 def test_what_was_learned_is_asked_for_the_tick_and_its_mode_and_told_of_a_fault(parts, faulty):
     cycle, _ = a_cycle(parts, learned=FORCES)
-    told: list[Any] = []
-    cycle.effort.learned = SimpleNamespace(step=lambda *what, **how: told.append((what, how)) or LEARNED)  # type: ignore[assignment, func-returns-value]
+    asked = learns(cycle)
     cycle.faults = Fault.DRIVE if faulty else Fault.NONE
     for cycle._yields in (False, True):
         filled(cycle, Mode.PARKING, 9, since=4)
-    assert told == [((9, Mode.PARKING, 4, cycle.motion), {"faulty": faulty})] * 2
+    moves = data_at(cycle.motion.record), data_at(cycle.motion.override.record)
+    assert [each[1:] for each in asked] == [(*moves, 9, Mode.PARKING, 4, 0, cycle.faults)] * 2
 
 
 def test_a_force_that_is_fixed_is_the_holding_force_and_neither_law_nor_what_was_learned_acts(parts):
     cycle, law = a_cycle(parts, learned=FORCES)
     law.seen = None
-    cycle.effort.learned = SimpleNamespace(step=lambda *_, **__: LEARNED)  # type: ignore[assignment]
+    learns(cycle)
     cycle.effort.holding, cycle.effort.offset = SHORTFALL, OWN
     cycle.faults = Fault.STALE
     tick = filled(cycle, Mode.HELD, 9)
@@ -280,7 +301,9 @@ def test_the_entry_offset_is_what_the_law_leaves_of_the_holding_force_where_the_
     monkeypatch.setattr(effort_module, "tau_at_rest", lambda *of, on_it: asked.append((*of, on_it)) or OWN)  # type: ignore[func-returns-value]
     cycle.effort.entry_tick = 4
     cycle.effort.hold(tick, HOLDING, sample, **({} if on_it is None else {"on_it": on_it}))
-    assert asked == [(law, parts.platform, tick, sample, bool(on_it))]
+    ((asked_of, *of),) = asked
+    assert asked_of.law is law
+    assert of == [parts.platform, tick, sample, bool(on_it)]
     np.testing.assert_array_equal(cycle.effort.offset, HOLDING - OWN)
     np.testing.assert_array_equal(cycle.effort.holding, HOLDING)
     assert cycle.effort.entry_tick is None

@@ -304,7 +304,7 @@ def test_at_full_speed_a_jog_is_not_on_the_clock_of_the_path():
     held = Held(Box(1.0))
     held.run(600, jog("x"))
     assert held.motion.override.full
-    assert not held.motion.on_clock
+    assert held.motion.away or not held.motion.override.full
 
 
 def test_a_stop_ends_a_jog_for_good():

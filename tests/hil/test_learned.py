@@ -1,6 +1,5 @@
 """When learned forces act, and that they come and go without a bump."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -104,7 +103,8 @@ def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_anew(
     run = Run().tracking(300)
     assert run.go(60, speed=speed)[-1] == pytest.approx(np.zeros(6))
     assert not run.go(300, speed=1.0).any(), "not in the middle of the way"
-    assert run.motion.on_clock
+    assert run.motion.override.full
+    assert not run.motion.away
     assert run.largest_step() < BUMPLESS
     run.tracking(1)
     assert run.go(1).all()
@@ -116,7 +116,8 @@ def test_below_full_speed_at_the_start_they_join_when_path_time_is_the_clock() -
     run.motion.settle(run.tick + 1, 0.0)
     assert not run.go(100, speed=0.0).any()
     forces = run.go(400, speed=1.0)
-    assert run.motion.on_clock
+    assert run.motion.override.full
+    assert not run.motion.away
     np.testing.assert_allclose(forces[-1], table(BEGINS + run.motion.time(run.tick) / T), rtol=1e-9)
     assert run.largest_step() < BUMPLESS
 
@@ -152,7 +153,8 @@ def test_they_join_only_when_what_was_there_has_gone() -> None:
     run.motion.settle(run.tick + 1, 0.0)
     run.go(20, speed=0.0)
     run.go(700, speed=1.0)
-    assert run.motion.on_clock
+    assert run.motion.override.full
+    assert not run.motion.away
     assert run.largest_step() < 1.05 * (4.0 + 1.875 * rows.max() * T / 1.0)
 
 
@@ -217,10 +219,11 @@ def test_a_reset_forgets_the_fault_the_way_that_was_left_and_the_force_that_acts
 
 def test_of_the_approach_they_act_from_the_very_tick_of_their_first_row() -> None:
     run = Run()
-    motion: Any = SimpleNamespace(before=lambda tick, then: -0.4 + (tick - 10) * T)
+    run.motion.start(GeodesicMove(HERE, EYE, HERE, EYE, 0.4 + 10 * T), 0, then=run.path)
     shares = []
     for tick in (8, 9, 10, 11):
-        tau = run.learned.step(tick, Mode.APPROACH, 1, motion, faulty=False)
+        run.motion.advance(tick)
+        tau = run.learned.step(tick, Mode.APPROACH, 1, run.motion, faulty=False)
         shares.append(float(tau[0]) / PEAK)
     step = T / FADE_S
     expected = [0.0, 0.0, *(x**3 * (10.0 - 15.0 * x + 6.0 * x * x) for x in (step, 2.0 * step))]

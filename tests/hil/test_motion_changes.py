@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
+from hil.loop.motion_kernels import ticks_to_end
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
@@ -13,6 +14,13 @@ T = 0.25
 """s: with this period whole ticks are exact."""
 CHI = np.array([0.1, 0.2, 1.0, 0.0, 0.0, 0.0])
 LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
+
+
+def before(motion, tick, path):
+    """Return the time before a path begins that comes next, s; None where nobody knows when it does."""
+    if motion.then is not path or not motion.override.full:
+        return None
+    return -ticks_to_end(motion.record, motion.override.record, tick) * T
 
 
 def there():
@@ -63,10 +71,10 @@ def test_a_new_trajectory_has_not_stopped_where_the_one_before_it_did():
 def test_a_new_trajectory_is_not_followed_by_what_was_to_follow_the_one_before():
     path, motion = next_path(), Motion(T, HERE, EYE, 0.5)
     motion.start(there(), 0, then=path)
-    assert motion.before(1, path) == -0.75
-    assert motion.before(1, next_path()) is None, "another one"
+    assert before(motion, 1, path) == -0.75
+    assert before(motion, 1, next_path()) is None, "another one"
     motion.start(there(), 2)
-    assert motion.before(3, path) is None
+    assert before(motion, 3, path) is None
     assert motion.ahead(5, 1.0)[1] is None
 
 
@@ -96,7 +104,7 @@ def test_a_path_that_is_left_twice_is_resumed_at_rest_where_it_was_left_first():
     assert sample.twist.shape == sample.dtwist.shape == (6,)
     assert not sample.twist.any()
     assert not sample.dtwist.any()
-    assert not motion.on_clock
+    assert motion.away or not motion.override.full
     motion.resume(12)
     assert motion.trajectory is path
     assert motion.resting
@@ -106,19 +114,20 @@ def test_a_path_that_is_left_twice_is_resumed_at_rest_where_it_was_left_first():
 
 def test_away_from_its_path_a_motion_is_on_no_clock_at_full_speed_either():
     motion = along()
-    assert motion.on_clock
+    assert motion.override.full
+    assert not motion.away
     motion.leave(there(), 3)
     motion.settle(3, 1.0)
     assert motion.override.full
-    assert not motion.on_clock
+    assert motion.away or not motion.override.full
 
 
 def test_the_time_before_the_next_trajectory_is_zero_from_the_end_on_and_unknown_below_full_speed():
     path, motion = next_path(), Motion(T, HERE, EYE, 0.5)
     motion.start(there(), 0, then=path)
-    assert [motion.before(tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]
+    assert [before(motion, tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]
     motion.settle(2, 0.5)
-    assert motion.before(3, path) is None
+    assert before(motion, 3, path) is None
     assert motion.ahead(3, 1.0)[1] is None
 
 
@@ -236,7 +245,7 @@ def test_the_end_of_the_approach_is_found_in_a_few_steps_however_far_it_is(left)
 
     motion, path = Asked(T, HERE, EYE, 0.5), next_path()
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 1000.0), 0, then=path)
-    assert motion.before(4000 - left, path) == -left * T
+    assert before(motion, 4000 - left, path) == -left * T
     assert len(asked) <= 3
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -357,6 +358,28 @@ def test_a_law_that_gives_no_number_for_a_leg_is_told_with_it(monkeypatch):
     assert np.flatnonzero(~np.isfinite(ran.rows[1400]["tau_law"])).tolist() == [3]
     assert finding.text == "the law asks leg 3 for nan N, not for a finite force"
     json.dumps(story_of(ran).fields(), allow_nan=False)
+    assert np.isfinite(ran.rows["tau"]).all(), "no drive is ever sent it"
+    assert not ran.ending.success
+
+
+@pytest.mark.parametrize("begins", [0, 1400], ids=["from the start", "in motion"])
+def test_a_law_that_raises_is_a_latched_fault_with_what_it_raised_and_where(monkeypatch, begins):
+    effort = JointInverseDynamics.effort
+
+    def defective(self, tick):
+        effort(self, tick)
+        if tick["tick"] >= begins:
+            raise ZeroDivisionError("a {defect}")
+
+    monkeypatch.setattr(JointInverseDynamics, "effort", defective)
+    ran = run(load("virtual"))
+    (finding,) = story_of(ran).findings
+    assert finding.fault == "LAW"
+    assert re.fullmatch(
+        rf"the law raised ZeroDivisionError: a {{defect}} \({re.escape(__file__)}, line \d+\)", finding.text
+    )
+    struck = np.isnan(ran.rows["tau_law"]).any(axis=1)
+    assert int(np.argmax(struck)) == finding.tick >= begins
     assert np.isfinite(ran.rows["tau"]).all(), "no drive is ever sent it"
     assert not ran.ending.success
 

@@ -1,5 +1,6 @@
 """What the tick of a fault shows of it: one function for each kind of fault, in the rules' own terms."""
 
+import traceback
 from collections.abc import Iterator
 from math import isfinite, sqrt
 
@@ -266,7 +267,13 @@ def condition(m: Moment) -> Iterator[Seen]:
 
 
 def law(m: Moment) -> Iterator[Seen]:
-    """Name the legs whose force is no number."""
+    """Name what the law raised, or else the legs whose force is no number."""
+    raised = m.cycle.effort.law.keeps.raised
+    if raised is not None:
+        where = traceback.extract_tb(raised.__traceback__)[-1]
+        value = f"{type(raised).__name__}: {raised} ({where.filename}, line {where.lineno})"
+        yield Seen(value, sentence="the law raised {value}")
+        return
     for leg, force in enumerate(m.legs("tau_asked")):
         if not isfinite(force):
             yield Seen(force, "a finite force", leg, unit="N")

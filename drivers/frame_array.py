@@ -83,9 +83,6 @@ def sent_frames(array: Rows) -> tuple[Frame, ...]:
     return tuple([frame for _, frame in received_frames(array)])
 
 
-def same_frames(these: Rows, those: Rows) -> bool:
-    """Tell whether frames are the same on the wire: all but their times."""
-    if len(these) != len(those):
-        return False
-    words, others = (each.view(np.uint64).reshape(-1, FRAME.itemsize // 8)[:, 1:] for each in (these, those))
-    return bool((words == others).all())
+def joined(these: Rows, those: Rows) -> Rows:
+    """Return these frames and then those, read-only."""
+    return np.frombuffer(these.tobytes() + those.tobytes(), FRAME)

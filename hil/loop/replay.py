@@ -4,17 +4,17 @@ import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.compiled.compiler import direct, records
+from drivers.compiled.pointed import address_of, integers_at
 from drivers.errors import LogError
-from drivers.frame_array import same_frames, sent_frames
+from drivers.frame_array import FRAME, joined, sent_frames
 from drivers.signals import BusState
 from drivers.tick_columns import (
-    COLUMNS,
     COMPUTED_COLUMNS,
     INPUT_COLUMNS,
     INPUT_ELEMENTS,
@@ -86,6 +86,9 @@ class Comparison:
 
 _INPUT = struct.Struct(f"<{INPUT_ELEMENTS}q")
 """The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
+_WORDS = FRAME.itemsize // 8
+*_NUMBERS, _ = INPUT_COLUMNS
+"""One number each; latch_ns, the last one, is six."""
 
 
 def other_columns(columns: Sequence[Column]) -> str:
@@ -115,11 +118,9 @@ class Recorded(Protocol):
 
 def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick. Raises LogError: one that no cycle writes."""
-    numbers = iter(_INPUT.unpack_from(entry.row.tobytes()))
-    columns: dict[str, Any] = {
-        name: tuple(islice(numbers, COLUMNS[name].size)) if COLUMNS[name].shape else next(numbers)
-        for name in INPUT_COLUMNS
-    }
+    numbers = _INPUT.unpack_from(entry.row.tobytes())
+    columns: dict[str, Any] = dict(zip(_NUMBERS, numbers, strict=False))
+    columns["latch_ns"] = numbers[len(_NUMBERS) :]
     tick, alive = columns["tick"], columns["recorder_alive"]
     if alive not in (0, 1):
         raise LogError(f"the row of tick {tick} is damaged: {alive} is not a valid recorder_alive")
@@ -145,10 +146,36 @@ class Stepped(NamedTuple):
     """What was recorded."""
     inp: TickInput
     """What the cycle was given: the recorded inputs."""
-    sent: Rows
-    """What it sends, the frames that start the tick first."""
+    opening: Rows
+    """What it sends to start the tick."""
+    frames: Rows
+    """What it sends then."""
     row: Rows
     """What it records, one element of ROW."""
+
+    @property
+    def sent(self) -> Rows:
+        """What it sends in all."""
+        return joined(self.opening, self.frames)
+
+    @property
+    def same_frames(self) -> bool:
+        """Whether it sends what was recorded, whatever the times."""
+        return bool(_same(self.opening, self.frames, self.entry.sent_items))
+
+
+@direct(records(FRAME), records(FRAME), records(FRAME))
+def _same(opening: Any, frames: Any, recorded: Any) -> int:
+    first = opening.shape[0]
+    if first + frames.shape[0] != recorded.shape[0]:
+        return 0
+    for n in range(recorded.shape[0]):
+        own = address_of(opening[n] if n < first else frames[n - first])
+        a, b = integers_at(own, _WORDS), integers_at(address_of(recorded[n]), _WORDS)
+        for k in range(1, _WORDS):  # the first one is the time
+            if a[k] != b[k]:
+                return 0
+    return 1
 
 
 def stepped(
@@ -173,7 +200,7 @@ def stepped(
         expected = tick + 1
         opening = cycle.begin(tick)
         out = cycle.step(inp)
-        yield Stepped(entry, inp, np.concatenate((opening, out.frames)), out.row)
+        yield Stepped(entry, inp, opening, out.frames, out.row)
         if progress is not None and (done + 1) % 1000 == 0:
             progress(done + 1)
 
@@ -185,11 +212,12 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     """
     cycle.reset()
     comparison, narrator = Comparison(), Narrator(cycle)
-    for entry, inp, sent, row in stepped(log, cycle, comparison.gaps, progress):
+    for step in stepped(log, cycle, comparison.gaps, progress):
+        entry, inp, opening, frames, row = step
         narrator.look(inp.operator)
         comparison.ticks, comparison.end = comparison.ticks + 1, inp.tick + 1
-        comparison.frames += len(sent)
-        wire = not same_frames(sent, entry.sent_items)
+        comparison.frames += len(opening) + len(frames)
+        wire = not step.same_frames
         columns = row.tobytes() != entry.row.tobytes()
         if wire or columns:
             comparison.different_ticks += 1
@@ -200,7 +228,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
                 comparison.first = _differences(inp.tick, row, entry.row)
                 if wire:
                     comparison.first.append(
-                        Difference(inp.tick, "sent frames", entry.sent, sent_frames(sent))
+                        Difference(inp.tick, "sent frames", entry.sent, sent_frames(step.sent))
                     )
     comparison.story = narrator.story()
     return comparison

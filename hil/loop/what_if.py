@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.errors import LogError
-from drivers.frame_array import same_frames, sent_frames
+from drivers.frame_array import sent_frames
 from drivers.protocol import Frame
 from drivers.signals import LEGS, Fault, Warn
 from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS, ROW
@@ -145,7 +145,7 @@ class _Blocks:
         if self.origin_ns is None:
             self.origin_ns = step.inp.t_ns
         self._recorded[self._count], self._answered[self._count] = step.entry.row, step.row
-        self._wire[self._count] = not same_frames(step.sent, step.entry.sent_items)
+        self._wire[self._count] = not step.same_frames
         self._count += 1
         if self._count == BLOCK:
             self.flush()
@@ -224,7 +224,7 @@ def what_if(
         blocks.add(step)
         answer.ticks += 1
         answer.setpoints += len(step.inp.setpoints)
-        if answer.first_frames is None and not same_frames(step.sent, step.entry.sent_items):
+        if answer.first_frames is None and not step.same_frames:
             time_s = (step.inp.t_ns - (blocks.origin_ns or 0)) * 1e-9
             answer.first_frames = _first_frames(cycle, step, time_s)
         if observe is not None:

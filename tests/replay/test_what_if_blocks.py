@@ -15,6 +15,7 @@ from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.what_if.allowed import refuse_other_inputs
 from hil.loop import what_if as kernel
+from hil.loop.replay import Stepped
 from hil.record.entries import Tick
 
 FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Fault.STALE}
@@ -33,8 +34,8 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
         row: Any = np.zeros((), ROW)
         row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
         row["mode"] = Mode.FAULT if latched else Mode.IDLE
-        inp = SimpleNamespace(t_ns=int(row["t_ns"]))
-        blocks.add(SimpleNamespace(entry=Tick(row[()], (), (), ()), inp=inp, row=row, sent=NO_FRAMES))  # type: ignore[arg-type]
+        inp: Any = SimpleNamespace(t_ns=int(row["t_ns"]))
+        blocks.add(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, row))
     blocks.flush()
     assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
     assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
@@ -55,8 +56,8 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
         there["tick"] = here["tick"] = 100 + tick
         there["faults"] = Fault.SPEED if 6 <= tick < 12 else Fault.NONE
         here["tau"] = 1.0 if tick < 6 else 50.0
-        inp = SimpleNamespace(t_ns=0)
-        blocks.add(SimpleNamespace(entry=Tick(there, (), (), ()), inp=inp, row=here, sent=NO_FRAMES))  # type: ignore[arg-type]
+        inp: Any = SimpleNamespace(t_ns=0)
+        blocks.add(Stepped(Tick(there[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
     blocks.flush()
     assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
     assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
@@ -100,8 +101,8 @@ def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts
     steps = []
     for tick, count in enumerate(counts):
         row: Any = np.zeros((), ROW)
-        inp = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
-        steps.append(SimpleNamespace(entry=Tick(row[()], (), (), ()), inp=inp, row=row, sent=NO_FRAMES))
+        inp: Any = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
+        steps.append(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, row))
     monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
     idle = SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None
@@ -116,10 +117,8 @@ def steps(pairs, begun_ns=0):
     for tick, (there, here) in enumerate(pairs):
         row: Any = np.zeros((), ROW)
         row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
-        inp = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
-        found.append(
-            SimpleNamespace(entry=Tick(row[()], (), there, ()), inp=inp, row=row, sent=sent_array(here))
-        )
+        inp: Any = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
+        found.append(Stepped(Tick(row[()], (), there, ()), inp, NO_FRAMES, sent_array(here), row))
     protocol = SimpleNamespace(addressed=lambda frame: (frame.id,))
     return iter(found), SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
@@ -208,8 +207,8 @@ def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the
         there["tick"] = here["tick"] = 100 + tick
         there["warnings"] = Warn.FORCE_STEP if tick in {1, 2, 5} else Warn.NONE
         here["warnings"] = Warn.FORCE_STEP | Warn.LATE if tick in {2, 4, 5, 6, 11} else Warn.NONE
-        inp = SimpleNamespace(t_ns=0)
-        blocks.add(SimpleNamespace(entry=Tick(there, (), (), ()), inp=inp, row=here, sent=NO_FRAMES))  # type: ignore[arg-type]
+        inp: Any = SimpleNamespace(t_ns=0)
+        blocks.add(Stepped(Tick(there[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
     blocks.flush()
     assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
 

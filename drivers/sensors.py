@@ -5,20 +5,17 @@ clock has to be set, and a sample may be late by up to 127 ticks.
 """
 
 from collections.abc import Sequence
-from math import ceil, isfinite, pi
-from typing import NamedTuple
+from math import ceil, isfinite
 
-import numpy as np
-
-from drivers.arrays import Rows
 from drivers.config import BusSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import sent_frames
-from drivers.legs.codec import Codec, compile_message, in_range, parsed, read_dbc
+from drivers.legs.codec import Codec, Layout, compile_message, layout_of, parsed, read_dbc
 from drivers.legs.crc import crc8, identifier_state
 from drivers.legs.device_kernels import intact
 from drivers.legs.kernels import FOREIGN
 from drivers.protocol import BUS, OTHER_BUSES, Frame
+from drivers.sensor_kernels import FIELDS, QUANTITIES
+from drivers.tick_columns import Record
 
 KINDS = ("tracker", "imu", "wrench")
 _MESSAGES = {
@@ -28,42 +25,7 @@ _MESSAGES = {
 }
 """Kind -> message of sensors.dbc, the node number in its identifier, its six quantities."""
 _TRAILER = ("Offset", "Cycle", "Counter", "Validity", "CRC")
-OLDEST = 127
-"""Ticks: Cycle counts to 255, and a stamp further back cannot be told from one in the future."""
 _STRANGE = FOREIGN & ~OTHER_BUSES
-_NEVER = -1
-_HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
-
-
-class Sample(NamedTuple):
-    """One measurement of a sensor and its instant."""
-
-    tick: int
-    """Tick of the SYNC before the sample."""
-    offset_s: float
-    """From the end of that SYNC to the sample, 1 us steps."""
-    values: tuple[float, ...]
-    """Six. tracker: position m in the base frame, rotation vector rad from platform to base.
-    imu: angular rate rad/s, specific force m/s^2. wrench: force N, moment N m. Both in the platform frame."""
-
-    def ticks(self, period_s: float) -> float:
-        """Return its instant in ticks: k is the latching of tick k."""
-        return self.tick + self.offset_s / period_s
-
-
-class Readings(NamedTuple):
-    """What the sensors have said in one tick."""
-
-    tracker: tuple[Sample, ...] = ()
-    """Valid samples that arrived in this tick, oldest first."""
-    imu: tuple[Sample, ...] = ()
-    wrench: tuple[Sample, ...] = ()
-    rejected: int = 0
-    """Frames of this tick that were refused: CRC, length, a stamp in the future, a value out of range."""
-    lost: int = 0
-    """Samples that the counters of this tick show to be missing."""
-    counters: tuple[int, int, int] = (_NEVER, _NEVER, _NEVER)
-    """Counter of each kind's last frame; -1 before the first."""
 
 
 class SensorProtocol:
@@ -86,20 +48,19 @@ class SensorProtocol:
         self._sync_register = identifier_state(self.sync_id)
         self._codecs: dict[str, tuple[int, int, Codec]] = {}
         """Kind -> identifier, CRC register after it, codec."""
+        self._layouts: dict[str, Layout] = {}
         self._bus: dict[str, int] = {}
         for kind in self.rates_Hz:
             name, node, quantities = _MESSAGES[kind]
-            codec = compile_message(database.get_message_by_name(name), *quantities, *_TRAILER)
+            message = database.get_message_by_name(name)
+            codec = compile_message(message, *quantities, *_TRAILER)
+            self._layouts[kind] = layout_of(message, *quantities, *_TRAILER)
             identifier = codec.id - node + getattr(sensors, kind).node_id
             self._codecs[kind] = identifier, identifier_state(identifier), codec
             try:
                 self._bus[kind] = bus.index_of(getattr(sensors, kind).channel)
             except ConfigurationError as error:
                 raise ConfigurationError(f"sensors.{kind}.channel: {error}") from error
-        self._heard = {
-            identifier: (KINDS.index(kind), BUS * self._bus[kind], register, codec)
-            for kind, (identifier, register, codec) in self._codecs.items()
-        }
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -110,8 +71,8 @@ class SensorProtocol:
         """Return the index of the bus that a sensor is on: it hears SYNC and sends there."""
         return self._bus[kind]
 
-    def decode(self, frames: Rows, tick: int, previous: Readings) -> Readings:
-        """Return the samples among this tick's frames.
+    def fill_hearing(self, record: Record) -> None:
+        """Fill in where the configured sensors have what in their frames, `drivers.sensor_kernels.SENSORS`.
 
         A frame with the counter of the one before is a repetition and passed over; a gap in the counter
         counts as lost, whatever the reason. A sample that its node calls invalid is none. Refused, and
@@ -119,34 +80,14 @@ class SensorProtocol:
         ticks back, an unknown validity, a turn of more than pi, a value outside the range of sensors.dbc.
         Foreign frames are ignored.
         """
-        heard = self._heard
-        samples: list[list[Sample]] = [[], [], []]
-        counters = list(previous.counters)
-        rejected = lost = 0
-        for identifier, data, flags in sent_frames(frames[np.isin(frames["id"], list(heard))]):
-            kind, on_bus, register, codec = heard[identifier]
-            if flags & FOREIGN != on_bus:
-                continue
-            if len(data) != codec.length or not intact(data, register):
-                rejected += 1
-                continue
-            *raw, offset, cycle, last = codec.unpack(data)
-            values = tuple([r * scale for r, scale in zip(raw, codec.scale, strict=False)])
-            behind = (tick - cycle) & 0xFF
-            turned = kind == 0 and values[3] ** 2 + values[4] ** 2 + values[5] ** 2 > _HALF_TURN_2
-            if behind > OLDEST or tick < behind or last >> 4 > 1 or turned or not in_range(codec, values):
-                rejected += 1
-                continue
-            counter = last & 0xF
-            if counter == counters[kind]:
-                continue
-            if counters[kind] != _NEVER:
-                lost += (counter - counters[kind] - 1) & 0xF
-            counters[kind] = counter
-            if last >> 4 == 0:
-                samples[kind].append(Sample(tick - behind, offset * codec.scale[6], values))
-        tracker, imu, wrench = (tuple(sorted(s)) if len(s) > 1 else tuple(s) for s in samples)
-        return Readings(tracker, imu, wrench, rejected, lost, (counters[0], counters[1], counters[2]))
+        for kind, (identifier, register, codec) in self._codecs.items():
+            k = KINDS.index(kind)
+            record["id"][k], record["bus"][k], record["register"][k] = identifier, self._bus[kind], register
+            record["length"][k] = codec.length
+            places = self._layouts[kind].places[:FIELDS]
+            record["start"][k], record["bits"][k] = zip(*((p.start, p.size) for p in places), strict=True)
+            record["scale"][k] = codec.scale[: QUANTITIES + 1]
+            record["low"][k], record["high"][k] = codec.low[:QUANTITIES], codec.high[:QUANTITIES]
 
     def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
         """Return the frame of one sample; what exceeds a field saturates and makes the sample invalid.

@@ -1,7 +1,7 @@
 """Where the fields of a message of the DBC lie, and `struct` calls for those whose fields are whole bytes."""
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple
@@ -136,11 +136,3 @@ def compile_message(message: Any, *signals: str) -> Codec:
         low=of.low,
         high=of.high,
     )
-
-
-def in_range(codec: Codec, values: Sequence[float]) -> bool:
-    """Tell whether the leading fields are inside the DBC's ranges; a NaN is not."""
-    for value, low, high in zip(values, codec.low, codec.high, strict=False):  # noqa: SIM110 - all() takes twice as long
-        if not low <= value <= high:
-            return False
-    return True

@@ -66,7 +66,7 @@ from plant_fmu.plant import Plant, Robot
 from plant_fmu.plants import open_plant
 
 if TYPE_CHECKING:
-    from hil.estimation.fused_pose import PoseFusion
+    from hil.estimation.fusion import FusedEstimator
 
 LENGTH_TOLERANCE_M = 1e-3
 """How far the plant's initial lengths may be from those of the section `platform`."""
@@ -210,20 +210,18 @@ def build_admission(c: Configuration, platform: Platform) -> Admission:
     )
 
 
-def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> PoseFusion | None:
+def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> FusedEstimator | None:
     if c.estimation.pose != "fused":
         return None
     # A third of all compilation, for the few who fuse.
-    from hil.estimation.fused_pose import PoseFusion  # noqa: PLC0415
     from hil.estimation.fusion import FusedEstimator  # noqa: PLC0415
 
     settings = c.estimation.fusion
     model = build_model(settings.model, platform, c.platform.leg_spin)
     sensors = c.sensors
-    estimator = FusedEstimator(
+    return FusedEstimator(
         platform, model, settings, leg_errors(c), sensors.tracker, sensors.imu, 1.0 / rate_Hz
     )
-    return PoseFusion(estimator, settings)
 
 
 def build_predictor(

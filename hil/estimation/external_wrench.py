@@ -6,11 +6,14 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, reals_at
+from drivers.compiled.pointed import Callee, address_of, call, data_at, matrix_at, pointed, reals_at
+from drivers.frame_pointers import frames_at
+from drivers.sensor_kernels import SENSORS, hear, samples_of
+from drivers.sensor_kernels import WRENCH as WRENCH_SENSOR
 from drivers.signals import LEGS
 from drivers.tick_columns import TICK, Record
 from hil.estimation.observer import WrenchObserver
-from hil.mathematics.rotations import turned
+from hil.mathematics.vectors import at, rotate
 
 _ALL_LEGS = (1 << LEGS) - 1
 SENSOR_PATIENCE = 3.0
@@ -45,6 +48,33 @@ def _fill(k: Any, fusing: int, tick: Any) -> int:
     return int(k.late)
 
 
+@pointed(
+    record(WRENCH),
+    record(SENSORS),
+    INTEGER,
+    INTEGER,
+    INTEGER,
+    record(TICK, "tick", "rejected", "sensors_rejected"),
+)
+def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: Any) -> int:
+    """Take in a tick's samples from `count` elements of FRAME at an address, and count what is refused.
+
+    The wrench sensor turns with the platform: R, address of its rotation (3, 3).
+    """
+    hear(sensors, frames_at(frames, count), tick.tick)
+    newest = sensors.count[WRENCH_SENSOR] - 1
+    if newest >= 0:
+        values, rotation = samples_of(sensors, WRENCH_SENSOR)[newest].values, matrix_at(R, 3, 3)
+        for half in range(2):
+            turned = rotate(rotation, at(values, 3 * half))
+            for i in range(3):
+                k.reading[3 * half + i] = turned[i]
+        k.read_at = tick.tick
+    tick.sensors_rejected = sensors.rejected
+    tick.rejected += sensors.rejected
+    return 0
+
+
 class ExternalWrench:
     """The wrench of the configured source, (6,) N, N m on the platform at its origin, base frame.
 
@@ -77,8 +107,9 @@ class ExternalWrench:
 
     @property
     def last(self) -> Array:
-        """(6,): of the last tick."""
-        return self._record["last"].copy()
+        """(6,): of the last tick; a view of what the next one changes."""
+        last: Array = self._record["last"]
+        return last
 
     @property
     def reading(self) -> Array:
@@ -93,11 +124,6 @@ class ExternalWrench:
     def forget(self) -> None:
         """Forget the reading: a sensor that is there gives another before the brakes open."""
         self._record["reading"] = 0.0
-
-    def hear(self, tick: int, values: tuple[float, ...], R: Array) -> None:
-        """Take in a sample (6,) of the sensor, which turns with the platform: R (3, 3)."""
-        self._record["reading"] = turned(R, np.array(values))
-        self._record["read_at"] = tick
 
     @property
     def has_source(self) -> bool:

@@ -18,14 +18,10 @@ from drivers.compiled.compiler import (
     INTEGER,
     MATRIX,
     OUT_MATRIX,
-    REAL,
     VECTOR,
-    direct,
     helper,
     kernel,
-    record,
 )
-from drivers.tick_columns import TICK, part
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_predict import predict, rotation_of
 from hil.estimation.fusion_update import (
@@ -106,7 +102,7 @@ def rerun_kernel(
         interval(a, b, c, intervals[now], x0, P0, states[now], covariances[now], work)
 
 
-@direct(MATRIX, MATRIX, REAL, VECTOR, VECTOR, MATRIX, record(TICK, *part("estimate", "fusion")))
+@helper
 def fill_estimate(a: Array, b: Array, radius: float, x: Array, u: Array, P: Array, tick: Any) -> None:
     """Fill q, dq, p, R, twist, J, fk_residual, condition, innovation_q and pose_std of a tick.
 

@@ -31,7 +31,8 @@ CONTROL = np.dtype(
     [
         # functions, each with the address of what it works on; a stage that is not there is 0
         ("decode", "<i8"), ("decoder", "<i8"), ("command", "<i8"), ("codec", "<i8"),
-        ("sense", "<i8"), ("fuse", "<i8"), ("load", "<i8"), ("loads", "<i8"),
+        ("hear", "<i8"), ("sensors", "<i8"), ("fuse", "<i8"), ("filter", "<i8"),
+        ("load", "<i8"), ("loads", "<i8"), ("last_load", "<i8"),  # the last one: address of the wrench, (6,)
         ("learn", "<i8"), ("learner", "<i8"), ("predict", "<i8"), ("predictor", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
         # records of the parts
@@ -48,6 +49,7 @@ CONTROL = np.dtype(
         # what the cycle has decided
         ("mode", "<i8"), ("mode_tick", "<i8"), ("faults", "<i8"), ("command_mode", "<i8"),
         ("located", "<i8"), ("fusing", "<i8"),  # 1: the pose has been found; the filter has begun
+        ("rotation", "<i8"),  # address of how the platform is turned, (3, 3), as it was last seen
         ("along", "<i8"),  # 1: on the reference with learned forces, or on the way to its start
         ("watchful", "<i8"),  # 1: it decides in each tick
         ("attentive", "<i8"),  # 1: it looks at the verdict of this tick
@@ -80,6 +82,9 @@ ALL = EFFORT | JUDGE | COMMAND
 DONE, VERDICT, UNFIT = range(3)
 """How `act` ends: all done; before the command, as there is a verdict to look at; a force does not fit."""
 NEVER = 1 << 62
+AGREED_m = 1e-4
+"""A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
+_ALL_LEGS = (1 << 6) - 1
 WHOLE = NOBODY = -1
 _WARN_SENSOR, _WARN_SETPOINT = int(Warn.SENSOR), int(Warn.SETPOINT)
 _TRACKING, _HELD = int(Mode.TRACKING), int(Mode.HELD)
@@ -113,6 +118,17 @@ def estimate(c: Any, tick: Any) -> None:
                 tick.q[j] += tick.dq[j] * (tick.age[j] * c.period_s)
             break
     estimate_pose(_estimator_at(c.estimator), _estimated_at(c.tick))
+
+
+@helper
+def fuse(c: Any, tick: Any, last: Any) -> None:
+    """Let the filter fill the estimate of a tick, once it has begun."""
+    tau = np.int64(last.tau.ctypes.data)
+    call(c.fuse, (c.filter, c.sensors, tau, c.last_load, c.tick))
+    if tick.legs_used == _ALL_LEGS and tick.fk_residual < AGREED_m:
+        estimator = _estimator_at(c.estimator)
+        estimator.p[:] = tick.p
+        estimator.R[:] = tick.R
 
 
 @helper
@@ -153,14 +169,14 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
     if status < 0:
         return BROKEN
     look = DIALOGUE if status > 0 else 0
-    if c.sense:
-        call(c.sense, (c.tick,))
+    if c.hear:
+        call(c.hear, (c.loads, c.sensors, at, np.int64(frames.shape[0]), c.rotation, c.tick))
     tick.q[:] = tick.length
     tick.dq[:] = tick.rate
     if not c.located:
         return look | UNLOCATED | MODE
-    if c.fuse:
-        call(c.fuse, (c.tick,))
+    if c.fusing:
+        fuse(c, tick, last)
     else:
         estimate(c, tick)
     load(c)

@@ -13,6 +13,7 @@ from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.controller_end import tick_at
 from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
+from hil.estimation.external_wrench import hear_sensors
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
@@ -66,12 +67,15 @@ class Control:
         c["law"], c["gains"], c["constants"], c["code"] = effort.law[:4]
         if parts.last_pose is not None:
             c["decode"], c["decoder"] = self._homed(end.decode, end.codec)
+        c["sensors"] = data_at(cycle.sight.sensors)
         if parts.sensors is not None:
-            c["sense"] = self._stage(self._sense)
+            c["hear"] = hear_sensors.address
         if parts.fusion is not None:
-            c["fuse"] = self._stage(self._fuse)
+            c["fuse"], c["filter"] = parts.fusion.fuse[:2]
+        load, c["loads"] = parts.wrench.look[:2]
+        c["last_load"] = data_at(parts.wrench.last)
         if parts.wrench.has_source or parts.sensors is not None:
-            c["load"], c["loads"] = parts.wrench.look[:2]
+            c["load"] = load
         c["has_load"] = parts.wrench.has_source
         if effort.learned is not None:
             c["learn"], c["learner"] = effort.learned.look[:2]
@@ -116,6 +120,7 @@ class Control:
             attentive or mode in _WATCHED or cycle.estop or bool(cycle.faults & Fault.SECOND_CONTROLLER)
         )
         c["on_path"], c["fusing"] = not motion.away, cycle.sight.fusing
+        c["rotation"] = data_at(cycle.sight.rotation)
         c["along"] = effort.learned is not None and effort.learned.along(mode, motion)
         c["fixed"] = (mode is Mode.HELD and bool(cycle.faults & NOT_MEASURED)) or cycle.yields
         c["holding"], c["offset"] = effort.holding, effort.offset
@@ -147,10 +152,6 @@ class Control:
             data_at(motion.override.record),
         )
         self.settle()
-
-    def _stage(self, function: Any) -> int:
-        """Return the address of a stage in Python: it takes the tick's number or address."""
-        return self._called(lambda argument: int(function(argument) or 0), 1)
 
     def _called(self, function: Callable[..., int], n: int) -> int:
         """Return the address of a function of n integers; what it raises is kept until the tick's end."""
@@ -185,14 +186,6 @@ class Control:
 
         record["decode"], record["codec"], record["correct"] = decode, codec, self._called(correct, 1)
         return homing_kernels.decode.address, data_at(record)
-
-    def _sense(self, _tick: int) -> None:
-        cycle = self._cycle
-        assert cycle.parts.sensors is not None
-        cycle.sight.hear(cycle.parts.sensors, cycle.inp, cycle.tick)
-
-    def _fuse(self, _tick: int) -> None:
-        self._cycle.sight.fuse(self._cycle.tick, self._cycle.last)
 
     def load(self, tick: Record) -> None:
         """Fill the external wrench of a tick."""

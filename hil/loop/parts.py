@@ -27,7 +27,7 @@ from hil.safety import Safety
 from hil.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
-    from hil.estimation.fused_pose import PoseFusion  # its kernels are compiled only for who fuses
+    from hil.estimation.fusion import FusedEstimator  # its kernels are compiled only for who fuses
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Parts:
     last_pose: LastPose | None = None
     """Where the legs were parked, for drives that forget their turns at power-off."""
     sensors: SensorProtocol | None = None
-    fusion: PoseFusion | None = None
+    fusion: FusedEstimator | None = None
     """Gives the pose once the legs have; None: the legs alone do."""
     buses: tuple[str, ...] = ()
     """Channel and legs of each bus, where there are several."""

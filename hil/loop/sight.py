@@ -3,30 +3,20 @@
 from math import inf
 
 from drivers.arrays import Array
-from drivers.sensors import Readings, SensorProtocol
+from drivers.sensor_kernels import NEVER, unheard
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.estimation.pose import Estimator
 from hil.loop.parts import Parts
-from hil.signals import TickInput
 
-_ALL_LEGS = (1 << LEGS) - 1
-AGREED_m = 1e-4
-"""A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
 SEARCH_S = 0.02
 """From one look for the first pose to the next."""
-
-
-def latched_ns(tick: Record) -> int:
-    """Return when the first encoder of a tick was latched, ns."""
-    woke_ns = int(tick["t_ns"]) + int(tick["lateness_ns"])
-    return woke_ns + min(filter(None, tick["latch_ns"].tolist()), default=0)
 
 
 class Sight:
     """Fills the estimate of each tick.
 
-    Mutable state: the sensors' last readings, the estimator's pose, whether it has been found, was looked
+    Mutable state: what was heard of the sensors, the estimator's pose, whether it has been found, was looked
     for and is to be, when each leg was last heard in time, and the filter with whether that has begun.
     """
 
@@ -34,13 +24,17 @@ class Sight:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
+        self.sensors, self._samples = unheard()
+        """What has been heard of the sensors, a record of SENSORS."""
+        if parts.sensors is not None:
+            parts.sensors.fill_hearing(self.sensors)
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
         self.estimator.reset(self.parts.home_p, self.parts.home_R)
-        self.readings = Readings()
+        self.sensors["counter"] = NEVER
         self.forget()
 
     def forget(self) -> None:
@@ -52,14 +46,12 @@ class Sight:
         self.fusing = False
         """Whether the filter has begun."""
 
-    def hear(self, sensors: SensorProtocol, inp: TickInput, tick: Record) -> None:
-        """Take in the sensors' samples, and count their refused frames."""
-        self.readings = readings = sensors.decode(inp.frames, inp.tick, self.readings)
-        if readings.wrench:
-            R = self.parts.fusion.R if self.fusing and self.parts.fusion else self.estimator.R
-            self.parts.wrench.hear(inp.tick, readings.wrench[-1].values, R)
-        tick["sensors_rejected"] = readings.rejected
-        tick["rejected"] += readings.rejected
+    @property
+    def rotation(self) -> Array:
+        """(3, 3): how the platform is turned, as it was last seen."""
+        fusion = self.parts.fusion if self.fusing else None
+        R: Array = (self.estimator if fusion is None else fusion).record["R"]
+        return R
 
     def locate(self, tick: Record) -> None:
         """Look for the first pose from home, and fill the estimate of a tick before which none was found.
@@ -81,19 +73,8 @@ class Sight:
             tick["q"] += tick["dq"] * (tick["age"] * self.period_s)
         self.estimator.update(tick)
         if self.parts.fusion is not None:
-            self.parts.fusion.start(int(tick["tick"]), latched_ns(tick), tick["p"], tick["R"])
+            self.parts.fusion.begin(tick)
             self.fusing = True
-
-    def fuse(self, tick: Record, last: Record) -> None:
-        """Fill the estimate of a tick once the pose has been found, where a filter gives it."""
-        fusion, estimator = self.parts.fusion, self.estimator
-        assert fusion is not None
-        if not self.fusing:
-            self.update(tick)
-            return
-        fusion.estimate(tick, latched_ns(tick), self.readings, last["tau"], self.parts.wrench.last)
-        if tick["legs_used"] == _ALL_LEGS and tick["fk_residual"] < AGREED_m:
-            estimator.adopt(tick["p"], tick["R"])
 
     def _look(self, number: int, age: list[int], q: Array) -> None:
         """Look for the first pose in a tick with all six lengths, once in SEARCH_S at most."""

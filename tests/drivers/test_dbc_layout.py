@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.legs.codec import Place, compile_message, in_range, layout_of, parsed
+from drivers.legs.codec import Place, compile_message, layout_of, parsed
 from drivers.protocol import BRS, FD
 
 ATTRIBUTES = """
@@ -115,19 +115,3 @@ def test_what_struct_cannot_pack_is_refused(length, fields, message_):
         return
     with pytest.raises(ProtocolError, match=message_):
         compile_message(made, *names)
-
-
-def test_the_leading_values_are_in_range_up_to_both_ends_and_nothing_is_that_is_no_number():
-    codec = compile_message(message(2, "0|8@1+", "8|8@1+"), "A", "B")._replace(
-        low=(-1.0, 2.0), high=(1.0, 3.0)
-    )
-    for values, inside in (
-        ((-1.0, 2.0), True),
-        ((1.0, 3.0), True),
-        ((1.0,), True),
-        ((-1.1, 2.5), False),
-        ((0.0, 3.1), False),
-        ((0.0, 1.9), False),
-        ((float("nan"), 2.5), False),
-    ):
-        assert in_range(codec, values) is inside, values

@@ -12,7 +12,10 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.crc import crc8, identifier_state
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
-from drivers.sensors import KINDS, OLDEST, Readings, Sample, SensorProtocol
+from drivers.sensor_kernels import OLDEST
+from drivers.sensors import KINDS, SensorProtocol
+from tests import sensed
+from tests.sensed import Readings, Sample
 
 ALL = SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings())
 P = SensorProtocol(BusSettings(), ALL)
@@ -27,7 +30,7 @@ def sample(kind, tick, counter, offset_s=0.0004):
 
 def decode(tick, *frames, before=None):
     given = received_array([Received(n, frame) for n, frame in enumerate(frames)])
-    return P.decode(given, tick, Readings() if before is None else before)
+    return sensed.decode(P, given, tick, Readings() if before is None else before)
 
 
 def damaged(frame, bit):

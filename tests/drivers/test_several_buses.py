@@ -21,11 +21,13 @@ from drivers.frame_array import NO_FRAMES, received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync
-from drivers.sensors import Readings, SensorProtocol
+from drivers.sensors import SensorProtocol
 from drivers.several_buses import off_bus
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.protocol_contract import Ends
+from tests.sensed import Readings
+from tests.sensed import decode as decode_samples
 
 HALVES = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
 ODD = ((0, 5), (1, 2, 3, 4))
@@ -121,10 +123,10 @@ def test_a_sensor_is_on_a_bus_that_there_is_and_hears_and_sends_there():
     sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
     frame = sensors.encode("imu", (0.0,) * 6, 7, 0.0, 3)
     assert (sensors.bus_of("imu"), frame.bus) == (1, 1)
-    before = sensors.decode(NO_FRAMES, 7, Readings())
-    assert len(sensors.decode(received_array([Received(0, frame)]), 7, before).imu) == 1
+    before = decode_samples(sensors, NO_FRAMES, 7, Readings())
+    assert len(decode_samples(sensors, received_array([Received(0, frame)]), 7, before).imu) == 1
     elsewhere = frame._replace(flags=frame.flags - BUS)
-    assert sensors.decode(received_array([Received(0, elsewhere)]), 7, before).imu == ()
+    assert decode_samples(sensors, received_array([Received(0, elsewhere)]), 7, before).imu == ()
 
 
 # where a frame goes

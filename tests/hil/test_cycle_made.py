@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from math import exp, pi
 from types import SimpleNamespace
 from typing import Any
@@ -99,11 +98,8 @@ def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(mon
         return made[settings.inertia_scale]
 
     monkeypatch.setattr(compose, "build_model", noted)
-    filters = SimpleNamespace(FusedEstimator=lambda _, model, *__: model, PoseFusion=lambda model, _: model)
-    for name in ("fusion", "fused_pose"):  # their kernels take a while
-        monkeypatch.setitem(sys.modules, f"hil.estimation.{name}", filters)
     parts: Any = build_cycle(but(controller=law, estimation=estimation), 1000.0, 0.01).parts
-    believed = (parts.predictor.model, parts.wrench.observer.model, parts.fusion)
+    believed = (parts.predictor.model, parts.wrench.observer.model, parts.fusion._model)
     assert [model is made[scale] for model, scale in zip(believed, of, strict=True)] == [True] * 3
 
 

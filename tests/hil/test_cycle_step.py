@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.arrays import ZERO6
-from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import Callee, of_python
 from drivers.frame_array import sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
@@ -171,34 +168,6 @@ def test_a_tick_begins_with_what_the_dialogue_asks_for_in_it(bench):
     cycle = bench.cycle
     for number in (7, 300):
         assert sent_frames(cycle.begin(number)) == cycle.parts.protocol.begin(cycle.dialogue, number)
-
-
-@pytest.mark.parametrize("sensors", [None, "the sensors"])
-def test_sensors_are_heard_before_the_pose_is_estimated_and_the_load_after_it(monkeypatch, sensors):
-    told: list[Any] = []
-    wrench: Any = SimpleNamespace(late=False, has_source=True, observer=None, last=ZERO6)
-    wrench.reset = lambda: None
-    wrench.fill = lambda tick, *, fusing: told.append(("load", tick, fusing))
-
-    def look(_context: int, fusing: int, _tick: int) -> int:
-        told.append(("load", cycle.tick, bool(fusing)))
-        return 0
-
-    address, keeps = of_python(look, *[INTEGER] * 3)
-    wrench.look = Callee(address, 0, keeps)
-    fused = VIRTUAL.estimation.model_copy(update={"pose": "fused"})
-    parts = build_cycle(VIRTUAL.model_copy(update={"estimation": fused}), 1000.0, 0.01).parts
-    cycle = Cycle(replace(parts, wrench=wrench, sensors=sensors))
-    monkeypatch.setattr(cycle.sight, "hear", lambda *what: told.append(("heard", *what)))
-    bench = staying(Bench(cycle=cycle))
-    monkeypatch.setattr(cycle.sight, "fuse", lambda *what: told.append(("pose", *what)))
-    told.clear()
-    last = cycle.tick
-    bench.step()
-    tick = cycle.tick
-    assert tick is not last
-    heard = [("heard", sensors, cycle.inp, tick)] if sensors else []
-    assert told == [*heard, ("pose", tick, last), ("load", tick, True)]
 
 
 @pytest.mark.parametrize("mode", list(Mode))

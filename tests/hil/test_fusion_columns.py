@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from drivers.compiled.compiler import MATRIX, REAL, VECTOR, direct, record
+from drivers.tick_columns import TICK, part
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_kernels import fill_estimate
 from tests.hil.test_fusion import PLATFORM, A, B, legs
 from tests.records import record_of
 
+fill = direct(MATRIX, MATRIX, REAL, VECTOR, VECTOR, MATRIX, record(TICK, *part("estimate", "fusion")))(
+    fill_estimate
+)
 UNUSED = 4
 """A leg whose length the estimate did not use."""
 
@@ -31,7 +36,7 @@ def test_each_element_of_the_estimate_stands_in_its_place(off):
     variances = np.array([4.0, 9.0, 16.0, 25.0, -1.0, 36.0, 49.0, 64.0, 81.0, 100.0, 121.0, 144.0])
     tick = record_of()
 
-    fill_estimate(A, B, PLATFORM.radius, x, u, np.diag(variances), tick)
+    fill(A, B, PLATFORM.radius, x, u, np.diag(variances), tick)
 
     assert tick["p"].tolist() == p.tolist()
     assert tick["R"].tolist() == R.as_matrix().tolist()
@@ -50,6 +55,6 @@ def test_a_state_that_is_no_number_has_no_residual():
     x[0:3], x[3:12] = np.nan, np.eye(3).ravel()
     u[k.USED : k.USED + 6] = 1.0
     tick = record_of()
-    fill_estimate(A, B, PLATFORM.radius, x, u, np.eye(12), tick)
+    fill(A, B, PLATFORM.radius, x, u, np.eye(12), tick)
     assert np.isnan(tick["fk_residual"])
     assert not tick["condition"] < np.inf

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.config import ImuSettings
-from drivers.sensors import Readings, Sample
 from hil.config.estimation import FusionSettings
-from hil.estimation.fusion import LEFT_OUT_TICKS, SLIP_TICKS, FusedEstimator
+from hil.estimation.fusion import FusedEstimator
+from hil.estimation.fusion_tick import LEFT_OUT_TICKS, SLIP_TICKS
 from hil.robot.dynamics import Model
 from tests.hil.test_fusion import (
     LEGS,
@@ -30,6 +30,7 @@ from tests.hil.test_fusion import (
     update,
 )
 from tests.records import altered
+from tests.sensed import Readings, Sample
 
 ON_EACH_LEG = pytest.mark.parametrize("leg", range(6))
 EITHER_WAY = pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -60,7 +61,7 @@ def test_single_outliers_are_no_slip_however_many_there_are(sign):
     for tick in range(100, 100 + 4 * SLIP_TICKS):
         outlier = tick % SLIP_TICKS != 0
         used.append(update(found, tick, measurement(off if outlier else q, dq)).used[3])
-    assert not any(found.slipped)
+    assert not found.record["slipped"].any()
     assert used == [tick % SLIP_TICKS == 0 for tick in range(100, 100 + 4 * SLIP_TICKS)]
 
 
@@ -141,6 +142,8 @@ def test_a_late_sample_counts_beside_newer_ones_that_come_in_the_same_tick(late)
         if due:
             waiting = []
     assert pairs > 3
-    assert np.array_equal(prompt._states[prompt._newest], tardy._states[tardy._newest])
-    assert np.array_equal(prompt._covariances[prompt._newest], tardy._covariances[tardy._newest])
+    assert np.array_equal(prompt._states[prompt.record["newest"]], tardy._states[tardy.record["newest"]])
+    assert np.array_equal(
+        prompt._covariances[prompt.record["newest"]], tardy._covariances[tardy.record["newest"]]
+    )
     assert np.array_equal(a["p"], b["p"])

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from drivers.compiled.compiler import direct, record
 from drivers.config import ImuSettings
-from drivers.sensors import Readings, Sample
 from drivers.signals import DriveState, Fault, Warn
+from drivers.tick_columns import TICK
 from hil.config.estimation import FusionSettings
-from hil.estimation import fusion
 from hil.estimation import fusion_layout as k
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
-from hil.estimation.fused_pose import PoseFusion
-from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator, Health
+from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
+from hil.estimation.fusion_tick import FUSION, judge
 from hil.robot.dynamics import Model
+from tests import sensed
 from tests.hil.test_fusion import (
     LEGS,
     LOOSE,
@@ -34,6 +34,7 @@ from tests.hil.test_fusion import (
     measurement,
 )
 from tests.records import altered, record_of
+from tests.sensed import Readings, Sample
 
 PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)
 """Ticks without a sample of use until the tracker is missed."""
@@ -112,16 +113,15 @@ def test_sensors_that_are_heard_are_not_missed():
     assert not any(missed for _, missed in silent_for(tracked(0.0), still))
 
 
-@pytest.fixture
-def forces(monkeypatch):
-    """The forces from which each interval's acceleration was found."""
-    seen: list[list[float]] = []
-
-    def accelerate(_constants: Any, _code: int, _x: Any, tau: Any, _wrench: Any, _u: Any) -> None:
-        seen.append(tau.tolist())
-
-    monkeypatch.setattr(fusion, "accelerate_kernel", accelerate)
-    return seen
+def force(found: FusedEstimator) -> Any:
+    """Return the forces (6,) N from which the acceleration of the last interval was found; None: it was not."""
+    now = int(found.record["newest"])
+    u, x = found._intervals[now], found._states[now - 1]
+    influence = u[k.INFLUENCE : k.INFLUENCE + 36].reshape(6, 6)
+    if not influence.any():
+        return None
+    at_rest = Model(PLATFORM).forward_dynamics(x[0:3], x[3:12].reshape(3, 3), x[12:18], ZERO)
+    return np.linalg.solve(influence, u[k.DTWIST : k.DTWIST + 6] - at_rest)
 
 
 def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
@@ -130,122 +130,125 @@ def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
     return altered(m, drive_force=forces, drive_state=[DriveState.RUN] * 6, age=ages, blind=blind)
 
 
-def test_an_interval_has_the_mean_of_the_forces_at_its_ends(forces):
+def test_an_interval_has_the_mean_of_the_forces_at_its_ends():
     found = estimator()
+    forces = []
     said = [np.arange(6.0), -2.0 * np.arange(6.0), np.full(6, 10.0)]
     for tick, tau in enumerate(said, 1):
-        found.update(altered(driven(tau), tick=tick), tick * MS, Readings(), ZERO, ZERO)
-    assert forces == [said[0].tolist(), (-0.5 * np.arange(6.0)).tolist(), (5.0 - np.arange(6.0)).tolist()]
+        sensed.update(found, altered(driven(tau), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+        forces.append(force(found))
+    expected = [said[0], -0.5 * np.arange(6.0), 5.0 - np.arange(6.0)]
+    np.testing.assert_allclose(forces, expected, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("leg", range(6))
 def test_a_drive_without_an_encoder_that_speaks_is_believed_its_force_and_a_silent_one_gets_its_command(
-    forces, leg
+    leg,
 ):
     found = estimator()
     other = (leg + 1) % 6
     ages = [7 * (i in {leg, other}) for i in range(6)]
     blind = [int(i == leg) for i in range(6)]
     tick = altered(driven(np.arange(6.0) + 1.0, ages, blind), tick=1)
-    found.update(tick, MS, Readings(), np.full(6, 50.0), ZERO)
-    (taken,) = forces
-    assert taken == [50.0 if i == other else i + 1.0 for i in range(6)]
+    sensed.update(found, tick, MS, Readings(), np.full(6, 50.0), ZERO)
+    expected = [50.0 if i == other else i + 1.0 for i in range(6)]
+    np.testing.assert_allclose(force(found), expected, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("state", [DriveState.READY, DriveState.OFF, DriveState.FAULT])
-def test_with_one_brake_that_is_not_open_no_force_carries_the_pose_on_and_every_leg_is_believed(
-    forces, leg, state
-):
+def test_with_one_brake_that_is_not_open_no_force_carries_the_pose_on_and_every_leg_is_believed(leg, state):
     """A shut brake takes what the model would make of the forces, and the mean of them begins anew."""
-    found = estimator()
+    found, forces = estimator(), []
     states = [state if i == leg else DriveState.RUN for i in range(6)]
     for number, drives in enumerate(([DriveState.RUN] * 6, states, [DriveState.RUN] * 6), 1):
         tick = altered(driven(np.full(6, 10.0 * number)), tick=number, drive_state=drives)
-        found.update(tick, number * MS, Readings(), ZERO, ZERO)
-        interval = found._intervals[found._newest]
+        sensed.update(found, tick, number * MS, Readings(), ZERO, ZERO)
+        interval = found._intervals[found.record["newest"]]
         shut = drives is states
         assert (interval[k.USED : k.USED + 6] == (k.KEPT if shut else 1.0)).all()
         assert not (shut and interval[k.DTWIST : k.DTWIST + 6].any())
-    assert forces == [[10.0] * 6, [30.0] * 6]
+        forces.append(force(found))
+    assert forces[1] is None
+    np.testing.assert_allclose(forces[::2], [[10.0] * 6, [30.0] * 6], rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("odd", ["", "brake", "leg", "leg that is silent"])
 @pytest.mark.parametrize("leg", [0, 5])
-def test_what_stands_on_shut_brakes_has_lost_its_speed_within_the_interval(forces, odd, leg):
+def test_what_stands_on_shut_brakes_has_lost_its_speed_within_the_interval(odd, leg):
     """5 mm/s of one leg that is heard is a motion; what was read last of a silent one is none."""
     found, at = estimator(), np.arange(6) == leg
     twist = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
-    found._states[found._newest, 12:18] = twist
+    found._states[found.record["newest"], 12:18] = twist
     states = np.where(at & (odd == "brake"), int(DriveState.RUN), int(DriveState.READY))
     rates, ages = 5e-3 * (at & ("leg" in odd)), 1 * (at & ("silent" in odd))
     tick = altered(driven(np.zeros(6)), tick=1, drive_state=states, rate=rates, age=ages)
-    found.update(tick, MS, Readings(), ZERO, ZERO)
+    sensed.update(found, tick, MS, Readings(), ZERO, ZERO)
     stands = odd in {"", "leg that is silent"}
-    lost = found._intervals[found._newest][k.DTWIST : k.DTWIST + 6] * T
+    lost = found._intervals[found.record["newest"]][k.DTWIST : k.DTWIST + 6] * T
     np.testing.assert_allclose(lost, -twist if stands else np.zeros(6), rtol=1e-12)
-    assert not forces
+    assert force(found) is None
 
 
 def test_a_filter_that_begins_anew_knows_of_no_slip_no_contradiction_and_no_force_of_before():
     found, fresh, truth = estimator(), estimator(), Truth(5)
     for tick in range(1, 4):
-        found.update(altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO)
-    found.slipped[2], found._against[1], found._left_out[4] = True, 2, 9
+        sensed.update(found, altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+    for name, leg in (("slipped", 2), ("against", 1), ("left_out", 4)):
+        found.record[name][leg] = 2
     for each in (found, fresh):
         each.start(50, 50 * MS, truth.p, truth.R.as_matrix())
-    assert found.slipped == [False] * 6
-    for name in ("_ticks", "_latched", "_newest", "_count", "_tau", "_left_out", "_against", "_heard"):
-        assert getattr(found, name) == getattr(fresh, name), name
-    for name in ("_states", "_covariances"):
+    assert not found.record["slipped"].any()
+    for name in ("newest", "count", "driven", "left_out", "against", "heard"):
+        np.testing.assert_array_equal(found.record[name], fresh.record[name], name)
+    for name in ("_ticks", "_latched", "_states", "_covariances"):
         np.testing.assert_array_equal(getattr(found, name)[0], getattr(fresh, name)[0])
 
 
 def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():
     """What turns with the platform is turned by the last attitude: nothing is left of the run before."""
-    found = PoseFusion(estimator(), FusionSettings())
+    found = estimator()
     for seed in (1, 2):
         R = Truth(seed).R.as_matrix() @ np.diag([1.0, -1.0, -1.0] if seed == 2 else [1.0, 1.0, 1.0])
         found.start(0, 0, Truth(seed).p, R)
-        np.testing.assert_array_equal(found.R, R)
+        np.testing.assert_array_equal(found.record["R"], R)
 
 
-def judged(**health: Any) -> tuple[PoseFusion, Any]:
-    """The fusion and the tick after a tick of which the filter says this; leg 2 may be lost."""
-    none = (False,) * 6
-    said: dict[str, Any] = {
-        "lost": none,
-        "slipped": none,
-        "position_std": 1e-4,
-        "gap_s": 0.0,
-        "missed": False,
-    }
-    known = Health(**said | health)
-    found = PoseFusion(SimpleNamespace(update=lambda *_: known), FusionSettings(may_lose_legs=[2]))  # type: ignore[arg-type]
+judge_tick = direct(record(FUSION), record(TICK))(judge)
+
+
+def judged(lost: int | None = None, **found: Any) -> tuple[FusedEstimator, Any]:
+    """The filter and the tick after a tick of which it has found this; leg 2 may be lost."""
+    settings = FusionSettings(may_lose_legs=[2])
+    fused = FusedEstimator(PLATFORM, Model(PLATFORM), settings, LEGS, TRACKER, None, T)
+    fused.record["position_std_m"] = 1e-4
+    fused.record["lost"] = 0 if lost is None else 1 << lost
+    for name, value in found.items():
+        fused.record[name] = value
     tick = record_of(tick=1)
-    found.estimate(tick, MS, Readings(), ZERO, ZERO)
-    return found, tick
+    judge_tick(fused.record, tick)
+    return fused, tick
 
 
 @pytest.mark.parametrize("missed", [False, True])
 @pytest.mark.parametrize("leg", [None, 2, 4])
 def test_a_missed_sensor_and_a_lost_encoder_are_each_warned_of_beside_the_other(leg, missed):
-    _, tick = judged(lost=tuple(each == leg for each in range(6)), missed=missed)
+    _, tick = judged(leg, missed=missed)
     encoder, sensor = Warn.NONE if leg is None else Warn.ENCODER, Warn.SENSOR if missed else Warn.NONE
     assert Warn(int(tick["fusion_warnings"])) == encoder | sensor
 
 
 @pytest.mark.parametrize(("leg", "alone"), [(None, False), (2, True), (4, False)])
 def test_the_tracker_holds_the_pose_only_where_a_leg_is_lost_without_which_the_run_goes_on(leg, alone):
-    found, tick = judged(lost=tuple(each == leg for each in range(6)), gap_s=0.2)
-    assert found.alone_s == (0.2 if alone else 0.0)
+    found, tick = judged(leg, gap_s=0.2)
+    assert found.record["alone_s"] == (0.2 if alone else 0.0)
     assert Fault(int(tick["fusion_faults"])) == (Fault.UNCERTAIN if alone else Fault.NONE)
 
 
 @pytest.mark.parametrize(("rate_Hz", "period_s"), [(100.0, 1e-3), (1000.0, 1e-3), (400.0, 4e-3)])
 def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(rate_Hz, period_s):
     wrench = ExternalWrench(None, rate_Hz, period_s)
-    wrench.hear(10, (0.0,) * 6, np.eye(3))
+    wrench._record["read_at"] = 10
     late = []
     for tick in range(10, 60):
         wrench.fill(record_of(tick=tick), fusing=False)

@@ -14,9 +14,9 @@ from drivers.tick_columns import row_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
+from hil.estimation.fusion_tick import latched_at
 from hil.loop.latches import checked, latch_ns
 from hil.loop.replay import recorded_input
-from hil.loop.sight import latched_ns
 from hil.record.log import Tick
 from hil.signals import TickInput
 from tests.records import record_of
@@ -188,7 +188,7 @@ def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus
 def test_the_pose_is_estimated_as_of_the_first_latch_that_there_was(latch_ns, expected):
     cycle = build_cycle(load("virtual"), 1000.0, 0.013)
     cycle.step(TickInput(0, 1_000, 20, latch_ns=latch_ns))
-    assert latched_ns(cycle.tick) == expected
+    assert latched_at(cycle.tick) == expected
 
 
 def test_a_replay_is_given_the_latch_of_every_leg():

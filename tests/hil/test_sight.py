@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,102 +10,137 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.sensors import Readings, Sample
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import of_python
+from drivers.config import TrackerSettings, WrenchSensorSettings
+from drivers.controller_end import tick_at
+from drivers.frame_array import NO_FRAMES, received_array
+from drivers.protocol import Received
+from drivers.sensor_kernels import NEVER
+from drivers.sensors import SensorProtocol
 from drivers.signals import DriveState
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.config.estimation import FusionSettings
 from hil.estimation.external_wrench import ExternalWrench
+from hil.estimation.fusion import FusedEstimator
+from hil.estimation.fusion_noise import LegErrors
 from hil.estimation.observer import WrenchObserver
-from hil.loop.sight import AGREED_m, Sight
+from hil.loop.compiled_pass import AGREED_m, observe
+from hil.loop.cycle import Cycle
+from hil.loop.sight import Sight
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from tests.records import record_of
 
+VIRTUAL = load("virtual")
 ALL = 0b111111
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @pytest.fixture(scope="module")
 def parts() -> Any:
-    return build_cycle(load("virtual"), 1000.0, 0.01).parts
+    return build_cycle(VIRTUAL, 1000.0, 0.01).parts
 
 
-class Hearing:
-    """Takes in the wrench sensor. State: what it heard last."""
-
-    last = np.zeros(6)
-
-    def hear(self, tick: int, values: Any, R: Any) -> None:
-        self.heard = tick, values, np.array(R)
+def observed(parts: Any, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -> Cycle:
+    """Return a cycle whose pose is found, after the compiled pass has seen a tick."""
+    cycle = Cycle(parts)
+    observe_in(cycle, tick, frames, last)
+    return cycle
 
 
-class Fusing:
-    """A filter that finds what it is told."""
-
-    def __init__(self) -> None:
-        self.R, self.p = TURNED, np.array([0.1, 0.2, 0.9])
-        self.legs, self.residual = ALL, 0.0
-
-    def estimate(self, tick: Any, latched_ns: int, readings: Readings, tau: Any, wrench: Any) -> None:
-        self.told, self.wrench = (latched_ns, readings, tau.tolist()), wrench.copy()
-        tick["p"], tick["R"] = self.p, self.R
-        tick["legs_used"], tick["fk_residual"] = self.legs, self.residual
+def observe_in(cycle: Cycle, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -> None:
+    cycle.sight.located = True
+    cycle.sight.fusing = cycle.parts.fusion is not None
+    cycle.settle()
+    observe(cycle._control.record, tick, record_of() if last is None else last, frames)
 
 
-def hear(sight: Sight, readings: Readings, **columns: Any) -> Any:
-    tick = record_of(tick=5, **columns)
-    sensors = SimpleNamespace(decode=lambda *_: readings)
-    sight.hear(sensors, SimpleNamespace(frames=(), tick=5), tick)  # type: ignore[arg-type]
-    return tick
-
-
-def see(sight: Sight, tick: Any, last: Any = None) -> None:
-    """Fill the estimate of a tick, as the cycle has it filled."""
+def see(sight: Sight, tick: Any) -> None:
+    """Fill the estimate of a tick before which the pose was not found, or from the legs alone."""
     tick["q"], tick["dq"] = tick["length"], tick["rate"]
-    if not sight.located:
-        sight.locate(tick)
-    elif sight.parts.fusion is not None:
-        sight.fuse(tick, record_of() if last is None else last)
-    else:
+    if sight.located:
         sight.update(tick)
+    else:
+        sight.locate(tick)
+
+
+SENSORS = VIRTUAL.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=500.0)})
+P = SensorProtocol(VIRTUAL.bus, SENSORS)
+LOAD = (100.0, -200.0, 300.0, 10.0, -20.0, 30.0)
+
+
+def load_frames(*samples: tuple[float, float]) -> Any:
+    """Return frames of the wrench sensor: share of LOAD, and when it was taken behind the SYNC of tick 4."""
+    return received_array(
+        [
+            Received(0, P.encode("wrench", [share * x for x in LOAD], 4, offset_s, k))
+            for k, (share, offset_s) in enumerate(samples)
+        ]
+    )
 
 
 def test_refused_frames_of_sensors_come_to_those_of_drives_and_stand_apart(parts):
-    tick = hear(Sight(parts), Readings(rejected=2), rejected=3)
-    assert (int(tick["rejected"]), int(tick["sensors_rejected"])) == (5, 2)
+    good = load_frames((1.0, 0.0))
+    bad = good.copy()
+    bad["data"][:, 0] ^= 1
+    tick = record_of(tick=5)
+    observed(replace(parts, sensors=P), tick, np.concatenate((bad, good, bad)))
+    assert (int(tick["rejected"]), int(tick["sensors_rejected"])) == (2, 2)
 
 
 @pytest.mark.parametrize("fusing", [True, False])
-def test_the_newest_sample_of_the_load_counts_turned_by_the_pose_as_it_is_seen_now(parts, fusing):
-    hearing = Hearing()
-    sight = Sight(replace(parts, wrench=hearing, fusion=Fusing()))
-    sight.fusing = fusing
-    samples = tuple(Sample(4, 1e-4 * k, (float(k),) * 6) for k in range(3))
-    hear(sight, Readings(wrench=samples))
-    tick, values, R = hearing.heard
-    assert (tick, tuple(values)) == (5, (2.0,) * 6)
-    np.testing.assert_array_equal(R, TURNED if fusing else parts.home_R)
+def test_the_newest_sample_of_the_load_counts_turned_by_the_pose_as_it_was_last_seen(parts, fusing):
+    wrench = ExternalWrench(None, 500.0, 1e-3)
+    cycle = Cycle(replace(parts, wrench=wrench, sensors=P, fusion=fused(parts) if fusing else None))
+    seen = cycle.parts.fusion if fusing else cycle.sight.estimator
+    assert seen is not None
+    seen.record["R"] = TURNED
+    observe_in(cycle, record_of(tick=5, age=0), load_frames((0.0, 1e-4), (1.0, 3e-4), (0.5, 2e-4)))
+    x, y, z, mx, my, mz = LOAD
+    np.testing.assert_allclose(wrench.reading, [-y, x, z, -my, mx, mz], atol=1e-9)
+
+
+def fused(parts: Any) -> FusedEstimator:
+    tracker = TrackerSettings()
+    return FusedEstimator(
+        parts.platform, Model(parts.platform), FusionSettings(), LegErrors(1e-5, 1e-3), tracker, None, 1e-3
+    )
+
+
+def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
+    """Return a cycle whose filter finds what it is told: its R, p, legs used and residual; and its calls."""
+    called: list[Any] = []
+
+    def fuse(_filter: int, _sensors: int, command: int, wrench: int, at: int) -> int:
+        tick = tick_at(at)
+        numbers = (
+            np.ctypeslib.as_array((ctypes.c_double * 6).from_address(a)).tolist() for a in (command, wrench)
+        )
+        called.append(tuple(numbers))
+        tick["p"], tick["R"] = [0.1, 0.2, 0.9], TURNED
+        tick["legs_used"], tick["fk_residual"] = different.get("legs", ALL), different.get("residual", 1.0)
+        return 0
+
+    wrench = different.get("wrench", parts.wrench)
+    cycle = Cycle(replace(parts, wrench=wrench, fusion=fused(parts), sensors=P))
+    cycle._control.record["fuse"], keeps = of_python(fuse, *[INTEGER] * 5)
+    cycle._control._keeps.append(keeps)
+    return cycle, called
 
 
 @pytest.mark.parametrize("source", ["sensor", "observer"])
 def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(parts, source):
-    seen = np.array([100.0, -200.0, 300.0, 10.0, -20.0, 30.0])
     watching = WrenchObserver(Model(parts.platform), ForcePath(1e-3, 0.0, 0.0), 20.0)
     wrench = ExternalWrench(watching if source == "observer" else None, 1000.0, 1e-3)
-    watching.residual[:] = seen
-    fusing = Fusing()
-    fusing.R = np.eye(3)
-    sight = Sight(replace(parts, wrench=wrench, fusion=fusing))
-    sight.located = sight.fusing = True
-    told = []
+    cycle, called = seen_by_filter(parts, wrench=wrench, legs=0)
+    watching.residual[:] = LOAD
     for n in range(2):
-        tick = hear(sight, Readings(wrench=(Sample(4, 0.0, tuple(seen)),) if n == 0 else ()), age=0)
-        see(sight, tick)
-        told.append(fusing.wrench)
-        tick["drive_state"] = DriveState.READY  # a brake is shut: what was seen before stays
-        wrench.fill(tick, fusing=True)
-        np.testing.assert_array_equal(tick["wrench"], seen)
-    np.testing.assert_array_equal(told, [np.zeros(6), seen])
+        tick = record_of(tick=5 + n, age=0, drive_state=DriveState.READY)
+        observe_in(cycle, tick, load_frames((1.0, 0.0)) if n == 0 else NO_FRAMES)
+        np.testing.assert_allclose(tick["wrench"], LOAD, atol=1e-9)
+    np.testing.assert_allclose([load for _, load in called], [(0.0,) * 6, LOAD], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -112,32 +148,24 @@ def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(part
     [(ALL, 0.999 * AGREED_m, True), (ALL, AGREED_m, False), (0b111101, 0.0, False)],
 )
 def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, legs, residual, agreed):
-    fusing = Fusing()
-    fusing.legs, fusing.residual = legs, residual
-    sight = Sight(replace(parts, wrench=Hearing(), fusion=fusing))
-    sight.located = sight.fusing = True
-    tick = record_of(tick=5, age=0, length=1.5, t_ns=1000, lateness_ns=200, latch_ns=[0, 39, 34, 50, 0, 34])
-    sight.readings = Readings(rejected=3)
-    see(sight, tick, record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))
-    assert fusing.told == (1234, Readings(rejected=3), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    np.testing.assert_array_equal(sight.estimator.p, fusing.p if agreed else parts.home_p)
-    np.testing.assert_array_equal(sight.estimator.R, TURNED if agreed else parts.home_R)
-    np.testing.assert_array_equal(tick["p"], fusing.p)
+    cycle, called = seen_by_filter(parts, legs=legs, residual=residual)
+    tick = record_of(tick=5, age=0, length=1.5)
+    observe_in(cycle, tick, last=record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))
+    assert called[0][0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    estimator = cycle.sight.estimator
+    np.testing.assert_array_equal(estimator.p, [0.1, 0.2, 0.9] if agreed else parts.home_p)
+    np.testing.assert_array_equal(estimator.R, TURNED if agreed else parts.home_R)
+    np.testing.assert_array_equal(tick["p"], [0.1, 0.2, 0.9])
 
 
-def test_the_sensors_decode_the_frames_of_the_tick_beside_what_they_said_before(parts):
-    sight, told, said = Sight(parts), list[Any](), [Readings(rejected=1), Readings(rejected=2)]
-
-    def decode(*what: Any) -> Readings:
-        told.append(what)
-        return said[len(told) - 1]
-
-    sensors: Any = SimpleNamespace(decode=decode)
-    for n in range(2):
-        inp: Any = SimpleNamespace(frames=(n, 9), tick=5 + n)
-        sight.hear(sensors, inp, record_of(tick=5 + n))
-    assert told == [((0, 9), 5, Readings()), ((1, 9), 6, said[0])]
-    assert sight.readings is said[1]
+def test_the_counter_of_a_sensor_goes_on_from_tick_to_tick_until_a_reset(parts):
+    cycle = Cycle(replace(parts, sensors=P))
+    for heard in (1, 0):
+        observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
+        assert cycle.sight.sensors["count"].tolist() == [0, 0, heard], "the second one is a repetition"
+    cycle.sight.reset()
+    observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
+    assert cycle.sight.sensors["count"].tolist() == [0, 0, 1]
 
 
 # -- the first pose
@@ -214,21 +242,16 @@ def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_ag
     np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
 
 
-def test_the_filter_begins_at_the_pose_of_the_legs_and_fills_the_ticks_that_follow(parts):
+def test_the_filter_begins_at_the_pose_of_the_legs(parts):
     begun: list[Any] = []
-    fusing: Any = Fusing()
-    fusing.start = lambda number, ns, p, R: begun.append((number, ns, p.copy(), R.copy()))
-    sight, looks = looking(replace(parts, wrench=Hearing(), fusion=fusing))
+    fusing: Any = SimpleNamespace(begin=lambda tick: begun.append((int(tick["tick"]), tick["p"].copy())))
+    sight, looks = looking(replace(parts, fusion=fusing))
     looks.finds = True
-    ticks = [record_of(tick=number, age=0, length=1.5, t_ns=1234) for number in (20, 21)]
-    for tick in ticks:
-        see(sight, tick)
-        assert sight.fusing
-    assert begun[0][:2] == (20, 1234)
-    np.testing.assert_array_equal(begun[0][2], ticks[0]["p"])
-    np.testing.assert_array_equal(begun[0][3], ticks[0]["R"])
-    assert len(begun) == 1
-    np.testing.assert_array_equal([ticks[0]["p"], ticks[1]["p"]], [np.full(3, 7.0), fusing.p])
+    see(sight, record_of(tick=20, age=0, length=1.5))
+    assert sight.fusing
+    ((number, p),) = begun
+    assert number == 20
+    np.testing.assert_array_equal(p, np.full(3, 7.0))
 
 
 def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts):
@@ -237,10 +260,10 @@ def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts
     for back, stays in ((sight.forget, True), (sight.reset, False)):
         sight.estimator.adopt(p, TURNED)
         sight.located = sight.sought = sight._due = sight.fusing = True
-        sight.in_time, sight.readings = [4] * 6, Readings(rejected=3)
+        sight.in_time, sight.sensors["counter"] = [4] * 6, 3
         back()
         assert [sight.located, sight.sought, sight._due, sight.fusing] == [False] * 4
         assert sight.in_time == [None] * 6
-        assert (sight.readings == Readings()) is not stays
+        assert sight.sensors["counter"].tolist() == [3 if stays else NEVER] * 3
         np.testing.assert_array_equal(sight.estimator.p, p if stays else parts.home_p)
         np.testing.assert_array_equal(sight.estimator.R, TURNED if stays else parts.home_R)

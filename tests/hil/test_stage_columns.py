@@ -19,7 +19,6 @@ from drivers.config import TrackerSettings
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received, Status
-from drivers.sensors import Readings, Sample
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
 from hil.app.compose import build_cycle, build_nodes, build_sensors
@@ -29,7 +28,6 @@ from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
 from hil.estimation.external_wrench import ExternalWrench
-from hil.estimation.fused_pose import PoseFusion
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_noise import LegErrors
 from hil.estimation.observer import WrenchObserver
@@ -42,11 +40,13 @@ from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from hil.signals import Operator
+from tests import sensed
 from tests.broad import broad
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import SETUP, one_feedback
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
 from tests.records import altered, arrived, record_of
+from tests.sensed import Readings, Sample
 
 ODD = 0x5EED_5EED_5EED_5EED | 1
 MS = 1_000_000
@@ -160,8 +160,7 @@ def fusion():
     settings = FusionSettings(may_lose_legs=[5])
     first, tracker = sample(BOOK["states"][4]), TrackerSettings()
     errors = LegErrors(length_std_m=3e-7, rate_std_m_s=1e-3)
-    estimator = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, tracker, None, 1e-3)
-    found = PoseFusion(estimator, settings)
+    found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, tracker, None, 1e-3)
     found.start(-1, -MS, first.p, first.R)
     return found
 
@@ -173,11 +172,22 @@ def test_the_filter_fills_estimate_and_fusion_from_the_measurement():
         def run(tick):
             number = int(tick["tick"])
             samples = (Sample(number - 1, 0.3e-3, (0.1, 0.2, 1.1, 0.0, 0.0, 0.0)),) if number % 2 else ()
-            found.estimate(tick, number * MS, Readings(tracker=samples), np.full(6, 3600.0), np.zeros(6))
+            sensed.update(found, tick, None, Readings(tracker=samples), np.full(6, 3600.0), np.zeros(6))
 
         return run
 
-    reads = ("tick", "length", "rate", "drive_force", "drive_state", "age", "blind")
+    reads = (
+        "tick",
+        "t_ns",
+        "lateness_ns",
+        "latch_ns",
+        "length",
+        "rate",
+        "drive_force",
+        "drive_state",
+        "age",
+        "blind",
+    )
     owns = (*STATE, "fk_residual", "condition", *part("fusion"), "counted_age")
     follow(make_stage, moving(), (*reads, "innovation_tracker", "tracker"), owns)
 

@@ -387,7 +387,8 @@ def test_a_slipped_encoder_and_an_uncertain_pose_are_told_with_their_limits():
     bench.until(Mode.APPROACH)
     fusion = bench.cycle.parts.fusion
     assert fusion is not None
-    fusion.contradicting, fusion.position_std_m, fusion.alone_s = (4,), 0.0061, 0.1042
+    for name, value in {"contradicting": 1 << 4, "position_std_m": 0.0061, "alone_s": 0.1042}.items():
+        fusion.record[name] = value
     both = Fault.ENCODER | Fault.UNCERTAIN
     story = told(strike(bench, Case(both, {"innovation_q": legs(0.0, leg_4=-3.3e-4)}, []))[0])
     assert [each.seen[:3] for each in story.findings] == [

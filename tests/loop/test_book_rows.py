@@ -17,6 +17,9 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 from scipy.spatial.transform import Rotation
 
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import Callee, of_python
+from drivers.controller_end import tick_at
 from drivers.signals import Fault, Mode, Warn
 from hil.app.check.command import inspect
 from hil.app.compose import build_cycle, build_nodes
@@ -244,16 +247,20 @@ class Follow:
 
     def __init__(self, platform, plant):
         self.platform, self.plant = platform, plant
+        self.record = {"R": np.eye(3)}
+        address, keeps = of_python(self._estimate, *[INTEGER] * 5)
+        self.fuse = Callee(address, 0, keeps)
 
-    def start(self, _number, _latched_ns, _p, _R):
+    def begin(self, tick):
         pass
 
-    def estimate(self, tick, *_):
-        truth = self.plant.truth()
+    def _estimate(self, _context, _sensors, _command, _wrench, at):
+        tick, truth = tick_at(at), self.plant.truth()
         tick["p"], tick["R"], tick["twist"] = truth.p, truth.R, truth.twist
         tick["J"] = jacobian(self.platform, truth.p, truth.R)
         tick["fk_residual"] = np.abs(leg_lengths(self.platform, truth.p, truth.R) - tick["q"]).max()
         tick["condition"] = 1.0
+        return 0
 
 
 def let_pass_and_follow(cycle, plant):

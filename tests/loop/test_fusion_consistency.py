@@ -64,8 +64,8 @@ def run(c, *faults, seed=1):
 
     def seen(cycle, _row):
         if cycle.mode is Mode.TRACKING:
-            estimator = cycle.parts.fusion._estimator
-            covariances.append(estimator._covariances[estimator._newest][:12, :12].copy())
+            estimator = cycle.parts.fusion
+            covariances.append(estimator._covariances[estimator.record["newest"]][:12, :12].copy())
 
     ending, cycle, rows, truths = track(c, *faults, seed=seed, seen=seen)
     used = rows["legs_used"][:, None] >> np.arange(LEGS) & 1

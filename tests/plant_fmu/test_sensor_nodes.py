@@ -19,7 +19,7 @@ from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import Received
-from drivers.sensors import Readings, SensorProtocol
+from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
@@ -27,6 +27,7 @@ from plant_fmu.faults.load import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.faults.plant import PlantHang
 from plant_fmu.plant import Truth
+from tests.sensed import Readings, decode
 
 MS, US = 1_000_000, 1_000
 G = (0.0, 0.0, -9.81)
@@ -95,7 +96,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
         synced = 7 * MS + tick * MS + sync_after_us * US
         out = nodes.step(synced, [Received(synced, DRIVES.begin(None, tick)[0])])
         assert [t for t, _ in out] == sorted(t for t, _ in out)
-        readings = protocol.decode(received_array([Received(t, frame) for t, frame in out]), tick, readings)
+        readings = decode(protocol, received_array([Received(t, frame) for t, frame in out]), tick, readings)
         rejected += readings.rejected
         for kind, samples in found.items():
             for sample in getattr(readings, kind):
@@ -333,7 +334,7 @@ def test_before_the_plant_has_moved_an_imu_measures_its_weight_alone_at_the_firs
         nodes.start(t0_ns)
         sent = nodes.step(t0_ns, [Received(t0_ns, DRIVES.begin(None, 0)[0])])
         sent += nodes.step(t0_ns + MS, [])
-        readings = protocol.decode(received_array([Received(*each) for each in sent]), 0, Readings())
+        readings = decode(protocol, received_array([Received(*each) for each in sent]), 0, Readings())
         (first,) = readings.imu
         assert first.values[3:] == pytest.approx(rotation(0.0).T @ [0.0, 0.0, 9.81], abs=2.5e-3)
         nodes.step(t0_ns + 50 * MS, [])
@@ -366,7 +367,7 @@ def test_a_tracker_alone_measures_where_the_plant_is_at_each_instant_of_a_long_s
     nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
     sent = nodes.step(20 * MS, [Received(7 * MS, DRIVES.begin(None, 1)[0])])
     assert [t for t, frame in sent if frame.id == 0x702] == [round(100 * MS / 6)], "the drives' heartbeats"
-    readings = protocol.decode(received_array([Received(*each) for each in sent]), 1, Readings())
+    readings = decode(protocol, received_array([Received(*each) for each in sent]), 1, Readings())
     assert [(each.tick, round(1e3 * each.offset_s)) for each in readings.tracker] == [
         (0, 5),
         (1, 3),
@@ -385,7 +386,7 @@ def test_an_imu_measures_right_after_steps_that_ended_less_than_one_of_the_plant
     nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
     for at_ms in (2, 4, 6):
         sent = nodes.step(at_ms * MS - early_us * US, []) + nodes.step((at_ms + 1) * MS, [])
-        *_, sample = protocol.decode(received_array([Received(*each) for each in sent]), 0, Readings()).imu
+        *_, sample = decode(protocol, received_array([Received(*each) for each in sent]), 0, Readings()).imu
         assert round(1e3 * sample.offset_s) == at_ms
         force = rotation(1e-3 * at_ms).T @ np.subtract(acceleration(1e-3 * at_ms), G)
         assert sample.values[3:] == pytest.approx(force, abs=2.5e-3)

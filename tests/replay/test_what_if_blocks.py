@@ -52,12 +52,13 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
     answer = kernel.Answer()
     blocks = kernel._Blocks(answer, None)
     for tick in range(20):
-        there, here = np.zeros((), ROW), np.zeros((), ROW)
+        there: Any = np.zeros((), ROW)
+        here = np.zeros((), ROW)
         there["tick"] = here["tick"] = 100 + tick
         there["faults"] = Fault.SPEED if 6 <= tick < 12 else Fault.NONE
         here["tau"] = 1.0 if tick < 6 else 50.0
         inp: Any = SimpleNamespace(t_ns=0)
-        blocks.add(Stepped(Tick(there[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
+        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
     blocks.flush()
     assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
     assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
@@ -203,12 +204,13 @@ def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the
     answer = kernel.Answer()
     blocks = kernel._Blocks(answer, None)
     for tick in range(12):
-        there, here = np.zeros((), ROW), np.zeros((), ROW)
+        there: Any = np.zeros((), ROW)
+        here = np.zeros((), ROW)
         there["tick"] = here["tick"] = 100 + tick
         there["warnings"] = Warn.FORCE_STEP if tick in {1, 2, 5} else Warn.NONE
         here["warnings"] = Warn.FORCE_STEP | Warn.LATE if tick in {2, 4, 5, 6, 11} else Warn.NONE
         inp: Any = SimpleNamespace(t_ns=0)
-        blocks.add(Stepped(Tick(there[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
+        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
     blocks.flush()
     assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, HilError
-from drivers.sensors import KINDS, OLDEST
+from drivers.sensor_kernels import OLDEST
+from drivers.sensors import KINDS
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.controller_file import unusable

@@ -15,7 +15,7 @@ from drivers.signals import LEGS, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.configuration.configuration import Configuration
 from hil.app.report.fused import against_m, alone_s, counted_age, is_fused, position_std_m
-from hil.estimation.fusion import SLIP_TICKS
+from hil.estimation.fusion_tick import SLIP_TICKS
 from hil.safety.bus import OFTEN as DEAD_BUS
 from hil.safety.frames import OFTEN as UNRELIABLE
 from hil.safety.guard import WINDOW_S

@@ -214,7 +214,8 @@ def encoder(m: Moment) -> Iterator[Seen]:
     off = m.legs("innovation_q")
     for leg in fusion.contradicting if fusion is not None else ():
         assert fusion is not None
-        yield Seen(abs(off[leg]), fusion.slip_m, leg, unit="m", key="estimation.fusion.encoder_slip_m")
+        slip_m = fusion.record["slip_m"].item()
+        yield Seen(abs(off[leg]), slip_m, leg, unit="m", key="estimation.fusion.encoder_slip_m")
 
 
 def uncertain(m: Moment) -> Iterator[Seen]:
@@ -222,15 +223,17 @@ def uncertain(m: Moment) -> Iterator[Seen]:
     fusion = m.cycle.parts.fusion
     if fusion is None:
         return
-    if not fusion.position_std_m <= fusion.std_max_m:
+    names = "position_std_m", "std_max_m", "alone_s", "gap_max_s"
+    std_m, std_max_m, alone_s, gap_max_s = (fusion.record[name].item() for name in names)
+    if not std_m <= std_max_m:
         key = "estimation.fusion.position_std_max_m"
-        yield Seen(fusion.position_std_m, fusion.std_max_m, unit="m", key=key)
-    if not fusion.alone_s <= fusion.gap_max_s:
+        yield Seen(std_m, std_max_m, unit="m", key=key)
+    if not alone_s <= gap_max_s:
         text = (
             "no tracker sample of use for {mm:.0f} ms while an encoder is lost; {key} allows {mm_limit:g} ms"
         )
         key = "estimation.fusion.tracker_gap_max_ms"
-        yield Seen(fusion.alone_s, fusion.gap_max_s, None, text, "s", key)
+        yield Seen(alone_s, gap_max_s, None, text, "s", key)
 
 
 def not_finite(m: Moment) -> Iterator[Seen]:

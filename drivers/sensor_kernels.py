@@ -1,0 +1,134 @@
+"""Samples of the sensors in compiled code: from a tick's frames to samples in the order of their instants."""
+
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array, Rows
+from drivers.compiled.compiler import helper, record
+from drivers.compiled.pointed import data_at, records_at
+from drivers.frame_pointers import signed
+from drivers.legs.crc import RESIDUE
+from drivers.legs.device_kernels import STRANGE
+from drivers.legs.kernels import natural, register_after
+from drivers.tick_columns import Record
+
+TRACKER, IMU, WRENCH = range(3)
+QUANTITIES = 6
+FIELDS = QUANTITIES + 4
+"""Of a sample, in order of position: quantities, Offset, Cycle, Counter, Validity; behind them its CRC."""
+OLDEST = 127
+"""Ticks: Cycle counts to 255, and a stamp further back cannot be told from one in the future."""
+MOST = 256
+"""Samples of one kind in one tick; what comes beyond is refused."""
+NEVER = NOBODY = -1
+"""Counter before the first frame; identifier of a sensor that is not there."""
+SAMPLE = np.dtype([("tick", "<i8"), ("offset_s", "<f8"), ("values", "<f8", (QUANTITIES,))])
+"""One measurement: tick of the SYNC before it, from the end of that SYNC to it in steps of 1 us, and its
+values. Tracker: position m in the base frame, rotation vector rad from platform to base. IMU: angular rate
+rad/s, specific force m/s^2. Wrench: force N, moment N m. The last two in the platform frame."""
+SENSORS = np.dtype(
+    [
+        *((name, "<i8", (3,)) for name in ("id", "bus", "register", "length")),
+        ("start", "<i8", (3, FIELDS)), ("bits", "<i8", (3, FIELDS)),
+        ("scale", "<f8", (3, QUANTITIES + 1)),
+        ("low", "<f8", (3, QUANTITIES)), ("high", "<f8", (3, QUANTITIES)),
+        ("counter", "<i8", (3,)),
+        ("count", "<i8", (3,)), ("rejected", "<i8"), ("lost", "<i8"),
+        ("samples", "<i8"),
+    ]
+)  # fmt: skip
+"""Tracker, IMU, wrench sensor: identifier (-1: there is none), bus, check after the identifier, bytes; where
+each field lies in bits; steps and ranges in SI. Then what has been heard: the counter of each one's last
+frame; of the present tick the samples, refused frames, and samples that the counters show to be missing.
+`samples`: address of (3, MOST) elements of SAMPLE."""
+_HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
+_samples_at = records_at(record(SAMPLE))
+_KIND_BYTES = MOST * SAMPLE.itemsize
+
+
+def unheard() -> tuple[Record, Rows]:
+    """Return a record of SENSORS without any, and the samples that its address leads to."""
+    record, samples = np.zeros((), SENSORS), np.zeros((3, MOST), SAMPLE)
+    record["id"], record["counter"], record["samples"] = NOBODY, NEVER, data_at(samples)
+    return record, samples
+
+
+@helper
+def samples_of(s: Any, kind: int) -> Any:
+    """Return the samples of a tick, oldest first."""
+    return _samples_at(s.samples + _KIND_BYTES * kind, s.count[kind])
+
+
+@helper
+def _is_later(one: Any, tick: int, offset_s: float, values: Array) -> bool:
+    if one.tick != tick:
+        return bool(one.tick > tick)
+    if one.offset_s != offset_s:
+        return bool(one.offset_s > offset_s)
+    for k in range(QUANTITIES):
+        if one.values[k] != values[k]:
+            return bool(one.values[k] > values[k])
+    return False
+
+
+@helper
+def _keep(s: Any, kind: int, tick: int, offset_s: float, values: Array) -> None:
+    """Put a sample among those of its tick."""
+    place = s.count[kind]
+    s.count[kind] += 1
+    samples = samples_of(s, kind)
+    while place > 0 and _is_later(samples[place - 1], tick, offset_s, values):
+        before, here = samples[place - 1], samples[place]
+        here.tick, here.offset_s = before.tick, before.offset_s
+        here.values[:] = before.values
+        place -= 1
+    sample = samples[place]
+    sample.tick, sample.offset_s = tick, offset_s
+    sample.values[:] = values
+
+
+@helper
+def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
+    """Take a sample from an intact frame; tell whether it can be believed."""
+    start, bits = s.start[kind], s.bits[kind]
+    behind = (tick - natural(data, 0, start[7], bits[7])) & 0xFF
+    counter = natural(data, 0, start[8], bits[8])
+    validity = natural(data, 0, start[9], bits[9])
+    if behind > OLDEST or tick < behind or validity > 1 or s.count[kind] == MOST:
+        return False
+    v = np.empty(QUANTITIES)
+    for k in range(QUANTITIES):
+        v[k] = signed(natural(data, 0, start[k], bits[k]), bits[k]) * s.scale[kind, k]
+        if not s.low[kind, k] <= v[k] <= s.high[kind, k]:
+            return False
+    if kind == TRACKER and v[3] * v[3] + v[4] * v[4] + v[5] * v[5] > _HALF_TURN_2:
+        return False
+    if counter == s.counter[kind]:
+        return True  # a repetition
+    if s.counter[kind] != NEVER:
+        s.lost += (counter - s.counter[kind] - 1) & 0xF
+    s.counter[kind] = counter
+    if validity == 0:
+        offset_s = natural(data, 0, start[6], bits[6]) * s.scale[kind, 6]
+        _keep(s, kind, tick - behind, offset_s, v)
+    return True
+
+
+@helper
+def hear(s: Any, frames: Any, tick: int) -> None:
+    """Take the samples among a tick's frames, elements of FRAME, see `drivers.sensors`."""
+    s.rejected = s.lost = 0
+    s.count[:] = 0
+    for n in range(frames.shape[0]):
+        frame = frames[n]
+        for kind in range(3):
+            if np.int64(frame.id) != s.id[kind] or frame.flags & STRANGE or frame.bus != s.bus[kind]:
+                continue
+            intact = (
+                frame.length == s.length[kind]
+                and register_after(frame.data, 0, frame.length, s.register[kind]) == RESIDUE
+            )
+            if not (intact and _take(s, kind, frame.data, tick)):
+                s.rejected += 1

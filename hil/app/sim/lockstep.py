@@ -170,8 +170,8 @@ class Lockstep:
         was refused, empty where it was taken; armed: it engages by itself; over: whether the operator has
         said all. It ends with its plant, too. `event` takes what each fault tells in its tick.
         """
-        goes_on = self.cycle.parts.operator.stays
-        course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=goes_on)
+        stays = self.cycle.parts.operator.stays
+        course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=stays)
         ending, held = None, False
         while ending is None:
             tick = self.tick + 1
@@ -179,10 +179,12 @@ class Lockstep:
             silent = over() and not said.operator and not said.orders
             mode = self.cycle.mode
             was_held, held = held, mode is Mode.HELD
-            refused = [
-                refusal(each, mode, was_held=was_held, goes_on=course.goes_on) for each in said.operator
-            ]
-            taken = tuple(each for each, why in zip(said.operator, refused, strict=True) if not why)
+            refused: list[str] = []
+            taken = said.operator
+            if taken:
+                goes_on = course.goes_on
+                refused = [refusal(each, mode, was_held=was_held, goes_on=goes_on) for each in taken]
+                taken = tuple(each for each, why in zip(taken, refused, strict=True) if not why)
             operator = course.commands(tick, course.left_alone() if silent else taken)
             try:
                 stepped = self.step(operator, said.setpoints, said.orders)

@@ -21,7 +21,7 @@ from drivers.can.arbitration import (
 )
 from drivers.can.arbitration import SENT as GONE
 from drivers.compiled.compiler import INTEGER, direct, helper, record, records
-from drivers.compiled.pointed import call, integers_at
+from drivers.compiled.pointed import address_of, call, integers_at
 from drivers.ends import frame_at
 from drivers.frame_array import FRAME, RECEIVED
 from drivers.protocol import ALWAYS
@@ -58,19 +58,13 @@ def _queue_of(w: Any) -> Ints:
 
 
 @helper
-def _place(frames: Any) -> Any:
-    return np.int64(frames.ctypes.data)
-
-
-@helper
 def _copy(source: int, into: int) -> None:
     integers_at(into, _WORDS)[:] = integers_at(source, _WORDS)
 
 
 @helper
-def _same(first: int, second: int) -> bool:
+def _same(a: Any, b: Any) -> bool:
     """Tell whether two frames are alike but for their times."""
-    a, b = frame_at(first), frame_at(second)
     if a.id != b.id or a.length != b.length or a.flags != b.flags or a.bus != b.bus:
         return False
     return bool((a.data[: a.length] == b.data[: b.length]).all())
@@ -86,31 +80,31 @@ def _duration(w: Any, frame: Any) -> int:
 
 
 @helper
-def _total(w: Any, frames: int, count: int) -> int:
+def _total(w: Any, frames: Any) -> int:
     """Return how long frames take one after the other, ns."""
     total = 0
-    for k in range(count):
-        total += _duration(w, frame_at(frames + k * _FRAME))
+    for k in range(frames.shape[0]):
+        total += _duration(w, frames[k])
     return total
 
 
 @helper
-def _put(w: Any, frames: int, count: int, t_ns: int, from_drive: int) -> int:
+def _put(w: Any, frames: Any, t_ns: int, from_drive: int) -> int:
     """Put frames into their nodes' transmit queues, each at its instant and none before `t_ns`."""
+    count = frames.shape[0]
     if w.waiting + max(w.commands, w.late) + count > w.room:
         return FULL
     for k in range(count):
-        if _duration(w, frame_at(frames + k * _FRAME)) < 0:
+        if _duration(w, frames[k]) < 0:
             return UNFIT
     queue = _queue_of(w)
     for k in range(count):
-        at = frames + k * _FRAME
-        frame, row = frame_at(at), queue[w.waiting]
+        frame, row = frames[k], queue[w.waiting]
         w.number += 1
         row[QUEUED_NS] = max(frame.t_ns, t_ns)
         row[PRIORITY], row[NUMBER] = priority(int(frame.id), int(frame.flags)), w.number
         row[DURATION_NS], row[WIRE], row[FROM_DRIVE] = _duration(w, frame), frame.bus, from_drive
-        _copy(at, row[CONTENT:].ctypes.data)
+        _copy(address_of(frame), row[CONTENT:].ctypes.data)
         w.waiting += 1
     return DONE
 
@@ -154,40 +148,40 @@ def _carry(w: Any, until_ns: int) -> None:
 
 
 @helper
-def _waits(w: Any, bus: int, opening: int, count: int) -> bool:
+def _waits(w: Any, bus: int, opening: Any) -> bool:
     """Tell whether a frame waits for a bus that is one of those that start the tick."""
     queue = _queue_of(w)
     for k in range(w.waiting):
         if queue[k, WIRE] == bus:
-            at = queue[k, CONTENT:].ctypes.data
-            for n in range(count):
-                if _same(at, opening + n * _FRAME):
+            waiting = frame_at(queue[k, CONTENT:].ctypes.data)
+            for n in range(opening.shape[0]):
+                if _same(waiting, opening[n]):
                     return True
     return False
 
 
 @helper
-def _sent_ns(w: Any, frame: int, t_ns: int) -> int:
+def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
     """Return when the last frame like this one ended, of those heard since an instant; FOREVER: none did."""
     for k in range(w.commands - 1, -1, -1):
-        heard = w.commands_at + k * _FRAME
-        if frame_at(heard).t_ns >= t_ns and _same(heard, frame):
-            return int(frame_at(heard).t_ns)
+        heard = frame_at(w.commands_at + k * _FRAME)
+        if heard.t_ns >= t_ns and _same(heard, frame):
+            return int(heard.t_ns)
     return FOREVER
 
 
 @helper
-def _note_sent(w: Any, t_ns: int, opening: int, count: int) -> None:
+def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
     """Note when the frames that start the tick were out, for each leg and between the buses."""
     w.latch_ns[:] = 0
     soonest = np.full(w.buses, FOREVER)
-    for at in range(opening, opening + count * _FRAME, _FRAME):
-        sent_ns = _sent_ns(w, at, t_ns)
+    for n in range(opening.shape[0]):
+        frame = opening[n]
+        sent_ns = _sent_ns(w, frame, t_ns)
         if sent_ns == FOREVER:
             continue
-        bus = frame_at(at).bus
-        soonest[bus] = min(soonest[bus], sent_ns)
-        legs = call(w.addressed, (w.hearing, at))
+        soonest[frame.bus] = min(soonest[frame.bus], sent_ns)
+        legs = call(w.addressed, (w.hearing, address_of(frame)))
         for leg in range(LEGS):
             if legs >> leg & 1:
                 w.latch_ns[leg] = sent_ns - t_ns
@@ -195,41 +189,40 @@ def _note_sent(w: Any, t_ns: int, opening: int, count: int) -> None:
 
 
 @direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
-def begin(w: Any, frames: Any, t_ns: int, deadline_ns: int) -> int:
+def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
     """Let what starts the tick reach the drives; note when."""
-    opening, count = _place(frames), frames.shape[0]
-    status = _put(w, opening, count, t_ns, 0)
+    status = _put(w, opening, t_ns, 0)
     if status != DONE:
         return status
     free, until_ns = integers_at(w.free, w.buses), t_ns
-    for k in range(count):
-        until_ns = max(until_ns, frame_at(opening + k * _FRAME).t_ns)
+    for k in range(opening.shape[0]):
+        until_ns = max(until_ns, opening[k].t_ns)
     _carry(w, until_ns)
     for bus in range(w.buses):
         # it waits for the frame on the wire, on a flooded bus in vain
-        while free[bus] <= deadline_ns and _waits(w, bus, opening, count):
+        while free[bus] <= deadline_ns and _waits(w, bus, opening):
             _carry(w, free[bus])
-    _note_sent(w, t_ns, opening, count)
+    _note_sent(w, t_ns, opening)
     last = frame_at(w.commands_at + (w.commands - 1) * _FRAME).t_ns if w.commands else t_ns
     w.synced_ns = max(last, t_ns)
     return DONE
 
 
 @direct(record(WIRES), records(FRAME), INTEGER)
-def pass_on(w: Any, frames: Any, until_ns: int) -> int:
+def pass_on(w: Any, replies: Any, until_ns: int) -> int:
     """Let drives send, each frame at its instant."""
-    status = _put(w, _place(frames), frames.shape[0], ALWAYS, 1)
+    status = _put(w, replies, ALWAYS, 1)
     _carry(w, until_ns)
     return status
 
 
 @helper
-def _at_once(w: Any, replies: int, count: int, deadline_ns: int) -> bool:
+def _at_once(w: Any, replies: Any, deadline_ns: int) -> bool:
     """Tell whether frames are queued at one instant, on a bus that nobody waits for, and through in time."""
-    if w.buses > 1 or w.waiting or count == 0:
+    if w.buses > 1 or w.waiting or replies.shape[0] == 0:
         return False
-    first, last = frame_at(replies).t_ns, frame_at(replies + (count - 1) * _FRAME).t_ns
-    end_ns = max(first, integers_at(w.free, 1)[0]) + _total(w, replies, count)
+    first, last = replies[0].t_ns, replies[replies.shape[0] - 1].t_ns
+    end_ns = max(first, integers_at(w.free, 1)[0]) + _total(w, replies)
     return bool(first == last and end_ns <= deadline_ns)
 
 
@@ -275,12 +268,11 @@ def _take(w: Any, early: int, tick: int, t_ns: int, deadline_ns: int) -> None:
 
 
 @direct(record(WIRES), records(FRAME), INTEGER, INTEGER, INTEGER)
-def answer(w: Any, frames: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
+def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
     """Let the drives' answers reach the controller; note how many it takes in this tick, and when."""
-    replies, count = _place(frames), frames.shape[0]
     w.commands, early = 0, w.late
-    together = _at_once(w, replies, count, deadline_ns)
-    status = _put(w, replies, count, ALWAYS, 1)
+    together = _at_once(w, replies, deadline_ns)
+    status = _put(w, replies, ALWAYS, 1)
     if status != DONE:
         return status
     _carry(w, deadline_ns)
@@ -303,13 +295,12 @@ def command(w: Any, frames: Any, t_ns: int, until_ns: int) -> int:
     On a bus that nobody waits for, they are on their way at once if they are through by `until_ns`: nothing
     else is queued before.
     """
-    sent, count = _place(frames), frames.shape[0]
     for k in range(w.taken, w.late):
         _copy(w.late_at + k * _FRAME, w.late_at + (k - w.taken) * _FRAME)
     w.late -= w.taken
     w.taken = 0
     alone = w.buses == 1 and w.waiting == 0
-    status = _put(w, sent, count, t_ns, 0)
-    if status == DONE and alone and max(t_ns, integers_at(w.free, 1)[0]) + _total(w, sent, count) <= until_ns:
+    status = _put(w, frames, t_ns, 0)
+    if status == DONE and alone and max(t_ns, integers_at(w.free, 1)[0]) + _total(w, frames) <= until_ns:
         _carry(w, until_ns)
     return status

@@ -38,8 +38,7 @@ def frame_times_ns(timing: BitTiming | None) -> Ints:
 class Wires:
     """The buses between both ends: what the kernels work on, `begin`, `answer` and `command` in each tick.
 
-    Mutable state: the transmit queue, when each bus falls free, the frames
-    on their way to either end.
+    Mutable state: the transmit queue, when each bus falls free, the frames on their way to either end.
     """
 
     def __init__(self, timings: Sequence[BitTiming | None], hearing: Hearing) -> None:

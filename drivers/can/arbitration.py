@@ -1,13 +1,17 @@
 """Arbitration: which of the waiting frames has the bus, and when."""
 
 from collections.abc import Sequence
-from heapq import heappop, heappush
-from operator import itemgetter
-from typing import Any, TypeVar
 
+import numpy as np
+
+from drivers.arrays import Ints
+from drivers.compiled.compiler import INTEGER, OUT_INTEGER_MATRIX, helper, kernel
 from drivers.protocol import ERROR, EXTENDED, REMOTE
 
+FOREVER = 1 << 62
 
+
+@helper
 def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Frame
     """Return the arbitration field as a number: of two frames the smaller wins the bus.
 
@@ -24,58 +28,60 @@ def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Fr
 
 
 Queued = tuple[int, int, int, int]
-"""(queued at ns, priority, number in order of queueing, duration ns): compares in this order."""
-
-Entry = TypeVar("Entry", bound=tuple[Any, ...])
-"""A `Queued`, followed by whatever belongs to the frame."""
-
-_RANK = itemgetter(1, 2)
+"""(queued at ns, priority, number in order of queueing, duration ns)."""
+QUEUED_NS, PRIORITY, NUMBER, DURATION_NS, WIRE = range(5)
+"""Columns of a transmit queue: those of `Queued`, and which of several buses; SENT: it is on it."""
+SENT = -1
 
 
-def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
-    """Return [(number, end ns)] of what `transmit` sends, and when the bus falls free after it."""
-    sent, _, free_ns = transmit(queued, free_ns, until_ns)
-    return [(entry[2], end) for end, entry in sent], free_ns
-
-
-def transmit(
-    queued: Sequence[Entry], free_ns: int, until_ns: int
-) -> tuple[list[tuple[int, Entry]], list[Entry], int]:
-    """Decide all transmissions that begin by `until_ns`.
+@helper
+def transmit(queue: Ints, count: int, wire: int, free_ns: int, until_ns: int) -> tuple[int, int]:
+    """Return the row of the frame that begins next on a bus and when it ends; -1: none begins by `until_ns`.
 
     The bus falls free at `free_ns`. Whenever it is free, the frame of the smallest priority among those
     queued by then starts and holds it for its duration; if none is queued, the next one to come starts at
     once. Equal priorities go in order of number. The end may lie after `until_ns`; a frame that answers one
-    is queued at that one's end.
-
-    queued need not be sorted; numbers differ. Returns [(end ns, entry)] in the order of the wire, the entries
-    that have not started, and when the bus falls free.
+    is queued at that one's end. The caller marks the row as SENT.
     """
-    order = sorted(queued)
-    sent: list[tuple[int, Entry]] = []
-    # a heap of what was queued by the time that the bus falls free
-    waiting: list[tuple[int, int, Entry]] = []
-    n = len(order)
-    i = 0
-    while i < n or waiting:
-        start = free_ns
-        if not waiting and order[i][0] > start:
-            start = order[i][0]
-        if start > until_ns:
-            break
-        if not waiting and order[-1][0] <= start:  # the usual case: all that are left are there
-            left = order[i:]
-            left.sort(key=_RANK)
-            for k, entry in enumerate(left):
-                if start > until_ns:
-                    return sent, left[k:], start
-                start += entry[3]
-                sent.append((start, entry))
-            return sent, [], start
-        while i < n and order[i][0] <= start:
-            heappush(waiting, (order[i][1], order[i][2], order[i]))
-            i += 1
-        entry = heappop(waiting)[2]
-        free_ns = start + entry[3]
-        sent.append((free_ns, entry))
-    return sent, [*order[i:], *(entry for _, _, entry in waiting)], free_ns
+    soonest = FOREVER
+    for k in range(count):
+        if queue[k, WIRE] == wire:
+            soonest = min(soonest, queue[k, QUEUED_NS])
+    start = max(free_ns, soonest)
+    row = -1
+    if soonest == FOREVER or start > until_ns:
+        return row, start
+    for k in range(count):
+        if queue[k, WIRE] == wire and queue[k, QUEUED_NS] <= start:
+            rank = queue[k, PRIORITY]
+            before = row < 0 or rank < queue[row, PRIORITY]
+            if before or (rank == queue[row, PRIORITY] and queue[k, NUMBER] < queue[row, NUMBER]):
+                row = k
+    return row, start + queue[row, DURATION_NS]
+
+
+@kernel(OUT_INTEGER_MATRIX, INTEGER, INTEGER, OUT_INTEGER_MATRIX)
+def _arbitrate(queue: Ints, free_ns: int, until_ns: int, sent: Ints) -> tuple[int, int]:
+    """Fill in number and end of the frames that are sent; return how many, and when the bus falls free."""
+    count = 0
+    while True:
+        row, end_ns = transmit(queue, queue.shape[0], 0, free_ns, until_ns)
+        if row < 0:
+            return count, free_ns
+        sent[count, 0], sent[count, 1] = queue[row, NUMBER], end_ns
+        queue[row, WIRE] = SENT
+        free_ns = end_ns
+        count += 1
+
+
+def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
+    """Return [(number, end ns)] of all that begin by `until_ns` on one bus, in the order of the wire.
+
+    And when the bus falls free after them. queued need not be sorted; numbers differ. See `transmit`.
+    """
+    queue = np.zeros((len(queued), WIRE + 1), np.int64)
+    if queued:
+        queue[:, :WIRE] = queued
+    sent = np.zeros((len(queued), 2), np.int64)
+    count, free_ns = _arbitrate(queue, free_ns, until_ns, sent)
+    return list(map(tuple, sent[:count].tolist())), free_ns

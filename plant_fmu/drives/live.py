@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import call, integers_at, pointed, reals_at
+from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
+from drivers.compiled.pointed import call, integers_at, reals_at
 from drivers.ends import (
     ALIVE,
     COMMAND,
@@ -373,12 +373,11 @@ def _is_sorted(frames: int, count: int) -> bool:
     return True
 
 
-@pointed(NODES_RECORD, INTEGER, INTEGER, INTEGER, INTEGER)
-def live(n: Any, frames: int, count: int, until_ns: int, again: int) -> int:
-    """Live until `until_ns`, hearing `count` FRAME elements in the order of time; return why it ends.
-
-    again: goes on where it has ended.
-    """
+@direct(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
+def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
+    """Live until `until_ns`, hearing frames in the order of time, or go on `again`; return why it ends."""
+    frames: Any = np.int64(received.ctypes.data)
+    count = received.shape[0]
     if not again:
         n.until_ns = until_ns
         n.frame = n.place = n.heard = n.message = n.latching = n.pending = n.reported = n.sent = 0

@@ -16,7 +16,7 @@ from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
 from drivers.ends import drives_end
 from drivers.errors import PlantError, ProtocolError
-from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_frames, timed_array
+from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import (
     Answer,
     Configure,
@@ -34,11 +34,12 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import moves, record
 from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import BRAKE, DAMP, FAULT, HOLD, NEVER_NS, RUN
+from plant_fmu.drives.live import live
 from plant_fmu.drives.python_plant import moved
 from plant_fmu.drives.reading import Reading
 from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
 from plant_fmu.drives.snapshot import Snapshot
-from plant_fmu.drives.state import MESSAGE_AT, NOW, SYNCS, State
+from plant_fmu.drives.state import MESSAGE_AT, NOW, SENT, SYNCS, State
 from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
@@ -128,15 +129,15 @@ class Nodes:
             self._missed.append(received.copy())
             if self._schedule.present(t_ns).hangs:
                 return NO_FRAMES
-            received, self._missed = np.concatenate(self._missed), []
+            received, self._missed = np.concatenate(self._missed, dtype=FRAME), []
         if self._gateway is not None:
             received = received_array(self._gateway.hear(received_frames(received), t_ns))
+        state, again = self._state, False
         self._frames = received
-        status = self._state.live(received, t_ns, again=False)
-        while status:
+        while status := live(state.record, self._frames, t_ns, again):
             self._decide(status)
-            status = self._state.live(self._frames, t_ns, again=status != record.UNSORTED)
-        out = self._state.sent
+            again = status != record.UNSORTED
+        out = state.out[: state.words[SENT]]
         return out if self._gateway is None else timed_array(self._gateway.send(received_frames(out)))
 
     def _decide(self, status: int) -> None:

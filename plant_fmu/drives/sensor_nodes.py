@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings, SensorSettings
 from drivers.errors import PlantError
-from drivers.frame_array import received_frames, timed_array
+from drivers.frame_array import FRAME, received_frames, timed_array
 from drivers.protocol import DriveProtocol, Frame
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
@@ -91,9 +91,9 @@ class SensedNodes(Nodes):
         out += self._live(t_ns, frames)
         sent = [entry for entry in self._waiting if entry[0] <= t_ns]
         if not sent:
-            return np.concatenate(out)
+            return np.concatenate(out, dtype=FRAME)
         self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
-        both = np.concatenate([*out, timed_array(sent)])
+        both = np.concatenate([*out, timed_array(sent)], dtype=FRAME)
         return both[np.argsort(both["t_ns"], kind="stable")]
 
     def _live(self, t_ns: int, frames: Rows) -> list[Rows]:

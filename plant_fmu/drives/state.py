@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints, Rows
+from drivers.arrays import Array, Ints
 from drivers.compiled.pointed import data_at
 from drivers.ends import MESSAGE, READING, DrivesEnd, put_messages
 from drivers.frame_array import FRAME, timed_array
 from drivers.protocol import DeviceMessage, Frame
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
-from plant_fmu.drives import live
 from plant_fmu.drives.live import due_ns
 from plant_fmu.drives.record import MESSAGES, NODES, ROOM
 from plant_fmu.plant import Moved
@@ -20,7 +19,6 @@ from plant_fmu.plant import Moved
 _AT: dict[str, int] = {name: NODES.fields[name][1] // 8 for name in NODES.names or ()}  # type: ignore[index]
 NOW, SENT, MESSAGE_AT, SYNCS = (_AT[name] for name in ("now_ns", "sent", "message", "syncs"))
 """Places of integers in `State.words`."""
-_live = live.live.raw
 
 
 class State:
@@ -36,9 +34,9 @@ class State:
         self.words = n.reshape(1).view(np.int64).data
         """The same as integers, quick to get at."""
         self.out = np.zeros(ROOM, FRAME)
+        """Frames to send: the first `words[SENT]`."""
         self.messages, self.asked = np.zeros(ROOM, MESSAGE), np.zeros((), MESSAGE)
         self.reading, self._senders = np.zeros((), READING), np.zeros(ROOM, np.int64)
-        self._at = data_at(n)
         for name, array in zip(("integers", "reals", "stage"), matrices, strict=True):
             n[name] = data_at(array)
         n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
@@ -62,20 +60,10 @@ class State:
         n["beat_ns"] = due_ns(t0_ns, 0, heartbeat_ns / LEGS)
         n["reading_ns"] = due_ns(t0_ns, 1, reading_ns / LEGS)
 
-    def live(self, frames: Rows, t_ns: int, *, again: bool) -> int:
-        """Enter the pass; see `live.live`."""
-        return int(_live(self._at, frames.__array_interface__["data"][0], len(frames), t_ns, again))
-
-    @property
-    def sent(self) -> Rows:
-        """What is to be sent."""
-        frames: Rows = self.out[: self.words[SENT]]
-        return frames
-
     def reserve(self, room: int) -> None:
         """Make room for frames to send."""
         out = np.zeros(room, FRAME)
-        out[: self.words[SENT]] = self.sent
+        out[: self.words[SENT]] = self.out[: self.words[SENT]]
         self.out = out
         self.record["out"], self.record["room"] = data_at(out), room
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import random
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.can.arbitration import arbitrate, priority, transmit
+from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import (
     FD_LENGTHS,
     BitTiming,
@@ -287,17 +286,13 @@ def test_the_bus_never_idles_while_a_frame_waits_and_the_best_one_goes_first(fra
 
 
 def test_answers_get_their_turn():
-    first = [(1000, priority(0x80, 0), 0, 50, "sync")]
-    assert transmit(first, 0, 999) == ([], first, 0)
-    assert transmit(first, 0, 1000) == ([(1050, first[0])], [], 1050)
-    queued = [(1050, priority(0x180 + leg, 0), leg, 65, f"leg {leg}") for leg in (3, 1, 2)]
-    queued.append((1060, priority(0x100, 0), 4, 100, "command"))
-    sent, left, free = transmit(queued, 1050, 1114)
-    assert [(end, entry[-1]) for end, entry in sent] == [(1115, "leg 1")]
-    assert free == 1115
-    sent, left, free = transmit(left, free, 5000)
-    assert [(end, entry[-1]) for end, entry in sent] == [(1215, "command"), (1280, "leg 2"), (1345, "leg 3")]
-    assert (left, free) == ([], 1345)
+    sync, command = (1000, priority(0x80, 0), 0, 50), (1060, priority(0x100, 0), 4, 100)
+    assert arbitrate([sync], 0, 999) == ([], 0)
+    assert arbitrate([sync], 0, 1000) == ([(0, 1050)], 1050)
+    legs = {leg: (1050, priority(0x180 + leg, 0), leg, 65) for leg in (3, 1, 2)}
+    assert arbitrate([*legs.values(), command], 1050, 1114) == ([(1, 1115)], 1115)
+    left = [legs[3], legs[2], command]
+    assert arbitrate(left, 1115, 5000) == ([(4, 1215), (2, 1280), (3, 1345)], 1345)
 
 
 @given(
@@ -306,12 +301,13 @@ def test_answers_get_their_turn():
 )
 def test_looking_in_between_changes_nothing(frames, looks):
     queued = [(t, key, i, duration) for i, (t, key, duration) in enumerate(frames)]
-    at_once, left, _ = transmit(queued, 100, 1 << 40)
-    assert left == []
-    pieces: list[Any] = []
+    at_once, _ = arbitrate(queued, 100, 1 << 40)
+    assert len(at_once) == len(queued)
+    pieces: list[tuple[int, int]] = []
     free = 100
     for until in [*sorted(looks), 1 << 40]:
-        sent, queued, free = transmit(queued, free, until)
+        sent, free = arbitrate(queued, free, until)
+        queued = [each for each in queued if each[2] not in dict(sent)]
         pieces += sent
     assert pieces == at_once
 

@@ -11,8 +11,10 @@ import pytest
 from drivers import PROTOCOLS
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import of_python
 from drivers.errors import ConfigurationError
-from drivers.frame_array import received_array, received_frames, sent_frames
+from drivers.frame_array import NO_FRAMES, received_array, received_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Mode
@@ -20,6 +22,8 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.wire_kernels import command
+from hil.app.sim.wires import STEP
 from hil.loop.clock import Deadlines
 from hil.loop.daemon import switch_off
 from hil.loop.report import waiting_text
@@ -191,13 +195,15 @@ def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_
     lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, BitTiming.of(c.bus), 0.01)
     try:
         lockstep.tick = 0
-        feedback, ended_ns = lockstep._exchange(0, sent_frames(lockstep.cycle.begin(0)))
-        assert {each.frame.id for each in feedback} >= lockstep.wanted
-        assert ended_ns < 4_000_000
-        lockstep.fresh = lambda received, tick, since_ns: False
-        feedback, ended_ns = lockstep._exchange(20_000_000, sent_frames(lockstep.cycle.begin(1)))
-        assert {each.frame.id for each in feedback} >= lockstep.wanted
-        assert ended_ns == 30_000_000
+        wanted, wires = lockstep.cycle.parts.protocol.feedback_ids, lockstep.wires
+        heard = lockstep._exchange(0, lockstep.cycle.begin(0))
+        assert set(heard["id"]) >= wanted
+        assert wires.words[STEP] < 4_000_000
+        wires.record["fresh"], _keeps = of_python(lambda *_: 0, *[INTEGER] * 4)
+        command(wires.record, NO_FRAMES, 4_000_000, 4_000_000)
+        heard = lockstep._exchange(20_000_000, lockstep.cycle.begin(1))
+        assert set(heard["id"]) >= wanted
+        assert wires.words[STEP] == 30_000_000
     finally:
         plant.close()
 

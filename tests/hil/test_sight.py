@@ -137,8 +137,8 @@ def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(part
     cycle, called = seen_by_filter(parts, wrench=wrench, legs=0)
     watching.residual[:] = LOAD
     for n in range(2):
-        tick = record_of(tick=5 + n, age=0, drive_state=DriveState.READY)
-        observe_in(cycle, tick, load_frames((1.0, 0.0)) if n == 0 else NO_FRAMES)
+        tick, last = record_of(tick=5 + n), record_of(drive_state=DriveState.READY)
+        observe_in(cycle, tick, load_frames((1.0, 0.0)) if n == 0 else NO_FRAMES, last)
         np.testing.assert_allclose(tick["wrench"], LOAD, atol=1e-9)
     np.testing.assert_allclose([load for _, load in called], [(0.0,) * 6, LOAD], atol=1e-9)
 

@@ -9,13 +9,12 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
-from drivers.frame_array import received_array, sent_array, sent_frames
-from drivers.protocol import Frame
+from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import Lockstep
-from hil.app.sim.several_wires import SeveralWires
+from hil.app.sim.wire_kernels import command
+from hil.app.sim.wires import LATCH, SKEW, STEP
 from hil.loop.cycle import Cycle
-from hil.loop.latches import latch_ns
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
@@ -30,8 +29,7 @@ class Stalling(Lockstep):
     `every_s` on average and up to `longest_ns`; of several buses between the sends of the first and the
     others, too. Periods that are over are skipped.
 
-    Mutable state: `Lockstep`'s, how late the next tick begins, what was skipped before it, and how far apart
-    the buses get their SYNC.
+    Mutable state: `Lockstep`'s, how late the next tick begins, and what was skipped before it.
     """
 
     generator: np.random.Generator = field(default_factory=np.random.default_rng)
@@ -43,7 +41,6 @@ class Stalling(Lockstep):
     stalls: int = 0
     _skipped: int = 0
     _lateness_ns: int = 0
-    _apart_ns: int = 0
 
     def step(
         self,
@@ -55,34 +52,35 @@ class Stalling(Lockstep):
         self.tick = tick = self.tick + 1
         t_ns, next_ns = tick * self.period_ns, (tick + 1) * self.period_ns
         skipped, lateness_ns = self._skipped, self._lateness_ns
-        asleep_ns, unseen_ns, held_ns, self._apart_ns = self._stall()
-        opening = sent_frames(self.cycle.begin(tick))
+        asleep_ns, unseen_ns, held_ns, apart_ns = self._stall()
+        opening, words = self.cycle.begin(tick), self.wires.words
         sent_ns = max(t_ns + lateness_ns + unseen_ns, self.nodes.now_ns)
+        given = opening.copy()
+        given["t_ns"] = np.where(given["bus"] > 0, sent_ns + apart_ns, sent_ns)
         window_ns, self.window_ns = self.window_ns, self.window_ns - (sent_ns - t_ns)
-        feedback, heard_ns = self._exchange(sent_ns, opening)
+        heard = self._exchange(sent_ns, given)
         self.window_ns = window_ns
+        behind_ns = sent_ns - t_ns - lateness_ns
         inp = TickInput(
             tick,
             t_ns,
             lateness_ns,
             skipped,
-            sync_skew_ns=self.skew_ns,
-            frames=received_array(feedback),
-            latch_ns=latch_ns(self.cycle.parts.protocol, opening, self.sent_ns, t_ns + lateness_ns),
+            sync_skew_ns=words[SKEW],
+            frames=heard,
+            latch_ns=tuple([each + behind_ns for each in words[LATCH : LATCH + LEGS]]),
             operator=operator,
             setpoints=setpoints,
             orders=orders,
         )
         out = self.cycle.step(inp)
-        done_ns = max(heard_ns, sent_ns + self._apart_ns) + self.compute_ns + held_ns
-        sent = sent_frames(out.frames)
-        if not self._send(done_ns, sent, next_ns - 1, self._commands):
-            self._queue([(done_ns, frame) for frame in sent], from_drive=False)
+        done_ns = max(words[STEP], sent_ns + apart_ns) + self.compute_ns + held_ns
+        assert command(self.wires.record, out.frames, done_ns, next_ns - 1) == 0
         awake_ns = max(done_ns, next_ns + asleep_ns)
         self._skipped = (awake_ns - next_ns) // self.period_ns
         self.tick += self._skipped
         self._lateness_ns = awake_ns - next_ns - self._skipped * self.period_ns
-        return inp, sent_array(opening), out
+        return inp, opening, out
 
     def _stall(self) -> list[int]:
         """Return how long this tick is held up in each of the PLACES, ns."""
@@ -91,19 +89,9 @@ class Stalling(Lockstep):
         stall[place] += known_ns
         if self.longest_ns and self.generator.random() < 1e-9 * self.period_ns / self.every_s:
             self.stalls += 1
-            places = len(PLACES) - (self.buses == 1)
+            places = len(PLACES) - (len(self.timings) < 2)
             stall[self.generator.integers(places)] += int(self.generator.integers(self.longest_ns))
         return stall
-
-
-@dataclass
-class StallingWires(Stalling, SeveralWires):
-    """The same on several buses."""
-
-    def _give(self, t_ns: int, opening: tuple[Frame, ...]) -> int:
-        late_ns = t_ns + self._apart_ns
-        self._queue(((late_ns if frame.bus else t_ns, frame) for frame in opening), from_drive=False)
-        return late_ns
 
 
 def build_stalling(c: Configuration, nodes: Nodes, cycle: Cycle, **stalls: Any) -> Stalling:
@@ -111,6 +99,4 @@ def build_stalling(c: Configuration, nodes: Nodes, cycle: Cycle, **stalls: Any) 
     timings = tuple(map(BitTiming.of, c.bus.buses))
     timing = None if c.bus.layout == "ideal" else timings[0]
     window_s = c.loop.window_s(c.loop.rate_Hz)
-    if not c.bus.channels:
-        return Stalling(cycle, nodes, timing, window_s, **stalls)
-    return StallingWires(cycle, nodes, timing, window_s, buses=len(timings), timings=timings, **stalls)
+    return Stalling(cycle, nodes, timing, window_s, timings=timings if c.bus.channels else (), **stalls)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from drivers.can.bus_time import BitTiming
-from drivers.frame_array import sent_frames
+from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Fault, Mode, Reaction
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.wires import COMMANDS, STEP
 from hil.signals import Operator
 from tests.drivers.legs_frames import command_frames
 
@@ -32,10 +33,12 @@ class Attacked(Lockstep):
     """Whether the controller hears it: behind a gateway it does not."""
 
     def _exchange(self, t_ns, opening):
-        feedback, step_ns = super()._exchange(t_ns, opening)
-        forged = [Received(step_ns, frame) for frame in self.attack(self.tick)]
-        self._commands += forged
-        return feedback + forged * self.audible, step_ns
+        feedback, words = super()._exchange(t_ns, opening), self.wires.words
+        forged = received_array([Received(words[STEP], frame) for frame in self.attack(self.tick)])
+        before = words[COMMANDS]
+        words[COMMANDS] += len(forged)
+        self.wires.commands[before : words[COMMANDS]] = forged
+        return np.concatenate([feedback, forged]) if self.audible else feedback
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,8 @@ from hil.app.sim.build import build_lockstep
 
 SHELL = {"Cycle.begin", "Cycle.step", "new_record", "copy_of", "row_of"}
 """What every tick enters between frames in and frames out, but for the first frames of a tick."""
+LOCKSTEP = {"Lockstep.step", "Lockstep._exchange", "Nodes.advance"}
+"""What a tick of both ends enters besides: of the bus, and of the drives and the plant."""
 BEGIN = {"LegsController.begin", "MotorsEnd.begin"}
 """What makes these, with all that it calls: one of them in a run."""
 OBSERVED = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
@@ -42,14 +44,14 @@ class Watch:
         else:
             self.entered.add(code.co_qualname)
 
-    def over(self, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def over(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function that is watched."""
 
-        def watched(argument: Any) -> Any:
+        def watched(*arguments: Any) -> Any:
             before = sys.getprofile()
             sys.setprofile(self)
             try:
-                return function(argument)
+                return function(*arguments)
             finally:
                 sys.setprofile(before)
 
@@ -91,3 +93,25 @@ def test_python_decides_only_while_the_drives_are_waited_for_and_where_a_mode_ch
     assert {Mode.TRACKING, Mode.PARKED} <= set(modes)
     assert 0 < decided <= modes.count(Mode.WAITING) + 9
     assert len(watch.begun) == 1
+
+
+def test_both_ends_and_the_bus_decide_in_python_in_one_of_200_steady_ticks_at_most():
+    c = load("virtual")
+    watch = Watch()
+    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+    nodes, plant = build_nodes(c)
+    lockstep: Any = build_lockstep(c, cycle, nodes)
+    lockstep.step = watch.over(lockstep.step)
+    decided: list[bool] = []
+
+    def observe(*_: object) -> None:
+        if cycle.mode not in {Mode.WAITING, Mode.FAULT}:
+            decided.append(bool(watch.entered - SHELL - LOCKSTEP))
+        watch.entered.clear()
+
+    try:
+        assert lockstep.run(1.5, observe).success
+    finally:
+        plant.close()
+    assert len(decided) > 2000
+    assert 0 < sum(decided) <= 0.005 * len(decided)

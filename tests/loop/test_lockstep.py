@@ -94,17 +94,18 @@ def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monk
     c = loads(text, virtual.name, virtual.folder)
     cycle, (nodes, plant), timing = build_cycle(c, 400.0, 0.025), build_nodes(c), BitTiming.of(c.bus)
     lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(400.0))
-    live = nodes.step
+    live = nodes.advance
     answers: list[tuple[int, Frame]] = []
     got: set[tuple[int, Frame]] = set()
     expected: set[tuple[int, Frame]] = set()
 
-    def step(t_ns, received):
-        got.update(received)
-        answers[:] = live(t_ns, received)
-        return answers
+    def advance(t_ns, received):
+        got.update(received_frames(received))
+        sent = live(t_ns, received)
+        answers[:] = received_frames(sent)
+        return sent
 
-    monkeypatch.setattr(nodes, "step", step)
+    monkeypatch.setattr(nodes, "advance", advance)
     operator: tuple[Operator, ...] = ()
     for _ in range(300):
         inp, opening, out = lockstep.step(operator)

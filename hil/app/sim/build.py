@@ -5,7 +5,6 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.unattended import without_operator
 from hil.app.sim.lockstep import Lockstep
-from hil.app.sim.several_wires import SeveralWires
 from hil.loop.cycle import Cycle
 from plant_fmu.drives.nodes import Nodes
 
@@ -25,7 +24,5 @@ def build_lockstep(
     timings = tuple(map(BitTiming.of, c.bus.buses))
     timing = None if c.bus.layout == "ideal" else timings[0]
     window_s = c.loop.window_s(c.loop.rate_Hz)
-    if not c.bus.channels:
-        return Lockstep(cycle, nodes, timing, window_s, tick=first - 1)
-    each = len(timings)
-    return SeveralWires(cycle, nodes, timing, window_s, tick=first - 1, buses=each, timings=timings)
+    several = timings if c.bus.channels else ()
+    return Lockstep(cycle, nodes, timing, window_s, tick=first - 1, timings=several)

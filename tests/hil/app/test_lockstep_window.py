@@ -5,11 +5,16 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from drivers.can.arbitration import priority
-from drivers.protocol import ALWAYS, Frame
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import of_python
+from drivers.ends import Hearing, frames_at
+from drivers.frame_array import FRAME, NO_FRAMES, timed_array
+from drivers.protocol import Frame
 from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.wires import LATE, STEP, TAKEN, Wires
 
 BEGUN_NS, WINDOW_NS = 1_000_000, 500
 FRAMES = {name: Frame(0x100 + n, b"", 0) for n, name in enumerate("abc")}
@@ -22,20 +27,25 @@ def exchanged(wanted: str, replies: dict[str, int], stale: str = "") -> tuple[li
 
     replies : when each is queued, ns from the tick's start; stale : what answers an earlier tick.
     """
+    ids = {name: frame.id for name, frame in FRAMES.items()}
+    waited = [ids[name] for name in wanted]
+
+    def place(_context: int, at: int, _tick: int, _since_ns: int) -> int:
+        number = int(frames_at(at, 1)["id"][0])
+        return 0 if number in {ids[name] for name in stale} else 1 + [*waited, number].index(number)
+
+    fresh, keeps = of_python(place, *[INTEGER] * 4)
+    wires = Wires([None], Hearing(fresh, 0, 0, tuple(waited), keeps))
+    wires.times_ns[:] = NS
+    sent = timed_array([(BEGUN_NS + at, FRAMES[name]) for name, at in replies.items()])
     lockstep: Any = object.__new__(Lockstep)
-    lockstep.__dict__.update(
-        tick=7, window_ns=WINDOW_NS, free_ns=ALWAYS, timing=None, wanted={FRAMES[name].id for name in wanted},
-        fresh=lambda answer, tick, t_ns: answer.frame.id not in {FRAMES[name].id for name in stale},
-        awaited=lambda frame: frame.id, _queued=[], _number=0, _late=[], _commands=[], _bursts={},
-        _shapes={(f.id, 0, 0): (priority(f.id, 0), NS) for f in FRAMES.values()},
-        cycle=SimpleNamespace(parts=SimpleNamespace(protocol=SimpleNamespace(unasked_s=0.0))),
-        nodes=SimpleNamespace(step=lambda *_: [(BEGUN_NS + at, FRAMES[name]) for name, at in replies.items()]),
-    )  # fmt: skip
-    lockstep._open = lambda *_: None
-    answers, step_ns = lockstep._exchange(BEGUN_NS, ())
-    names = {frame: name for name, frame in FRAMES.items()}
-    heard, late = ([names[each.frame] for each in them] for them in (answers, lockstep._late))
-    return heard, late, step_ns - BEGUN_NS
+    nodes = SimpleNamespace(advance=lambda *_: sent)
+    lockstep.__dict__.update(tick=7, window_ns=WINDOW_NS, wires=wires, nodes=nodes, _unasked=False)
+    heard = lockstep._exchange(BEGUN_NS, NO_FRAMES)
+    late = np.frombuffer(wires.late, FRAME)[wires.words[TAKEN] : wires.words[LATE]]
+    names = {number: name for name, number in ids.items()}
+    answers, rest = ([names[number] for number in each["id"].tolist()] for each in (heard, late))
+    return answers, rest, wires.words[STEP] - BEGUN_NS
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,306 @@
+"""What happens on the buses in one tick, compiled: SYNC or polls, what answers them, commands.
+
+Each bus has its own arbitration and bit time. A frame takes its worst-case bit time and the lowest identifier
+wins.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Ints
+from drivers.can.arbitration import (
+    DURATION_NS,
+    FOREVER,
+    NUMBER,
+    PRIORITY,
+    QUEUED_NS,
+    WIRE,
+    priority,
+    transmit,
+)
+from drivers.can.arbitration import SENT as GONE
+from drivers.compiled.compiler import INTEGER, direct, helper, record, records
+from drivers.compiled.pointed import address_of, call, integers_at
+from drivers.ends import frame_at
+from drivers.frame_array import FRAME, RECEIVED
+from drivers.protocol import ALWAYS
+from drivers.signals import LEGS
+
+LENGTHS, FLAGS = 65, 64
+FROM_DRIVE, CONTENT = WIRE + 1, WIRE + 2
+"""Columns of a row of the queue behind those of `arbitration`: 1 for a drive's frame; the frame's words."""
+_FRAME = FRAME.itemsize
+_WORDS = _FRAME // 8
+ROW = CONTENT + _WORDS
+DONE, FULL, UNFIT = range(3)
+"""Status: it is done; nothing is, as there is no room; a frame cannot be on a bus."""
+WIRES = np.dtype(
+    [
+        *((name, "<i8") for name in ("buses", "room", "number", "free", "times")),
+        *((name, "<i8") for name in ("queue", "waiting", "commands_at", "commands", "late_at", "late")),
+        *((name, "<i8") for name in ("taken", "step_ns", "synced_ns", "skew_ns")),
+        *((name, "<i8") for name in ("fresh", "addressed", "hearing", "wanted_at", "wanted", "missing_at")),
+        ("latch_ns", "<i8", (LEGS,)),
+    ]
+)
+"""The buses between both ends. Addresses: when each falls free (buses,); ns on each of a frame of each length
+and flags (buses, LENGTHS, FLAGS); the queue (room, ROW), of which so many rows wait; FRAME
+elements for the drives that ended since their last step, and those for the controller that ended after its
+window. Of the last tick: how many of the latter it takes, and when; when its SYNC or polls were out; the time
+from that on the first bus to that on the last; from its begin to when each leg's was out. `ends.Hearing`, its
+identifiers, and scratch."""
+
+
+@helper
+def _queue_of(w: Any) -> Ints:
+    return integers_at(w.queue, w.room * ROW).reshape((w.room, ROW))
+
+
+@helper
+def _copy(source: int, into: int) -> None:
+    integers_at(into, _WORDS)[:] = integers_at(source, _WORDS)
+
+
+@helper
+def _same(a: Any, b: Any) -> bool:
+    """Tell whether two frames are alike but for their times."""
+    if a.id != b.id or a.length != b.length or a.flags != b.flags or a.bus != b.bus:
+        return False
+    return bool((a.data[: a.length] == b.data[: b.length]).all())
+
+
+@helper
+def _duration(w: Any, frame: Any) -> int:
+    """Return how long a frame takes on its bus, ns; < 0: it cannot be on it."""
+    if frame.bus >= w.buses:
+        return -1
+    times = integers_at(w.times, w.buses * LENGTHS * FLAGS)
+    return int(times[(frame.bus * LENGTHS + frame.length) * FLAGS + frame.flags])
+
+
+@helper
+def _total(w: Any, frames: Any) -> int:
+    """Return how long frames take one after the other, ns."""
+    total = 0
+    for k in range(frames.shape[0]):
+        total += _duration(w, frames[k])
+    return total
+
+
+@helper
+def _put(w: Any, frames: Any, t_ns: int, from_drive: int) -> int:
+    """Put frames into their nodes' transmit queues, each at its instant and none before `t_ns`."""
+    count = frames.shape[0]
+    if w.waiting + max(w.commands, w.late) + count > w.room:
+        return FULL
+    for k in range(count):
+        if _duration(w, frames[k]) < 0:
+            return UNFIT
+    queue = _queue_of(w)
+    for k in range(count):
+        frame, row = frames[k], queue[w.waiting]
+        w.number += 1
+        row[QUEUED_NS] = max(frame.t_ns, t_ns)
+        row[PRIORITY], row[NUMBER] = priority(int(frame.id), int(frame.flags)), w.number
+        row[DURATION_NS], row[WIRE], row[FROM_DRIVE] = _duration(w, frame), frame.bus, from_drive
+        _copy(address_of(frame), row[CONTENT:].ctypes.data)
+        w.waiting += 1
+    return DONE
+
+
+@helper
+def _deliver(w: Any, row: Ints, end_ns: int, first: int) -> None:
+    """Give a frame to its receiver, in the order of time: behind element `first` of late ones."""
+    if row[FROM_DRIVE]:
+        frames, place = w.late_at, w.late
+        w.late += 1
+    else:
+        frames, place, first = w.commands_at, w.commands, 0
+        w.commands += 1
+    into = frames + place * _FRAME
+    while place > first and frame_at(into - _FRAME).t_ns > end_ns:
+        _copy(into - _FRAME, into)
+        place -= 1
+        into -= _FRAME
+    _copy(row[CONTENT:].ctypes.data, into)
+    frame = frame_at(into)
+    frame.t_ns, frame.kind = end_ns, RECEIVED
+
+
+@helper
+def _carry(w: Any, until_ns: int) -> None:
+    """Move every frame that starts by `until_ns` to its receiver."""
+    queue, free, first = _queue_of(w), integers_at(w.free, w.buses), w.late
+    for bus in range(w.buses):
+        while True:
+            row, end_ns = transmit(queue, w.waiting, bus, free[bus], until_ns)
+            if row < 0:
+                break
+            queue[row, WIRE], free[bus] = GONE, end_ns
+            _deliver(w, queue[row], end_ns, first)
+    left = 0
+    for k in range(w.waiting):
+        if queue[k, WIRE] != GONE:
+            queue[left] = queue[k]
+            left += 1
+    w.waiting = left
+
+
+@helper
+def _waits(w: Any, bus: int, opening: Any) -> bool:
+    """Tell whether a frame waits for a bus that is one of those that start the tick."""
+    queue = _queue_of(w)
+    for k in range(w.waiting):
+        if queue[k, WIRE] == bus:
+            waiting = frame_at(queue[k, CONTENT:].ctypes.data)
+            for n in range(opening.shape[0]):
+                if _same(waiting, opening[n]):
+                    return True
+    return False
+
+
+@helper
+def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
+    """Return when the last frame like this one ended, of those heard since an instant; FOREVER: none did."""
+    for k in range(w.commands - 1, -1, -1):
+        heard = frame_at(w.commands_at + k * _FRAME)
+        if heard.t_ns >= t_ns and _same(heard, frame):
+            return int(heard.t_ns)
+    return FOREVER
+
+
+@helper
+def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
+    """Note when the frames that start the tick were out, for each leg and between the buses."""
+    w.latch_ns[:] = 0
+    soonest = np.full(w.buses, FOREVER)
+    for n in range(opening.shape[0]):
+        frame = opening[n]
+        sent_ns = _sent_ns(w, frame, t_ns)
+        if sent_ns == FOREVER:
+            continue
+        soonest[frame.bus] = min(soonest[frame.bus], sent_ns)
+        legs = call(w.addressed, (w.hearing, address_of(frame)))
+        for leg in range(LEGS):
+            if legs >> leg & 1:
+                w.latch_ns[leg] = sent_ns - t_ns
+    w.skew_ns = 0 if soonest.max() == FOREVER else soonest.max() - soonest.min()
+
+
+@direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
+def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
+    """Let what starts the tick reach the drives; note when."""
+    status = _put(w, opening, t_ns, 0)
+    if status != DONE:
+        return status
+    free, until_ns = integers_at(w.free, w.buses), t_ns
+    for k in range(opening.shape[0]):
+        until_ns = max(until_ns, opening[k].t_ns)
+    _carry(w, until_ns)
+    for bus in range(w.buses):
+        # it waits for the frame on the wire, on a flooded bus in vain
+        while free[bus] <= deadline_ns and _waits(w, bus, opening):
+            _carry(w, free[bus])
+    _note_sent(w, t_ns, opening)
+    last = frame_at(w.commands_at + (w.commands - 1) * _FRAME).t_ns if w.commands else t_ns
+    w.synced_ns = max(last, t_ns)
+    return DONE
+
+
+@direct(record(WIRES), records(FRAME), INTEGER)
+def pass_on(w: Any, replies: Any, until_ns: int) -> int:
+    """Let drives send, each frame at its instant."""
+    status = _put(w, replies, ALWAYS, 1)
+    _carry(w, until_ns)
+    return status
+
+
+@helper
+def _at_once(w: Any, replies: Any, deadline_ns: int) -> bool:
+    """Tell whether frames are queued at one instant, on a bus that nobody waits for, and through in time."""
+    if w.buses > 1 or w.waiting or replies.shape[0] == 0:
+        return False
+    first, last = replies[0].t_ns, replies[replies.shape[0] - 1].t_ns
+    end_ns = max(first, integers_at(w.free, 1)[0]) + _total(w, replies)
+    return bool(first == last and end_ns <= deadline_ns)
+
+
+@helper
+def _is_fresh(w: Any, at: int, tick: int, t_ns: int) -> int:
+    return int(call(w.fresh, (w.hearing, at, tick, t_ns)))
+
+
+@helper
+def _last_wanted(w: Any, early: int) -> int:
+    """Return with how many answers the last of the identifiers wanted has come; 0: one has not."""
+    wanted, missing = integers_at(w.wanted_at, w.wanted), integers_at(w.missing_at, w.wanted)
+    missing[:] = 1
+    left = w.wanted
+    for n in range(early, w.late):
+        identifier = np.int64(frame_at(w.late_at + n * _FRAME).id)
+        for k in range(w.wanted):
+            if missing[k] and wanted[k] == identifier:
+                missing[k] = 0
+                left -= 1
+                if left == 0:
+                    return n - early + 1
+    return 0
+
+
+@helper
+def _take(w: Any, early: int, tick: int, t_ns: int, deadline_ns: int) -> None:
+    """Take the answers up to that which makes the feedbacks complete, or to the deadline."""
+    missing = integers_at(w.missing_at, w.wanted)
+    missing[:] = 1
+    left = w.wanted
+    for n in range(early, w.late):
+        at = w.late_at + n * _FRAME
+        end_ns = frame_at(at).t_ns
+        place = _is_fresh(w, at, tick, t_ns)
+        if 0 < place <= w.wanted and missing[place - 1]:
+            missing[place - 1] = 0
+            left -= 1
+        if end_ns > deadline_ns or left == 0:
+            w.taken = n if end_ns > deadline_ns else n + 1
+            w.step_ns = min(end_ns, deadline_ns)
+            return
+
+
+@direct(record(WIRES), records(FRAME), INTEGER, INTEGER, INTEGER)
+def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
+    """Let the drives' answers reach the controller; note how many it takes in this tick, and when."""
+    w.commands, early = 0, w.late
+    together = _at_once(w, replies, deadline_ns)
+    status = _put(w, replies, ALWAYS, 1)
+    if status != DONE:
+        return status
+    _carry(w, deadline_ns)
+    w.taken, w.step_ns = w.late, deadline_ns
+    if not together:
+        _take(w, early, tick, t_ns, deadline_ns)
+        return DONE
+    # queued at one instant, they answer the same frame: one is fresh if all are
+    complete = _last_wanted(w, early)
+    last = w.late_at + (early + complete - 1) * _FRAME
+    if complete and _is_fresh(w, last, tick, t_ns):
+        w.taken, w.step_ns = early + complete, frame_at(last).t_ns
+    return DONE
+
+
+@direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
+def command(w: Any, frames: Any, t_ns: int, until_ns: int) -> int:
+    """Queue the controller's commands; drop what it has taken.
+
+    On a bus that nobody waits for, they are on their way at once if they are through by `until_ns`: nothing
+    else is queued before.
+    """
+    for k in range(w.taken, w.late):
+        _copy(w.late_at + k * _FRAME, w.late_at + (k - w.taken) * _FRAME)
+    w.late -= w.taken
+    w.taken = 0
+    alone = w.buses == 1 and w.waiting == 0
+    status = _put(w, frames, t_ns, 0)
+    if status == DONE and alone and max(t_ns, integers_at(w.free, 1)[0]) + _total(w, frames) <= until_ns:
+        _carry(w, until_ns)
+    return status

@@ -1,0 +1,97 @@
+"""The buses between both ends of a simulation: their frames in arrays, and their time."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
+
+import numpy as np
+
+from drivers.arrays import Ints, Rows
+from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.compiled.pointed import data_at
+from drivers.ends import Hearing
+from drivers.errors import BusError
+from drivers.frame_array import FRAME, sent_frames
+from drivers.protocol import ALWAYS
+from hil.app.sim.wire_kernels import FLAGS, FULL, LENGTHS, ROW, WIRES
+
+_FIELDS: dict[str, int] = {name: WIRES.fields[name][1] // 8 for name in WIRES.names or ()}  # type: ignore[index]
+COMMANDS, LATE, TAKEN = (_FIELDS[name] for name in ("commands", "late", "taken"))
+STEP, SYNCED, SKEW, LATCH = (_FIELDS[name] for name in ("step_ns", "synced_ns", "skew_ns", "latch_ns"))
+"""Places of integers in `Wires.words`; LATCH is the first of six."""
+_ROOM = 128
+FRAME_WORDS = FRAME.itemsize // 8
+
+
+@cache
+def frame_times_ns(timing: BitTiming | None) -> Ints:
+    """Return how long frames hold a wire at worst, by length and flags; -1: there is no such frame."""
+    times = np.zeros((LENGTHS, FLAGS), np.int64)
+    if timing is not None:
+        times[:] = -1
+        for length, flags in np.ndindex(LENGTHS, FLAGS):
+            with suppress(BusError):
+                times[length, flags] = frame_time_ns(length, flags, timing)
+    return times
+
+
+class Wires:
+    """The buses between both ends: what the kernels work on, `begin`, `answer` and `command` in each tick.
+
+    Mutable state: the transmit queue, when each bus falls free, the frames on their way to either end.
+    """
+
+    def __init__(self, timings: Sequence[BitTiming | None], hearing: Hearing) -> None:
+        """Take the timing of each bus, None where no frame takes time, and the controller's end."""
+        self._timings, self._hearing = timings, hearing
+        self.times_ns = np.array(list(map(frame_times_ns, timings)))
+        self._free = np.full(len(timings), ALWAYS)
+        self._wanted = np.array(hearing.wanted, np.int64)
+        self._missing = np.zeros_like(self._wanted)
+        self.record = w = np.zeros((), WIRES)
+        self.words = w.reshape(1).view(np.int64).data
+        """The same as integers, quick to get at."""
+        w["buses"], w["free"], w["times"] = len(timings), data_at(self._free), data_at(self.times_ns)
+        w["fresh"], w["addressed"], w["hearing"] = hearing.fresh, hearing.addressed, hearing.context
+        w["wanted_at"], w["wanted"], w["missing_at"] = (
+            data_at(self._wanted), self._wanted.size, data_at(self._missing)
+        )  # fmt: skip
+        self._queue, self._commands, self._late = (np.zeros(0, np.int64) for _ in range(3))
+        self._reserve(_ROOM)
+
+    def _reserve(self, room: int) -> None:
+        """Make room for frames."""
+        w = self.record
+        held = (self._queue, self._commands, self._late)
+        new = [np.zeros(room * size, np.int64) for size in (ROW, FRAME_WORDS, FRAME_WORDS)]
+        for into, before in zip(new, held, strict=True):
+            into[: before.size] = before
+        self._queue, self._commands, self._late = new
+        w["queue"], w["commands_at"], w["late_at"], w["room"] = *map(data_at, new), room
+        self.commands: Rows = self._commands.view(FRAME)
+        """Frames for the drives: the first `words[COMMANDS]`."""
+        self.late = self._late.view(np.uint8).data
+        """Frames for the controller, as bytes."""
+
+    def settle(self, status: int, frames: Rows) -> None:
+        """Make a kernel that returned a status able to do its work; it is to be called again.
+
+        Raises BusError for a frame that no bus carries.
+        """
+        if status == FULL:
+            self._reserve(2 * (int(self.record["room"]) + len(frames)))
+            return
+        for frame in sent_frames(frames):
+            timing = self._timings[frame.bus]
+            if timing is not None:
+                frame_time_ns(len(frame.data), frame.flags % FLAGS, timing)
+
+    def heard_by(self, t_ns: int) -> Rows:
+        """Take out the frames for the drives that ended by an instant."""
+        before = self.words[COMMANDS]
+        count = int(np.count_nonzero(self.commands["t_ns"][:before] <= t_ns))
+        heard: Rows = self._commands[: FRAME_WORDS * count].copy().view(FRAME)
+        left = self._commands[FRAME_WORDS * count : FRAME_WORDS * before].copy()
+        self._commands[: left.size] = left
+        self.words[COMMANDS] -= count
+        return heard

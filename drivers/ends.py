@@ -124,7 +124,7 @@ class CompiledEnd:
 
     def _message(self, message: Any, frame: Frame) -> DeviceMessage:
         kind, mode, counter, count, legs, force = message
-        legs = tuple(legs[:count])
+        legs = tuple(legs[:count].tolist())
         if kind == SYNC:
             return Sync(counter, legs)
         if kind in (COMMAND, UNWATCHED):

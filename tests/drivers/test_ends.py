@@ -14,7 +14,7 @@ from drivers.frame_array import FRAME, received_array
 from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
 from drivers.several_buses import SeveralBuses
 from drivers.signals import LEGS
-from tests.drivers.test_motors_dialogue import FAMILIES
+from tests.drivers.test_no_reading import FAMILIES
 
 PROTOCOLS: dict[str, Any] = dict(FAMILIES)
 BUSES = ((0, 4), (1, 5), (2, 3))

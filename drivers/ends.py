@@ -21,6 +21,7 @@ from drivers.protocol import (
     DeviceCommand,
     DeviceMessage,
     DriveProtocol,
+    EmergencyStop,
     Frame,
     Memory,
     Rejected,
@@ -30,8 +31,8 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, Reaction
 
-SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, OTHER = range(7)
-"""Kinds of a message; OTHER: one that its owner looks at himself."""
+SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, OTHER = range(8)
+"""Kinds of a message; STOP, which an end in the pass leaves to the protocol, and OTHER are for its owner."""
 MESSAGE = np.dtype(
     [
         *((name, "<i8") for name in ("kind", "mode", "counter", "count")),
@@ -92,6 +93,21 @@ def drives_end(protocol: DriveProtocol) -> DrivesEnd:
     return PythonEnd(protocol.power_up()) if end is None else end
 
 
+def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
+    """Return what an element of MESSAGE stands for."""
+    legs = tuple(at[:count].tolist())
+    if kind == SYNC:
+        return Sync(counter, legs)
+    if kind in (COMMAND, UNWATCHED):
+        made = DeviceCommand if kind == COMMAND else UnwatchedCommand
+        return made(legs, mode, np.array(force[:count]), counter)
+    if kind == ALIVE:
+        return Alive(legs)
+    if kind == CONFIGURE:
+        return Configure(legs[0], counter / 1e9, Reaction(mode))
+    return EmergencyStop(legs)
+
+
 MOST_MESSAGES, MOST_ANSWERS = 32, 4 * LEGS
 """Of one frame, and to one SYNC, at an end that is compiled."""
 
@@ -123,18 +139,9 @@ class CompiledEnd:
         return tuple(self._message(each, frame) for each in self._messages[:count].tolist())
 
     def _message(self, message: Any, frame: Frame) -> DeviceMessage:
-        kind, mode, counter, count, legs, force = message
-        legs = tuple(legs[:count].tolist())
-        if kind == SYNC:
-            return Sync(counter, legs)
-        if kind in (COMMAND, UNWATCHED):
-            made = DeviceCommand if kind == COMMAND else UnwatchedCommand
-            return made(legs, mode, np.array(force[:count]), counter)
-        if kind == ALIVE:
-            return Alive(legs)
-        if kind == CONFIGURE:
-            return Configure(legs[0], counter / 1e9, Reaction(mode))
-        return Rejected(self.reason(mode, counter, force[0], frame))
+        kind, mode, counter, _, _, force = message
+        said = device_message(*message)
+        return Rejected(self.reason(mode, counter, force[0], frame)) if kind == REJECTED else said
 
     def answers(
         self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None

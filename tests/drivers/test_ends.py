@@ -14,9 +14,10 @@ from drivers.frame_array import FRAME, received_array
 from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
 from drivers.several_buses import SeveralBuses
 from drivers.signals import LEGS
+from tests.drivers.cia402_drives import drives
 from tests.drivers.test_no_reading import FAMILIES
 
-PROTOCOLS: dict[str, Any] = dict(FAMILIES)
+PROTOCOLS: dict[str, Any] = {**FAMILIES, "cia402": drives(), "cia402 difference": drives(velocity=False)}
 BUSES = ((0, 4), (1, 5), (2, 3))
 
 

@@ -11,24 +11,28 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from drivers.arrays import Rows
+from drivers.arrays import Array, Ints, Rows
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import of_python, record_at
-from drivers.frame_array import FRAME, received_frames
+from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python, record_at
+from drivers.frame_array import FRAME, received_frames, sent_array, sent_frames
 from drivers.protocol import (
     Alive,
+    Configure,
     DeviceCommand,
     DeviceMessage,
     DriveProtocol,
+    EmergencyStop,
+    Frame,
     Memory,
     Rejected,
+    Status,
     Sync,
     UnwatchedCommand,
 )
-from drivers.signals import LEGS
+from drivers.signals import LEGS, Reaction
 
-SYNC, COMMAND, UNWATCHED, ALIVE, REJECTED, OTHER = range(6)
-"""Kinds of a message; OTHER: one that its owner looks at himself."""
+SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, OTHER = range(8)
+"""Kinds of a message; STOP, which an end in the pass leaves to the protocol, and OTHER are for its owner."""
 MESSAGE = np.dtype(
     [
         *((name, "<i8") for name in ("kind", "mode", "counter", "count")),
@@ -36,7 +40,9 @@ MESSAGE = np.dtype(
         ("force", "<f8", (LEGS,)),
     ]
 )
-"""A `DeviceMessage`: its first `count` legs, and of a command the force for each, N."""
+"""A `DeviceMessage`: its first `count` legs, and of a command the force for each, N.
+
+Of a CONFIGURE `mode` is the reaction, `counter` the watchdog in ns; of a REJECTED `mode` says why."""
 READING = np.dtype(
     [
         *((name, "<f8", (LEGS,)) for name in ("length", "rate", "force")),
@@ -87,6 +93,76 @@ def drives_end(protocol: DriveProtocol) -> DrivesEnd:
     return PythonEnd(protocol.power_up()) if end is None else end
 
 
+def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
+    """Return what an element of MESSAGE stands for."""
+    legs = tuple(at[:count].tolist())
+    if kind == SYNC:
+        return Sync(counter, legs)
+    if kind in (COMMAND, UNWATCHED):
+        made = DeviceCommand if kind == COMMAND else UnwatchedCommand
+        return made(legs, mode, np.array(force[:count]), counter)
+    if kind == ALIVE:
+        return Alive(legs)
+    if kind == CONFIGURE:
+        return Configure(legs[0], counter / 1e9, Reaction(mode))
+    return EmergencyStop(legs)
+
+
+MOST_MESSAGES, MOST_ANSWERS = 32, 4 * LEGS
+"""Of one frame, and to one SYNC, at an end that is compiled."""
+
+
+class CompiledEnd:
+    """A `DrivesEnd` that is compiled, and the same for callers in Python. Mutable state: its record."""
+
+    parse: int
+    answer: int
+    report: int
+
+    def __init__(self, record: Rows, parse: Pointed, answer: Pointed, report: Pointed) -> None:
+        self.record = record
+        self._parse, self._answer, self._report = parse, answer, report
+        self.parse, self.answer, self.report = parse.address, answer.address, report.address
+        self.context = data_at(record)
+        self._messages, self._reading = np.zeros(MOST_MESSAGES, MESSAGE), np.zeros((), READING)
+        self._frames, self._legs = np.zeros(MOST_ANSWERS, FRAME), np.zeros(MOST_ANSWERS, np.int64)
+
+    def reason(self, why: int, counter: int, number: float, frame: Frame) -> str:
+        """Return why a frame is rejected: what its message has as mode, counter and first force."""
+        raise NotImplementedError
+
+    def messages(self, frame: Frame) -> tuple[DeviceMessage, ...] | None:
+        """Return what a frame says; None where that is left to the protocol."""
+        count = self._parse(self.record, sent_array([frame]), self._messages)
+        if count == FAILED:
+            return None
+        return tuple(self._message(each, frame) for each in self._messages[:count].tolist())
+
+    def _message(self, message: Any, frame: Frame) -> DeviceMessage:
+        kind, mode, counter, _, _, force = message
+        said = device_message(*message)
+        return Rejected(self.reason(mode, counter, force[0], frame)) if kind == REJECTED else said
+
+    def answers(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
+    ) -> list[tuple[int, Frame]] | None:
+        """Return the answers to a SYNC, each with its leg; None where a value is not a number."""
+        self._reading[()] = length, rate, force, state, 0 if fault is None else fault
+        put_messages([sync], self._messages)
+        count = self._answer(self.record, self._messages, self._reading, self._frames, self._legs)
+        if count == FAILED:
+            return None
+        return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
+
+    def reports(self, status: Status) -> tuple[Frame, ...] | None:
+        """Return what a drive sends of its state; None where that is left to the protocol."""
+        leg, state, fault, holds, due = status
+        watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
+        given = (leg, state, fault, watchdog_ns, int(reaction), int(due))
+        count = self._report(self.record, *given, self._frames)
+        return None if count == FAILED else sent_frames(self._frames[:count])
+
+
 class Hearing(NamedTuple):
     """What the controller's end makes of frames, by address."""
 
@@ -134,7 +210,14 @@ def _python_hearing(protocol: DriveProtocol) -> Hearing:
     return Hearing(looks, asks, 0, wanted, (keeps_fresh, keeps_addressed))
 
 
-_KINDS = {Sync: SYNC, DeviceCommand: COMMAND, UnwatchedCommand: UNWATCHED, Alive: ALIVE, Rejected: REJECTED}
+_KINDS = {
+    Sync: SYNC,
+    DeviceCommand: COMMAND,
+    UnwatchedCommand: UNWATCHED,
+    Alive: ALIVE,
+    Configure: CONFIGURE,
+    Rejected: REJECTED,
+}
 
 
 def put_messages(messages: Sequence[DeviceMessage], into: Rows) -> None:
@@ -150,3 +233,6 @@ def put_messages(messages: Sequence[DeviceMessage], into: Rows) -> None:
         if isinstance(message, DeviceCommand):
             each["mode"] = message.mode
             each["force"][:count] = message.force
+        if isinstance(message, Configure):
+            each["count"], each["legs"][0] = 1, message.leg
+            each["counter"], each["mode"] = round(message.watchdog_s * 1e9), message.reaction

@@ -6,11 +6,19 @@ import numpy as np
 
 from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import records_at
-from drivers.frame_array import FRAME
+from drivers.frame_array import FRAME, SENT
 from drivers.signals import LEGS, NEVER
 
 frames_at = records_at(record(FRAME))
 """frames_at(address, count): the elements of FRAME there."""
+
+
+@helper
+def begin_sent(frame: Any, identifier: int, size: int, flags: int, bus: int) -> None:
+    """Begin a frame to send, its data 0."""
+    frame.t_ns, frame.id, frame.kind = 0, identifier, SENT
+    frame.length, frame.flags, frame.bus = size, flags, bus
+    frame.data[:] = 0
 
 
 @helper

@@ -12,39 +12,31 @@ reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 
 import struct
 from collections.abc import Mapping, Sequence
-from math import isnan, nan
+from math import nan
 
 import numpy as np
 
 from drivers import moteus_kernels as kernels
-from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import REVISION, SERIAL, Said
-from drivers.moteus_kernels import ALL_NODES, FAULTED, POSITION, STOPPED, TIMED_OUT
+from drivers.moteus_kernels import ALL_NODES, REPLY_WANTED
 from drivers.moteus_registers import (
-    COMMAND,
     FAULT,
     FIRMWARE,
-    HOME_STATE,
+    FLOAT,
     MODE,
     PLACE,
     REPLY,
     SERIAL_NUMBER,
     SPEED,
     TEMPERATURE,
-    TIMEOUT,
     TORQUE,
-    TRAJECTORY_COMPLETE,
     VOLTAGE,
-    WRITE,
-    Asked,
-    asked,
     pad,
     registers,
-    reply_to,
 )
-from drivers.motor_drives import MotorMemory, put
+from drivers.motor_drives import MotorMemory, codes_of
 from drivers.motor_kernels import EAR, FALLS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import OWN_CODE, Exchange, MotorProtocol
@@ -53,18 +45,12 @@ from drivers.protocol import (
     EXTENDED,
     FD,
     OTHER_BUSES,
-    Configure,
-    DeviceMessage,
     DriveSetup,
     Frame,
-    Rejected,
-    Sync,
 )
-from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, DriveFault, Reaction
 from drivers.transmission import Transmission
 
-REPLY_WANTED = 0x8000
-"""Bit of an identifier."""
 QUERY = bytes.fromhex("11001f01130d")
 """Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
 WHO, WHICH = bytes.fromhex("1ba002"), bytes.fromhex("198102")
@@ -96,9 +82,6 @@ _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39
 _STRANGE = kernels.STRANGE | OTHER_BUSES
 _WORD = 0xFFFFFFFF
 _SERIAL = tuple(range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
-_VERSION = 0x010000
-"""Of the emulated drives' firmware."""
-_RUN, _FAULT = DriveState.RUN, DriveState.FAULT
 _MAX_TORQUE = 1e4
 
 
@@ -120,14 +103,20 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
 TORQUE_AT = 14
 """Of its bytes the first one of the torque."""
 STOP = pad(b"\x01\0\0" + QUERY)
-_QUERIED = asked(QUERY)
-_WELL = {VOLTAGE: 24.0, TEMPERATURE: 30.0, TRAJECTORY_COMPLETE: 0.0, HOME_STATE: 0.0}
+_QUERIED = (
+    (MODE, 0),
+    *((register, FLOAT) for register in (PLACE, SPEED, TORQUE)),
+    *((register, 0) for register in (VOLTAGE, TEMPERATURE, FAULT)),
+)
+"""Registers that it asks for, each with its width."""
 
 
 class MoteusProtocol(MotorProtocol):
     """The tables of six drives."""
 
-    ear, rule = kernels.hear, FALLS
+    ear, obey, encode, rule = kernels.hear, kernels.obey, kernels.encode, FALLS
+    number_at, everyone, delivered_s = (0, ALL_NODES), ALL_NODES, DEFAULT_TIMEOUT_S
+    rejections = "mode {0:g}", "position mode that is no torque command", "subframes that are not whole"
     set_up_frames = 0
     shares_identifiers = False
 
@@ -155,12 +144,9 @@ class MoteusProtocol(MotorProtocol):
         self._reply_ids = tuple(node << 8 | host for node in nodes)
         self._nodes, self._host = tuple(nodes), host
         tables["nodes"], tables["replies"] = nodes, self._reply_ids
-        self._legs = {node: leg for leg, node in enumerate(nodes)}
+        tables["codes"] = codes_of(_CODES, 33)
         self._answering_legs = {identifier: leg for leg, identifier in enumerate(self._reply_ids)}
-        self.feedback_ids = frozenset(self._reply_ids)
-        mine = dict.fromkeys(_SERIAL, 0.0) | {FIRMWARE: float(_VERSION)}
-        self._well = tuple(_WELL | mine | {SERIAL_NUMBER: float(node)} for node in nodes)
-        """What the emulated drives say of themselves."""
+        self.feedback_by_leg = self._reply_ids
 
     @property
     def torque_limit(self) -> float:
@@ -227,102 +213,15 @@ class MoteusProtocol(MotorProtocol):
             return None
         return leg, registers(data, REPLY) or {}
 
-    def leg_addressed(self, frame: Frame) -> int | None:
-        """Return the leg of the identifier."""
-        return self._legs.get(frame.id & ALL_NODES)
-
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return a stop for each drive: it does not latch."""
         return tuple(Frame(each, STOP, EXTENDED | FD | BRS) for each in self._command_ids)
 
     # drives' end
 
-    def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end, from any controller, to one drive or to all; obey, then answer."""
-        identifier, data, flags = frame
-        if flags & _STRANGE or not flags & FD or identifier > (0xFFFF if flags & EXTENDED else 0x7FF):
-            return memory, ()
-        to, source = identifier & 0x7F, identifier >> 8 & 0x7F
-        legs = [self._legs[to]] if to in self._legs else range(LEGS if to == ALL_NODES else 0)
-        written = registers(data, WRITE) if legs else {}
-        if written is None:
-            return memory, (Rejected("subframes that are not whole"),)
-        messages: list[DeviceMessage] = []
-        for leg in legs:
-            memory, done = self._obey(memory, leg, written)
-            messages += done
-            if identifier & REPLY_WANTED:
-                memory = memory._replace(asked=put(memory.asked, leg, (source, asked(data))))
-                messages.append(Sync(0, (leg,)))
-        return memory, tuple(messages)
-
-    def _obey(
-        self, memory: MotorMemory, leg: int, written: Mapping[int, float]
-    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        after, torque, mode = memory.enabled[leg], 0.0, written.get(MODE)
-        modes: tuple[int, ...] = ()
-        settings: tuple[DeviceMessage, ...] = ()
-        if mode == STOPPED:
-            modes, after = (DriveMode.RESET,), False
-            settings = (Configure(leg, DEFAULT_TIMEOUT_S, self.reactions[0]),)
-        elif mode == POSITION:
-            torque = written.get(COMMAND + 2, 0.0)
-            most, timeout_s = written.get(COMMAND + 5, nan), written.get(TIMEOUT, nan)
-            gains = written.get(COMMAND + 3, 1.0), written.get(COMMAND + 4, 1.0)
-            if isnan(torque) or most <= 0.0 or gains != (0.0, 0.0):
-                return memory, (Rejected("position mode that is no torque command"),)
-            torque = min(max(torque, -most), most) if most > 0.0 else torque
-            if not after:
-                limit_s = timeout_s if timeout_s > 0.0 else DEFAULT_TIMEOUT_S
-                settings = (Configure(leg, limit_s, self.reactions[0]),)
-            modes, after = ((DriveMode.RUN,) if after else (DriveMode.READY, DriveMode.RUN)), True
-        elif mode is not None:
-            return memory, (Rejected(f"mode {mode:g}"),)
-        memory, commands = self._commanded(memory, leg, modes, torque)
-        memory = memory._replace(enabled=put(memory.enabled, leg, after))
-        first, last = (settings, ()) if mode == POSITION else ((), settings)
-        return memory, (*first, *commands, *last)
-
     def power_up(self) -> MotorMemory:
         """Return the memory of six drives that have heard nothing; unasked, they answer our query."""
         return MotorMemory(asked=((self._host, _QUERIED),) * LEGS)
-
-    def answer(
-        self,
-        memory: MotorMemory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        fault: Ints | None = None,
-    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
-        """Encode what the drives of `sync.legs` answer to what they were asked, to whom it was that asked."""
-        said = self._states(sync, length, rate, force, state, fault)
-        return memory, [(leg, self._reply(leg, *memory.asked[leg], held)) for leg, held in said]
-
-    def _reply(self, leg: int, host: int, wanted: Asked, said: Mapping[int, float]) -> Frame:
-        identifier = self._nodes[leg] << 8 | host
-        return Frame(identifier, pad(reply_to(wanted, said)), FD | BRS | EXTENDED * (identifier > 0x7FF))
-
-    def _states(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None
-    ) -> list[tuple[int, dict[int, float]]]:
-        """Return the registers of each drive of `sync.legs`."""
-        codes = np.zeros(LEGS, np.int64) if fault is None else fault
-        turns, speeds, torques = self.motor(length, rate, force)
-        found = []
-        for leg in sync.legs:
-            self.finite(leg, turns[leg], speeds[leg], torques[leg])
-            at, why = int(state[leg]) & ~INVALID, DriveFault(int(codes[leg]))
-            mode, code = POSITION if at == _RUN else STOPPED, 0
-            if at == _FAULT:
-                mode = TIMED_OUT if why is DriveFault.WATCHDOG else FAULTED
-                code = 0 if mode == TIMED_OUT else _CODES.get(why, 33)
-            place, speed = (nan, nan) if int(state[leg]) & INVALID else (turns[leg], speeds[leg])
-            held = {MODE: float(mode), PLACE: place, SPEED: speed, TORQUE: torques[leg], FAULT: float(code)}
-            found.append((leg, held | self._well[leg]))
-        return found
 
     # bus time
 

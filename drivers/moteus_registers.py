@@ -8,10 +8,9 @@ integer of a width stands for "not known".
 import struct
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from math import isfinite, nan
+from math import nan
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 from drivers.compiled.compiler import helper
 
@@ -29,21 +28,18 @@ COMMAND, TIMEOUT = 0x020, 0x027
 FIRMWARE, SERIAL_NUMBER = 0x101, 0x120
 """SERIAL_NUMBER begins three registers of 32 bits, the lowest first."""
 READ_ERROR, NO_REGISTER = 0x31, 1
-_READABLE = 0x10
+READABLE = 0x10
 """Registers below are states of the drive."""
-_FLOAT = 3
+FLOAT = 3
 SIZES = (1, 2, 4, 4)
 """Bytes of a value, by its width."""
 _FORMS = ("b", "h", "i", "f")
-_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-
-Asked = tuple[tuple[int, int], ...]
-"""Registers with the width in which each is asked for."""
+LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 def pad(data: bytes) -> bytes:
     """Return the data filled up to the next length of CAN FD."""
-    return data + bytes((NOP,)) * (_LENGTHS[bisect_left(_LENGTHS, len(data))] - len(data))
+    return data + bytes((NOP,)) * (LENGTHS[bisect_left(LENGTHS, len(data))] - len(data))
 
 
 @helper
@@ -82,7 +78,6 @@ def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
     return kind if at >= 0 else NOT_WHOLE, width, first, count, at
 
 
-@lru_cache(maxsize=64)  # drives at rest are sent the same again and again
 def registers(data: bytes, kind: int) -> Mapping[int, float] | None:
     """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known.
 
@@ -113,9 +108,9 @@ def _groups(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
 
 
 @helper
-def _scale(register: int, width: int) -> float:
+def scale_of(register: int, width: int) -> float:
     """Return the scale of a register, 0 where it comes as it is."""
-    if width == _FLOAT:
+    if width == FLOAT:
         return 0.0
     if register in (PLACE, COMMAND):
         return (0.01, 0.0001, 0.00001)[width]
@@ -133,80 +128,7 @@ def _scale(register: int, width: int) -> float:
 @helper
 def value(register: int, width: int, raw: float) -> float:
     """Return what a register of a width holds, NaN for what is not known."""
-    scale = _scale(register, width)
+    scale = scale_of(register, width)
     if scale == 0.0:
         return float(raw)
     return nan if raw == -(1 << (8 * SIZES[width] - 1)) else raw * scale
-
-
-@lru_cache(maxsize=64)
-def asked(data: bytes) -> Asked:
-    """Return what a frame asks for, in its order, up to where it is not whole."""
-    found: list[tuple[int, int]] = []
-    for kind, width, first, count, _ in _groups(data):
-        if kind == READ:
-            found += [(first + k, width) for k in range(min(count, _LENGTHS[-1]))]
-    return tuple(found)
-
-
-class _Part(NamedTuple):
-    """One group of a reply: its head, and how its values are packed."""
-
-    head: bytes
-    values: struct.Struct
-    fields: tuple[tuple[int, float, int], ...]
-    """Of each value: register, scale and largest integer, 0 for a float."""
-
-
-def reply_to(wanted: Asked, said: Mapping[int, float]) -> bytes:
-    """Return the reply to what is asked for, not filled up; it ends where a frame is full.
-
-    A state that the drive does not know is NaN, or the smallest integer; another register that is not among
-    what it says is an error.
-    """
-    data = b""
-    for head, values, fields in _parts(wanted, tuple(said)):
-        data += head + values.pack(*[_raw(said.get(k, nan), scale, most) for k, scale, most in fields])
-    return data[: _LENGTHS[-1]]
-
-
-@lru_cache(maxsize=64)
-def _parts(wanted: Asked, known: tuple[int, ...]) -> tuple[_Part, ...]:
-    """Return the groups that answer what is asked for, of a drive that knows some registers."""
-    parts = []
-    at = 0
-    while at < len(wanted):
-        first, width = wanted[at]
-        if first >= _READABLE and first not in known:
-            parts.append(_Part(bytes((READ_ERROR, *_as_varuint(first), NO_REGISTER)), struct.Struct(""), ()))
-            at += 1
-            continue
-        count = 1
-        while at + count < len(wanted) and wanted[at + count] == (first + count, width):
-            count += 1
-        if first < _READABLE:
-            count = min(count, _READABLE - first)
-        else:
-            count = next((k for k in range(count) if first + k not in known), count)
-        head = (REPLY | width << 2 | count,) if count < 4 else (REPLY | width << 2, count)
-        most = 0 if width == _FLOAT else (1 << (8 * SIZES[width] - 1)) - 1
-        fields = tuple((k, _scale(k, width) or 1.0, most) for k in range(first, first + count))
-        values = struct.Struct(f"<{count}{_FORMS[width]}")
-        parts.append(_Part(bytes((*head, *_as_varuint(first))), values, fields))
-        at += count
-    return tuple(parts)
-
-
-def _as_varuint(number: int) -> tuple[int, ...]:
-    found = []
-    while number > 0x7F:
-        found.append(number & 0x7F | 0x80)
-        number >>= 7
-    return (*found, number)
-
-
-def _raw(value: float, scale: float, most: int) -> float:
-    """Return what is packed: the value as a float, or as an integer of its scale, within the largest."""
-    if not most:
-        return value
-    return int(min(max(value / scale, -most), most)) if isfinite(value) else -most - 1

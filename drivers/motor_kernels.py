@@ -17,7 +17,7 @@ from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_a
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, frames_at, whole
 from drivers.motor_dialogue import RETRY_TICKS
-from drivers.signals import LEGS, DriveMode, DriveState, Foreign
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import loss_of
 
@@ -54,6 +54,7 @@ EAR = np.dtype(
         ("faults", "<i8"),  # bit k: the drives have a fault of code k
         ("silence", "<i8"),  # fault code of a drive's own watchdog; -1: none
         ("registers", "<i8"),  # 1: it answers readings of registers
+        ("codes", "<i8", (len(DriveFault),)),  # what an emulated drive sends for a fault of its own
     ]
 )
 """What a family's `hear` works on: each family uses what it needs."""

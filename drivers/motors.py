@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
-from drivers.compiled.pointed import FAILED, Pointed, data_at
+from drivers.compiled.pointed import FAILED, data_at
 from drivers.controller_end import MOST_FRAMES
 from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array, sent_frames
@@ -36,11 +36,10 @@ from drivers.motor_kernels import (
     TORQUE,
     wire_state,
 )
-from drivers.motor_routes import MotorRoutes
 from drivers.protocol import ALWAYS, BUS, OTHER_BUSES, DriveSetup, Frame, PowerTold, Received
 from drivers.resolution import Resolution
 from drivers.several_buses import SeveralBuses
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, Command, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
@@ -69,11 +68,9 @@ def prepared(protocol: "MotorProtocol", watchdog_s: float) -> tuple[Record, Rows
     return m, frames
 
 
-class MotorProtocol(MotorRoutes, MotorDrives):
+class MotorProtocol(MotorDrives):
     """Controller's end of such a family, compiled in `drivers.motor_kernels`. Holds tables only."""
 
-    ear: Pointed
-    """The family's `hear`."""
     rule = KEEPS
     """What a drive is sent, see `drivers.motor_kernels`."""
     clears = False
@@ -95,16 +92,18 @@ class MotorProtocol(MotorRoutes, MotorDrives):
     latches_together = False
     unasked_s = 0.0
     has_watchdog = True
-    reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
-    feedback_ids = frozenset(range(LEGS))
-    """Legs: answers of several drives may share an identifier, or change it."""
 
     def __init__(
         self, transmission: Transmission, tables: Record, torque_field: tuple[int, int, float]
     ) -> None:
         """Take what `ear` works on, and where a command has its torque: first byte, bits, end in N m."""
-        super().__init__(transmission)
-        self.tables, self.torque_field = tables, torque_field
+        super().__init__(transmission, tables)
+        self.torque_field = torque_field
+
+    @property
+    def feedback_ids(self) -> frozenset[int]:
+        """See `feedback_by_leg`."""
+        return frozenset(self.feedback_by_leg)
 
     # what a family gives
 
@@ -197,6 +196,11 @@ class MotorProtocol(MotorRoutes, MotorDrives):
             fault=fault,
             answer=(register, value) if has & ANSWER else None,
         )
+
+    def sender(self, frame: Frame) -> int:
+        """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
+        heard = self.hear(frame)
+        return -1 if heard is None or heard.foreign else heard.leg
 
     def record(self, dialogue: MotorDialogue) -> Record:
         """Return a record of the kernels with what the dialogue remembers."""

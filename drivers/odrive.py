@@ -21,11 +21,11 @@ from math import ceil
 import numpy as np
 
 from drivers import odrive_kernels as kernels
-from drivers.arrays import Array, Ints
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import SERIAL, Said
-from drivers.motor_drives import MotorMemory, put
+from drivers.motor_device_kernels import ANY
+from drivers.motor_drives import MotorMemory, codes_of, put
 from drivers.motor_kernels import EAR, PREPARES
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import OWN_CODE, Exchange, MotorDialogue, MotorProtocol
@@ -34,32 +34,27 @@ from drivers.odrive_kernels import (
     AXIS_STATE,
     CLEAR,
     CLOSED_LOOP,
-    COMMANDS,
     ESTIMATES,
     ESTOP,
-    HEARTBEAT,
+    IDLE,
     MODES,
     TORQUE,
+    TORQUE_CONTROL,
 )
 from drivers.protocol import (
     OTHER_BUSES,
     REMOTE,
     Answer,
-    Configure,
     DeviceMessage,
     DriveSetup,
     EmergencyStop,
     Frame,
-    Rejected,
-    Status,
-    Sync,
 )
-from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, DriveFault
 from drivers.transmission import Transmission
 
-IDLE = 1
-"""Axis state."""
-TORQUE_CONTROL, PASSTHROUGH = 1, 1
+PASSTHROUGH = 1
+"""Input mode."""
 UNASKED = "encoder_msg_rate_ms"
 """Setting of an axis, and option here: how often it sends its estimates unasked; 0: never."""
 DELIVERED_MS, MOST_UNASKED_MS = 10, 10_000
@@ -101,15 +96,21 @@ _FAULTS = {
 _STRANGE = kernels.STRANGE | OTHER_BUSES
 _MAX_TORQUE = 1e4
 """N m: more is a mistake, whatever a single can hold."""
-_RUN = DriveState.RUN
-_SIZES = {ESTOP: (), AXIS_STATE: (4, 8), MODES: (8,), TORQUE: (4, 8), CLEAR: (0, 1)}
-"""Lengths that an axis accepts of what it hears; of Estop any."""
 
 
 class ODriveProtocol(MotorProtocol):
     """The tables of six axes."""
 
     ear, commanding, rule = kernels.hear, kernels.push, PREPARES
+    obey, encode, reporting = kernels.obey, kernels.encode, kernels.beat
+    number_at = 5, ANY
+    rejections = (
+        "command {kind:#x} of {size} bytes",
+        "command {kind:#x} is not emulated",
+        "axis state {0:.0f}",
+        "closed loop without torque control",
+        "torque that is no number",
+    )
     command_delay_ticks = 0
     set_up_frames = 0
     stop_latches = True
@@ -130,7 +131,7 @@ class ODriveProtocol(MotorProtocol):
         """
         tables = np.zeros((), EAR)
         super().__init__(transmission, tables, (0, 32, 0.0))
-        self._watchdog_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
+        self.delivered_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
         for leg, node in enumerate(nodes):
             if not 0 <= node <= 62:
                 raise ConfigurationError(
@@ -138,7 +139,8 @@ class ODriveProtocol(MotorProtocol):
                 )
         self._nodes, tables["nodes"] = tuple(nodes), nodes
         self._legs = {node: leg for leg, node in enumerate(nodes)}
-        self.feedback_ids = frozenset(node << 5 | ESTIMATES for node in nodes)
+        tables["codes"] = codes_of(_FAULTS, 0)
+        self.feedback_by_leg = tuple(node << 5 | ESTIMATES for node in nodes)
         self.polls = tuple(Frame(node << 5 | ESTIMATES, b"", REMOTE) for node in nodes)
 
     def _to(self, leg: int, command: int, data: bytes) -> Frame:
@@ -202,10 +204,6 @@ class ODriveProtocol(MotorProtocol):
         )
         return tuple(tuple(self._to(leg, kind, data) for leg in range(LEGS)) for kind, data in asked)
 
-    def leg_addressed(self, frame: Frame) -> int | None:
-        """Return the leg of the node number in the identifier."""
-        return self._legs.get(frame.id >> 5)
-
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return remote frames for the address of each axis."""
         return (tuple(self._to(leg, ADDRESS, b"")._replace(flags=REMOTE) for leg in range(LEGS)),)
@@ -224,91 +222,14 @@ class ODriveProtocol(MotorProtocol):
 
     # drives' end
 
-    def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end."""
-        leg, kind = self._legs.get(frame.id >> 5), frame.id & 0x1F
-        if frame.flags & _STRANGE or leg is None:
-            return memory, ()
-        if frame.flags & REMOTE:
-            if kind == ADDRESS and not frame.data:
-                node = frame.id >> 5
-                said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
-                return memory, (Answer(leg, self._to(leg, ADDRESS, said)),)
-            if kind != ESTIMATES or frame.data:
-                return memory, ()
-            return memory, (Sync(0, (leg,)),)
-        if kind == ESTOP:
-            return memory._replace(enabled=put(memory.enabled, leg, False)), (EmergencyStop((leg,)),)
-        if not COMMANDS >> kind & 1:
-            return memory, ()
-        if kind not in _SIZES:
-            return memory, (Rejected(f"command {kind:#x} is not emulated"),)
-        if len(frame.data) not in _SIZES[kind]:
-            return memory, (Rejected(f"command {kind:#x} of {len(frame.data)} bytes"),)
-        return self._obey(memory, leg, kind, frame.data)
-
-    def _obey(
-        self, memory: MotorMemory, leg: int, kind: int, data: bytes
-    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        after, torque = memory.enabled[leg], 0.0
-        modes: tuple[int, ...] = ()
-        if kind == MODES:
-            held = dict(memory.registers[leg]) | {MODES: float(struct.unpack("<I", data[:4])[0])}
-            return memory._replace(registers=put(memory.registers, leg, tuple(held.items()))), ()
-        if kind == CLEAR:
-            modes, after = (DriveMode.RESET,), False
-        elif kind == AXIS_STATE:
-            (state,) = struct.unpack("<I", data[:4])
-            if state not in (IDLE, CLOSED_LOOP):
-                return memory, (Rejected(f"axis state {state}"),)
-            torque_controlled = dict(memory.registers[leg]).get(MODES) == TORQUE_CONTROL
-            enables = state == CLOSED_LOOP and torque_controlled and not after
-            if state == CLOSED_LOOP and not torque_controlled:
-                return memory, (Rejected("closed loop without torque control"),)
-            modes = (DriveMode.OFF,) if state == IDLE else (DriveMode.READY, DriveMode.RUN) * enables
-            after = state == CLOSED_LOOP and (after or enables)
-        elif after:
-            (torque,) = struct.unpack("<f", data[:4])
-            modes = (DriveMode.RUN,)
-            if not np.isfinite(torque):
-                return memory, (Rejected("torque that is no number"),)
-        memory, commands = self._commanded(memory, leg, modes, torque)
-        memory = memory._replace(enabled=put(memory.enabled, leg, after))
-        held = dict(memory.registers[leg])
-        if kind != AXIS_STATE or (state == CLOSED_LOOP and AXIS_STATE in held):
-            return memory, commands
-        held[AXIS_STATE] = float(state)
-        memory = memory._replace(registers=put(memory.registers, leg, tuple(held.items())))
-        tool = (Configure(leg, self._watchdog_s, Reaction.BRAKE),)
-        return memory, (*commands, *tool) if state == IDLE else (*tool, *commands)
-
-    def answer(
-        self,
-        memory: MotorMemory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        _fault: Ints | None = None,
-    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
-        """Encode what the axes of `sync.legs` answer; a lost encoder has no estimate: it is NaN."""
-        turns, speeds, torques = self.motor(length, rate, force)
-        frames = []
-        for leg in sync.legs:
-            self.finite(leg, turns[leg], speeds[leg], torques[leg])
-            lost = bool(int(state[leg]) & INVALID)
-            values = (float("nan"),) * 2 if lost else (turns[leg], speeds[leg])
-            frames.append((leg, self._to(leg, ESTIMATES, struct.pack("<ff", *values))))
-        return memory, frames
-
-    def report(self, memory: MotorMemory, status: Status) -> tuple[MotorMemory, tuple[Frame, ...]]:
-        """Encode an axis' heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
-        if not status.due:
-            return memory, ()
-        error = _FAULTS.get(DriveFault(status.fault), 0)
-        state = CLOSED_LOOP if status.state == _RUN else IDLE
-        return memory, (self._to(status.leg, HEARTBEAT, struct.pack("<IBBBx", error, state, 0, 0)),)
+    def converse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        """Take Estop, or the question for the address."""
+        node, kind = frame.id >> 5, frame.id & 0x1F
+        leg = self._nodes.index(node)
+        if kind == ADDRESS:
+            said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
+            return memory, (Answer(leg, self._to(leg, ADDRESS, said)),)
+        return memory._replace(enabled=put(memory.enabled, leg, False)), (EmergencyStop((leg,)),)
 
     # bus time
 

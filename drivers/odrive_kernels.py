@@ -4,11 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, pointed
+from drivers.ends import frame_at
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import place_of, whole
+from drivers.frame_pointers import begin_sent, place_of, whole
 from drivers.motor_dialogue import OWN_CODE, RETRY_TICKS
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
@@ -16,8 +18,12 @@ from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 ADDRESS = 0x06
 """Asked for by a remote frame it is answered with node number, serial number and connection."""
 HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
-CLOSED_LOOP = 8
-"""Axis state."""
+IDLE, CLOSED_LOOP = 1, 8
+"""Axis states."""
+TORQUE_CONTROL = 1
+"""Control mode."""
+STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
+"""Why a frame is rejected."""
 COMMANDS = sum(
     1 << kind
     for kind in {
@@ -98,3 +104,89 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
             motors.send(m, motors.CLEAR, leg, into + sent * _FRAME_BYTES)
             sent += 1
     return sent
+
+
+@helper
+def _fits(kind: int, size: int) -> bool:
+    """Tell whether an axis takes so many bytes of what it hears."""
+    if kind == CLEAR:
+        return size <= 1
+    return size == 8 or (size == 4 and kind != MODES)
+
+
+@helper
+def _ask_state(d: Any, data: Any, order: Any) -> int:
+    """Take an axis state that is asked for."""
+    leg, state, ready = order.leg, whole(data, 0), order.enabled != 0
+    if state not in (IDLE, CLOSED_LOOP):
+        return drives.rejects(order, NO_STATE, state)
+    first = drives.register(d, leg, AXIS_STATE, -1.0) < 0.0
+    if state == IDLE:
+        drives.tells(order, drives.OFF, False)
+        drives.configures(d, order, 1)
+    else:
+        if drives.register(d, leg, MODES, -1.0) != TORQUE_CONTROL:
+            return drives.rejects(order, NO_TORQUE_CONTROL, 0.0)
+        if not ready:
+            drives.enables(order)
+        if first:
+            drives.configures(d, order, -1)
+    if state == IDLE or first:
+        drives.write(d, leg, AXIS_STATE, state)
+    return 1
+
+
+@pointed(record(drives.DEVICES), record(FRAME), record(drives.ORDER))
+def obey(d: Any, frame: Any, order: Any) -> int:
+    """Take a command, or the question for estimates."""
+    kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
+    if frame.flags & STRANGE:
+        return 0
+    if frame.flags & REMOTE:
+        order.answers = kind == ESTIMATES and size == 0
+        return FAILED if kind == ADDRESS and size == 0 else order.answers
+    if kind == ESTOP:
+        return FAILED
+    if not COMMANDS >> kind & 1:
+        return 0
+    if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
+        return drives.rejects(order, NO_COMMAND, 0.0)
+    if not _fits(kind, size):
+        return drives.rejects(order, STRANGE_SIZE, 0.0)
+    if kind == AXIS_STATE:
+        return _ask_state(d, data, order)
+    if kind == MODES:
+        drives.write(d, order.leg, MODES, whole(data, 0))
+    elif kind == CLEAR:
+        drives.tells(order, drives.RESET, False)
+    elif order.enabled:
+        drives.tells(order, drives.RUN, True)
+        order.torque = motors.single(data, 0)
+        if not np.isfinite(order.torque):
+            return drives.rejects(order, NO_TORQUE, 0.0)
+    return 1
+
+
+@pointed(record(drives.DEVICES), record(drives.SAID), record(FRAME))
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in estimates; a lost encoder has none: they are NaN."""
+    begin_sent(frame, d.nodes[said.leg] << 5 | ESTIMATES, 8, 0, d.bus_of[said.leg])
+    motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
+    motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
+    return 0
+
+
+@pointed(record(drives.DEVICES), *[INTEGER] * 7)
+def beat(
+    d: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, due: int, into: int
+) -> int:
+    """Fill in a heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
+    if not due:
+        return 0
+    frame = frame_at(into)
+    begin_sent(frame, d.nodes[leg] << 5 | HEARTBEAT, 8, 0, d.bus_of[leg])
+    error = drives.ear_at(d.ear).codes[fault]
+    for k in range(4):
+        frame.data[k] = error >> 8 * k & 0xFF
+    frame.data[4] = CLOSED_LOOP if state == _RUN else IDLE
+    return 1

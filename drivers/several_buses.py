@@ -6,9 +6,11 @@ end the drives of each bus have a memory of their own, for they hear that bus al
 """
 
 from collections.abc import Sequence
+from typing import cast
 
 from drivers.arrays import Array, Ints, Rows
 from drivers.controller_end import ControllerEnd
+from drivers.ends import DrivesEnd, Hearing
 from drivers.frame_array import received_array, received_frames
 from drivers.identity import Identified, Said
 from drivers.protocol import (
@@ -259,6 +261,16 @@ class SeveralBuses:
         return -1 if self._strays(frame, known) else self.family.sender(known)
 
     # drives' end
+
+    def drives_end(self) -> DrivesEnd | None:
+        """Return the drives' end by address where the family has it, else None."""
+        make = getattr(self.family, "drives_end", None)
+        return None if make is None else cast("DrivesEnd | None", make(self))
+
+    def hearing(self) -> Hearing | None:
+        """Return the controller's end by address, as far as it hears; None as `drives_end`."""
+        make = getattr(self.family, "hearing", None)
+        return None if make is None else cast("Hearing | None", make(self))
 
     def power_up(self) -> Memories:
         """Return the memories of drives that have heard nothing."""

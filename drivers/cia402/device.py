@@ -5,13 +5,16 @@ it has of both is in `dictionary`. Its brake is its own. Quick stop and NMT stop
 the emulated power stage has no ramps.
 """
 
-import struct
 from collections.abc import Mapping
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers.arrays import Rows
+from drivers.cia402 import device_kernels as kernels
 from drivers.cia402 import objects as o
+from drivers.cia402.device_kernels import ACTUAL, DEVICE, MAPPABLE, REMEMBERED
 from drivers.cia402.dictionary import (
     ENTRIES,
     PLACE,
@@ -26,7 +29,9 @@ from drivers.cia402.dictionary import (
 )
 from drivers.cia402.emergency import CODES, HEARTBEAT_LOST
 from drivers.cia402.objects import Key
-from drivers.cia402.states import STATUSWORDS, State, commanded
+from drivers.cia402.states import STATUSWORDS, State
+from drivers.compiled.pointed import data_at
+from drivers.ends import MESSAGE, device_message
 from drivers.protocol import (
     Answer,
     Configure,
@@ -39,10 +44,14 @@ from drivers.protocol import (
 )
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 
-_CYCLIC, _CYCLIC_FORM = (o.CONTROLWORD, o.TARGET_TORQUE), struct.Struct("<Hh")
-_SHOWN, _SHOWN_FORM = (o.STATUSWORD, o.POSITION, o.TORQUE), struct.Struct("<Hih")
-"""What the PDOs of a torque loop carry, and its bytes."""
-_MAX_TORQUE, _MODE = PLACE[o.MAX_TORQUE], PLACE[o.MODE]
+_SETTINGS = {
+    "mode": o.MODE,
+    "shown": o.MODE_SHOWN,
+    "most": o.MAX_TORQUE,
+    "consumer": o.CONSUMER_HEARTBEAT,
+    "producer": o.PRODUCER_HEARTBEAT,
+}
+"""Fields of DEVICE that are objects as they are."""
 NO_WATCHDOG_s = 1e6
 """Time after which a drive without a consumer heartbeat time reacts."""
 _SHORT_PDO = 0x8210
@@ -99,11 +108,6 @@ class Device(NamedTuple):
         if key == (0x1001, 0):
             return _register(self.error)
         return None
-
-    def transmits(self) -> tuple[Pdo, ...]:
-        """Return the TPDOs that it sends at every SYNC while it is in Operational."""
-        found = pdos(self.values, o.TPDO, o.TPDO_MAP)
-        return tuple(pdo for pdo in found if pdo.transmission == o.AT_EVERY_SYNC)
 
 
 Step = tuple[Device, tuple[DeviceMessage, ...]]
@@ -168,37 +172,10 @@ def on_nmt(device: Device, command: int) -> Step:
     return device, ()
 
 
-def hears(device: Device, node: int) -> bool:
-    """Tell whether the drive watches the heartbeat of a node."""
-    watched = device.values[PLACE[o.CONSUMER_HEARTBEAT]]
-    return device.nmt != o.BOOTS and watched & 0xFFFF != 0 and watched >> 16 & 0x7F == node
-
-
-def on_rpdo(device: Device, pdo: Pdo, data: bytes) -> Step:
-    """Take a PDO."""
-    if device.nmt != o.OPERATES:
-        return device, ()
-    if len(data) < pdo.size:
-        code = emergency(device, _SHORT_PDO)
-        return device, (
-            Rejected(f"PDO of {len(data)} bytes, mapped are {pdo.size}"),
-            Answer(device.leg, code),
-        )
-    if pdo.keys == _CYCLIC:
-        word, torque = _CYCLIC_FORM.unpack_from(data)
-        return control(device, word, torque)
-    at, word, torque = 0, device.word, device.torque
-    for key in pdo.keys:
-        size = ENTRIES[key].size
-        value = int.from_bytes(data[at : at + size], "little")
-        at += size
-        if key == o.CONTROLWORD:
-            word = value
-        elif key == o.TARGET_TORQUE:
-            torque = signed(key, value)
-        elif not refused(device.values, key, value, size):
-            device = _stored(device, key, value)
-    return control(device, word, torque)
+def cut(device: Device, pdo: Pdo, data: bytes) -> tuple[DeviceMessage, ...]:
+    """Return what follows from a PDO that is shorter than its mapping."""
+    code = emergency(device, _SHORT_PDO)
+    return Rejected(f"PDO of {len(data)} bytes, mapped are {pdo.size}"), Answer(device.leg, code)
 
 
 def _stored(device: Device, key: Key, value: int) -> Device:
@@ -209,30 +186,58 @@ def _stored(device: Device, key: Key, value: int) -> Device:
     return device._replace(values=values)
 
 
+@lru_cache(maxsize=64)
+def _objects(values: Values) -> Rows:
+    """Return an element of DEVICE with the objects of a dictionary."""
+    d: Rows = np.zeros((), DEVICE)
+    for name, key in _SETTINGS.items():
+        d[name] = values[PLACE[key]]
+    d["quick"] = signed(o.QUICK_STOP, values[PLACE[o.QUICK_STOP]])
+    for k, pdo in enumerate(pdos(values, o.RPDO, o.RPDO_MAP)):
+        d["heard"][k], d["size"][k], d["entries"][k] = pdo.id, pdo.size, len(pdo.keys)
+        d["takes"][k, : len(pdo.keys)] = [MAPPABLE.index(key) for key in pdo.keys]
+    sent = [each for each in pdos(values, o.TPDO, o.TPDO_MAP) if each.transmission == o.AT_EVERY_SYNC]
+    for k, pdo in enumerate(sent):
+        d["sent"][k], d["sends"][k] = pdo.id, len(pdo.keys)
+        d["holds"][k, : len(pdo.keys)] = [MAPPABLE.index(key) for key in pdo.keys]
+    return d
+
+
+def put(d: Any, device: Device) -> None:
+    """Put a drive into an element of DEVICE."""
+    d[()] = _objects(device.values)
+    d["leg"], d["node"], d["scale"] = device.leg, device.node, device.N_per_permille
+    for name in REMEMBERED:
+        d[name] = getattr(device, name)
+    for name, number in zip(ACTUAL, device.actual, strict=True):
+        d[name] = number
+
+
+def taken(d: Any, device: Device) -> Device:
+    """Return a drive as its element of DEVICE remembers it."""
+    nmt, state, word, torque, error, commands, started, stops = d[list(REMEMBERED)].item()
+    position, velocity, current = d[list(ACTUAL)].item()
+    if d["mode"] != device.values[PLACE[o.MODE]]:
+        device = _stored(device, o.MODE, int(d["mode"]))
+    return device._replace(
+        nmt=nmt,
+        state=State(state),
+        word=word,
+        torque=torque,
+        error=error,
+        commands=commands,
+        started=bool(started),
+        stops=bool(stops),
+        actual=(position, velocity, current),
+    )
+
+
 def control(device: Device, word: int, torque: int) -> Step:
     """Let a controlword and a target torque act; without a mode of operation no torque follows."""
-    leg, before = (device.leg,), device.state
-    state = commanded(word, before, rises=not device.word & 0x80)
-    if state is State.QUICK_STOP and before is State.ENABLED and device.get(o.QUICK_STOP) == 0:
-        state = State.DISABLED
-    count = device.commands
-    messages: list[DeviceMessage] = []
-    if state is State.ENABLED:
-        most = device.values[_MAX_TORQUE] if device.values[_MODE] else 0
-        force = np.array([min(max(torque, -most), most) * device.N_per_permille])
-        if before is not State.ENABLED:
-            messages.append(UnwatchedCommand(leg, DriveMode.READY, force, count + 1))
-        messages.append(UnwatchedCommand(leg, DriveMode.RUN, force, count + 2))
-    elif state is State.QUICK_STOP:
-        if before is not State.QUICK_STOP:
-            messages.append(EmergencyStop(leg))
-    elif before is State.ENABLED:
-        messages.append(UnwatchedCommand(leg, DriveMode.OFF, np.zeros(1), count + 1))
-    elif before in (State.FAULT, State.DISABLED) and state is not before:
-        messages.append(UnwatchedCommand(leg, DriveMode.RESET, np.zeros(1), count + 1))
-    stops = device.stops and state is State.QUICK_STOP
-    held = device._replace(word=word, torque=torque, state=state, commands=count + 2, stops=stops)
-    return held, tuple(messages)
+    d, messages = np.zeros((), DEVICE), np.zeros(2, MESSAGE)
+    put(d, device)
+    count = kernels.control(d, word, torque, data_at(messages))
+    return taken(d, device), tuple(device_message(*each) for each in messages[:count].tolist())
 
 
 def on_sdo(device: Device, data: bytes) -> Step:
@@ -277,39 +282,18 @@ def _written(
     return device, (_configure(device),) if acts else (), 0
 
 
-def at_sync(device: Device) -> Device:
-    """Return the drive after a SYNC: a fault reaction is over then."""
-    return device._replace(state=State.FAULT) if device.state is State.FAULT_REACTION else device
-
-
 def reported(device: Device, status: Status) -> tuple[Device, tuple[Frame, ...]]:
-    """Learn what the power stage is in, and return what is sent of it: boot-up, EMCY, heartbeat."""
+    """Learn what the power stage is in, and return its boot-up or EMCY."""
     if status.state == DriveState.BOOT and device.started:
         device = restarted(device)
     if device.nmt == o.BOOTS:
         device, frame = booted(device)
         return device, (frame,)
-    frames: list[Frame] = []
     code = CODES.get(DriveFault(status.fault), 0) if status.state == DriveState.FAULT else 0
     if code and not device.error:
         device = device._replace(state=State.FAULT_REACTION, error=code)
-        frames.append(emergency(device, code))
         falls_back = code == HEARTBEAT_LOST and device.get(o.COMMUNICATION_ERROR) == 0
         if falls_back and device.nmt == o.OPERATES:
             device = device._replace(nmt=o.PREPARES)
-    elif device.error and status.state != DriveState.FAULT:
-        device = device._replace(error=0)
-        frames.append(emergency(device, 0))
-    if device.state is State.QUICK_STOP:
-        device = device._replace(state=State.DISABLED) if device.stops else device._replace(stops=True)
-    if device.values[PLACE[o.PRODUCER_HEARTBEAT]]:
-        frames.append(Frame(o.HEARTBEAT_ID + device.node, bytes((device.nmt,))))
-    return device, tuple(frames)
-
-
-def content(device: Device, pdo: Pdo) -> bytes:
-    """Return the data of a TPDO."""
-    if pdo.keys == _SHOWN:
-        position, _, torque = device.actual
-        return _SHOWN_FORM.pack(STATUSWORDS[device.state], position, torque)
-    return b"".join(device.raw(key).to_bytes(ENTRIES[key].size, "little") for key in pdo.keys)
+        return device, (emergency(device, code),)
+    return device._replace(error=0), (emergency(device, 0),)

@@ -1,30 +1,36 @@
 """Six emulated CiA 402 drives behind one bus: which frame is for whom, and what they send. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from drivers.arrays import Array, Ints
+import numpy as np
+
+from drivers.arrays import Array, Ints, Rows
+from drivers.cia402 import device_kernels as kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.device import (
     Device,
-    at_sync,
-    content,
-    hears,
+    cut,
     on_nmt,
-    on_rpdo,
     on_sdo,
     powered_up,
+    put,
     reported,
     restarted,
+    taken,
 )
-from drivers.cia402.dictionary import Pdo, pdos, with_value
+from drivers.cia402.device_kernels import DEVICE, DEVICES
+from drivers.cia402.dictionary import pdos, with_value
+from drivers.cia402.emergency import CODES
 from drivers.cia402.plan import Settings, plan
-from drivers.cia402.routes import FOREIGN
 from drivers.cia402.states import State
+from drivers.compiled.pointed import data_at
+from drivers.ends import CompiledEnd, Hearing
 from drivers.errors import ProtocolError
-from drivers.protocol import Alive, DeviceMessage, DriveSetup, Frame, Rejected, Status, Sync
-from drivers.signals import INVALID, LEGS, DriveState, Reaction
+from drivers.frame_array import sent_array
+from drivers.protocol import DeviceMessage, DriveSetup, Frame, Rejected, Status, Sync
+from drivers.signals import INVALID, LEGS, DriveFault, DriveState, Reaction
 from drivers.transmission import Transmission
 
 _STATES = {
@@ -35,25 +41,48 @@ _STATES = {
     DriveState.FAULT: State.FAULT,
 }
 _ANY = DriveSetup(1.0, Reaction.BRAKE, 100.0)
-_WORD, _SHORT = (1 << 31) - 1, (1 << 15) - 1
 
 
 class Memory(NamedTuple):
     """What the six drives remember."""
 
     devices: tuple[Device, ...]
-    routes: Mapping[int, tuple[tuple[int, Pdo], ...]]
-    """Identifier of an RPDO -> the legs whose drives listen to it."""
-    sends: tuple[tuple[Pdo, ...], ...]
-    """TPDOs of each drive that answer a SYNC."""
 
 
-def _memory(devices: Sequence[Device]) -> Memory:
-    routes: dict[int, tuple[tuple[int, Pdo], ...]] = {}
-    for device in devices:
-        for pdo in pdos(device.values, o.RPDO, o.RPDO_MAP):
-            routes[pdo.id] = (*routes.get(pdo.id, ()), (device.leg, pdo))
-    return Memory(tuple(devices), routes, tuple(device.transmits() for device in devices))
+class DevicesEnd(CompiledEnd):
+    """Six drives. Mutable state: their elements of DEVICE; the rest of each is as it was put in last."""
+
+    def __init__(self, tables: Rows, memory: Memory, buses: Any = None) -> None:
+        """Take the tables, which are copied, the drives, and the `SeveralBuses` on which they are."""
+        c = tables.copy()
+        super().__init__(c, kernels.parse, kernels.answer, kernels.report)
+        self._rows, self._buses = np.zeros(LEGS, DEVICE), buses
+        c["devices"] = data_at(self._rows)
+        if buses is not None:
+            c["buses"], c["bus_of"] = len(buses.legs), buses.bus_of
+        self._places = [self._rows[leg : leg + 1].reshape(()) for leg in range(LEGS)]
+        self._devices: list[Any] = [None] * LEGS
+        self._put = [b""] * LEGS
+        """What each element was when its drive was put in or taken out."""
+        self.memory = memory if buses is None else buses.power_up()
+
+    @property
+    def memory(self) -> Any:
+        """`Memory`, on several buses one a bus."""
+        for leg, place in enumerate(self._places):
+            if place.tobytes() != self._put[leg]:
+                self._devices[leg], self._put[leg] = taken(place, self._devices[leg]), place.tobytes()
+        memory = Memory(tuple(self._devices))
+        return memory if self._buses is None else (memory,) * len(self._buses.legs)
+
+    @memory.setter
+    def memory(self, memory: Any) -> None:
+        buses = self._buses
+        for leg, place in enumerate(self._places):
+            device = (memory if buses is None else memory[buses.bus_of[leg]]).devices[leg]
+            if device is not self._devices[leg] or place.tobytes() != self._put[leg]:
+                put(place, device)
+                self._devices[leg], self._put[leg] = device, place.tobytes()
 
 
 class Devices:
@@ -69,14 +98,40 @@ class Devices:
     ) -> None:
         self._nodes = nodes
         self._legs = {node: leg for leg, node in enumerate(nodes)}
-        self._transmission, self._velocity = transmission, velocity
+        self._transmission = transmission
         self._rated_torque_mNm = rated_torque_mNm
         self._N_per_permille = list(N_per_permille)
         self._set_up = lru_cache(maxsize=64)(self._made_set_up)
+        c, t = np.zeros((), DEVICES), transmission
+        c["nodes"], c["velocity"], c["rated_mNm"] = nodes, velocity, rated_torque_mNm
+        c["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
+        c["offset"], c["m_per_turn"], c["counts"] = t.offset_m, t.m_per_turn, t.counts
+        c["N_per_Nm"], c["full_loss_m_s"] = t.N_per_Nm, t.full_loss_m_s
+        c["driving"], c["back_driving"] = t.driving, t.back_driving
+        self._tables = c
+        self._end = DevicesEnd(c, self.power_up())
+        self._end.record["stops"] = True
+
+    def end(self, buses: Any = None) -> DevicesEnd:
+        """Return the drives' end by address, powered up, on several buses where these are given."""
+        return DevicesEnd(self._tables, self.power_up(), buses)
+
+    def hearing(self, buses: Any = None) -> Hearing:
+        """Return the controller's end by address, as far as it hears."""
+        end = self.end(buses)
+        wanted = (
+            *(o.TPDO_ID[k] + node for k in range(1 + int(end.record["velocity"])) for node in self._nodes),
+        )
+        return Hearing(kernels.fresh.address, kernels.addressed.address, end.context, wanted, end)
+
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        """Return the legs that a frame is for."""
+        legs = kernels.addressed(self._end.record, sent_array([frame]))
+        return tuple(leg for leg in range(LEGS) if legs >> leg & 1)
 
     def power_up(self) -> Memory:
         """Return six drives that have just been powered up."""
-        return _memory([self._powered_up(leg) for leg in range(LEGS)])
+        return Memory(tuple(self._powered_up(leg) for leg in range(LEGS)))
 
     def _powered_up(self, leg: int) -> Device:
         counts = round(float(self._transmission.counts[leg]))
@@ -97,7 +152,7 @@ class Devices:
                     values = with_value(values, step.key, step.value)
             held = _STATES[DriveState(state)]
             devices.append(device._replace(values=values, nmt=o.OPERATES, state=held))
-        return _memory(devices)
+        return Memory(tuple(devices))
 
     def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
         """Decode a frame; no messages for one that is for none of the drives.
@@ -105,43 +160,28 @@ class Devices:
         Rejected: a PDO that is shorter than its mapping, an NMT or heartbeat frame of a wrong length, SDO
         requests of another length than 8.
         """
-        identifier, data, flags = frame
-        if flags & FOREIGN:
-            return memory, ()
-        listeners = memory.routes.get(identifier)
-        if listeners is not None:
-            return self._on_rpdo(memory, listeners, data)
-        if identifier == o.SYNC_ID:
-            return self._on_sync(memory)
+        self._end.memory = memory
+        messages = self._end.messages(frame)
+        if messages is not None:
+            return self._end.memory, messages
+        identifier, data, _ = frame
+        short = [
+            (device, pdo)
+            for device in memory.devices
+            for pdo in pdos(device.values, o.RPDO, o.RPDO_MAP)
+            if pdo.id == identifier and device.nmt == o.OPERATES
+        ]
+        if short:
+            return memory, tuple(message for each in short for message in cut(*each, data))
         if identifier == o.NMT_ID:
             return self._on_nmt(memory, data)
         if identifier & ~0x7F == o.HEARTBEAT_ID:
-            return self._on_heartbeat(memory, identifier & 0x7F, data)
-        if identifier & ~0x7F == o.SDO_REQUEST_ID and identifier & 0x7F in self._legs:
-            if len(data) != 8:
-                return memory, (Rejected(f"SDO request of {len(data)} bytes"),)
-            leg = self._legs[identifier & 0x7F]
-            device, messages = on_sdo(memory.devices[leg], data)
-            return _with(memory, leg, device), messages
-        return memory, ()
-
-    @staticmethod
-    def _on_rpdo(
-        memory: Memory, listeners: tuple[tuple[int, Pdo], ...], data: bytes
-    ) -> tuple[Memory, tuple[DeviceMessage, ...]]:
-        devices, messages = list(memory.devices), list[DeviceMessage]()
-        for leg, pdo in listeners:
-            devices[leg], found = on_rpdo(devices[leg], pdo, data)
-            messages += found
-        return memory._replace(devices=tuple(devices)), tuple(messages)
-
-    @staticmethod
-    def _on_sync(memory: Memory) -> tuple[Memory, tuple[DeviceMessage, ...]]:
-        devices = memory.devices
-        legs = tuple(d.leg for d in devices if d.nmt == o.OPERATES and memory.sends[d.leg])
-        if any(d.state is State.FAULT_REACTION for d in devices):
-            memory = memory._replace(devices=tuple(map(at_sync, memory.devices)))
-        return memory, (Sync(0, legs),)
+            return memory, (Rejected(f"heartbeat of {len(data)} bytes"),)
+        if len(data) != 8:
+            return memory, (Rejected(f"SDO request of {len(data)} bytes"),)
+        leg = self._legs[identifier & 0x7F]
+        device, answered = on_sdo(memory.devices[leg], data)
+        return _with(memory, leg, device), answered
 
     def _on_nmt(self, memory: Memory, data: bytes) -> tuple[Memory, tuple[DeviceMessage, ...]]:
         if len(data) != 2:
@@ -155,13 +195,6 @@ class Devices:
             messages += found
         return memory, tuple(messages)
 
-    @staticmethod
-    def _on_heartbeat(memory: Memory, node: int, data: bytes) -> tuple[Memory, tuple[DeviceMessage, ...]]:
-        if len(data) != 1:
-            return memory, (Rejected(f"heartbeat of {len(data)} bytes"),)
-        legs = tuple(device.leg for device in memory.devices if hears(device, node))
-        return memory, (Alive(legs),) if legs else ()
-
     def answer(
         self, memory: Memory, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
     ) -> tuple[Memory, list[tuple[int, Frame]]]:
@@ -170,40 +203,35 @@ class Devices:
         length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID: such a drive has no
         position and sends nothing, as one that boots. Raises ProtocolError on NaN.
         """
-        counts = self._transmission.counts_of_length(length).tolist()
-        speeds = (self._transmission.turns_per_s(rate) * self._transmission.counts).tolist()
-        torques, states = self._transmission.torque(force, rate).tolist(), state.tolist()
-        devices, frames = [], []
         for leg, device in enumerate(memory.devices):
-            torque = torques[leg] * 1e6 / self._rated_torque_mNm
-            if counts[leg] != counts[leg] or speeds[leg] != speeds[leg] or torque != torque:  # noqa: PLR0124 - NaN
-                raise ProtocolError(
-                    f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
-                )
-            boots = states[leg] & ~INVALID == DriveState.BOOT
-            now = restarted(device) if boots and device.started else device
-            actual = _whole(counts[leg], _WORD), _whole(speeds[leg], _WORD), _whole(torque, _SHORT)
-            now = now._replace(actual=actual)
-            devices.append(now)
-            if leg in sync.legs and device.nmt == o.OPERATES and not boots and not states[leg] & INVALID:
-                frames += [(leg, Frame(pdo.id, content(now, pdo))) for pdo in memory.sends[leg]]
-        changed = [a.values is not b.values for a, b in zip(devices, memory.devices, strict=True)]
-        return (_memory(devices) if any(changed) else memory._replace(devices=tuple(devices))), frames
+            if state[leg] & ~INVALID == DriveState.BOOT and device.started:
+                memory = _with(memory, leg, restarted(device))
+        end, t = self._end, self._transmission
+        end.memory = memory
+        frames = end.answers(sync, length, rate, force, state)
+        if frames is None:
+            unknown = (
+                np.isnan(t.turns(length)) | np.isnan(t.turns_per_s(rate)) | np.isnan(t.torque(force, rate))
+            )
+            leg = int(np.flatnonzero(unknown)[0])
+            raise ProtocolError(
+                f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
+            )
+        return end.memory, frames
 
     def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
         """Encode boot-up, EMCY and heartbeat of a drive."""
-        device, frames = reported(memory.devices[status.leg], status)
-        return _with(memory, status.leg, device), frames
+        end, leg = self._end, status.leg
+        first: tuple[Frame, ...] = ()
+        end.memory = memory
+        frames = end.reports(status)
+        if frames is None:
+            device, first = reported(memory.devices[leg], status)
+            end.memory = memory = _with(memory, leg, device)
+            frames = end.reports(status) or ()
+        return end.memory, (*first, *frames)
 
 
 def _with(memory: Memory, leg: int, device: Device) -> Memory:
     """Return the memory with another drive."""
-    devices = (*memory.devices[:leg], device, *memory.devices[leg + 1 :])
-    if device.values is memory.devices[leg].values:
-        return memory._replace(devices=devices)
-    return _memory(devices)
-
-
-def _whole(value: float, most: int) -> int:
-    """Return the nearest whole number, saturated."""
-    return round(min(max(value, -most - 1), most))
+    return Memory((*memory.devices[:leg], device, *memory.devices[leg + 1 :]))

@@ -16,7 +16,7 @@ MAPPED = 4
 """Objects that a PDO can carry."""
 _PDO_BITS = 64
 _IDS = 0x7FF
-_MODES = frozenset({4, o.CYCLIC_TORQUE})
+TORQUE_MODES = (4, o.CYCLIC_TORQUE)
 """Profile torque and cyclic synchronous torque; in both the drive follows the target torque."""
 _EVENTS = {254, o.AT_ONCE}
 Access = Literal["ro", "rw"]
@@ -73,7 +73,7 @@ ENTRIES: dict[Key, Entry] = {
     o.STATUSWORD: Entry(2, mappable="t"),
     o.QUICK_STOP: Entry(2, "rw", 2, signed=True, allowed=frozenset({0, 2})),
     o.FAULT_REACTION: Entry(2, "rw", 2, signed=True, allowed=frozenset({0, 1, 2})),
-    o.MODE: Entry(1, "rw", signed=True, mappable="r", allowed=_MODES),
+    o.MODE: Entry(1, "rw", signed=True, mappable="r", allowed=frozenset(TORQUE_MODES)),
     o.MODE_SHOWN: Entry(1, signed=True, mappable="t"),
     o.POSITION: Entry(4, signed=True, mappable="t"),
     o.VELOCITY: Entry(4, signed=True, mappable="t"),

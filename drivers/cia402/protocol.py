@@ -13,7 +13,7 @@ import numpy as np
 from drivers.arrays import Array, Ints, Rows
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.devices import Devices, Memory
+from drivers.cia402.devices import Devices, DevicesEnd, Memory
 from drivers.cia402.emergency import meaning
 from drivers.cia402.end import Cia402End, Drives
 from drivers.cia402.kernels import MOST_PERMILLE
@@ -22,6 +22,7 @@ from drivers.cia402.routes import FOREIGN, Routes
 from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
 from drivers.cia402.states import STOP_QUICKLY
 from drivers.compiled.pointed import FAILED, data_at
+from drivers.ends import Hearing
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import (
@@ -249,6 +250,21 @@ class Cia402Protocol(Routes):
         return tuple(Frame(identifier, _RPDO.pack(STOP_QUICKLY, 0)) for identifier in self._rpdo_ids)
 
     # drives' end
+
+    def drives_end(self, buses: SeveralBuses | None = None) -> DevicesEnd | None:
+        """Return the drives' end by address, powered up; None for a protocol that changes it."""
+        return self._devices.end(buses) if type(self) is Cia402Protocol else None
+
+    def hearing(self, buses: SeveralBuses | None = None) -> Hearing | None:
+        """Return the controller's end by address, as far as it hears; None as `drives_end`."""
+        return self._devices.hearing(buses) if type(self) is Cia402Protocol else None
+
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        """Return the leg of a PDO or SDO, or of the NMT command of one node; the others are for all.
+
+        None for another node, and for an NMT command that names none.
+        """
+        return self._devices.addressed(frame)
 
     def power_up(self) -> Memory:
         """Return the memory of six drives that have just been powered up."""

@@ -3,14 +3,13 @@
 from drivers.cia402 import objects as o
 from drivers.cia402.kernels import STRANGE
 from drivers.identity import REVISION, SERIAL, Said
-from drivers.protocol import ALL_LEGS, OTHER_BUSES, Frame
+from drivers.protocol import OTHER_BUSES, Frame
 
 FOREIGN = STRANGE | OTHER_BUSES
 """Flags of frames that cannot be ours."""
 _NODE = 0x7F
 _FROM_DRIVES = frozenset((o.EMCY_ID, *o.TPDO_ID, o.SDO_REPLY_ID, o.HEARTBEAT_ID))
 _IDENTITY = {o.SERIAL: SERIAL, o.REVISION: REVISION}
-_FOR_ONE = frozenset((*o.RPDO_ID, o.SDO_REQUEST_ID))
 
 
 class Routes:
@@ -18,20 +17,6 @@ class Routes:
 
     node_ids: tuple[int, ...]
     """Leg order."""
-
-    def addressed(self, frame: Frame) -> tuple[int, ...]:
-        """Return the leg of a PDO or SDO, or of the NMT command of one node; the others are for all.
-
-        None for another node, and for an NMT command that names none.
-        """
-        node = frame.id & _NODE if frame.id & ~_NODE in _FOR_ONE else 0
-        if frame.id == o.NMT_ID:
-            if len(frame.data) < 2:
-                return ()
-            node = frame.data[1]
-        if not node:
-            return ALL_LEGS
-        return (self.node_ids.index(node),) if node in self.node_ids else ()
 
     def sender(self, frame: Frame) -> int:
         """Return the leg of a PDO, SDO, EMCY or heartbeat of one of the drives."""

@@ -87,7 +87,9 @@ DISABLE_VOLTAGE, STOP_QUICKLY, SHUTDOWN, SWITCH_ON, ENABLE, RESET_FAULT = 0x00, 
 _OFF, _READY, _RUN, _RESET = map(int, DriveMode)
 _POWERED = int(State.SWITCHED_ON), int(State.ENABLED)
 _DISABLED, _READY_TO_SWITCH_ON = int(State.DISABLED), int(State.READY_TO_SWITCH_ON)
-_QUICK_STOP = int(State.QUICK_STOP)
+_QUICK_STOP, _FAULT, _FAULT_REACTION = int(State.QUICK_STOP), int(State.FAULT), int(State.FAULT_REACTION)
+_SWITCHED_ON, _ENABLED = _POWERED
+_NOT_READY = int(State.NOT_READY)
 
 
 @helper
@@ -110,23 +112,24 @@ def controlword(mode: int, state: int, edge: bool, stopped: bool) -> int:
     return SWITCH_ON if powered or state == _READY_TO_SWITCH_ON else DISABLE_VOLTAGE
 
 
-def commanded(word: int, state: State, *, rises: bool) -> State:
+@helper
+def commanded(word: int, state: int, rises: bool) -> int:
     """Return the state to which a controlword brings a drive.
 
     rises: bit 7 was 0 before. Transitions 2 to 12, 15 and 3 with 4; 16 is that of other quick stop options.
     """
-    if state is State.FAULT:
-        return State.DISABLED if rises and word & RESET_FAULT else state
-    if state in (State.NOT_READY, State.FAULT_REACTION) or word & RESET_FAULT:
+    if state == _FAULT:
+        return _DISABLED if rises and word & RESET_FAULT else state
+    if state in (_NOT_READY, _FAULT_REACTION) or word & RESET_FAULT:
         return state
     if not word & 0x02:
-        return State.DISABLED
-    if state is State.QUICK_STOP:
+        return _DISABLED
+    if state == _QUICK_STOP:
         return state
     if not word & 0x04:
-        return State.QUICK_STOP if state is State.ENABLED else State.DISABLED
+        return _QUICK_STOP if state == _ENABLED else _DISABLED
     if not word & 0x01:
-        return State.READY_TO_SWITCH_ON
-    if state is State.DISABLED:
+        return _READY_TO_SWITCH_ON
+    if state == _DISABLED:
         return state
-    return State.ENABLED if word & 0x08 else State.SWITCHED_ON
+    return _ENABLED if word & 0x08 else _SWITCHED_ON

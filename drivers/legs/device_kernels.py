@@ -12,7 +12,8 @@ from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import DATA, INTEGER, helper, kernel, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, reals_at, record_at
 from drivers.ends import COMMAND, MESSAGE, REJECTED, SYNC, frame_at, message_at, reading_at
-from drivers.frame_array import FRAME, SENT
+from drivers.frame_array import FRAME
+from drivers.frame_pointers import begin_sent
 from drivers.legs.crc import FINAL_XOR, RESIDUE, START_16
 from drivers.legs.kernels import (
     CHECK_AT,
@@ -180,13 +181,6 @@ def parse(end: Any, frame_address: int, message_address: int) -> int:
 
 
 @helper
-def _begin(frame: Any, identifier: int, size: int, flags: int, bus: int) -> None:
-    frame.t_ns, frame.id, frame.kind = 0, identifier, SENT
-    frame.length, frame.flags, frame.bus = size, flags, bus
-    frame.data[:] = 0
-
-
-@helper
 def _measured(reading: Any, quantity: int, leg: int) -> float:
     return float(
         reading.length[leg] if quantity == 0 else reading.rate[leg] if quantity == 1 else reading.force[leg]
@@ -200,7 +194,7 @@ def _feedback(reading: Any, leg: int, counter: int, end: Any, frame: Any) -> Non
     scale, identifiers = reals_at(end.scale, 3 * QUANTITIES), integers_at(end.identifiers, 2 * LEGS)
     word = np.empty(1, np.int64)
     size = form[FEEDBACK_SIZE]
-    _begin(frame, identifiers[leg], size, end.feedback_flags, end.home[leg])
+    begin_sent(frame, identifiers[leg], size, end.feedback_flags, end.home[leg])
     data = frame.data
     for k in range(QUANTITIES):
         field = FIELD + 3 * k
@@ -270,7 +264,7 @@ def report(
     frame = frame_at(into)
     identifiers = integers_at(end.identifiers, 4 * LEGS)
     size = integers_at(end.form, STATUS_SIZE + 1)[STATUS_SIZE]
-    _begin(frame, identifiers[_STATUS + leg], size, end.status_flags, end.home[leg])
+    begin_sent(frame, identifiers[_STATUS + leg], size, end.status_flags, end.home[leg])
     data = frame.data
     data[0], data[1], data[2], data[3] = state, fault, checksum & 0xFF, checksum >> 8
     data[size - 1] = register_after(data, 0, size - 1, identifiers[_STATUS + LEGS + leg]) ^ FINAL_XOR

@@ -6,22 +6,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.pointed import FAILED, data_at
-from drivers.ends import MESSAGE, READING, SYNC, Hearing
-from drivers.frame_array import FRAME, sent_array, sent_frames
+from drivers.compiled.pointed import data_at
+from drivers.ends import CompiledEnd, Hearing
 from drivers.legs import device_kernels as kernels
 from drivers.legs.device_kernels import BUS, END, NO_SYNC
 from drivers.legs.messages import CommandFrame
-from drivers.protocol import (
-    ALL_LEGS,
-    DeviceCommand,
-    DeviceMessage,
-    Frame,
-    Rejected,
-    Status,
-    Sync,
-)
-from drivers.signals import LEGS
+from drivers.protocol import ALL_LEGS, Frame
 
 _UNTRUSTED = {
     kernels.SYNC_BROKEN: "length or CRC of SYNC",
@@ -43,12 +33,8 @@ class Tables(Protocol):
         """Fill in what all buses have in common; see `drivers.legs.device_kernels.END`."""
 
 
-class LegsEnd:
+class LegsEnd(CompiledEnd):
     """Six drives of the own protocol. Mutable state: the Cycle of the present SYNC of each bus."""
-
-    parse = kernels.parse.address
-    answer = kernels.answer.address
-    report = kernels.report.address
 
     def __init__(self, codecs: Sequence[Tables], legs: Sequence[Sequence[int]] | None = None) -> None:
         """Take the tables of each bus and its legs; None: there is one bus, and its drives hear all of it."""
@@ -59,14 +45,12 @@ class LegsEnd:
         self._buses = np.zeros(len(codecs), BUS)
         for k, (codec, own) in enumerate(zip(codecs, there, strict=True)):
             self._fill(self._buses[k], codec, own)
-        self._end = end = np.zeros((), END)
+        end = np.zeros((), END)
         end["buses"], end["several"], end["bus"] = len(codecs), self._several, data_at(self._buses)
         first.fill_end(end)
         for bus, own in enumerate(there):
             end["home"][list(own)] = bus
-        self.context = data_at(end)
-        self._messages, self._reading = np.zeros(1, MESSAGE), np.zeros((), READING)
-        self._frames, self._legs = np.zeros(LEGS, FRAME), np.zeros(LEGS, np.int64)
+        super().__init__(end, kernels.parse, kernels.answer, kernels.report)
 
     @staticmethod
     def _fill(bus: Any, codec: Tables, legs: Sequence[int]) -> None:
@@ -93,45 +77,13 @@ class LegsEnd:
     def memory(self, memory: Any) -> None:
         self._buses["present"] = memory
 
-    # for callers in Python
-
-    def heard(self, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Return what a SYNC or a command tells the drives."""
-        array = sent_array([frame])
-        if kernels.parse(self._end, array, self._messages) != 1:
-            return ()
-        kind, mode, counter, count, legs, force = self._messages[0].tolist()
-        legs = tuple(legs[:count])
-        if kind == SYNC:
-            return (Sync(counter, legs),)
-        if count:
-            return (DeviceCommand(legs, mode, np.array(force[:count]), counter),)
-        if mode == kernels.LENGTH:
-            return (Rejected(f"command of {len(frame.data)} bytes"),)
-        if mode == kernels.NOT_PRESENT:
-            present = int(self._buses["present"][frame.bus])
-            return (Rejected(f"command {counter} while the present SYNC is {present}"),)
-        return (Rejected(_UNTRUSTED[mode]),)
-
-    def answers(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
-    ) -> list[tuple[int, Frame]] | None:
-        """Return the feedbacks to a SYNC, each with its leg; None where a value is not a number."""
-        self._reading[()] = length, rate, force, state, 0
-        message: Any = self._messages[0]
-        message["counter"], message["count"] = sync.counter, len(sync.legs)
-        message["legs"][: len(sync.legs)] = sync.legs
-        count = kernels.answer(self._end, self._messages, self._reading, self._frames, self._legs)
-        if count == FAILED:
-            return None
-        return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
-
-    def reports(self, status: Status) -> tuple[Frame, ...] | None:
-        """Return a drive's status; None where no CONFIG could have set its watchdog."""
-        leg, state, fault, holds, due = status
-        watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
-        given = (leg, state, fault, watchdog_ns, int(reaction), int(due))
-        return sent_frames(self._frames[:1]) if kernels.report(self._end, *given, self._frames) == 1 else None
+    def reason(self, why: int, counter: int, _number: float, frame: Frame) -> str:
+        """Return why a SYNC or a command is rejected."""
+        if why == kernels.LENGTH:
+            return f"command of {len(frame.data)} bytes"
+        if why == kernels.NOT_PRESENT:
+            return f"command {counter} while the present SYNC is {self._buses['present'][frame.bus]}"
+        return _UNTRUSTED[why]
 
     def hearing(self, wanted: Sequence[int]) -> Hearing:
         """Return the controller's end, whose feedbacks have these identifiers, leg order."""

@@ -335,8 +335,8 @@ class LegsProtocol(Traits):
             return memory, (parser(frame.data),)
         end = self._end
         end.memory = memory
-        messages = end.heard(frame)
-        return end.memory, messages
+        messages = end.messages(frame)
+        return end.memory, messages or ()
 
     def drives_end(self) -> LegsEnd | None:
         """Return the drives' end by address, powered up; None for a protocol that changes it."""

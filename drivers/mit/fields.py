@@ -94,15 +94,23 @@ def unpack_motion(data: bytes, r: Ranges) -> tuple[int, float, float, float]:
     )
 
 
-def device_motion(position: float, velocity: float, torque: float, r: Ranges, *, clamps: bool) -> bytes:
+@helper
+def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
+    """Return the code of a number in a symmetric field, as a drive packs it."""
+    at = min(max(x, -end), end) if clamps else x
+    return int((at + end) * ((1 << bits) - 1) / (2.0 * end))
+
+
+@helper
+def device_motion(
+    position: float, velocity: float, torque: float, r: Ranges, clamps: bool
+) -> tuple[int, int, int, int, int]:
     """Return the five bytes of a reply as a drive packs them.
 
     Without clamping, as Katz's firmware: a position past its range wraps, the velocity loses its high bits,
     and the torque carries into the velocity's low ones.
     """
-    scaled = []
-    for x, end, bits in ((position, r.position, 16), (velocity, r.velocity, 12), (torque, r.torque, 12)):
-        at = min(max(x, -end), end) if clamps else x
-        scaled.append(int((at + end) * ((1 << bits) - 1) / (2.0 * end)))
-    p, v, t = scaled
-    return bytes((p >> 8 & 0xFF, p & 0xFF, v >> 4 & 0xFF, ((v & 0xF) << 4) + (t >> 8) & 0xFF, t & 0xFF))
+    p = scaled(position, r.position, 16, clamps)
+    v = scaled(velocity, r.velocity, 12, clamps)
+    t = scaled(torque, r.torque, 12, clamps)
+    return p >> 8 & 0xFF, p & 0xFF, v >> 4 & 0xFF, ((v & 0xF) << 4) + (t >> 8) & 0xFF, t & 0xFF

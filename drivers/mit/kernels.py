@@ -1,13 +1,17 @@
-"""What a reply of MIT framing says, compiled."""
+"""What a command and a reply of MIT framing say, compiled."""
 
 from typing import Any
 
+import numpy as np
+
+from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
+from drivers.codes import value
 from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import pointed
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import place_of, whole
-from drivers.mit.fields import TURN, unpack_motion
+from drivers.frame_pointers import begin_sent, place_of, whole
+from drivers.mit.fields import TURN, device_motion, unpack_motion
 from drivers.motor_dialogue import OWN_CODE
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
@@ -17,6 +21,12 @@ REGISTERS = 0x7FF
 """Identifier of Damiao's requests."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
+ENABLE, DISABLE, CLEAR, ZERO = 0xFC, 0xFD, 0xFB, 0xFE
+"""After seven FF."""
+TICKS_PER_S = 20_000
+"""Of Damiao's TIMEOUT."""
+CUT, ZEROES = 1, 2
+"""Why a frame is rejected."""
 _OFF, _RUN, _FAULT = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
 _WATCHDOG = int(DriveFault.WATCHDOG)
 
@@ -81,3 +91,70 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     if status > 1:
         return _motion(ear, data, first, _FAULT, status, heard)
     return _motion(ear, data, first, _RUN if status else _OFF, 0, heard)
+
+
+@helper
+def _special(data: Any) -> int:
+    """Return the last byte of a special frame, 0 for another one."""
+    for k in range(7):
+        if data[k] != 0xFF:
+            return 0
+    return int(data[7])
+
+
+@helper
+def _enables(d: Any, ear: Any, order: Any) -> None:
+    """Enable a drive, set to what it was delivered with where no controller has set it up."""
+    drives.enables(order)
+    drives.configures(d, order, -1)
+    ticks = drives.register(d, order.leg, TIMEOUT, 0.0) if ear.registers else 0.0
+    if ticks > 0.0:
+        order.watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9))
+
+
+@pointed(record(drives.DEVICES), record(FRAME), record(drives.ORDER))
+def obey(d: Any, frame: Any, order: Any) -> int:
+    """Take a command. Every frame to a drive is answered by its feedback."""
+    if frame.flags & STRANGE:
+        return 0
+    if frame.length != 8:
+        return drives.rejects(order, CUT, 0.0)
+    ear, data = drives.ear_at(d.ear), frame.data
+    special, order.answers = _special(data), 1
+    if special == ZERO:
+        return drives.rejects(order, ZEROES, 0.0)
+    if special == ENABLE:
+        if not order.enabled:
+            _enables(d, ear, order)
+    elif special == DISABLE:
+        drives.tells(order, drives.OFF, False)
+        if not ear.registers:
+            drives.configures(d, order, 1)
+    elif special == CLEAR and ear.registers:
+        drives.tells(order, drives.RESET, False)
+    elif order.enabled:
+        drives.tells(order, drives.RUN, True)
+        number = (int(data[6]) & 0xF) << 8 | int(data[7])
+        order.torque = value(number, -ear.torque, ear.torque, 12)
+    return 1
+
+
+@pointed(record(drives.DEVICES), record(drives.SAID), record(FRAME))
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in a reply. A lost encoder reads the lower end of the range: no field says so."""
+    ear, leg = drives.ear_at(d.ear), said.leg
+    begin_sent(frame, ear.replies[leg], ear.longest, 0, d.bus_of[leg])
+    data, node = frame.data, d.nodes[leg]
+    position = -ear.position if said.lost else said.turns * TURN
+    motion = device_motion(position, said.speed * TURN, said.torque, ear, ear.clamps != 0)
+    for k in range(5):
+        data[1 + k] = motion[k]
+    code = ear.codes[said.fault] if said.state == _FAULT else 0
+    if ear.registers:
+        status = code or int(said.state == _RUN)
+        data[0], data[6], data[7] = status << 4 | node, 30, 30
+    elif ear.longest == 8:
+        data[0], data[6], data[7] = node, 30, code
+    else:
+        data[0], data[6] = node, 0x99
+    return 0

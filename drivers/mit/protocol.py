@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.identity import REVISION, SERIAL, Said
 from drivers.mit import kernels
@@ -19,7 +19,6 @@ from drivers.mit.fields import (
     TOP_COMMAND,
     TURN,
     Ranges,
-    device_motion,
     pack_command,
     resolution,
     unpack_command,
@@ -32,13 +31,15 @@ from drivers.mit.kernels import (
     REGISTERS,
     SN,
     SW_VER,
+    TICKS_PER_S,
     TIMEOUT,
     TMAX,
     VMAX,
     WRITE,
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
-from drivers.motor_drives import MotorMemory, put
+from drivers.motor_device_kernels import ANY
+from drivers.motor_drives import MotorMemory, codes_of, put
 from drivers.motor_kernels import EAR
 from drivers.motor_settings import unwatched
 from drivers.motors import OWN_CODE, Exchange, MotorProtocol
@@ -53,21 +54,21 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.resolution import Resolution
-from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
 
-ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
+ENABLE, DISABLE, CLEAR, ZERO = (
+    b"\xff" * 7 + bytes((last,)) for last in (kernels.ENABLE, kernels.DISABLE, kernels.CLEAR, kernels.ZERO)
+)
 STRANGE = kernels.STRANGE | OTHER_BUSES
-TICKS_PER_S = 20_000
-"""Of Damiao's TIMEOUT."""
-NO_WATCHDOG_S = 1e6
-_RUN, _FAULT = DriveState.RUN, DriveState.FAULT
 
 
 class MitProtocol(MotorProtocol):
     """One variant's tables."""
 
-    ear = kernels.hear
+    ear, obey, encode = kernels.hear, kernels.obey, kernels.encode
+    number_at = 0, ANY
+    rejections = "command of {size} bytes", "the zero of the position is not emulated"
 
     def __init__(
         self, variant: str, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission
@@ -83,7 +84,7 @@ class MitProtocol(MotorProtocol):
         self.set_up_frames = 1 if self.damiao else 0
         self.clears = self.damiao
         self.reports_power = self.has_watchdog = self.damiao
-        self._codes = DRIVE_FAULT_CODES.get(variant, {})
+        self.requests_id = REGISTERS if self.damiao else -1
         most = 15 if self.damiao else 127
         for leg, node in enumerate(nodes):
             if not 1 <= node <= most:
@@ -109,6 +110,7 @@ class MitProtocol(MotorProtocol):
         )
         tables["shortest"], tables["longest"] = known.reply_bytes[0], known.reply_bytes[-1]
         tables["clamps"], tables["faults"] = known.clamps, sum(1 << code for code in known.faults)
+        tables["codes"] = codes_of(DRIVE_FAULT_CODES.get(variant, {}), 0)
         tables["silence"] = -1 if known.silence is None else known.silence
         span = 2.0 * ranges.torque / 0xFFF
         self._top = TOP_COMMAND * span - ranges.torque
@@ -186,58 +188,17 @@ class MitProtocol(MotorProtocol):
         rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, nothing
         return tuple(tuple(Frame(node, data) for node in self._nodes) for data in rows)
 
-    def leg_addressed(self, frame: Frame) -> int | None:
-        """Return the leg of a drive's identifier, or of the one that a register request names."""
-        if frame.id != REGISTERS or not self.damiao:
-            return self._legs.get(frame.id)
-        return self._legs.get(frame.data[0] | frame.data[1] << 8) if len(frame.data) > 1 else None
-
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return DISABLE for each drive: it does not latch."""
         return tuple(Frame(node, DISABLE) for node in self._nodes)
 
     # drives' end
 
-    def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end. Every frame to a drive is answered by its feedback."""
+    def converse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        """Take the request of a Damiao's register."""
+        data = frame.data
         if frame.flags & STRANGE:
             return memory, ()
-        if self.damiao and frame.id == REGISTERS:
-            return self._on_register(memory, frame.data)
-        leg = self._legs.get(frame.id)
-        if leg is None:
-            return memory, ()
-        if len(frame.data) != 8:
-            return memory, (Rejected(f"command of {len(frame.data)} bytes"),)
-        modes: tuple[int, ...] = ()
-        torque, after = 0.0, memory.enabled[leg]
-        enables = frame.data == ENABLE and not after
-        if frame.data == ZERO:
-            return memory, (Rejected("the zero of the position is not emulated"), Sync(0, (leg,)))
-        if frame.data == ENABLE:
-            modes, after = (() if after else (DriveMode.READY, DriveMode.RUN)), True
-        elif frame.data == DISABLE:
-            modes, after = (DriveMode.OFF,), False
-        elif frame.data == CLEAR and self.damiao:
-            modes, after = (DriveMode.RESET,), False
-        elif after:
-            modes, torque = (DriveMode.RUN,), unpack_command(frame.data, self.ranges)[4]
-        memory, commands = self._commanded(memory, leg, modes, torque)
-        memory = memory._replace(enabled=put(memory.enabled, leg, after))
-        first, last = self._delivered(memory, leg, enables, frame.data == DISABLE)
-        return memory, (*first, *commands, *last, Sync(0, (leg,)))
-
-    def _delivered(
-        self, memory: MotorMemory, leg: int, enables: bool, disables: bool
-    ) -> tuple[tuple[DeviceMessage, ...], tuple[DeviceMessage, ...]]:
-        """Return what a drive is set to that no controller has set up, before and after the command."""
-        held = Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE)
-        if self.damiao:
-            ticks = dict(memory.registers[leg]).get(TIMEOUT, 0.0)
-            return ((held._replace(watchdog_s=ticks / TICKS_PER_S) if ticks > 0.0 else held,) * enables), ()
-        return (held,) * enables, (held,) * disables
-
-    def _on_register(self, memory: MotorMemory, data: bytes) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
         leg = self._legs.get(data[0] | data[1] << 8) if len(data) > 1 else None
         if len(data) == 8 and data[2] == REFRESH and leg is not None:
             return memory, (Sync(0, (leg,)),)
@@ -264,44 +225,6 @@ class MitProtocol(MotorProtocol):
         body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
         reply = Frame(self._replies[leg], data[:4] + body)
         return memory, (*messages, Answer(leg, reply))
-
-    def answer(
-        self,
-        memory: MotorMemory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        fault: Ints | None = None,
-    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
-        """Encode what the drives of `sync.legs` answer; see `DriveProtocol.answer`.
-
-        A lost encoder reads the lower end of the range: no field says so.
-        """
-        codes = np.zeros(LEGS, np.int64) if fault is None else fault
-        turns, speeds, torques = self.motor(length, rate, force)
-        frames = []
-        for leg in sync.legs:
-            said = int(state[leg])
-            lost = bool(said & INVALID)
-            self.finite(leg, turns[leg], speeds[leg], torques[leg])
-            position = -self.ranges.position if lost else turns[leg] * TURN
-            body = device_motion(
-                position, speeds[leg] * TURN, torques[leg], self.ranges, clamps=self.variant.clamps
-            )
-            frames.append((leg, self._reply(leg, body, said & ~INVALID, int(codes[leg]))))
-        return memory, frames
-
-    def _reply(self, leg: int, body: bytes, state: int, fault: int) -> Frame:
-        node, code = self._nodes[leg], 0
-        if state == _FAULT:
-            code = self._codes.get(DriveFault(fault), 0)
-        if self.damiao:
-            status = code or int(state == _RUN)
-            return Frame(self._replies[leg], bytes((status << 4 | node, *body, 30, 30)))
-        tail = bytes((30, code)) if self.variant.reply_bytes == (8,) else b"\x99"
-        return Frame(self._replies[leg], bytes((node,)) + body + tail)
 
     # bus time
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
 from drivers.codes import code, value
 from drivers.errors import ConfigurationError
 from drivers.identity import SERIAL, Said
@@ -20,15 +20,13 @@ from drivers.mit.fields import TURN, Ranges, resolution
 from drivers.mit.robstride_kernels import (
     CONTROL,
     ENABLE,
-    FEEDBACK,
     READ,
-    RESETTING,
-    RUNNING,
     STOP,
+    WHO,
     WRITE,
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
-from drivers.motor_drives import MotorMemory, put
+from drivers.motor_drives import MotorMemory, codes_of, put
 from drivers.motor_kernels import EAR, IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import OWN_CODE, Exchange, MotorProtocol
@@ -44,24 +42,24 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.resolution import Resolution
-from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
 
-WHO, ASKED_WHO = 0, 0xFE
-"""Type of the request for the processor's number and of its answer, and whom that is for."""
+ASKED_WHO = 0xFE
+"""Whom the answer to the request for the processor's number is for."""
 RUN_MODE = 0x7005
 OPERATION = 0
 """Of RUN_MODE: MIT's five numbers."""
-NO_WATCHDOG_S = 1e6
 _STRANGE = kernels.STRANGE | OTHER_BUSES
 _ZEROS = bytes(8)
-_RUN, _FAULT = DriveState.RUN, DriveState.FAULT
 
 
 class RobStrideProtocol(MotorProtocol):
     """The tables of six drives."""
 
-    ear = kernels.hear
+    ear, obey, encode = kernels.hear, kernels.obey, kernels.encode
+    number_at = 0, 0xFF
+    rejections = ("frame of {size} bytes",)
     clears = True
     set_up_frames = 2
     has_watchdog = False
@@ -82,8 +80,8 @@ class RobStrideProtocol(MotorProtocol):
             )
         self.ranges, self._nodes, self._host = ranges, tuple(nodes), host
         self._legs = {node: leg for leg, node in enumerate(nodes)}
-        self._codes = DRIVE_FAULT_CODES["robstride"]
         tables["nodes"], tables["host"] = nodes, host
+        tables["codes"] = codes_of(DRIVE_FAULT_CODES["robstride"], 4)
         tables["position"], tables["velocity"], tables["torque"] = (
             ranges.position,
             ranges.velocity,
@@ -167,91 +165,31 @@ class RobStrideProtocol(MotorProtocol):
             tuple(self._to(CONTROL, leg, middle, 0) for leg in range(LEGS)),
         )
 
-    def leg_addressed(self, frame: Frame) -> int | None:
-        """Return the leg of the motor number in the identifier's low byte."""
-        return self._legs.get(frame.id & 0xFF)
-
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return STOP for each drive: it does not latch."""
         return tuple(self._to(STOP, leg) for leg in range(LEGS))
 
     # drives' end
 
-    def parse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end. All but a register's reading is answered by feedback."""
-        identifier, data, flags = frame
-        leg = self._legs.get(identifier & 0xFF)
-        kind = identifier >> 24
-        if not flags & EXTENDED or flags & _STRANGE or leg is None:
-            return memory, ()
+    def converse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+        """Take the request for the processor's number, or a register's; all but its reading has feedback."""
+        identifier, data, _ = frame
+        leg, kind = self._legs[identifier & 0xFF], identifier >> 24
         if kind == WHO:
             identifier = WHO << 24 | self._nodes[leg] << 8 | ASKED_WHO
             said = self._nodes[leg].to_bytes(8, "little")
             return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
-        if kind not in (CONTROL, ENABLE, STOP, READ, WRITE):
-            return memory, ()
-        if len(data) != 8:
-            return memory, (Rejected(f"frame of {len(data)} bytes"),)
-        if kind in (READ, WRITE):
-            return self._on_register(memory, leg, kind, data)
-        modes: tuple[int, ...] = ()
-        torque, after = 0.0, memory.enabled[leg]
-        delivered = (Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE),) * (kind == ENABLE and not after)
-        if kind == ENABLE:
-            modes, after = (() if after else (DriveMode.READY, DriveMode.RUN)), True
-        elif kind == STOP:
-            modes, after = (DriveMode.RESET if data[0] == 1 else DriveMode.OFF,), False
-        elif after:
-            end = self.ranges.torque
-            modes, torque = (DriveMode.RUN,), (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
-        memory, commands = self._commanded(memory, leg, modes, torque)
-        memory = memory._replace(enabled=put(memory.enabled, leg, after))
-        return memory, (*delivered, *commands, Sync(0, (leg,)))
-
-    def _on_register(
-        self, memory: MotorMemory, leg: int, kind: int, data: bytes
-    ) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
         register, number = struct.unpack("<HxxI", data)
         if register != RUN_MODE:
             return memory, (Rejected(f"register {register:#x}"),)
         if kind == WRITE:
             held = memory.registers
             memory = memory._replace(registers=put(held, leg, ((register, float(number)),)))
-            return memory, (Configure(leg, NO_WATCHDOG_S, Reaction.BRAKE), Sync(0, (leg,)))
+            return memory, (Configure(leg, self.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
         # A drive leaves the factory in mode 0, and says so.
         said = struct.pack("<HxxI", register, int(dict(memory.registers[leg]).get(register, OPERATION)))
         identifier = READ << 24 | self._nodes[leg] << 8 | self._host
         return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
-
-    def answer(
-        self,
-        memory: MotorMemory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        fault: Ints | None = None,
-    ) -> tuple[MotorMemory, list[tuple[int, Frame]]]:
-        """Encode what the drives of `sync.legs` answer; it saturates, a lost encoder reads the lower end."""
-        codes = np.zeros(LEGS, np.int64) if fault is None else fault
-        turns, speeds, torques = self.motor(length, rate, force)
-        r, frames = self.ranges, []
-        for leg in sync.legs:
-            self.finite(leg, turns[leg], speeds[leg], torques[leg])
-            said = int(state[leg])
-            position = -r.position if said & INVALID else turns[leg] * TURN
-            numbers = ((position, r.position), (speeds[leg] * TURN, r.velocity), (torques[leg], r.torque))
-            data = b"".join(
-                int((min(max(x, -end), end) + end) * 0xFFFF / (2.0 * end)).to_bytes(2, "big")
-                for x, end in numbers
-            )
-            at = said & ~INVALID
-            faults = self._codes.get(DriveFault(int(codes[leg])), 4) if at == _FAULT else 0
-            mode = RUNNING if at == _RUN else RESETTING
-            identifier = FEEDBACK << 24 | mode << 22 | faults << 16 | self._nodes[leg] << 8 | self._host
-            frames.append((leg, Frame(identifier, data + (250).to_bytes(2, "big"), EXTENDED)))
-        return memory, frames
 
     # bus time
 

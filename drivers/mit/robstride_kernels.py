@@ -1,19 +1,20 @@
-"""What a frame of a RobStride says, compiled."""
+"""What a command and a feedback of a RobStride say, compiled."""
 
 from typing import Any
 
+from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
 from drivers.codes import value
 from drivers.compiled.compiler import helper, record
-from drivers.compiled.pointed import pointed
+from drivers.compiled.pointed import FAILED, pointed
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import place_of, whole
-from drivers.mit.fields import TURN
+from drivers.frame_pointers import begin_sent, place_of, whole
+from drivers.mit.fields import TURN, scaled
 from drivers.motor_dialogue import OWN_CODE
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveState
 
-CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 1, 2, 3, 4, 17, 18
+WHO, CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 0, 1, 2, 3, 4, 17, 18
 RESETTING, CALIBRATING, RUNNING = range(3)
 """Mode of a feedback."""
 STRANGE = FD | REMOTE | ERROR
@@ -57,3 +58,51 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         heard.register, heard.value = whole(data, 0, 2), float(data[4])
         return 1
     return _feedback(ear, data, leg, middle >> 14, middle >> 8 & 0x3F, heard)
+
+
+@pointed(record(drives.DEVICES), record(FRAME), record(drives.ORDER))
+def obey(d: Any, frame: Any, order: Any) -> int:
+    """Take a command, which is answered by feedback."""
+    identifier = int(frame.id)
+    kind = identifier >> 24
+    if not frame.flags & EXTENDED or frame.flags & STRANGE:
+        return 0
+    if kind not in (WHO, CONTROL, ENABLE, STOP, READ, WRITE):
+        return 0
+    if kind != WHO and frame.length != 8:
+        return drives.rejects(order, 1, 0.0)
+    if kind in (WHO, READ, WRITE):
+        return FAILED
+    order.answers = 1
+    if kind == ENABLE:
+        if not order.enabled:
+            drives.enables(order)
+            drives.configures(d, order, -1)
+    elif kind == STOP:
+        drives.tells(order, drives.RESET if frame.data[0] == 1 else drives.OFF, False)
+    elif order.enabled:
+        drives.tells(order, drives.RUN, True)
+        end = drives.ear_at(d.ear).torque
+        order.torque = (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
+    return 1
+
+
+@helper
+def _put(data: Any, at: int, number: int) -> None:
+    data[at], data[at + 1] = number >> 8, number & 0xFF
+
+
+@pointed(record(drives.DEVICES), record(drives.SAID), record(FRAME))
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in a feedback; it saturates, a lost encoder reads the lower end."""
+    ear, leg = drives.ear_at(d.ear), said.leg
+    faults = ear.codes[said.fault] if said.state == _FAULT else 0
+    mode = RUNNING if said.state == _RUN else RESETTING
+    identifier = FEEDBACK << 24 | mode << 22 | faults << 16 | d.nodes[leg] << 8 | ear.host
+    begin_sent(frame, identifier, 8, EXTENDED, d.bus_of[leg])
+    position = -ear.position if said.lost else said.turns * TURN
+    _put(frame.data, 0, scaled(position, ear.position, 16, True))
+    _put(frame.data, 2, scaled(said.speed * TURN, ear.velocity, 16, True))
+    _put(frame.data, 4, scaled(said.torque, ear.torque, 16, True))
+    _put(frame.data, 6, 250)
+    return 0

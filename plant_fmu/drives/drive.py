@@ -16,7 +16,7 @@ from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import kernels
-from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, OFF, READY, RUN, WORKS
+from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS
 from plant_fmu.faults.fault import Present
 
 _NO_COUNTER = -1
@@ -89,18 +89,6 @@ class Drives:
         self.enter = partial(kernels.enter, integers, reals)
         self.matrices = integers, reals, common
         """What the pass works on."""
-
-    def set_up(self, configure: Configure) -> bool:
-        """Set a drive up, unless it is powered; tell whether it was."""
-        leg = configure.leg
-        if self.state[leg] in (READY, RUN):
-            return False
-        self.watchdog_ns[leg] = round(configure.watchdog_s * 1e9)
-        self.reaction[leg] = configure.reaction
-        self.configured[leg] = True
-        if self.state[leg] == BOOT:
-            self.enter(leg, OFF, DriveFault.NONE)
-        return True
 
     def status(self, leg: int, *, due: bool) -> Status:
         """Return what a drive is in."""

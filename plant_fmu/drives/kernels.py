@@ -3,6 +3,8 @@
 A row of the two matrices is one quantity of six drives.
 """
 
+from typing import Any
+
 import numpy as np
 
 from drivers.arrays import Array, Ints
@@ -95,6 +97,20 @@ def enter(integers: Ints, reals: Array, leg: int, state: int, reason: int) -> No
     if state not in (READY, RUN):
         reals[COMMAND, leg] = 0.0
         integers[DEADLINE, leg] = NEVER_NS
+
+
+@helper
+def configure(integers: Ints, reals: Array, message: Any) -> bool:
+    """Set the drive of a message CONFIGURE up, unless it is powered; tell whether it was."""
+    leg = message.legs[0]
+    state = integers[STATE, leg]
+    if state in (READY, RUN):
+        return False
+    integers[WATCHDOG, leg], integers[REACTION, leg] = message.counter, message.mode
+    integers[CONFIGURED, leg] = 1
+    if state == BOOT:
+        enter(integers, reals, leg, OFF, _NO_FAULT)
+    return True
 
 
 @helper

@@ -14,6 +14,7 @@ from drivers.compiled.pointed import call, integers_at, reals_at
 from drivers.ends import (
     ALIVE,
     COMMAND,
+    CONFIGURE,
     MESSAGE,
     REJECTED,
     SYNC,
@@ -37,6 +38,7 @@ from plant_fmu.drives.kernels import (
     REASON,
     STATE,
     TRUE,
+    configure,
     encoders,
     feed,
     next_move_ns,
@@ -290,10 +292,8 @@ def _latch(n: Any) -> int:
         n.part = 3
     if n.sent + ROOM > n.room:
         return FULL
-    count = -1
-    if n.answer != 0:
-        into = n.out + n.sent * _FRAME
-        count = call(n.answer, (n.end, n.asked, n.reading, into, n.senders))
+    into = n.out + n.sent * _FRAME
+    count = call(n.answer, (n.end, n.asked, n.reading, into, n.senders)) if n.answer != 0 else -1
     if count < 0:
         return ANSWER
     _put(n, count, -1)
@@ -345,7 +345,9 @@ def _hear(n: Any) -> int:
             return status
     elif kind == ALIVE:
         feed(_integers(n), message.legs[: message.count], n.t_ns)
-    elif kind == REJECTED:
+    elif kind == CONFIGURE and configure(_integers(n), _reals(n), message):
+        n.reports[0], n.reported, n.pending, n.due = message.legs[0], 0, 1, 0
+    elif kind in (CONFIGURE, REJECTED):
         n.rejected += 1
     else:
         return MESSAGE_OTHER
@@ -355,9 +357,7 @@ def _hear(n: Any) -> int:
 
 @helper
 def _parse(n: Any, frame: int) -> int:
-    count = -1
-    if n.parse != 0:
-        count = call(n.parse, (n.end, frame, n.messages))
+    count = call(n.parse, (n.end, frame, n.messages)) if n.parse != 0 else -1
     if count < 0:
         return PARSE
     n.heard, n.message, n.place = count, 0, MESSAGES

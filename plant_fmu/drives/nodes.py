@@ -19,7 +19,6 @@ from drivers.errors import PlantError, ProtocolError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import (
     Answer,
-    Configure,
     DeviceMessage,
     DriveProtocol,
     EmergencyStop,
@@ -342,8 +341,6 @@ class Nodes:
     def _do(self, message: DeviceMessage, t: int) -> None:
         """Do what a message says that is not of every tick."""
         match message:
-            case Configure():
-                self._configure(message, t)
             case EmergencyStop(legs=legs):
                 for leg in legs:
                     self._fail(leg, DriveFault.ESTOP, t)
@@ -384,12 +381,6 @@ class Nodes:
             if by_m is not None:
                 other = self._answered(self._state.reading["length"] + by_m)
                 self._state.queue(t, [frame for k, frame in other if k == leg])
-
-    def _configure(self, configure: Configure, t: int) -> None:
-        if self._drives.set_up(configure):
-            self._send_status(configure.leg, t)
-        else:
-            self._record["rejected"] += 1
 
     def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
         self._memory, frames = self._protocol.report(self._memory, self._drives.status(leg, due=due))

@@ -100,8 +100,8 @@ class Spoken(MotorProtocol):
     def fault_text(self, code: int) -> str:
         return str(code)
 
-    def leg_addressed(self, frame: Frame) -> int | None:
-        return frame.id - 0x100 if 0x100 <= frame.id < 0x106 else None
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        return (frame.id - 0x100,) if 0x100 <= frame.id < 0x106 else ()
 
     def parse(self, _memory: Any, _frame: Any) -> Any:
         raise NotImplementedError

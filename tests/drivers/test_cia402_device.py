@@ -11,22 +11,17 @@ import pytest
 from drivers.cia402 import objects as o
 from drivers.cia402.device import (
     Device,
-    at_sync,
     booted,
-    content,
     control,
     emergency,
-    hears,
     on_nmt,
-    on_rpdo,
     on_sdo,
     powered_up,
-    reported,
     restarted,
 )
-from drivers.cia402.dictionary import Pdo, missing, pdos, refused, signed, with_value
+from drivers.cia402.dictionary import ENTRIES, missing, pdos, refused, signed, with_value
 from drivers.cia402.states import State
-from drivers.protocol import Answer, Configure, EmergencyStop, Frame, Rejected, Status, Sync
+from drivers.protocol import Alive, Answer, Configure, EmergencyStop, Frame, Rejected, Status, Sync
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.cia402_drives import drives
 from tests.drivers.drives_end import plain
@@ -49,6 +44,54 @@ def drive(**fields: Any) -> Device:
         "commands": 7,
     }
     return NEW._replace(**known | fields)
+
+
+P = drives((1, 2, 3, NODE, 5, 6))
+
+
+def among(device: Device) -> Any:
+    """Return the memory of six drives, of which this is one."""
+    devices = P.power_up().devices
+    return P.power_up()._replace(devices=(*devices[:LEG], device, *devices[LEG + 1 :]))
+
+
+def parsed(device: Device, identifier: int, data: bytes) -> tuple[Device, tuple[Any, ...]]:
+    """Return the drive after a frame, and what that says."""
+    memory, messages = P.parse(among(device), Frame(identifier, data))
+    return memory.devices[LEG], messages
+
+
+def hears(device: Device, node: int) -> bool:
+    return parsed(device, 0x700 + node, b"\5")[1] == (Alive((LEG,)),)
+
+
+def at_sync(device: Device) -> Device:
+    return parsed(device, 0x080, b"")[0]
+
+
+def mapped(device: Device, index: int, keys: tuple[tuple[int, int], ...]) -> Device:
+    """Return the drive with its first RPDO (0x1600) or TPDO (0x1A00) made of some objects."""
+    values = with_value(device.values, (index, 0), len(keys))
+    for k, key in enumerate(keys):
+        values = with_value(values, (index, k + 1), o.mapped(key, 8 * ENTRIES[key].size))
+    return device._replace(values=values)
+
+
+def on_rpdo(device: Device, keys: tuple[tuple[int, int], ...], data: bytes) -> tuple[Device, Any]:
+    return parsed(mapped(device, o.RPDO_MAP, keys), 0x200 + NODE, data)
+
+
+def content(device: Device, keys: tuple[tuple[int, int], ...]) -> bytes:
+    """Return the first TPDO of a drive, all that it reads being 0 but for what it has read last."""
+    device = mapped(device, o.TPDO_MAP, keys)
+    device = device._replace(values=with_value(device.values, (o.TPDO, 2), o.AT_EVERY_SYNC))
+    t, actual = P.transmission, np.array(device.actual, float)
+    length = t.length_of_counts(np.full(6, actual[0]))
+    rate = t.m_per_turn / t.counts * actual[1]
+    force = t.N_per_Nm * actual[2] * 9e-3
+    state = np.full(6, DriveState.RUN, np.int64)
+    _, ((_, frame),) = P.answer(among(device), Sync(0, (LEG,)), length, rate, force, state)
+    return frame.data
 
 
 def command(mode: DriveMode, counter: int, force: float = 0.0) -> tuple[Any, ...]:
@@ -172,36 +215,37 @@ def test_a_quick_stop_is_shown_for_as_long_as_it_lasts_and_a_fault_reaction_unti
 
 
 def test_a_pdo_is_taken_in_operational_and_one_that_is_cut_is_refused_with_an_emcy():
-    (pdo, *_) = pdos(drive(objects={(0x1600, 0): 2, (0x1600, 2): 0x60710010}).values, o.RPDO, o.RPDO_MAP)
-    assert (pdo.id, pdo.size, pdo.keys) == (0x204, 4, (o.CONTROLWORD, o.TARGET_TORQUE))
+    keys = o.CONTROLWORD, o.TARGET_TORQUE
+    (pdo, *_) = pdos(mapped(drive(), o.RPDO_MAP, keys).values, o.RPDO, o.RPDO_MAP)
+    assert (pdo.id, pdo.size, pdo.keys) == (0x204, 4, keys)
     data = struct.pack("<Hh", 0x0F, 100)
-    assert said(on_rpdo(drive(), pdo, data + b"\0")[1]) == [command(DriveMode.RUN, 9, -250.0)]
+    assert said(on_rpdo(drive(), keys, data + b"\0")[1]) == [command(DriveMode.RUN, 9, -250.0)]
     for nmt in (0, 4, 127):
-        assert on_rpdo(drive(nmt=nmt), pdo, data) == (drive(nmt=nmt), ())
+        still = mapped(drive(nmt=nmt), o.RPDO_MAP, keys)
+        assert on_rpdo(still, keys, data) == (still, ())
     cut = (
         Rejected("PDO of 3 bytes, mapped are 4"),
         Answer(LEG, Frame(0x84, bytes.fromhex("1082010000000000"))),
     )
-    assert on_rpdo(drive(), pdo, data[:3])[1] == cut
+    assert on_rpdo(drive(), keys, data[:3])[1] == cut
 
 
 def test_the_objects_of_a_pdo_are_taken_in_their_order_and_what_is_not_allowed_is_passed_over():
     keys = (o.MODE, o.TARGET_TORQUE, o.CONTROLWORD)
-    pdo = Pdo(0x204, 255, keys, 5)
-    device, found = on_rpdo(drive(), pdo, struct.pack("<bhH", 4, -100, 0x0F))
+    device, found = on_rpdo(drive(), keys, struct.pack("<bhH", 4, -100, 0x0F))
     assert said(found) == [command(DriveMode.RUN, 9, 250.0)]
     assert (device.get(o.MODE), device.get(o.MODE_SHOWN), device.torque) == (4, 4, -100)
-    device, _ = on_rpdo(drive(), pdo, struct.pack("<bhH", 3, -100, 0x0F))
+    device, _ = on_rpdo(drive(), keys, struct.pack("<bhH", 3, -100, 0x0F))
     assert device.get(o.MODE) == 10
-    device, found = on_rpdo(drive(torque=50, word=0x0F), Pdo(0x204, 255, (o.MODE,), 1), b"\4")
+    device, found = on_rpdo(drive(torque=50, word=0x0F), (o.MODE,), b"\4")
     assert said(found) == [command(DriveMode.RUN, 9, -125.0)], "word and torque of before"
 
 
 def test_a_tpdo_has_what_is_mapped_little_endian():
-    shown = Pdo(0x184, 1, (o.STATUSWORD, o.POSITION, o.TORQUE), 8)
+    shown = o.STATUSWORD, o.POSITION, o.TORQUE
     device = drive(actual=(-2, 3, -4), error=0x8130)
     assert content(device, shown) == struct.pack("<Hih", 0x237, -2, -4)
-    mixed = Pdo(0x184, 1, (o.VELOCITY, o.ERROR_CODE, o.MODE_SHOWN), 7)
+    mixed = o.VELOCITY, o.ERROR_CODE, o.MODE_SHOWN
     assert content(device, mixed) == struct.pack("<iHb", 3, 0x8130, 0)
 
 
@@ -273,7 +317,8 @@ def test_a_write_acts_as_its_object_does():
 def report(
     device: Device, state: DriveState, fault: DriveFault = DriveFault.NONE
 ) -> tuple[Device, list[str]]:
-    device, frames = reported(device, Status(LEG, int(state), int(fault)))
+    memory, frames = P.report(among(device), Status(LEG, int(state), int(fault)))
+    device = memory.devices[LEG]
     assert {frame.id for frame in frames} <= {0x84, 0x704}
     return device, [f"{frame.id:x} {frame.data.hex()}" for frame in frames]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.devices import Memory, _memory
+from drivers.cia402.devices import Memory
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import State
 from drivers.errors import ProtocolError
@@ -29,7 +29,7 @@ def running(protocol: Cia402Protocol = P) -> Memory:
 
 
 def changed(memory: Memory, legs: dict[int, dict[str, Any]]) -> Memory:
-    return _memory([each._replace(**legs.get(leg, {})) for leg, each in enumerate(memory.devices)])
+    return Memory(tuple(each._replace(**legs.get(leg, {})) for leg, each in enumerate(memory.devices)))
 
 
 def write(leg: int, text: str) -> Frame:
@@ -38,7 +38,8 @@ def write(leg: int, text: str) -> Frame:
 
 def test_a_sync_is_answered_by_drives_in_operational_that_send_something_and_ends_a_fault_reaction():
     memory = changed(running(), {1: {"nmt": 127}, 2: {"nmt": 4}, 4: {"state": State.FAULT_REACTION}})
-    memory = memory._replace(sends=tuple(() if leg == 3 else each for leg, each in enumerate(memory.sends)))
+    for at in (0x1800, 0x1801):
+        memory, _ = P.parse(memory, write(3, f"23{at & 0xFF:02x}{at >> 8:02x}0180010080"))
     after, messages = P.parse(memory, Frame(0x80, b""))
     assert messages == (Sync(0, (0, 4, 5)),)
     assert [each.state for each in after.devices] == [
@@ -93,13 +94,15 @@ def test_what_a_drive_sends_and_hears_follows_what_was_written_to_it_alone(leg):
     before = running()
     node = NODES[leg]
     memory, _ = P.parse(before, write(leg, "2300180180010080"))
-    assert [len(each) for each in memory.sends] == [1 if each == leg else 2 for each in range(6)]
+    sent = [each for each, _ in P.answer(memory, Sync(0), SIX, SIX, SIX, RUNNING)[1]]
+    assert [sent.count(each) for each in range(6)] == [1 if each == leg else 2 for each in range(6)]
     memory, _ = P.parse(memory, write(leg, f"23001401{node:02x}020080"))
     assert P.parse(memory, Frame(0x200 + node, bytes.fromhex("0f000000")))[1] == ()
     other = NODES[(leg + 1) % 6]
     assert P.parse(memory, Frame(0x200 + other, bytes.fromhex("0f000000")))[1] != ()
     memory, _ = P.parse(memory, write(leg, f"23001401{node:02x}030000"))
-    assert set(memory.routes) == {0x200 + each for each in NODES if each != node} | {0x300 + node}
+    heard = {at for at in range(0x200, 0x380) if P.parse(memory, Frame(at, bytes.fromhex("0f000000")))[1]}
+    assert heard == {0x200 + each for each in NODES if each != node} | {0x300 + node}
 
 
 @pytest.mark.parametrize("leg", range(6))
@@ -109,8 +112,10 @@ def test_a_drive_that_was_switched_off_and_on_sends_nothing_until_it_is_set_up_a
     states[leg] = DriveState.BOOT
     memory, sent = P.answer(started, Sync(0), SIX, SIX, SIX, states)
     assert {each for each, _ in sent} == set(range(6)) - {leg}
-    assert [bool(each) for each in memory.sends] == [each != leg for each in range(6)]
-    assert 0x200 + NODES[leg] not in memory.routes or memory.devices[leg].nmt == 0
+    assert [each.nmt for each in memory.devices] == [0 if each == leg else 5 for each in range(6)]
+    states[leg] = DriveState.OFF
+    _, sent = P.answer(memory, Sync(0), SIX, SIX, SIX, states)
+    assert {each for each, _ in sent} == set(range(6)) - {leg}
 
 
 def test_each_drive_says_the_counts_of_its_own_encoder():

@@ -17,7 +17,7 @@ from drivers.mit.fields import Ranges, pack_command, unpack_motion
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.moteus import MoteusProtocol
-from drivers.moteus_registers import COMMAND, MODE, TIMEOUT, WRITE, asked, registers
+from drivers.moteus_registers import COMMAND, MODE, TIMEOUT, WRITE, registers
 from drivers.motor_drives import MotorMemory
 from drivers.motors import MotorProtocol
 from drivers.odrive import ODriveProtocol
@@ -35,6 +35,7 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import LEGS, DriveMode, Reaction
+from tests.drivers.moteus_ends import asked
 from tests.drivers.test_odrive import UNIT
 
 DATA = Path(__file__).parents[1] / "data" / "drives"

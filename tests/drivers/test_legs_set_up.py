@@ -192,10 +192,10 @@ def test_a_drive_that_holds_the_place_of_another_leg_is_named_by_it_and_there_ar
 
 def test_a_drive_of_another_version_of_the_protocol_is_named_by_it():
     older = LegsProtocol("fd", NODES, 32_000.0)
-    older._end._end["version"] = 8
+    older._end.record["version"] = 8
     assert "fits no other" in P.set_up_lacks(told(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
     for version in (0, 1, 7):
-        older._end._end["version"] = version
+        older._end.record["version"] = version
         dialogue = told(begun(sent=(1,) * 6), status(1, protocol=older))
         assert (
             P.set_up_lacks(dialogue)[1]

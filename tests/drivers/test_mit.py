@@ -193,7 +193,7 @@ def test_the_emulated_drive_packs_replies_as_the_firmware_does_past_its_range_to
     inputs = vector["inputs"]
     r = ranges(_read("mit")["ranges"][inputs["range"]])
     p, v, torque = (inputs[key] for key in ("position_rad", "velocity_rad_s", "torque_Nm"))
-    assert device_motion(p, v, torque, r, clamps=False).hex() == vector["data"][2:12]
+    assert bytes(device_motion(p, v, torque, r, clamps=False)).hex() == vector["data"][2:12]
 
 
 @pytest.mark.parametrize("vector", vectors("damiao", "MIT command"), ids=lambda v: v["what"])
@@ -487,7 +487,7 @@ def test_no_field_of_a_reply_or_command_is_off_by_more_than_the_resolution_and_s
     off = []
     for _ in range(30):
         p, v, t = chance.uniform(-0.99, 0.99, 3) * (WIDE.position, WIDE.velocity, WIDE.torque)
-        _, p1, v1, _ = unpack_motion(device_motion(p, v, t, WIDE, clamps=True), WIDE)
+        _, p1, v1, _ = unpack_motion(bytes(device_motion(p, v, t, WIDE, clamps=True)), WIDE)
         t1 = unpack_command(pack_command(0.0, 0.0, 0.0, 0.0, t, WIDE), WIDE)[4]
         off.append(((p - p1) * LEAD_m / TURN, (v - v1) * LEAD_m / TURN, (t - t1) * NEWTONS))
     largest = np.abs(off).max(axis=0)

@@ -44,7 +44,7 @@ def test_a_request_that_names_a_node_of_two_bytes_is_for_no_damiao(high, kind):
     memory = DAMIAO.power_up()
     for leg, node in enumerate(NODES):
         own, other = (request(each, kind, CTRL_MODE, 1) for each in (node, high << 8 | node))
-        assert (DAMIAO.leg_addressed(own), DAMIAO.leg_addressed(other)) == (leg, None)
+        assert (DAMIAO.addressed(own), DAMIAO.addressed(other)) == ((leg,), ())
         assert DAMIAO.parse(memory, own)[1]
         assert DAMIAO.parse(memory, other) == (memory, ())
 

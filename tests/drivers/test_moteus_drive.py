@@ -11,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.moteus import STOP, MoteusProtocol, torque_command
-from drivers.moteus_registers import asked, pad, registers
+from drivers.moteus_registers import pad, registers
 from drivers.motor_drives import MotorMemory
 from drivers.motors import Heard
 from drivers.protocol import (
@@ -29,6 +29,7 @@ from drivers.protocol import (
 )
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.drives_end import command, plain
+from tests.drivers.moteus_ends import asked
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (9, 2, 3, 4, 5, 126)
@@ -54,7 +55,7 @@ def told(*frames: Frame) -> tuple[MotorMemory, list[Any]]:
 def test_a_drive_is_enabled_by_its_first_torque_obeys_the_next_and_resets_by_a_stop():
     torque = to(4, torque_command(0.5, 2.0, 0.03))
     memory, found = told(torque, to(4, torque_command(-0.25, 2.0, 0.04)), to(4, STOP), torque)
-    kept = float(np.float32(0.03))
+    kept = round(float(np.float32(0.03)), 9)
     assert found == [
         (
             Configure(4, kept, Reaction.DAMP),

@@ -1,0 +1,267 @@
+"""The drives' end of single-motor drives, compiled: one record, which every family shares.
+
+A family gives `obey(d, frame, order)`, which fills ORDER with what a frame tells one drive and returns 1; 2
+where no other drive looks at it, 0 for nothing, FAILED to leave it to the protocol; and `encode(d, said,
+frame)`, which fills in its feedback.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import FAILED, address_of, call, integers_at, pointed, record_at
+from drivers.ends import (
+    COMMAND,
+    CONFIGURE,
+    MESSAGE,
+    REJECTED,
+    SYNC,
+    frame_at,
+    message_at,
+    reading_at,
+)
+from drivers.frame_array import FRAME
+from drivers.motor_kernels import EAR, FEEDBACK, HEARD, heard_at
+from drivers.signals import INVALID, LEGS, DriveMode
+from drivers.transmission import loss_of
+
+MOST_REGISTERS, MOST_ASKED = 8, 64
+"""That a drive remembers; and that one frame asks for."""
+ANY = 0x1FFFFFFF
+"""Bits of an identifier."""
+ORDER = np.dtype(
+    [
+        ("leg", "<i8"),
+        ("modes", "<i8"),  # how many commands it is
+        ("mode", "<i8", (2,)),
+        ("torque", "<f8"),  # N m
+        ("enabled", "<i8"),  # whether the drive is so afterwards
+        ("configures", "<i8"),  # -1, 1: it sets the drive up, before or after the commands
+        ("watchdog_ns", "<i8"),
+        ("answers", "<i8"),
+        ("rejected", "<i8"),  # why it cannot be trusted, from 1 on
+        ("number", "<f8"),  # what is wrong
+    ]
+)
+"""What one frame tells one drive."""
+SAID = np.dtype(
+    [
+        *((name, "<i8") for name in ("leg", "state", "lost", "fault")),
+        *((name, "<f8") for name in ("turns", "speed", "torque")),
+    ]
+)
+"""What one drive reads: turns, turns/s and N m of its motor; its state without INVALID, which is `lost`."""
+DEVICES = np.dtype(
+    [
+        # the family
+        *((name, "<i8") for name in ("obey", "encode", "hear", "ear")),
+        ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
+        ("mask", "<i8"),
+        ("everyone", "<i8"),  # the number of all drives; -1: there is none
+        ("requests", "<i8"),  # identifier of requests whose data name a drive; -1: there is none
+        ("watchdog_ns", "<i8"),  # as the drives are delivered
+        ("reaction", "<i8"),
+        ("buses", "<i8"),  # how many; 0: one
+        ("bus_of", "<i8", (LEGS,)),
+        ("nodes", "<i8", (LEGS,)),
+        # transmission
+        *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "N_per_Nm", "driving", "back_driving")),
+        ("full_loss_m_s", "<f8"),
+        # memory, see `drivers.motor_drives.MotorMemory`
+        ("heard", "<i8", (LEGS,)),
+        ("enabled", "<i8", (LEGS,)),
+        ("written", "<i8", (LEGS,)),  # how many registers
+        ("registers", "<i8", (LEGS, MOST_REGISTERS)),
+        ("values", "<f8", (LEGS, MOST_REGISTERS)),
+        ("host", "<i8", (LEGS,)),
+        ("asked", "<i8", (LEGS,)),  # how many registers
+        ("wanted", "<i8", (LEGS, MOST_ASKED)),
+        ("widths", "<i8", (LEGS, MOST_ASKED)),
+        # scratch: an element of HEARD, of ORDER or of SAID
+        ("scratch", "<f8", (16,)),
+    ]
+)
+"""Six emulated drives."""
+_DEVICES = record(DEVICES)
+ear_at = record_at(record(EAR))
+_order_at = record_at(record(ORDER))
+_said_at = record_at(record(SAID))
+_FRAME, _MESSAGE = FRAME.itemsize, MESSAGE.itemsize
+OFF, READY, RUN, RESET = map(int, DriveMode)
+
+
+# what a family uses
+
+
+@helper
+def tells(order: Any, mode: int, enabled: bool) -> None:
+    """Give one command."""
+    order.modes, order.mode[0], order.enabled = 1, mode, enabled
+
+
+@helper
+def enables(order: Any) -> None:
+    """Enable a drive, by two commands."""
+    order.modes, order.mode[0], order.mode[1], order.enabled = 2, READY, RUN, 1
+
+
+@helper
+def configures(d: Any, order: Any, when: int) -> None:
+    """Set a drive up as it is delivered, before (-1) or after (1) the commands."""
+    order.configures, order.watchdog_ns = when, d.watchdog_ns
+
+
+@helper
+def rejects(order: Any, why: int, number: float) -> int:
+    """Reject a frame, from which nothing else follows but an answer; return 1."""
+    order.modes, order.configures, order.rejected, order.number = 0, 0, why, number
+    return 1
+
+
+@helper
+def register(d: Any, leg: int, name: int, otherwise: float) -> float:
+    """Return what a register holds that may have been written."""
+    for k in range(d.written[leg]):
+        if d.registers[leg, k] == name:
+            return float(d.values[leg, k])
+    return otherwise
+
+
+@helper
+def write(d: Any, leg: int, name: int, value: float) -> None:
+    """Write a register."""
+    k = 0
+    while k < d.written[leg] and d.registers[leg, k] != name:
+        k += 1
+    d.registers[leg, k], d.values[leg, k] = name, value
+    d.written[leg] = max(d.written[leg], k + 1)
+
+
+# both ends
+
+
+@helper
+def _put(message: Any, kind: int, leg: int, mode: int, counter: int, force: float) -> None:
+    message.kind, message.count, message.legs[0] = kind, 1, leg
+    message.mode, message.counter, message.force[0] = mode, counter, force
+
+
+@helper
+def _obey(d: Any, order: Any, messages: int) -> int:
+    """Put what an order means to its drive into messages at an address; return how many they are."""
+    leg, count = order.leg, 0
+    if order.configures < 0:
+        _put(message_at(messages), CONFIGURE, leg, d.reaction, order.watchdog_ns, 0.0)
+        count += 1
+    if order.rejected:
+        _put(message_at(messages + count * _MESSAGE), REJECTED, leg, order.rejected, 0, order.number)
+        count += 1
+    for k in range(order.modes):
+        d.heard[leg] += 1
+        force = order.torque * d.N_per_Nm[leg]
+        _put(message_at(messages + count * _MESSAGE), COMMAND, leg, order.mode[k], d.heard[leg], force)
+        count += 1
+    d.enabled[leg] = order.enabled
+    if order.configures > 0:
+        _put(message_at(messages + count * _MESSAGE), CONFIGURE, leg, d.reaction, order.watchdog_ns, 0.0)
+        count += 1
+    if order.answers:
+        _put(message_at(messages + count * _MESSAGE), SYNC, leg, 0, 0, 0.0)
+        count += 1
+    return count
+
+
+@pointed(_DEVICES, INTEGER, INTEGER)
+def parse(d: Any, frame_address: int, messages: int) -> int:
+    """Decode a frame at the drives of its bus, see `DriveProtocol.parse`."""
+    frame = frame_at(frame_address)
+    identifier = np.int64(frame.id)
+    if frame.bus >= max(d.buses, 1):
+        return 0
+    if identifier == d.requests:
+        return FAILED
+    number, count = identifier >> d.shift & d.mask, 0
+    at = np.int64(d.scratch.ctypes.data)
+    order = _order_at(at)
+    for leg in range(LEGS):
+        if (number != d.nodes[leg] and number != d.everyone) or frame.bus != d.bus_of[leg]:
+            continue
+        d.scratch[:] = 0.0
+        order.leg, order.enabled = leg, d.enabled[leg]
+        status = call(d.obey, (address_of(d), frame_address, at))
+        if status < 0:
+            return FAILED
+        if status > 0:
+            count += _obey(d, order, messages + count * _MESSAGE)
+        if status > 1:
+            break
+    return count
+
+
+@helper
+def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
+    """Fill in what a drive reads; tell whether these are numbers."""
+    force, rate = reading.force[leg], reading.rate[leg]
+    loss = loss_of(force, rate, d.driving[leg], d.back_driving[leg], d.full_loss_m_s)
+    said.leg, said.state, said.fault = leg, reading.state[leg] & ~INVALID, reading.fault[leg]
+    said.lost = reading.state[leg] & INVALID != 0
+    said.turns = (reading.length[leg] - d.offset[leg]) / d.m_per_turn[leg]
+    said.speed, said.torque = rate / d.m_per_turn[leg], loss * force / d.N_per_Nm[leg]
+    return bool(np.isfinite(said.turns) and np.isfinite(said.speed) and np.isfinite(said.torque))
+
+
+@pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
+def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
+    """Fill in what the drives of a SYNC answer, each on its own bus; FAILED for what is no number."""
+    sync, reading = message_at(sync_address), reading_at(reading_address)
+    at = np.int64(d.scratch.ctypes.data)
+    said, legs, count = _said_at(at), integers_at(senders, LEGS), 0
+    for bus in range(max(d.buses, 1)):
+        for k in range(sync.count):
+            leg = sync.legs[k]
+            if d.bus_of[leg] != bus:
+                continue
+            if not _read(d, leg, reading, said):
+                return FAILED
+            call(d.encode, (address_of(d), at, into + count * _FRAME))
+            legs[count] = leg
+            count += 1
+    return count
+
+
+@pointed(_DEVICES, *[INTEGER] * 7)
+def silent(
+    _d: Any, _leg: int, _state: int, _fault: int, _watchdog_ns: int, _reaction: int, _due: int, _into: int
+) -> int:
+    """Report nothing: such drives speak when they are asked."""
+    return 0
+
+
+@pointed(_DEVICES, INTEGER, INTEGER, INTEGER)
+def fresh(d: Any, frame_address: int, _tick: int, since_ns: int) -> int:
+    """Return the leg, from 1 on, of a feedback to this tick's poll on its own bus; else 0: its time tells."""
+    frame = frame_at(frame_address)
+    at = np.int64(d.scratch.ctypes.data)
+    if frame.t_ns < since_ns or frame.bus >= max(d.buses, 1) or not call(d.hear, (d.ear, frame_address, at)):
+        return 0
+    heard = heard_at(at, 1)[0]
+    return heard.leg + 1 if heard.has & FEEDBACK and d.bus_of[heard.leg] == frame.bus else 0
+
+
+@pointed(_DEVICES, INTEGER)
+def addressed(d: Any, frame_address: int) -> int:
+    """Return which legs a frame of the controller's end is for, bit i: leg i."""
+    frame = frame_at(frame_address)
+    identifier = np.int64(frame.id)
+    number = identifier >> d.shift & d.mask
+    if identifier == d.requests:
+        number = np.int64(frame.data[0]) | np.int64(frame.data[1]) << 8 if frame.length > 1 else -1
+    legs = 0
+    for leg in range(LEGS):
+        if number == d.nodes[leg] and (not d.buses or frame.bus == d.bus_of[leg]):
+            legs |= 1 << leg
+    return legs
+
+
+assert max(HEARD.itemsize, ORDER.itemsize, SAID.itemsize) <= DEVICES["scratch"].itemsize

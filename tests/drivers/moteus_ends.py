@@ -1,0 +1,29 @@
+"""What an emulated moteus is asked for by a frame, and what it answers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.moteus import MoteusProtocol
+from drivers.protocol import BRS, EXTENDED, FD, Frame, Sync
+from drivers.signals import DriveState, Reaction
+from tests.drivers.test_odrive import UNIT
+
+P = MoteusProtocol((1, 2, 3, 4, 5, 6), 0, Reaction.DAMP, 2.0, UNIT)
+
+
+def asked(data: bytes) -> tuple[tuple[int, int], ...]:
+    """Return the registers that a frame asks for, each with its width."""
+    memory, _ = P.parse(P.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
+    return memory.asked[0][1]
+
+
+def replied(
+    data: bytes, turns: float = 0.5, speed: float = -1.0, torque: float = 1.5, state: int = DriveState.RUN
+) -> bytes:
+    """Return what a drive answers to a frame."""
+    memory, _ = P.parse(P.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
+    length, force = np.full(6, turns) * UNIT.m_per_turn, np.full(6, torque) * UNIT.N_per_Nm
+    rate, states = np.full(6, speed) * UNIT.m_per_turn, np.full(6, state, np.int64)
+    _, ((_, frame),) = P.answer(memory, Sync(0, (0,)), length + UNIT.offset_m, rate, force, states)
+    return frame.data

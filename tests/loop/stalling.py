@@ -68,7 +68,7 @@ class Stalling(Lockstep):
             skipped,
             sync_skew_ns=self.skew_ns,
             frames=received_array(feedback),
-            latch_ns=latch_ns(self.cycle.parts.protocol, opening, self.sent_ns, t_ns + lateness_ns),
+            latch_ns=latch_ns(self.hearing, sent_array(opening), self.sent_ns, t_ns + lateness_ns),
             operator=operator,
             setpoints=setpoints,
             orders=orders,

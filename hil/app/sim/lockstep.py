@@ -11,6 +11,7 @@ from typing import NamedTuple
 from drivers.arrays import Rows
 from drivers.can.arbitration import priority, transmit
 from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.ends import hearing
 from drivers.errors import PlantError
 from drivers.frame_array import received_array, sent_array, sent_frames
 from drivers.protocol import ALWAYS, Frame, Received
@@ -120,6 +121,7 @@ class Lockstep:
         self.window_ns = round(self.feedback_window_s * 1e9)
         self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
         self.wanted = self.cycle.parts.protocol.feedback_ids
+        self.hearing = hearing(self.cycle.parts.protocol)
         self.fresh = self.cycle.parts.protocol.fresh
         self.awaited = self.cycle.parts.protocol.awaited
         self.nodes.start((self.tick + 1) * self.period_ns)
@@ -144,7 +146,7 @@ class Lockstep:
             bus_off=off,
             bus_state=BusState.OFF if off else BusState.UNKNOWN,
             operator=operator,
-            latch_ns=latch_ns(self.cycle.parts.protocol, opening, self.sent_ns, t_ns),
+            latch_ns=latch_ns(self.hearing, sent_array(opening), self.sent_ns, t_ns),
             setpoints=setpoints,
             orders=orders,
         )

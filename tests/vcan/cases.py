@@ -23,7 +23,7 @@ from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import received_frames, sent_array
-from drivers.protocol import BRS, ERROR, ESI, FD, Frame
+from drivers.protocol import BRS, ERROR, ESI, FD, Frame, Received
 from drivers.signals import BusState
 from tests.vcan import kernel
 
@@ -190,7 +190,7 @@ def what_the_kernel_damages_is_never_more_than_a_frame() -> None:
     with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR) as far, opened() as can:
         kernel.corrupt(FAR, 0.5)
         raw = kernel.FRAME.pack(0x123, 8, bytes(8))
-        got = []
+        got: list[Received] = []
         for _ in range(sent // 100):
             for _ in range(100):
                 far.send(raw)

@@ -43,7 +43,7 @@ def served():
 
 def heard_at(served, t_ns):
     nodes, _, rows, sync = served
-    heard = [(t_ns, sync(t_ns // MS))]
+    heard = [Received(t_ns, sync(t_ns // MS))]
     sent = [frame for _, frame in nodes.step(t_ns, heard)]
     rows.take(received_array(heard), sent_array(sent), t_ns)
     return heard, sent
@@ -97,7 +97,7 @@ def test_a_platform_that_moves_is_recorded_while_nobody_asks_and_one_at_rest_is_
 
     now_ns = MS
     monkeypatch.setattr(nodes, "snapshot", snapshot)
-    heard = [(MS, Frame(1, b""))]
+    heard = [Received(MS, Frame(1, b""))]
     rows.take(received_array(heard), sent_array([Frame(2, b"")]), MS)
     rows.write(MS)
     assert len(log.rows) == 1

@@ -25,9 +25,9 @@ FRAME = np.dtype(
 )
 """t_ns: the end of a received frame on the wire, ns; flags: EXTENDED to ERROR; bus: its index."""
 _FRAME = struct.Struct("<qIBBH64s")
-pack_frame, unpack_frames = _FRAME.pack_into, _FRAME.iter_unpack
-"""pack_frame(buffer, offset, t_ns, id, kind, length, flags, data), unpack_frames(bytes): the high byte of the
-flags is the bus."""
+frame_bytes, pack_frame, unpack_frames = _FRAME.pack, _FRAME.pack_into, _FRAME.iter_unpack
+"""frame_bytes(t_ns, id, kind, length, flags, data), pack_frame(buffer, offset, ... the same),
+unpack_frames(bytes): the high byte of the flags is the bus."""
 RECEIVED, SENT = range(2)
 """Values of `kind`."""
 NO_FRAMES: Rows = np.zeros(0, FRAME)
@@ -39,9 +39,9 @@ _new = tuple.__new__
 
 
 def _array(frames: Iterable[tuple[int, Frame]], kind: int) -> Rows:
-    pack = _FRAME.pack
     content = [
-        pack(t_ns, identifier, kind, len(data), flags, data) for t_ns, (identifier, data, flags) in frames
+        frame_bytes(t_ns, identifier, kind, len(data), flags, data)
+        for t_ns, (identifier, data, flags) in frames
     ]
     return np.frombuffer(b"".join(content), FRAME)
 
@@ -61,9 +61,14 @@ def timed_array(frames: Iterable[tuple[int, Frame]]) -> Rows:
     return _array(frames, SENT)
 
 
+def joined(parts: Iterable[Rows]) -> Rows:
+    """Return arrays of FRAME as one, in memory of its own."""
+    return np.frombuffer(bytearray().join([part.tobytes() for part in parts]), FRAME)
+
+
 def sent_at(t_ns: int, *parts: Rows) -> Rows:
     """Return frames as one array, sent at an instant, ns."""
-    sent = np.concatenate(parts)
+    sent = joined(parts)
     sent["t_ns"] = t_ns
     return sent
 
@@ -81,8 +86,3 @@ def received_frames(array: Rows) -> tuple[Received, ...]:
 def sent_frames(array: Rows) -> tuple[Frame, ...]:
     """Return elements of FRAME as frames."""
     return tuple([frame for _, frame in received_frames(array)])
-
-
-def joined(these: Rows, those: Rows) -> Rows:
-    """Return these frames and then those, read-only."""
-    return np.frombuffer(these.tobytes() + those.tobytes(), FRAME)

@@ -1,6 +1,6 @@
 """Bus: the door to the CAN bus, whatever interface is behind it.
 
-Frames go out and come in as they are; what they mean is the protocol's.
+Frames go out and come in as they are, elements of FRAME; what they mean is the protocol's.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from typing import NamedTuple, Self
 
+from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import RESTART_MS
 from drivers.can.collect import collect
@@ -21,7 +22,7 @@ from drivers.can.runtime_folder import RoleLock
 from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
 from drivers.errors import BusError
-from drivers.protocol import ERROR, Frame, Received
+from drivers.protocol import ERROR
 from drivers.signals import BusState
 
 EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
@@ -94,13 +95,13 @@ class Bus:
             opened.pop_all()
             return cls(links[0] if len(links) == 1 else LinkGroup(links), roles.pop_all())
 
-    def send(self, frames: Sequence[Frame]) -> int:
+    def send(self, frames: Rows) -> int:
         """Send frames and return the number of those that the bus did not take.
 
         A refusal that passes is a busy bus; one that lasts makes `events().off`. Does not wait for
         the bus, and raises only for frames that it cannot carry at all (BusError).
         """
-        if not frames:
+        if not len(frames):
             return 0
         taken = self._link.send(frames)
         if taken:
@@ -112,7 +113,7 @@ class Bus:
             self._dead = now - self._refused_since >= DEAD_AFTER_NS
         return len(frames) - taken
 
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> Rows:
         """Return all frames in the order received, as soon as one of every wanted identifier has come.
 
         Returns at the deadline with what is there. What came before the call counts: to wait for answers,
@@ -120,21 +121,23 @@ class Bus:
         """
         return self._sift(collect(self._link, deadline_ns, wanted))
 
-    def drain_now(self) -> list[Received]:
+    def drain_now(self) -> Rows:
         """Return what has been received. Does not block."""
         return self._sift(self._link.receive())
 
-    def wait(self, deadline_ns: int) -> list[Received]:
+    def wait(self, deadline_ns: int) -> Rows:
         """Return as soon as anything has come, or at the deadline with nothing."""
         while True:
             raw = collect(self._link, deadline_ns)
             received = self._sift(raw)
-            if received or not raw or self.clock.now() >= deadline_ns:
+            if len(received) or not len(raw) or self.clock.now() >= deadline_ns:
                 return received
 
-    def _sift(self, received: list[Received]) -> list[Received]:
+    def _sift(self, received: Rows) -> Rows:
         """Count error frames and keep the rest."""
-        frames = [r for r in received if not r.frame.flags & ERROR]
+        if max(received["flags"].tolist(), default=0) < ERROR:  # sooner known than of each
+            return received
+        frames: Rows = received[received["flags"] & ERROR == 0]
         self._errors += len(received) - len(frames)
         return frames
 

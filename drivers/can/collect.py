@@ -3,8 +3,10 @@
 from collections.abc import Set as AbstractSet
 from typing import Protocol
 
+from drivers.arrays import Rows
 from drivers.clock import Clock
-from drivers.protocol import ERROR, Received
+from drivers.frame_array import joined
+from drivers.protocol import ERROR
 
 
 class Source(Protocol):
@@ -14,8 +16,8 @@ class Source(Protocol):
     def clock(self) -> Clock:
         """The clock of their times."""
 
-    def receive(self) -> list[Received]:
-        """Return what is there."""
+    def receive(self) -> Rows:
+        """Return what is there, elements of FRAME in memory that nobody writes to any more."""
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
         """Sleep until there may be more, at most until the deadline.
@@ -24,19 +26,21 @@ class Source(Protocol):
         """
 
 
-def collect(source: Source, deadline_ns: int, wanted: AbstractSet[int] | None = None) -> list[Received]:
+def collect(source: Source, deadline_ns: int, wanted: AbstractSet[int] | None = None) -> Rows:
     """Receive until all of `wanted` (None: anything) has come, or the deadline.
 
     An empty `wanted` is fulfilled at once.
     """
-    received: list[Received] = []
+    received: list[Rows] = []
     missing = set(wanted or ())
     while True:
         now = source.clock.now()
         new = source.receive()
-        received += new
+        if len(new):
+            received.append(new)
         if missing:
-            missing.difference_update([frame.id for _, frame in new if not frame.flags & ERROR])
+            which = zip(new["id"].tolist(), new["flags"].tolist(), strict=True)
+            missing.difference_update([identifier for identifier, flags in which if not flags & ERROR])
         if now >= deadline_ns or (received if wanted is None else not missing):
-            return received
+            return received[0] if len(received) == 1 else joined(received)
         source.block(deadline_ns, missing)

@@ -6,19 +6,20 @@ import select
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
-from operator import itemgetter
 from typing import Protocol
 
+import numpy as np
+
+from drivers.arrays import Rows
 from drivers.can.collect import Source
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import BusError
-from drivers.protocol import BUS, Frame, Received
+from drivers.frame_array import joined
 from drivers.signals import BusState
 
 DEAD_AFTER_NS = 50_000_000
 """A bus that takes no frame at all for this long is dead; for less, it is busy."""
-_TIME = itemgetter(0)
 _FIRST_LOOK_NS = 200_000
 """Between two looks at a link that cannot be waited for together with others."""
 _LOOK_S = 1e-3
@@ -48,8 +49,8 @@ class Link(Source, Protocol):
     def overflow(self) -> int:
         """Frames lost so far."""
 
-    def send(self, frames: Sequence[Frame]) -> int:
-        """Return how many frames were taken, from the first on."""
+    def send(self, frames: Rows) -> int:
+        """Return how many elements of FRAME were taken, from the first on; their bus is 0."""
 
     def first_sent_ns(self) -> int | None:
         """Return when the first frame of the last `send` ended on the wire; None where that is not known."""
@@ -149,16 +150,15 @@ class LinkGroup:
         """Frames lost so far, on all buses."""
         return sum(link.overflow for link in self._links)
 
-    def send(self, frames: Sequence[Frame]) -> int:
+    def send(self, frames: Rows) -> int:
         """Return how many frames the buses took, each bus from its first on."""
-        own: list[list[Frame]] = [[] for _ in self._links]
-        self._order = [frame.flags // BUS for frame in frames]
-        for identifier, data, flags in frames:
-            own[flags // BUS].append(Frame(identifier, data, flags % BUS))
+        self._order = frames["bus"].tolist()
         taken = 0
         for bus, link in enumerate(self._links):
-            if own[bus]:
-                took = link.send(own[bus])
+            if bus in self._order:
+                own = frames[frames["bus"] == bus]
+                own["bus"] = 0
+                took = link.send(own)
                 taken += took
                 self._taken_ns[bus] = now = self.clock.now()
                 self._refused_since[bus] = 0 if took else self._refused_since[bus] or now
@@ -179,15 +179,16 @@ class LinkGroup:
         own = {bus: iter(self._links[bus].sent_ns()) for bus in set(self._order)}
         return [next(own[bus], None) for bus in self._order]
 
-    def receive(self) -> list[Received]:
+    def receive(self) -> Rows:
         """Return what is there on all buses, in the order of time."""
-        received: list[Received] = []
-        for bus, link in enumerate(self._links):
-            for t_ns, (identifier, data, flags) in link.receive():
-                self._home[identifier] = bus
-                received.append(Received(t_ns, Frame(identifier, data, flags + BUS * bus)))
-        received.sort(key=_TIME)
-        return received
+        parts = [link.receive() for link in self._links]
+        received = joined(parts)
+        buses = [bus for bus, part in enumerate(parts) for _ in range(len(part))]
+        if not buses:
+            return received
+        received["bus"] = buses
+        self._home.update(zip(received["id"].tolist(), buses, strict=True))
+        return received[np.argsort(received["t_ns"], kind="stable")]
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
         """Sleep until there may be more, at most until the deadline.

@@ -6,19 +6,20 @@ Beside localcan's own interface the only importer of python-can.
 import select
 import struct
 import time
-from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from typing import Any, Literal
 
 import can
+import numpy as np
 
+from drivers.arrays import Rows
 from drivers.can.localcan.interface import from_message, to_message
 from drivers.can.no_controller import NoController
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
-from drivers.protocol import Frame, Received
+from drivers.frame_array import FRAME, RECEIVED, frame_bytes, unpack_frames
 
 _STAMPING = frozenset({"neousys", "udp_multicast"})
 """Interfaces that read this machine's clock as each frame comes, before they are asked for it.
@@ -52,21 +53,21 @@ class PythonCan(NoController):
         self.virtual = interface in _WIRELESS
         self._stamps = interface in _STAMPING
         self._bus = bus
-        self._held: list[Received] = []
+        self._held = bytearray()
         self._taken_ns: list[int] = []
         try:
             self._selectable = bus.fileno() >= 0
         except (NotImplementedError, can.CanError, OSError):
             self._selectable = False
 
-    def send(self, frames: Sequence[Frame]) -> int:
+    def send(self, frames: Rows) -> int:
         """Send until the interface refuses one."""
         self._taken_ns.clear()
-        for i, frame in enumerate(frames):
+        for i, frame in enumerate(unpack_frames(frames.tobytes())):
             try:
-                self._bus.send(to_message(Received(0, frame), 0, ""), timeout=0)
+                self._bus.send(to_message(frame), timeout=0)
             except ValueError as error:
-                raise BusError(f"bus: frame 0x{frame.id:X} cannot be sent: {error}") from error
+                raise BusError(f"bus: frame 0x{frame[1]:X} cannot be sent: {error}") from error
             except (can.CanError, OSError):
                 return i
             self._taken_ns.append(time.monotonic_ns())
@@ -120,7 +121,9 @@ class PythonCan(NoController):
         now = time.monotonic_ns()
         age = time.time_ns() - int(message.timestamp * 1e9) if self._stamps else 0
         # an older stamp is one from before the clock was set
-        self._held.append(Received(now - age if 0 <= age < 1_000_000_000 else now, from_message(message)))
+        t_ns = now - age if 0 <= age < 1_000_000_000 else now
+        identifier, data, flags = from_message(message)
+        self._held += frame_bytes(t_ns, identifier, RECEIVED, len(data), flags, data)
         return "frame"
 
     def _forget(self) -> None:
@@ -140,7 +143,7 @@ class PythonCan(NoController):
             self.off = True
             return False
 
-    def receive(self) -> list[Received]:
+    def receive(self) -> Rows:
         """Return what is there, up to a batch.
 
         An interface that has read a line or datagram that is no frame says that there is none, though others
@@ -150,8 +153,8 @@ class PythonCan(NoController):
             found = self._take(0.0)
             if (found == "failure" and self.off) or (found == "nothing" and not self._readable(0.0)):
                 break
-        received, self._held = self._held, []
-        return received
+        received, self._held = self._held, bytearray()
+        return np.frombuffer(received, FRAME)
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
         """Sleep until something can be received, or the deadline."""

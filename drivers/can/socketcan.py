@@ -9,17 +9,20 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 
+import numpy as np
+
+from drivers.arrays import Rows
 from drivers.can import netlink
 from drivers.can.can_interface import CanInterface, parse, refusal
 from drivers.can.error_frames import read_error
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.frame_array import FRAME, RECEIVED, frame_bytes, unpack_frames
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import BusState
 
 _CLASSIC = struct.Struct("=IB3x8s")
@@ -171,7 +174,7 @@ class SocketCan:
         self._waited += 1
         self._stuck = self._waited >= STUCK_LOOKS and now - self._waiting_since >= STUCK_NS
 
-    def send(self, frames: Sequence[Frame]) -> int:
+    def send(self, frames: Rows) -> int:
         """Return how many frames the kernel took, from the first on.
 
         None while the bus is off, or older ones have waited for STUCK_NS: what a dead bus is given comes out
@@ -183,14 +186,14 @@ class SocketCan:
             return 0
         if self._down and not self._is_back():
             return 0
-        for i, frame in enumerate(frames):
+        for i, (_, identifier, _, size, flags, data) in enumerate(unpack_frames(frames.tobytes())):
             try:
-                self._socket.send(pack(frame))
+                self._socket.send(pack(identifier, data[:size], flags))
             except OSError as error:
                 if error.errno in {errno.EMSGSIZE, errno.EINVAL}:
                     raise BusError(
-                        f"bus socketcan:{self.channel} cannot carry frame 0x{frame.id:X} "
-                        f"({len(frame.data)} bytes): {error.strerror}; see bus.layout"
+                        f"bus socketcan:{self.channel} cannot carry frame 0x{identifier:X} "
+                        f"({size} bytes): {error.strerror}; see bus.layout"
                     ) from error
                 # no buffer: the bus is busy, or nobody acknowledges
                 if error.errno == errno.ENETDOWN or error.errno in _GONE:
@@ -249,9 +252,9 @@ class SocketCan:
         controller = self._interface.controller
         self._state = BusState.UNKNOWN if controller is None else controller.state
 
-    def receive(self) -> list[Received]:
+    def receive(self) -> Rows:
         """Return the frames that are there, error frames included."""
-        received: list[Received] = []
+        received = bytearray()
         real_to_monotonic = _real_to_monotonic()
         for _ in range(_BATCH):
             try:
@@ -270,9 +273,9 @@ class SocketCan:
                     lost = int.from_bytes(value[:4], sys.byteorder)
                     self.overflow += (lost - self._kernel_lost) & 0xFFFFFFFF
                     self._kernel_lost = lost
-            frame = unpack(raw)
-            if frame.flags & ERROR:
-                self._note(frame)
+            identifier, data, flags = unpack(raw)
+            if flags & ERROR:
+                self._note(Frame(identifier, data, flags))
             else:
                 self._dropped = False
                 if t_ns > self._since_ns:
@@ -281,8 +284,8 @@ class SocketCan:
                 if self._bus_off and self._interface.controller is None:
                     # a virtual interface never says that it was restarted
                     self._bus_off, self._state = False, BusState.UNKNOWN
-            received.append(Received(t_ns + real_to_monotonic, frame))
-        return received
+            received += frame_bytes(t_ns + real_to_monotonic, identifier, RECEIVED, len(data), flags, data)
+        return np.frombuffer(received, FRAME)
 
     def _note(self, frame: Frame) -> None:
         report = read_error(frame)
@@ -372,19 +375,19 @@ def _real_to_monotonic() -> int:
     return (before + after) // 2 - real
 
 
-def pack(frame: Frame) -> bytes:
-    """Return a Frame as struct can_frame or canfd_frame."""
-    id_, data, flags = frame
-    if len(data) > (64 if flags & FD else 8):
-        raise BusError(f"bus: frame 0x{id_:X} has {len(data)} bytes; classic CAN carries 8, CAN FD 64")
-    word = id_ | (_EFF if flags & EXTENDED else 0) | (_RTR if flags & REMOTE else 0)
+def pack(identifier: int, data: bytes, flags: int) -> bytes:
+    """Return a frame as struct can_frame or canfd_frame."""
+    size = len(data)
+    if size > (64 if flags & FD else 8):
+        raise BusError(f"bus: frame 0x{identifier:X} has {size} bytes; classic CAN carries 8, CAN FD 64")
+    word = identifier | (_EFF if flags & EXTENDED else 0) | (_RTR if flags & REMOTE else 0)
     if flags & FD:
-        return _FD.pack(word, len(data), (flags & BRS) >> 2 | (flags & ESI) >> 2, data)
-    return _CLASSIC.pack(word, len(data), data)
+        return _FD.pack(word, size, (flags & BRS) >> 2 | (flags & ESI) >> 2, data)
+    return _CLASSIC.pack(word, size, data)
 
 
-def unpack(raw: bytes) -> Frame:
-    """Return a struct can_frame or canfd_frame as a Frame; an error frame's identifier is its class bits."""
+def unpack(raw: bytes) -> tuple[int, bytes, int]:
+    """Return identifier (of an error its classes), data and flags of struct can_frame or canfd_frame."""
     if len(raw) == _FD.size:
         word, length, bits, data = _FD.unpack(raw)
         flags = FD | (bits & 3) << 2
@@ -392,6 +395,6 @@ def unpack(raw: bytes) -> Frame:
         word, length, data = _CLASSIC.unpack(raw)
         flags = 0
     if word & _ERR:
-        return Frame(word & 0x1FFFFFFF, data[:length], flags | ERROR)
+        return word & 0x1FFFFFFF, data[:length], flags | ERROR
     flags |= (EXTENDED if word & _EFF else 0) | (REMOTE if word & _RTR else 0)
-    return Frame(word & (0x1FFFFFFF if word & _EFF else 0x7FF), data[:length], flags)
+    return word & (0x1FFFFFFF if word & _EFF else 0x7FF), data[:length], flags

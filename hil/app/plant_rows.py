@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.protocol import Frame, Received
+from drivers.arrays import Rows
+from drivers.frame_array import FRAME
 from drivers.signals import DriveState
 from hil.app.plant_columns import PLANT
 from plant_fmu.drives.nodes import Nodes
@@ -45,24 +46,21 @@ class PlantRows:
     when a row is due.
     """
 
-    def __init__(
-        self, record: Callable[[Row, list[Received], list[Frame]], Any] | None, nodes: Nodes
-    ) -> None:
+    def __init__(self, record: Callable[[Row, Rows, Rows], Any] | None, nodes: Nodes) -> None:
         """Take what records a row with the frames heard and sent; None records nothing."""
         self._record, self._nodes = record, nodes
         self._last = nodes.snapshot()
         self._number, self._moving = 0, False
-        self._heard: list[Received] = []
-        self._sent: list[Frame] = []
+        self._heard, self._sent = bytearray(), bytearray()
         self._due_ns: int | None = None
 
-    def take(self, heard: list[Received], sent: list[Frame], now_ns: int) -> None:
+    def take(self, heard: Rows, sent: Rows, now_ns: int) -> None:
         """Note what the drives heard and sent until now."""
         if self._record is None:
             return
-        self._heard += heard
-        self._sent += sent
-        spoke = bool(sent) or self._nodes.syncs != self._last.syncs
+        self._heard += heard.tobytes()
+        self._sent += sent.tobytes()
+        spoke = len(sent) > 0 or self._nodes.syncs != self._last.syncs
         if self._due_ns is None and (spoke or (self._moving and now_ns - self._last.t_ns >= SILENT_NS)):
             self._due_ns = now_ns
 
@@ -73,6 +71,8 @@ class PlantRows:
         if answered or now_ns - self._due_ns >= SILENT_NS:
             self._last, self._due_ns = self._nodes.snapshot(), None
             self._moving = not at_rest(self._last)
-            self._record(plant_row(self._number, self._last), self._heard, self._sent)
+            heard, sent = np.frombuffer(self._heard, FRAME), np.frombuffer(self._sent, FRAME)
+            sent["t_ns"] = self._last.t_ns
+            self._record(plant_row(self._number, self._last), heard, sent)
             self._number += 1
-            self._heard, self._sent = [], []
+            self._heard, self._sent = bytearray(), bytearray()

@@ -10,15 +10,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
-from drivers.arrays import ZERO6
+from drivers.arrays import ZERO6, Rows
 from drivers.can.bus import Bus
+from drivers.ends import Hearing, hearing
 from drivers.errors import BusError, HilError
-from drivers.frame_array import received_array, sent_at, sent_frames
-from drivers.protocol import Frame, Received
+from drivers.frame_array import joined, sent_array, sent_at
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake
 from hil.loop.console import Console
 from hil.loop.cycle import Cycle
+from hil.loop.hearing import fresh_ids
 from hil.loop.latches import checked, latch_ns
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course, Ending
@@ -114,7 +115,7 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
             polls = protocol.command_delay_ticks > 0
             opening = () if polls else protocol.begin(dialogue, tick)  # drives obey the present SYNC alone
             dialogue, frames = protocol.command(dialogue, off, tick)
-            failed = bus.send(protocol.begin(dialogue, tick) if polls else opening + frames)
+            failed = bus.send(sent_array(protocol.begin(dialogue, tick) if polls else opening + frames))
             told = told or not failed
         time.sleep(deadlines.period_ns * 1e-9)
     return told
@@ -127,12 +128,13 @@ def _run(course: Course, shell: Shell) -> Ending:
     said, ask = "", WORD if shell.consent is None else CONSENT
     recorded = True
     clock, stood_ns = bus.clock, bus.clock.stretched()
+    hears = hearing(cycle.parts.protocol)
     panel.running()
     while True:
         tick, t_ns, lateness_ns, skipped = wake = deadlines.wait()
         stood_before_ns, stood_ns = stood_ns, clock.stretched()
         opening = cycle.begin(tick)
-        frames, latched_ns, refused = _ask(cycle, shell, wake, sent_frames(opening))
+        frames, latched_ns, refused = _ask(cycle, hears, shell, wake, opening)
         sends_failed += refused
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
@@ -150,7 +152,7 @@ def _run(course: Course, shell: Shell) -> Ending:
             skipped=skipped,
             stretched_ns=stood_ns - stood_before_ns,
             sync_skew_ns=bus.skew_ns(),
-            frames=received_array(frames),
+            frames=frames,
             sends_failed=sends_failed,
             bus_errors=errors.errors,
             bus_off=errors.off,
@@ -167,9 +169,9 @@ def _run(course: Course, shell: Shell) -> Ending:
         begun = time.perf_counter_ns()
         out = cycle.step(inp)
         compute_ns = time.perf_counter_ns() - begun
-        sends_failed = bus.send(sent_frames(out.frames))
+        sends_failed = bus.send(out.frames)
         sent = sent_at(t_ns, opening, out.frames)
-        recording.tick_of_items(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
+        recording.tick_of_items(out.row, frames, sent, inp.operator, inp.setpoints, inp.orders)
         console.answer(recording, t_ns)
         ending = course.ending(tick)
         if ending is not None:
@@ -192,8 +194,8 @@ def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
 
 
 def _ask(
-    cycle: Cycle, shell: Shell, wake: Wake, opening: tuple[Frame, ...]
-) -> tuple[list[Received], tuple[int, ...], int]:
+    cycle: Cycle, hears: Hearing, shell: Shell, wake: Wake, opening: Rows
+) -> tuple[Rows, tuple[int, ...], int]:
     """Send what starts a tick, and wait for the answers.
 
     Returns what has come since the last tick, when each drive latched (ns after the wake-up), and how many
@@ -201,33 +203,33 @@ def _ask(
     """
     bus, protocol = shell.bus, cycle.parts.protocol
     tick, t_ns, lateness_ns, _ = wake
-    frames = bus.drain_now()
+    before = bus.drain_now()
     begun_ns = bus.clock.now()
     refused = bus.send(opening)
     given_ns = bus.clock.now()
-    answers = _answers(cycle, bus, tick, begun_ns, t_ns + shell.feedback_window_ns)
+    answers = _answers(cycle, hears, bus, tick, begun_ns, t_ns + shell.feedback_window_ns)
     sent_ns, answer_ns = bus.sent_ns(), shell.answer_ns
     if answer_ns is not None:
         sent_ns = checked(protocol, opening, sent_ns, answers, tick, begun_ns, given_ns, answer_ns)
-    return frames + answers, latch_ns(protocol, opening, sent_ns, t_ns + lateness_ns), refused
+    frames = joined([before, answers]) if len(before) else answers
+    return frames, latch_ns(hears, opening, sent_ns, t_ns + lateness_ns), refused
 
 
-def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> list[Received]:
+def _answers(cycle: Cycle, hears: Hearing, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> Rows:
     """Wait for the six feedbacks of a tick whose first frames were given to the bus from `begun_ns` on.
 
     No longer than until the deadline, however many other frames come.
     """
     protocol = cycle.parts.protocol
-    wanted, fresh, awaited = protocol.feedback_ids, protocol.fresh, protocol.awaited
-    answers: list[Received] = []
-    missing = wanted
+    answers: list[Rows] = []
+    missing = protocol.feedback_ids
     while missing:
         heard = bus.wait(deadline_ns) if protocol.shares_identifiers else bus.drain(deadline_ns, missing)
-        if not heard:
+        if not len(heard):
             break
-        answers += heard  # of a node, maybe an answer to an older tick, or one that is damaged or forged
-        missing = missing.difference([awaited(each.frame) for each in heard if fresh(each, tick, begun_ns)])
+        answers.append(heard)  # of a node, maybe an answer to an older tick, or one that is damaged or forged
+        missing = missing.difference(fresh_ids(protocol, hears, heard, tick, begun_ns))
         if missing and bus.clock.now() >= deadline_ns:
-            answers += bus.drain_now()  # what came while this process was held up
+            answers.append(bus.drain_now())  # what came while this process was held up
             break
-    return answers
+    return answers[0] if len(answers) == 1 else joined(answers)

@@ -8,34 +8,38 @@ older SYNC, and damaged ones, tell nothing.
 
 from collections.abc import Sequence
 
+from drivers.arrays import Rows
+from drivers.ends import Hearing
+from drivers.frame_array import received_frames, sent_frames
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import LEGS
+from hil.loop.hearing import legs_addressed
 
 PROMPT_NS = 100_000
 """A send that took less, and less than an answer takes, is not checked against its answers."""
 
 
-def latch_ns(
-    protocol: DriveProtocol, opening: Sequence[Frame], sent_ns: Sequence[int | None], woke_ns: int
-) -> tuple[int, ...]:
+def latch_ns(hearing: Hearing, opening: Rows, sent_ns: Sequence[int | None], woke_ns: int) -> tuple[int, ...]:
     """Return for each leg the ns from the wake-up to when its SYNC or poll had gone out; 0 where it has none.
 
     sent_ns: when each of the first frames of `opening` was out; those behind were not taken by the bus, nor
     one that has None.
     """
     delays = [0] * LEGS
-    for frame, t_ns in zip(opening, sent_ns, strict=False):
+    for k, t_ns in zip(range(len(opening)), sent_ns, strict=False):
         if t_ns is not None:
-            for leg in protocol.addressed(frame):
-                delays[leg] = t_ns - woke_ns
+            legs = legs_addressed(hearing.addressed, hearing.context, opening, k)
+            for leg in range(LEGS):
+                if legs >> leg & 1:
+                    delays[leg] = t_ns - woke_ns
     return tuple(delays)
 
 
 def checked(
     protocol: DriveProtocol,
-    opening: Sequence[Frame],
+    opening: Rows,
     sent_ns: Sequence[int | None],
-    answers: Sequence[Received],
+    answers: Rows,
     tick: int,
     begun_ns: int,
     given_ns: int,
@@ -49,12 +53,12 @@ def checked(
     """
     if given_ns - begun_ns < min(PROMPT_NS, answer_ns):
         return sent_ns
-    own = [each for each in answers if protocol.fresh(each, tick, begun_ns + answer_ns)]
+    own = [each for each in received_frames(answers) if protocol.fresh(each, tick, begun_ns + answer_ns)]
     if protocol.unasked_s > 0.0:  # an earlier one may be none to the poll, and does not count
         own = list({protocol.sender(each.frame): each for each in own}.values())
     return [
         t_ns if t_ns is None else min([t_ns, *_soonest(protocol, frame, own, answer_ns)])
-        for frame, t_ns in zip(opening, sent_ns, strict=False)
+        for frame, t_ns in zip(sent_frames(opening), sent_ns, strict=False)
     ]
 
 

@@ -156,7 +156,7 @@ class Stepped(NamedTuple):
     @property
     def sent(self) -> Rows:
         """What it sends in all."""
-        return joined(self.opening, self.frames)
+        return joined((self.opening, self.frames))
 
     @property
     def same_frames(self) -> bool:

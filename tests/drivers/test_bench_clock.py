@@ -13,7 +13,9 @@ import pytest
 
 from drivers.can.collect import collect
 from drivers.can.localcan.bench_clock import DISMISS_NS
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame
+from tests.drivers.frames_heard import got
 
 pytestmark = [pytest.mark.usefixtures("runtime"), pytest.mark.realtime]
 WAKE_NS, WORK_NS = 1_000_000, 2_000_000
@@ -158,12 +160,12 @@ def test_a_stopped_process_is_dismissed_and_may_come_back(held, other):
 
 def test_a_stranger_who_sends_ends_it_and_one_who_only_listens_does_not(held, join):
     stranger = join()
-    stranger.receive()
+    got(stranger.receive())
     assert not held.interrupted
     held.working()
     time.sleep(0.02)
     stood = held.now()
-    stranger.send([Frame(1, b"")])
+    stranger.send(sent_array([Frame(1, b"")]))
     assert held.interrupted
     assert held.now() > stood
     first = held.now()
@@ -187,13 +189,13 @@ def test_a_frame_ends_in_bench_time(held, join):
     sender.clock.hold()
     held.working()
     time.sleep(0.02)
-    sender.send([Frame(0x10, bytes(8))])
+    sender.send(sent_array([Frame(0x10, bytes(8))]))
     stood = held.now()
     time.sleep(0.01)
-    assert reader.receive() == [], "time stands, and the frame on the wire with it"
+    assert got(reader.receive()) == [], "time stands, and the frame on the wire with it"
     sender.clock.leave()
     held.leave()
-    (received,) = collect(reader, reader.clock.now() + 50_000_000)
+    (received,) = got(collect(reader, reader.clock.now() + 50_000_000))
     assert received.t_ns == stood + 135_000, "135 bit at 1 Mbit/s"
 
 
@@ -233,7 +235,9 @@ def test_a_ring_does_not_lock_out_who_sleeps_until_a_time_of_its_own(held, join)
         node.clock.waiting(held.now() + 10**10)
     held.leave()
     sleeper.arm()
-    rung = threading.Timer(0.02, lambda: sender.send([Frame(1, b"")]) and sender.clock.waiting(1 << 61))
+    rung = threading.Timer(
+        0.02, lambda: sender.send(sent_array([Frame(1, b"")])) and sender.clock.waiting(1 << 61)
+    )
     rung.start()
     begun = time.monotonic()
     sleeper.clock.sleep_until(sleeper.clock.now() + 60_000_000)

@@ -17,8 +17,10 @@ from drivers.can.python_can import PythonCan
 from drivers.can.socketcan import pack, unpack
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
+from drivers.frame_array import sent_array
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import BusState
+from tests.drivers.frames_heard import got
 
 LOCAL = BusSettings(interface="localcan", channel="t")
 GROUP = f"239.74.163.{2 + os.getpid() % 250}"
@@ -32,37 +34,37 @@ def soon(seconds=2.0):
 
 def test_frames_and_error_frames_are_told_apart():
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
-        assert a.send([Frame(0x80, b"\x01"), Frame(0x100, bytes(32), FD | BRS)]) == 0
-        assert a.send([Frame(0, b"", ERROR)]) == 0
-        received = b.drain(soon(), {0x80, 0x100})
+        assert a.send(sent_array([Frame(0x80, b"\x01"), Frame(0x100, bytes(32), FD | BRS)])) == 0
+        assert a.send(sent_array([Frame(0, b"", ERROR)])) == 0
+        received = got(b.drain(soon(), {0x80, 0x100}))
         assert [r.frame.id for r in received] == [0x80, 0x100]
-        received += b.wait(soon(0.05))
+        received += got(b.wait(soon(0.05)))
         assert not any(r.frame.flags & ERROR for r in received)
         assert b.events()[:3] == (1, False, 0)
         assert b.events()[:3] == (0, False, 0)
-        assert b.drain_now() == []
+        assert got(b.drain_now()) == []
 
 
 def test_an_error_frame_is_none_of_the_frames_that_are_waited_for():
     """Its classes can be the number of an identifier: 0x80 is a bus error, and SYNC."""
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
-        a.send([Frame(0x80, b"", ERROR)])
+        a.send(sent_array([Frame(0x80, b"", ERROR)]))
         time.sleep(0.005)
         deadline = soon(0.02)
-        assert b.drain(deadline, {0x80}) == []
+        assert got(b.drain(deadline, {0x80})) == []
         assert time.monotonic_ns() >= deadline
-        a.send([Frame(0x80, b"\x01")])
-        assert [r.frame.id for r in b.drain(soon(), {0x80})] == [0x80]
+        a.send(sent_array([Frame(0x80, b"\x01")]))
+        assert [r.frame.id for r in got(b.drain(soon(), {0x80}))] == [0x80]
 
 
 def test_wait_returns_as_soon_as_a_frame_has_come():
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
-        a.send([Frame(1, bytes(8))])
+        a.send(sent_array([Frame(1, bytes(8))]))
         before = time.monotonic()
-        assert [r.frame.id for r in b.wait(soon(5))] == [1]
+        assert [r.frame.id for r in got(b.wait(soon(5)))] == [1]
         assert time.monotonic() - before < 1
         deadline = soon(0.01)
-        assert b.wait(deadline) == []
+        assert got(b.wait(deadline)) == []
         assert time.monotonic_ns() >= deadline
 
 
@@ -71,16 +73,16 @@ def test_a_busy_bus_refuses_frames_and_a_lasting_refusal_is_a_dead_bus():
     slow = BusSettings(interface="localcan", channel="t", layout="classic", bitrate_bit_s=200)
     frames = [Frame(i, bytes(8)) for i in range(70)]
     with Bus.open(slow, "controller") as bus:
-        assert bus.send(frames[:1]) == 0
+        assert bus.send(sent_array(frames[:1])) == 0
         # one is on the wire, 64 wait
-        assert bus.send(frames) == 6
-        assert bus.send(frames[:2]) == 2
+        assert bus.send(sent_array(frames)) == 6
+        assert bus.send(sent_array(frames[:2])) == 2
         assert not bus.events().off
         time.sleep(0.06)
-        assert bus.send(frames[:2]) == 2
+        assert bus.send(sent_array(frames[:2])) == 2
         assert bus.events().off
         bus.flush_tx()
-        assert bus.send(frames[:2]) == 0
+        assert bus.send(sent_array(frames[:2])) == 0
         assert not bus.events().off
 
 
@@ -181,13 +183,13 @@ def test_udp_multicast_stays_on_this_machine_and_carries_frames():
         sock = a._link._bus._multicast._socket  # type: ignore[attr-defined]
         assert sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
         before = time.monotonic_ns()
-        if a.send([Frame(0x181, bytes(range(12)), FD | BRS)]):
+        if a.send(sent_array([Frame(0x181, bytes(range(12)), FD | BRS)])):
             pytest.skip("no route for multicast on this machine")
-        (received,) = b.drain(soon(1), {0x181})
+        (received,) = got(b.drain(soon(1), {0x181}))
         assert received.frame == Frame(0x181, bytes(range(12)), FD | BRS)
         assert before - 1_000_000 <= received.t_ns <= time.monotonic_ns()
         deadline = soon(0.01)
-        assert b.drain(deadline, {0x182}) == []
+        assert got(b.drain(deadline, {0x182})) == []
         assert time.monotonic_ns() - deadline < 200_000_000
 
 
@@ -196,10 +198,10 @@ def test_any_python_can_interface_works_through_messages():
     a, b = (Bus(PythonCan(can.Bus("t", "virtual", ignore_config=True))) for _ in range(2))
     with a, b:
         frames = [Frame(0x7FF, b"12345678"), Frame(0x1FFFFFFF, b"", EXTENDED), Frame(1, bytes(64), FD | BRS)]
-        assert a.send(frames) == 0
-        assert [r.frame for r in b.drain(soon(1), {0x7FF, 1})] == frames
-        a.send([Frame(5, b"x")])
-        assert [r.frame.id for r in b.wait(soon(1))] == [5]
+        assert a.send(sent_array(frames)) == 0
+        assert [r.frame for r in got(b.drain(soon(1), {0x7FF, 1}))] == frames
+        a.send(sent_array([Frame(5, b"x")]))
+        assert [r.frame.id for r in got(b.wait(soon(1)))] == [5]
         assert b.events()[:3] == (0, False, 0)
 
 
@@ -216,7 +218,7 @@ def test_any_python_can_interface_works_through_messages():
     ],
 )
 def test_socketcan_frames_are_those_of_the_kernel(frame, raw):
-    assert pack(frame) == bytes.fromhex(raw)
+    assert pack(*frame) == bytes.fromhex(raw)
     assert unpack(bytes.fromhex(raw)) == frame
 
 
@@ -227,7 +229,7 @@ def test_socketcan_error_frame_keeps_its_class():
 
 def test_socketcan_refuses_too_long_data():
     with pytest.raises(BusError, match="9 bytes"):
-        pack(Frame(1, bytes(9)))
+        pack(*Frame(1, bytes(9)))
 
 
 @pytest.mark.parametrize("interface", ["localcan", "udp_multicast"])

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from drivers.arrays import Rows
 from drivers.can import bus as door
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
@@ -18,8 +19,10 @@ from drivers.can.runtime_folder import runtime_folder
 from drivers.clock import Clock
 from drivers.config import BusSettings
 from drivers.errors import BusError
+from drivers.frame_array import received_array, sent_array
 from drivers.protocol import BUS, ERROR, Frame, Received
 from drivers.signals import BusState
+from tests.drivers.frames_heard import got
 
 PAIR = (Frame(1, b"a"), Frame(2, b"b"))
 WRONG = Received(5, Frame(0x80, b"", ERROR))
@@ -49,8 +52,8 @@ class Scripted(NoController):
         self.calls.append("send")
         return min(self.takes, len(frames))
 
-    def receive(self) -> list[Received]:
-        return self.looks.pop(0) if self.looks else []
+    def receive(self) -> Rows:
+        return received_array(self.looks.pop(0) if self.looks else [])
 
     def block(self, deadline_ns: int, missing: Any) -> None:
         self.blocked.append((deadline_ns, set(missing)))
@@ -82,10 +85,10 @@ def test_what_the_bus_does_not_take_is_counted_and_nothing_is_not_sent():
     bus, link, clock = one()
     for takes, refused in ((2, 0), (1, 1), (0, 2)):
         link.takes = takes
-        assert bus.send(PAIR) == refused
+        assert bus.send(sent_array(PAIR)) == refused
     link.calls.clear()
     clock.t_ns += 50_000_000
-    assert bus.send(()) == 0
+    assert bus.send(sent_array(())) == 0
     assert link.calls == []
     assert bus.events().off == 0
 
@@ -93,17 +96,17 @@ def test_what_the_bus_does_not_take_is_counted_and_nothing_is_not_sent():
 def test_a_bus_that_takes_nothing_for_50_ms_is_off_until_it_takes_a_frame():
     bus, link, clock = one()
     link.takes = 0
-    bus.send(PAIR)
+    bus.send(sent_array(PAIR))
     for later_ns, off in ((30_000_000, 0), (19_999_999, 0), (1, 1), (1, 1)):
         clock.t_ns += later_ns
-        bus.send(PAIR)
+        bus.send(sent_array(PAIR))
         assert bus.events().off == off
     link.takes = 1
-    bus.send(PAIR)
+    bus.send(sent_array(PAIR))
     assert bus.events().off == 0
     link.takes = 0
     clock.t_ns += 50_000_000
-    bus.send(PAIR)
+    bus.send(sent_array(PAIR))
     assert bus.events().off == 0, "refused for no time"
 
 
@@ -125,9 +128,9 @@ def test_a_bus_that_goes_off_drops_what_waits_once_each_time():
 def test_error_frames_and_losses_are_counted_since_the_last_look_and_error_frames_are_not_returned():
     bus, link, _ = one([WRONG, GOOD, WRONG], [WRONG], [])
     link.overflow = 4
-    assert bus.drain_now() == [GOOD]
+    assert got(bus.drain_now()) == [GOOD]
     assert bus.events() == (2, 0, 4, BusState.UNKNOWN)
-    assert bus.drain_now() == []
+    assert got(bus.drain_now()) == []
     link.overflow = 7
     assert bus.events() == (1, 0, 3, BusState.UNKNOWN)
     assert bus.events() == (0, 0, 0, BusState.UNKNOWN)
@@ -136,43 +139,43 @@ def test_error_frames_and_losses_are_counted_since_the_last_look_and_error_frame
 def test_what_is_awaited_ends_the_wait_and_else_the_deadline():
     bus, link, clock = one([], [WRONG], [GOOD], [Received(9, Frame(0x81, b""))])
     deadline = clock.t_ns + 10_000_000
-    assert bus.drain(deadline, {0x80, 0x81}) == [GOOD, Received(9, Frame(0x81, b""))]
+    assert got(bus.drain(deadline, {0x80, 0x81})) == [GOOD, Received(9, Frame(0x81, b""))]
     assert link.blocked == [(deadline, {0x80, 0x81})] * 2 + [(deadline, {0x81})]
     link.blocked.clear()
-    assert bus.drain(deadline, set()) == []
+    assert got(bus.drain(deadline, set())) == []
     assert link.blocked == []
-    assert bus.drain(deadline, {0x80}) == []
+    assert got(bus.drain(deadline, {0x80})) == []
     assert clock.t_ns == deadline
     link.looks = [[GOOD]]
-    assert bus.drain(clock.t_ns, {0x99}) == [GOOD], "what is there at the deadline"
+    assert got(bus.drain(clock.t_ns, {0x99})) == [GOOD], "what is there at the deadline"
 
 
 def test_what_came_before_the_deadline_is_returned_though_a_look_lasts_beyond_it(monkeypatch):
     bus, link, clock = one([GOOD])
     deadline, looks = clock.t_ns + 1, [[], [GOOD]]
 
-    def slow() -> list[Received]:
+    def slow() -> Rows:
         clock.t_ns = deadline + 1
-        return looks.pop(0)
+        return received_array(looks.pop(0))
 
     monkeypatch.setattr(link, "receive", slow)
-    assert bus.drain(deadline, {0x80}) == [GOOD]
+    assert got(bus.drain(deadline, {0x80})) == [GOOD]
     assert link.blocked == [(deadline, {0x80})]
 
 
 def test_anything_ends_a_wait_for_anything_but_an_error_frame_alone():
     bus, link, clock = one([], [WRONG], [], [GOOD], [GOOD])
     deadline = clock.t_ns + 10_000_000
-    assert bus.wait(deadline) == [GOOD]
+    assert got(bus.wait(deadline)) == [GOOD]
     assert link.blocked == [(deadline, set())] * 2
     assert link.looks == [[GOOD]]
     link.looks, clock.t_ns = [[WRONG], [GOOD]], deadline
-    assert bus.wait(deadline) == []
+    assert got(bus.wait(deadline)) == []
     assert link.looks == [[GOOD]], "the deadline is over"
     link.looks = []
-    assert bus.wait(deadline) == []
+    assert got(bus.wait(deadline)) == []
     link.looks = [[WRONG, GOOD]]
-    assert collect(link, deadline) == [WRONG, GOOD]
+    assert got(collect(link, deadline)) == [WRONG, GOOD]
 
 
 def test_what_the_link_says_of_itself_is_handed_on():
@@ -218,17 +221,17 @@ def test_each_bus_is_off_by_its_own_refusals_for_50_ms_and_by_no_others():
     group, links, clock = several(3)
     links[1].takes = 0
     frames = [Frame(1, b"", BUS * bus) for bus in range(3)]
-    assert group.send(frames) == 2
+    assert group.send(sent_array(frames)) == 2
     clock.t_ns += 20_000_000
     links[2].takes = 0
-    assert group.send(frames) == 1
+    assert group.send(sent_array(frames)) == 1
     for later_ns, bits in ((29_999_999, 0b000), (1, 0b010), (19_999_999, 0b010), (1, 0b110)):
         clock.t_ns += later_ns
         assert (group.off_bits, group.off) == (bits, bits != 0)
     links[1].takes = 1
-    group.send(frames)
+    group.send(sent_array(frames))
     assert group.off_bits == 0b100
-    group.send(frames[:1])
+    group.send(sent_array(frames[:1]))
     assert group.off_bits == 0b100, "a bus that is sent nothing is as it was"
 
 
@@ -238,9 +241,9 @@ def test_buses_that_all_take_nothing_are_all_off_and_the_skew_is_that_of_their_s
     for link in links:
         link.takes = 0
     frames = [Frame(1, b""), Frame(1, b"", BUS)]
-    bus.send(frames)
+    bus.send(sent_array(frames))
     clock.t_ns += 50_000_000
-    bus.send(frames)
+    bus.send(sent_array(frames))
     assert bus.events().off == 0b11
     assert [link.calls.count("died") for link in links] == [1, 1]
     ends = iter((30, 75))
@@ -259,7 +262,7 @@ def test_what_is_missing_is_awaited_on_the_first_bus_where_some_of_it_was_heard_
     group, links, _ = several(3)
     links[1].looks = [[Received(3, Frame(7, b"")), Received(9, Frame(8, b""))]]
     links[2].looks = [[Received(5, Frame(9, b"")), Received(6, Frame(7, b""))]]
-    found = [(each.t_ns, each.frame.id, each.frame.bus) for each in group.receive()]
+    found = [(each.t_ns, each.frame.id, each.frame.bus) for each in got(group.receive())]
     assert found == [(3, 7, 1), (5, 9, 2), (6, 7, 2), (9, 8, 1)]
     group.block(99, {7, 8, 9})
     group.block(99, {7, 9})

@@ -12,6 +12,7 @@ from drivers.can.localcan.participant import Participant
 from drivers.can.runtime_folder import RoleLock, runtime_folder
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
+from drivers.frame_array import sent_array
 from drivers.protocol import BUS, Frame
 
 pytestmark = pytest.mark.usefixtures("runtime")
@@ -74,5 +75,5 @@ def test_all_channels_of_one_bus_go_by_one_clock(holder):
         links[holder].clock.working()
         stood = bus.clock.now()
         for k in range(3):
-            assert bus.send([Frame(1, b"", BUS * k)]) == 0
+            assert bus.send(sent_array([Frame(1, b"", BUS * k)])) == 0
             assert abs(links[k].sent_ns()[0] - stood) < 1_000_000

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.can.localcan.interface import from_message, to_message
 from drivers.can.socketcan import pack, unpack
+from drivers.frame_array import received_array, unpack_frames
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 
 KERNEL = [
@@ -40,14 +41,15 @@ def test_the_kernel_is_given_and_gives_each_kind_of_frame_with_the_bits_of_its_h
     head = struct.pack("=IBB2x", word, len(data), bits)
     raw = head + data.ljust(64 if flags & FD else 8, b"\0")
     frame = Frame(0x123, data, flags)
-    assert pack(frame) == raw
+    assert pack(*frame) == raw
     assert unpack(raw) == frame
 
 
 @pytest.mark.parametrize("flags", KINDS)
 def test_a_message_of_python_can_says_of_each_kind_of_frame_what_it_is_and_nothing_else(flags):
     frame = Frame(0x123, b"" if flags & REMOTE else b"\x11\x22", flags)
-    message = to_message(Received(2_000_000_000, frame), 500_000_000, "c")
+    (unpacked,) = unpack_frames(received_array([Received(2_000_000_000, frame)]).tobytes())
+    message = to_message(unpacked, 500_000_000, "c")
     assert {name for name in WORDS.values() if getattr(message, name)} == {
         name for flag, name in WORDS.items() if flags & flag
     }

@@ -10,7 +10,9 @@ import pytest
 
 from drivers.can.localcan.layout import CLOCK_AT, OFFSET_AT, QUEUED, record_at
 from drivers.can.localcan.participant import Participant
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame
+from tests.drivers.frames_heard import got
 
 pytestmark = pytest.mark.usefixtures("runtime")
 STOOD_NS = 3_000_000
@@ -50,7 +52,7 @@ def stand(bench: Bench) -> None:
 def queued_ns(stranger: Participant) -> int:
     """Send a frame; return when it is queued, by the time of its channel."""
     number = stranger._wire.count(stranger.serial)
-    assert stranger.send([Frame(1, b"")]) == 1
+    assert stranger.send(sent_array([Frame(1, b"")])) == 1
     return int(stranger._wire.words[record_at(stranger.serial, number) + QUEUED])
 
 
@@ -74,8 +76,8 @@ def test_a_stranger_who_sends_on_the_second_channel_ends_the_standing_of_time_as
     clock = bench.first.clock
     clock.begin(1, 1)
     clock.hold()
-    assert bench.second.send([Frame(2, b"")]) == 1
-    bench.stranger.receive()
+    assert bench.second.send(sent_array([Frame(2, b"")])) == 1
+    got(bench.stranger.receive())
     clock.working()
     assert not clock.interrupted, "so far he has only looked on"
     queued_ns(bench.stranger)

@@ -15,6 +15,7 @@ from drivers.can.bus import Bus
 from drivers.can.link_group import DEAD_AFTER_NS, LinkGroup
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.errors import BusError
+from drivers.frame_array import sent_array
 from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
 from drivers.signals import Command, DriveMode, DriveState
 from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, family
@@ -158,7 +159,7 @@ def test_a_bus_that_takes_a_part_of_its_frames_is_busy_however_long():
     bus = Bus(group(*links))
     links[0].send = lambda frames: 1  # type: ignore[method-assign]
     for _ in range(3):
-        assert bus.send([Frame(1, b""), Frame(2, b""), Frame(1, b"", BUS)]) == 1
+        assert bus.send(sent_array([Frame(1, b""), Frame(2, b""), Frame(1, b"", BUS)])) == 1
         assert bus.events().off == 0
         clock.t_ns += DEAD_AFTER_NS
 

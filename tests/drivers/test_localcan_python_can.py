@@ -16,6 +16,7 @@ import can
 import pytest
 
 from drivers.can.localcan.interface import LocalCanBus
+from drivers.frame_array import sent_array
 from drivers.protocol import BRS, FD, Frame
 
 pytestmark = pytest.mark.usefixtures("runtime")
@@ -119,7 +120,7 @@ def test_python_can_logger_records_the_bus(join, tmp_path):
     )
     try:
         wait_for(lambda: participants(node) == 2)
-        node.send([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)])
+        node.send(sent_array([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)]))
         time.sleep(0.3)
         logger.send_signal(signal.SIGINT)
         assert logger.wait(10) == 0
@@ -149,7 +150,7 @@ def test_python_can_viewer_shows_the_bus(join):
         wait_for(lambda: participants(node) == 2)
         deadline = time.monotonic() + 10
         while b"5A5" not in screen and time.monotonic() < deadline:
-            node.send([Frame(0x5A5, b"\xc0\xff\xee")])
+            node.send(sent_array([Frame(0x5A5, b"\xc0\xff\xee")]))
             if select.select([master], [], [], 0.05)[0]:
                 screen += os.read(master, 65536)
         os.write(master, b"q")

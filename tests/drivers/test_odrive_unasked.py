@@ -10,7 +10,7 @@ import pytest
 
 from drivers import PROTOCOLS, build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
-from drivers.frame_array import received_array
+from drivers.frame_array import received_array, sent_array
 from drivers.odrive import ODriveProtocol
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Reaction
@@ -153,7 +153,8 @@ def test_the_estimate_that_counts_says_by_when_its_poll_was_out():
     protocol = axes()
     polls = protocol.begin(protocol.start(DriveSetup(0.05, Reaction.BRAKE, 100.0)), 0)
     answers = [Received(300_000, estimate(2, 0.0)), Received(700_000, estimate(2, 0.1))]
-    sent = checked(protocol, polls, [900_000] * LEGS, answers, 0, 0, 900_000, 100_000)
+    given, heard = sent_array(polls), received_array(answers)
+    sent = checked(protocol, given, [900_000] * LEGS, heard, 0, 0, 900_000, 100_000)
     assert list(sent) == [900_000, 900_000, 600_000, 900_000, 900_000, 900_000]
 
 

@@ -11,7 +11,9 @@ import pytest
 from drivers.can import python_can
 from drivers.can.python_can import PythonCan, open_python_can
 from drivers.config import BusSettings
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame
+from tests.drivers.frames_heard import got
 
 
 class Adapter:
@@ -85,13 +87,13 @@ def test_a_bus_that_failed_is_off_until_it_takes_frames_again_each_time():
     frames = [Frame(1, b"x"), Frame(2, b"y")]
     for _ in range(2):
         adapter.receives, adapter.sends = False, False
-        assert bus.receive() == []
+        assert got(bus.receive()) == []
         assert bus.off
-        assert bus.send(frames) == 0
+        assert bus.send(sent_array(frames)) == 0
         assert bus.off, "it has taken nothing yet"
         adapter.receives, adapter.sends = True, True
-        assert bus.receive() == []
-        assert bus.send(frames) == 2
+        assert got(bus.receive()) == []
+        assert bus.send(sent_array(frames)) == 2
         assert not bus.off
 
 
@@ -117,7 +119,7 @@ def stamp_ns(monkeypatch: pytest.MonkeyPatch, interface: str, age_s: float) -> i
     adapter: Any = Stamping(age_s)
     monkeypatch.setattr(can, "Bus", lambda *_, **__: adapter)
     settings = BusSettings(interface=interface, channel="0", layout="classic")
-    (received,) = open_python_can(settings).receive()
+    (received,) = got(open_python_can(settings).receive())
     return NOW_NS - received.t_ns
 
 

@@ -19,6 +19,7 @@ from drivers.can.link_group import LinkGroup
 from drivers.can.python_can import PythonCan
 from drivers.errors import BusError
 from drivers.protocol import Frame
+from tests.drivers.frames_heard import got
 
 Look = can.Message | Exception | None
 GARBLED = [
@@ -74,7 +75,7 @@ def on(adapter: Any) -> PythonCan:
 
 
 def heard(bus: PythonCan) -> list[int]:
-    return [each.frame.id for each in bus.receive()]
+    return [each.frame.id for each in got(bus.receive())]
 
 
 def test_an_echo_of_a_frame_of_our_own_is_no_frame_that_has_come_and_hides_none_behind_it():
@@ -186,7 +187,7 @@ def write(line: tuple[PythonCan, int], data: bytes) -> None:
 def test_all_frames_behind_the_lines_that_confirm_what_was_sent_are_there_at_one_look(line):
     bus, _ = line
     write(line, b"\r" * 12 + b"t1232AABB\r" + b"z\r" * 6 + b"t1241CC\r" + b"\r")
-    frames = [each.frame for each in bus.receive()]
+    frames = [each.frame for each in got(bus.receive())]
     assert frames == [Frame(0x123, b"\xaa\xbb"), Frame(0x124, b"\xcc")]
     assert heard(bus) == []
     assert (bus.overflow, bus.off) == (0, False)

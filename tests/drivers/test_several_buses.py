@@ -17,7 +17,7 @@ from drivers.can.no_controller import NoController
 from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
 from drivers.errors import BusError, ConfigurationError
-from drivers.frame_array import NO_FRAMES, received_array
+from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync
@@ -25,6 +25,7 @@ from drivers.sensors import SensorProtocol
 from drivers.several_buses import off_bus
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
+from tests.drivers.frames_heard import got
 from tests.drivers.protocol_contract import Ends
 from tests.sensed import Readings
 from tests.sensed import decode as decode_samples
@@ -277,7 +278,7 @@ class FakeLink(NoController):
         self.out_ns = []
 
     def send(self, frames):
-        self.sent += frames
+        self.sent += sent_frames(frames)
         return len(frames) - (self.off is True)
 
     def sent_ns(self):
@@ -285,7 +286,7 @@ class FakeLink(NoController):
 
     def receive(self):
         found, self.inbox = self.inbox, []
-        return found
+        return received_array(found)
 
     def first_sent_ns(self):
         return self.end_ns
@@ -312,11 +313,11 @@ def test_buses_know_when_their_frames_ended_where_each_does():
 def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
     links = [FakeLink(Still()), FakeLink(Still())]
     group = LinkGroup(links)  # type: ignore[arg-type]
-    assert group.send([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)]) == 3
+    assert group.send(sent_array([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)])) == 3
     assert links[0].sent == [Frame(1, b"a")]
     assert links[1].sent == [Frame(1, b"b"), Frame(2, b"c", 2)]
     links[0].inbox, links[1].inbox = [Received(20, Frame(7, b"x"))], [Received(10, Frame(8, b"y", 2))]
-    assert group.receive() == [Received(10, Frame(8, b"y", BUS | 2)), Received(20, Frame(7, b"x"))]
+    assert got(group.receive()) == [Received(10, Frame(8, b"y", BUS | 2)), Received(20, Frame(7, b"x"))]
     group.block(99, {7, 8})
     assert (links[0].blocked, links[1].blocked) == ([{7}], []), "each identifier where it was heard"
     group.block(99, {8})
@@ -329,14 +330,16 @@ def test_the_skew_is_that_of_the_ends_on_the_wire_else_of_the_instants_at_which_
     known = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock, 151_000), FakeLink(clock, 80_000)])  # type: ignore[list-item]
     assert known.skew_ns() == 76_000
     unknown = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock)])  # type: ignore[list-item]
-    unknown.send([Frame(1, b""), Frame(1, b"", BUS)])
+    unknown.send(sent_array([Frame(1, b""), Frame(1, b"", BUS)]))
     assert unknown.skew_ns() == 1_000
 
 
 def test_each_frame_has_the_time_of_its_own_bus_and_none_where_that_did_not_take_it():
     links = [FakeLink(Still()), FakeLink(Still())]
     bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
-    bus.send([Frame(1, b"", BUS), Frame(1, b""), Frame(2, b"", BUS), Frame(3, b"", BUS), Frame(2, b"")])
+    bus.send(
+        sent_array([Frame(1, b"", BUS), Frame(1, b""), Frame(2, b"", BUS), Frame(3, b"", BUS), Frame(2, b"")])
+    )
     links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
     assert list(bus.sent_ns()) == [20, 10, 21, None, 11]
 
@@ -388,13 +391,13 @@ def test_one_bus_that_takes_no_frame_for_50_ms_is_off_though_the_other_takes_all
     bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
     links[0].send = lambda frames: 0  # type: ignore[method-assign]
     pair = [Frame(1, b""), Frame(1, b"", BUS)]
-    assert bus.send(pair) == 1
+    assert bus.send(sent_array(pair)) == 1
     assert bus.events().off == 0, "it may be busy"
     clock.t_ns += 50_000_000
-    assert bus.send(pair) == 1
+    assert bus.send(sent_array(pair)) == 1
     assert bus.events().off == 0b01
     del links[0].send
-    assert bus.send(pair) == 0
+    assert bus.send(sent_array(pair)) == 0
     assert bus.events().off == 0
 
 
@@ -415,16 +418,16 @@ def test_two_localcan_channels_are_one_bus_on_one_clock():
     with Bus.open(settings, "controller") as near, Bus.open(settings, "plant") as far:
         sent = [Frame(0x80, b"\1\2"), Frame(0x80, b"\1\2", BUS), Frame(0x111, bytes(16), 6 | BUS)]
         begun = near.clock.now()
-        assert near.send(sent) == 0
+        assert near.send(sent_array(sent)) == 0
         heard: list[Received] = []
         while len(heard) < 3 and near.clock.now() < begun + 500_000_000:
-            heard += far.wait(near.clock.now() + 100_000_000)
+            heard += got(far.wait(near.clock.now() + 100_000_000))
         assert {each.frame for each in heard} == set(sent)
-        near.drain_now()
+        got(near.drain_now())
         assert near.clock.stretched() == far.clock.stretched() == 0
         by_bus = {each.frame.bus: each.t_ns for each in heard if each.frame.id == 0x80}
         assert near.skew_ns() == abs(by_bus[1] - by_bus[0])
         assert [list(near.sent_ns())[k] for k in (0, 1)] == [by_bus[0], by_bus[1]], "the ends on the wire"
-        assert far.send([Frame(0x281, b"x"), Frame(0x284, b"y", BUS)]) == 0
-        found = near.drain(near.clock.now() + 500_000_000, {0x281, 0x284})
+        assert far.send(sent_array([Frame(0x281, b"x"), Frame(0x284, b"y", BUS)])) == 0
+        found = got(near.drain(near.clock.now() + 500_000_000, {0x281, 0x284}))
         assert sorted((each.frame.id, each.frame.bus) for each in found) == [(0x281, 0), (0x284, 1)]

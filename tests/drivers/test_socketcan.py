@@ -17,8 +17,10 @@ from drivers.can.can_interface import CanInterface, Controller
 from drivers.can.socketcan import SocketCan, pack
 from drivers.config import BusSettings
 from drivers.errors import BusError
+from drivers.frame_array import sent_array
 from drivers.protocol import BRS, ERROR, FD, Frame
 from drivers.signals import BusState
+from tests.drivers.frames_heard import got
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0", layout="classic")
 CONTROLLER = Controller(1_000_000, None, BusState.ACTIVE, 0, 0, None, None)
@@ -121,7 +123,7 @@ def kernel(monkeypatch):
 def test_a_frame_keeps_the_kernels_time_stamp(made, clock):
     can, sock = made
     sock.hears(0x123, b"12345678", t_ns=time.time_ns() - 3_000_000)
-    (received,) = can.receive()
+    (received,) = got(can.receive())
     assert received.frame == Frame(0x123, b"12345678")
     assert -4_000_000 < received.t_ns - clock.ns < -2_900_000
 
@@ -129,7 +131,7 @@ def test_a_frame_keeps_the_kernels_time_stamp(made, clock):
 def test_a_frame_of_64_bytes_comes_whole(made):
     can, sock = made
     sock.hears(0x123, bytes(range(64)))
-    (received,) = can.receive()
+    (received,) = got(can.receive())
     assert (received.frame.id, received.frame.data) == (0x123, bytes(range(64)))
     assert received.frame.flags == FD | BRS
 
@@ -144,7 +146,7 @@ def test_a_stall_between_the_looks_at_two_clocks_moves_no_time_stamp(made, clock
         return clock.ns
 
     clock.monotonic_ns = monotonic_ns
-    (received,) = can.receive()
+    (received,) = got(can.receive())
     assert abs(received.t_ns - clock.ns) < 1_000_000
 
 
@@ -157,9 +159,9 @@ def test_a_frame_is_out_when_the_kernel_has_taken_it(made, clock):
         return taken(raw)
 
     sock.send, begun_ns = send, clock.ns
-    assert can.send([Frame(1, b""), Frame(2, b"")]) == 2
+    assert can.send(sent_array([Frame(1, b""), Frame(2, b"")])) == 2
     assert can.sent_ns() == [begun_ns + 1_000_000, begun_ns + 2_000_000]
-    can.send([Frame(3, b"")])
+    can.send(sent_array([Frame(3, b"")]))
     assert can.sent_ns() == [begun_ns + 3_000_000]
 
 
@@ -206,7 +208,7 @@ def test_losses_in_the_kernel_are_counted_once_and_over_the_wrap(made):
     can, sock = made
     for lost in (3, 3, 10, 0xFFFFFFFF, 1):
         sock.hears(0x80, lost=lost)
-    can.receive()
+    got(can.receive())
     assert can.overflow == 0xFFFFFFFF + 2
 
 
@@ -214,11 +216,11 @@ def test_losses_are_told_once(made):
     can, sock = made
     bus = Bus(can)
     sock.hears(0x80, lost=3)
-    bus.drain_now()
+    got(bus.drain_now())
     assert bus.events().overflow == 3
     assert bus.events().overflow == 0
     sock.hears(0x80, lost=5)
-    bus.drain_now()
+    got(bus.drain_now())
     assert bus.events().overflow == 2
 
 
@@ -226,7 +228,7 @@ def test_a_controller_that_loses_frames_counts_with_the_kernel(made):
     can, sock = made
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x01, 0, 0, 0, 0, 0, 0]))
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x04, 0, 0, 0, 0, 0, 0]))
-    can.receive()
+    got(can.receive())
     assert can.overflow == 1
 
 
@@ -236,7 +238,7 @@ def test_the_worst_state_lasts_until_it_was_asked_for(made):
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x20, 0, 0, 0, 0, 0, 0]))
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]))
     sock.hears(0x20000020)
-    can.receive()
+    got(can.receive())
     assert can.worst_state() is BusState.PASSIVE
     assert can.worst_state() is BusState.ACTIVE
 
@@ -247,12 +249,12 @@ def test_bus_off_lasts_until_the_controller_says_that_it_is_back(made, back):
     sock.hears(BUS_OFF)
     # one that the controller had received before
     sock.hears(0x123, t_ns=time.time_ns() + SECOND)
-    can.receive()
+    got(can.receive())
     assert can.off
-    assert can.send([FRAME]) == 0
+    assert can.send(sent_array([FRAME])) == 0
     assert can.worst_state() is BusState.OFF
     sock.hears(back, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]))
-    can.receive()
+    got(can.receive())
     assert not can.off
     can.worst_state()
     assert can.worst_state() is BusState.ACTIVE
@@ -262,10 +264,10 @@ def test_a_virtual_interface_is_back_with_the_next_frame(made):
     can, sock = made
     can._interface = CAN0._replace(kind="vcan", controller=None)
     sock.hears(BUS_OFF)
-    can.receive()
+    got(can.receive())
     assert can.off
     sock.hears(0x123)
-    can.receive()
+    got(can.receive())
     assert not can.off
     assert can.worst_state() is BusState.OFF
 
@@ -275,7 +277,7 @@ def test_a_bus_that_was_off_between_two_looks_was_off(made):
     bus = Bus(can)
     sock.hears(BUS_OFF)
     sock.hears(0x20000100)
-    bus.drain_now()
+    got(bus.drain_now())
     assert bus.events() == (2, True, 0, BusState.OFF)
     assert bus.events() == (0, False, 0, BusState.ACTIVE)
 
@@ -283,50 +285,50 @@ def test_a_bus_that_was_off_between_two_looks_was_off(made):
 def test_a_controller_that_was_restarted_unheard_is_used_again_at_the_next_try(made, kernel):
     can, sock = made
     sock.hears(BUS_OFF)
-    can.receive()
+    got(can.receive())
     can.flush_tx()
     assert kernel[0] == []
     assert not can.off
-    assert can.send([FRAME]) == 1
+    assert can.send(sent_array([FRAME])) == 1
 
 
 def test_an_error_frame_without_a_state_leaves_bus_off_as_it_is(made):
     can, sock = made
     sock.hears(BUS_OFF)
     sock.hears(0x20000080)
-    can.receive()
+    got(can.receive())
     assert can.off
 
 
 def test_a_full_queue_is_a_busy_bus_until_it_has_not_been_empty_for_50_ms(made, clock):
     can, sock = made
-    assert can.send([FRAME] * 3) == 3
+    assert can.send(sent_array([FRAME] * 3)) == 3
     sock.waiting, sock.refuses = 900, errno.ENOBUFS
     for _ in range(6):
-        assert can.send([FRAME]) == 0
+        assert can.send(sent_array([FRAME])) == 0
         clock.ns += 9_000_000
     assert not can.off
     sock.waiting, sock.refuses = 0, None
-    assert can.send([FRAME]) == 1
+    assert can.send(sent_array([FRAME])) == 1
     sock.waiting = 900
     for _ in range(5):
-        assert can.send([FRAME]) == 1
+        assert can.send(sent_array([FRAME])) == 1
         clock.ns += 10_000_000
     # it would take one more: that is what must not wait there
-    assert can.send([FRAME]) == 0
+    assert can.send(sent_array([FRAME])) == 0
     assert can.off
     sock.waiting = 0
-    assert can.send([FRAME]) == 1
+    assert can.send(sent_array([FRAME])) == 1
     assert not can.off
 
 
 def test_a_machine_that_stood_still_has_not_seen_a_dead_bus(made, clock):
     can, sock = made
     sock.waiting = 900
-    can.send([FRAME])
+    can.send(sent_array([FRAME]))
     clock.ns += SECOND
     assert not can.off
-    assert can.send([FRAME]) == 1
+    assert can.send(sent_array([FRAME])) == 1
     assert not can.off
 
 
@@ -334,28 +336,28 @@ def test_a_frame_that_the_interface_cannot_carry_is_an_error(made):
     can, sock = made
     sock.refuses = errno.EMSGSIZE
     with pytest.raises(BusError, match="0x80"):
-        can.send([FRAME])
+        can.send(sent_array([FRAME]))
 
 
 def test_an_interface_that_was_down_is_used_again_once_it_is_up_as_configured(made, clock, kernel):
     can, sock = made
     _, state = kernel
     sock.refuses = errno.ENETDOWN
-    assert can.send([FRAME]) == 0
+    assert can.send(sent_array([FRAME])) == 0
     assert can.off
     sock.refuses = None
     for wrong in (CAN0._replace(up=False), CAN0._replace(controller=CONTROLLER._replace(bitrate_bit_s=1))):
         state["interface"] = wrong
         clock.ns += 100_000_000
-        assert can.send([FRAME]) == 0
+        assert can.send(sent_array([FRAME])) == 0
     state["interface"] = CAN0
     # it is looked at ten times a second
-    assert can.send([FRAME]) == 0
+    assert can.send(sent_array([FRAME])) == 0
     clock.ns += 100_000_000
-    assert can.send([FRAME]) == 1
+    assert can.send(sent_array([FRAME])) == 1
     assert not can.off
     sock.answers.append(OSError(errno.ENETDOWN, "made"))
-    assert can.receive() == []
+    assert got(can.receive()) == []
     assert can.off
 
 
@@ -363,32 +365,32 @@ def test_an_interface_that_was_deleted_is_looked_for_and_opened_again(made, cloc
     can, sock = made
     sock.hears(0x123, lost=10)
     sock.answers.append(OSError(errno.ENODEV, "made"))
-    can.receive()
+    got(can.receive())
     new = MadeSocket()
 
     def none(_):
         raise BusError("none")
 
     monkeypatch.setattr(SocketCan, "_open", none)
-    assert can.send([FRAME]) == 0
+    assert can.send(sent_array([FRAME])) == 0
     assert can.off
     monkeypatch.setattr(SocketCan, "_open", lambda _: (new, CAN0))
     # ten times a second
-    assert can.send([FRAME]) == 0
+    assert can.send(sent_array([FRAME])) == 0
     clock.ns += 100_000_000
-    assert can.send([FRAME]) == 1
+    assert can.send(sent_array([FRAME])) == 1
     assert sock.closed
-    assert new.sent == [pack(FRAME)]
+    assert new.sent == [pack(*FRAME)]
     assert not can.off
     new.hears(0x123, lost=2)
-    can.receive()
+    got(can.receive())
     assert can.overflow == 12, "a new socket counts its losses from 0"
 
 
 def starve(bus, sock, clock):
     sock.waiting = 900
     for _ in range(6):
-        bus.send([FRAME])
+        bus.send(sent_array([FRAME]))
         clock.ns += 10_000_000
     return bus.events().off
 
@@ -400,14 +402,14 @@ def test_what_waits_on_a_dead_bus_is_dropped_once_until_something_is_heard(made,
     assert starve(bus, sock, clock)
     assert calls == [False, True]
     sock.waiting = 0
-    bus.send([FRAME])
+    bus.send(sent_array([FRAME]))
     assert not bus.events().off
     assert starve(bus, sock, clock)
     assert calls == [False, True]
     sock.waiting = 0
     sock.hears(0x181)
-    bus.drain_now()
-    bus.send([FRAME])
+    got(bus.drain_now())
+    bus.send(sent_array([FRAME]))
     assert not bus.events().off
     assert starve(bus, sock, clock)
     assert calls == [False, True] * 2
@@ -420,7 +422,7 @@ def test_a_controller_that_is_to_stay_bus_off_is_not_restarted_by_its_death(
     can, sock = made
     can._interface = CAN0._replace(controller=CONTROLLER._replace(restart_ms=restart_ms))
     sock.hears(BUS_OFF)
-    can.receive()
+    got(can.receive())
     assert can.off
     can.died()
     assert kernel[0] == dropped
@@ -430,7 +432,7 @@ def test_a_controller_that_is_to_stay_bus_off_is_not_restarted_by_its_death(
 def test_an_interface_that_was_taken_down_is_not_taken_up_by_its_death(made, kernel):
     can, sock = made
     sock.refuses = errno.ENETDOWN
-    can.send([FRAME])
+    can.send(sent_array([FRAME]))
     can.died()
     assert kernel[0] == []
 
@@ -438,12 +440,12 @@ def test_an_interface_that_was_taken_down_is_not_taken_up_by_its_death(made, ker
 def test_a_frame_from_before_the_interface_went_down_does_not_prove_that_it_is_up(made):
     can, sock = made
     sock.refuses = errno.ENETDOWN
-    can.send([FRAME])
+    can.send(sent_array([FRAME]))
     sock.hears(0x123, t_ns=time.time_ns() - SECOND)
-    can.receive()
+    got(can.receive())
     assert can.off
     sock.hears(0x123)
-    can.receive()
+    got(can.receive())
     assert not can.off
 
 
@@ -455,7 +457,7 @@ def test_a_new_try_drops_stale_frames_and_restarts_the_controller(made, kernel, 
         state["queued"] = 3
     else:
         sock.hears(BUS_OFF)
-        can.receive()
+        got(can.receive())
         state["interface"] = CAN0._replace(controller=CONTROLLER._replace(state=BusState.OFF))
     can.flush_tx()
     assert calls == [False, True]
@@ -493,6 +495,6 @@ def test_error_frames_are_counted_with_the_worst_state_and_do_not_reach_the_loop
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x10, 0, 0, 0, 0, 0, 0]))
     sock.hears(0x20000088)
     sock.hears(0x123)
-    assert [r.frame.id for r in bus.drain_now()] == [0x123]
+    assert [r.frame.id for r in got(bus.drain_now())] == [0x123]
     assert bus.events() == (2, False, 0, BusState.PASSIVE)
-    assert all(not r.frame.flags & ERROR for r in bus.drain_now())
+    assert all(not r.frame.flags & ERROR for r in got(bus.drain_now()))

@@ -10,7 +10,9 @@ import pytest
 
 from drivers.can import netlink, socketcan
 from drivers.can.socketcan import SocketCan
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame
+from tests.drivers.frames_heard import got
 from tests.drivers.test_socketcan import CAN0, SETTINGS, MadeSocket
 
 
@@ -53,9 +55,9 @@ def test_an_interface_that_was_taken_down_and_up_to_drop_frames_is_not_down_at_t
         drops(can)
         assert queued == [0], "the interface was taken down and up"
         sock.hears(0x123)
-        assert [each.frame.id for each in can.receive()] == [0x123]
-        assert can.receive() == []
+        assert [each.frame.id for each in got(can.receive())] == [0x123]
+        assert got(can.receive()) == []
         assert not can.off
-        assert can.send([Frame(1, b"")]) == 1
+        assert can.send(sent_array([Frame(1, b"")])) == 1
         assert len(sock.sent) == k
         queued[0] = 3

@@ -8,8 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from drivers.arrays import Rows
 from drivers.can.bus import Bus
+from drivers.ends import hearing
 from drivers.errors import BusError
+from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DeviceCommand, Frame, Received, Sync
 from drivers.signals import Command, DriveMode, DriveState
 from hil.app.compose import build_cycle
@@ -19,6 +22,7 @@ from hil.loop.daemon import Shell, _answers, run, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from tests.drivers.drives_end import answers
+from tests.drivers.frames_heard import got
 
 TICK = 1003
 
@@ -33,14 +37,14 @@ class Queue:
         self.sent: list[Frame] = []
         self.over = False
 
-    def drain(self, _deadline_ns: int, wanted: frozenset[int]) -> list[Received]:
+    def drain(self, _deadline_ns: int, wanted: frozenset[int]) -> Rows:
         assert not self.over, "nothing came until the deadline: nobody waits again"
         taken, missing = [], set(wanted)
         while self.left and missing:
             taken.append(self.left.pop(0))
             missing.discard(taken[-1].frame.id)
         self.over = not taken
-        return taken
+        return received_array(taken)
 
     def flush_tx(self) -> None:
         """Nothing waits."""
@@ -48,8 +52,8 @@ class Queue:
     def events(self) -> Any:
         return SimpleNamespace(off=0)
 
-    def send(self, frames: tuple[Frame, ...]) -> int:
-        self.sent += frames
+    def send(self, frames: Rows) -> int:
+        self.sent += sent_frames(frames)
         return 0
 
 
@@ -62,6 +66,12 @@ def six(cycle: Any, counter: int = TICK) -> list[Frame]:
     q, zero = np.full(6, 1.5), np.zeros(6)
     sent = answers(cycle.parts.protocol, Sync(counter), q, zero, zero, np.full(6, DriveState.RUN, np.int64))
     return [frame for _, frame in sent]
+
+
+def listened(cycle: Any, bus: Queue, begun_ns: int, deadline_ns: int) -> list[Received]:
+    """Return what the daemon has heard of a tick."""
+    hears = hearing(cycle.parts.protocol)
+    return got(_answers(cycle, hears, cast("Bus", bus), TICK, begun_ns, deadline_ns))
 
 
 def damaged(frame: Frame) -> Frame:
@@ -78,14 +88,14 @@ def test_an_answer_that_is_of_no_use_does_not_end_the_wait_for_the_right_one(cyc
         "short": good[3]._replace(data=b""),
     }[how]
     bus = Queue(*good[:3], *[worse] * bad, *good[4:], good[3], damaged(good[0]))
-    heard = _answers(cycle, cast("Bus", bus), TICK, 1_000, 10**9)
+    heard = listened(cycle, bus, 1_000, 10**9)
     assert [each.frame for each in heard] == [*good[:3], *[worse] * bad, *good[4:], good[3]]
     assert len(bus.left) == 1, "what comes after six good ones waits for the next tick"
 
 
 def test_at_the_deadline_it_goes_on_with_what_is_there(cycle):
     good = six(cycle)
-    heard = _answers(cycle, cast("Bus", Queue(*good[:5], damaged(good[5]))), TICK, 1_000, 10**9)
+    heard = listened(cycle, Queue(*good[:5], damaged(good[5])), 1_000, 10**9)
     assert len(heard) == 6
 
 
@@ -93,25 +103,25 @@ def test_what_came_while_the_program_was_held_up_past_the_deadline_is_taken(cycl
     """A family whose answers share an identifier is waited for frame by frame."""
 
     class HeldUp(Queue):
-        def wait(self, _deadline_ns: int) -> list[Received]:
-            return [self.left.pop(0)]
+        def wait(self, _deadline_ns: int) -> Rows:
+            return received_array([self.left.pop(0)])
 
-        def drain_now(self) -> list[Received]:
+        def drain_now(self) -> Rows:
             taken, self.left = self.left, []
-            return taken
+            return received_array(taken)
 
     good, own = six(cycle), cycle.parts.protocol
     shared = SimpleNamespace(
         shares_identifiers=True, feedback_ids=own.feedback_ids, fresh=own.fresh, awaited=own.awaited
     )
     one: Any = SimpleNamespace(parts=SimpleNamespace(protocol=shared))
-    heard = _answers(one, cast("Bus", HeldUp(*good)), TICK, 1_000, 8_000)
+    heard = listened(one, HeldUp(*good), 1_000, 8_000)
     assert [each.frame for each in heard] == good
 
 
 def test_a_frame_from_before_the_tick_is_none_of_the_six(cycle):
     good = six(cycle)
-    heard = _answers(cycle, cast("Bus", Queue(*good, *good)), TICK, 5_003, 10**9)
+    heard = listened(cycle, Queue(*good, *good), 5_003, 10**9)
     assert len(heard) == 9
 
 
@@ -158,7 +168,7 @@ def test_a_loop_that_fails_never_repeats_the_force_of_its_last_tick_where_the_po
 class Dead(Queue):
     """A bus that takes no frame."""
 
-    def send(self, frames: tuple[Frame, ...]) -> int:
+    def send(self, frames: Rows) -> int:
         return len(frames)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import BusError
-from drivers.frame_array import received_frames, sent_array, sent_frames
+from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode
 from hil.loop import daemon
@@ -19,6 +19,8 @@ from hil.loop.panel import OperatorPanel
 from hil.signals import Operator, Order, SetPoint
 
 PERIOD_NS = 1_000_000
+ORDERS = 0x700
+OLDER, ANSWER = Received(90, Frame(0x182, b"")), Received(120, Frame(0x181, b""))
 OPENING, COMMANDS = (Frame(0x80, b""),), (Frame(0x201, b"\1"), Frame(0x202, b"\2"))
 POINT, ORDER = SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), Order(Operator.HOLD)
 
@@ -39,7 +41,7 @@ class World:
         protocol = SimpleNamespace(
             feedback_ids=frozenset(), shares_identifiers=False, addressed=lambda _: (), fresh=None, awaited=None,
             command_delay_ticks=0, has_watchdog=True, begin=lambda *_: OPENING,
-            command=lambda dialogue, command, _tick: (dialogue, (command.mode,)),
+            command=lambda dialogue, command, _tick: (dialogue, (Frame(ORDERS + command.mode, b""),)),
         )  # fmt: skip
         safety = SimpleNamespace(stops_unrecorded=stops_unrecorded)
         setup = SimpleNamespace(watchdog_s=0.02)
@@ -77,8 +79,9 @@ class World:
 
     def send(self, frames: Any) -> int:
         self.passed_ns += 50
-        self.done += [frame.name for frame in frames if isinstance(frame, DriveMode)]
-        return int(self.of("unasked" if frames == OPENING else "refused", 0))
+        given = sent_frames(frames)
+        self.done += [DriveMode(frame.id - ORDERS).name for frame in given if frame.id >= ORDERS]
+        return int(self.of("unasked" if given == OPENING else "refused", 0))
 
     def flush_tx(self) -> None:
         self.done.append("flushed")
@@ -91,7 +94,7 @@ class World:
             ending=lambda tick: self.ending if tick == ended else None, story=lambda: ("its story",),
         )  # fmt: skip
         bus: Any = SimpleNamespace(
-            clock=self.clock, drain_now=lambda: [Received(7, Frame(0x181, b""))], send=self.send,
+            clock=self.clock, drain_now=lambda: received_array([Received(7, Frame(0x181, b""))]), send=self.send,
             sent_ns=list, skew_ns=lambda: 0, flush_tx=self.flush_tx,
             events=lambda: SimpleNamespace(errors=0, off=0, overflow=0, state=0),
         )  # fmt: skip
@@ -228,16 +231,18 @@ def test_a_loop_that_fails_tells_why_and_what_the_drives_were_told_a_few_times_a
 def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypatch, answer_ns):
     """The bus is given the frames at 100 ns, and that took until 130."""
     told: list[Any] = []
+    opening, answer = sent_array(OPENING), received_array([ANSWER])
+    hears: Any = "what the protocol hears"
     times = iter([100, 130])
     bus: Any = SimpleNamespace(
-        clock=SimpleNamespace(now=lambda: next(times)), drain_now=lambda: ["older"], send=lambda _: 2,
+        clock=SimpleNamespace(now=lambda: next(times)), drain_now=lambda: received_array([OLDER]), send=lambda _: 2,
         sent_ns=lambda: ["the clock's"],
     )  # fmt: skip
     protocol = SimpleNamespace(name="protocol")
 
-    def answers(*asked: Any) -> list[str]:
+    def answers(*asked: Any) -> Any:
         told.append(asked[1:])
-        return ["an answer"]
+        return answer
 
     def checked(*asked: Any) -> list[str]:
         told.append(asked)
@@ -248,13 +253,13 @@ def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypat
     monkeypatch.setattr(daemon, "latch_ns", lambda *asked: asked)
     shell: Any = SimpleNamespace(bus=bus, feedback_window_ns=700, answer_ns=answer_ns)
     cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=protocol))
-    found: Any = _ask(cycle, shell, Wake(9, 50, 30, 0), OPENING)
+    found: Any = _ask(cycle, hears, shell, Wake(9, 50, 30, 0), opening)
     heard, latched, refused = found
-    assert told[0] == (bus, 9, 100, 750)
-    assert (heard, refused) == (["older", "an answer"], 2)
+    assert told[0] == (hears, bus, 9, 100, 750)
+    assert (received_frames(heard), refused) == ((OLDER, ANSWER), 2)
     known = answer_ns is None
-    assert latched == (protocol, OPENING, ["the clock's" if known else "the answers'"], 80)
-    asked = (protocol, OPENING, ["the clock's"], ["an answer"], 9, 100, 130, answer_ns)
+    assert latched == (hears, opening, ["the clock's" if known else "the answers'"], 80)
+    asked = (protocol, opening, ["the clock's"], answer, 9, 100, 130, answer_ns)
     assert told[1:] == ([] if known else [asked])
 
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from drivers import build_protocol
+from drivers.ends import hearing
+from drivers.frame_array import received_array, sent_array
 from drivers.protocol import BUS, DriveSetup, Frame, Received
 from drivers.signals import Reaction
 from drivers.tick_columns import row_of
@@ -15,11 +17,20 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
 from hil.estimation.fusion_tick import latched_at
-from hil.loop.latches import checked, latch_ns
+from hil.loop import latches
 from hil.loop.replay import recorded_input
 from hil.record.log import Tick
 from hil.signals import TickInput
 from tests.records import record_of
+
+
+def latch_ns(family, opening, sent_ns, woke_ns):
+    return latches.latch_ns(hearing(family), sent_array(opening), sent_ns, woke_ns)
+
+
+def checked(family, opening, sent_ns, answers, *times):
+    return latches.checked(family, sent_array(opening), sent_ns, received_array(answers), *times)
+
 
 SYNC, ANSWER = Frame(0x80, b""), 111_000
 """ns of a TPDO of 8 bytes at 1 Mbit/s without stuff bits, and of the three bits before it."""

@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
+from drivers.arrays import Rows
+from drivers.ends import hearing
 from drivers.errors import BusError
+from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
 from drivers.protocol import DeviceCommand, Frame, Received
 from drivers.signals import BusState, DriveMode, Mode
 from hil.app.compose import build_cycle, build_nodes
@@ -55,7 +58,7 @@ class Busy(Wire):
 
     def send(self, frames: Any) -> int:
         what = "command" if self.asked else "opening"
-        self.all_sent += frames
+        self.all_sent += sent_frames(frames)
         return int(super().send(frames)) + self.refused.get((self.tick, what), 0)
 
     def sent_ns(self) -> list[int]:
@@ -266,19 +269,20 @@ def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_
     ]
     deadlines = []
 
-    def next_one(deadline_ns: int, _wanted: Any = None) -> list[Received]:
+    def next_one(deadline_ns: int, _wanted: Any = None) -> Rows:
         deadlines.append(deadline_ns)
-        return [coming.pop(0)]
+        return received_array([coming.pop(0)])
 
     refusing = SimpleNamespace(side_effect=None)
     bus = SimpleNamespace(
-        clock=SimpleNamespace(now=lambda: 100), drain_now=list, send=lambda _: 0, sent_ns=list,
+        clock=SimpleNamespace(now=lambda: 100), drain_now=lambda: NO_FRAMES, send=lambda _: 0, sent_ns=list,
         wait=next_one if shared else refusing, drain=refusing if shared else next_one,
     )  # fmt: skip
-    cycle = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
+    cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
+    hears = hearing(cycle.parts.protocol)
     shell = Shell(bus, None, None, OperatorPanel(), 175)  # type: ignore[arg-type]
-    heard, _, _ = _ask(cycle, shell, Wake(0, 0, 90, 0), (frame(0),))  # type: ignore[arg-type]
-    assert [each.t_ns for each in heard] == [10, 120, 130]
+    heard, _, _ = _ask(cycle, hears, shell, Wake(0, 0, 90, 0), sent_array([frame(0)]))
+    assert heard["t_ns"].tolist() == [10, 120, 130]
     assert len(coming) == 1
     assert set(deadlines) == {175}
 
@@ -288,18 +292,19 @@ def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_
 def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared, window_ns, last):
     clock, looks = [100], list[int]()
 
-    def next_one(deadline_ns: int, _wanted: Any = None) -> list[Received]:
+    def next_one(deadline_ns: int, _wanted: Any = None) -> Rows:
         clock[0] += 10
         looks.append(clock[0])
         assert len(looks) < 20, "it waits on"
-        return [Received(clock[0], Frame(7, bytes([7]))), Received(clock[0], Frame(1, b"\1"))]
+        return received_array([Received(clock[0], Frame(7, bytes([7]))), Received(clock[0], Frame(1, b"\1"))])
 
     bus = SimpleNamespace(
-        clock=SimpleNamespace(now=lambda: clock[0]), drain_now=list, send=lambda _: 0, sent_ns=list,
+        clock=SimpleNamespace(now=lambda: clock[0]), drain_now=lambda: NO_FRAMES, send=lambda _: 0, sent_ns=list,
         wait=next_one, drain=next_one,
     )  # fmt: skip
-    cycle = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
+    cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
+    hears = hearing(cycle.parts.protocol)
     shell = Shell(bus, None, None, OperatorPanel(), window_ns)  # type: ignore[arg-type]
-    heard, _, _ = _ask(cycle, shell, Wake(0, 0, 0, 0), (Frame(1, b""),))  # type: ignore[arg-type]
+    heard, _, _ = _ask(cycle, hears, shell, Wake(0, 0, 0, 0), sent_array([Frame(1, b"")]))
     assert looks == [*range(110, last + 10, 10)]
     assert len(heard) == 2 * len(looks), "what has come by then counts"

@@ -18,7 +18,7 @@ from hil.app.sim.build import build_lockstep
 from tools.drive_families import FAMILIES, merged
 
 ROOT = str(Path(plant_fmu.__path__[0]).parent)
-SHELL = {"Nodes.advance", "State.live", "State.sent"}
+SHELL = {"Nodes.advance"}
 """What every tick enters."""
 TWO_BUSES = {
     "bus": {

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Received
 from drivers.signals import BusState, Mode
 from hil.app.compose import build_cycle, build_nodes
@@ -51,7 +52,7 @@ class Wire:
 
     def send(self, frames):
         t_ns = self.tick * self.period_ns
-        self.commands += [Received(t_ns, frame) for frame in frames]
+        self.commands += [Received(t_ns, frame) for frame in sent_frames(frames)]
         if not self.answers:
             self.answers = [Received(*reply) for reply in self.nodes.step(t_ns, self.commands)] or [None]
             self.commands = []
@@ -59,14 +60,14 @@ class Wire:
 
     def drain_now(self):
         late, self.late, self.answers = self.late, [], []
-        return late
+        return received_array(late)
 
     def drain(self, deadline_ns, wanted):
         """Return the feedbacks; a status loses the arbitration against the last of them, and is late."""
         answers = [answer for answer in self.answers if answer is not None]
         self.answers = [None]
         self.late += [answer for answer in answers if answer.frame.id not in wanted]
-        return [answer for answer in answers if answer.frame.id in wanted]
+        return received_array([answer for answer in answers if answer.frame.id in wanted])
 
     def events(self):
         return SimpleNamespace(errors=0, off=0, overflow=0, state=BusState.UNKNOWN)
@@ -146,7 +147,9 @@ class Stalled(Stamped):
 
     def drain(self, deadline_ns, wanted):
         came_ns = self.tick * self.period_ns + 45_000
-        return [answer._replace(t_ns=came_ns) for answer in super().drain(deadline_ns, wanted)]
+        answers = super().drain(deadline_ns, wanted).copy()
+        answers["t_ns"] = came_ns
+        return answers
 
 
 @pytest.mark.parametrize(("answer_ns", "delay_ns"), [(None, 123_000), (0, 45_000)])

@@ -25,6 +25,7 @@ from drivers.signals import LEGS, NEVER, DriveMode
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.loop.clock import fifo_allowed
+from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import decode, parse
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -201,7 +202,7 @@ class Listener:
 
     def look(self) -> None:
         """Take what has come, wait for it 20 ms at most."""
-        for received in self._bus.wait(self._bus.clock.now() + 20_000_000):
+        for received in got(self._bus.wait(self._bus.clock.now() + 20_000_000)):
             match parse(self._protocol, received.frame):
                 case Sync(counter=counter):
                     self._counter, self.last_sync_ns = counter, received.t_ns

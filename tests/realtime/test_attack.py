@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.can.bus import Bus
+from drivers.frame_array import sent_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Sync
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
@@ -20,6 +21,7 @@ from hil.app.check.command import stopping_distances_m
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration, load
 from hil.record.log import Log
+from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, one_feedback, parse
 from tests.realtime.rig import Listener, Process, configuration, gone
 
@@ -55,13 +57,13 @@ class Attacker:
         counter = 0
         with Bus.open(self._c.bus, role="attacker") as bus:
             while not self._over.is_set():
-                for received in bus.wait(bus.clock.now() + 1_000_000):
+                for received in got(bus.wait(bus.clock.now() + 1_000_000)):
                     heard = parse(self._protocol, received.frame)
                     counter = heard.counter if isinstance(heard, Sync) else counter
                 for _ in range(8):
                     frames = self._frames(self._protocol, counter)
                     self.sent += len(frames)
-                    bus.send(frames)
+                    bus.send(sent_array(frames))
 
     def _frames(self, protocol: LegsProtocol, counter: int) -> tuple[Frame, ...]:
         draw = self._random

@@ -7,8 +7,15 @@ from typing import Any
 
 import pytest
 
+from drivers.frame_array import sent_frames, timed_array
 from drivers.protocol import BUS, Frame
-from hil.app.plant import latest
+from hil.app.plant import latest as latest_rows
+
+
+def latest(queued: list[tuple[int, Frame]], now_ns: int, protocol: Any) -> list[Frame]:
+    """Return what goes out, as frames."""
+    return [*sent_frames(latest_rows(timed_array(queued), now_ns, protocol))]
+
 
 T, LATER, LATEST = 1_000_000, 2_000_000, 3_000_000
 PROTOCOL: Any = SimpleNamespace(feedback_ids={0x101, 0x102, 0x103}, awaited=lambda frame: frame.id)

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from drivers.can.bus import Bus
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame, Sync
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
+from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, parse
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
@@ -40,10 +42,10 @@ def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
     with Bus.open(c.bus, role="attacker") as bus:
         end, sent = time.monotonic() + END_S, 0
         while sent < 50 and time.monotonic() < end and not gone(run.pid):
-            for received in bus.wait(bus.clock.now() + 20_000_000):
+            for received in got(bus.wait(bus.clock.now() + 20_000_000)):
                 heard = parse(protocol, received.frame)
                 if isinstance(heard, Sync):
-                    bus.send(ATTACKS[kind](protocol, heard.counter))
+                    bus.send(sent_array(ATTACKS[kind](protocol, heard.counter)))
                     sent += 1
     assert sent
     assert run.wait() == 1

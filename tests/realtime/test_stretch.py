@@ -16,6 +16,7 @@ import pytest
 
 from drivers.can.bus_time import BitTiming
 from drivers.can.localcan.participant import Participant
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame
 from drivers.signals import Fault
 from hil.record.log import Log
@@ -129,7 +130,7 @@ def test_a_stranger_who_sends_is_told_of_and_ends_the_standing_still(
 ) -> None:
     run = moving(start, listen, configuration(tmp_path, LASTING))
     stranger = Participant(CHANNEL)
-    stranger.send([Frame(0x7F0, b"hello")])
+    stranger.send(sent_array([Frame(0x7F0, b"hello")]))
     stranger.close()
     time.sleep(0.3)
     run.interrupt()

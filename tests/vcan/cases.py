@@ -22,7 +22,8 @@ from drivers.can.collect import collect
 from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
 from drivers.errors import BusError
-from drivers.protocol import BRS, ERROR, ESI, FD, Frame
+from drivers.frame_array import received_frames, sent_array
+from drivers.protocol import BRS, ERROR, ESI, FD, Frame, Received
 from drivers.signals import BusState
 from tests.vcan import kernel
 
@@ -59,24 +60,24 @@ def identifiers(frames: list[bytes]) -> list[int]:
 def a_full_queue_that_passes_is_no_dead_bus() -> None:
     with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR) as far, opened() as can:
         kernel.plug(NEAR, 4)
-        taken = can.send([OLD] * 6)
+        taken = can.send(sent_array([OLD] * 6))
         assert taken == 4, f"{taken} of 6 taken with room for 4"
         assert not can.off
         kernel.unplug(NEAR)
-        assert can.send([NEW]) == 1
+        assert can.send(sent_array([NEW])) == 1
         assert not can.off
         assert identifiers(kernel.heard(far)) == [0x100] * 4 + [0x200]
 
 
 def a_dead_bus_is_off_in_time_and_delivers_no_old_command_when_it_is_back() -> None:
     with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR) as far, opened() as can:
-        can.send([OLD])
+        can.send(sent_array([OLD]))
         assert identifiers(kernel.heard(far)) == [0x100]
         kernel.plug(NEAR, 1000)
         begun = time.monotonic()
         while not can.off:
             assert time.monotonic() - begun < 1.0
-            can.send([OLD])
+            can.send(sent_array([OLD]))
             time.sleep(0.01)
         took = time.monotonic() - begun
         can.died()
@@ -84,7 +85,7 @@ def a_dead_bus_is_off_in_time_and_delivers_no_old_command_when_it_is_back() -> N
         index = socket.if_nametoindex(NEAR)
         assert netlink.queued(index) == 0, "old commands wait"
         kernel.unplug(NEAR)
-        assert can.send([NEW]) == 1
+        assert can.send(sent_array([NEW])) == 1
         assert identifiers(kernel.heard(far)) == [0x200]
         assert not can.off
 
@@ -121,18 +122,18 @@ def _refuses_stale_frames(can: SocketCan) -> int:
 def an_interface_that_goes_down_is_off_and_comes_back_with_it() -> None:
     with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR) as far, opened() as can:
         kernel.up(NEAR, on=False)
-        assert can.send([OLD]) == 0
+        assert can.send(sent_array([OLD])) == 0
         assert can.off
-        can.receive()
+        received_frames(can.receive())
         assert can.off
         why = refused(can.flush_tx)
         assert "is down" in why
         kernel.up(NEAR)
         can.flush_tx()
-        can.receive()
-        assert can.send([NEW]) == 1
+        received_frames(can.receive())
+        assert can.send(sent_array([NEW])) == 1
         far.send(kernel.FRAME.pack(0x300, 0, b""))
-        assert [r.frame.id for r in collect(can, soon())] == [0x300]
+        assert [r.frame.id for r in received_frames(collect(can, soon()))] == [0x300]
         assert not can.off
         assert identifiers(kernel.heard(far)) == [0x200]
 
@@ -140,13 +141,13 @@ def an_interface_that_goes_down_is_off_and_comes_back_with_it() -> None:
 def an_interface_that_is_deleted_is_off_and_found_again() -> None:
     with kernel.pair(NEAR, FAR), opened() as can:
         kernel.delete(NEAR)
-        can.receive()
-        assert can.send([OLD]) == 0
+        received_frames(can.receive())
+        assert can.send(sent_array([OLD])) == 0
         assert can.off
         kernel.make_pair(NEAR, FAR)
         with kernel.raw_socket(FAR) as far:
             time.sleep(0.11)
-            assert can.send([NEW]) == 1
+            assert can.send(sent_array([NEW])) == 1
             can.flush_tx()
             assert not can.off
             assert identifiers(kernel.heard(far)) == [0x200]
@@ -158,13 +159,13 @@ def frames_that_were_not_read_in_time_are_counted() -> None:
         raw = kernel.FRAME.pack(0x300, 8, bytes(8))
         for _ in range(sent):
             far.send(raw)
-        got = len(can.receive())
-        while more := len(can.receive()):
+        got = len(received_frames(can.receive()))
+        while more := len(received_frames(can.receive())):
             got += more
         assert got < sent, "nothing was lost: more frames are needed"
         # the kernel tells of losses with the next frame that it takes
         far.send(raw)
-        got += len(collect(can, soon()))
+        got += len(received_frames(collect(can, soon())))
         assert can.overflow == sent + 1 - got
 
 
@@ -173,14 +174,14 @@ def flags_of_can_fd_go_out_and_come_in() -> None:
     frames = [Frame(0x180 + i, bytes(range(12)), each) for i, each in enumerate(flags)]
     near = settings(layout="fd")
     with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR, fd=True) as far, opened(near) as can:
-        assert can.send(frames) == 4
+        assert can.send(sent_array(frames)) == 4
         raw = kernel.heard(far)
         # byte 5 of struct canfd_frame: BRS 1, ESI 2
         assert [len(each) for each in raw] == [72] * 4
         assert [each[5] & 3 for each in raw] == [0, 1, 2, 3]
         for each in raw:
             far.send(each)
-        received = collect(can, soon(), {frame.id for frame in frames})
+        received = received_frames(collect(can, soon(), {frame.id for frame in frames}))
         assert [r.frame for r in received] == frames
 
 
@@ -189,11 +190,11 @@ def what_the_kernel_damages_is_never_more_than_a_frame() -> None:
     with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR) as far, opened() as can:
         kernel.corrupt(FAR, 0.5)
         raw = kernel.FRAME.pack(0x123, 8, bytes(8))
-        got = []
+        got: list[Received] = []
         for _ in range(sent // 100):
             for _ in range(100):
                 far.send(raw)
-            got += can.receive()
+            got += received_frames(can.receive())
         whole = sum(r.frame == Frame(0x123, bytes(8)) for r in got)
         # half are left alone; a flipped bit makes another identifier, other data, another length, or an
         # error frame, or the kernel drops it
@@ -221,7 +222,7 @@ def a_controller_goes_through_its_states_and_back() -> None:
             found = []
             for line in (b"sw100000", b"sp130128", b"sa000000", b"e1c", b"sb256256"):
                 adapter.says(line)
-                received = collect(can, soon(0.05))
+                received = received_frames(collect(can, soon(0.05)))
                 assert [r.frame.flags & ERROR for r in received] == [ERROR]
                 found.append((can.worst_state(), can.off))
             assert found == [
@@ -233,10 +234,10 @@ def a_controller_goes_through_its_states_and_back() -> None:
             ], found
             why = refused(lambda: SocketCan(settings(adapter.name)).close())
             assert "bus-off" in why
-            assert can.send([OLD]) == 0
+            assert can.send(sent_array([OLD])) == 0
             can.flush_tx()
             assert not can.off
-            assert can.send([NEW]) == 1
+            assert can.send(sent_array([NEW])) == 1
             kernel.wait_until(lambda: any(line.startswith(b"t200") for line in adapter.lines))
             assert not any(line.startswith(b"t100") for line in adapter.lines), adapter.lines
     finally:

@@ -6,7 +6,6 @@ It runs `hil.loop.daemon.run`; only its bus looks at a clock as well.
 import contextlib
 import time
 from array import array
-from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from dataclasses import replace
@@ -14,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.link_group import Link, LinkGroup
 from drivers.can.runtime_folder import RoleLock
 from drivers.errors import RunError
-from drivers.protocol import Frame, Received
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, record
 from hil.app.configuration.configuration import Configuration, load
@@ -53,7 +52,7 @@ class StampedBus(Bus):
         super().__init__(link, role)
         self.stamps = array("q")
 
-    def send(self, frames: Sequence[Frame]) -> int:
+    def send(self, frames: Rows) -> int:
         """As Bus.send."""
         opening = len(self.stamps) % 3 == 0
         if opening:
@@ -63,7 +62,7 @@ class StampedBus(Bus):
             self.stamps.append(_now())
         return refused
 
-    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> list[Received]:
+    def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> Rows:
         """As Bus.drain; of two in a tick the last one counts."""
         received = super().drain(deadline_ns, wanted)
         if len(self.stamps) % 3 == 1:

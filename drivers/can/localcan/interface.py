@@ -1,6 +1,7 @@
 """LocalCanBus: localcan as a python-can interface, so that its viewer, logger and player work on it."""
 
 import errno
+import struct
 import time
 from collections import deque
 from typing import Any
@@ -14,14 +15,17 @@ from drivers.can.localcan.layout import VERSION
 from drivers.can.localcan.participant import DEFAULT_TIMING, OWN, Participant
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import HilError
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.frame_array import sent_array, unpack_frames
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
 _FOREVER_NS = 1 << 62
 
 
-def to_message(received: Received, epoch_ns: int, channel: str) -> can.Message:
-    """Return python-can's Message; `epoch_ns` is Unix time minus the channel's."""
-    t_ns, (id_, data, flags) = received
+def to_message(
+    frame: tuple[int, int, int, int, int, bytes], epoch_ns: int = 0, channel: str = ""
+) -> can.Message:
+    """Return python-can's Message of one of `unpack_frames`; `epoch_ns` is Unix time minus the channel's."""
+    t_ns, id_, _, size, flags, data = frame
     return can.Message(
         timestamp=(t_ns + epoch_ns) * 1e-9,
         arbitration_id=id_,
@@ -33,7 +37,7 @@ def to_message(received: Received, epoch_ns: int, channel: str) -> can.Message:
         bitrate_switch=bool(flags & BRS),
         error_state_indicator=bool(flags & ESI),
         channel=channel,
-        data=data,
+        data=data[:size],
     )
 
 
@@ -88,7 +92,7 @@ class LocalCanBus(can.BusABC):
             raise can.CanInitializationError(str(error)) from error
         self.channel_info = f"localcan {channel}"
         self._channel = str(channel)
-        self._inbox: deque[Received] = deque()
+        self._inbox: deque[Any] = deque()
         self._epoch_ns = time.time_ns() - self._node.clock.now()
         self._can_protocol = can.CanProtocol.CAN_FD if self._node.fd else can.CanProtocol.CAN_20
         super().__init__(channel, can_filters, **kwargs)
@@ -97,7 +101,7 @@ class LocalCanBus(can.BusABC):
         inbox = self._inbox
         if not inbox:
             deadline = _FOREVER_NS if timeout is None else self._node.clock.now() + int(timeout * 1e9)
-            inbox.extend(collect(self._node, deadline))
+            inbox.extend(unpack_frames(collect(self._node, deadline).tobytes()))
         message = to_message(inbox.popleft(), self._epoch_ns, self._channel) if inbox else None
         # select() on fileno() has to return as long as there is something to take
         if inbox:
@@ -108,17 +112,17 @@ class LocalCanBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Queue a message. Raises can.CanOperationError: ENOBUFS when `timeout` has not made room for it."""
-        frame = from_message(msg)
         end = time.monotonic() + (timeout or 0.0)
         try:
-            while not self._node.send((frame,)):
+            frames = sent_array([from_message(msg)])
+            while not self._node.send(frames):
                 if time.monotonic() >= end:
                     raise can.CanOperationError(
                         f"localcan {self._channel}: no room in the transmit queue, the bus is too busy",
                         error_code=errno.ENOBUFS,
                     )
                 time.sleep(1e-4)
-        except HilError as error:
+        except (HilError, struct.error) as error:
             raise can.CanOperationError(str(error)) from error
 
     def flush_tx_buffer(self) -> None:

@@ -55,6 +55,10 @@ duration ns, serial number of the sender."""
 WAITING_ROWS, WAITING_COLUMNS = 8192, 6
 ENDS = 2
 """Third column of `flying` and of what `look` gives out, after PLACE and COUNTED: when the frame ends, ns."""
+DETAIL, DATA_WORDS = 6, 8
+"""Of a record: the word with flags and length, before those of data."""
+FRAME_WORDS = 2 + DATA_WORDS
+"""Of an element of FRAME: t_ns; identifier, kind, length, flags; data."""
 FLYING_ROWS = 64
 _KEPT = LOG - 1024
 """Entries before the log's end that are not overwritten while somebody reads them."""
@@ -254,6 +258,28 @@ def look(words: Ints, state: Ints, waiting: Ints, flying: Ints, ended: Ints, now
             flying[row, PLACE], flying[row, COUNTED], flying[row, ENDS] = place, counted, end
             state[FLYING] = row + 1
     return given
+
+
+@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, INTEGER, OUT_INTEGER_MATRIX)
+def take(words: Ints, state: Ints, ended: Ints, count: int, own: int, frames: Ints) -> int:
+    """Fill `frames`, elements of FRAME as words, with the first `count` of `ended`; return how many.
+
+    own: the flag of this reader's own frames; 0 leaves them out. One that is overwritten meanwhile is lost.
+    """
+    taken = 0
+    for row in range(count):
+        place = ended[row, PLACE]
+        who, detail, frame = words[place + WHO], words[place + DETAIL], frames[taken]
+        frame[0] = ended[row, ENDS]
+        frame[2:] = words[place + DETAIL + 1 : place + DETAIL + 1 + DATA_WORDS]
+        foreign = (who & _IDENTITIES) != state[SERIAL]
+        flags = detail & 0xFF if foreign else detail & 0xFF | own
+        frame[1] = (who >> 32 & _IDENTITIES) | (detail >> 16 & 0xFF) << 40 | flags << 48
+        if load(words, place + NUMBER) != ended[row, COUNTED]:
+            state[LOST] += 1
+        elif foreign or own:
+            taken += 1
+    return taken
 
 
 @direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, INTEGER, INTEGER)

@@ -1,12 +1,12 @@
-"""One participant on a localcan channel, in Frames and nanoseconds of the channel's clock."""
+"""One participant on a localcan channel: elements of FRAME, nanoseconds of the channel's clock."""
 
 import os
 import threading
-from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 
 import numpy as np
 
+from drivers.arrays import Rows
 from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_time_ns
 from drivers.can.localcan import log
@@ -30,10 +30,11 @@ from drivers.can.localcan.wire import Slot, Wire
 from drivers.can.no_controller import NoController
 from drivers.can.runtime_folder import forget_in_child, runtime_folder, safe_name
 from drivers.errors import BusError
-from drivers.protocol import ERROR, EXTENDED, FD, Frame, Received
+from drivers.frame_array import FRAME, unpack_frames
+from drivers.protocol import ERROR, EXTENDED, FD
 
 OWN = 1 << 6
-"""Flag of a Received frame that this participant has sent itself (only with `own`)."""
+"""Flag of a received frame that this participant has sent itself (only with `own`)."""
 DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
 TX_LIMIT = 64
 """Frames that one participant can have waiting for the bus."""
@@ -85,14 +86,12 @@ class Participant(NoController):
         self._tx_limit = min(tx_limit, OUTBOX // 2)
         self._fixed: BitTiming | None = None
         self._known: dict[tuple[int, int, int], tuple[int, int]] = {}
-        self._inbox: list[Received] = []
+        self._inbox = bytearray()
         self._first_number = -1
         """Of the first frame of the last `send`; -1: none was taken."""
         self._taken = 0
         """How many it took."""
         self._taken_ns = 0
-        self._torn = 0
-        """Frames that were overwritten while they were read."""
         self._thread = threading.RLock()
         """Users of python-can send and receive in several threads."""
         self.channel = channel
@@ -133,6 +132,7 @@ class Participant(NoController):
         self.serial = wire.reserve()
         self._state, self._waiting, self._flying = log.new_state(self.serial)
         self._ended = np.zeros((BATCH, log.ENDS + 1), np.int64)
+        self._frames = np.zeros((BATCH, log.FRAME_WORDS), np.int64)
         self._serials = np.zeros(SLOTS, np.int64)
         self._bell.bind(self.serial)
         wire.register(self.serial, os.getpid())
@@ -193,13 +193,16 @@ class Participant(NoController):
         """Whether the channel carries CAN FD frames."""
         return self._wire.fd or self._wire.timing is None
 
-    def send(self, frames: Sequence[Frame]) -> int:
+    def send(self, frames: Rows) -> int:
         """Queue frames at this node and return how many it took: fewer when `tx_limit` frames wait already.
 
         Returns at once. Raises BusError for a frame that this bus cannot carry.
         """
         timing = self.timing
-        packed = [self._check(frame, timing) for frame in frames]
+        packed = [
+            self._check(identifier, data, size, flags, timing)
+            for _, identifier, _, size, flags, data in unpack_frames(frames.tobytes())
+        ]
         wire, state, serial = self._wire, self._state, self.serial
         if self._fixed is None:
             if wire.timing is None:
@@ -211,8 +214,8 @@ class Participant(NoController):
             taken = max(0, min(len(packed), room))
             number = wire.count(serial)
             self._first_number, self._taken = number if taken else -1, taken
-            for key, duration, id_, flags, data in packed[:taken]:
-                wire.put(serial, number, 0, key, duration, serial, id_, flags, len(data), data)
+            for key, duration, id_, flags, size, data in packed[:taken]:
+                wire.put(serial, number, 0, key, duration, serial, id_, flags, size, data[:size])
                 wire.counted(serial, number + 1)
                 self._append(QUEUE, number)
                 number += 1
@@ -226,11 +229,12 @@ class Participant(NoController):
                     self._remove(other)
         return taken
 
-    def _check(self, frame: Frame, timing: BitTiming) -> tuple[int, int, int, int, bytes]:
-        id_, data, flags = frame
-        known = self._known.get((id_, flags, len(data)))
+    def _check(
+        self, id_: int, data: bytes, size: int, flags: int, timing: BitTiming
+    ) -> tuple[int, int, int, int, int, bytes]:
+        known = self._known.get((id_, flags, size))
         if known is not None:
-            return *known, id_, flags & ~OWN, data
+            return *known, id_, flags & ~OWN, size, data
         if not 0 <= id_ <= (0x1FFFFFFF if flags & EXTENDED else 0x7FF):
             raise BusError(
                 f"localcan: identifier 0x{id_:X} does not fit a CAN frame; extended ones need the flag"
@@ -241,12 +245,12 @@ class Participant(NoController):
                     f"localcan {self.channel} is a classic CAN bus: frame 0x{id_:X} needs CAN FD "
                     "(open the channel with fd=True first)"
                 )
-            if len(data) not in _LENGTHS:
-                data = data.ljust(next((n for n in FD_LENGTHS if n >= len(data)), len(data)), b"\0")
-        cost = priority(id_, flags), frame_time_ns(len(data), flags, timing)
+            if size not in _LENGTHS:
+                size = next((n for n in FD_LENGTHS if n >= size), size)
+        cost = priority(id_, flags), frame_time_ns(size, flags, timing)
         if self._fixed is not None and len(self._known) < KNOWN:
-            self._known[id_, flags, len(data)] = cost
-        return *cost, id_, flags & ~OWN, data
+            self._known[id_, flags, size] = cost
+        return *cost, id_, flags & ~OWN, size, data
 
     def flush_tx(self) -> int:
         """Drop this node's frames that have not started; return how many."""
@@ -285,30 +289,25 @@ class Participant(NoController):
     @property
     def overflow(self) -> int:
         """Frames lost so far to slow reading."""
-        return int(self._state[log.LOST]) + self._torn
+        return int(self._state[log.LOST])
 
-    def receive(self) -> list[Received]:
+    def receive(self) -> Rows:
         """Return what has ended since the last call, in the order of the wire. Does not block."""
         with self._thread:
             self._look()
-            received, self._inbox = self._inbox, []
-        return received
+            received, self._inbox = self._inbox, bytearray()
+        return np.frombuffer(received, FRAME)
 
     def _look(self) -> None:
         """Take what has ended into the inbox."""
-        words, memory, now = self._wire.words, self._wire.memory, self.clock.now()
-        full = True
-        while full:
-            ended = log.look(words, self._state, self._waiting, self._flying, self._ended, now)
-            full = ended == BATCH
-            for place, counted, end in self._ended[:ended].tolist():
-                _, _, _, _, _, sender, id_, flags, length, data = RECORD.unpack_from(memory, WORD * place)
-                if words[place] != counted:
-                    self._torn += 1
-                elif sender != self.serial:
-                    self._inbox.append(Received(end, Frame(id_, data[:length], flags)))
-                elif self._own:
-                    self._inbox.append(Received(end, Frame(id_, data[:length], flags | OWN)))
+        words, state, now = self._wire.words, self._state, self.clock.now()
+        own = OWN if self._own else 0
+        ended = BATCH
+        while ended == BATCH:
+            ended = log.look(words, state, self._waiting, self._flying, self._ended, now)
+            if ended:
+                taken = log.take(words, state, self._ended, ended, own, self._frames)
+                self._inbox += self._frames[:taken].tobytes()
 
     # waiting
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from drivers.can.bus import Bus
 from drivers.errors import BusError
+from drivers.frame_array import joined, received_frames, sent_array
 from drivers.protocol import Frame
 from hil.bringup.line import Heard
 from hil.loop.clock import Deadlines
@@ -40,19 +41,19 @@ class BusLine:
         _, t_ns, lateness_ns, _ = self._deadlines.wait()
         began = t_ns + lateness_ns
         before_ns, self._stood_ns = self._stood_ns, self._bus.clock.stretched()
-        frames = self._bus.drain_now()
-        self._bus.send(opening)
+        frames = [self._bus.drain_now()]
+        self._bus.send(sent_array(opening))
         end = began + self._window_ns
         while self._bus.clock.now() < end:
             heard = self._bus.wait(end)
-            if not heard:
+            if not len(heard):
                 break
-            frames += heard
+            frames.append(heard)
         self._bus.clock.working(self._rest_ns)
         if self._bus.events().off:
             raise BusError(f"the bus is down: {self._left}; look at cable and power")
-        return Heard(began, tuple(frames), self._stood_ns - before_ns)
+        return Heard(began, received_frames(joined(frames)), self._stood_ns - before_ns)
 
     def send(self, frames: Sequence[Frame]) -> None:
         """Send the frames that end a tick."""
-        self._bus.send(frames)
+        self._bus.send(sent_array(frames))

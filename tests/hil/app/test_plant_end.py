@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
+from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import Reaction
 from hil.app import plant
@@ -82,11 +83,11 @@ class Asked:
         self.clock = SimpleNamespace(now=lambda: self.t_ns, leave=lambda: None)
         self._sync, self._period_ns = sync, period_ns
 
-    def drain_now(self) -> list[Received]:
+    def drain_now(self) -> Rows:
         self.t_ns += self._period_ns
-        return [Received(self.t_ns, self._sync(self.t_ns // self._period_ns))]
+        return received_array([Received(self.t_ns, self._sync(self.t_ns // self._period_ns))])
 
-    def send(self, _frames: list[Frame]) -> None:
+    def send(self, _frames: Rows) -> None:
         """Nobody hears the answers."""
 
 
@@ -98,7 +99,7 @@ class Kept:
         self.events: list[tuple[str, str]] = []
         self.closed: dict[str, Any] = {}
 
-    def tick(self, row: Any, _heard: Any, _sent: Any) -> None:
+    def tick_of_items(self, row: Any, _heard: Any, _sent: Any) -> None:
         self.rows.append(row)
 
     def event(self, _t_ns: int, level: str, text: str) -> None:

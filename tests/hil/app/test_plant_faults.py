@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from drivers.arrays import Rows
 from drivers.config import DriveSettings
+from drivers.frame_array import NO_FRAMES, received_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.tick_columns import new_record
 from hil.app import plant
@@ -52,10 +54,10 @@ class Rounds:
         self.sent: list[list[Frame]] = []
         self._stop, self._syncs = stop, syncs
 
-    def drain_now(self) -> list[Received]:
+    def drain_now(self) -> Rows:
         if not self.tick:  # what was there before the plant
             self.tick = 1
-            return []
+            return NO_FRAMES
         found = []
         for _ in range(self._syncs):
             self.t_ns += MS
@@ -64,10 +66,10 @@ class Rounds:
         self.sent.append([])
         if len(self.sent) == ROUNDS:
             self._stop.reason = "enough"
-        return found
+        return received_array(found)
 
-    def send(self, frames: list[Frame]) -> None:
-        self.sent[-1] += frames
+    def send(self, frames: Rows) -> None:
+        self.sent[-1] += sent_frames(frames)
 
 
 def served(nodes: Nodes, syncs: int = 1) -> Rounds:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.arrays import Rows
+from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import DriveState, Reaction
 from hil.app.compose import build_nodes, build_protocol
@@ -22,8 +24,8 @@ class Log:
     def __init__(self) -> None:
         self.rows: list[tuple[Any, list[Received], list[Frame]]] = []
 
-    def tick(self, row: Any, heard: list[Received], sent: list[Frame]) -> None:
-        self.rows.append((row, list(heard), list(sent)))
+    def tick(self, row: Any, heard: Rows, sent: Rows) -> None:
+        self.rows.append((row, [*received_frames(heard)], [*sent_frames(sent)]))
 
 
 @pytest.fixture
@@ -41,9 +43,9 @@ def served():
 
 def heard_at(served, t_ns):
     nodes, _, rows, sync = served
-    heard = [(t_ns, sync(t_ns // MS))]
+    heard = [Received(t_ns, sync(t_ns // MS))]
     sent = [frame for _, frame in nodes.step(t_ns, heard)]
-    rows.take(heard, sent, t_ns)
+    rows.take(received_array(heard), sent_array(sent), t_ns)
     return heard, sent
 
 
@@ -95,12 +97,12 @@ def test_a_platform_that_moves_is_recorded_while_nobody_asks_and_one_at_rest_is_
 
     now_ns = MS
     monkeypatch.setattr(nodes, "snapshot", snapshot)
-    heard = [(MS, Frame(1, b""))]
-    rows.take(heard, [Frame(2, b"")], MS)
+    heard = [Received(MS, Frame(1, b""))]
+    rows.take(received_array(heard), sent_array([Frame(2, b"")]), MS)
     rows.write(MS)
     assert len(log.rows) == 1
     for now_ns in range(2 * MS, 22 * MS, MS):
-        rows.take([], [], now_ns)
+        rows.take(NO_FRAMES, NO_FRAMES, now_ns)
         rows.write(now_ns)
     assert [int(row["t_ns"]) for row, _, _ in log.rows[1:]] == (
         [MS + k * SILENT_NS for k in range(1, 5)] if moves else []

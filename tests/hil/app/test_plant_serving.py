@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from drivers.arrays import Rows
 from drivers.errors import RunError
+from drivers.frame_array import NO_FRAMES, sent_frames, timed_array
 from drivers.protocol import Frame
 from hil.app import plant
 from hil.app.compose import build_protocol
@@ -27,16 +29,16 @@ class Waited:
         self.deadlines: list[int] = []
         self.sent: list[tuple[int, Frame]] = []
 
-    def drain_now(self) -> list[Any]:
-        return []
+    def drain_now(self) -> Rows:
+        return NO_FRAMES
 
-    def wait(self, deadline_ns: int) -> list[Any]:
+    def wait(self, deadline_ns: int) -> Rows:
         self.deadlines.append(deadline_ns)
         self.t_ns = deadline_ns
-        return []
+        return NO_FRAMES
 
-    def send(self, frames: list[Frame]) -> None:
-        self.sent += [(self.t_ns, frame) for frame in frames]
+    def send(self, frames: Rows) -> None:
+        self.sent += [(self.t_ns, frame) for frame in sent_frames(frames)]
 
 
 class Timer:
@@ -57,9 +59,14 @@ class Drives(SimpleNamespace):
         return int(self.readings.next_ns)
 
 
+def advancing(step: Any) -> Any:
+    """Return the drives' pass of what they do, in frames."""
+    return lambda now_ns, received: timed_array(step(now_ns, received))
+
+
 def serve(bus: Waited, stop: plant._Stop, step: Any, readings: Timer) -> None:
     """Serve until the stop, with `step` for what the drives do, and their timer."""
-    nodes = Drives(start=lambda _: None, step=step, snapshot=record_of, readings=readings)
+    nodes = Drives(start=lambda _: None, advance=advancing(step), snapshot=record_of, readings=readings)
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults = SimpleNamespace(strike=lambda _: None)
     plant._serve(bench, bus, None, stop, None, None, faults, build_protocol(load("virtual")))  # type: ignore[arg-type]
@@ -137,7 +144,7 @@ def test_the_words_of_a_plant_are_shortened_where_they_go_to_the_file_of_its_sup
         return []
 
     monkeypatch.setattr(plant, "shorten", shortened.append)
-    nodes = Drives(start=lambda _: None, step=step, snapshot=record_of, readings=Timer())
+    nodes = Drives(start=lambda _: None, advance=advancing(step), snapshot=record_of, readings=Timer())
     bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
     faults: Any = SimpleNamespace(strike=lambda _: None)
     reading, writing = os.pipe()

@@ -4,9 +4,11 @@ from typing import Any, cast
 
 import pytest
 
+from drivers.arrays import Rows
 from drivers.can.bus import Bus, BusEvents
 from drivers.clock import Clock
 from drivers.errors import BusError
+from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame, Received
 from hil.app.bringup.bus_line import BusLine
 
@@ -46,18 +48,18 @@ class FakeBus:
         self.due = []
 
     def send(self, frames: Any) -> int:
-        for frame in frames:
+        for frame in sent_frames(frames):
             self.sent.append(frame)
             now = self.clock.t_ns
             self.due += [Received(now + 300_000, ANSWER), Received(now + 1_900_000, LATE)]
         return 0
 
-    def drain_now(self) -> list[Received]:
+    def drain_now(self) -> Rows:
         here = [r for r in self.due if r.t_ns <= self.clock.t_ns]
         self.due = [r for r in self.due if r.t_ns > self.clock.t_ns]
-        return here
+        return received_array(here)
 
-    def wait(self, deadline_ns: int) -> list[Received]:
+    def wait(self, deadline_ns: int) -> Rows:
         self.clock.t_ns = min([deadline_ns, *(r.t_ns for r in self.due)])
         return self.drain_now()
 

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
+from drivers.frame_array import sent_array
 from hil.app.bringup import command
 from hil.app.bringup.command import run_bringup
 from hil.app.bringup.ends import served_end
@@ -93,7 +94,7 @@ def test_a_stranger_who_sends_is_named(folder):
         beside = Terminal(said.append, io.StringIO(""))
         with served_end(c, bus, protocol, beside, lambda *_: True, said.append) as end:
             end.line.exchange(())
-            other.send(protocol.cyclic_frames()[:1])
+            other.send(sent_array(protocol.cyclic_frames()[:1]))
     assert STRANGER in said
 
 

@@ -51,7 +51,7 @@ class MotorDrivesEnd(CompiledEnd):
 
     def __init__(self, family: "MotorDrives", buses: Any = None) -> None:
         """Take the family, and the `SeveralBuses` on which its drives are."""
-        d, t = np.zeros((), DEVICES), family.transmission
+        d = np.zeros((), DEVICES)
         super().__init__(d, kernels.parse, kernels.answer, family.reporting)
         self._family, self._buses = family, buses
         d["obey"], d["encode"] = family.obey.address, family.encode.address
@@ -61,8 +61,7 @@ class MotorDrivesEnd(CompiledEnd):
         d["watchdog_ns"], d["reaction"] = round(family.delivered_s * 1e9), family.reactions[0]
         if buses is not None:
             d["buses"], d["bus_of"] = len(buses.legs), buses.bus_of
-        d["offset"], d["m_per_turn"], d["N_per_Nm"] = t.offset_m, t.m_per_turn, t.N_per_Nm
-        d["driving"], d["back_driving"], d["full_loss_m_s"] = t.driving, t.back_driving, t.full_loss_m_s
+        family.transmission.fill(d)
         self.memory = family.power_up() if buses is None else buses.power_up()
 
     @property

@@ -181,10 +181,6 @@ class MoteusProtocol(MotorProtocol):
         """Return nothing: every command carries what it needs."""
         return ((),) * LEGS
 
-    def awaited(self, frame: Frame) -> int:
-        """Return the identifier of a reply, -1 for what is none."""
-        return frame.id if super().awaited(frame) >= 0 else -1
-
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return a stop, whatever is asked for but torque, and torque; each with its query."""
         torque = pad(torque_command(0.0, self._most, watchdog_s))

@@ -46,12 +46,15 @@ def codes_of(codes: Mapping[DriveFault, int], otherwise: int) -> list[int]:
     return [codes.get(fault, otherwise) for fault in DriveFault]
 
 
+_OFFSETS: Any = DEVICES.fields
+
+
 class MotorDrivesEnd(CompiledEnd):
     """Six drives. Mutable state: the record, whose memory it is."""
 
     def __init__(self, family: "MotorDrives", buses: Any = None) -> None:
         """Take the family, and the `SeveralBuses` on which its drives are."""
-        d, t = np.zeros((), DEVICES), family.transmission
+        d = np.zeros((), DEVICES)
         super().__init__(d, kernels.parse, kernels.answer, family.reporting)
         self._family, self._buses = family, buses
         d["obey"], d["encode"] = family.obey.address, family.encode.address
@@ -61,39 +64,50 @@ class MotorDrivesEnd(CompiledEnd):
         d["watchdog_ns"], d["reaction"] = round(family.delivered_s * 1e9), family.reactions[0]
         if buses is not None:
             d["buses"], d["bus_of"] = len(buses.legs), buses.bus_of
-        d["offset"], d["m_per_turn"], d["N_per_Nm"] = t.offset_m, t.m_per_turn, t.N_per_Nm
-        d["driving"], d["back_driving"], d["full_loss_m_s"] = t.driving, t.back_driving, t.full_loss_m_s
+        family.transmission.fill(d)
+        first, end = (_OFFSETS[name][1] for name in ("written", "scratch"))
+        self._rest = d.reshape(1).view(np.uint8)[first:end]
+        """The bytes of what is written and asked, and what they were when it was put in or taken out last."""
+        self._put, self._registers, self._asked = b"", MotorMemory().registers, MotorMemory().asked
         self.memory = family.power_up() if buses is None else buses.power_up()
 
     @property
     def memory(self) -> Any:
         """`MotorMemory`, on several buses one a bus."""
         d: Any = self.record
-        written = (
-            tuple(zip(d["registers"][leg, :n].tolist(), d["values"][leg, :n].tolist(), strict=True))
-            for leg, n in enumerate(d["written"].tolist())
-        )
-        asked = (
-            (host, tuple(zip(d["wanted"][leg, :n].tolist(), d["widths"][leg, :n].tolist(), strict=True)))
-            for leg, (host, n) in enumerate(zip(d["host"].tolist(), d["asked"].tolist(), strict=True))
-        )
+        if self._rest.tobytes() != self._put:
+            self._put = self._rest.tobytes()
+            self._registers = tuple(
+                tuple(zip(d["registers"][leg, :n].tolist(), d["values"][leg, :n].tolist(), strict=True))
+                for leg, n in enumerate(d["written"].tolist())
+            )
+            self._asked = tuple(
+                (host, tuple(zip(d["wanted"][leg, :n].tolist(), d["widths"][leg, :n].tolist(), strict=True)))
+                for leg, (host, n) in enumerate(zip(d["host"].tolist(), d["asked"].tolist(), strict=True))
+            )
         heard, enabled = tuple(d["heard"].tolist()), tuple(map(bool, d["enabled"].tolist()))
-        memory = MotorMemory(heard, enabled, tuple(written), tuple(asked))
+        memory = MotorMemory(heard, enabled, self._registers, self._asked)
         return memory if self._buses is None else (memory,) * len(self._buses.legs)
 
     @memory.setter
     def memory(self, memory: Any) -> None:
         d: Any = self.record
+        if self._buses is not None:
+            of = [memory[bus] for bus in self._buses.bus_of]
+            memory = MotorMemory(*(tuple(each[k][leg] for leg, each in enumerate(of)) for k in range(4)))
+        d["heard"], d["enabled"] = memory.heard, memory.enabled
+        same = memory.registers is self._registers and memory.asked is self._asked
+        if same and self._rest.tobytes() == self._put:
+            return
         for leg in range(LEGS):
-            of = memory if self._buses is None else memory[self._buses.bus_of[leg]]
-            d["heard"][leg], d["enabled"][leg] = of.heard[leg], of.enabled[leg]
-            d["written"][leg] = len(of.registers[leg])
-            for k, (register, value) in enumerate(of.registers[leg]):
+            d["written"][leg] = len(memory.registers[leg])
+            for k, (register, value) in enumerate(memory.registers[leg]):
                 d["registers"][leg, k], d["values"][leg, k] = register, value
-            d["host"][leg], wanted = of.asked[leg]
+            d["host"][leg], wanted = memory.asked[leg]
             d["asked"][leg] = len(wanted)
             for k, (register, width) in enumerate(wanted):
                 d["wanted"][leg, k], d["widths"][leg, k] = register, width
+        self._registers, self._asked, self._put = memory.registers, memory.asked, self._rest.tobytes()
 
     def reason(self, why: int, _counter: int, number: float, frame: Frame) -> str:
         """Return why a frame is rejected, in the family's words."""

@@ -56,15 +56,14 @@ _pack = struct.Struct("<qI4B64s").pack
 @lru_cache(maxsize=64)
 def prepared(protocol: "MotorProtocol", watchdog_s: float) -> tuple[Record, Rows]:
     """Return the record of a family before its first frame, and the frames that it points to."""
-    m, t = np.zeros((), MOTORS), protocol.transmission
+    m = np.zeros((), MOTORS)
     frames = sent_array([frame for row in protocol.requests(watchdog_s) for frame in row])
     m["hear"], m["ear"], m["frames"] = protocol.ear.address, data_at(protocol.tables), data_at(frames)
     m["rule"], m["clears"] = protocol.rule, protocol.clears
     m["torque_at"], m["torque_bits"], m["torque_end"] = protocol.torque_field
     m["torque_limit"], m["unasked"] = protocol.torque_limit, protocol.unasked_s > 0.0
-    m["reports"], m["full_loss_m_s"] = protocol.reports_power, t.full_loss_m_s
-    m["offset"], m["m_per_turn"], m["N_per_Nm"] = t.offset_m, t.m_per_turn, t.N_per_Nm
-    m["driving"], m["back_driving"] = t.driving, t.back_driving
+    m["reports"] = protocol.reports_power
+    protocol.transmission.fill(m)
     return m, frames
 
 
@@ -227,9 +226,9 @@ class MotorProtocol(MotorDrives):
         return self.polls or self._next(dialogue)
 
     def awaited(self, frame: Frame) -> int:
-        """Return the leg whose feedback a frame is, -1 for none."""
+        """Return whose feedback a frame is, see `feedback_by_leg`; -1 for none."""
         heard = self.hear(frame)
-        return heard.leg if heard is not None and heard.feedback else -1
+        return self.feedback_by_leg[heard.leg] if heard is not None and heard.feedback else -1
 
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         """Tell whether a frame is feedback to this tick's poll: there is no counter, its time tells."""

@@ -189,10 +189,6 @@ class ODriveProtocol(MotorProtocol):
         ticks = ceil(MISSED_BEATS * self._heartbeat_s * setup.rate_Hz)
         return super().start(setup)._replace(patience_ticks=max(ticks, 2))
 
-    def awaited(self, frame: Frame) -> int:
-        """Return the identifier of estimates, -1 for a remote frame."""
-        return frame.id if super().awaited(frame) >= 0 else -1
-
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return what makes an axis idle, clears its errors, closes its loop, is its torque and its mode."""
         asked = (

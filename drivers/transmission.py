@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.arrays import ZERO6, Array
+from drivers.arrays import ZERO6, Array, Rows
 from drivers.compiled.compiler import OUT_VECTOR, REAL, VECTOR, direct, helper
 from drivers.signals import LEGS
 
@@ -119,6 +119,20 @@ class Transmission:
     def N_per_Nm(self) -> Array:
         """(6,) N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
         return self.sign * (2.0 * pi) * self.gear / self.lead_m
+
+    def fill(self, record: Rows) -> None:
+        """Fill in what a record of a kernel has of this, by the names of its fields."""
+        values = {
+            "offset": self.offset_m,
+            "m_per_turn": self.m_per_turn,
+            "N_per_Nm": self.N_per_Nm,
+            "driving": self.driving,
+            "back_driving": self.back_driving,
+            "counts": self.counts,
+            "full_loss_m_s": self.full_loss_m_s,
+        }
+        for name in values.keys() & set(record.dtype.names or ()):
+            record[name] = values[name]
 
     # motion
 

@@ -28,8 +28,8 @@ from drivers.cia402.states import State
 from drivers.compiled.pointed import data_at
 from drivers.ends import CompiledEnd, Hearing
 from drivers.errors import ProtocolError
-from drivers.frame_array import sent_array
-from drivers.protocol import DeviceMessage, DriveSetup, Frame, Rejected, Status, Sync
+from drivers.frame_array import received_array, sent_array
+from drivers.protocol import DeviceMessage, DriveSetup, Frame, Received, Rejected, Status, Sync
 from drivers.signals import INVALID, LEGS, DriveFault, DriveState, Reaction
 from drivers.transmission import Transmission
 
@@ -102,13 +102,13 @@ class Devices:
         self._rated_torque_mNm = rated_torque_mNm
         self._N_per_permille = list(N_per_permille)
         self._set_up = lru_cache(maxsize=64)(self._made_set_up)
-        c, t = np.zeros((), DEVICES), transmission
+        c = np.zeros((), DEVICES)
         c["nodes"], c["velocity"], c["rated_mNm"] = nodes, velocity, rated_torque_mNm
         c["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
-        c["offset"], c["m_per_turn"], c["counts"] = t.offset_m, t.m_per_turn, t.counts
-        c["N_per_Nm"], c["full_loss_m_s"] = t.N_per_Nm, t.full_loss_m_s
-        c["driving"], c["back_driving"] = t.driving, t.back_driving
+        transmission.fill(c)
         self._tables = c
+        self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in nodes)
+        """TPDOs that answer a SYNC."""
         self._end = DevicesEnd(c, self.power_up())
         self._end.record["stops"] = True
 
@@ -119,10 +119,11 @@ class Devices:
     def hearing(self, buses: Any = None) -> Hearing:
         """Return the controller's end by address, as far as it hears."""
         end = self.end(buses)
-        wanted = (
-            *(o.TPDO_ID[k] + node for k in range(1 + int(end.record["velocity"])) for node in self._nodes),
-        )
-        return Hearing(kernels.fresh.address, kernels.addressed.address, end.context, wanted, end)
+        return Hearing(kernels.fresh.address, kernels.addressed.address, end.context, self.wanted, end)
+
+    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is a TPDO that arrived after the tick's SYNC."""
+        return kernels.fresh(self._end.record, received_array([received]), tick, since_ns) > 0
 
     def addressed(self, frame: Frame) -> tuple[int, ...]:
         """Return the legs that a frame is for."""

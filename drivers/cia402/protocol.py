@@ -18,7 +18,7 @@ from drivers.cia402.emergency import meaning
 from drivers.cia402.end import Cia402End, Drives
 from drivers.cia402.kernels import MOST_PERMILLE
 from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan
-from drivers.cia402.routes import FOREIGN, Routes
+from drivers.cia402.routes import Routes
 from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
 from drivers.cia402.states import STOP_QUICKLY
 from drivers.compiled.pointed import FAILED, data_at
@@ -113,26 +113,20 @@ class Cia402Protocol(Routes):
         self._sync = (Frame(o.SYNC_ID, b""),)
         self._drives = Drives(self._tables(N_per_permille), (self._heartbeat,))
         self._rpdo_ids = [o.RPDO_ID[0] + node for node in self.node_ids]
-        self._sizes = {
-            o.TPDO_ID[k] + node: size
-            for k, size in enumerate((8, 4)[: 1 + velocity])
-            for node in self.node_ids
-        }
-        """Bytes of each TPDO, by its identifier."""
-        self.feedback_ids = frozenset(self._sizes)
         self._devices = Devices(
             self.node_ids, transmission, self._settings.rated_torque_mNm, N_per_permille, velocity
         )
+        self.feedback_ids = frozenset(self._devices.wanted)
 
     def _tables(self, N_per_permille: Sequence[float]) -> Record:
         """Return a record of the kernels before its first frame."""
         c, t = np.zeros((), kernels.DRIVES), self.transmission
         c["nodes"], c["controller"], c["velocity"] = self.node_ids, self.controller_node, self.velocity
         c["lossless"] = (t.driving == 1.0).all() and (t.back_driving == 1.0).all()
-        c["offset"], c["m_per_count"] = t.offset_m, t.m_per_turn / t.counts
+        c["m_per_count"] = t.m_per_turn / t.counts
         c["N_per_permille"], c["permille_per_N"] = N_per_permille, self._permille_per_N
-        c["permille_Nm"], c["N_per_Nm"], c["full_loss_m_s"] = self._permille_Nm, t.N_per_Nm, t.full_loss_m_s
-        c["driving"], c["back_driving"] = t.driving, t.back_driving
+        c["permille_Nm"] = self._permille_Nm
+        t.fill(c)
         return c
 
     def resolution(self, rate_Hz: float) -> Resolution:
@@ -180,11 +174,9 @@ class Cia402Protocol(Routes):
         """Return the SYNC, without counter."""
         return self._sync
 
-    def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
+    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is a TPDO that arrived after the tick's SYNC."""
-        t_ns, (identifier, data, flags) = received
-        expected = self._sizes.get(identifier)
-        return expected == len(data) and not flags & FOREIGN and t_ns >= since_ns
+        return self._devices.fresh(received, tick, since_ns)
 
     def awaited(self, frame: Frame) -> int:
         """Return its identifier."""

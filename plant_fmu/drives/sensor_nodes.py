@@ -8,7 +8,6 @@ the mean over the plant's last internal step, as of a device that integrates.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings, SensorSettings
@@ -19,6 +18,7 @@ from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, SensorEmulation
 from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.drives.sensor_kernels import carried, seen_turned
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Truth
 
@@ -150,17 +150,14 @@ class SensedNodes(Nodes):
     def _moment(self, t_ns: int) -> Truth:
         """Return the truth at `t_ns`, carried on from the plant's grid point by the twist."""
         truth = self._true()
-        dt = (t_ns - self._grid_ns()) * 1e-9
-        p = truth.p + truth.twist[:3] * dt
-        R = (Rotation.from_rotvec(truth.twist[3:] * dt) * Rotation.from_matrix(truth.R)).as_matrix()
+        p, R = carried(truth.p, truth.R, truth.twist, (t_ns - self._grid_ns()) * 1e-9)
         return truth._replace(p=p, R=R)
 
     def _pose(self, truth: Truth) -> Array:
         noise, chance = self._noise.tracker, self._chance
         p = truth.p + noise.position_bias_m + noise.position_noise_m * chance.standard_normal(3)
         r = np.deg2rad(noise.rotation_bias_deg + noise.orientation_noise_deg * chance.standard_normal(3))
-        R = Rotation.from_rotvec(r) * Rotation.from_matrix(truth.R)
-        return np.concatenate((p, R.as_rotvec()))
+        return np.concatenate((p, seen_turned(r, truth.R)))
 
     def _inertial(self, truth: Truth) -> Array:
         s, f = self._noise.imu, self._dtwist[:3] - self._gravity

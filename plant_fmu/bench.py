@@ -5,14 +5,25 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, OUT_VECTOR, REAL, VECTOR, helper, kernel
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
-from plant_fmu.plant import Truth, whole_steps
+from plant_fmu.plant import Moved, Truth, whole_steps
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
+BENCH = np.dtype(
+    [
+        ("x", "<f8", (LEGS,)),
+        ("v", "<f8", (LEGS,)),
+        *((name, "<f8") for name in ("step_s", "mass", "damping", "stiffness", "hardening", "rest")),
+    ]
+)
+"""x and x' of the six legs; SI: internal step, m, b, k0, k1, rest length."""
+NOT_FINITE, DIVERGED = 1, 2
+"""Why the bench does not move."""
 
 
 @helper
@@ -56,13 +67,38 @@ def advance_leg(
     return x, v
 
 
-@kernel(OUT_VECTOR, OUT_VECTOR, VECTOR, VECTOR, REAL, INTEGER, REAL, REAL, REAL, REAL)
-def _advance(
-    x: Any, v: Any, force: Any, friction: Any, h: float, n: int, m: float, b: float, k0: float, k1: float
-) -> None:
-    """Let all legs take n steps, see `advance_leg`; x and v are changed in place."""
-    for i in range(x.size):
-        x[i], v[i] = advance_leg(x[i], v[i], force[i], friction[i], h, n, m, b, k0, k1)
+@helper
+def _all_finite(values: Array) -> bool:
+    for value in values:  # noqa: SIM110 - compiled
+        if not np.isfinite(value):
+            return False
+    return True
+
+
+@pointed(record(BENCH), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
+    """As `Moved.move`: 0, NOT_FINITE or DIVERGED; the state is then as before."""
+    f, brakes, into = reals_at(force, LEGS), reals_at(brake, LEGS), reals_at(measured, 2 * LEGS)
+    if not (_all_finite(f) and _all_finite(brakes) and _all_finite(reals_at(wrench, LEGS))):
+        return NOT_FINITE
+    x, v = np.empty(LEGS), np.empty(LEGS)
+    for i in range(LEGS):
+        friction = brakes[i] * BRAKE_FORCE_N
+        x[i], v[i] = advance_leg(
+            b.x[i], b.v[i], f[i], friction, b.step_s, steps, b.mass, b.damping, b.stiffness, b.hardening
+        )
+    if not (_all_finite(x) and _all_finite(v)):
+        return DIVERGED
+    b.x[:], b.v[:] = x, v
+    for i in range(LEGS):
+        into[i], into[LEGS + i] = x[i] + b.rest, v[i]
+    return 0
+
+
+@pointed(record(BENCH), INTEGER)
+def _applied(_b: Any, _force: int) -> int:
+    """As `Moved.applied`: there is no lag to know of."""
+    return 0
 
 
 class Bench:
@@ -77,16 +113,22 @@ class Bench:
     def __init__(self, settings: BenchPlant) -> None:
         self.settings = settings
         self.internal_step_s = settings.internal_step_us / 1e6
-        self.reset()
+        self._record = np.zeros((), BENCH)
+        for name, value in {
+            "step_s": self.internal_step_s,
+            "mass": settings.mass_kg,
+            "damping": settings.damping_N_s2_m2,
+            "stiffness": settings.stiffness_N_m,
+            "hardening": settings.stiffness_N_m3,
+            "rest": settings.rest_length_m,
+        }.items():
+            self._record[name] = value
+        self._measured = np.zeros(2 * LEGS)
 
     def reset(self) -> tuple[Array, Array]:
         """Back to rest at the rest length; lengths (6,) m, rates (6,) m/s."""
-        self._x = np.zeros(LEGS)
-        self._v = np.zeros(LEGS)
-        return self._measured()
-
-    def _measured(self) -> tuple[Array, Array]:
-        return self._x + self.settings.rest_length_m, self._v.copy()
+        self._record["x"] = self._record["v"] = 0.0
+        return np.full(LEGS, self.settings.rest_length_m), np.zeros(LEGS)
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Hold force (6,) N and brake (6,) 0..1 for `dt_s`; lengths (6,) m and rates (6,) m/s at its end.
@@ -94,21 +136,25 @@ class Bench:
         Raises PlantError on a dt that is no multiple of the internal step, or a value that is not finite; the
         state is then as before.
         """
-        h = self.internal_step_s
-        n = whole_steps(dt_s, h)
-        if not (np.isfinite(force).all() and np.isfinite(brake).all() and np.isfinite(wrench).all()):
-            raise PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
-        s = self.settings
-        x, v = self._x.copy(), self._v.copy()
-        springs = s.stiffness_N_m, s.stiffness_N_m3
-        _advance(x, v, force, brake * BRAKE_FORCE_N, h, n, s.mass_kg, s.damping_N_s2_m2, *springs)
-        if not (np.isfinite(x).all() and np.isfinite(v).all()):
-            raise PlantError(
-                f"the bench diverged under {force} N: stiffness or damping is too large for plant.model."
-                f"internal_step_us = {s.internal_step_us:g}"
-            )
-        self._x, self._v = x, v
-        return self._measured()
+        n = whole_steps(dt_s, self.internal_step_s)
+        given = [np.ascontiguousarray(each, np.float64) for each in (force, brake, wrench)]
+        status = _move(self._record, *map(data_at, given), n, data_at(self._measured))
+        if status:
+            raise self._refused(status, given[0], given[1], given[2], n)
+        y = self._measured.copy()
+        return y[:LEGS], y[LEGS:]
+
+    def _refused(self, status: int, force: Array, brake: Array, wrench: Array, _steps: int) -> PlantError:
+        if status == NOT_FINITE:
+            return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
+        return PlantError(
+            f"the bench diverged under {force} N: stiffness or damping is too large for plant.model."
+            f"internal_step_us = {self.settings.internal_step_us:g}"
+        )
+
+    def moved(self) -> Moved:
+        """Return this plant by address."""
+        return Moved(_move.address, _applied.address, data_at(self._record), self._refused, self)
 
     def truth(self) -> Truth | None:
         """None: there is no platform."""

@@ -11,6 +11,7 @@ from drivers.can.localcan.doorbell import Doorbell
 from drivers.can.localcan.layout import SLOT_DUE, SLOT_PID, SLOT_RUNG, SLOT_SERIAL, SLOTS, slot_at
 from drivers.can.localcan.wire import Wire
 from drivers.errors import BusError
+from drivers.frame_array import sent_array
 from drivers.protocol import Frame
 
 pytestmark = pytest.mark.usefixtures("runtime")
@@ -70,7 +71,7 @@ def test_where_the_runtime_folder_is_removed_nobody_on_the_bus_is_taken_for_dead
     for k, node in enumerate(nodes):
         for other in serials:
             words[slot_at(other) + SLOT_RUNG] = 0  # it waits for a ring
-        assert node.send([Frame(0x100 + k, b"")]) == 1
+        assert node.send(sent_array([Frame(0x100 + k, b"")])) == 1
     assert [int(words[slot_at(serial) + SLOT_SERIAL]) for serial in serials] == serials
 
 
@@ -82,7 +83,7 @@ def test_who_is_left_from_before_the_runtime_folder_was_made_anew_removes_nothin
     new = [join() for _ in range(2)]
     assert [node.serial for node in new] == [node.serial for node in old[:2]], "their names are the same"
     there = sorted((runtime / "hexapod-hil").iterdir())
-    assert old[0].send([Frame(1, b"")]) == 1
+    assert old[0].send(sent_array([Frame(1, b"")])) == 1
     for node in old:
         node.close()
     assert sorted((runtime / "hexapod-hil").iterdir()) == there
@@ -119,4 +120,4 @@ def test_who_has_left_may_leave_again_and_takes_nothing_of_those_who_stay_or_com
     words = stays._wire.words
     for node in (stays, comes):
         assert int(words[slot_at(node.serial) + SLOT_SERIAL]) == node.serial
-    assert stays.send([Frame(1, b"")]) == 1
+    assert stays.send(sent_array([Frame(1, b"")])) == 1

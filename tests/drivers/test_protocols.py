@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from drivers import PROTOCOLS
+from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
 from drivers.errors import ConfigurationError
-from drivers.frame_array import NO_FRAMES, received_array, received_frames
+from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Mode
@@ -108,8 +109,8 @@ class Wire:
     def skew_ns(self) -> int:
         return 0
 
-    def send(self, frames: tuple[Frame, ...]) -> int:
-        self.sent += frames
+    def send(self, frames: Rows) -> int:
+        self.sent += sent_frames(frames)
         return 0
 
 

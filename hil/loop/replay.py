@@ -87,8 +87,10 @@ class Comparison:
 _INPUT = struct.Struct(f"<{INPUT_ELEMENTS}q")
 """The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
 _WORDS = FRAME.itemsize // 8
-*_NUMBERS, _ = INPUT_COLUMNS
-"""One number each; latch_ns, the last one, is six."""
+_FRAMES = TickInput._fields.index("frames")
+_STATE, _ALIVE, _COMPUTE = map(INPUT_COLUMNS.index, ("bus_state", "recorder_alive", "compute_ns"))
+"""Where TickInput has what no column holds or is no integer. latch_ns, the last column, is six."""
+_STATES = {int(state): state for state in BusState}
 
 
 def other_columns(columns: Sequence[Column]) -> str:
@@ -118,25 +120,30 @@ class Recorded(Protocol):
 
 def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick. Raises LogError: one that no cycle writes."""
-    numbers = _INPUT.unpack_from(entry.row.tobytes())
-    columns: dict[str, Any] = dict(zip(_NUMBERS, numbers, strict=False))
-    columns["latch_ns"] = numbers[len(_NUMBERS) :]
-    tick, alive = columns["tick"], columns["recorder_alive"]
+    numbers = _INPUT.unpack_from(entry.row)
+    tick, alive, state = numbers[0], numbers[_ALIVE], _STATES.get(numbers[_STATE])
     if alive not in (0, 1):
         raise LogError(f"the row of tick {tick} is damaged: {alive} is not a valid recorder_alive")
-    columns["recorder_alive"] = bool(alive)
+    if state is None:
+        raise LogError(f"the row of tick {tick} is damaged: {numbers[_STATE]} is not a valid BusState")
     try:
-        columns["bus_state"] = BusState(columns["bus_state"])
         operator = tuple(map(Operator, entry.operator))
     except ValueError as error:
         raise LogError(f"the row of tick {tick} is damaged: {error}") from None
-    return TickInput(
-        **columns,
-        frames=entry.received_items,
-        operator=operator,
-        setpoints=entry.setpoints,
-        orders=entry.orders,
+    values: Sequence[Any] = (
+        *numbers[:_FRAMES],
+        entry.received_items,
+        *numbers[_FRAMES:_STATE],
+        state,
+        alive == 1,
+        *numbers[_ALIVE + 1 : _COMPUTE],
+        operator,
+        numbers[_COMPUTE],
+        numbers[_COMPUTE + 1 :],
+        entry.setpoints,
+        entry.orders,
     )
+    return TickInput(*values)
 
 
 class Stepped(NamedTuple):

@@ -120,7 +120,8 @@ class Recorded(Protocol):
 
 def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick. Raises LogError: one that no cycle writes."""
-    numbers = _INPUT.unpack_from(entry.row)
+    row: Any = entry.row
+    numbers = _INPUT.unpack_from(row)
     tick, alive, state = numbers[0], numbers[_ALIVE], _STATES.get(numbers[_STATE])
     if alive not in (0, 1):
         raise LogError(f"the row of tick {tick} is damaged: {alive} is not a valid recorder_alive")

@@ -228,7 +228,7 @@ def _answers(cycle: Cycle, hears: Hearing, bus: Bus, tick: int, begun_ns: int, d
         if not len(heard):
             break
         answers.append(heard)  # of a node, maybe an answer to an older tick, or one that is damaged or forged
-        missing = missing.difference(fresh_ids(protocol, hears, heard, tick, begun_ns))
+        missing = missing.difference(fresh_ids(hears, heard, tick, begun_ns))
         if missing and bus.clock.now() >= deadline_ns:
             answers.append(bus.drain_now())  # what came while this process was held up
             break

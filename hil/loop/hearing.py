@@ -4,15 +4,11 @@ from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER, direct, records
 from drivers.compiled.pointed import address_of, call
 from drivers.ends import Hearing
-from drivers.frame_array import FRAME, received_frames
-from drivers.protocol import DriveProtocol
+from drivers.frame_array import FRAME
 
 
-def fresh_ids(protocol: DriveProtocol, hears: Hearing, frames: Rows, tick: int, since_ns: int) -> list[int]:
+def fresh_ids(hears: Hearing, frames: Rows, tick: int, since_ns: int) -> list[int]:
     """Return what is `awaited` of a tick and `fresh` among frames."""
-    if not hears.context:  # sooner done here than by a callback each
-        received = received_frames(frames)
-        return [protocol.awaited(each.frame) for each in received if protocol.fresh(each, tick, since_ns)]
     places = fresh_places(hears.fresh, hears.context, frames, tick, since_ns)
     return [each for k, each in enumerate(hears.wanted) if places >> k & 1]
 

@@ -1,10 +1,12 @@
 """Two versions of the project in turn: what a tick of `hil sim` and of a replay takes in each.
 
     python -m tools.benchmarks.versions OLD NEW --duration 10 --rounds 5
+    python -m tools.benchmarks.versions OLD NEW --duration 3 --rounds 1 --table
 
 OLD and NEW are checkouts. Each round starts a process for each, with this Python and its libraries. It runs
 the configuration in lockstep without a recorder, then replays a recorded run from memory. The figure is the
-median of the quietest tenth of all blocks of 100 ticks on the path.
+median of the quietest tenth of all blocks of 100 ticks on the path. --table: `virtual`, others of the shipped
+configurations, a fused pose, and `desktop` with the drives of each family.
 """
 
 import argparse
@@ -15,7 +17,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from importlib import resources
 from pathlib import Path
 from statistics import median
 from types import SimpleNamespace
@@ -90,6 +93,30 @@ def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str,
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
+def table(folder: Path) -> Iterator[tuple[str, str]]:
+    """Write the configurations of --table into a folder; yield what each is, and its name or file."""
+    from hil.app.configuration.changes import with_changes  # noqa: PLC0415
+    from tools.drive_families import FAMILIES, Changes  # noqa: PLC0415
+
+    for name in ("virtual", "lab", "two_buses", "virtual-cia402"):
+        yield f"`{name}`", name
+    tracker = {"rate_Hz": 200, "position_std_m": 1e-3, "orientation_std_deg": 0.1}
+    fused: Changes = {"sensors": {"tracker": tracker}, "estimation": {"pose": "fused"}}
+    changed: list[tuple[str, str, Changes]] = [("`virtual`, fused pose", "virtual", fused)]
+    changed += [(f"`desktop`, {family}", "desktop", changes) for family, changes in FAMILIES.items()]
+    for what, base, changes in changed:
+        text = resources.files("configs").joinpath(f"{base}.yaml").read_text(encoding="utf-8")
+        file = folder / f"{len(list(folder.iterdir()))}.yaml"
+        file.write_text(with_changes(text, changes), encoding="utf-8")
+        yield what, str(file)
+
+
+def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> dict[str, list[list[float]]]:
+    """Measure versions in turn; return for each kind the quietest us of a tick, a row a round."""
+    found = [[measured(each, *run) for each in checkouts] for _ in range(rounds)]
+    return {kind: [[quietest(each[kind]) for each in row] for row in found] for kind in KINDS}
+
+
 def quietest(us: list[float]) -> float:
     """Return the median of the quietest tenth of blocks."""
     return median(sorted(us)[: max(1, len(us) // 10)])
@@ -102,15 +129,24 @@ def main() -> None:
     parser.add_argument("--configuration", default="virtual")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="3 at least")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--table", action="store_true", help="a table of configurations in place of one")
     given = parser.parse_args()
     run = given.configuration, given.duration
     if not given.checkouts:
         print(json.dumps(measure(*run)))
         return
-    rounds = [[measured(each, *run) for each in given.checkouts] for _ in range(given.rounds)]
-    for kind in KINDS:
-        old, new = (quietest([us for pair in rounds for us in pair[k][kind]]) for k in range(2))
-        ratios = sorted(quietest(a[kind]) / quietest(b[kind]) for a, b in rounds)
+    if given.table:
+        print("| | lockstep, us | times | replay, us | times |\n|---|---|---|---|---|")
+        with tempfile.TemporaryDirectory() as folder:
+            for what, configuration in table(Path(folder)):
+                both = compare(given.checkouts, (configuration, given.duration), given.rounds)
+                cells = [map(median, zip(*both[kind], strict=True)) for kind in KINDS]
+                columns = [f"{a:.0f}, {b:.0f} | {a / b:.1f}" for a, b in cells]
+                print(f"| {what} | {' | '.join(columns)} |", flush=True)
+        return
+    for kind, rows in compare(given.checkouts, run, given.rounds).items():
+        old, new = map(median, zip(*rows, strict=True))
+        ratios = sorted(a / b for a, b in rows)
         print(f"{kind:8s} {old:.2f} us a tick, then {new:.2f}: {old / new:.2f} times as fast")
         print(f"         {ratios[0]:.2f} to {ratios[-1]:.2f} times in single rounds")
 

@@ -121,7 +121,7 @@ def build_cycle(
         learned = learned_forces(c.feedforward, c.reference, c.controller, c.platform, c.folder)
     steering, admission = None, build_admission(c, platform)
     if isinstance(trajectory, LiveTrajectory):
-        steering = Steering(trajectory, admission)
+        steering = Steering(trajectory, admission, admission.callee)
     predictor = build_predictor(c.controller, platform, c.platform.leg_spin, 1.0 / rate_Hz)
     context = LawContext(
         platform,

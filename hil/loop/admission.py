@@ -1,18 +1,21 @@
 """Which poses a set-point may send the platform to, and which a move may lead through."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel
+from drivers.compiled.apart import apart
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
+from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Refusal
 from hil.config.limits import LimitSettings
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.safety.finite import all_finite
@@ -116,6 +119,28 @@ def change_within(
     return most
 
 
+ADMISSION = np.dtype(
+    [
+        ("base_joints", "<f8", (6, 3)),
+        ("platform_joints", "<f8", (6, 3)),
+        ("constants", "<i8"),
+        ("code", "<i8"),
+        ("ddchi", "<f8", (6,)),
+        *((name, "<f8") for name in ("radius", "low", "high", "condition", "force")),
+    ]
+)
+"""What `judge` takes beside the pose."""
+_judge = apart(judge)
+
+
+@pointed(record(ADMISSION), INTEGER)
+def judge_at(k: Any, chi: int) -> int:
+    """Return the bits of Refusal against the six words at an address."""
+    a, b, constants = k.base_joints, k.platform_joints, reals_at(k.constants, SIZE)
+    limits = k.low, k.high, k.condition, k.force
+    return int(_judge(a, b, k.radius, constants, k.code, reals_at(chi, 6), k.ddchi, *limits))
+
+
 class Admission:
     """Refuses poses at or beyond a soft end of the stroke, near a singularity, or that take too much force.
 
@@ -149,6 +174,13 @@ class Admission:
             limits.condition,
             min(limits.force_N, drive_force_limit),
         )
+        self._record = np.zeros((), ADMISSION)
+        names = "base_joints", "platform_joints", "radius", "ddchi", "low", "high", "condition", "force"
+        for name, value in zip(names, (*self._robot[:3], *self._limits), strict=True):
+            self._record[name] = value
+        self._record["constants"], self._record["code"] = data_at(model.constants), model.code
+        self.callee = Callee(judge_at.address, data_at(self._record), self)
+        """(admission, address of six words): what a call does."""
         self._stop_s, self._window_N = stop_s, limits.force_window_N
         self._moving = np.array(
             [

@@ -33,6 +33,7 @@ CONTROL = np.dtype(
         ("decode", "<i8"), ("decoder", "<i8"), ("command", "<i8"), ("codec", "<i8"),
         ("hear", "<i8"), ("sensors", "<i8"), ("fuse", "<i8"), ("filter", "<i8"),
         ("load", "<i8"), ("loads", "<i8"), ("last_load", "<i8"),  # the last one: address of the wrench, (6,)
+        ("steer", "<i8"), ("live", "<i8"), ("judge", "<i8"), ("admission", "<i8"),  # of a live reference
         ("learn", "<i8"), ("learner", "<i8"), ("predict", "<i8"), ("predictor", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
         # records of the parts
@@ -57,6 +58,8 @@ CONTROL = np.dtype(
         ("overdue", "<i8"),  # ticks in the mode after which the drives are late
         ("on_path", "<i8"),  # 1: on the path, and not on a jog from it
         ("ends", "<i8"),  # 1: the mode ends with the motion
+        ("live_since", "<i8"),  # tick at which the live reference began; NEVER: it is not under way
+        ("steered", "<i8"),  # the last tick in which it was gone along
         ("key_until", "<i8"),  # tick from which the operator's key counts as let go
         ("fixed", "<i8"),  # 1: the holding force as it is
         ("holding", "<f8", (6,)), ("offset", "<f8", (6,)),  # N
@@ -79,8 +82,9 @@ end, a decoder failed."""
 EFFORT, JUDGE, COMMAND = 1, 2, 4
 """Parts of `act`."""
 ALL = EFFORT | JUDGE | COMMAND
-DONE, VERDICT, UNFIT = range(3)
-"""How `act` ends: all done; before the command, as there is a verdict to look at; a force does not fit."""
+DONE, VERDICT, UNFIT, STOPPED = range(4)
+"""How `act` ends: all done; before the command, as there is a verdict to look at; a force does not fit; at
+its beginning, as a live reference stops on its way: what is against that is the verdict."""
 NEVER = 1 << 62
 AGREED_m = 1e-4
 """A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
@@ -328,11 +332,17 @@ def send(c: Any, tick: Any, into: Any) -> int:
 
 @direct(_CONTROL, _TICK, records(FRAME), INTEGER)
 def act(c: Any, tick: Any, into: Any, parts: int) -> int:
-    """Go through the parts of a tick, EFFORT, JUDGE, COMMAND; return DONE, VERDICT or UNFIT.
+    """Go through the parts of a tick, EFFORT, JUDGE, COMMAND; return how it ends.
 
     into: elements of FRAME for the command, `sent` of which are filled.
     """
     if parts & EFFORT:
+        if c.live_since != NEVER and c.steered != tick.tick:
+            c.steered = tick.tick
+            against = call(c.steer, (c.live, c.judge, c.admission, tick.tick - c.live_since))
+            if against:
+                c.verdict[0] = against
+                return STOPPED
         place(c, tick)
         fill_effort(c, tick)
     if parts & JUDGE:

@@ -15,7 +15,7 @@ from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
 from hil.estimation.external_wrench import hear_sensors
 from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
-from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STOPPABLE, drive_mode
+from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STEERED, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
 
 _ANY = (1 << len(DriveState)) - 1
@@ -68,6 +68,9 @@ class Control:
         if parts.last_pose is not None:
             c["decode"], c["decoder"] = self._homed(end.decode, end.codec)
         c["sensors"] = data_at(cycle.sight.sensors)
+        if parts.steering is not None:
+            c["steer"], c["live"] = parts.steering.trajectory.steer[:2]
+            c["judge"], c["admission"] = parts.steering.judge[:2]
         if parts.sensors is not None:
             c["hear"] = hear_sensors.address
         if parts.fusion is not None:
@@ -105,12 +108,13 @@ class Control:
         patience = operating.patience
         key_tick = operating.key_tick if operating.go else None
         c["key_until"] = NEVER if patience is None or key_tick is None else key_tick + patience
-        steered = cycle.parts.steering is not None
+        steering = cycle.parts.steering
+        c["live_since"] = motion.tick if self.steers else NEVER
         stops = cycle.stop_requested is not Stop.NONE
         c["watchful"] = (
             mode in _WATCHED
             or cycle.yields
-            or steered
+            or (steering is not None and steering.tells)
             or motion.away
             or operating.busy(mode)
             or (stops and mode in STOPPABLE)
@@ -125,8 +129,27 @@ class Control:
         c["fixed"] = (mode is Mode.HELD and bool(cycle.faults & NOT_MEASURED)) or cycle.yields
         c["holding"], c["offset"] = effort.holding, effort.offset
         c["entry_tick"] = WHOLE if effort.entry_tick is None else effort.entry_tick
-        if cycle.parts.steering is not None:
-            c["setpoints"] = cycle.parts.steering.counts
+        if steering is not None:
+            c["setpoints"] = steering.counts
+
+    @property
+    def steers(self) -> bool:
+        """Whether a live reference is under way."""
+        cycle = self._cycle
+        steered = cycle.parts.steering is not None and cycle.mode in STEERED
+        return steered and cycle.motion.trajectory is cycle.parts.trajectory
+
+    def steered(self, tick: int) -> int | None:
+        """Return the tick of the live reference to go to; None: it is not under way. The pass does not go."""
+        self.record["steered"] = tick
+        return tick - self._cycle.motion.tick if self.steers else None
+
+    def stop_on_the_way(self) -> None:
+        """Count that the live reference has stopped on its way."""
+        steering = self._cycle.parts.steering
+        assert steering is not None
+        steering.stopped(int(self.record["verdict"][0]))
+        self.settle(attentive=bool(self.record["attentive"]))
 
     def probe(self, tick: Record) -> None:
         """Watch the legs while a force holds them; one that does not obey gets none."""

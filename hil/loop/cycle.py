@@ -21,14 +21,14 @@ from drivers.frame_array import FRAME, sent_array
 from drivers.protocol import Dialogue
 from drivers.signals import DriveMode, Fault, Mode, Stop
 from drivers.tick_columns import INPUT_ELEMENTS, Record, new_record, row_of
-from hil.loop import modes
-from hil.loop.compiled_pass import ALL, BROKEN, COMMAND, DIALOGUE, EFFORT, JUDGE, UNLOCATED, act, observe
+from hil.loop import compiled_pass, modes
+from hil.loop.compiled_pass import ALL, COMMAND, EFFORT, JUDGE, STOPPED, act, observe
 from hil.loop.control import Control
 from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready
 from hil.loop.effort import Effort
 from hil.loop.homing import Homing, Stroke
 from hil.loop.jogging import Jogging
-from hil.loop.modes import ENDING, STEERED, Durations, Facts, drive_mode, next_mode, overdue
+from hil.loop.modes import ENDING, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.obedience import Obedience
 from hil.loop.operating import Operating
@@ -135,12 +135,14 @@ class Cycle:
         if look or inp.orders or inp.operator or inp.setpoints:
             self._decide(inp, tick, look)
             control.settle(attentive=bool(inp.operator))
+        parts = EFFORT if control.probes else ALL
+        ended = act(record, tick, into, parts)
+        if ended == STOPPED:
+            control.stop_on_the_way()
+            ended = act(record, tick, into, parts)
         if control.probes:
-            act(record, tick, into, EFFORT)
             control.probe(tick)
             ended = act(record, tick, into, JUDGE | COMMAND)
-        else:
-            ended = act(record, tick, into, ALL)
         frames = self._finish(inp, tick, into) if ended else into[: record["sent"]]
         if control.error is not None:
             control.fail()
@@ -149,11 +151,11 @@ class Cycle:
     def _decide(self, inp: TickInput, tick: Record, look: int) -> None:
         """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
         parts, number = self.parts, inp.tick
-        if look & BROKEN:
+        if look & compiled_pass.BROKEN:
             self.end.refuse(ZERO6, DriveMode.OFF, number)
-        if look & DIALOGUE:
+        if look & compiled_pass.DIALOGUE:
             self.end.look(inp.frames)
-        if look & UNLOCATED:
+        if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
             self._control.load(tick)
         self.effort.last_tau = self.last["tau"]
@@ -161,8 +163,7 @@ class Cycle:
         self._change_mode(inp, tick)
         steering = parts.steering
         if steering is not None:
-            under_way = self.mode in STEERED and self.motion.trajectory is parts.trajectory
-            along = number - self.motion.tick if under_way else None
+            along = self._control.steered(number)
             follows = self.mode is Mode.TRACKING and self.operating.go
             steering.step(inp.setpoints, along, tracking=follows and not self.operating.parks)
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.compiled.pointed import Callee
 from drivers.signals import Refusal
 from hil.signals import SetPoint
 from hil.trajectory.live import LiveTrajectory
@@ -29,10 +30,13 @@ class Steering:
     `reset` restores the initial one.
     """
 
-    def __init__(self, trajectory: LiveTrajectory, admission: Callable[[Array], int]) -> None:
-        """Take the judge of poses (6,) m, rad: bits of Refusal against them; see `hil.loop.admission`."""
+    def __init__(self, trajectory: LiveTrajectory, admission: Callable[[Array], int], judge: Callee) -> None:
+        """Take the judge of poses (6,) m, rad: bits of Refusal against them; see `hil.loop.admission`.
+
+        judge: the same by address, see `LiveTrajectory.advance`.
+        """
         self.trajectory = trajectory
-        self._admission = admission
+        self._admission, self.judge = admission, judge
         self.reset()
 
     def reset(self) -> None:
@@ -61,9 +65,19 @@ class Steering:
             else:
                 taken += 1
                 self.trajectory.aim(chi)
+        against = 0
         if tick is not None:
-            against = self.trajectory.advance(tick, self._admission)
-            if against:
-                refused += 1
-                refusal |= against | int(Refusal.ON_THE_WAY)
+            against = self.trajectory.advance(tick, self.judge)
         self.counts = Counts(taken, refused, refusal)
+        if against:
+            self.stopped(against)
+
+    def stopped(self, against: int) -> None:
+        """Count a stop on the way, with what was found against it."""
+        taken, refused, refusal = self.counts
+        self.counts = Counts(taken, refused + 1, refusal | against | int(Refusal.ON_THE_WAY))
+
+    @property
+    def tells(self) -> bool:
+        """Whether the next tick has to take back what this one says."""
+        return bool(self.counts.refusal or self.answers)

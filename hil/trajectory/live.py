@@ -9,14 +9,13 @@ derivative, (a(t) - a(t - T))/T, by 2 A / T.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, OUT_MATRIX, direct, helper, record
-from drivers.compiled.pointed import Callee, address_of, data_at, pointed, reals_at
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
 from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, kept, lift, sample_at
 
@@ -141,7 +140,7 @@ def braked(s: float, x: float, v: float, n: float, period: float) -> float:
     return x * s + period * v * (curve + 0.5 * n * (s - moving))
 
 
-@direct(record(LIVE), OUT_MATRIX)
+@helper
 def way_to_rest(live: Any, chi: Array) -> int:
     """Fill words (n, 6) at which the platform would be if it braked from x1, v1 on; return their number.
 
@@ -167,7 +166,7 @@ def way_to_rest(live: Any, chi: Array) -> int:
     return marks
 
 
-@pointed(record(LIVE), INTEGER, INTEGER)
+@helper
 def proceed(live: Any, tick: int, good: int) -> int:
     """Go on to a tick; return 0, or TO_JUDGE before the first step of which the way to rest is to be judged.
 
@@ -202,6 +201,26 @@ def proceed(live: Any, tick: int, good: int) -> int:
         ddchi[i] = (v - history[place(row, SPEED, i)]) / (m * period)
     lift(chi, dchi, ddchi, sample_at(address_of(live) + _SAMPLE))
     return 0
+
+
+@pointed(record(LIVE), INTEGER, INTEGER, INTEGER)
+def advance(live: Any, judge: int, context: int, tick: int) -> int:
+    """Go on to a tick, see `LiveTrajectory.advance`; return what was found against the way, or 0.
+
+    judge: address of (context, address of a pose, (6,) m, rad) -> 0 for a good one.
+    """
+    found = good = 0
+    way = np.empty((MOST_MARKS, 6))
+    while proceed(live, tick, good) == TO_JUDGE:
+        against, mark = 0, way_to_rest(live, way)
+        while mark > 0 and against == 0:  # its end first
+            mark -= 1
+            against = call(judge, (context, np.int64(way[mark].ctypes.data)))
+        good = 1 if against == 0 else 0
+        if against:
+            found = against
+            live.halted = 1
+    return found
 
 
 class LiveTrajectory(CompiledTrajectory):
@@ -250,7 +269,7 @@ class LiveTrajectory(CompiledTrajectory):
         self._history[:, TOTAL] = np.roll(before, 1, axis=0) * self._start
         self.duration_s: float | None = None
         self.halt()
-        self._proceed(0, judged=False)
+        advance(self._live, 0, 0, 0)
 
     def aim(self, chi: Array) -> None:
         """Set the target (6,) m, rad."""
@@ -279,27 +298,17 @@ class LiveTrajectory(CompiledTrajectory):
         self.halt()
         self.duration_s = (tick + ticks + 1 + len(self._history)) * self._period
 
-    def advance(self, tick: int, admit: Callable[[Array], int]) -> int:
+    @property
+    def steer(self) -> Callee:
+        """(record, address of a judge, its context, tick): what `advance` calls."""
+        return Callee(advance.address, data_at(self._live), self)
+
+    def advance(self, tick: int, judge: Callee) -> int:
         """Go on to a tick, counted from time zero.
 
-        `admit` judges a pose (6,) m, rad: 0 for a good one. As long as the way to rest of a braking that
-        begins with the next tick is good it goes on towards the target; else it brakes at once, on the way
-        that was good a tick ago, whose end becomes the target. Returns what was found against the way, or 0.
+        judge: (context, address of a pose, (6,) m, rad) -> 0 for a good one. As long as the way to rest of a
+        braking that begins with the next tick is good it goes on towards the target; else it brakes at once,
+        on the way that was good a tick ago, whose end becomes the target. Returns what was found against the
+        way, or 0.
         """
-        found, judged = 0, False
-        while self._proceed(tick, judged=judged) == TO_JUDGE:
-            against = self._judge(admit)
-            judged = not against
-            if against:
-                found = against
-                self.halt()
-        return found
-
-    def _proceed(self, tick: int, *, judged: bool) -> int:
-        return proceed(data_at(self._live), tick, int(judged))
-
-    def _judge(self, admit: Callable[[Array], int]) -> int:
-        """Return what is first found against the way to rest from the next tick on, its end first."""
-        way = np.empty((MOST_MARKS, 6))
-        marks = way_to_rest(self._live, way)
-        return next(filter(None, map(admit, way[:marks][::-1])), 0)
+        return int(advance(self._live, judge.address, judge.context, tick))

@@ -20,7 +20,7 @@ from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.steering import Counts
 from hil.robot.kinematics import leg_lengths
-from hil.signals import Operator, Order
+from hil.signals import Operator, Order, SetPoint
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import LIVE, VIRTUAL
 from tests.hil.test_cycle_held import aside
@@ -85,9 +85,25 @@ def test_a_live_reference_moves_on_its_own_way_alone_and_takes_set_points_where_
     else:
         cycle.motion.start(cycle.parts.trajectory, 20)
     cycle.operating.go, cycle.operating.parks = what != "on hold", what == "parks"
-    step(bench, mode)
+    step(bench, mode, setpoints=(SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0),))
     under_way = mode in {Mode.TRACKING, Mode.STOPPING} and not elsewhere
     assert told == [(30 if under_way else None, mode is Mode.TRACKING and what == "goes")]
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING])
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_live_reference_goes_on_without_a_decision_too(bench, mode, elsewhere):
+    cycle = bench.cycle
+    live = cycle.parts.steering.trajectory
+    live.reset()
+    if elsewhere:
+        cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
+    else:
+        cycle.motion.start(live, 20)
+    cycle.operating.go = True
+    step(bench, mode)
+    under_way = mode in {Mode.TRACKING, Mode.STOPPING} and not elsewhere
+    assert int(live._live["tick"]) == (30 if under_way else 0)
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.judged import ANYWHERE
 
 from hil.loop.motion import Motion
 from hil.trajectory.live import LiveTrajectory
@@ -129,7 +130,7 @@ LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
 def followed(live, ticks, asked):
     found = []
     for tick in range(ticks):
-        live.advance(tick, lambda _: 0)
+        live.advance(tick, ANYWHERE)
         for act in asked.get(tick, ()):
             act()
         sample = live.sample(0.0)

@@ -7,6 +7,7 @@ from drivers.signals import Refusal
 from hil.loop.steering import Counts, Steering
 from hil.signals import SetPoint, explain
 from hil.trajectory.live import LiveTrajectory
+from tests.judged import judged
 
 START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
@@ -19,7 +20,7 @@ def admission(chi):
 
 @pytest.fixture
 def steering():
-    return Steering(LiveTrajectory(START, LIMITS, 1e-3), admission)
+    return Steering(LiveTrajectory(START, LIMITS, 1e-3), admission, judged(admission))
 
 
 def at(x=0.0, y=0.0):
@@ -81,6 +82,7 @@ def test_in_a_tick_in_which_the_way_is_refused_too_a_set_points_own_refusal_is_s
     steering.step((at(0.0, 0.04),), 1, tracking=True)
     before = go(steering, 2, 300)[1]
     steering._admission = lambda chi: Refusal.STROKE if abs(chi[0]) > 0.2 else Refusal.FORCE
+    steering.judge = judged(steering._admission)
     steering.step((at(0.3),), 300, tracking=True)
     assert steering.trajectory.sample(0.0).p[1] > before
     assert steering.counts == Counts(1, 2, Refusal.STROKE | Refusal.FORCE | Refusal.ON_THE_WAY)

@@ -9,6 +9,8 @@ from hil.config.reference import LiveReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.live import LiveTrajectory
+from tests.judged import ANYWHERE
+from tests.judged import judged as by_address
 
 PERIOD = 1e-3
 V, A, J = 0.3, 1.0, 10.0
@@ -21,15 +23,11 @@ def off(*words):
     return START + np.array(words)
 
 
-def anywhere(chi):
-    return 0
-
-
 def live(limits=LIMITS, period=PERIOD, start=START):
     return LiveTrajectory(start, limits, period)
 
 
-def run(trajectory, script, ticks, admit=anywhere):
+def run(trajectory, script, ticks, admit=ANYWHERE):
     """Aim at script[tick]; return the six words (n, 6) at each tick, the first at time zero, and what was found."""
     samples, found = [], []
     for k in range(ticks):
@@ -74,7 +72,7 @@ def test_a_lower_speed_is_come_down_to_within_the_limits_in_either_direction(way
     samples, share = [], {700: 0.25, 1600: 1.0}
     for k in range(3000):
         if k:
-            trajectory.advance(k, anywhere)
+            trajectory.advance(k, ANYWHERE)
         if k in share:
             trajectory.limit(share[k])
         samples.append(trajectory.sample(0.0))
@@ -94,7 +92,7 @@ def test_twist_and_its_rate_are_the_derivatives_of_the_pose():
     for k in range(2500):
         if k in {0, 400, 900}:
             trajectory.aim(START + {0: 0.2, 400: -0.1, 900: 0.05}[k])
-        trajectory.advance(k, anywhere)
+        trajectory.advance(k, ANYWHERE)
         samples.append(trajectory.sample(0.0))
     p = np.array([s.p for s in samples])
     twist = np.array([s.twist for s in samples])
@@ -132,7 +130,7 @@ def test_it_holds_at_the_last_set_point_to_the_bit():
     run(trajectory, {0: off(0.1, 0, 0, 0.1, 0, 0)}, 2000)
     here = trajectory.sample(0.0)
     for k in range(2000, 2200):
-        trajectory.advance(k, anywhere)
+        trajectory.advance(k, ANYWHERE)
         for a, b in zip(trajectory.sample(0.0), here, strict=True):
             assert a.tobytes() == b.tobytes()
     assert not here.twist.any()
@@ -152,7 +150,7 @@ def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
     assert end - moment <= (V / A + 2 * A / J) / PERIOD + 2
     samples = []
     for k in range(moment + 1, end + 50):
-        trajectory.advance(k, anywhere)
+        trajectory.advance(k, ANYWHERE)
         samples.append(trajectory.sample(0.0))
     after = np.vstack([before, six_words(samples)])
     assert np.ptp(after[end:], axis=0).max() == 0.0
@@ -164,7 +162,9 @@ def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
 
 def test_it_brakes_before_a_place_that_is_not_good_and_stays_there():
     trajectory = live()
-    words, found = run(trajectory, {0: off(0.25, 0, 0, 0, 0, 0)}, 2500, admit=lambda chi: 7 * (chi[0] > 0.1))
+    words, found = run(
+        trajectory, {0: off(0.25, 0, 0, 0, 0, 0)}, 2500, admit=by_address(lambda chi: 7 * (chi[0] > 0.1))
+    )
     assert words[:, 0].max() <= 0.1
     assert words[-1, 0] > 0.1 - 1.1 * V * PERIOD, "as near as one tick of speed"
     assert [x for x in found if x] == [7], "found once"
@@ -184,6 +184,7 @@ def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
     before, _ = run(trajectory, script, moment)
     judged: list[np.ndarray] = []
 
+    @by_address
     def look(chi):
         judged.append(chi)
         return 0
@@ -194,7 +195,7 @@ def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
     end = round(trajectory.duration_s / PERIOD)
     samples = []
     for k in range(moment + 1, end):
-        trajectory.advance(k, anywhere)
+        trajectory.advance(k, ANYWHERE)
         samples.append(trajectory.sample(0.0))
     taken = six_words(samples)
     assert 5 < len(judged) <= 16
@@ -220,7 +221,9 @@ def test_axes_that_come_to_rest_one_after_the_other_do_not_lead_out_of_the_good_
     rng = np.random.default_rng(seed)
     goals = [off(x, 0, z, 0, 0, 0) for x, z in rng.uniform(-0.1, 0.2, (40, 2)) if min(x, z) < 0.05]
     script = {500 * n: goal for n, goal in enumerate(goals)}
-    words, found = run(live(limits), script, 500 * len(goals), admit=lambda chi: int(depth(chi) > 0))
+    words, found = run(
+        live(limits), script, 500 * len(goals), admit=by_address(lambda chi: int(depth(chi) > 0))
+    )
     assert any(found), "the corner was in the way"
     assert max(map(depth, words)) < 2e-3
     assert (np.ptp(words[:, [0, 2]], axis=0) > 0.15).all()
@@ -231,9 +234,9 @@ def test_ticks_that_were_skipped_are_made_up_for():
     for trajectory in (steady, skipping):
         trajectory.aim(START + 0.1)
     for k in range(1, 201):
-        steady.advance(k, anywhere)
+        steady.advance(k, ANYWHERE)
     for k in (1, 5, 120, 200):
-        skipping.advance(k, anywhere)
+        skipping.advance(k, ANYWHERE)
     for a, b in zip(steady.sample(0.0), skipping.sample(0.0), strict=True):
         assert a.tobytes() == b.tobytes()
 

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from hil.trajectory.live import LiveTrajectory, first_stage
-from tests.hil.test_trajectory_live import LIMITS, PERIOD, START, UNLIKE, A, J, V, anywhere, live, off
+from tests.hil.test_trajectory_live import LIMITS, PERIOD, START, UNLIKE, A, J, V, live, off
+from tests.judged import ANYWHERE
+from tests.judged import judged as by_address
 
 WINDOW = round(2 * A / J / PERIOD)
 FAR = off(2.0, -1.0, 1.5, 0.4, 0, 0.3)
 
 
-def goes(trajectory, first, last, admit=anywhere):
+def goes(trajectory, first, last, admit=ANYWHERE):
     for k in range(first, last):
         trajectory.advance(k, admit)
     return trajectory.sample(0.0)
@@ -39,6 +41,7 @@ def test_the_history_before_the_beginning_is_rest_at_the_start():
     trajectory, judged = live(start=start), []
     trajectory.aim(start + 0.1)
 
+    @by_address
     def look(chi):
         judged.append(chi)
         return 0
@@ -118,14 +121,14 @@ def test_a_share_of_the_speed_is_braked_to_within_the_acceleration_and_counts_fo
     trajectory.limit(share)
     v, rows = [], trajectory._history
     for k in range(500, 900):
-        trajectory.advance(k, anywhere)
+        trajectory.advance(k, ANYWHERE)
         v.append(rows[k % len(rows), 1, 0])
     assert v[0] == pytest.approx(V - A * PERIOD)
     assert np.diff(v).min() >= -A * PERIOD * (1 + 1e-9)
     assert v[-1] == share * V
     trajectory.limit(0.0)
     trajectory.halt()
-    trajectory.advance(900, anywhere)
+    trajectory.advance(900, ANYWHERE)
     ticks = np.ceil(share * V / (A * PERIOD))
     assert rows[900 % len(rows), 1, 0] == pytest.approx(share * V * (ticks - 1) / ticks, rel=1e-9)
 
@@ -144,6 +147,7 @@ def test_the_way_to_rest_is_judged_from_its_end_on_and_the_first_that_is_found_i
     trajectory, judged = live(), []
     trajectory.aim(FAR)
 
+    @by_address
     def look(chi):
         judged.append(chi[0])
         return len(judged) if len(judged) >= 3 else 0
@@ -167,6 +171,7 @@ def test_the_way_to_rest_is_judged_every_50_ms_at_most_16_times_and_last_at_rest
     trajectory.aim(START + way)
     goes(trajectory, 1, ticks)
 
+    @by_address
     def look(chi):
         judged.append(chi[0])
         return 0
@@ -176,7 +181,7 @@ def test_the_way_to_rest_is_judged_every_50_ms_at_most_16_times_and_last_at_rest
     assert len(judged) == marks
     x = [trajectory.sample(0.0).p[0]]
     for k in range(ticks + 1, ticks + longest + 1):
-        trajectory.advance(k, anywhere)
+        trajectory.advance(k, ANYWHERE)
         x.append(trajectory.sample(0.0).p[0])
     instants = [int(np.ceil(longest * (j + 1) / marks)) for j in range(marks)]
     np.testing.assert_allclose(judged[::-1], np.array(x)[instants], rtol=0, atol=1e-13)
@@ -187,7 +192,7 @@ def test_a_refused_way_is_left_for_the_rest_that_was_good_a_tick_ago():
     trajectory.aim(FAR)
     goes(trajectory, 1, 300)
     good = trajectory._live["rest"].copy()
-    goes(trajectory, 300, 301, lambda _: 1)
+    goes(trajectory, 300, 301, by_address(lambda _: 1))
     np.testing.assert_array_equal(trajectory._live["rest"], good)
     sample = goes(trajectory, 301, 1000)
     np.testing.assert_allclose(sample.p, good[:3], rtol=0, atol=1e-12)
@@ -203,21 +208,24 @@ def test_a_refused_way_is_told_and_braked_within_the_limits_at_any_share_and_ove
     goes(trajectory, 1, 500)
     good, rows = trajectory._live["rest"].copy(), trajectory._history
     trajectory.limit(share)
-    assert trajectory.advance(499 + ticks, lambda _: 5) == 5
-    assert trajectory.advance(500 + ticks, lambda _: 5) == 0
+    assert trajectory.advance(499 + ticks, by_address(lambda _: 5)) == 5
+    assert trajectory.advance(500 + ticks, by_address(lambda _: 5)) == 0
     steps = np.diff([rows[k % len(rows), 1, 0] for k in range(499, 501 + ticks)])
     np.testing.assert_allclose(steps, -A * PERIOD, rtol=1e-9)
     np.testing.assert_allclose(goes(trajectory, 501 + ticks, 1300).p, good[:3], rtol=0, atol=1e-12)
 
 
 def test_where_nothing_moves_nothing_is_judged():
-    trajectory = live()
+    trajectory, judged = live(), []
     trajectory.aim(START)
 
-    def never(chi):
-        raise AssertionError(chi)
+    @by_address
+    def look(chi):
+        judged.append(chi)
+        return 0
 
-    goes(trajectory, 1, 10, never)
+    goes(trajectory, 1, 10, look)
+    assert not judged
 
 
 def stepped(x, v, target, step):

@@ -26,6 +26,7 @@ BEGIN = {"LegsController.begin", "MotorsEnd.begin", "Cia402End.begin"}
 CHANGES = 9
 """Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""
 OBSERVED = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
+FUSED = "\nsensors: {tracker: {rate_Hz: 200}}\nestimation: {pose: fused}\n"
 
 
 class Watch:
@@ -66,8 +67,8 @@ class Watch:
 
 @pytest.mark.parametrize(
     ("name", "block"),
-    [("virtual", ""), ("desktop", ""), ("virtual", OBSERVED)],
-    ids=["virtual", "desktop", "observer"],
+    [("virtual", ""), ("desktop", ""), ("virtual", OBSERVED), ("virtual", FUSED)],
+    ids=["virtual", "desktop", "observer", "fused pose"],
 )
 def test_python_decides_only_while_the_drives_are_waited_for_and_where_a_mode_changes(name, block):
     c = load(name)

@@ -130,9 +130,11 @@ class PythonLaw:
         self.law.reset()
 
     def effort(self, tick: Record) -> None:
-        """Fill tau_law as the compiled pass does: what the law raises is kept."""
+        """Fill tau_law as the compiled pass does; what was raised before stays if nothing is now."""
+        before = self.raised
         tick["tau_law"] = nan
         self._called(0, 0, 0, data_at(tick))
+        self.raised = self.raised or before
 
     def _called(self, _gains: int, _constants: int, _code: int, tick: int) -> int:
         try:

@@ -362,13 +362,14 @@ def test_a_law_that_gives_no_number_for_a_leg_is_told_with_it(monkeypatch):
     assert not ran.ending.success
 
 
-@pytest.mark.parametrize("begins", [0, 1400], ids=["from the start", "in motion"])
-def test_a_law_that_raises_is_a_latched_fault_with_what_it_raised_and_where(monkeypatch, begins):
+@pytest.mark.parametrize(("begins", "speed"), [(0, -1.0), (1400, -1.0), (1400, 0.1)])
+def test_a_law_that_raises_is_a_latched_fault_with_what_it_raised_and_where(monkeypatch, begins, speed):
+    """From the start, from a tick on, and in motion alone: not where it is asked what holds the platform."""
     effort = JointInverseDynamics.effort
 
     def defective(self, tick):
         effort(self, tick)
-        if tick["tick"] >= begins:
+        if tick["tick"] >= begins and abs(tick["dq"]).max() > speed:
             raise ZeroDivisionError("a {defect}")
 
     monkeypatch.setattr(JointInverseDynamics, "effort", defective)

@@ -94,7 +94,7 @@ def drives_end(protocol: DriveProtocol) -> DrivesEnd:
 
 
 def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
-    """Return what an element of MESSAGE stands for."""
+    """Return an element of MESSAGE as a DeviceMessage; force (6,) N."""
     legs = tuple(at[:count].tolist())
     if kind == SYNC:
         return Sync(counter, legs)
@@ -132,7 +132,7 @@ class CompiledEnd:
         raise NotImplementedError
 
     def messages(self, frame: Frame) -> tuple[DeviceMessage, ...] | None:
-        """Return what a frame says; None where that is left to the protocol."""
+        """Return the messages of a frame; None: the protocol decodes it in Python."""
         count = self._parse(self.record, sent_array([frame]), self._messages)
         if count == FAILED:
             return None
@@ -155,7 +155,7 @@ class CompiledEnd:
         return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
 
     def reports(self, status: Status) -> tuple[Frame, ...] | None:
-        """Return what a drive sends of its state; None where that is left to the protocol."""
+        """Return a drive's report of its state; None: the protocol encodes it in Python."""
         leg, state, fault, holds, due = status
         watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
         given = (leg, state, fault, watchdog_ns, int(reaction), int(due))

@@ -223,13 +223,13 @@ def obey(d: Any, frame: Any, order: Any) -> int:
 
 @helper
 def _known(name: int) -> bool:
-    """Tell whether a drive has a register that is no state."""
+    """Tell whether a register is the firmware's version or the serial number."""
     return name == FIRMWARE or SERIAL_NUMBER <= name < SERIAL_NUMBER + 3
 
 
 @helper
 def _held(d: Any, said: Any, name: int) -> float:
-    """Return what a register of a drive holds, NaN for what it does not know."""
+    """Return the value of a register of a drive, in its own unit; NaN: not known."""
     in_fault = said.state == _FAULT
     timed_out = in_fault and said.fault == _WATCHDOG
     if name == MODE:

@@ -58,8 +58,8 @@ DEVICES = np.dtype(
         *((name, "<i8") for name in ("obey", "encode", "hear", "ear")),
         ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
         ("mask", "<i8"),
-        ("everyone", "<i8"),  # the number of all drives; -1: there is none
-        ("requests", "<i8"),  # identifier of requests whose data name a drive; -1: there is none
+        ("everyone", "<i8"),  # number that addresses all drives; -1: none does
+        ("requests", "<i8"),  # identifier of requests that name a drive in their data; -1: none
         ("watchdog_ns", "<i8"),  # as the drives are delivered
         ("reaction", "<i8"),
         ("buses", "<i8"),  # how many; 0: one
@@ -121,7 +121,7 @@ def rejects(order: Any, why: int, number: float) -> int:
 
 @helper
 def register(d: Any, leg: int, name: int, otherwise: float) -> float:
-    """Return what a register holds that may have been written."""
+    """Return the value last written to a register of a leg's drive, else `otherwise`."""
     for k in range(d.written[leg]):
         if d.registers[leg, k] == name:
             return float(d.values[leg, k])

@@ -17,7 +17,7 @@ class Source(Protocol):
         """The clock of their times."""
 
     def receive(self) -> Rows:
-        """Return what is there, elements of FRAME in memory that nobody writes to any more."""
+        """Return the frames that have arrived: elements of FRAME in memory of their own."""
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
         """Sleep until there may be more, at most until the deadline.

@@ -173,7 +173,7 @@ def on_nmt(device: Device, command: int) -> Step:
 
 
 def cut(device: Device, pdo: Pdo, data: bytes) -> tuple[DeviceMessage, ...]:
-    """Return what follows from a PDO that is shorter than its mapping."""
+    """Return the messages of a PDO with fewer bytes than its mapping."""
     code = emergency(device, _SHORT_PDO)
     return Rejected(f"PDO of {len(data)} bytes, mapped are {pdo.size}"), Answer(device.leg, code)
 

@@ -31,7 +31,7 @@ from drivers.signals import DriveState
 from drivers.tick_columns import TICK, Record
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, add_friction, fill_jacobian, model_force
-from hil.robot.force_path import ForcePath, advance, decay, path_at, sent
+from hil.robot.force_path import ForcePath, advance, decay, path_at
 
 _READY, _RUN = int(DriveState.READY), int(DriveState.RUN)
 OBSERVER = np.dtype(
@@ -130,7 +130,7 @@ class WrenchObserver:
     def __init__(self, model: Model, path: ForcePath, bandwidth_Hz: float) -> None:
         """path: how commands become forces."""
         self.model = model
-        self._path = path
+        self.path = path
         self._record = np.zeros((), OBSERVER)
         for name, value in {
             "path": data_at(path.record),
@@ -141,13 +141,11 @@ class WrenchObserver:
             self._record[name] = value
         self.look = Callee(_observe.address, data_at(self._record), self)
         """(observer, seen, tick): what `observe` calls."""
-        self.take = Callee(sent.address, data_at(path.record), self)
-        """(path, address of the command): what `sent` calls."""
         self.reset()
 
     def reset(self) -> None:
         """No load, no force under way."""
-        self._path.reset()
+        self.path.reset()
         for name in ("residual", "begun", "follows"):
             self._record[name] = 0
 
@@ -159,7 +157,7 @@ class WrenchObserver:
 
     def sent(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
-        self._path.send(command)
+        self.path.send(command)
 
     def observe(self, tick: Record, *, seen: bool = True) -> Array:
         """Return the estimate (6,) N, N m at this tick's measurement; call it once a tick.

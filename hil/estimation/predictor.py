@@ -17,7 +17,7 @@ from hil.mathematics.rotations import cayley_step
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import BASE, PLATFORM, SIZE, forward_dynamics
-from hil.robot.force_path import SEGMENT, ForcePath, advance, as_records, follow, path_at, sent
+from hil.robot.force_path import SEGMENT, ForcePath, advance, as_records, follow, path_at
 from hil.robot.kinematics_kernels import lengths_and_jacobian
 
 PREDICTOR = np.dtype(
@@ -76,7 +76,7 @@ class Predictor:
         """path: how commands become forces; hold_s: how late, on average, a held command acts."""
         self.model = model
         self.horizon_s = path.transport_s + path.lag_s + hold_s
-        self._path = path
+        self.path = path
         self._segments = as_records(path.segments(self.horizon_s))
         self._record = np.zeros((), PREDICTOR)
         for name, value in {
@@ -89,18 +89,16 @@ class Predictor:
             self._record[name] = value
         self.look = Callee(_ahead.address, data_at(self._record), self)
         """(predictor, free, tick): what `ahead` calls."""
-        self.take = Callee(sent.address, data_at(path.record), self)
-        """(path, address of the command): what `sent` calls."""
         self.reset()
 
     def reset(self) -> None:
         """No force under way."""
-        self._path.reset()
+        self.path.reset()
         self._record["begun"] = 0
 
     def sent(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
-        self._path.send(command)
+        self.path.send(command)
 
     def ahead(self, tick: Record, *, free: bool) -> None:
         """Move the state of a tick on by `horizon_s`; call it once a tick.

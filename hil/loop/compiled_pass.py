@@ -59,7 +59,6 @@ CONTROL = np.dtype(
         ("on_path", "<i8"),  # 1: on the path, and not on a jog from it
         ("ends", "<i8"),  # 1: the mode ends with the motion
         ("live_since", "<i8"),  # tick at which the live reference began; NEVER: it is not under way
-        ("steered", "<i8"),  # the last tick in which it was gone along
         ("key_until", "<i8"),  # tick from which the operator's key counts as let go
         ("fixed", "<i8"),  # 1: the holding force as it is
         ("holding", "<f8", (6,)), ("offset", "<f8", (6,)),  # N
@@ -337,8 +336,7 @@ def act(c: Any, tick: Any, into: Any, parts: int) -> int:
     into: elements of FRAME for the command, `sent` of which are filled.
     """
     if parts & EFFORT:
-        if c.live_since != NEVER and c.steered != tick.tick:
-            c.steered = tick.tick
+        if c.live_since != NEVER:
             against = call(c.steer, (c.live, c.judge, c.admission, tick.tick - c.live_since))
             if against:
                 c.verdict[0] = against

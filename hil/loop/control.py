@@ -87,7 +87,7 @@ class Control:
             c["horizon_s"] = parts.predictor.horizon_s
         for k, follower in enumerate((parts.predictor, parts.wrench.observer)):
             if follower is not None:
-                c["paths"][k] = follower.take.context
+                c["paths"][k] = data_at(follower.path.record)
 
     def settle(self, *, attentive: bool = False) -> None:
         """Bring what has been decided into the record; attentive: the verdict of this tick is looked at."""
@@ -109,7 +109,8 @@ class Control:
         key_tick = operating.key_tick if operating.go else None
         c["key_until"] = NEVER if patience is None or key_tick is None else key_tick + patience
         steering = cycle.parts.steering
-        c["live_since"] = motion.tick if self.steers else NEVER
+        under_way = steering is not None and mode in STEERED and motion.trajectory is cycle.parts.trajectory
+        c["live_since"] = motion.tick if under_way else NEVER
         stops = cycle.stop_requested is not Stop.NONE
         c["watchful"] = (
             mode in _WATCHED
@@ -131,18 +132,6 @@ class Control:
         c["entry_tick"] = WHOLE if effort.entry_tick is None else effort.entry_tick
         if steering is not None:
             c["setpoints"] = steering.counts
-
-    @property
-    def steers(self) -> bool:
-        """Whether a live reference is under way."""
-        cycle = self._cycle
-        steered = cycle.parts.steering is not None and cycle.mode in STEERED
-        return steered and cycle.motion.trajectory is cycle.parts.trajectory
-
-    def steered(self, tick: int) -> int | None:
-        """Return the tick of the live reference to go to; None: it is not under way. The pass does not go."""
-        self.record["steered"] = tick
-        return tick - self._cycle.motion.tick if self.steers else None
 
     def stop_on_the_way(self) -> None:
         """Count that the live reference has stopped on its way."""
@@ -176,17 +165,17 @@ class Control:
         )
         self.settle()
 
-    def _called(self, function: Callable[..., int], n: int) -> int:
-        """Return the address of a function of n integers; what it raises is kept until the tick's end."""
+    def _called(self, function: Callable[[int], int]) -> int:
+        """Return the address of a function of an integer; what it raises is kept until the tick's end."""
 
-        def called(*arguments: int) -> int:
+        def called(argument: int) -> int:
             try:
-                return function(*arguments)
+                return function(argument)
             except BaseException as error:  # noqa: BLE001 - nothing may pass a callback
                 self.error = error
                 return FAILED
 
-        address, keeps = of_python(called, *[INTEGER] * n)
+        address, keeps = of_python(called, INTEGER)
         self._keeps.append(keeps)
         return address
 
@@ -207,7 +196,7 @@ class Control:
             cycle.homing.correct(tick_at(tick), cycle.last, braked=cycle.proven)
             return int(cycle.homing.known != known)
 
-        record["decode"], record["codec"], record["correct"] = decode, codec, self._called(correct, 1)
+        record["decode"], record["codec"], record["correct"] = decode, codec, self._called(correct)
         return homing_kernels.decode.address, data_at(record)
 
     def load(self, tick: Record) -> None:

@@ -135,15 +135,14 @@ class Cycle:
         if look or inp.orders or inp.operator or inp.setpoints:
             self._decide(inp, tick, look)
             control.settle(attentive=bool(inp.operator))
-        parts = EFFORT if control.probes else ALL
-        ended = act(record, tick, into, parts)
-        if ended == STOPPED:
-            control.stop_on_the_way()
-            ended = act(record, tick, into, parts)
         if control.probes:
+            while act(record, tick, into, EFFORT):
+                control.stop_on_the_way()
             control.probe(tick)
             ended = act(record, tick, into, JUDGE | COMMAND)
-        frames = self._finish(inp, tick, into) if ended else into[: record["sent"]]
+        else:
+            ended = act(record, tick, into, ALL)
+        frames = self._finish(inp, tick, into, ended) if ended else into[: record["sent"]]
         if control.error is not None:
             control.fail()
         return TickOutput(frames, row_of(tick))
@@ -163,13 +162,16 @@ class Cycle:
         self._change_mode(inp, tick)
         steering = parts.steering
         if steering is not None:
-            along = self._control.steered(number)
             follows = self.mode is Mode.TRACKING and self.operating.go
-            steering.step(inp.setpoints, along, tracking=follows and not self.operating.parks)
+            steering.take(inp.setpoints, tracking=follows and not self.operating.parks)
 
-    def _finish(self, inp: TickInput, tick: Record, into: Rows) -> Rows:
+    def _finish(self, inp: TickInput, tick: Record, into: Rows, ended: int) -> Rows:
         """Look at the verdict of a tick, and send what follows from it."""
         control, record, parts = self._control, self._control.record, self.parts
+        if ended == STOPPED:
+            control.stop_on_the_way()
+            if not act(record, tick, into, ALL):
+                return into[: record["sent"]]
         self.effort.last_tau = self.last["tau"]
         law = self.effort.law.keeps
         if isinstance(law.raised, KeyboardInterrupt):

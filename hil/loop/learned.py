@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import ZERO6, Array
+from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Mode
@@ -58,7 +58,7 @@ def time_of_reference(motion: Any, override: Any, tick: int, mode: int, along: i
 @pointed(
     record(LEARNED), record(MOTION), record(OVERRIDE), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER
 )
-def _step(
+def step(
     k: Any,
     motion: Any,
     override: Any,
@@ -69,7 +69,10 @@ def _step(
     faults: int,
     into: int,
 ) -> int:
-    """Fill the forces of a tick, (6,) N at `into`, as `Learned.step`; return 1 where any act."""
+    """Fill the forces of a tick, (6,) N at `into`, in a mode entered at mode_tick; return 1 where any act.
+
+    along: of `Learned.along`; faults: those latched.
+    """
     t = time_of_reference(motion, override, tick, mode, along)
     if faults:
         k.faulty = 1
@@ -139,7 +142,7 @@ class Learned:
             "step": period_s / forces.fade_s,
         }.items():
             self._record[name] = value
-        self.look = Callee(_step.address, data_at(self._record), self)
+        self.look = Callee(step.address, data_at(self._record), self)
         """(learned, motion, override, tick, mode, mode_tick, along, faults, where the forces go)."""
         self.reset()
 
@@ -147,16 +150,6 @@ class Learned:
         """Back to the state before the first tick."""
         for name in ("faulty", "acts", "left", "share", "tau"):
             self._record[name] = 0
-
-    def step(self, tick: int, mode: Mode, mode_tick: int, motion: Motion, *, faulty: bool) -> Array:
-        """Return the forces (6,) N of a tick in a mode that was entered at mode_tick; ZERO6 where none act.
-
-        faulty: a fault is latched.
-        """
-        tau, along = np.empty(6), self.along(mode, motion)
-        moves = motion.record, motion.override.record
-        acts = _step(self._record, *moves, tick, int(mode), mode_tick, int(along), int(faulty), tau)
-        return tau if acts else ZERO6
 
     def along(self, mode: Mode, motion: Motion) -> bool:
         """Tell whether the platform is on the reference of the forces, or on the way to its start."""

@@ -1,6 +1,6 @@
 """Which path the platform is on, and where along it."""
 
-from math import inf, isnan
+from math import inf
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from hil.loop.motion_kernels import (
     SLOWS,
     advance_to,
     end,
-    sample_ahead,
     sample_at,
 )
 from hil.trajectory.holding import HoldTrajectory
@@ -157,15 +156,3 @@ class Motion:
         into = np.ndarray((), SAMPLE)
         require(sample_at(self.record, self.override.record, tick, into), self._callee)
         return of_record(into)
-
-    def ahead(self, tick: int, s: float) -> tuple[PoseSample, float | None]:
-        """Return where the platform should be `s` seconds after this tick, and that time along `then`.
-
-        The time is None unless the next trajectory has begun by then. It is expected to begin at the first
-        tick at which the present one has ended; where that has passed, it is waited for. Below full speed
-        none is expected.
-        """
-        into = np.ndarray((), SAMPLE)
-        status, along = sample_ahead(self.record, self.override.record, tick, s, into)
-        require(status, self._callee if isnan(along) else self._next)
-        return of_record(into), None if isnan(along) else along

@@ -116,6 +116,4 @@ def end(motion: Any, override: Any, tick: int, patience: float) -> int:
 
 
 advance_to = direct(record(MOTION), record(OVERRIDE), INTEGER)(advance)
-ticks_to_end = direct(record(MOTION), record(OVERRIDE), INTEGER)(ticks_left)
-sample_ahead = direct(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))(ahead)
-"""advance, ticks_left and ahead for Python."""
+"""advance for Python."""

@@ -46,11 +46,8 @@ class Steering:
         self.answers: list[int] = []
         """Bits of Refusal for each set-point of the last tick, in their order."""
 
-    def step(self, setpoints: Sequence[SetPoint], tick: int | None, tracking: bool) -> None:
-        """Take this tick's set-points, and move on to `tick` of the trajectory where it is under way.
-
-        Set-points count only while `tracking`; of several good ones the last is followed.
-        """
+    def take(self, setpoints: Sequence[SetPoint], *, tracking: bool) -> None:
+        """Take this tick's set-points: only while `tracking`; of several good ones the last is followed."""
         taken, refused, refusal = self.counts
         refusal = 0
         if setpoints or self.answers:
@@ -65,12 +62,7 @@ class Steering:
             else:
                 taken += 1
                 self.trajectory.aim(chi)
-        against = 0
-        if tick is not None:
-            against = self.trajectory.advance(tick, self.judge)
         self.counts = Counts(taken, refused, refusal)
-        if against:
-            self.stopped(against)
 
     def stopped(self, against: int) -> None:
         """Count a stop on the way, with what was found against it."""

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import data_at, pointed, reals_at, record_at
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, direct, helper, record
+from drivers.compiled.pointed import data_at, reals_at, record_at
 
 SEGMENT = np.dtype([("sent", "<i8"), ("duration_s", "<f8"), ("mean", "<f8"), ("end", "<f8")])
 """A `Segment`."""
@@ -101,17 +101,8 @@ def advance(path: Any, periods: int, tau: Array) -> None:
         tau[i] /= periods * path.period_s
 
 
-@pointed(record(FORCE_PATH), INTEGER)
-def sent(path: Any, command: int) -> int:
-    """Take note of the command at an address, (6,) N, that answers the last measurement."""
-    send(path, reals_at(command, 6))
-    return 0
-
-
-@pointed(record(FORCE_PATH), INTEGER, INTEGER)
-def _advance(path: Any, periods: int, into: int) -> int:
-    advance(path, periods, reals_at(into, 6))
-    return 0
+_send = direct(record(FORCE_PATH), VECTOR)(send)
+_advance = direct(record(FORCE_PATH), INTEGER, OUT_VECTOR)(advance)
 
 
 class ForcePath:
@@ -177,7 +168,7 @@ class ForcePath:
 
     def send(self, command: Array) -> None:
         """Take note of the command (6,) N that answers the last measurement."""
-        sent(self.record, np.ascontiguousarray(command, np.float64))
+        _send(self.record, np.ascontiguousarray(command, np.float64))
 
     def advance(self, periods: int = 1) -> Array:
         """Go on to the next measurement, `periods` later; return the mean force (6,) N until then.

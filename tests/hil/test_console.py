@@ -316,7 +316,7 @@ def test_a_set_point_for_a_live_reference_comes_through_and_is_answered_by_what_
     heard = console.take()
     assert [tuple(each) for each in heard.setpoints] == [(0.0, 0.0, 1.01, 0.0, 0.0, 0.0)]
     steering: Any = live.parts.steering
-    steering.step(heard.setpoints, 1, tracking=mode is Mode.TRACKING)
+    steering.take(heard.setpoints, tracking=mode is Mode.TRACKING)
     console.answer(recording, 7)
     said = client._socket.recv(4096).decode()
     assert (said == "taken") == (mode is Mode.TRACKING)

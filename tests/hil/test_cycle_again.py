@@ -148,17 +148,21 @@ def test_a_live_reference_that_is_armed_again_begins_at_its_start_and_follows_se
     live.reset()
     steering: Any = live.parts.steering
     trajectory = steering.trajectory
-    steering.step([SetPoint(*HIGHER)], 200, tracking=True)
+    steering.take([SetPoint(*HIGHER)], tracking=True)
+    trajectory.advance(200, steering.judge)
     trajectory.brake()
-    steering.step([], 600, tracking=False)
+    steering.take([], tracking=False)
+    trajectory.advance(600, steering.judge)
     assert trajectory.sample(0.0).p[2] > 1.005
     assert trajectory.duration_s is not None
     live.mode = before
     live._enter(mode, record_of(tick=1000, p=live.parts.home_p, R=np.eye(3), J=np.eye(6)))
     np.testing.assert_array_equal(trajectory.sample(0.0).p, live.parts.home_p)
     assert trajectory.duration_s is None, "no end of its own"
-    steering.step([SetPoint(*HIGHER)], 1, tracking=True)
-    steering.step([], 2000, tracking=True)
+    steering.take([SetPoint(*HIGHER)], tracking=True)
+    trajectory.advance(1, steering.judge)
+    steering.take([], tracking=True)
+    trajectory.advance(2000, steering.judge)
     np.testing.assert_allclose(trajectory.sample(0.0).p, HIGHER[:3], atol=1e-12)
 
 

@@ -88,7 +88,7 @@ def test_predictor_and_observer_follow_the_forces_that_were_sent_and_none_once_t
     assert sent.max() > 3000.0
     assert not sent[-1].any()
     for who in (parts.predictor, parts.wrench.observer):
-        np.testing.assert_allclose(who._path._sent, sent[:-3:-1], atol=0.5)
+        np.testing.assert_allclose(who.path._sent, sent[:-3:-1], atol=0.5)
 
 
 @pytest.mark.parametrize("leg", [0, 3, 5])

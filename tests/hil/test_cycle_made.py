@@ -66,7 +66,7 @@ def test_a_law_that_looks_ahead_does_so_by_bus_lag_and_hold_and_its_reference_to
     predictor = build_cycle(c, 500.0, 0.01).parts.predictor
     assert predictor is not None
     assert predictor.horizon_s == pytest.approx(1.6e-3)
-    path = predictor._path
+    path = predictor.path
     assert (path.period_s, path.transport_s, path.lag_s) == pytest.approx((0.002, 0.3e-3, 0.8e-3))
     assert [(each.preview_s, each.period_s) for each in told] == [(predictor.horizon_s, 0.002)]
     told.clear()
@@ -79,7 +79,7 @@ def test_what_the_observer_believes_of_the_force_and_how_fast_it_is_come_from_it
     c = seeing_ahead().model_copy(update={"estimation": EstimationSettings(wrench=wrench)})
     observer = build_cycle(c, 500.0, 0.01).parts.wrench.observer
     assert observer is not None
-    path = observer._path
+    path = observer.path
     assert (path.period_s, path.transport_s, path.lag_s) == pytest.approx((0.002, 0.4e-3, 0.9e-3))
     assert observer._record["left"] == pytest.approx(exp(-2.0 * pi * 5.0 * 0.002))
 

@@ -73,26 +73,23 @@ def step(bench: Bench, mode: Mode, operator: tuple[Operator, ...] = (), **change
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING])
 @pytest.mark.parametrize("elsewhere", [False, True])
 @pytest.mark.parametrize("what", ["goes", "on hold", "parks"])
-def test_a_live_reference_moves_on_its_own_way_alone_and_takes_set_points_where_it_may_go(
-    bench, monkeypatch, mode, elsewhere, what
-):
+def test_a_live_reference_takes_set_points_where_it_may_go(bench, monkeypatch, mode, elsewhere, what):
     told: list[Any] = []
     cycle = bench.cycle
     steering: Any = cycle.parts.steering
-    monkeypatch.setattr(steering, "step", lambda points, along, *, tracking: told.append((along, tracking)))
+    monkeypatch.setattr(steering, "take", lambda points, *, tracking: told.append(tracking))
     if elsewhere:
         cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     else:
         cycle.motion.start(cycle.parts.trajectory, 20)
     cycle.operating.go, cycle.operating.parks = what != "on hold", what == "parks"
     step(bench, mode, setpoints=(SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0),))
-    under_way = mode in {Mode.TRACKING, Mode.STOPPING} and not elsewhere
-    assert told == [(30 if under_way else None, mode is Mode.TRACKING and what == "goes")]
+    assert told == [mode is Mode.TRACKING and what == "goes"]
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING])
 @pytest.mark.parametrize("elsewhere", [False, True])
-def test_a_live_reference_goes_on_without_a_decision_too(bench, mode, elsewhere):
+def test_a_live_reference_goes_on_where_it_is_under_way_alone(bench, mode, elsewhere):
     cycle = bench.cycle
     live = cycle.parts.steering.trajectory
     live.reset()
@@ -162,7 +159,7 @@ def test_the_row_has_what_safety_warns_of_and_beside_it_silent_sensors_and_refus
 ):
     bench = a_bench(wrench=ExternalWrench(None, 1000.0 if late else None, 1e-3))
     steering: Any = bench.cycle.parts.steering
-    monkeypatch.setattr(steering, "step", lambda *_, **__: None)
+    monkeypatch.setattr(steering, "take", lambda *_, **__: None)
     steering.counts = Counts(7, 9, refusal)
     bench.drives.silent = {2}
     for _ in range(2):

@@ -23,6 +23,7 @@ from hil.loop import modes
 from hil.loop.compiled_pass import EFFORT, act
 from hil.loop.cycle import Cycle
 from hil.loop.learned import LearnedForces
+from hil.robot.force_path import ForcePath
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.move import GeodesicMove
 from tests.records import record_of
@@ -145,7 +146,7 @@ class Predictor:
 
     horizon_s = 1e-3
     free: bool | None = None
-    take = Callee(0, 0, None)
+    path = ForcePath(1e-3, 0.0, 0.0)
 
     def __init__(self) -> None:
         address, keeps = of_python(self._ahead, *[INTEGER] * 3)

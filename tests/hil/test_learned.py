@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.compiled.pointed import data_at
 from drivers.signals import Mode
-from hil.loop.learned import Learned, LearnedForces
+from hil.loop.learned import Learned, LearnedForces, step
 from hil.loop.motion import Motion
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
@@ -27,6 +28,16 @@ def reference() -> PiecewisePolynomial:
 def table(tick: float) -> Any:
     """Return the forces at a tick of the run: a line of its own for each leg."""
     return PEAK + 0.01 * np.arange(6) * (tick - BEGINS + 400)
+
+
+def learned_at(
+    learned: Learned, tick: int, mode: Mode, mode_tick: int, motion: Motion, *, faulty: bool
+) -> Any:
+    """Return the forces (6,) N of a tick; zero where none act."""
+    tau, moves = np.empty(6), (motion.record, motion.override.record)
+    along = int(learned.along(mode, motion))
+    acts = step(learned._record, *moves, tick, int(mode), mode_tick, along, int(faulty), data_at(tau))
+    return tau if acts else np.zeros(6)
 
 
 class Run:
@@ -59,7 +70,9 @@ class Run:
             self.motion.advance(self.tick)
             if speed is not None:
                 self.motion.aim(self.tick, speed, go=speed > 0.0)
-            tau = self.learned.step(self.tick, self.mode, self.mode_tick, self.motion, faulty=self.faulty)
+            tau = learned_at(
+                self.learned, self.tick, self.mode, self.mode_tick, self.motion, faulty=self.faulty
+            )
             found.append(np.array(tau))
         self.seen += found
         return np.array(found)
@@ -223,7 +236,7 @@ def test_of_the_approach_they_act_from_the_very_tick_of_their_first_row() -> Non
     shares = []
     for tick in (8, 9, 10, 11):
         run.motion.advance(tick)
-        tau = run.learned.step(tick, Mode.APPROACH, 1, run.motion, faulty=False)
+        tau = learned_at(run.learned, tick, Mode.APPROACH, 1, run.motion, faulty=False)
         shares.append(float(tau[0]) / PEAK)
     step = T / FADE_S
     expected = [0.0, 0.0, *(x**3 * (10.0 - 15.0 * x + 6.0 * x * x) for x in (step, 2.0 * step))]

@@ -4,23 +4,16 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.loop.motion_kernels import ticks_to_end
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 from hil.trajectory.piecewise import PiecewisePolynomial
+from tests.hil.motions import ahead, before
 
 T = 1e-3
 HERE, THERE = np.zeros(3), np.array([0.1, 0.0, 0.0])
 EYE = np.eye(3)
 AHEAD = 1.8e-3
-
-
-def before(motion, tick, path):
-    """Return the time before a path begins that comes next, s; None where nobody knows when it does."""
-    if motion.then is not path or not motion.override.full:
-        return None
-    return -ticks_to_end(motion.record, motion.override.record, tick) * T
 
 
 def next_path():
@@ -35,7 +28,7 @@ def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, duration), 100, then=next_path())
     begins = next(tick for tick in range(100, 1000) if motion.finished(tick))
-    seen = {tick: motion.ahead(tick, AHEAD) for tick in range(begins - 4, begins)}
+    seen = {tick: ahead(motion, tick, AHEAD) for tick in range(begins - 4, begins)}
     for tick, (sample, along) in seen.items():
         t = (tick - begins) * T + AHEAD
         if t < 0:
@@ -46,7 +39,7 @@ def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
             assert sample.p[0] == pytest.approx(0.1 + 2 * t * t, abs=1e-12)
             assert sample.dtwist[0] == pytest.approx(4.0)
     motion.start(next_path(), begins)
-    first, along = motion.ahead(begins, AHEAD)
+    first, along = ahead(motion, begins, AHEAD)
     assert along is None
     assert first.p[0] - seen[begins - 1][0].p[0] == pytest.approx(2 * (AHEAD**2 - (AHEAD - T) ** 2))
 
@@ -55,7 +48,7 @@ def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
     for tick in range(500, 520):
-        sample, along = motion.ahead(tick, AHEAD)
+        sample, along = ahead(motion, tick, AHEAD)
         assert along is None
         np.testing.assert_allclose(sample.p, THERE)
         assert not sample.dtwist.any()
@@ -70,7 +63,7 @@ def test_a_hold_on_the_approach_puts_off_what_comes_next():
         tick += 1
         motion.advance(tick)
         motion.aim(tick, 1.0, go=not 100 <= tick < 600)
-        seen[tick] = before(motion, tick, path), motion.ahead(tick, AHEAD)[1]
+        seen[tick] = before(motion, tick, path), ahead(motion, tick, AHEAD)[1]
     begins = max(seen)
     assert begins >= 1500, "held for half a second"
     full = [tick for tick in seen if tick < 100 or tick > 850]
@@ -84,12 +77,12 @@ def test_a_hold_on_the_approach_puts_off_what_comes_next():
 def test_the_look_ahead_of_a_stop_is_the_stop():
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
-    before = motion.ahead(250, AHEAD)[0]
+    before = ahead(motion, 250, AHEAD)[0]
     motion.stop(250, 0.5)
-    after = motion.ahead(250, AHEAD)[0]
+    after = ahead(motion, 250, AHEAD)[0]
     np.testing.assert_allclose(after.p, before.p, atol=1e-7)
     np.testing.assert_allclose(after.twist, before.twist, atol=1e-4)
-    assert motion.ahead(499, AHEAD)[0].p[0] < 0.1, "the next trajectory is off"
+    assert ahead(motion, 499, AHEAD)[0].p[0] < 0.1, "the next trajectory is off"
 
 
 def test_after_a_stop_on_the_approach_nothing_comes_next():
@@ -99,7 +92,7 @@ def test_after_a_stop_on_the_approach_nothing_comes_next():
     stands = motion.trajectory.sample(1.0).p
     for tick in range(480, 500):
         assert before(motion, tick, path) is None
-        sample, along = motion.ahead(tick, 0.05)
+        sample, along = ahead(motion, tick, 0.05)
         assert along is None
         np.testing.assert_allclose(sample.p, stands, atol=1e-12)
 
@@ -107,12 +100,12 @@ def test_after_a_stop_on_the_approach_nothing_comes_next():
 def test_the_look_ahead_past_the_last_end_is_rest():
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(next_path(), 0)
-    sample, along = motion.ahead(999, AHEAD)
+    sample, along = ahead(motion, 999, AHEAD)
     assert along is None
     assert sample.p[0] == pytest.approx(2.1)
     assert not sample.twist.any()
     motion.start(HoldTrajectory(THERE, EYE), 10)
-    np.testing.assert_allclose(motion.ahead(10, AHEAD)[0].p, THERE)
+    np.testing.assert_allclose(ahead(motion, 10, AHEAD)[0].p, THERE)
 
 
 class Turn:

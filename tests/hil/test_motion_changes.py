@@ -2,26 +2,19 @@
 
 import numpy as np
 import pytest
-from tests.judged import ANYWHERE
 
 from hil.loop.motion import Motion
-from hil.loop.motion_kernels import ticks_to_end
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
+from tests.hil.motions import ahead, before
 from tests.hil.test_motion import EYE, HERE, THERE, Turn, next_path
+from tests.judged import ANYWHERE
 
 T = 0.25
 """s: with this period whole ticks are exact."""
 CHI = np.array([0.1, 0.2, 1.0, 0.0, 0.0, 0.0])
 LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
-
-
-def before(motion, tick, path):
-    """Return the time before a path begins that comes next, s; None where nobody knows when it does."""
-    if motion.then is not path or not motion.override.full:
-        return None
-    return -ticks_to_end(motion.record, motion.override.record, tick) * T
 
 
 def there():
@@ -76,7 +69,7 @@ def test_a_new_trajectory_is_not_followed_by_what_was_to_follow_the_one_before()
     assert before(motion, 1, next_path()) is None, "another one"
     motion.start(there(), 2)
     assert before(motion, 3, path) is None
-    assert motion.ahead(5, 1.0)[1] is None
+    assert ahead(motion, 5, 1.0)[1] is None
 
 
 def test_a_new_trajectory_resumes_no_path_that_the_one_before_had_left():
@@ -129,16 +122,16 @@ def test_the_time_before_the_next_trajectory_is_zero_from_the_end_on_and_unknown
     assert [before(motion, tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]
     motion.settle(2, 0.5)
     assert before(motion, 3, path) is None
-    assert motion.ahead(3, 1.0)[1] is None
+    assert ahead(motion, 3, 1.0)[1] is None
 
 
 def test_the_look_ahead_to_the_very_tick_at_which_the_next_one_begins_is_its_first_sample():
     motion = Motion(T, HERE, EYE, 0.5)
     motion.start(there(), 0, then=next_path())
-    sample, s = motion.ahead(2, 0.5)
+    sample, s = ahead(motion, 2, 0.5)
     assert s == 0.0
     assert sample.dtwist[0] == 4.0
-    assert motion.ahead(2, 0.4375)[1] is None
+    assert ahead(motion, 2, 0.4375)[1] is None
 
 
 @pytest.mark.parametrize("patience_s", [0.0, 0.5])
@@ -255,7 +248,7 @@ def test_below_full_speed_the_look_ahead_is_where_the_platform_will_be_at_that_s
     motion = along(GeodesicMove(HERE, EYE, THERE, EYE, 60.0))
     motion.settle(4, sigma)
     for ticks in (1, 2, 4):
-        seen, then = motion.ahead(6, ticks * T)
+        seen, then = ahead(motion, 6, ticks * T)
         there = motion.sample(6 + ticks)
         assert then is None
         assert not np.array_equal(seen.p, motion.sample(6).p)

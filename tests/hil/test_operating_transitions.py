@@ -12,6 +12,7 @@ from hil.loop.operating import NO_KEY
 from hil.signals import Operator, Order
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.override import Override
+from tests.hil.motions import ahead
 from tests.hil.test_operating import EYE, HERE, HOLD, KEY, PARK, START, made, run
 
 T = 1e-3
@@ -171,10 +172,10 @@ def test_the_look_ahead_while_the_speed_changes_is_where_path_time_gets_to(tick)
     assert s == pytest.approx(later.time(tick + 2), abs=curvature * h**3 / 6 + 1e-15)
     assert sigma == pytest.approx(later.override.sigma, abs=curvature * h**2 / 2 + 1e-15)
     assert dsigma == pytest.approx(later.override.dsigma, abs=curvature * h + 1e-15)
-    ahead, _ = motion.ahead(tick, h)
+    seen, _ = ahead(motion, tick, h)
     there = later.sample(tick + 2)
-    np.testing.assert_allclose(ahead.p, there.p, atol=1e-9)
-    np.testing.assert_allclose(ahead.twist, there.twist, atol=1e-6)
+    np.testing.assert_allclose(seen.p, there.p, atol=1e-9)
+    np.testing.assert_allclose(seen.twist, there.twist, atol=1e-6)
 
 
 def test_a_live_reference_has_the_clock_s_time_whatever_the_speed_before():

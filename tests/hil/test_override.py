@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from tests.judged import ANYWHERE
 
 from hil.loop.motion import Motion
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.override import Override
 from hil.trajectory.piecewise import PiecewisePolynomial
+from tests.judged import ANYWHERE
 
 T, CHANGE = 1e-3, 0.5
 

@@ -27,14 +27,22 @@ def at(x=0.0, y=0.0):
     return SetPoint(x, y, 1.0, 0.0, 0.0, 0.0)
 
 
+def move(steering, points, tick, *, tracking=True):
+    """Take set-points, and go to a tick of the trajectory, as the cycle does."""
+    steering.take(points, tracking=tracking)
+    against = 0 if tick is None else steering.trajectory.advance(tick, steering.judge)
+    if against:
+        steering.stopped(against)
+
+
 def go(steering, first, last):
     for tick in range(first, last):
-        steering.step((), tick, tracking=True)
+        move(steering, (), tick)
     return steering.trajectory.sample(0.0).p
 
 
 def test_a_good_set_point_is_taken_and_reached(steering):
-    steering.step((at(0.1),), 1, tracking=True)
+    move(steering, (at(0.1),), 1)
     assert steering.counts == Counts(1, 0, 0)
     assert steering.answers == [0]
     np.testing.assert_allclose(go(steering, 2, 2000), [0.1, 0, 1], rtol=0, atol=1e-14)
@@ -42,8 +50,8 @@ def test_a_good_set_point_is_taken_and_reached(steering):
 
 
 def test_a_bad_one_is_refused_and_the_good_one_before_it_stays(steering):
-    steering.step((at(0.1),), 1, tracking=True)
-    steering.step((at(0.3),), 2, tracking=True)
+    move(steering, (at(0.1),), 1)
+    move(steering, (at(0.3),), 2)
     assert steering.counts == Counts(1, 1, Refusal.STROKE)
     assert steering.answers == [Refusal.STROKE]
     assert go(steering, 3, 2000)[0] == pytest.approx(0.1, abs=1e-14)
@@ -51,14 +59,14 @@ def test_a_bad_one_is_refused_and_the_good_one_before_it_stays(steering):
 
 
 def test_of_several_in_one_tick_the_last_good_one_is_followed(steering):
-    steering.step((at(0.1), at(-0.1), at(9.0)), 1, tracking=True)
+    move(steering, (at(0.1), at(-0.1), at(9.0)), 1)
     assert steering.answers == [0, 0, Refusal.STROKE]
     assert steering.counts == Counts(2, 1, Refusal.STROKE)
     assert go(steering, 2, 2000)[0] == pytest.approx(-0.1, abs=1e-14)
 
 
 def test_what_comes_before_or_after_the_tracking_is_refused(steering):
-    steering.step((at(0.1),), None, tracking=False)
+    move(steering, (at(0.1),), None, tracking=False)
     assert steering.answers == [Refusal.NOT_TRACKING]
     steering.trajectory.reset()
     assert go(steering, 1, 500)[0] == 0.0
@@ -66,10 +74,10 @@ def test_what_comes_before_or_after_the_tracking_is_refused(steering):
 
 
 def test_a_wall_on_the_way_stops_before_it_is_counted_and_said_once(steering):
-    steering.step((at(0.0, 0.1),), 1, tracking=True)
+    move(steering, (at(0.0, 0.1),), 1)
     refusals = []
     for tick in range(2, 2000):
-        steering.step((), tick, tracking=True)
+        move(steering, (), tick)
         refusals.append(steering.counts.refusal)
         assert steering.trajectory.sample(0.0).p[1] <= 0.05
     assert steering.counts == Counts(1, 1, 0)
@@ -79,18 +87,18 @@ def test_a_wall_on_the_way_stops_before_it_is_counted_and_said_once(steering):
 
 def test_in_a_tick_in_which_the_way_is_refused_too_a_set_points_own_refusal_is_said_beside_it(steering):
     """The platform moves on in a tick with set-points as in one without."""
-    steering.step((at(0.0, 0.04),), 1, tracking=True)
+    move(steering, (at(0.0, 0.04),), 1)
     before = go(steering, 2, 300)[1]
     steering._admission = lambda chi: Refusal.STROKE if abs(chi[0]) > 0.2 else Refusal.FORCE
     steering.judge = judged(steering._admission)
-    steering.step((at(0.3),), 300, tracking=True)
+    move(steering, (at(0.3),), 300)
     assert steering.trajectory.sample(0.0).p[1] > before
     assert steering.counts == Counts(1, 2, Refusal.STROKE | Refusal.FORCE | Refusal.ON_THE_WAY)
     assert steering.answers == [Refusal.STROKE]
 
 
 def test_reset_forgets_all(steering):
-    steering.step((at(0.1), at(9)), 1, tracking=True)
+    move(steering, (at(0.1), at(9)), 1)
     go(steering, 2, 300)
     steering.reset()
     assert steering.counts == Counts(0, 0, 0)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.judged import ANYWHERE
 
 from drivers.errors import ConfigurationError, LogError
 from hil.config.reference import (
@@ -28,6 +27,7 @@ from hil.trajectory.tabulated import TabulatedTrajectory
 from hil.trajectory.time_optimal import plan, planned_trajectory
 from hil.trajectory.waypoints import require_closed
 from tests.hil.test_trajectory_sampled import HEADER, write
+from tests.judged import ANYWHERE
 from tests.live_reference import LIVE_REFERENCE
 
 HOME = Pose(position_m=(0.1, -0.2, 1.0), rotation_vector_deg=(3.0, -4.0, 5.0))

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.judged import ANYWHERE
 
 from drivers.compiled.compiler import INTEGER, MATRIX, direct, record
 from drivers.compiled.pointed import FAILED
@@ -21,6 +20,7 @@ from hil.trajectory.override import OVERRIDE
 from hil.trajectory.path import SAMPLE, callee_of, sampled_by
 from hil.trajectory.stopping import StoppingTrajectory
 from hil.trajectory.tabulated import TabulatedTrajectory
+from tests.judged import ANYWHERE
 
 T, HERE, THERE, EYE = 0.25, np.array([0.0, 0.0, 1.0]), np.array([0.1, -0.1, 1.1]), np.eye(3)
 MOVE = GeodesicMove(HERE, EYE, THERE, EYE, 2.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +13,28 @@ import pytest
 import configs
 from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.unattended import without_operator
 from hil.app.sim.build import build_lockstep
+from tools.drive_families import FAMILIES, Changes, merged
 
 CONFIGS = Path(str(configs.__path__[0]))
 SHELL = {"Cycle.begin", "Cycle.step", "new_record", "copy_of", "row_of"}
 """What every tick enters between frames in and frames out, but for the first frames of a tick."""
-LOCKSTEP = {"Lockstep.step", "Lockstep._exchange", "Nodes.advance"}
+LOCKSTEP = {"Lockstep.step", "Lockstep._exchange", "Lockstep._pass_time", "Nodes.advance"}
 """What a tick of both ends enters besides: of the bus, and of the drives and the plant."""
 BEGIN = {"LegsController.begin", "MotorsEnd.begin", "Cia402End.begin"}
 """What makes these, with all that it calls: one of them in a run."""
 CHANGES = 9
 """Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""
 OBSERVED = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
+TWO_BUSES: Changes = {
+    "bus": {
+        "channel": None,
+        "channels": [{"channel": "a", "legs": [0, 2, 4]}, {"channel": "b", "legs": [1, 3, 5]}],
+    }
+}
 FUSED = "\nsensors: {tracker: {rate_Hz: 200}}\nestimation: {pose: fused}\n"
 
 
@@ -65,63 +74,52 @@ class Watch:
         return watched
 
 
-@pytest.mark.parametrize(
-    ("name", "block"),
-    [("virtual", ""), ("desktop", ""), ("virtual", OBSERVED), ("virtual", FUSED)],
-    ids=["virtual", "desktop", "observer", "fused pose"],
-)
-def test_python_decides_only_while_the_drives_are_waited_for_and_where_a_mode_changes(name, block):
-    c = load(name)
-    c = loads(c.text + block, c.name, c.folder)
+def shipped(name: str, block: str = "") -> Configuration:
+    c = without_operator(load(name))
+    return loads(c.text + block, c.name, c.folder) if block else c
+
+
+def desktop(family: Changes, buses: Changes) -> Configuration:
+    return loads(with_changes(load("desktop").text, merged(family, buses)), "desktop")
+
+
+WITH_PLANT = sorted(path.stem for path in CONFIGS.glob("*.yaml") if "\nplant:" in path.read_text())
+CASES: dict[str, Callable[[], Configuration]] = {
+    **{name: partial(shipped, name) for name in WITH_PLANT},
+    "observer": partial(shipped, "virtual", OBSERVED),
+    "fused pose": partial(shipped, "virtual", FUSED),
+    **{f"{family}, one bus": partial(desktop, changes, {}) for family, changes in FAMILIES.items()},
+    **{f"{family}, two buses": partial(desktop, changes, TWO_BUSES) for family, changes in FAMILIES.items()},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_python_decides_only_where_a_mode_changes(name):
+    """At both ends and on the bus; with sensors at the controller's end, as samples are drawn in Python."""
+    c = CASES[name]()
     watch = Watch()
     cycle: Any = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
     nodes, plant = build_nodes(c)
-    lockstep = build_lockstep(c, cycle, nodes)
-    cycle.begin = watch.over(cycle.begin)
-    cycle.step = watch.over(cycle.step)
-    modes, needless = [Mode.WAITING], dict[int, set[str]]()
+    lockstep: Any = build_lockstep(c, cycle, nodes)
+    if name == "fused pose":
+        cycle.begin, cycle.step = watch.over(cycle.begin), watch.over(cycle.step)
+    else:
+        lockstep.step = watch.over(lockstep.step)
+    modes: list[Mode] = []
     decided = 0
 
     def observe(*_: object) -> None:
         nonlocal decided
-        own = watch.entered - SHELL
-        watch.entered.clear()
-        modes.append(cycle.mode)
-        decided += bool(own)
-        if own and modes[-2] is cycle.mode is not Mode.WAITING:
-            needless[lockstep.tick] = own
-
-    try:
-        ending = lockstep.run(1.5, observe)
-    finally:
-        plant.close()
-    assert ending.success
-    assert not needless
-    assert {Mode.TRACKING, Mode.PARKED} <= set(modes)
-    assert 0 < decided <= modes.count(Mode.WAITING) + 9
-    assert len(watch.begun) == 1
-
-
-@pytest.mark.parametrize(
-    "name", sorted(path.stem for path in CONFIGS.glob("*.yaml") if "\nplant:" in path.read_text())
-)
-def test_both_ends_and_the_bus_decide_in_python_only_where_a_mode_changes(name):
-    c = without_operator(load(name))
-    watch = Watch()
-    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
-    nodes, plant = build_nodes(c)
-    lockstep: Any = build_lockstep(c, cycle, nodes)
-    lockstep.step = watch.over(lockstep.step)
-    decided: list[bool] = []
-
-    def observe(*_: object) -> None:
         if cycle.mode not in {Mode.WAITING, Mode.FAULT}:
-            decided.append(bool(watch.entered - SHELL - LOCKSTEP))
+            modes.append(cycle.mode)
+            decided += bool(watch.entered - SHELL - LOCKSTEP)
         watch.entered.clear()
 
     try:
         assert lockstep.run(4000 / c.loop.rate_Hz, observe).success
     finally:
         plant.close()
-    assert len(decided) > 500
-    assert 0 < sum(decided) <= CHANGES
+    assert len(modes) > 500
+    assert {Mode.TRACKING, Mode.PARKED} <= set(modes)
+    assert 0 < decided <= CHANGES
+    assert len(watch.begun) == 1

@@ -15,7 +15,7 @@ from drivers.ends import hearing
 from drivers.errors import PlantError
 from drivers.frame_array import FRAME
 from drivers.signals import LEGS, BusState, Mode
-from hil.app.sim.wire_kernels import answer, begin, command, pass_on
+from hil.app.sim.wire_kernels import answer, begin, command, heard_by, pass_on
 from hil.app.sim.wires import COMMANDS, LATCH, SKEW, STEP, SYNCED, TAKEN, Wires
 from hil.loop.cycle import Cycle
 from hil.loop.refusals import refusal, setpoint_refusals
@@ -149,8 +149,9 @@ class Lockstep:
     def _pass_time(self, t_ns: int) -> None:
         """Let the drives hear what has come before the tick, and send what they send unasked."""
         wires = self.wires
-        replies = self.nodes.advance(t_ns, wires.heard_by(t_ns))
-        while status := pass_on(wires.record, replies, t_ns):
+        heard = heard_by(wires.record, t_ns)
+        replies = self.nodes.advance(t_ns, wires.commands[:heard])
+        while status := pass_on(wires.record, replies, t_ns, heard):
             wires.settle(status, replies)
 
     def run(

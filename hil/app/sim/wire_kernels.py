@@ -208,12 +208,27 @@ def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
     return DONE
 
 
-@direct(record(WIRES), records(FRAME), INTEGER)
-def pass_on(w: Any, replies: Any, until_ns: int) -> int:
-    """Let drives send, each frame at its instant."""
+@direct(record(WIRES), INTEGER)
+def heard_by(w: Any, t_ns: int) -> int:
+    """Return how many frames for the drives ended by an instant: the first ones."""
+    count = 0
+    while count < w.commands and frame_at(w.commands_at + count * _FRAME).t_ns <= t_ns:
+        count += 1
+    return count
+
+
+@direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
+def pass_on(w: Any, replies: Any, until_ns: int, heard: int) -> int:
+    """Forget the frames that the drives have `heard`, and let drives send, each at its instant."""
     status = _put(w, replies, ALWAYS, 1)
+    if status != DONE:
+        return status
+    words = integers_at(w.commands_at, w.commands * _FRAME // 8)
+    for k in range(heard * _FRAME // 8, words.size):
+        words[k - heard * _FRAME // 8] = words[k]
+    w.commands -= heard
     _carry(w, until_ns)
-    return status
+    return DONE
 
 
 @helper

@@ -85,13 +85,3 @@ class Wires:
             timing = self._timings[frame.bus]
             if timing is not None:
                 frame_time_ns(len(frame.data), frame.flags % FLAGS, timing)
-
-    def heard_by(self, t_ns: int) -> Rows:
-        """Take out the frames for the drives that ended by an instant."""
-        before = self.words[COMMANDS]
-        count = int(np.count_nonzero(self.commands["t_ns"][:before] <= t_ns))
-        heard: Rows = self._commands[: FRAME_WORDS * count].copy().view(FRAME)
-        left = self._commands[FRAME_WORDS * count : FRAME_WORDS * before].copy()
-        self._commands[: left.size] = left
-        self.words[COMMANDS] -= count
-        return heard

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable
 
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.process import PROCESS, ProcessKill, ProcessSlow, ProcessStop
+from plant_fmu.faults.kinds import PROCESS, ProcessKill, ProcessSlow, ProcessStop
 
 
 class ProcessFaults:

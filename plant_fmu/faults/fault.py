@@ -5,6 +5,7 @@ Times count from `Nodes.start`, or from the instant at which the controller reac
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -90,6 +91,27 @@ class Fault(Section):
 
     def act(self, present: Present) -> None:
         """Enter what the fault does to drives and plant."""
+
+
+def joins(entry: str, join: Callable[[Any, Any], Any], figure: object) -> Any:
+    """Return an `act` that joins a value, or the field of that name, to the leg's entry of `Present`."""
+
+    def act(fault: Any, present: Present) -> None:
+        entries = getattr(present, entry)
+        value = getattr(fault, figure) if isinstance(figure, str) else figure
+        entries[fault.leg] = join(entries[fault.leg], value)
+
+    return act
+
+
+def last(_: object, figure: object) -> object:
+    """Of several faults the last one counts."""
+    return figure
+
+
+def later(ns: int, by_ms: float) -> int:
+    """Several delays add up."""
+    return ns + round(by_ms * 1e6)
 
 
 class LastingFault(Fault):

@@ -35,9 +35,9 @@ from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reactio
 from drivers.tick_columns import Record, copy_of, new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.drive import DriveSilence
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.frames import FramesLoss
+from plant_fmu.faults.kinds import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.drives_end import answers
 

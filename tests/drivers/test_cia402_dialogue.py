@@ -25,7 +25,7 @@ from drivers.protocol import (
     UnwatchedCommand,
 )
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
-from plant_fmu.faults.drive import DriveReset, DriveSilence
+from plant_fmu.faults.kinds import DriveReset, DriveSilence
 from tests.drivers.cia402_drives import PERMILLE_N, SCREW_m, STEP_m, difference, drives
 from tests.drivers.protocol_contract import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 

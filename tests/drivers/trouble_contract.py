@@ -20,8 +20,8 @@ from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.drive import DriveReset, DriveSilence
 from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.kinds import DriveReset, DriveSilence
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.protocol_contract import (
     FORCE,

@@ -79,7 +79,7 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
         ),
         (
             "plant_fmu/faults/__init__.py",
-            "    encoder.EncoderJump,\n",
+            "    kinds.EncoderJump,\n",
             "    Derated,\n",
         ),
     ],

@@ -32,7 +32,7 @@ from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
 from hil.safety.encoder_limits import NONE
 from hil.signals import Operator
 from hil.trajectory.build import build_trajectory
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Robot
 from plant_fmu.stewart.build import build

@@ -17,11 +17,9 @@ from hil.app.sim.lockstep import Lockstep
 from hil.loop.run_end import Ending
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from plant_fmu.faults.brake import BrakeStuckClosed
-from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
 from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.frames import FramesLoss
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import BrakeStuckClosed, EncoderFreeze, EncoderJump, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 

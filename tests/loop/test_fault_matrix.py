@@ -24,7 +24,7 @@ from hil.app.sim.build import build_lockstep
 from hil.cli import main
 from hil.loop.run_end import Course
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.load import PayloadStep
+from plant_fmu.faults.kinds import PayloadStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 

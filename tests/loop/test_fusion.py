@@ -21,9 +21,7 @@ from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
 from hil.signals import Operator
-from plant_fmu.faults.drive import DriveSilence
-from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump, EncoderLost
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import DriveSilence, EncoderFreeze, EncoderJump, EncoderLost, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 from tests.loop.tracked import track

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from drivers.signals import LEGS, Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.leg_errors import leg_errors
-from plant_fmu.faults.encoder import EncoderLost
+from plant_fmu.faults.kinds import EncoderLost
 from tests.broad import broad
 from tests.loop.test_fusion import ANY_LEG, FUSED, TRACKER, UNPROVEN
 from tests.loop.tracked import track

@@ -15,10 +15,8 @@ from hil.app.sim.lockstep import Lockstep
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator, TickInput
-from plant_fmu.faults.brake import BrakeStuckOpen
-from plant_fmu.faults.drive import DriveSilence
-from plant_fmu.faults.encoder import EncoderLost
 from plant_fmu.faults.fault import Fault as PlantFault
+from plant_fmu.faults.kinds import BrakeStuckOpen, DriveSilence, EncoderLost
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 

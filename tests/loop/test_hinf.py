@@ -16,7 +16,7 @@ import yaml
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.record.metrics import total_variation
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded
 

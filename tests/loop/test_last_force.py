@@ -10,11 +10,15 @@ from drivers.signals import DriveState, Fault, Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.kinematics import jacobian
-from plant_fmu.faults.brake import BrakeStuckOpen
-from plant_fmu.faults.drive import DriveSilence
-from plant_fmu.faults.encoder import EncoderDrift, EncoderJump, EncoderLost
 from plant_fmu.faults.frames import FramesForgedCommand
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import (
+    BrakeStuckOpen,
+    DriveSilence,
+    EncoderDrift,
+    EncoderJump,
+    EncoderLost,
+    WrenchStep,
+)
 from tests.broad import broad
 from tests.loop import test_fusion as fusion
 from tests.loop.test_held import BOUND_m, configuration, held, run

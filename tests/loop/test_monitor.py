@@ -20,8 +20,7 @@ from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
 from hil.signals import Operator
-from plant_fmu.faults.drive import DriveSign
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import DriveSign, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 

@@ -21,7 +21,7 @@ from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.path import Trajectory
 from plant_fmu.config import StewartPlant
-from plant_fmu.faults.load import PayloadStep, WrenchStep
+from plant_fmu.faults.kinds import PayloadStep, WrenchStep
 from plant_fmu.faults.plan import STANDARD_GRAVITY, FaultPlan
 from tests.broad import broad
 from tests.loop.stalling import build_stalling

@@ -16,7 +16,7 @@ from hil.app.sim.command import simulate
 from hil.record.log import Log
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 from tests.loop import unrecorded

@@ -20,8 +20,7 @@ from hil.app.identify.payload_block import block
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.record.log import Log
-from plant_fmu.faults.encoder import EncoderNoise
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import EncoderNoise, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop import laden
 

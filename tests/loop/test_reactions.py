@@ -8,10 +8,14 @@ import pytest
 from drivers.signals import DriveMode, Fault, Mode
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
-from plant_fmu.faults.brake import BrakeStuckClosed, BrakeStuckOpen
-from plant_fmu.faults.drive import DriveSign, DriveSilence
-from plant_fmu.faults.encoder import EncoderLost
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import (
+    BrakeStuckClosed,
+    BrakeStuckOpen,
+    DriveSign,
+    DriveSilence,
+    EncoderLost,
+    WrenchStep,
+)
 from tests.broad import broad
 from tests.loop.test_held import configuration, run
 

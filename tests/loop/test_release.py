@@ -24,7 +24,7 @@ from hil.loop.run_end import Course
 from hil.operate.channel import AT_MOST, Heard, OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.signals import Operator
-from plant_fmu.faults.brake import BrakeStuckOpen
+from plant_fmu.faults.kinds import BrakeStuckOpen
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop.test_run_end_daemon import Wire
 

@@ -14,7 +14,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.kinds import EncoderJump
 from tests.loop.test_encoders import Ran, at_hold, run
 
 T = 2.5e-3

@@ -21,12 +21,17 @@ from hil.loop.motion import Motion
 from hil.loop.run_end import Course
 from hil.loop.story.told import Story
 from hil.record.log import Log
-from plant_fmu.faults.brake import BrakeStuckOpen
-from plant_fmu.faults.drive import DriveSign, DriveSilence
-from plant_fmu.faults.encoder import EncoderJump, EncoderLost
 from plant_fmu.faults.frames import FramesLoss
+from plant_fmu.faults.kinds import (
+    BrakeStuckOpen,
+    DriveSign,
+    DriveSilence,
+    EncoderJump,
+    EncoderLost,
+    PlantCrash,
+    PlantNaN,
+)
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.faults.plant import PlantCrash, PlantNaN
 from tests.broad import broad
 from tests.drivers.legs_frames import command_frames
 from tests.loop.test_attacks import Attacked

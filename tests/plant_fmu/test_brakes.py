@@ -7,8 +7,8 @@ import pytest
 
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
-from plant_fmu.faults.brake import BrakeStuckOpen
 from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.kinds import BrakeStuckOpen
 from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
 

@@ -13,7 +13,7 @@ from drivers.protocol import Alive, Answer, Configure, Frame, Received, Status, 
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.drive import DriveSilence
+from plant_fmu.faults.kinds import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MS, Masses, Rig

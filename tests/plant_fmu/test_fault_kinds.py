@@ -15,10 +15,25 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.brake import BrakeSlipping, BrakeSlow, BrakeStuckClosed
-from plant_fmu.faults.bus import BusFlood, BusOff, BusSecondController
-from plant_fmu.faults.drive import DriveGain, DriveReset, DriveSaturation, DriveSign
-from plant_fmu.faults.encoder import (
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.frames import (
+    BusFlood,
+    BusOff,
+    BusSecondController,
+    FramesDelay,
+    FramesDuplicate,
+    FramesForgedCommand,
+    FramesForgedFeedback,
+    FramesOld,
+)
+from plant_fmu.faults.kinds import (
+    BrakeSlipping,
+    BrakeSlow,
+    BrakeStuckClosed,
+    DriveGain,
+    DriveReset,
+    DriveSaturation,
+    DriveSign,
     EncoderDrift,
     EncoderFreeze,
     EncoderLate,
@@ -26,18 +41,12 @@ from plant_fmu.faults.encoder import (
     EncoderNoise,
     EncoderScale,
     EncoderSign,
+    PayloadStep,
+    PlantCrash,
+    PlantHang,
+    PlantNaN,
 )
-from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.frames import (
-    FramesDelay,
-    FramesDuplicate,
-    FramesForgedCommand,
-    FramesForgedFeedback,
-    FramesOld,
-)
-from plant_fmu.faults.load import PayloadStep
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.faults.plant import PlantCrash, PlantHang, PlantNaN
 from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Masses, Rig, push
 from tests.plant_fmu.test_sensor_nodes import Mover, rotation

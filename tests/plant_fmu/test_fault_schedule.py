@@ -11,12 +11,18 @@ import pytest
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
-from plant_fmu.faults.bus import BusFlood, SenderFault
-from plant_fmu.faults.drive import DriveReset, DriveSilence
-from plant_fmu.faults.encoder import EncoderJump, EncoderNoise
 from plant_fmu.faults.fault import NEVER_NS, FrameFault, Passage, Passed
-from plant_fmu.faults.frames import FramesDelay, FramesDuplicate, FramesLoss, FramesOld, FramesReorder
+from plant_fmu.faults.frames import (
+    BusFlood,
+    FramesDelay,
+    FramesDuplicate,
+    FramesLoss,
+    FramesOld,
+    FramesReorder,
+    SenderFault,
+)
 from plant_fmu.faults.gateway import Gateway
+from plant_fmu.faults.kinds import DriveReset, DriveSilence, EncoderJump, EncoderNoise
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
 MS = 1_000_000

@@ -14,20 +14,11 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Frame
 from plant_fmu.faults import FAULTS, KINDS
-from plant_fmu.faults.brake import BrakeSlipping, BrakeSlow, BrakeStuckClosed, BrakeStuckOpen
-from plant_fmu.faults.bus import BusFlood, BusOff, BusSecondController
-from plant_fmu.faults.drive import DriveGain, DriveReset, DriveSaturation, DriveSign, DriveSilence
-from plant_fmu.faults.encoder import (
-    EncoderDrift,
-    EncoderFreeze,
-    EncoderJump,
-    EncoderLate,
-    EncoderNoise,
-    EncoderScale,
-    EncoderSign,
-)
 from plant_fmu.faults.fault import NEVER_NS, Fault
 from plant_fmu.faults.frames import (
+    BusFlood,
+    BusOff,
+    BusSecondController,
     FramesCorrupt,
     FramesDelay,
     FramesDuplicate,
@@ -37,9 +28,28 @@ from plant_fmu.faults.frames import (
     FramesOld,
     FramesReorder,
 )
-from plant_fmu.faults.load import PayloadStep, WrenchStep
+from plant_fmu.faults.kinds import (
+    BrakeSlipping,
+    BrakeSlow,
+    BrakeStuckClosed,
+    BrakeStuckOpen,
+    DriveGain,
+    DriveReset,
+    DriveSaturation,
+    DriveSign,
+    DriveSilence,
+    EncoderDrift,
+    EncoderFreeze,
+    EncoderJump,
+    EncoderLate,
+    EncoderNoise,
+    EncoderScale,
+    EncoderSign,
+    PayloadStep,
+    ProcessStop,
+    WrenchStep,
+)
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
-from plant_fmu.faults.process import ProcessStop
 from plant_fmu.plant import Truth
 
 MS = 1_000_000

@@ -8,9 +8,16 @@ import pytest
 from drivers.config import MAX_BUSES
 from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Frame
-from plant_fmu.faults.bus import BusFlood, BusOff, BusSecondController
 from plant_fmu.faults.fault import Fault, LastingFault, Passed
-from plant_fmu.faults.frames import FramesDelay, FramesDuplicate, FramesLoss, FramesReorder
+from plant_fmu.faults.frames import (
+    BusFlood,
+    BusOff,
+    BusSecondController,
+    FramesDelay,
+    FramesDuplicate,
+    FramesLoss,
+    FramesReorder,
+)
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
 BUSES = range(MAX_BUSES)

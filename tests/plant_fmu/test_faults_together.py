@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plant_fmu.faults.encoder import EncoderDrift, EncoderJump, EncoderScale, EncoderSign
+from plant_fmu.faults.kinds import EncoderDrift, EncoderJump, EncoderScale, EncoderSign
 from plant_fmu.faults.plan import weight
 from plant_fmu.plant import Truth
 from tests.plant_fmu.test_fault_kinds import accelerating, motion, read

@@ -18,11 +18,9 @@ from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.reading import Reading
-from plant_fmu.faults.drive import DriveReset
-from plant_fmu.faults.encoder import EncoderJump
 from plant_fmu.faults.fault import Present
 from plant_fmu.faults.frames import FramesForgedFeedback
-from plant_fmu.faults.plant import PlantCrash, PlantHang
+from plant_fmu.faults.kinds import DriveReset, EncoderJump, PlantCrash, PlantHang
 from tests.drivers.legs_frames import decode
 from tests.plant_fmu.test_fault_kinds import accelerating
 from tests.plant_fmu.test_nodes import MS, REST, Rig, starve

@@ -27,12 +27,18 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import NEVER_NS, feed
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.brake import BrakeStuckClosed, BrakeStuckOpen
-from plant_fmu.faults.drive import DriveSign, DriveSilence
-from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump, EncoderLost
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import (
+    BrakeStuckClosed,
+    BrakeStuckOpen,
+    DriveSign,
+    DriveSilence,
+    EncoderFreeze,
+    EncoderJump,
+    EncoderLost,
+    WrenchStep,
+)
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import command_frames, decode

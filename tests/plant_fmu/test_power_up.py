@@ -13,8 +13,8 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives
 from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
 from plant_fmu.faults.fault import Present
+from plant_fmu.faults.kinds import EncoderFreeze, EncoderJump
 from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.by_hand import actuate, next_move_ns, obey
 from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig

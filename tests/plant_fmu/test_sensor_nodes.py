@@ -23,9 +23,8 @@ from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import PlantHang, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.faults.plant import PlantHang
 from plant_fmu.plant import Truth
 from tests.sensed import Readings, decode
 

@@ -13,7 +13,7 @@ from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.turns import Turns
-from plant_fmu.faults.drive import DriveReset
+from plant_fmu.faults.kinds import DriveReset
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.legs_frames import decode
 from tests.plant_fmu.test_nodes import MS, REST, Masses

@@ -25,7 +25,7 @@ from hil.mathematics.rotations import rotation_from_vector
 from hil.record.figures import errors, limited_ticks, pose_errors
 from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
 from hil.trajectory.path import PoseSample, Trajectory
-from plant_fmu.faults.load import WrenchStep
+from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 
 SETTLE_PERIODS = 30.0

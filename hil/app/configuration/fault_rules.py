@@ -9,12 +9,9 @@ from drivers.errors import ConfigurationError, HilError, ProtocolError
 from hil.app.configuration.yaml_positions import Path
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.brake import BRAKES
-from plant_fmu.faults.bus import BusSecondController
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.frames import FramesForgedCommand
-from plant_fmu.faults.load import LOADS, PayloadStep, WrenchStep
-from plant_fmu.faults.process import PROCESS
+from plant_fmu.faults.frames import BusSecondController, FramesForgedCommand
+from plant_fmu.faults.kinds import BRAKES, LOADS, PROCESS, PayloadStep, WrenchStep
 
 
 def not_brought_about(plant: PlantSettings, kind: str) -> str:

@@ -21,7 +21,7 @@ from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.fault import Fault, Moment
-from plant_fmu.faults.process import PROCESS
+from plant_fmu.faults.kinds import PROCESS
 
 MATRIX: tuple[Moment, ...] = ("LOADING", "APPROACH", "TRACKING", "HOLD", "PARKING", "UNLOADING")
 """When each fault is injected."""

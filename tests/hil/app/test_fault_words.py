@@ -12,11 +12,15 @@ from hil.app.configuration.fault_words import read_fault, short_keys, show_fault
 from hil.app.configuration.problems import split_unit
 from hil.cli import main
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.brake import BrakeSlow, BrakeStuckOpen
-from plant_fmu.faults.encoder import EncoderJump
 from plant_fmu.faults.frames import FramesLoss
-from plant_fmu.faults.load import PayloadStep, WrenchStep
-from plant_fmu.faults.process import ProcessKill
+from plant_fmu.faults.kinds import (
+    BrakeSlow,
+    BrakeStuckOpen,
+    EncoderJump,
+    PayloadStep,
+    ProcessKill,
+    WrenchStep,
+)
 
 
 def configured(name: str, entry: str):

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.app.process_faults import ProcessFaults
-from plant_fmu.faults.encoder import EncoderFreeze
-from plant_fmu.faults.process import ProcessSlow
+from plant_fmu.faults.kinds import EncoderFreeze, ProcessSlow
 
 LOOP = """
 import sys, time

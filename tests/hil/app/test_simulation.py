@@ -25,7 +25,7 @@ from hil.cli import main
 from hil.cli.shared import DURATION
 from hil.loop.run_end import Ending
 from hil.record.log import Log
-from plant_fmu.faults.encoder import EncoderJump
+from plant_fmu.faults.kinds import EncoderJump
 from plant_fmu.faults.plan import FaultPlan
 
 

@@ -13,8 +13,7 @@ from hil.app.bringup.store import refuse_malformed
 from hil.bringup.context import OLD_TICKS, StoppedError
 from hil.bringup.procedure import STEPS
 from hil.bringup.steps import brakes, encoder, ids
-from plant_fmu.faults.drive import DriveSilence
-from plant_fmu.faults.encoder import EncoderFreeze, EncoderJump
+from plant_fmu.faults.kinds import DriveSilence, EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.rehearsal.wiring import OWN, OWN_BRAKES, Mistake, Wiring, turned, wired
 from tests.hil.bringup.kit import Rehearsal, named

@@ -15,7 +15,7 @@ from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import with_faults
 from hil.app.plant import Bench
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.process import PROCESS
+from plant_fmu.faults.kinds import PROCESS
 
 C = load("virtual")
 

@@ -21,7 +21,6 @@ MAX_RATIO = 400
 RATIO_FREE_BYTES = 1024**2
 """Members up to this size may have any ratio."""
 _PARSED = frozenset({"modelDescription.xml", "sources/buildDescription.xml"})
-_CHUNK = 1 << 20
 _DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, ValueError, RuntimeError)
 """What zipfile raises on a directory or a member that is damaged or cannot be read."""
 
@@ -98,23 +97,12 @@ def read_member(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
 
 
 def extract(archive: zipfile.ZipFile, path: Path, folder: Path) -> None:
-    """Unpack all checked members into `folder`, never more bytes than their headers announce.
+    """Unpack all checked members into `folder`; `zipfile` reads no more bytes than their headers announce.
 
     Raises PlantError on a member that is refused or damaged.
     """
     for member in checked_members(archive, path):
-        target = folder / member.filename
         try:
-            if member.is_dir():
-                target.mkdir(parents=True, exist_ok=True)
-                continue
-            target.parent.mkdir(parents=True, exist_ok=True)
-            left = member.file_size
-            with archive.open(member) as packed, target.open("xb") as out:
-                while chunk := packed.read(min(_CHUNK, left + 1)):
-                    left -= len(chunk)
-                    if left < 0:
-                        raise PlantError(f"{path}: member {member.filename!r} is larger than its header says")
-                    out.write(chunk)
+            archive.extract(member, folder)
         except _DAMAGED as error:
             raise PlantError(f"{path}: member {member.filename!r} cannot be unpacked: {error}") from error

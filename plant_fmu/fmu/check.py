@@ -108,9 +108,6 @@ class _Reader:
             f"0 to {MAX_REFERENCE} are allowed"
         )
 
-    def size(self, variable: Any) -> int:
-        return math.prod(variable.shape) if variable.shape else 1
-
     def check_unit(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
         name = stated_unit(variable)
         if name is None:
@@ -168,7 +165,7 @@ class _Reader:
                 )
             if units:
                 self.check_unit(key, variable, units)
-        total = sum(self.size(v) for v in found)
+        total = sum(math.prod(v.shape or ()) for v in found)
         if total != count:
             raise PlantError(
                 f"{self.path}: {key}: {list(names)} are {total} values; {count} are needed, "
@@ -194,7 +191,7 @@ class _Reader:
             raise PlantError(
                 f"{self.path}: parameters: {name!r} is a {first.causality}; only parameters can be set"
             )
-        total = sum(self.size(v) for v in found)
+        total = sum(math.prod(v.shape or ()) for v in found)
         if total != len(values):
             raise PlantError(
                 f"{self.path}: parameters: {name!r} has {total} elements but {len(values)} are given"

@@ -73,7 +73,7 @@ class ChildHost:
         self._step_timeout_s = step_timeout_s
         self._start_timeout_s = start_timeout_s
         self._ended: str | None = None
-        self._most_here_kB = _most_here_kB()
+        self._most_here_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         # The child unpacks in here; whichever of us two is left removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         text = spec.to_json().encode()
@@ -241,11 +241,6 @@ def _end_with_parent(life_fd: int, parent: int, folder: str) -> None:
             break
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
-
-
-def _most_here_kB() -> int:
-    """Return the most memory that this process ever had, and whatever it inherited, kB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _bound_memory(most_GB: float) -> None:

@@ -7,13 +7,11 @@ import contextlib
 import ctypes as ct
 import os
 import tempfile
-from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import fmpy
 import numpy as np
-from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi2 import fmi2CallbackAllocateMemoryTYPE as _Allocate
 from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as _Free
@@ -33,20 +31,7 @@ _MESSAGES = 20
 _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 _REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
-_READ_BY_OTHERS = {
-    "modelDescription.xml",
-    "model.png",
-    "documentation",
-    "licenses",
-    "sources",
-    "terminalsAndIcons",
-}
-"""Of an archive: what tools read and people, not the FMU itself."""
 _LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
-
-
-def _label(status: int) -> str:
-    return _LABELS.get(status, f"status {status}, which FMI does not have")
 
 
 def _address(fmu: Any, name: str) -> int:
@@ -55,37 +40,13 @@ def _address(fmu: Any, name: str) -> int:
     return address
 
 
-def _refuse_negative(fmu: Any) -> None:
-    """Let fmpy refuse a negative status, too, which it takes for a success."""
-    call, functions = fmu._call, fmu._functions  # noqa: SLF001 - where all its calls go through
-
-    def judged(name: str, *arguments: Any) -> Any:
-        result = call(name, *arguments)
-        if functions[name].restype is ct.c_int and result < 0:
-            raise FMICallException(name, result)
-        return result
-
-    fmu._call = judged  # noqa: SLF001
-
-
-def _needs_library_alone(members: Sequence[str], library: str) -> bool:
-    """Tell whether an FMU whose library is loaded has no file of its own left that it could read."""
-    return all(
-        member == library
-        or member.endswith("/")
-        or member.split("/", 1)[0] in _READ_BY_OTHERS
-        or (member.startswith("binaries/") and PurePosixPath(member).parent != PurePosixPath(library).parent)
-        for member in members
-    )
-
-
 class FmuHost:
     """Plant in front of one FMU instance.
 
     Mutable state: the FMU instance, its record with the tick count behind the communication time, the
     transfer buffers, the inputs that the FMU holds.
-    Closing terminates and frees the instance and removes the folder that the FMU was unpacked to. Where the
-    FMU can want nothing of that but its library, as ours, it is removed once that is loaded: a process that
+    Closing terminates and frees the instance and removes the folder that the FMU was unpacked to. That of
+    ours, which has a truth and needs no file but its library, is removed once that is loaded: a process that
     is killed leaves nothing behind.
     """
 
@@ -105,7 +66,7 @@ class FmuHost:
                 self._interface: Interface = read_interface(xml, names, spec)
                 extract(archive, spec.path, Path(self._folder.name))
             self._load()
-            if _needs_library_alone(names, self._interface.library):
+            if spec.truth:
                 self._folder.cleanup()
             self._prepare_calls()
             self.reset()
@@ -140,7 +101,6 @@ class FmuHost:
         finally:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
         self._fmu = fmu
-        _refuse_negative(fmu)
 
     def _callbacks_2(self) -> Any:
         callbacks = fmi2CallbackFunctions()
@@ -201,7 +161,8 @@ class FmuHost:
         )  # fmt: skip
 
     def _refused(self, status: int, what: str) -> PlantError:
-        return PlantError(f"{self.spec.path}: the FMU refused to {what} ({_label(status)}){self._said()}")
+        label = _LABELS.get(status, f"status {status}, which FMI does not have")
+        return PlantError(f"{self.spec.path}: the FMU refused to {what} ({label}){self._said()}")
 
     def _initialise(self) -> None:
         fmu = self._fmu
@@ -252,9 +213,6 @@ class FmuHost:
         ended, status = fmu_call.fetch(self._call, self._outputs)
         if ended != fmu_call.DONE:
             raise self._failed(ended, status, "")
-        return self._measured()
-
-    def _measured(self) -> tuple[Array, Array]:
         y = self._outputs[: fmu_call.MEASURED].copy()
         return y[:LEGS], y[LEGS:]
 

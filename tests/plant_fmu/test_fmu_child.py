@@ -107,12 +107,6 @@ def test_a_status_that_fmi_does_not_have_is_a_refusal(tmp_path, status):
             host.step(FORCE, OPEN, OPEN, 1e-3)
 
 
-def test_a_negative_status_of_the_first_calls_is_a_refusal(tmp_path):
-    line = "return instance_exit_initialisation(c);"
-    with pytest.raises(PlantError, match=r"cannot be initialised.*status -7 \(illegal return code\)"):
-        FmuHost(spec(altered(tmp_path, "(void)c; return -7;", line)))
-
-
 GREEDY = "for (int k = 0; k < 4096; k++) { char *p = malloc(1 << 20); if (!p) %s; memset(p, 1, 1 << 20); }"
 
 

@@ -18,7 +18,6 @@ from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
 from drivers.own_folder import made_folder
 from drivers.whole_file import whole_file
-from plant_fmu.stewart.ctables import header, tables
 from plant_fmu.stewart.description import (
     MODEL_IDENTIFIER,
     FmiVersion,
@@ -27,6 +26,7 @@ from plant_fmu.stewart.description import (
     model_description_3,
     terminals,
 )
+from plant_fmu.stewart.variables import header, tables
 
 SOURCES = Path(__file__).parent / "sources"
 _COMMON = ("mechanics", "contact", "plant", "instance")

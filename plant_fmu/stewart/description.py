@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from plant_fmu.stewart.ctables import offsets
 from plant_fmu.stewart.variables import (
     INTERNAL_STEP,
     LEG_SPIN,
@@ -14,6 +13,7 @@ from plant_fmu.stewart.variables import (
     VARIABLES,
     Causality,
     element_name,
+    offsets,
     parameters_behind,
     type_of,
 )

@@ -7,8 +7,16 @@ from math import cos, radians, sin
 
 import pytest
 
-from plant_fmu.stewart.ctables import header, tables
-from plant_fmu.stewart.variables import INTERNAL_STEP, STEP_SIZE, VARIABLES, element_name, limits, type_of
+from plant_fmu.stewart.variables import (
+    INTERNAL_STEP,
+    STEP_SIZE,
+    VARIABLES,
+    element_name,
+    header,
+    limits,
+    tables,
+    type_of,
+)
 
 ZEROS, EYE = [0.0] * 6, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 FREE, POSITIVE, SHARE = (None, None), (0.0, None), (0.0, 1.0)

@@ -18,9 +18,9 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
-from hil.safety.finite import all_finite
 from hil.safety.guard import WINDOW_S
-from hil.safety.stroke import overspeed, too_fast_for_end
+from hil.safety.motion import overspeed, too_fast_for_end
+from hil.safety.signals import all_finite
 from hil.trajectory.override import CURVATURE, PEAK
 from hil.trajectory.path import PoseSample
 

@@ -37,7 +37,7 @@ from hil.loop.setup_moves import approach
 from hil.loop.sight import Sight
 from hil.loop.way_back import Inspection
 from hil.safety.guard import Verdict
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
 
 _put_input = struct.Struct(f"<{INPUT_ELEMENTS}q").pack_into

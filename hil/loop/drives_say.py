@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from drivers.signals import DriveFault, DriveState, Mode
 from drivers.tick_columns import Record
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 
 _POWERED = (DriveState.READY, DriveState.RUN)
 

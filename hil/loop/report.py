@@ -2,7 +2,7 @@
 
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState
 from hil.loop.cycle import Cycle
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 
 
 def because(fault: int, meaning: str = "") -> str:

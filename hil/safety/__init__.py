@@ -1,4 +1,4 @@
-"""Safety: what faults, what warns, and how far a force may go. One rule family per file.
+"""Safety: what faults, what warns, and how far a force may go. One file for each kind of evidence.
 
 Every rule is a pure function of numbers and small arrays; only `Safety` remembers.
 

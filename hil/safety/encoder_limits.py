@@ -1,7 +1,7 @@
 """What the rules on encoders compare with, and what they remember."""
 
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -54,24 +54,8 @@ class EncoderLimits(NamedTuple):
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
 """No encoder is watched."""
 ENCODER_LIMITS = [
-    ("watched_legs", "<i8"),
-    ("length_noise_m", "<f8"),
-    ("rate_noise_m_s", "<f8"),
-    ("rate_skew_s", "<f8"),
-    ("rate_error", "<f8"),
-    ("disturbance_m_s2", "<f8"),
-    ("mobility", "<f8", (LEGS, LEGS)),
-    ("acting_ticks", "<i8"),
-    ("push_N", "<f8", (LEGS,)),
-    ("push_ticks", "<i8"),
-    ("sticks", "<i8"),
-    ("rise_ticks", "<i8"),
-    ("open_ticks", "<i8"),
-    ("period_s", "<f8"),
-    ("unnamed", "<i8"),
-    ("differences", "<i8"),
-    ("apart", "<i8"),
-    ("unshared", "<f8"),
+    (name, "<i8" if kind is int else "<f8", np.shape(getattr(NONE, name)))
+    for name, kind in get_type_hints(EncoderLimits).items()
 ]
 """Fields of a record of `EncoderLimits`."""
 ENCODER_MEMORY = [

@@ -24,7 +24,6 @@ from hil.safety.certificate import (
 from hil.safety.encoder_limits import NONE, EncoderLimits
 from hil.safety.force_limits import BLOCK
 from hil.safety.kernels import LIMITS, MEMORY, judge_tick
-from hil.safety.recorder import recorder_stop
 
 WINDOW_S = 0.25
 """Length of the force window."""
@@ -90,7 +89,7 @@ class Safety:
         apart_us = limits.sync_skew_us
         self.limits["sync_skew_ns"] = period_ns // 10 if apart_us is None else round(1e3 * apart_us)
         self.limits["settle_ticks"] = round(SETTLE_S * rate_Hz)
-        self.limits["stop_on_recorder_loss"] = recorder_stop(losing=True, on_loss=on_recorder_loss)
+        self.limits["stop_on_recorder_loss"] = on_recorder_loss == "stop"
         for name, value in encoders._asdict().items():
             self.limits[name] = value
         self._memory = np.zeros((), MEMORY)

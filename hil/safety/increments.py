@@ -12,7 +12,7 @@ leg within a tick makes its rate leap, and a gap of up to half of that times T.
 import math
 
 from drivers.compiled.compiler import helper
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 
 WINDOW_S = 0.05
 """Time constant of the sum in which a slow slip shows."""

@@ -9,7 +9,6 @@ from drivers.compiled.compiler import OUT_MATRIX, entry, helper, kernel, record
 from drivers.signals import LEGS, Fault, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.control.error_axes import error_axes
-from hil.safety.bus import bus_down, bus_noisy, refusals
 from hil.safety.certificate import (
     ACTION,
     BOUND,
@@ -31,24 +30,40 @@ from hil.safety.certificate import (
 )
 from hil.safety.encoder_kernels import judge_encoders, push_legs, pushing
 from hil.safety.encoder_limits import ENCODER_LIMITS, ENCODER_MEMORY
-from hil.safety.finite import all_finite
-from hil.safety.following import lagging
 from hil.safety.force_limits import limit_force, limit_step, limit_window, remember, window_extremes
-from hil.safety.frames import estop_heard, second_controller, unreliable
-from hil.safety.kinematics import hopped, ill_conditioned, inconsistent
-from hil.safety.legs import all_running, drive_lost, stale
-from hil.safety.recorder import recorder_losing
-from hil.safety.standstill import REST_m_s, at_rest, forget_place, moved_legs
-from hil.safety.stroke import beyond_hard_end, overspeed, too_fast_for_end
-from hil.safety.timing import (
+from hil.safety.motion import (
+    REST_m_s,
+    at_rest,
+    beyond_hard_end,
+    forget_place,
+    hopped,
+    ill_conditioned,
+    inconsistent,
+    lagging,
+    moved_legs,
+    overspeed,
+    too_fast_for_end,
+)
+from hil.safety.signals import (
     HARMFUL_STRETCH_NS,
+    all_finite,
+    all_running,
+    bus_down,
+    bus_noisy,
+    drive_lost,
+    estop_heard,
     is_apart,
     is_degraded,
     is_late,
     late_history,
     missed_run,
+    recorder_losing,
+    refusals,
+    second_controller,
+    stale,
     too_many_missed,
     too_stretched,
+    unreliable,
 )
 
 _IDLE, _LOADING, _UNLOADING = int(Mode.IDLE), int(Mode.LOADING), int(Mode.UNLOADING)
@@ -97,7 +112,7 @@ LIMITS = np.dtype(
 """Section `limits`, and what else the rules compare with."""
 MEMORY = np.dtype(
     [
-        ("late", "<i8"),  # the last ticks as bits, see `hil.safety.history`
+        ("late", "<i8"),  # the last ticks as bits, see `hil.safety.signals`
         ("missed", "<i8"),  # periods missed in a row
         ("refused", "<i8"),  # ticks with frames that the bus refused, as bits
         ("untrusted", "<i8"),  # ticks with frames of the drives that were refused, as bits

@@ -17,7 +17,7 @@ from hil.loop import cycle as cycle_module
 from hil.loop.cycle import Cycle
 from hil.loop.modes import CONTROLLED
 from hil.safety.guard import Verdict
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 from hil.signals import Operator
 from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import VIRTUAL

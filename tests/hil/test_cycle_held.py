@@ -11,7 +11,7 @@ import pytest
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.compose import build_cycle
 from hil.loop.cycle import Cycle
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 from tests.hil.test_cycle_again import VIRTUAL
 from tests.records import record_of
 

@@ -8,7 +8,7 @@ from drivers.signals import LEGS, DriveFault, DriveState, Mode
 from drivers.tick_columns import TICK
 from hil.loop.compiled_pass import all_free
 from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready, unconfirmed
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 from tests.records import record_of
 
 

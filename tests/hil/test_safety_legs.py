@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.safety import encoders, following, force_limits, standstill
+from hil.safety import force_limits, motion
 from tests.hil.encoder_bench import BOTH_SIGNS, six
 
 ON_EACH_LEG = pytest.mark.parametrize("leg", range(6))
@@ -17,7 +17,7 @@ HEARD = np.zeros(6, np.int64)
 @ON_EACH_LEG
 @BOTH_SIGNS
 def test_the_following_error_of_a_leg_is_from_its_own_length(leg, sign):
-    lagging, rates = following.lagging, six(4.0, leg)
+    lagging, rates = motion.lagging, six(4.0, leg)
     for q_d, lags in ((0.25, False), (0.26, True)):
         assert lagging(LENGTHS, LENGTHS + six(sign * q_d, leg), six(0.0), 0.25, 0.0) == lags
         assert lagging(LENGTHS, LENGTHS + six(sign * (q_d + 2.0), leg), rates, 0.25, 0.5) == lags
@@ -26,7 +26,7 @@ def test_the_following_error_of_a_leg_is_from_its_own_length(leg, sign):
 @ON_EACH_LEG
 @BOTH_SIGNS
 def test_a_leg_stands_where_it_was_heard_itself(leg, sign):
-    moved, still = standstill.moved_legs, six(np.nan)
+    moved, still = motion.moved_legs, six(np.nan)
     assert moved(LENGTHS, HEARD, still, 0.25) == 0
     np.testing.assert_array_equal(still, LENGTHS)
     assert moved(LENGTHS + six(sign * 0.26, leg), HEARD, still, 0.25) == 1 << leg
@@ -47,8 +47,3 @@ def test_a_force_stays_within_the_window_of_its_own_leg(sign):
     assert force_limits.limit_window(tau, low, high, 100.0)
     np.testing.assert_array_equal(tau, low + 100.0 if sign > 0 else high - 100.0)
     assert not force_limits.limit_window(tau, low, high, 100.0)
-
-
-def test_a_slip_is_not_excused_by_fewer_legs_than_there_are():
-    with pytest.raises(ValueError, match="zip"):
-        encoders.contradicted((False,) * 6, (False,) * 5)

@@ -23,21 +23,7 @@ from hil.control.error_axes import error_axes
 from tests.hil import encoder_bench
 
 PACKAGE = Path(hil.safety.__file__).parent
-FAMILIES = [
-    "history",
-    "finite",
-    "legs",
-    "bus",
-    "frames",
-    "recorder",
-    "kinematics",
-    "stroke",
-    "following",
-    "standstill",
-    "timing",
-    "force_limits",
-    "certificate",
-]
+FAMILIES = ["signals", "motion", "force_limits", "certificate"]
 ENCODERS = ["latch", "increments", "leaps", "stillness"]
 
 EQUIVALENT = {

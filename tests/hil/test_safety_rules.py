@@ -9,21 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import NEVER, DriveState, Foreign
-from hil.safety import (
-    bus,
-    certificate,
-    finite,
-    following,
-    force_limits,
-    frames,
-    history,
-    kinematics,
-    legs,
-    recorder,
-    standstill,
-    stroke,
-    timing,
-)
+from hil.safety import certificate, force_limits, motion, signals
 
 ON_ONE_LEG = pytest.mark.parametrize("leg", range(6))
 
@@ -47,156 +33,150 @@ def ints(value, leg, other):
 
 @pytest.mark.parametrize("shape", [(6,), (3,), (3, 3), (6, 6)])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_finite_finds_one_bad_number_anywhere(shape, bad):
+def test_signals_finite_finds_one_bad_number_anywhere(shape, bad):
     x = np.full(shape, -1e300)
-    assert finite.all_finite(x)
+    assert signals.all_finite(x)
     for index in np.ndindex(shape):
         y = x.copy()
         y[index] = bad
-        assert not finite.all_finite(y)
+        assert not signals.all_finite(y)
 
 
 # -- history
 
 
-def test_history_counts_the_ones():
+def test_signals_history_counts_the_ones():
     for bits in (0, 1, 2, 3, 4, 0b1011, 1 << 31, (1 << 32) - 1):
-        assert history.ones(bits) == bits.bit_count()
-    assert history.ones((1 << 40) - 1) == 32
+        assert signals.ones(bits) == bits.bit_count()
+    assert signals.ones((1 << 40) - 1) == 32
 
 
 # -- legs
 
 
 @ON_ONE_LEG
-def test_legs_are_stale_from_the_limit_on(leg):
-    assert not legs.stale(ints(1, leg, 0), 2)
-    assert legs.stale(ints(2, leg, 0), 2)
-    assert legs.stale(ints(3, leg, 0), 2)
-    assert not legs.stale(ints(4, leg, 0), 5)
-    assert legs.stale(ints(5, leg, 0), 5)
-    assert legs.stale(ints(NEVER, leg, 0), 5)
+def test_signals_legs_are_stale_from_the_limit_on(leg):
+    assert not signals.stale(ints(1, leg, 0), 2)
+    assert signals.stale(ints(2, leg, 0), 2)
+    assert signals.stale(ints(3, leg, 0), 2)
+    assert not signals.stale(ints(4, leg, 0), 5)
+    assert signals.stale(ints(5, leg, 0), 5)
+    assert signals.stale(ints(NEVER, leg, 0), 5)
 
 
 @ON_ONE_LEG
-def test_legs_in_fault_or_rebooted_are_lost(leg):
+def test_signals_legs_in_fault_or_rebooted_are_lost(leg):
     for state in DriveState:
         expected = state in {DriveState.FAULT, DriveState.BOOT}
-        assert legs.drive_lost(ints(state, leg, DriveState.RUN)) == expected
+        assert signals.drive_lost(ints(state, leg, DriveState.RUN)) == expected
 
 
 @ON_ONE_LEG
-def test_legs_run_only_all_together(leg):
+def test_signals_legs_run_only_all_together(leg):
     for state in DriveState:
-        assert legs.all_running(ints(state, leg, DriveState.RUN)) == (state == DriveState.RUN)
-    assert not legs.all_running(ints(DriveState.RUN, leg, DriveState.READY))
+        assert signals.all_running(ints(state, leg, DriveState.RUN)) == (state == DriveState.RUN)
+    assert not signals.all_running(ints(DriveState.RUN, leg, DriveState.READY))
 
 
 # -- bus
 
 
-def test_bus_remembers_which_ticks_had_refused_frames():
+def test_signals_bus_remembers_which_ticks_had_refused_frames():
     history = 0
     for failed, expected in ((1, 0b1), (6, 0b11), (0, 0b110), (1, 0b1101)):
-        history = bus.refusals(history, failed)
+        history = signals.refusals(history, failed)
         assert history == expected
-    assert bus.refusals(1 << 30, 0) == 1 << 31
-    assert bus.refusals(1 << 31, 0) == 0
-    assert bus.refusals((1 << 32) - 1, 1) == (1 << 32) - 1
+    assert signals.refusals(1 << 30, 0) == 1 << 31
+    assert signals.refusals(1 << 31, 0) == 0
+    assert signals.refusals((1 << 32) - 1, 1) == (1 << 32) - 1
 
 
-def test_bus_is_down_when_off_or_refusing_in_a_row_or_often():
-    assert bus.bus_down(True, 0)
-    assert not bus.bus_down(False, 0)
-    assert not bus.bus_down(False, 0b1111)
-    assert bus.bus_down(False, 0b11111)
-    assert bus.bus_down(False, 0b1111111)
-    assert not bus.bus_down(False, 0b111101110)
-    assert bus.bus_down(False, 0b1111011110)
-    assert not bus.bus_down(False, 0b11111 << 3)
-    assert not bus.bus_down(False, 0b111110)
+def test_signals_bus_is_down_when_off_or_refusing_in_a_row_or_often():
+    assert signals.bus_down(True, 0)
+    assert not signals.bus_down(False, 0)
+    assert not signals.bus_down(False, 0b1111)
+    assert signals.bus_down(False, 0b11111)
+    assert signals.bus_down(False, 0b1111111)
+    assert not signals.bus_down(False, 0b111101110)
+    assert signals.bus_down(False, 0b1111011110)
+    assert not signals.bus_down(False, 0b11111 << 3)
+    assert not signals.bus_down(False, 0b111110)
 
 
 # -- frames
 
 
 @pytest.mark.parametrize("kind", list(Foreign))
-def test_frames_of_a_controller_are_all_but_the_emergency_stop_which_any_node_may_send(kind):
-    assert frames.second_controller(int(kind)) is (kind is not Foreign.ESTOP)
-    assert frames.estop_heard(int(kind)) is (kind is Foreign.ESTOP)
-    assert frames.second_controller(int(kind | Foreign.ESTOP)) is (kind is not Foreign.ESTOP)
-    assert frames.estop_heard(int(kind | Foreign.ESTOP))
-    assert not frames.second_controller(0)
-    assert not frames.estop_heard(0)
+def test_signals_frames_of_a_controller_are_all_but_the_emergency_stop_which_any_node_may_send(kind):
+    assert signals.second_controller(int(kind)) is (kind is not Foreign.ESTOP)
+    assert signals.estop_heard(int(kind)) is (kind is Foreign.ESTOP)
+    assert signals.second_controller(int(kind | Foreign.ESTOP)) is (kind is not Foreign.ESTOP)
+    assert signals.estop_heard(int(kind | Foreign.ESTOP))
+    assert not signals.second_controller(0)
+    assert not signals.estop_heard(0)
 
 
-def test_frames_that_are_refused_in_eight_ticks_wherever_they_are_make_a_bus_unreliable():
-    assert not frames.unreliable(0b1111111)
-    assert frames.unreliable(0b11111111)
-    assert not frames.unreliable(0b111111 << 25)
-    assert frames.unreliable(0b11110000000000000000000000001111)
+def test_signals_frames_that_are_refused_in_eight_ticks_wherever_they_are_make_a_bus_unreliable():
+    assert not signals.unreliable(0b1111111)
+    assert signals.unreliable(0b11111111)
+    assert not signals.unreliable(0b111111 << 25)
+    assert signals.unreliable(0b11110000000000000000000000001111)
 
 
-def test_bus_is_noisy_with_errors_losses_or_refusals():
-    assert not bus.bus_noisy(0, 0, 0)
-    assert bus.bus_noisy(1, 0, 0)
-    assert bus.bus_noisy(0, 1, 0)
-    assert bus.bus_noisy(0, 0, 1)
+def test_signals_bus_is_noisy_with_errors_losses_or_refusals():
+    assert not signals.bus_noisy(0, 0, 0)
+    assert signals.bus_noisy(1, 0, 0)
+    assert signals.bus_noisy(0, 1, 0)
+    assert signals.bus_noisy(0, 0, 1)
 
 
 # -- recorder
 
 
-def test_recorder_loses_when_dead_or_when_drops_grow():
-    assert not recorder.recorder_losing(True, 0, 0)
-    assert not recorder.recorder_losing(True, 7, 7)
-    assert recorder.recorder_losing(True, 8, 7)
-    assert recorder.recorder_losing(False, 0, 0)
-
-
-def test_recorder_stops_the_run_only_if_so_configured():
-    assert recorder.recorder_stop(True, "stop")
-    assert not recorder.recorder_stop(False, "stop")
-    assert not recorder.recorder_stop(True, "continue")
+def test_signals_recorder_loses_when_dead_or_when_drops_grow():
+    assert not signals.recorder_losing(True, 0, 0)
+    assert not signals.recorder_losing(True, 7, 7)
+    assert signals.recorder_losing(True, 8, 7)
+    assert signals.recorder_losing(False, 0, 0)
 
 
 # -- kinematics
 
 
-def test_kinematics_faults_above_each_limit_and_on_what_is_no_number():
-    assert not kinematics.inconsistent(0.0, 1e-4)
-    assert not kinematics.inconsistent(1e-4, 1e-4)
-    assert not kinematics.ill_conditioned(50.0, 50.0)
-    assert not kinematics.hopped(0.99)
+def test_motion_kinematics_faults_above_each_limit_and_on_what_is_no_number():
+    assert not motion.inconsistent(0.0, 1e-4)
+    assert not motion.inconsistent(1e-4, 1e-4)
+    assert not motion.ill_conditioned(50.0, 50.0)
+    assert not motion.hopped(0.99)
     for bad in (np.nextafter(1e-4, 1), np.inf, np.nan):
-        assert kinematics.inconsistent(bad, 1e-4)
+        assert motion.inconsistent(bad, 1e-4)
     for bad in (50.001, np.inf, np.nan):
-        assert kinematics.ill_conditioned(bad, 50.0)
+        assert motion.ill_conditioned(bad, 50.0)
     for bad in (1.0, 1.5, np.inf, np.nan):
-        assert kinematics.hopped(bad)
+        assert motion.hopped(bad)
 
 
 # -- stroke
 
 
-def test_stroke_cap_is_the_square_root_of_two_a_d_and_never_below_creep():
-    assert stroke.speed_cap(1.0, 2.0) == 2.0
-    assert stroke.speed_cap(0.25, 8.0) == 2.0
-    assert stroke.speed_cap(4.0, 8.0) == 8.0
+def test_motion_stroke_cap_is_the_square_root_of_two_a_d_and_never_below_creep():
+    assert motion.speed_cap(1.0, 2.0) == 2.0
+    assert motion.speed_cap(0.25, 8.0) == 2.0
+    assert motion.speed_cap(4.0, 8.0) == 8.0
     for distance in (0.0, -0.5, 1e-9):
-        assert stroke.speed_cap(distance, 2.0) == 1e-3
+        assert motion.speed_cap(distance, 2.0) == 1e-3
 
 
 @ON_ONE_LEG
-def test_stroke_hard_ends(leg):
+def test_motion_stroke_hard_ends(leg):
     for q, expected in ((1.0, False), (2.0, False), (0.999, True), (2.001, True)):
-        assert stroke.beyond_hard_end(six(q, leg, 1.5), 1.0, 2.0) == expected
+        assert motion.beyond_hard_end(six(q, leg, 1.5), 1.0, 2.0) == expected
 
 
 @ON_ONE_LEG
-def test_stroke_speed_towards_a_soft_end_is_capped_and_away_from_it_is_not(leg):
+def test_motion_stroke_speed_towards_a_soft_end_is_capped_and_away_from_it_is_not(leg):
     def fast(q, dq):
-        return stroke.too_fast_for_end(six(q, leg, 5.0), six(dq, leg), 2.0, 8.0, 2.0)
+        return motion.too_fast_for_end(six(q, leg, 5.0), six(dq, leg), 2.0, 8.0, 2.0)
 
     assert not fast(7.0, 2.0)  # 1 m to go at 2 m/s^2: sqrt(2 * 2 * 1) = 2
     assert fast(7.0, 2.001)
@@ -212,9 +192,9 @@ def test_stroke_speed_towards_a_soft_end_is_capped_and_away_from_it_is_not(leg):
 
 
 @ON_ONE_LEG
-def test_stroke_speed_limit_holds_both_ways(leg):
+def test_motion_stroke_speed_limit_holds_both_ways(leg):
     for dq, expected in ((0.5, False), (-0.5, False), (0.501, True), (-0.501, True)):
-        assert stroke.overspeed(six(dq, leg), 0.5) == expected
+        assert motion.overspeed(six(dq, leg), 0.5) == expected
 
 
 # -- following
@@ -222,9 +202,9 @@ def test_stroke_speed_limit_holds_both_ways(leg):
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_following_error_is_allowed_to_grow_with_the_commanded_speed(leg, sign):
+def test_motion_following_error_is_allowed_to_grow_with_the_commanded_speed(leg, sign):
     def lags(error, dq_d, per_speed):
-        return following.lagging(six(3), 3 + six(sign * error, leg), six(dq_d, leg), 0.25, per_speed)
+        return motion.lagging(six(3), 3 + six(sign * error, leg), six(dq_d, leg), 0.25, per_speed)
 
     assert not lags(0.25, 0.0, 0.0)
     assert lags(0.26, 0.0, 0.0)
@@ -237,62 +217,62 @@ def test_following_error_is_allowed_to_grow_with_the_commanded_speed(leg, sign):
 # -- timing
 
 
-def test_timing_of_buses_is_apart_above_the_limit_alone():
-    assert not timing.is_apart(0, 50_000)
-    assert not timing.is_apart(50_000, 50_000)
-    assert timing.is_apart(50_001, 50_000)
+def test_signals_timing_of_buses_is_apart_above_the_limit_alone():
+    assert not signals.is_apart(0, 50_000)
+    assert not signals.is_apart(50_000, 50_000)
+    assert signals.is_apart(50_001, 50_000)
 
 
-def test_timing_is_late_above_a_fifth_of_the_period():
-    assert not timing.is_late(0, 1_000_000)
-    assert not timing.is_late(200_000, 1_000_000)
-    assert timing.is_late(200_001, 1_000_000)
-    assert not timing.is_late(-900_000, 1_000_000)
+def test_signals_timing_is_late_above_a_fifth_of_the_period():
+    assert not signals.is_late(0, 1_000_000)
+    assert not signals.is_late(200_000, 1_000_000)
+    assert signals.is_late(200_001, 1_000_000)
+    assert not signals.is_late(-900_000, 1_000_000)
 
 
-def test_timing_remembers_32_ticks_and_counts_skipped_ones_as_late():
-    history = timing.late_history(0, True, 0)
+def test_signals_timing_remembers_32_ticks_and_counts_skipped_ones_as_late():
+    history = signals.late_history(0, True, 0)
     assert history == 0b1
-    history = timing.late_history(history, False, 2)
+    history = signals.late_history(history, False, 2)
     assert history == 0b1110
-    assert timing.late_history(history, True, 0) == 0b11101
+    assert signals.late_history(history, True, 0) == 0b11101
     for _ in range(28):
-        history = timing.late_history(history, False, 0)
+        history = signals.late_history(history, False, 0)
     assert history == 0b111 << 29
-    assert timing.late_history(history, False, 0) == 0b11 << 30
-    assert timing.late_history(0, False, 10**9) == 2**32 - 2
-    assert timing.late_history(0, False, 32) == 2**32 - 2
-    assert timing.late_history(0, False, 31) == 2**32 - 2
-    assert timing.late_history(0, False, 30) == 2**31 - 2
+    assert signals.late_history(history, False, 0) == 0b11 << 30
+    assert signals.late_history(0, False, 10**9) == 2**32 - 2
+    assert signals.late_history(0, False, 32) == 2**32 - 2
+    assert signals.late_history(0, False, 31) == 2**32 - 2
+    assert signals.late_history(0, False, 30) == 2**31 - 2
 
 
-def test_timing_is_degraded_from_eight_late_ticks_on():
-    assert not timing.is_degraded(0b1111111 << 20)
-    assert timing.is_degraded(0b11111111 << 20)
-    assert timing.is_degraded(0x80000001 | 0x7FF0)
+def test_signals_timing_is_degraded_from_eight_late_ticks_on():
+    assert not signals.is_degraded(0b1111111 << 20)
+    assert signals.is_degraded(0b11111111 << 20)
+    assert signals.is_degraded(0x80000001 | 0x7FF0)
 
 
-def test_timing_adds_skipped_periods_until_a_tick_skips_none():
-    run = timing.missed_run(0, 3)
+def test_signals_timing_adds_skipped_periods_until_a_tick_skips_none():
+    run = signals.missed_run(0, 3)
     assert run == 3
-    run = timing.missed_run(run, 1)
+    run = signals.missed_run(run, 1)
     assert run == 4
-    assert not timing.too_many_missed(run, 5)
-    assert timing.too_many_missed(timing.missed_run(run, 1), 5)
-    assert timing.too_many_missed(6, 5)
-    assert not timing.too_many_missed(6, 7)
-    assert timing.missed_run(run, 0) == 0
+    assert not signals.too_many_missed(run, 5)
+    assert signals.too_many_missed(signals.missed_run(run, 1), 5)
+    assert signals.too_many_missed(6, 5)
+    assert not signals.too_many_missed(6, 7)
+    assert signals.missed_run(run, 0) == 0
 
 
-def test_timing_lets_bench_time_stand_still_for_half_a_second_and_a_share_of_the_run():
+def test_signals_timing_lets_bench_time_stand_still_for_half_a_second_and_a_share_of_the_run():
     """Real drives allow 10 ms; a stretch of 4 ms is near to what would have ended their run."""
-    assert timing.HARMFUL_STRETCH_NS == 4_000_000
+    assert signals.HARMFUL_STRETCH_NS == 4_000_000
     run_ns, free_ns = 100_000_000_000, 500_000_000
     for percent, most_ns in ((0.0, free_ns), (5.0, free_ns + 5_000_000_000), (100.0, free_ns + run_ns)):
-        assert not timing.too_stretched(most_ns, run_ns, percent)
-        assert timing.too_stretched(most_ns + 1000, run_ns, percent)
-    assert not timing.too_stretched(free_ns, 0, 5.0)
-    assert timing.too_stretched(free_ns + 1, 0, 5.0)
+        assert not signals.too_stretched(most_ns, run_ns, percent)
+        assert signals.too_stretched(most_ns + 1000, run_ns, percent)
+    assert not signals.too_stretched(free_ns, 0, 5.0)
+    assert signals.too_stretched(free_ns + 1, 0, 5.0)
 
 
 # -- effort
@@ -675,41 +655,41 @@ def test_certificate_a_watch_that_starts_takes_the_error_as_it_is_and_breaks_not
 # -- standstill
 
 
-def test_standstill_of_a_leg_is_below_20_mm_per_second():
-    assert standstill.REST_m_s == 0.02
+def test_motion_standstill_of_a_leg_is_below_20_mm_per_second():
+    assert motion.REST_m_s == 0.02
 
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1, -1])
-def test_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign):
+def test_motion_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign):
     heard, silent = np.zeros(6, np.int64), ints(1, leg, 0)
-    assert standstill.at_rest(six(sign * 0.49, leg), heard, 0.5)
-    assert not standstill.at_rest(six(sign * 0.5, leg), heard, 0.5)
-    assert standstill.at_rest(six(sign * 0.5, leg), silent, 0.5)
-    assert not standstill.at_rest(six(0.5, leg, 0.6), silent, 0.5), "the others are heard"
+    assert motion.at_rest(six(sign * 0.49, leg), heard, 0.5)
+    assert not motion.at_rest(six(sign * 0.5, leg), heard, 0.5)
+    assert motion.at_rest(six(sign * 0.5, leg), silent, 0.5)
+    assert not motion.at_rest(six(0.5, leg, 0.6), silent, 0.5), "the others are heard"
 
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1, -1])
-def test_standstill_names_the_leg_that_is_too_far_from_where_it_stood(leg, sign):
+def test_motion_standstill_names_the_leg_that_is_too_far_from_where_it_stood(leg, sign):
     heard, still = np.zeros(6, np.int64), np.zeros(6)
-    standstill.forget_place(still)
+    motion.forget_place(still)
     assert np.isnan(still).all()
-    assert standstill.moved_legs(six(5.0), heard, still, 0.25) == 0
+    assert motion.moved_legs(six(5.0), heard, still, 0.25) == 0
     np.testing.assert_array_equal(still, six(5.0))
-    assert standstill.moved_legs(six(5.0 + sign * 0.25, leg, 5.0), heard, still, 0.25) == 0
-    assert standstill.moved_legs(six(5.0 + sign * 0.26, leg, 5.0), heard, still, 0.25) == 1 << leg
-    assert standstill.moved_legs(six(6.0), heard, still, 0.25) == 0b111111
+    assert motion.moved_legs(six(5.0 + sign * 0.25, leg, 5.0), heard, still, 0.25) == 0
+    assert motion.moved_legs(six(5.0 + sign * 0.26, leg, 5.0), heard, still, 0.25) == 1 << leg
+    assert motion.moved_legs(six(6.0), heard, still, 0.25) == 0b111111
     np.testing.assert_array_equal(still, six(5.0))
 
 
 @ON_ONE_LEG
-def test_standstill_of_a_leg_that_is_not_heard_begins_when_it_is(leg):
+def test_motion_standstill_of_a_leg_that_is_not_heard_begins_when_it_is(leg):
     still = six(np.nan)
     silent = ints(1, leg, 0)
-    assert standstill.moved_legs(six(0.0, leg, 5.0), silent, still, 0.25) == 0
+    assert motion.moved_legs(six(0.0, leg, 5.0), silent, still, 0.25) == 0
     assert np.isnan(still).tolist() == [k == leg for k in range(6)]
     others = 0b111111 & ~(1 << leg)
-    assert standstill.moved_legs(six(7.0), silent, still, 0.25) == others
-    assert standstill.moved_legs(six(7.0), np.zeros(6, np.int64), still, 9.0) == 0
+    assert motion.moved_legs(six(7.0), silent, still, 0.25) == others
+    assert motion.moved_legs(six(7.0), np.zeros(6, np.int64), still, 9.0) == 0
     assert still[leg] == 7.0

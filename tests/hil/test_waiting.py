@@ -13,7 +13,7 @@ import pytest
 
 from drivers.signals import Mode
 from hil.loop.report import moving_text, waiting_text
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 from tests.hil.test_cycle import Bench
 from tests.records import record_of
 

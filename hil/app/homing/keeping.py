@@ -17,7 +17,7 @@ from hil.loop.cycle import Cycle
 from hil.loop.drives_say import any_powered
 from hil.loop.homing import LastPose, unwrapped_turns
 from hil.robot.kinematics import leg_lengths
-from hil.safety.standstill import REST_m_s
+from hil.safety.motion import REST_m_s
 
 _RESTING = frozenset({Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
 _LATELY = 5

@@ -16,12 +16,9 @@ from drivers.tick_columns import COLUMNS
 from hil.app.configuration.configuration import Configuration
 from hil.app.report.fused import against_m, alone_s, counted_age, is_fused, position_std_m
 from hil.estimation.fusion_tick import SLIP_TICKS
-from hil.safety.bus import OFTEN as DEAD_BUS
-from hil.safety.frames import OFTEN as UNRELIABLE
 from hil.safety.guard import WINDOW_S
-from hil.safety.history import HISTORY
-from hil.safety.stroke import CREEP
-from hil.safety.timing import HARMFUL_STRETCH_NS, STRETCH_FREE_NS
+from hil.safety.motion import CREEP
+from hil.safety.signals import DEAD_BUS, HARMFUL_STRETCH_NS, HISTORY, STRETCH_FREE_NS, UNRELIABLE
 
 Mask = NDArray[np.bool_]
 _CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)

@@ -11,7 +11,7 @@ from drivers.can.localcan.bench_clock import BenchClock
 from drivers.protocol import Dialogue, DriveProtocol
 from drivers.several_buses import off_bus
 from hil.app.configuration.configuration import Configuration
-from hil.safety.timing import HARMFUL_STRETCH_NS
+from hil.safety.signals import HARMFUL_STRETCH_NS
 
 STRANGER = "a foreign participant has sent on this channel: bench time did not stand still any more"
 COUNTED_NS = 1_000_000

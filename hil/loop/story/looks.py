@@ -12,13 +12,9 @@ from hil.loop.modes import DRIVE_PATIENCE_S, drive_mode
 from hil.loop.obedience import FASTER_m_s
 from hil.loop.report import because
 from hil.loop.story.finding import Moment, Seen
-from hil.safety.bus import IN_A_ROW
-from hil.safety.bus import OFTEN as DEAD_BUS
-from hil.safety.frames import OFTEN as UNRELIABLE
 from hil.safety.increments import WINDOW_S
-from hil.safety.kinematics import HOP
-from hil.safety.standstill import REST_m_s
-from hil.safety.stroke import CREEP
+from hil.safety.motion import CREEP, HOP, REST_m_s
+from hil.safety.signals import DEAD_BUS, IN_A_ROW, UNRELIABLE
 
 _REACHED = {
     DriveMode.OFF: DriveState.OFF,

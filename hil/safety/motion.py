@@ -1,0 +1,119 @@
+"""Rules on the motion: ends of the stroke, speed, tracking, the estimate, and legs that have to stand still.
+
+The rules on the estimate are written so that a value that is not a number faults. A leg that is not heard in
+a tick is not judged in it; that it is heard is for the rule on stale legs.
+"""
+
+import math
+from math import isnan, nan
+
+from drivers.arrays import Array, Ints
+from drivers.compiled.compiler import helper
+
+CREEP = 1e-3
+"""m/s towards an end that is always allowed: encoder noise at rest beyond a soft end is no motion."""
+
+
+@helper
+def speed_cap(distance: float, deceleration: float) -> float:
+    """Fastest approach, m/s, from which `deceleration` (m/s^2) stops within `distance` (m): sqrt(2 a d)."""
+    return max(math.sqrt(2.0 * deceleration * max(distance, 0.0)), CREEP)
+
+
+@helper
+def beyond_hard_end(q: Array, length_min: float, length_max: float) -> bool:
+    """Tell whether some leg length q (6,) m is outside the hard ends."""
+    for length in q:  # noqa: SIM110 - compiled
+        if length < length_min or length > length_max:
+            return True
+    return False
+
+
+@helper
+def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, deceleration: float) -> bool:
+    """Tell whether some leg moves towards a soft end faster than its speed cap. q (6,) m, dq (6,) m/s."""
+    for i in range(6):
+        if dq[i] > speed_cap(soft_max - q[i], deceleration):
+            return True
+        if -dq[i] > speed_cap(q[i] - soft_min, deceleration):
+            return True
+    return False
+
+
+@helper
+def overspeed(dq: Array, limit: float) -> bool:
+    """Tell whether some leg rate dq (6,) m/s is above the limit in size."""
+    for rate in dq:  # noqa: SIM110 - compiled
+        if abs(rate) > limit:
+            return True
+    return False
+
+
+@helper
+def lagging(q: Array, q_d: Array, dq_d: Array, at_rest: float, per_speed: float) -> bool:
+    """Tell whether |q_d - q| > at_rest + per_speed |dq_d| on some leg.
+
+    q, q_d (6,) m measured and reference lengths, dq_d (6,) m/s reference rates; at_rest m, per_speed s.
+    """
+    for i in range(6):  # noqa: SIM110 - compiled
+        if abs(q_d[i] - q[i]) > at_rest + per_speed * abs(dq_d[i]):
+            return True
+    return False
+
+
+HOP = 1.0
+"""Measure of a hop from which a pose cannot be told from another assembly's; see `hil.estimation.pose`."""
+
+
+@helper
+def inconsistent(residual: float, limit: float) -> bool:
+    """Tell whether the largest leg residual of forward kinematics (m) is above its limit."""
+    return not residual <= limit
+
+
+@helper
+def hopped(hop: float) -> bool:
+    """Tell whether the pose may belong to another assembly."""
+    return not hop < HOP
+
+
+@helper
+def ill_conditioned(condition: float, limit: float) -> bool:
+    """Tell whether the condition number of J is above its limit."""
+    return not condition <= limit
+
+
+REST_m_s = 0.02
+"""A measured leg that is not faster is at rest: brakes do not close on a moving platform."""
+
+
+@helper
+def at_rest(rate: Array, age: Ints, limit: float) -> bool:
+    """Tell whether no leg heard in this tick is as fast as `limit` (m/s). rate (6,) m/s, age (6,) ticks."""
+    for i in range(6):  # noqa: SIM110 - compiled
+        if age[i] == 0 and abs(rate[i]) >= limit:
+            return False
+    return True
+
+
+@helper
+def forget_place(still: Array) -> None:
+    """Let every leg stand where it is heard next."""
+    still[:] = nan
+
+
+@helper
+def moved_legs(length: Array, age: Ints, still: Array, tolerance: float) -> int:
+    """Return the legs farther than `tolerance` (m) from where they stood, bit i: leg i.
+
+    length (6,) m as heard, age (6,) ticks; still (6,) m is filled for legs that are heard for the first time.
+    """
+    legs = 0
+    for i in range(6):
+        if age[i] != 0:
+            continue
+        if isnan(still[i]):
+            still[i] = length[i]
+        elif abs(length[i] - still[i]) > tolerance:
+            legs |= 1 << i
+    return legs

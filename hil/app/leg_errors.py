@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import friction_N, read_noise, steps
-from hil.estimation.fusion_noise import LegErrors
+from hil.estimation.fusion_layout import LegErrors
 
 NOISE = sqrt(12.0)
 """Largest deviation by standard deviation: a step, or 3 to 4 standard deviations of white noise."""

@@ -32,7 +32,7 @@ from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as k
-from hil.estimation.fusion_noise import LegErrors, pack_noise
+from hil.estimation.fusion_layout import LegErrors, pack_noise
 from hil.estimation.fusion_predict import forces_at
 from hil.estimation.fusion_tick import FUSION, fuse, latched_at
 from hil.robot.dynamics import Model

@@ -15,9 +15,9 @@ from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as layout
 from hil.estimation.fusion import FusedEstimator
-from hil.estimation.fusion_noise import LegErrors
+from hil.estimation.fusion_kernels import bend
+from hil.estimation.fusion_layout import LegErrors
 from hil.estimation.fusion_tick import LEFT_OUT_TICKS, SLIP_TICKS
-from hil.estimation.fusion_update import bend
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from tests import sensed

@@ -11,7 +11,7 @@ from drivers.config import ImuSettings, TrackerSettings
 from hil.config.estimation import FusionSettings
 from hil.estimation import fusion_layout as k
 from hil.estimation.fusion_kernels import rerun_kernel
-from hil.estimation.fusion_noise import LegErrors, pack_noise
+from hil.estimation.fusion_layout import LegErrors, pack_noise
 from tests.hil.test_fusion import A, B, T
 
 TILT = Rotation.from_rotvec([0.3, -0.4, 0.5])

@@ -24,7 +24,7 @@ from hil.app.configuration.configuration import load
 from hil.config.estimation import FusionSettings
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.fusion import FusedEstimator
-from hil.estimation.fusion_noise import LegErrors
+from hil.estimation.fusion_layout import LegErrors
 from hil.estimation.observer import WrenchObserver
 from hil.loop.compiled_pass import AGREED_m, observe
 from hil.loop.cycle import Cycle

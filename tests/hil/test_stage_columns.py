@@ -29,7 +29,7 @@ from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.fusion import FusedEstimator
-from hil.estimation.fusion_noise import LegErrors
+from hil.estimation.fusion_layout import LegErrors
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.pose import Estimator
 from hil.estimation.predictor import Predictor

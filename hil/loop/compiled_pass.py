@@ -18,7 +18,7 @@ from hil.control.pointed_law import ask
 from hil.estimation.pose import ESTIMATOR, estimate_pose
 from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
-from hil.loop.motion_kernels import MOTION, advance, ahead, ended, place_reference
+from hil.loop.motion import MOTION, advance, ahead, ended, place_reference
 from hil.loop.ramps import holding_share, smoothstep
 from hil.loop.reference import fill_sample
 from hil.robot.force_path import path_at

@@ -33,9 +33,8 @@ from hil.loop.motion import Motion
 from hil.loop.obedience import Obedience
 from hil.loop.operating import Operating
 from hil.loop.parts import Parts
-from hil.loop.setup_moves import approach
+from hil.loop.setup_moves import Inspection, approach
 from hil.loop.sight import Sight
-from hil.loop.way_back import Inspection
 from hil.safety.guard import Verdict
 from hil.safety.motion import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput

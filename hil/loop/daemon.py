@@ -19,11 +19,10 @@ from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake
 from hil.loop.console import Console
 from hil.loop.cycle import Cycle
-from hil.loop.hearing import fresh_ids
-from hil.loop.latches import checked, latch_ns
+from hil.loop.latches import checked, fresh_ids, latch_ns
 from hil.loop.panel import OperatorPanel
+from hil.loop.report import not_told
 from hil.loop.run_end import Course, Ending
-from hil.loop.unheard import not_told
 from hil.operate.channel import OperatorChannel
 from hil.record import Recording
 from hil.signals import Operator, TickInput

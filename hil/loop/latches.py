@@ -1,4 +1,4 @@
-"""When the drives latched their encoders, as far as the controller's end can know. Pure: no clock, no bus.
+"""When the drives latched their encoders, as far as the controller can know, and which answers are fresh.
 
 A drive latches when its SYNC or poll has ended on the bus. The clock at wake-up does not tell that: a stall
 before the frame is written makes it late. A stall after it makes the clock read late instead; then the
@@ -9,11 +9,36 @@ older SYNC, and damaged ones, tell nothing.
 from collections.abc import Sequence
 
 from drivers.arrays import Rows
+from drivers.compiled.compiler import INTEGER, direct, records
+from drivers.compiled.pointed import address_of, call
 from drivers.ends import Hearing
-from drivers.frame_array import received_frames, sent_frames
+from drivers.frame_array import FRAME, received_frames, sent_frames
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import LEGS
-from hil.loop.hearing import legs_addressed
+
+
+def fresh_ids(hears: Hearing, frames: Rows, tick: int, since_ns: int) -> list[int]:
+    """Return what is `awaited` of a tick and `fresh` among frames."""
+    places = fresh_places(hears.fresh, hears.context, frames, tick, since_ns)
+    return [each for k, each in enumerate(hears.wanted) if places >> k & 1]
+
+
+@direct(INTEGER, INTEGER, records(FRAME), INTEGER, INTEGER)
+def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: int) -> int:
+    """Return bit k for a frame that is `Hearing.fresh` and has place k in `wanted`, of all frames."""
+    places = 0
+    for k in range(len(frames)):
+        place = call(fresh, (context, address_of(frames[k]), tick, since_ns))
+        if place > 0:
+            places |= 1 << (place - 1)
+    return places
+
+
+@direct(INTEGER, INTEGER, records(FRAME), INTEGER)
+def legs_addressed(addressed: int, context: int, frames: Rows, k: int) -> int:
+    """Return bit i where frame k is for leg i, by `Hearing.addressed`."""
+    return int(call(addressed, (context, address_of(frames[k]))))
+
 
 PROMPT_NS = 100_000
 """A send that took less, and less than an answer takes, is not checked against its answers."""

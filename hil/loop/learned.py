@@ -9,8 +9,7 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Mode
-from hil.loop.motion import Motion
-from hil.loop.motion_kernels import MOTION, ticks_left
+from hil.loop.motion import MOTION, Motion, ticks_left
 from hil.loop.ramps import smoothstep
 from hil.trajectory.override import OVERRIDE, is_full, time_at
 from hil.trajectory.path import Trajectory

@@ -107,7 +107,7 @@ class Answer:
     """The first tick in which the latched faults differ: from there on one of the two has stopped."""
     recorded_faults: list[Latched] = field(default_factory=list)
     answered_faults: list[dict[str, Any]] = field(default_factory=list)
-    """What each finding of the answer tells, as `hil.loop.story.finding.Finding.fields`."""
+    """What each finding of the answer tells, as `hil.loop.story.told.Finding.fields`."""
     warnings: dict[str, Acted] = field(default_factory=dict)
     """By name, those that stood on either side."""
     setpoints: int = 0

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import INTEGER, REAL, direct, record
-from hil.loop.motion import Motion
-from hil.loop.motion_kernels import MOTION, ticks_left
-from hil.loop.motion_kernels import ahead as ahead_of
+from hil.loop.motion import MOTION, Motion, ticks_left
+from hil.loop.motion import ahead as ahead_of
 from hil.trajectory.override import OVERRIDE
 from hil.trajectory.path import SAMPLE, PoseSample, of_record
 

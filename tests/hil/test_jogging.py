@@ -11,11 +11,10 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.config.operator import OperatorSettings
-from hil.loop.jog_paths import AxisJog, LegJog
-from hil.loop.jogging import LIVE, NO_KEY, NOT_RESTING, ON_HOLD, Jogging
+from hil.loop.jogging import LIVE, NO_KEY, NOT_RESTING, ON_HOLD, AxisJog, Jogging, LegJog
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
-from hil.loop.way_back import Inspection
+from hil.loop.setup_moves import Inspection
 from hil.signals import JOG_NAMES, Operator, Order
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample

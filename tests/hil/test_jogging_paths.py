@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.loop import jog_paths
-from hil.loop.jog_paths import AxisJog, LegJog, jog_path, pose_rates, setup_share
+from hil.loop import jogging
+from hil.loop.jogging import AxisJog, LegJog, jog_path, pose_rates, setup_share
 from tests.hil.test_jogging import HERE, PLATFORM, lengths
 
 SPEEDS = 0.04, 0.3
@@ -69,7 +69,7 @@ def test_a_pose_at_which_a_rate_is_not_finite_is_none(monkeypatch):
     path = LegJog(PLATFORM, HERE, 0.05 * np.eye(6)[2])
     last = path.sample(0.0)
     twist = np.array([1.0, 2.0, np.inf, 3.0, 4.0, 5.0])
-    monkeypatch.setattr(jog_paths, "pose_rates", lambda *_: (twist, twist))
+    monkeypatch.setattr(jogging, "pose_rates", lambda *_: (twist, twist))
     assert path.ahead(0.1) is None
     assert path.sample(0.1) is last
 

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.signals import Refusal
 from hil.config.operator import OperatorSettings
-from hil.loop.jog_paths import setup_share
-from hil.loop.jogging import NO_KEY, NOT_RESTING, ON_HOLD, Jogging
+from hil.loop.jogging import NO_KEY, NOT_RESTING, ON_HOLD, Jogging, setup_share
 from hil.loop.motion import Motion
 from hil.signals import explain
 from hil.trajectory.move import GeodesicMove

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.signals import Refusal
-from hil.loop.jog_paths import LegJog, setup_share
+from hil.loop.jogging import LegJog, setup_share
 from hil.signals import Operator, Order
 from tests.hil.test_jogging import (
     HOLD,

@@ -10,8 +10,7 @@ from hil.config.operator import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
-from hil.loop.setup_moves import at_setup_speed
-from hil.loop.way_back import Inspection
+from hil.loop.setup_moves import Inspection, at_setup_speed
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from drivers.signals import NEVER, Fault, Mode
+from hil.loop.console import status_text, waits_for
 from hil.loop.operating import NO_KEY
-from hil.loop.status import status_text, waits_for
 from tests.records import record_of
 
 
@@ -109,7 +109,9 @@ def test_what_the_operator_could_do_next_is_said(given, text):
 
 
 def test_while_the_drives_are_waited_for_it_is_said_which_lack_what(monkeypatch):
-    monkeypatch.setattr("hil.loop.status.waiting_text", lambda cycle: f"{cycle.mode.name}: drive 3 is silent")
+    monkeypatch.setattr(
+        "hil.loop.console.waiting_text", lambda cycle: f"{cycle.mode.name}: drive 3 is silent"
+    )
     assert waits_for(course(Mode.WAITING, go=False)) == "WAITING: drive 3 is silent"
 
 

@@ -19,9 +19,8 @@ from drivers.protocol import Configure, Status
 from drivers.signals import DriveFault, DriveState, Fault, Foreign, Mode, Reaction, Stop, Warn
 from hil.app.configuration.configuration import load
 from hil.loop.story.faults import FAULTS
-from hil.loop.story.finding import GLOSSARY, Finding
 from hil.loop.story.narrator import Narrator, said
-from hil.loop.story.told import DONE, DriveSaid, Story
+from hil.loop.story.told import DONE, GLOSSARY, DriveSaid, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
 from tests.drivers.drives_end import reports

@@ -10,8 +10,7 @@ from drivers.compiled.pointed import FAILED
 from drivers.tick_columns import TICK, new_record, part
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.loop.motion import Motion
-from hil.loop.motion_kernels import MOTION, place_reference, sample_at
+from hil.loop.motion import MOTION, Motion, place_reference, sample_at
 from hil.loop.reference import fill_reference, fill_sample
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.protocol import DriveSetup
 from drivers.signals import Reaction
-from hil.loop.unheard import KEPT, not_confirmed, not_told
+from hil.loop.report import KEPT, not_confirmed, not_told
 
 
 @pytest.mark.parametrize("says", [not_told, lambda parts: not_confirmed(parts, "")])

@@ -11,10 +11,10 @@ from drivers.signals import Mode, Refusal
 from hil.app.compose import build_admission, build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.loop.console import waits_for
 from hil.loop.operating import Operating
 from hil.loop.run_end import Course
-from hil.loop.status import waits_for
-from hil.loop.way_back import APART_M, Inspection
+from hil.loop.setup_moves import APART_M, Inspection
 from hil.signals import Operator, Order
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove

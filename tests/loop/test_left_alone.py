@@ -15,9 +15,9 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript
+from hil.loop.console import NOT_LIVE, REFUSED
 from hil.loop.jogging import ON_HOLD
 from hil.loop.operating import NOT_MOVING
-from hil.loop.refusals import NOT_LIVE, REFUSED
 from hil.loop.run_end import LEFT_ALONE, Course
 from hil.signals import Operator
 from tests.broad import broad

@@ -59,7 +59,7 @@ AREAS = {
             f"hil/loop/{name}.py"
             for name in (
                 *("cycle", "parts", "ramps", "reference", "sight", "homing", "setup_moves", "clock"),
-                *("effort", "learned", "drives_say", "latches", "daemon", "panel", "unheard"),
+                *("effort", "learned", "drives_say", "latches", "daemon", "panel", "report"),
             )
         ),
         (
@@ -91,7 +91,7 @@ AREAS = {
     "modes": Area(
         tuple(
             f"hil/loop/{name}.py"
-            for name in ("modes", "operating", "admission", "run_end", "obedience", "console", "status")
+            for name in ("modes", "operating", "admission", "run_end", "obedience", "console")
         ),
         (
             "tests/hil/test_modes.py",
@@ -110,7 +110,7 @@ AREAS = {
     ),
     "motion": Area(
         (
-            *(f"hil/loop/{name}.py" for name in ("motion", "jogging", "jog_paths", "way_back", "steering")),
+            *(f"hil/loop/{name}.py" for name in ("motion", "jogging", "steering")),
             "hil/trajectory/*.py",
         ),
         (

@@ -8,7 +8,7 @@ from drivers.frame_array import joined, received_frames, sent_array
 from drivers.protocol import Frame
 from hil.bringup.line import Heard
 from hil.loop.clock import Deadlines
-from hil.loop.unheard import NO_WATCHDOG
+from hil.loop.report import NO_WATCHDOG
 
 
 class BusLine:

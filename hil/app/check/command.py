@@ -33,7 +33,7 @@ from hil.app.force_steps import force_steps_N, stepped_error_m
 from hil.app.reachability import Walk, span_s, violations, walk
 from hil.config.reference import LiveReference
 from hil.loop.clock import real_time_rights
-from hil.loop.unheard import KEPT
+from hil.loop.report import KEPT
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import condition, leg_lengths

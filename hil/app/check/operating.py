@@ -14,7 +14,7 @@ from hil.app.operate import REPEAT_S
 from hil.app.reachability import Walk, drive_forces, span_s
 from hil.config.reference import LiveReference
 from hil.control.uncertainty import UncertaintySettings
-from hil.loop.jog_paths import jog_path, setup_share
+from hil.loop.jogging import jog_path, setup_share
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel, mass_matrix_kernel
 from hil.robot.kinematics_kernels import jacobian_kernel

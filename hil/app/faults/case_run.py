@@ -18,8 +18,8 @@ from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.modes import Durations
+from hil.loop.report import NO_WATCHDOG
 from hil.loop.run_end import Course, Ending
-from hil.loop.unheard import NO_WATCHDOG
 from hil.signals import Operator
 from plant_fmu.faults.plan import FaultPlan
 

@@ -15,8 +15,7 @@ from drivers.tick_columns import COLUMNS
 from hil.app.report.timeline import spells
 from hil.app.terminal import one_line
 from hil.loop.report import because
-from hil.loop.story.finding import GLOSSARY
-from hil.loop.story.told import done_text
+from hil.loop.story.told import GLOSSARY, done_text
 from hil.record.log import Event
 from hil.record.schema import SUMMARY
 

@@ -29,9 +29,9 @@ from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.app.sim.lockstep import Given, Lockstep
 from hil.loop.clock import collector_paused
+from hil.loop.console import REFUSED
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
-from hil.loop.refusals import REFUSED
 from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.figures import figures

@@ -17,8 +17,8 @@ from drivers.frame_array import FRAME
 from drivers.signals import LEGS, BusState, Mode
 from hil.app.sim.wire_kernels import answer, begin, command, heard_by, pass_on
 from hil.app.sim.wires import COMMANDS, LATCH, SKEW, STEP, SYNCED, TAKEN, Wires
+from hil.loop.console import refusal, setpoint_refusals
 from hil.loop.cycle import Cycle
-from hil.loop.refusals import refusal, setpoint_refusals
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 
-from drivers.signals import Fault
+from drivers.signals import Fault, Foreign
 from hil.loop.story import looks
-from hil.loop.story.finding import FaultRow, Finding, Moment, Seen, sentence_of
+from hil.loop.story.told import FaultRow, Finding, Moment, Seen, sentence_of
+from hil.safety.motion import HOP
+from hil.safety.signals import UNRELIABLE
 
 OWN = ""
 """Of a row whose `look` gives each line a sentence of its own."""
@@ -14,13 +16,13 @@ FAULTS = (
     _(
         Fault.SECOND_CONTROLLER,
         "another controller is on the bus, heard: {value}; one bus has one controller",
-        looks.second_controller,
+        lambda m: [Seen(", ".join(str(k.name) for k in Foreign(int(m.tick["foreign"])) & ~Foreign.ESTOP))],
         f"find who else sends on this bus and stop it; then {_CLEAR}",
     ),
     _(
         Fault.DUPLICATE_NODE,
         "two different answers to one SYNC from the node of leg {leg}: one number a node",
-        looks.duplicate_node,
+        lambda m: (Seen(leg=leg) for leg in looks.legs_of(int(m.tick["doubled"]))),
         "give each drive a node number of its own (drives.node_ids), or find who answers in its name",
     ),
     _(
@@ -45,7 +47,7 @@ FAULTS = (
         Fault.REFUSED_FRAMES,
         "frames of the drives were refused in {value} of the last 32 ticks; {limit} are a fault: check "
         "wiring, termination, bit rates",
-        looks.refused_frames,
+        lambda m: [Seen(m.remembered("untrusted").bit_count(), UNRELIABLE, unit="ticks")],
         "check wiring, shield, termination and bit rates, and what rewrites frames (a gateway)",
     ),
     _(
@@ -97,13 +99,13 @@ FAULTS = (
         Fault.ASSEMBLY,
         "the pose may belong to another assembly than the last one: measure {value:.3f}, below {limit:g} "
         "it cannot",
-        looks.assembly,
+        lambda m: [Seen(m.tick["hop"].item(), HOP, unit="1")],
         "keep the reference away from singular poses (`hil check`), and check the encoders",
     ),
     _(
         Fault.CONDITION,
         "the condition number of J is {value:.4g}, {key} is {limit:g}",
-        looks.condition,
+        lambda m: [Seen(m.tick["condition"].item(), m.limit("condition"), None, "", "1", "limits.condition")],
         "keep the reference away from singular poses: `hil check`, `hil workspace`",
     ),
     _(

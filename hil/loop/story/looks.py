@@ -11,10 +11,10 @@ from hil.loop.cycle import REST_PATIENCE_S
 from hil.loop.modes import DRIVE_PATIENCE_S, drive_mode
 from hil.loop.obedience import FASTER_m_s
 from hil.loop.report import because
-from hil.loop.story.finding import Moment, Seen
+from hil.loop.story.told import Moment, Seen
 from hil.safety.increments import WINDOW_S
-from hil.safety.motion import CREEP, HOP, REST_m_s
-from hil.safety.signals import DEAD_BUS, IN_A_ROW, UNRELIABLE
+from hil.safety.motion import CREEP, REST_m_s
+from hil.safety.signals import DEAD_BUS, IN_A_ROW
 
 _REACHED = {
     DriveMode.OFF: DriveState.OFF,
@@ -34,25 +34,15 @@ _AXES = ("x", "y", "z", "rx", "ry", "rz")
 NOT_HEARD = "leg {leg} not heard for {value} ticks, {key} is {limit}"
 
 
-def _set(bits: int) -> Iterator[int]:
+def legs_of(bits: int) -> Iterator[int]:
+    """Return the legs whose bits are set."""
     return (leg for leg in range(LEGS) if bits >> leg & 1)
-
-
-def second_controller(m: Moment) -> Iterator[Seen]:
-    """Name the kinds of frames."""
-    kinds = Foreign(int(m.tick["foreign"])) & ~Foreign.ESTOP
-    yield Seen(", ".join(str(kind.name) for kind in kinds))
-
-
-def duplicate_node(m: Moment) -> Iterator[Seen]:
-    """Name the legs."""
-    return (Seen(leg=leg) for leg in _set(int(m.tick["doubled"])))
 
 
 def set_up(m: Moment) -> Iterator[Seen]:
     """Name the legs, and what their drives say."""
     lacks = m.cycle.parts.protocol.set_up_lacks(m.cycle.dialogue)
-    return (Seen(lacks[leg] or "", "", leg) for leg in _set(int(m.tick["altered"])))
+    return (Seen(lacks[leg] or "", "", leg) for leg in legs_of(int(m.tick["altered"])))
 
 
 def estop(m: Moment) -> Iterator[Seen]:
@@ -72,7 +62,7 @@ def bus(m: Moment) -> Iterator[Seen]:
             why = "its controller has counted too many errors"
         yield Seen("off", sentence=f"{which} is off: {why}")
         return
-    refused = int(m.cycle.parts.safety.memory["refused"])
+    refused = m.remembered("refused")
     row = 1 << IN_A_ROW
     if refused % row == row - 1:
         yield Seen(
@@ -82,11 +72,6 @@ def bus(m: Moment) -> Iterator[Seen]:
         )  # fmt: skip
         return
     yield Seen(refused.bit_count(), DEAD_BUS, unit="ticks")
-
-
-def refused_frames(m: Moment) -> Iterator[Seen]:
-    """Count the ticks."""
-    yield Seen(int(m.cycle.parts.safety.memory["untrusted"]).bit_count(), UNRELIABLE, unit="ticks")
 
 
 def stale(m: Moment) -> Iterator[Seen]:
@@ -111,12 +96,12 @@ def stale(m: Moment) -> Iterator[Seen]:
             yield Seen(age, limit, leg, text if blind[leg] else "", unit="ticks", key=key)
     if max(ages) < limit:
         text = "nothing shows that the brake of leg {leg} holds: its encoder has slipped"
-        yield from (Seen(leg=leg, sentence=text) for leg in _set(int(m.tick["legs_slipped"])))
+        yield from (Seen(leg=leg, sentence=text) for leg in legs_of(int(m.tick["legs_slipped"])))
 
 
 def stale_or_refused(m: Moment) -> Iterator[Seen]:
     """Tell legs that say nothing from those whose frames were refused meanwhile: then nothing has stalled."""
-    refused = int(m.cycle.parts.safety.memory["untrusted"])
+    refused = m.remembered("untrusted")
     meanwhile = refused % (1 << m.limit("stale_fault_ticks"))
     for seen in stale(m):
         if not meanwhile or (seen.leg is not None and seen.sentence):  # such a leg is heard
@@ -134,7 +119,7 @@ def stale_or_refused(m: Moment) -> Iterator[Seen]:
 def drive(m: Moment) -> Iterator[Seen]:
     """Name the drives that do not obey, or are not in the state they were asked for, with reason and time."""
     refused = int(m.tick["legs_refused"]) & ~int(m.before["legs_refused"])
-    for leg in _set(refused):
+    for leg in legs_of(refused):
         rate, force = m.legs("rate")[leg], m.before["tau"][leg]
         text = (
             f"drive {leg} does not obey: at {force:+.0f} N its leg moves at {rate:+.2f} m/s and gets faster: "
@@ -171,7 +156,7 @@ def brake(m: Moment) -> Iterator[Seen]:
     where = "after it had come to rest" if resting else "on its closed brake"
     limits = "{key} is {mm_limit:g} mm: its brake slipped, or its encoder did"
     text = f"leg {{leg}} moved {{mm:.2f}} mm {where}, {limits}"
-    for leg in _set(int(m.tick["legs_moved"])):
+    for leg in legs_of(int(m.tick["legs_moved"])):
         yield Seen(moved[leg], limit, leg, text, "m", "limits.standstill_m")
 
 
@@ -203,7 +188,7 @@ def encoder(m: Moment) -> Iterator[Seen]:
     if doubted:
         doubt, value, limit = (m.tick[name].item() for name in ("doubt", "doubt_value", "doubt_limit"))
         unit = "m/s" if doubt == Doubt.LEAP else "m"
-        for leg in _set(doubted):
+        for leg in legs_of(doubted):
             text = DOUBTS[Doubt(doubt)].replace("{strayed}", _strayed(m, leg))
             yield Seen(value, limit, leg, text, unit)
     fusion = m.cycle.parts.fusion
@@ -253,16 +238,6 @@ def kinematics(m: Moment) -> Iterator[Seen]:
     residual = m.tick["fk_residual"].item()
     text = "" if isfinite(residual) else "no pose near the last one has the six lengths: residual {value}"
     yield Seen(residual, m.limit("consistency_m"), None, text, "m", "limits.consistency_m")
-
-
-def assembly(m: Moment) -> Iterator[Seen]:
-    """Give the measure of a hop."""
-    yield Seen(m.tick["hop"].item(), HOP, unit="1")
-
-
-def condition(m: Moment) -> Iterator[Seen]:
-    """Give the condition number."""
-    yield Seen(m.tick["condition"].item(), m.limit("condition"), None, "", "1", "limits.condition")
 
 
 def law(m: Moment) -> Iterator[Seen]:

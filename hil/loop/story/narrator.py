@@ -10,11 +10,9 @@ from drivers.tick_columns import FIRST, TICK, Record
 from hil.loop.cycle import Cycle
 from hil.loop.drives_say import confirmed, unconfirmed
 from hil.loop.modes import drive_mode
-from hil.loop.report import moving_text
+from hil.loop.report import moving_text, not_confirmed, not_told
 from hil.loop.story.faults import findings
-from hil.loop.story.finding import Finding, Moment
-from hil.loop.story.told import DONE, DriveSaid, Step, Story, done_text, listed, short
-from hil.loop.unheard import not_confirmed, not_told
+from hil.loop.story.told import DONE, DriveSaid, Finding, Moment, Step, Story, done_text, listed, short
 from hil.signals import Operator
 
 _fields: Any = TICK.fields

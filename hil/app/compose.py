@@ -39,11 +39,10 @@ from hil.control.state_space import StateSpaceSettings
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.predictor import Predictor
-from hil.loop.admission import Admission
+from hil.loop.admission import Admission, Steering
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.parts import Parts
-from hil.loop.steering import Steering
 from hil.record import Live, Recording, Scene
 from hil.record.mirror import mirror_path
 from hil.record.schema import RUN

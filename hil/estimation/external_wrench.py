@@ -112,11 +112,6 @@ class ExternalWrench:
         return last
 
     @property
-    def reading(self) -> Array:
-        """(6,): the last reading of the sensor, source or not."""
-        return self._record["reading"].copy()
-
-    @property
     def late(self) -> bool:
         """Whether the sensor is the source and has left out samples: its last one is held."""
         return bool(self._record["late"])

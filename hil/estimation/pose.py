@@ -36,6 +36,10 @@ ESTIMATOR = np.dtype(
     ]
 )
 """The robot, and the last pose: m, base frame."""
+TOLERANCE_M = 1e-10
+"""Largest residual that ends Newton's method; the last one is mostly far smaller."""
+MAX_ITERATIONS = 12
+"""Newton steps before giving up."""
 
 
 class Estimator:
@@ -50,8 +54,6 @@ class Estimator:
     platform : Platform
     p0 : (3,) m, and R0 : (3, 3)
         First pose.
-    tolerance : m, largest residual that ends Newton's method; the last one is mostly far smaller.
-    max_iterations : Newton steps before giving up.
 
     Raises
     ------
@@ -59,19 +61,10 @@ class Estimator:
         Where p0 is not finite or R0 no rotation.
     """
 
-    def __init__(
-        self,
-        platform: Platform,
-        p0: ArrayLike,
-        R0: ArrayLike,
-        *,
-        tolerance: float = 1e-10,
-        max_iterations: int = 12,
-    ) -> None:
+    def __init__(self, platform: Platform, p0: ArrayLike, R0: ArrayLike) -> None:
         own = self.record = np.zeros((), ESTIMATOR)
         own["base_joints"], own["platform_joints"] = platform.base_joints, platform.platform_joints
-        own["radius"], own["tolerance"] = platform.radius, tolerance
-        own["max_iterations"] = max_iterations
+        own["radius"], own["tolerance"], own["max_iterations"] = platform.radius, TOLERANCE_M, MAX_ITERATIONS
         self.reset(p0, R0)
 
     @property

@@ -272,10 +272,10 @@ class Jogging:
         assert self._admission is not None
         here = path.ahead(motion.time(tick) - zero_s)
         speed = abs(word.fraction) * self._share(here)
-        rest = path.ahead(motion.rests_at(tick, speed) - zero_s)
+        rest = path.ahead(motion.override.rests_at(tick, speed) - zero_s)
         slower = min(speed, abs(word.fraction) * self._share(rest))
         if slower < speed:
-            speed, rest = slower, path.ahead(motion.rests_at(tick, slower) - zero_s)
+            speed, rest = slower, path.ahead(motion.override.rests_at(tick, slower) - zero_s)
         against = explain(Refusal.CONDITION)
         if rest is not None:
             against = explain(self._admission(np.concatenate([rest.p, rotation_vector_kernel(rest.R)])))

@@ -106,15 +106,6 @@ class LearnedForces(NamedTuple):
     fade_s: float
     """In which they fade in and out."""
 
-    def at(self, t: float) -> Array:
-        """Return the forces (6,) N at a time of the reference, linear between the rows; the last one behind.
-
-        t: s, not before start_s.
-        """
-        tau = np.empty(6)
-        between(self.tau.ravel(), (t - self.start_s) / self.step_s, tau)
-        return tau
-
 
 class Learned:
     """The share of the learned forces that acts.

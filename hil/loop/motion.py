@@ -229,10 +229,6 @@ class Motion:
         """Return the time along the present trajectory, s."""
         return self.override.time(tick)
 
-    def rests_at(self, tick: int, speed: float) -> float:
-        """Return the time at rest, s, if it goes toward a speed for one more tick and then brakes."""
-        return self.override.rests_at(tick, speed)
-
     @property
     def resting(self) -> bool:
         """Whether the reference stands still and stays so until it is asked to go on."""

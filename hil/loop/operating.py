@@ -44,13 +44,6 @@ class Operating:
         deadman_s = settings.deadman_s
         self.patience = None if deadman_s is None else max(1, int(deadman_s * rate_Hz + 1e-9))
         """Ticks after which a key that is not heard again counts as let go; None: no key is needed."""
-        self._orders: dict[Operator, Callable[[Order, int, Mode], str]] = {
-            Operator.START: self._start,
-            Operator.HOLD: self._hold,
-            Operator.SPEED: self._speed,
-            Operator.PARK: self._park,
-            Operator.KEY: self._key,
-        }
         self.reset()
 
     def reset(self) -> None:
@@ -112,10 +105,25 @@ class Operating:
     def _take(self, order: Order, tick: int, mode: Mode, motion: Motion) -> str:
         if order.command not in _ON_THE_WAY:
             self.trouble, self._inspection = "", None
-        if order.command is not Operator.JOG:
-            return self._orders[order.command](order, tick, mode)
-        on_hold = mode is Mode.TRACKING and not self.go
-        return self.jogging.take(order, tick, motion, on_hold=on_hold, key=self.holds_key(tick))
+        match order.command:
+            case Operator.JOG:
+                on_hold = mode is Mode.TRACKING and not self.go
+                return self.jogging.take(order, tick, motion, on_hold=on_hold, key=self.holds_key(tick))
+            case Operator.KEY:
+                self.key_tick = tick
+            case Operator.SPEED:
+                (self.speed,) = order.numbers
+            case _ if not self.moves(mode):
+                return NOT_MOVING.format(mode.name)
+            case Operator.HOLD:
+                self.go, self.parks = False, mode is Mode.STOPPING
+            case _ if not self.holds_key(tick):
+                return NO_KEY
+            case Operator.START:
+                self.go, self.parks = True, mode is Mode.STOPPING
+            case Operator.PARK:
+                self.go = self.parks = True
+        return ""
 
     def _jog(self, orders: Sequence[Order], tick: int, motion: Motion) -> None:
         """Go on with a jog; where a limit has stopped it in this tick, its words are refused."""
@@ -178,35 +186,3 @@ class Operating:
         jogs = motion.away and motion.trajectory is not self._way_back
         waits = jogs or (self.parks and mode is not Mode.STOPPING)  # for rest, from which the way back begins
         motion.aim(tick, self.speed, go=self.go and not waits)
-
-    def _start(self, _order: Order, tick: int, mode: Mode) -> str:
-        if not self.moves(mode):
-            return NOT_MOVING.format(mode.name)
-        if not self.holds_key(tick):
-            return NO_KEY
-        self.go = True
-        self.parks = mode is Mode.STOPPING
-        return ""
-
-    def _hold(self, _order: Order, _tick: int, mode: Mode) -> str:
-        if not self.moves(mode):
-            return NOT_MOVING.format(mode.name)
-        self.go = False
-        self.parks = mode is Mode.STOPPING
-        return ""
-
-    def _speed(self, order: Order, _tick: int, _mode: Mode) -> str:
-        (self.speed,) = order.numbers
-        return ""
-
-    def _park(self, _order: Order, tick: int, mode: Mode) -> str:
-        if not self.moves(mode):
-            return NOT_MOVING.format(mode.name)
-        if not self.holds_key(tick):
-            return NO_KEY
-        self.go = self.parks = True
-        return ""
-
-    def _key(self, _order: Order, tick: int, _mode: Mode) -> str:
-        self.key_tick = tick
-        return ""

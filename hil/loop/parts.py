@@ -18,10 +18,9 @@ from hil.config.values import LegSpin
 from hil.control.law import Law
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
-from hil.loop.admission import Admission
+from hil.loop.admission import Admission, Steering
 from hil.loop.homing import LastPose
 from hil.loop.learned import LearnedForces
-from hil.loop.steering import Steering
 from hil.robot.geometry import Platform
 from hil.safety import Safety
 from hil.trajectory.path import Trajectory

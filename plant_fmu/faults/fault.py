@@ -6,7 +6,7 @@ Times count from `Nodes.start`, or from the instant at which the controller reac
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -29,7 +29,6 @@ Moment = Literal[
     "PARKED",
 ]
 """Modes of the controller; HOLD: the reference is at rest in TRACKING."""
-MOMENTS: tuple[Moment, ...] = get_args(Moment)
 NEVER_NS = 1 << 62
 
 

@@ -60,18 +60,10 @@ class ChildHost:
     Mutable state: the child process and the shared memory. The child ends with us, however we end.
     """
 
-    def __init__(
-        self,
-        spec: FmuSpec,
-        *,
-        step_timeout_s: float = STEP_TIMEOUT_S,
-        start_timeout_s: float = START_TIMEOUT_S,
-    ) -> None:
+    def __init__(self, spec: FmuSpec) -> None:
         """Start the child, load the FMU there, initialise. Raises PlantError with the child's reason."""
         self.spec = spec
         self.internal_step_s = spec.step_s
-        self._step_timeout_s = step_timeout_s
-        self._start_timeout_s = start_timeout_s
         self._ended: str | None = None
         self._most_here_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         # The child unpacks in here; whichever of us two is left removes it.
@@ -109,7 +101,7 @@ class ChildHost:
         self._poll = select.poll()
         self._poll.register(self._reply_r, select.POLLIN)
         try:
-            self._wait(start_timeout_s, "load")
+            self._wait(START_TIMEOUT_S, "load")
         except BaseException:
             self.close()
             raise
@@ -170,7 +162,7 @@ class ChildHost:
     def reset(self) -> tuple[Array, Array]:
         """As FmuHost.reset. From here on the child has the real-time scheduling of the calling process."""
         _follow(self._process.pid)
-        self._ask(_RESET, self._start_timeout_s, "reset")
+        self._ask(_RESET, START_TIMEOUT_S, "reset")
         return self._measured()
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
@@ -179,14 +171,14 @@ class ChildHost:
             raise PlantError(self._ended)
         for name, value in (("force", force), ("brake", brake), ("wrench", wrench), ("dt", dt_s)):
             self._board.record[name] = value
-        self._ask(_STEP, self._step_timeout_s, "step")
+        self._ask(_STEP, STEP_TIMEOUT_S, "step")
         return self._measured()
 
     def truth(self) -> Truth | None:
         """As FmuHost.truth."""
         if not self.spec.truth:
             return None
-        self._ask(_TRUTH, self._step_timeout_s, "give its outputs")
+        self._ask(_TRUTH, STEP_TIMEOUT_S, "give its outputs")
         y = self._board.record["truth"].copy()
         return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
 
@@ -200,12 +192,12 @@ class ChildHost:
             return
         if self._ended is None:
             try:
-                self._ask(_CLOSE, self._step_timeout_s, "close")
+                self._ask(_CLOSE, STEP_TIMEOUT_S, "close")
             except PlantError:
                 self._process.kill()  # an FMU that cannot be freed goes with its process
         os.close(self._command_w)
         try:
-            self._process.wait(self._start_timeout_s)  # an interpreter's end takes its time, too
+            self._process.wait(START_TIMEOUT_S)  # an interpreter's end takes its time, too
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

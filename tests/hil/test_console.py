@@ -14,10 +14,10 @@ from drivers.signals import Mode, Refusal
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
 from hil.config.reference import LiveReference
+from hil.loop.admission import Counts
 from hil.loop.console import Console, status_text
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
-from hil.loop.steering import Counts
 from hil.operate.channel import AT_MOST, OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.signals import Operator

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.signals import Mode
 from hil.app.compose import build_cycle
-from hil.loop.steering import NO_SETPOINTS
+from hil.loop.admission import NO_SETPOINTS
 from hil.signals import Operator
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import VIRTUAL, a_bench

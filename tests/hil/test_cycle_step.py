@@ -16,9 +16,9 @@ from drivers.signals import DriveMode, Fault, Mode, Warn
 from hil.app.compose import build_cycle
 from hil.estimation.external_wrench import ExternalWrench
 from hil.loop import cycle as cycle_module
+from hil.loop.admission import Counts
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
-from hil.loop.steering import Counts
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, Order, SetPoint
 from tests.hil.test_cycle import Bench, held_to

@@ -132,7 +132,7 @@ def test_a_leg_comes_to_rest_before_lengths_of_no_pose():
     take(both, jog("leg2"), 0)
     step(both, 0, 90)
     path = motion.trajectory
-    ahead, last = path.ahead, motion.rests_at(89, 1.0) + 5e-3
+    ahead, last = path.ahead, motion.override.rests_at(89, 1.0) + 5e-3
     path.ahead = lambda t: ahead(t) if t <= last else None
     for tick in range(90, 700):
         take(both, jog("leg2"), tick)

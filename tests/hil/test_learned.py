@@ -7,7 +7,7 @@ import pytest
 
 from drivers.compiled.pointed import data_at
 from drivers.signals import Mode
-from hil.loop.learned import Learned, LearnedForces, step
+from hil.loop.learned import Learned, LearnedForces, between, step
 from hil.loop.motion import Motion
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
@@ -94,11 +94,11 @@ BUMPLESS = 1.05 * 1.875 * PEAK * T / FADE_S
 
 
 def test_between_two_rows_forces_are_on_the_line_and_behind_the_last_they_stay() -> None:
-    forces = LearnedForces(np.arange(18.0).reshape(3, 6), -0.1, 0.1, FADE_S)
-    np.testing.assert_allclose(forces.at(-0.1), np.arange(6.0))
-    np.testing.assert_allclose(forces.at(-0.025), np.arange(6.0) + 4.5)
-    np.testing.assert_allclose(forces.at(0.1), np.arange(6.0) + 12.0)
-    np.testing.assert_allclose(forces.at(7.0), np.arange(6.0) + 12.0)
+    rows = np.arange(18.0)
+    for place, first in ((0.0, 0.0), (0.75, 4.5), (2.0, 12.0), (71.0, 12.0)):
+        tau = np.empty(6)
+        between(rows, place, tau)
+        np.testing.assert_allclose(tau, np.arange(6.0) + first)
 
 
 def test_they_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> None:

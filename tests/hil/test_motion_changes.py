@@ -164,7 +164,7 @@ def test_the_time_at_rest_that_is_foretold_is_the_one_that_braking_leads_to():
     motion, later = along(Turn(None)), along(Turn(None))
     for each in (motion, later):
         each.settle(0, 0.5)
-    foretold = motion.rests_at(4, 0.75)
+    foretold = motion.override.rests_at(4, 0.75)
     later.aim(4, 0.75, go=True)
     later.advance(5)
     later.aim(5, 0.75, go=False)

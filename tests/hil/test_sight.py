@@ -99,7 +99,7 @@ def test_the_newest_sample_of_the_load_counts_turned_by_the_pose_as_it_was_last_
     seen.record["R"] = TURNED
     observe_in(cycle, record_of(tick=5, age=0), load_frames((0.0, 1e-4), (1.0, 3e-4), (0.5, 2e-4)))
     x, y, z, mx, my, mz = LOAD
-    np.testing.assert_allclose(wrench.reading, [-y, x, z, -my, mx, mz], atol=1e-9)
+    np.testing.assert_allclose(wrench._record["reading"], [-y, x, z, -my, mx, mz], atol=1e-9)
 
 
 def fused(parts: Any) -> FusedEstimator:

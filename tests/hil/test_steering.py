@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import Refusal
-from hil.loop.steering import Counts, Steering
+from hil.loop.admission import Counts, Steering
 from hil.signals import SetPoint, explain
 from hil.trajectory.live import LiveTrajectory
 from tests.judged import judged

@@ -84,9 +84,10 @@ def altered(folder, code, line=STEP_LINE):
         ("for (;;) usleep(1000);", "did not step within 0.5 s"),
     ],
 )
-def test_what_would_take_us_down_becomes_an_error(tmp_path, code, word):
+def test_what_would_take_us_down_becomes_an_error(tmp_path, monkeypatch, code, word):
+    monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     path = altered(tmp_path, f"{code} const Status status = OK;")
-    host = ChildHost(spec(path), step_timeout_s=0.5)
+    host = ChildHost(spec(path))
     host.reset()
     with pytest.raises(PlantError, match=word):
         host.step(FORCE, OPEN, OPEN, 1e-3)
@@ -111,13 +112,14 @@ GREEDY = "for (int k = 0; k < 4096; k++) { char *p = malloc(1 << 20); if (!p) %s
 
 
 @pytest.mark.parametrize("then", broad(["abort()", "return ERROR"], quick=1))
-def test_an_fmu_that_eats_memory_ends_at_its_limit(tmp_path, then):
+def test_an_fmu_that_eats_memory_ends_at_its_limit(tmp_path, monkeypatch, then):
+    monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 60)
     path = altered(tmp_path, f"{GREEDY % then} {STEP_LINE}")
     # what a process may have had at most it inherits from the one that starts it
     most_here_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024e-9
     limited = replace(spec(path), memory_GB=round(1.1 * most_here_GB + 0.3, 1))
     said = pytest.raises(PlantError, match=r": it had [\d.]+ GB, plant\.model\.memory_GB")
-    with contextlib.closing(ChildHost(limited, step_timeout_s=60)) as host, said as raised:
+    with contextlib.closing(ChildHost(limited)) as host, said as raised:
         host.step(FORCE, OPEN, OPEN, 1e-3)
     had_GB, stated_GB = map(float, re.findall(r"[\d.]+(?= GB|$)", str(raised.value))[-2:])
     assert stated_GB == limited.memory_GB
@@ -212,8 +214,11 @@ def test_the_child_of_a_real_time_loop_runs_one_priority_below_it(on_one_process
     host.close()
 
 
-def test_a_child_that_spins_on_the_only_processor_is_stopped_by_who_waits(tmp_path, on_one_processor):
-    host = ChildHost(spec(altered(tmp_path, f"if (time > 0.0005) for (;;); {STEP_LINE}")), step_timeout_s=0.5)
+def test_a_child_that_spins_on_the_only_processor_is_stopped_by_who_waits(
+    tmp_path, monkeypatch, on_one_processor
+):
+    monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
+    host = ChildHost(spec(altered(tmp_path, f"if (time > 0.0005) for (;;); {STEP_LINE}")))
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(5))
     host.reset()
     host.step(FORCE, OPEN, OPEN, 1e-3)
@@ -239,9 +244,10 @@ def test_the_child_never_outlives_its_parent_even_when_it_hangs_and_leaves_no_fi
     program = f"""
 import sys, numpy as np
 from pathlib import Path
-from plant_fmu.fmu.child import ChildHost
+from plant_fmu.fmu import child
 from plant_fmu.fmu.spec import FmuSpec
-host = ChildHost(FmuSpec(Path({str(path)!r}), ("force",), ("length",), ("rate",), 1e-3), step_timeout_s=60)
+child.STEP_TIMEOUT_S = 60
+host = child.ChildHost(FmuSpec(Path({str(path)!r}), ("force",), ("length",), ("rate",), 1e-3))
 print(host._process.pid, flush=True)
 while True:
     host.step(np.zeros(6), np.ones(6), np.zeros(6), 1e-3)

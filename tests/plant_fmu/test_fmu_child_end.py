@@ -51,7 +51,6 @@ def hosting(did: list[str], *, hangs: bool = False, refuses: bool = False) -> An
     """A host whose process and files are these; `did` is what happens to them, in order."""
     host: Any = object.__new__(ChildHost)
     host.spec, host._ended = SPEC, None
-    host._step_timeout_s, host._start_timeout_s = 5.0, 60.0
     host._process = Process(did, hangs=hangs)
     read, host._command_w = os.pipe()
     os.close(read)
@@ -124,7 +123,7 @@ def test_a_process_that_does_not_answer_in_time_is_stopped_and_that_stays_the_re
 def test_the_answers_of_a_process_are_lengths_and_rates_pose_twist_and_forces():
     host: Any = object.__new__(ChildHost)
     host.spec = FmuSpec(**{**vars(SPEC), "truth": ("p", "R", "twist", "applied")})
-    host._step_timeout_s, asked = 5.0, []
+    asked: list[Any] = []
     host._ask = lambda *given: asked.append(given)
     host._board = SimpleNamespace(record={"measured": np.arange(12.0), "truth": np.arange(100.0, 124.0)})
     q, dq = host._measured()

@@ -99,6 +99,7 @@ AREAS = {
             "tests/hil/test_status.py",
             "tests/hil/test_jogging*.py",
             "tests/hil/test_admission*.py",
+            "tests/hil/test_steering.py",
             "tests/hil/test_console.py",
             "tests/hil/test_cycle*.py",
             "tests/hil/test_way_back.py",
@@ -110,7 +111,7 @@ AREAS = {
     ),
     "motion": Area(
         (
-            *(f"hil/loop/{name}.py" for name in ("motion", "jogging", "steering")),
+            *(f"hil/loop/{name}.py" for name in ("motion", "jogging")),
             "hil/trajectory/*.py",
         ),
         (

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Bytes, Ints
+from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import (
-    BYTES,
     INTEGER,
     INTEGERS,
     OUT_INTEGERS,
     OUT_VECTOR,
     REAL,
-    VECTOR,
     foreign,
     helper,
     kernel,
@@ -107,76 +105,40 @@ def do_step(call: Ints, t_s: float, dt_s: float) -> int:
     return int(foreign(call[STEP], (call[INSTANCE], t_s, dt_s, never_back)))
 
 
-@kernel(
-    INTEGERS, VECTOR, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_INTEGERS, OUT_VECTOR, BYTES, unlocked=True
-)
-def exchange(
-    call: Ints,
-    force: Array,
-    brake: Array,
-    wrench: Array,
-    t_s: float,
-    dt_s: float,
-    inputs: Array,
-    held: Ints,
-    outputs: Array,
-    flags: Bytes,
-) -> tuple[int, int]:
-    """Set what changed of the inputs, step from `t_s` by `dt_s`, get the outputs.
+@pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
+    """Set what changed of the inputs, go some internal steps, and fill lengths and rates `measured` (12,).
 
-    force, brake, wrench (6,). Returns how it ended and the FMU's last status.
+    force, brake, wrench (6,) and `measured` are addresses. Returns how the exchange ended. The communication
+    time is a multiple of the internal step, not a sum.
     """
-    for k in range(LEGS):
-        if call[SLOTS] >= 0:
-            inputs[call[SLOTS] + k] = force[k]
-        if call[SLOTS + 1] >= 0:
-            inputs[call[SLOTS + 1] + k] = brake[k]
-        if call[SLOTS + 2] >= 0:
-            inputs[call[SLOTS + 2] + k] = wrench[k]
+    if not fmu.ready:
+        return CLOSED
+    call, inputs = integers_at(fmu.call, CALL), reals_at(fmu.inputs, fmu.input_count)
+    held, outputs = integers_at(fmu.held, fmu.input_count), reals_at(fmu.outputs, fmu.output_count)
+    for n, given in enumerate((force, brake, wrench)):
+        if call[SLOTS + n] >= 0:
+            inputs[call[SLOTS + n] : call[SLOTS + n] + LEGS] = reals_at(given, LEGS)
     bits = inputs.view(np.int64)
     changed = False
     for i in range(bits.size):
         changed = changed or bits[i] != held[i]
+    fmu.status = 0
     if changed:  # an FMU holds its inputs until they are set again
         for u in inputs:
             if not np.isfinite(u):
-                return NOT_FINITE, 0
-        status = put(call, inputs, held)
-        if not succeeded(status):
-            return INPUTS_REFUSED, status
-    status = do_step(call, t_s, dt_s)
-    if not succeeded(status):
-        return STEP_REFUSED, status
+                return NOT_FINITE
+        fmu.status = put(call, inputs, held)
+        if not succeeded(fmu.status):
+            return INPUTS_REFUSED
+    fmu.status = do_step(call, fmu.ticks * fmu.step_s, steps * fmu.step_s)
+    if not succeeded(fmu.status):
+        return STEP_REFUSED
+    flags = bytes_at(fmu.flags, 3)
     if flags[_TERMINATED] or flags[_EARLY]:
-        return INTERRUPTED, status
-    return fetch(call, outputs)
-
-
-@pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
-def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """Hold force, brake and wrench for some internal steps, and fill lengths and rates `measured` (12,).
-
-    They are addresses; force, brake, wrench (6,). Returns how the exchange ended. The communication time is a
-    multiple of the internal step, not a sum.
-    """
-    if not fmu.ready:
-        return CLOSED
-    outputs = reals_at(fmu.outputs, fmu.output_count)
-    ended, status = exchange(
-        integers_at(fmu.call, CALL),
-        reals_at(force, LEGS),
-        reals_at(brake, LEGS),
-        reals_at(wrench, LEGS),
-        fmu.ticks * fmu.step_s,
-        steps * fmu.step_s,
-        reals_at(fmu.inputs, fmu.input_count),
-        integers_at(fmu.held, fmu.input_count),
-        outputs,
-        bytes_at(fmu.flags, 3),
-    )
-    fmu.status = status
-    if ended in (DONE, OUTPUTS_REFUSED, OUTPUT_NOT_FINITE):
-        fmu.ticks += steps
+        return INTERRUPTED
+    ended, fmu.status = fetch(call, outputs)
+    fmu.ticks += steps
     if ended == DONE:
         reals_at(measured, MEASURED)[:] = outputs[:MEASURED]
     return int(ended)

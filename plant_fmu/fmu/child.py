@@ -40,18 +40,9 @@ _LAYOUT = np.dtype(
 _LIFE_CHECK_MS = 1000
 
 
-class _Board:
-    """The shared memory: a record of `_LAYOUT`, and behind it the spec."""
-
-    def __init__(self, memory: mmap.mmap) -> None:
-        self.memory = memory
-        self.record: Any = np.frombuffer(memory, _LAYOUT, 1)[0]
-
-    def release(self) -> None:
-        """Drop the views, then the memory: a mapping with views on it cannot be closed."""
-        memory = self.memory
-        self.__dict__.clear()
-        memory.close()
+def _board_in(memory: mmap.mmap) -> Any:
+    """Return the record of `_LAYOUT` in the shared memory; behind it stands the spec."""
+    return np.frombuffer(memory, _LAYOUT, 1)[0]
 
 
 class ChildHost:
@@ -78,7 +69,7 @@ class ChildHost:
             os.ftruncate(memory_fd, size)
             memory = mmap.mmap(memory_fd, size)
             memory[_LAYOUT.itemsize :] = text
-            self._board = _Board(memory)
+            self._board = _board_in(memory)
             given = (memory_fd, command_r, reply_w, life_r)
             # Standard output is ours (a summary may go there); Ctrl-C is for us to handle, hence the session.
             self._process = start(
@@ -125,8 +116,8 @@ class ChildHost:
             )
             text = f"{self.spec.path}: the FMU's process {how} when it was to {what}"
             raise self._end(f"{text}{self._full(most_kB)}")
-        if self._board.record["status"] != _OK:
-            text = bytes(self._board.record["text"]).decode("utf-8", "replace")
+        if self._board["status"] != _OK:
+            text = bytes(self._board["text"]).decode("utf-8", "replace")
             status = Path(f"/proc/{self._process.pid}/status").read_text()
             data = next((line.split()[1] for line in status.splitlines() if line.startswith("VmData")), "0")
             raise PlantError(f"{text}{self._full(int(data))}")
@@ -150,13 +141,13 @@ class ChildHost:
     def _ask(self, command: int, timeout_s: float, what: str) -> None:
         if self._ended is not None:
             raise PlantError(self._ended)
-        self._board.record["command"] = command
+        self._board["command"] = command
         with contextlib.suppress(BrokenPipeError):  # the reply pipe tells how the child ended
             os.write(self._command_w, b"!")
         self._wait(timeout_s, what)
 
     def _measured(self) -> tuple[Array, Array]:
-        y = self._board.record["measured"].copy()
+        y = self._board["measured"].copy()
         return y[:6], y[6:]
 
     def reset(self) -> tuple[Array, Array]:
@@ -170,7 +161,7 @@ class ChildHost:
         if self._ended is not None:
             raise PlantError(self._ended)
         for name, value in (("force", force), ("brake", brake), ("wrench", wrench), ("dt", dt_s)):
-            self._board.record[name] = value
+            self._board[name] = value
         self._ask(_STEP, STEP_TIMEOUT_S, "step")
         return self._measured()
 
@@ -179,12 +170,12 @@ class ChildHost:
         if not self.spec.truth:
             return None
         self._ask(_TRUTH, STEP_TIMEOUT_S, "give its outputs")
-        y = self._board.record["truth"].copy()
+        y = self._board["truth"].copy()
         return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
 
     def applied_force(self) -> Array | None:
         """As FmuHost.applied_force, at no cost: it comes with the answer to every step."""
-        return self._board.record["truth"][18:24].copy() if self.spec.truth else None
+        return self._board["truth"][18:24].copy() if self.spec.truth else None
 
     def close(self) -> None:
         """Let the child free the FMU and end; stop it if it does not. A second call does nothing."""
@@ -206,7 +197,7 @@ class ChildHost:
             os.close(fd)
         self._life_w = -1
         self._ended = self._ended or f"{self.spec.path}: the FMU is closed"
-        self._board.release()
+        del self._board  # and the memory with it
         self._folder.cleanup()
 
 
@@ -244,49 +235,49 @@ def _bound_memory(most_GB: float) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
-def _attempt(board: _Board, work: Callable[[], Any]) -> Any:
+def _attempt(board: Any, work: Callable[[], Any]) -> Any:
     try:
         result = work()
     except (HilError, MemoryError) as error:
-        board.record["status"] = _REFUSED
+        board["status"] = _REFUSED
         text = "no memory is left for the FMU's process" if isinstance(error, MemoryError) else str(error)
-        board.record["text"] = text.encode()
+        board["text"] = text.encode()
         return None
-    board.record["status"] = _OK
+    board["status"] = _OK
     return result
 
 
 def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: int, folder: str) -> None:
     """Run in the child: load the FMU, then answer commands until told to close or the parent is gone."""
     threading.Thread(target=_end_with_parent, args=(life_fd, parent, folder), daemon=True).start()
-    board = _Board(mmap.mmap(memory_fd, 0))
-    spec = FmuSpec.from_json(board.memory[_LAYOUT.itemsize :].decode())
+    memory = mmap.mmap(memory_fd, 0)
+    board, spec = _board_in(memory), FmuSpec.from_json(memory[_LAYOUT.itemsize :].decode())
     _bound_memory(spec.memory_GB)
     host: FmuHost | None = _attempt(board, lambda: FmuHost(spec))
     os.write(reply_fd, b"!")
     if host is None:
         return
 
-    force, brake, wrench = (board.record[name] for name in ("force", "brake", "wrench"))
+    force, brake, wrench = (board[name] for name in ("force", "brake", "wrench"))
 
     def true_state() -> None:
         truth = host.truth()
         if truth is not None:
             parts = truth.p, truth.R.ravel(), truth.twist, truth.applied_force
-            board.record["truth"] = np.concatenate(parts)
+            board["truth"] = np.concatenate(parts)
 
     def measure(answer: tuple[Array, Array]) -> None:
-        board.record["measured"] = np.concatenate(answer)
+        board["measured"] = np.concatenate(answer)
         true_state()
 
     tasks: dict[int, Callable[[], None]] = {
         _RESET: lambda: measure(host.reset()),
-        _STEP: lambda: measure(host.step(force, brake, wrench, float(board.record["dt"]))),
+        _STEP: lambda: measure(host.step(force, brake, wrench, float(board["dt"]))),
         _TRUTH: true_state,
         _CLOSE: host.close,
     }
     while os.read(command_fd, 1):
-        command = int(board.record["command"])
+        command = int(board["command"])
         _attempt(board, tasks[command])
         with contextlib.suppress(BrokenPipeError):  # the parent is gone: the next read says so
             os.write(reply_fd, b"!")

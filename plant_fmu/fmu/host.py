@@ -130,11 +130,7 @@ class FmuHost:
         three = face.major >= 3
         get, put = ("fmi3GetFloat64", "fmi3SetFloat64") if three else ("fmi2GetReal", "fmi2SetReal")
         self._inputs = np.zeros(sum(c.count for c in face.inputs.values()))
-        places: dict[str, int] = {}
-        place = 0
-        for key, channel in face.inputs.items():
-            places[key] = place
-            place += channel.count
+        places = {key: LEGS * n for n, key in enumerate(face.inputs)}
         self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
         self._applied = self._outputs[fmu_call.APPLIED :]
         self._held = np.zeros(self._inputs.size, np.int64)

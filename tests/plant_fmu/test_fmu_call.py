@@ -80,11 +80,24 @@ class Functions:
             ct.c_uint8.from_address(place).value = k == self.flagged
         return self.step_status
 
+    def move(self, force: Any, brake: Any, wrench: Any, t_s: float = 0.0) -> tuple[int, int]:
+        """Return how a step of 0.25 s from t_s on ended, and the last status."""
+        fmu, kept = (
+            np.zeros((), fmu_call.FMU),
+            [np.ascontiguousarray(each) for each in (force, brake, wrench)],
+        )
+        measured = np.zeros(12)
+        for name in ("call", "inputs", "held", "outputs", "flags"):
+            fmu[name] = getattr(self, name).ctypes.data
+        fmu["input_count"], fmu["output_count"] = self.inputs.size, self.outputs.size
+        fmu["ready"], fmu["ticks"], fmu["step_s"] = 1, round(t_s / 0.25), 0.25
+        ended = fmu_call.move(fmu, *(each.ctypes.data for each in kept), 1, measured.ctypes.data)
+        assert ended != DONE or measured.tolist() == self.outputs.tolist()
+        return int(ended), int(fmu["status"])
+
     def exchange(self, force: float, wrench: float, t_s: float = 0.0) -> int:
         six = np.arange(6.0)
-        memory = self.inputs, self.held, self.outputs, self.flags
-        ended, _ = fmu_call.exchange(self.call, force + six, 9.0 + six, wrench - six, t_s, 0.25, *memory)
-        return int(ended)
+        return self.move(force + six, 9.0 + six, wrench - six, t_s)[0]
 
 
 def given(force: float, wrench: float) -> list[float]:
@@ -127,9 +140,7 @@ def test_inputs_that_were_refused_are_set_anew_and_no_step_is_taken_with_them(co
 def test_each_force_brake_and_part_of_the_wrench_stands_at_its_own_place_wherever_these_begin(slots):
     fmu = Functions(counted=True, slots=slots)
     given = np.arange(6.0) + 10.0, np.arange(6.0) / 8.0, np.arange(6.0) - 30.0
-    memory = fmu.inputs, fmu.held, fmu.outputs, fmu.flags
-    force, brake, wrench = given
-    assert fmu_call.exchange(fmu.call, force, brake, wrench, 0.0, 0.25, *memory) == (DONE, 0)
+    assert fmu.move(*given) == (DONE, 0)
     there = sorted((place, values.tolist()) for place, values in zip(slots, given, strict=True) if place >= 0)
     assert fmu.sets == [[x for _, values in there for x in values]]
 
@@ -177,6 +188,4 @@ def test_each_length_rate_and_input_has_to_be_finite(value):
         assert fmu.exchange(1.0, 2.0) == OUTPUT_NOT_FINITE
         given, six = [np.ones(6), np.ones(6)], np.ones(6)
         given[place // 6][place % 6] = value
-        memory = fmu.inputs, fmu.held, fmu.outputs, fmu.flags
-        ended = fmu_call.exchange(fmu.call, given[0], six, given[1], 0.0, 0.25, *memory)
-        assert ended == (NOT_FINITE, 0), "the FMU was not asked"
+        assert fmu.move(given[0], six, given[1]) == (NOT_FINITE, 0), "the FMU was not asked"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import select
 import subprocess
@@ -68,13 +67,13 @@ def hosting(did: list[str], *, hangs: bool = False, refuses: bool = False) -> An
             raise PlantError("it refuses")
 
     host._process.wait, host._ask = waited, asked
-    host._board = SimpleNamespace(release=lambda: did.append("release"))
+    host._board = {}
     host._folder = SimpleNamespace(cleanup=lambda: did.append("remove"))
     host.files = files
     return host
 
 
-ASK, FREED = "ask 3 5.0 close", ["release", "remove"]
+ASK, FREED = "ask 3 5.0 close", ["remove"]
 WAIT = ["coo", "wait 60.0"]
 """Its commands end before it is waited for, its life line and its answers stay."""
 
@@ -125,7 +124,7 @@ def test_the_answers_of_a_process_are_lengths_and_rates_pose_twist_and_forces():
     host.spec = FmuSpec(**{**vars(SPEC), "truth": ("p", "R", "twist", "applied")})
     asked: list[Any] = []
     host._ask = lambda *given: asked.append(given)
-    host._board = SimpleNamespace(record={"measured": np.arange(12.0), "truth": np.arange(100.0, 124.0)})
+    host._board = {"measured": np.arange(12.0), "truth": np.arange(100.0, 124.0)}
     q, dq = host._measured()
     assert (q.tolist(), dq.tolist()) == (list(range(6)), list(range(6, 12)))
     truth = host.truth()
@@ -133,7 +132,7 @@ def test_the_answers_of_a_process_are_lengths_and_rates_pose_twist_and_forces():
     assert [each.tolist() for each in (truth.p, truth.twist)] == [[100, 101, 102], list(range(112, 118))]
     assert truth.R.tolist() == [[103, 104, 105], [106, 107, 108], [109, 110, 111]]
     assert truth.applied_force.tolist() == host.applied_force().tolist() == list(range(118, 124))
-    host._board.record["truth"][:] = 0.0
+    host._board["truth"][:] = 0.0
     assert truth.applied_force[0] == 118.0, "the caller's to keep"
     host.spec = SPEC
     assert (host.truth(), host.applied_force()) == (None, None)
@@ -152,21 +151,12 @@ def test_a_process_is_given_our_priority_before_it_is_asked_to_reset(monkeypatch
 def test_a_step_hands_over_force_brake_wrench_and_time_before_it_is_asked_for():
     host = hosting([])
     host._measured, record = lambda: "measured", dict[str, Any]()
-    host._board = SimpleNamespace(record=record)
+    host._board = record
     asked: list[Any] = []
     host._ask = lambda *given: asked.append((*given, dict(record)))
     assert host.step("force", "brake", "wrench", 0.25) == "measured"
     given = {"force": "force", "brake": "brake", "wrench": "wrench", "dt": 0.25}
     assert asked == [(1, 5.0, "step", given)]
-
-
-def test_a_board_that_is_released_holds_no_memory():
-    memory = mmap.mmap(-1, child._LAYOUT.itemsize + 7)
-    board = child._Board(memory)
-    board.record["dt"] = 0.125
-    assert board.memory[: child._LAYOUT.itemsize].count(np.float64(0.125).tobytes()) == 1
-    board.release()
-    assert memory.closed
 
 
 class LeftError(Exception):

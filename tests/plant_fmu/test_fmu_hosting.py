@@ -85,7 +85,7 @@ def test_a_child_of_a_process_without_real_time_keeps_what_it_has_and_one_that_h
 
 def attempted(work: Callable[[], Any]) -> tuple[Any, Any]:
     """Return what work gave, and what the parent is told by its status: None, or the reason."""
-    board: Any = SimpleNamespace(record={"status": 99, "text": b""})
+    board: Any = {"status": 99, "text": b""}
     result = child._attempt(board, work)
     host: Any = SimpleNamespace(_board=board, _poll=SimpleNamespace(poll=lambda _: True))
     host._reply_r, reply_w = os.pipe()

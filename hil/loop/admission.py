@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
-from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct, record
 from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Refusal
 from hil.config.limits import LimitSettings
@@ -35,84 +34,88 @@ _NOT_A_POSE, _STROKE = int(Refusal.NOT_A_POSE), int(Refusal.STROKE)
 _CONDITION, _FORCE, _SPEED = int(Refusal.CONDITION), int(Refusal.FORCE), int(Refusal.SPEED)
 
 
-@kernel(MATRIX, MATRIX, REAL, VECTOR, INTEGER, VECTOR, VECTOR, REAL, REAL, REAL, REAL)
-def judge(
-    a: Array, b: Array, radius: float, constants: Array, code: int,
-    chi: Array, ddchi: Array, low: float, high: float, condition: float, force: float,
-) -> int:  # fmt: skip
-    """Return the bits of Refusal against the six words chi (6,) m, rad; see `Admission`."""
+ADMISSION = np.dtype(
+    [
+        ("base_joints", "<f8", (6, 3)), ("platform_joints", "<f8", (6, 3)), ("radius", "<f8"),
+        ("constants", "<i8"), ("code", "<i8"), ("ddchi", "<f8", (6,)),
+        *((name, "<f8") for name in ("low", "high", "soft_min", "soft_max")),
+        *((name, "<f8") for name in ("condition", "force", "speed", "deceleration")),
+    ]
+)  # fmt: skip
+"""Robot and address of the model's constants, largest accelerations of the axes, and limits: lengths of a
+set-point and on the way, condition, force, rate of a leg and its deceleration."""
+
+
+@pointed(record(ADMISSION), INTEGER)
+def judge(k: Any, words: int) -> int:
+    """Return the bits of Refusal against the six words (6,) m, rad at an address; see `Admission`."""
+    chi, constants = reals_at(words, 6), reals_at(k.constants, SIZE)
     if not all_finite(chi) or chi[3] * chi[3] + chi[4] * chi[4] + chi[5] * chi[5] > math.pi * math.pi:
         return _NOT_A_POSE
     still, R = np.zeros_like(chi), np.empty((3, 3))
     p = chi[:3]
     rotation_motion(at(chi, 3), _STILL, _STILL, R)
-    q = leg_lengths_kernel(a, b, p, R)
+    q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
     for i in range(6):
-        if q[i] < low or q[i] > high:
+        if q[i] < k.low or q[i] > k.high:
             return _STROKE
-    if not condition_kernel(jacobian_kernel(a, b, p, R), radius) <= condition:
+    if not condition_kernel(jacobian_kernel(k.base_joints, k.platform_joints, p, R), k.radius) <= k.condition:
         return _CONDITION
-    rest = inverse_dynamics_kernel(constants, code, p, R, still, still, still)
+    rest = inverse_dynamics_kernel(constants, k.code, p, R, still, still, still)
     most = np.abs(rest)
     for j in range(6):
         one = np.zeros_like(chi)
-        one[j] = ddchi[j]
-        most += np.abs(inverse_dynamics_kernel(constants, code, p, R, still, one, still) - rest)
+        one[j] = k.ddchi[j]
+        most += np.abs(inverse_dynamics_kernel(constants, k.code, p, R, still, one, still) - rest)
     for i in range(6):
-        if not most[i] <= force:
+        if not most[i] <= k.force:
             return _FORCE
     return 0
 
 
-@kernel(MATRIX, MATRIX, REAL, VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR)
-def judge_moving(
-    a: Array, b: Array, radius: float, constants: Array, code: int,
-    p: Array, R: Array, twist: Array, dtwist: Array, limits: Array,
-) -> int:  # fmt: skip
-    """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`.
-
-    limits (6,): lengths from and to, condition, force, rate of a leg, deceleration.
-    """
-    low, high, condition, force, speed, deceleration = limits
-    q, J = leg_lengths_kernel(a, b, p, R), jacobian_kernel(a, b, p, R)
+@direct(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
+def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int:
+    """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`."""
+    q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
+    J = jacobian_kernel(k.base_joints, k.platform_joints, p, R)
     dq = np.zeros_like(twist)
     for i in range(6):
         for j in range(6):
             dq[i] += J[i, j] * twist[j]
-        if not low <= q[i] <= high:
+        if not k.soft_min <= q[i] <= k.soft_max:
             return _STROKE
-    if not condition_kernel(J, radius) <= condition:
+    if not condition_kernel(J, k.radius) <= k.condition:
         return _CONDITION
-    if overspeed(dq, speed) or too_fast_for_end(q, dq, low, high, deceleration):
+    if overspeed(dq, k.speed) or too_fast_for_end(q, dq, k.soft_min, k.soft_max, k.deceleration):
         return _SPEED
-    tau = inverse_dynamics_kernel(constants, code, p, R, twist, dtwist, np.zeros_like(twist))
+    tau = inverse_dynamics_kernel(
+        reals_at(k.constants, SIZE), k.code, p, R, twist, dtwist, np.zeros_like(twist)
+    )
     for i in range(6):
-        if not abs(tau[i]) <= force:
+        if not abs(tau[i]) <= k.force:
             return _FORCE
     return 0
 
 
-@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
-def change_within(
-    constants: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, faster: float
-) -> float:
+@direct(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
+def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faster: float) -> float:
     """Return the most, N, that a leg's force changes by within WINDOW_S; see `Admission.change_N`.
 
     faster: largest d sigma/dt over sigma, 1/s. nan where it is no number.
     """
-    still, most = np.zeros_like(twist), 0.0
+    constants, still, most = reals_at(k.constants, SIZE), np.zeros_like(twist), 0.0
     turn, turned = np.empty_like(R), np.empty_like(R)
     moved = p + WINDOW_S * twist[:3]
     rotation_motion(scale(WINDOW_S, at(twist, 3)), _STILL, _STILL, turn)
     for i in range(3):
         for j in range(3):
             turned[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
-    rest = inverse_dynamics_kernel(constants, code, p, R, still, still, still)
-    going = inverse_dynamics_kernel(constants, code, p, R, twist, dtwist, still) - rest
-    inertia = inverse_dynamics_kernel(constants, code, p, R, still, twist, still) - rest
-    rest1 = inverse_dynamics_kernel(constants, code, moved, turned, still, still, still)
-    going1 = inverse_dynamics_kernel(constants, code, moved, turned, twist, dtwist, still) - rest1
-    inertia1 = inverse_dynamics_kernel(constants, code, moved, turned, still, twist, still) - rest1
+    rest = inverse_dynamics_kernel(constants, k.code, p, R, still, still, still)
+    going = inverse_dynamics_kernel(constants, k.code, p, R, twist, dtwist, still) - rest
+    inertia = inverse_dynamics_kernel(constants, k.code, p, R, still, twist, still) - rest
+    rest1 = inverse_dynamics_kernel(constants, k.code, moved, turned, still, still, still)
+    going1 = inverse_dynamics_kernel(constants, k.code, moved, turned, twist, dtwist, still) - rest1
+    inertia1 = inverse_dynamics_kernel(constants, k.code, moved, turned, still, twist, still) - rest1
     for i in range(6):
         by_speed = max(abs(going[i]), abs(going1[i]))
         change = abs(rest1[i] - rest[i]) + by_speed + faster * (abs(inertia[i]) + abs(inertia1[i]))
@@ -120,28 +123,6 @@ def change_within(
             return math.nan
         most = max(most, change)
     return most
-
-
-ADMISSION = np.dtype(
-    [
-        ("base_joints", "<f8", (6, 3)),
-        ("platform_joints", "<f8", (6, 3)),
-        ("constants", "<i8"),
-        ("code", "<i8"),
-        ("ddchi", "<f8", (6,)),
-        *((name, "<f8") for name in ("radius", "low", "high", "condition", "force")),
-    ]
-)
-"""What `judge` takes beside the pose."""
-_judge = apart(judge)
-
-
-@pointed(record(ADMISSION), INTEGER)
-def judge_at(k: Any, chi: int) -> int:
-    """Return the bits of Refusal against the six words at an address."""
-    a, b, constants = k.base_joints, k.platform_joints, reals_at(k.constants, SIZE)
-    limits = k.low, k.high, k.condition, k.force
-    return int(_judge(a, b, k.radius, constants, k.code, reals_at(chi, 6), k.ddchi, *limits))
 
 
 class Admission:
@@ -163,42 +144,33 @@ class Admission:
         stop_s: float,
     ) -> None:
         """Take the largest accelerations of the axes, and in which time a jog comes to rest, s."""
-        self._robot = (
-            platform.base_joints,
-            platform.platform_joints,
-            platform.radius,
-            model.constants,
-            model.code,
-        )
-        self._limits = (
-            np.array(ddchi, float),
-            length_min + limits.stroke_margin_m + CLEARANCE_M,
-            length_max - limits.stroke_margin_m - CLEARANCE_M,
-            limits.condition,
-            min(limits.force_N, drive_force_limit),
-        )
         self._record = np.zeros((), ADMISSION)
-        names = "base_joints", "platform_joints", "radius", "ddchi", "low", "high", "condition", "force"
-        for name, value in zip(names, (*self._robot[:3], *self._limits), strict=True):
+        soft_min, soft_max = length_min + limits.stroke_margin_m, length_max - limits.stroke_margin_m
+        for name, value in {
+            "base_joints": platform.base_joints,
+            "platform_joints": platform.platform_joints,
+            "radius": platform.radius,
+            "constants": data_at(model.constants),
+            "code": model.code,
+            "ddchi": ddchi,
+            "low": soft_min + CLEARANCE_M,
+            "high": soft_max - CLEARANCE_M,
+            "soft_min": soft_min,
+            "soft_max": soft_max,
+            "condition": limits.condition,
+            "force": min(limits.force_N, drive_force_limit),
+            "speed": limits.speed_m_s,
+            "deceleration": limits.deceleration_m_s2,
+        }.items():
             self._record[name] = value
-        self._record["constants"], self._record["code"] = data_at(model.constants), model.code
-        self.callee = Callee(judge_at.address, data_at(self._record), self)
+        self._model = model
+        self.callee = Callee(judge.address, data_at(self._record), self)
         """(admission, address of six words): what a call does."""
         self._stop_s, self._window_N = stop_s, limits.force_window_N
-        self._moving = np.array(
-            [
-                length_min + limits.stroke_margin_m,
-                length_max - limits.stroke_margin_m,
-                *self._limits[3:],
-                limits.speed_m_s,
-                limits.deceleration_m_s2,
-            ]
-        )
 
     def __call__(self, chi: Array) -> int:
         """Return the bits of Refusal against the six words chi (6,) m, rad; 0 for a good pose."""
-        ddchi, *limits = self._limits
-        return judge(*self._robot, chi, ddchi, *limits)
+        return judge(self._record, np.ascontiguousarray(chi, np.float64))
 
     def on_the_way(self, s: PoseSample) -> int:
         """Return the bits of Refusal against a sample of a move: what `hil check` asks of a reference.
@@ -206,7 +178,7 @@ class Admission:
         Soft ends of the stroke, condition, rates of the legs, the braking way before a soft end, and force.
         """
         R = np.ascontiguousarray(s.R)
-        return judge_moving(*self._robot, s.p, R, s.twist, s.dtwist, self._moving)
+        return judge_moving(self._record, s.p, R, s.twist, s.dtwist)
 
     def change_N(self, s: PoseSample, sigma: float) -> float:
         """Return the most, N, that the force of a leg changes by within 250 ms of a jog near a sample of it.
@@ -215,10 +187,9 @@ class Admission:
         largest d sigma/dt on the way from 0 to sigma, the share of the sample's speed; see
         `hil.trajectory.override`. nan where it is no number.
         """
-        _, _, _, constants, code = self._robot
         faster = min(PEAK, math.sqrt(CURVATURE * sigma)) / (self._stop_s * sigma) if sigma > 0.0 else 0.0
         R, twist = np.ascontiguousarray(s.R), sigma * s.twist
-        return float(change_within(constants, code, s.p, R, twist, sigma * sigma * s.dtwist, faster))
+        return float(change_within(self._record, s.p, R, twist, sigma * sigma * s.dtwist, faster))
 
     def too_sudden(self, s: PoseSample, sigma: float) -> bool:
         """Tell whether a jog near a sample of it could change a force by more than limits.force_window_N."""

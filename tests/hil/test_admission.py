@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from drivers.compiled.pointed import data_at
 from drivers.signals import Refusal
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
-from hil.loop.admission import Admission, judge
+from hil.loop.admission import ADMISSION, Admission, judge
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import condition
 from hil.trajectory.path import PoseSample
@@ -187,10 +188,14 @@ def test_a_leg_may_be_as_short_or_as_long_as_its_ends_to_the_last_bit():
     """At (3, 4, 12) m all six legs are 13 m long, exactly."""
     b = PLATFORM.platform_joints
     chi = np.array([3.0, 4.0, 12.0, 0.0, 0.0, 0.0])
-    constants, code = Model(PLATFORM).constants, Model(PLATFORM).code
+    model, k = Model(PLATFORM), np.zeros((), ADMISSION)
+    k["base_joints"] = k["platform_joints"] = b
+    k["radius"], k["constants"], k["code"] = PLATFORM.radius, data_at(model.constants), model.code
+    k["condition"], k["force"] = 1e9, 1e99
 
     def judged(low, high):
-        return judge(b, b, PLATFORM.radius, constants, code, chi, np.zeros(6), low, high, 1e9, 1e99)
+        k["low"], k["high"] = low, high
+        return judge(k, chi)
 
     assert judged(13.0, 13.0) != Refusal.STROKE
     assert judged(np.nextafter(13.0, 14.0), 14.0) == Refusal.STROKE

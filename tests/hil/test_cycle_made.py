@@ -118,7 +118,7 @@ def test_a_live_reference_is_admitted_by_its_largest_accelerations_and_goes_at_t
     limits = LIVE.limits
     radians = np.deg2rad(limits.acceleration_deg_s2)
     expected = np.repeat([limits.acceleration_m_s2, radians], 3)
-    np.testing.assert_allclose(parts.admission._limits[0], expected, rtol=1e-12)
+    np.testing.assert_allclose(parts.admission._record["ddchi"], expected, rtol=1e-12)
     assert parts.trajectory._period == 0.002  # type: ignore[attr-defined]
     assert parts.steering is not None
     assert parts.steering._admission is parts.admission
@@ -129,7 +129,7 @@ def test_a_jog_is_admitted_by_what_starts_and_stops_it_at_set_up_speed():
     engage = VIRTUAL.engage.model_copy(update={"stop_s": 0.8})
     admission = build_cycle(but(operator=operator, engage=engage), 1000.0, 0.01).parts.admission
     expected = PEAK / 0.8 * np.array([0.02, 0.02, 0.02, *[3.0 * pi / 180.0] * 3])
-    np.testing.assert_allclose(admission._limits[0], expected, rtol=1e-12)
+    np.testing.assert_allclose(admission._record["ddchi"], expected, rtol=1e-12)
     assert admission._stop_s == 0.8
 
 

@@ -1,12 +1,10 @@
 """Watches the cycle from tick to tick and tells the story of its faults."""
 
 import json
-import struct
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from drivers.signals import LEGS, DriveMode, DriveState, Fault, Mode
-from drivers.tick_columns import FIRST, TICK, Record
+from drivers.tick_columns import FIRST, Record
 from hil.loop.cycle import Cycle
 from hil.loop.drives_say import confirmed, unconfirmed
 from hil.loop.modes import drive_mode
@@ -15,11 +13,6 @@ from hil.loop.story.faults import findings
 from hil.loop.story.told import DONE, DriveSaid, Finding, Moment, Step, Story, done_text, listed, short
 from hil.signals import Operator
 
-_fields: Any = TICK.fields
-_STATES = slice(_fields["drive_state"][1] // 8, _fields["drive_fault"][1] // 8 + LEGS)
-"""Where a record's buffer has what the drives say of themselves."""
-_AGE_AT = _fields["age"][1]
-_ages = struct.Struct(f"<{LEGS}q").unpack_from
 EventSink = Callable[[int, str, str], None]
 """Takes t_ns, level and text of an event."""
 
@@ -82,7 +75,7 @@ class Narrator:
     def _wait(self, cycle: Cycle) -> None:
         """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
         tick, done = cycle.tick, self._estop_done
-        states = tick.base[_STATES].tobytes()  # type: ignore[index]
+        states = tick["drive_state"].tobytes() + tick["drive_fault"].tobytes()
         if states != self._states:
             self._states = states
             self._powered = any(each.powered for each in said(cycle))
@@ -100,10 +93,8 @@ class Narrator:
         """Tell whether all drives have been heard since they were told to switch off."""
         assert self._off_tick is not None
         since = int(tick["tick"]) - self._off_tick
-        for leg, age in enumerate(_ages(tick.base, _AGE_AT)):  # type: ignore[arg-type]
-            if age >= since and not tick["blind"][leg]:
-                return False
-        return True
+        heard = zip(tick["age"].tolist(), tick["blind"].tolist(), strict=True)
+        return all(age < since or blind for age, blind in heard)
 
     def _follow(self, cycle: Cycle, faults: Fault, released: bool) -> None:
         tick = cycle.tick
@@ -156,11 +147,11 @@ class Narrator:
 
     def _done(self) -> list[Step]:
         rate = self._cycle.parts.rate_Hz
-        last_off = max((n for n, (_, mode, _) in enumerate(self._steps) if _off(mode)), default=-1)
+        off = [n for n, (_, mode, _) in enumerate(self._steps) if drive_mode(mode) is DriveMode.OFF]
         steps = []
         for n, (tick, mode, released) in enumerate(self._steps):
             text = done_text(mode, force_on_brakes=self._cycle.parts.protocol.force_on_brakes)
-            if n == last_off and self._off_tick is not None:
+            if n == max(off, default=-1) and self._off_tick is not None:
                 text = self._switched_off()
             if mode is Mode.HELD and n == len(self._steps) - 1:
                 text += self._braked(tick)
@@ -218,10 +209,6 @@ class Narrator:
             return "the emergency stop could not be sent: the bus takes no frames"
         silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.stop_latches)
         return f"{sent}; not confirmed by drive {listed(silent)}"
-
-
-def _off(mode: Mode) -> bool:
-    return drive_mode(mode) is DriveMode.OFF
 
 
 def said(cycle: Cycle) -> tuple[DriveSaid, ...]:

@@ -285,7 +285,8 @@ def _merged(findings: Sequence[Finding]) -> list[tuple[Finding, str]]:
                 column.extend(word)
         else:
             rows.append((each, words))
-    return [(first, " ".join(map(_joined, words))) for first, words in rows]
+    joined = (" ".join(w[0] if len(set(w)) == 1 else ", ".join(w) for w in words) for _, words in rows)
+    return [(first, text) for (first, _), text in zip(rows, joined, strict=True)]
 
 
 def _alike(row: tuple[Finding, list[list[str]]], finding: Finding, words: list[list[str]]) -> bool:
@@ -294,11 +295,6 @@ def _alike(row: tuple[Finding, list[list[str]]], finding: Finding, words: list[l
     same = (first.fault, first.tick, len(said)) == (finding.fault, finding.tick, len(words))
     pairs = zip(said, words, strict=False)
     return same and all(a[0] == b[0] or (NUMBER.match(a[0]) and NUMBER.match(b[0])) for a, b in pairs)
-
-
-def _joined(words: Sequence[str]) -> str:
-    """Return one word for all legs, or that of each."""
-    return words[0] if len(set(words)) == 1 else ", ".join(words)
 
 
 def _grouped(drives: Sequence[DriveSaid]) -> str:

@@ -49,18 +49,15 @@ class Gateway:
 
     def _forge(self, t_ns: int, frame: Frame, heard: list[Timed]) -> None:
         """Answer a SYNC, or the poll of a drive, before its controller sends another command."""
-        self._memory, messages = self._protocol.parse(self._memory, frame)
+        protocol, addressed = self._protocol, self._protocol.addressed
+        self._memory, messages = protocol.parse(self._memory, frame)
         for message in messages:
             if isinstance(message, Sync):
                 for _, fault in self._schedule.active(t_ns):
                     if isinstance(fault, FramesForgedCommand):
-                        frames = forged(self._protocol, fault.force_N, message.counter)
-                        self._add(t_ns, [each for each in frames if self._answers(each, frame)], heard)
-
-    def _answers(self, command: Frame, asking: Frame) -> bool:
-        """Tell whether a command is for a drive on the bus of a SYNC, or for the one that is polled."""
-        addressed = self._protocol.addressed
-        return not set(addressed(command)).isdisjoint(addressed(asking))
+                        asked = set(addressed(frame))  # all on the bus of a SYNC, or the one that is polled
+                        frames = forged(protocol, fault.force_N, message.counter)
+                        self._add(t_ns, [each for each in frames if asked & set(addressed(each))], heard)
 
     def _send(self, until_ns: int, heard: list[Timed]) -> None:
         """Let others send what they send by `until_ns`."""

@@ -21,16 +21,6 @@ def fmu_plant(settings: FmuPlant, folder: Path) -> Plant:
 
 def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
     """Return what to host; a relative path starts at `folder`, the configuration's."""
-    return FmuSpec(
-        path=folder / settings.path,
-        force=tuple(settings.force),
-        length=tuple(settings.length),
-        rate=tuple(settings.rate),
-        brake=tuple(settings.brake),
-        wrench=tuple(settings.wrench),
-        parameters=dict(settings.parameters),
-        step_s=settings.step_us / 1e6,
-        assume_unit=dict(settings.assume_unit),
-        allow_execution_tool=settings.allow_execution_tool,
-        memory_GB=settings.memory_GB,
-    )
+    given = settings.model_dump(exclude={"type", "path", "isolation", "step_us"})
+    legs = {key: tuple(given[key]) for key in ("force", "length", "rate", "brake", "wrench")}
+    return FmuSpec(**given | legs, path=folder / settings.path, step_s=settings.step_us / 1e6)

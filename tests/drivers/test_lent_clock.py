@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from drivers.can.localcan.layout import CLOCK_AT, OFFSET_AT, QUEUED, record_at
+from drivers.can.localcan.layout import CLOCK_AT, OFFSET_AT, QUEUED, SLOT_COUNT, record_at, slot_at
 from drivers.can.localcan.participant import Participant
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
@@ -51,7 +51,7 @@ def stand(bench: Bench) -> None:
 
 def queued_ns(stranger: Participant) -> int:
     """Send a frame; return when it is queued, by the time of its channel."""
-    number = stranger._wire.count(stranger.serial)
+    number = int(stranger._wire.words[slot_at(stranger.serial) + SLOT_COUNT])
     assert stranger.send(sent_array([Frame(1, b"")])) == 1
     return int(stranger._wire.words[record_at(stranger.serial, number) + QUEUED])
 

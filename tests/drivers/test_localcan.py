@@ -23,9 +23,10 @@ import pytest
 from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.collect import collect
-from drivers.can.localcan import participant
+from drivers.can.localcan import layout, participant
 from drivers.can.localcan.layout import OFFSET_AT, SLOT_DUE, SLOT_RUNG, slot_at
-from drivers.can.localcan.participant import OWN, Participant
+from drivers.can.localcan.log import OWN
+from drivers.can.localcan.participant import Participant
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
@@ -283,11 +284,15 @@ def test_killed_in_full_flight_leaves_the_bus_usable(join):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_sender_that_is_gone_between_writing_a_frame_and_naming_it_has_no_effect(join, number):
+def test_a_sender_that_is_gone_between_writing_a_frame_and_counting_it_has_no_effect(join, number):
     child = start(
         f"""
-from drivers.can.localcan import participant
-participant.log.append = lambda *given: os.kill(os.getpid(), {int(number)})
+from drivers.can.localcan import layout, log
+def half(words, *given):
+    record = layout.record_at(node.serial, 0)
+    words[record : record + layout.RECORD_WORDS] = [0, -1, 0, 1, 1000, node.serial, 0x21, *[0] * 8]
+    os.kill(os.getpid(), {int(number)})
+log.put = half
 sys.stdin.readline(); node.send([Frame(0x21, b"never")])
 """,
         stdin=subprocess.PIPE,
@@ -302,6 +307,44 @@ sys.stdin.readline(); node.send([Frame(0x21, b"never")])
         assert received.frame.data == k.to_bytes(1, "little")
     assert a.overflow == b.overflow == 0
     end(child)
+
+
+def start_by_hand(words, sender, number):
+    """Put a start into the log as one who is gone before it has written the frame's end."""
+    index = max(layout.FIRST, int(words[layout.HINT_AT]))
+    entry = (
+        index // layout.LOG << layout.LAP_SHIFT | sender.serial % layout.SLOTS << layout.NUMBER_BITS | number
+    )
+    words[layout.LOG_AT + index % layout.LOG] = entry
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_frame_ends_for_all_alike_although_who_started_it_is_gone_before_it_wrote_the_end(join, late):
+    a, b, c = join(CRAWL), join(CRAWL), join(CRAWL, own=True)
+    assert a.send(sent_array([Frame(0x20, bytes(8)), Frame(0x10, bytes(8))])) == 2
+    start_by_hand(b._wire.words, a, 0)
+    readers = [b, join(CRAWL), c] if late else [b, c]
+    heard = [[(r.t_ns, r.frame.id) for r in got(collect(each, soon(), {0x10}))] for each in readers]
+    assert heard[0] == heard[-1]
+    (first, _), (second, _) = heard[0]
+    assert [id_ for _, id_ in heard[0]] == [0x20, 0x10]
+    assert second - first == CLASSIC_8_BYTES * 500_000
+    assert heard[1][-1] == heard[0][-1]
+
+
+def test_a_frame_that_is_taken_back_as_it_starts_is_on_nobodys_wire(join, monkeypatch):
+    a, b, c = join(CRAWL), join(CRAWL), join(CRAWL)
+    for node in (a, b, c):  # so early that nobody else starts it
+        monkeypatch.setattr(node.clock, "now", lambda: 7)
+    assert a.send(sent_array([Frame(0x20, bytes(8)), Frame(0x21, bytes(8))])) == 2
+    assert a.flush_tx() == 2
+    start_by_hand(b._wire.words, a, 0)
+    assert b.send(sent_array([Frame(0x30, bytes(8))])) == 1
+    monkeypatch.undo()
+    heard = [[(r.t_ns, r.frame.id) for r in got(collect(each, soon(), {0x30}))] for each in (c, a)]
+    assert [id_ for _, id_ in heard[0]] == [0x30]
+    assert heard[0] == heard[1]
+    assert a.overflow == c.overflow == 0
 
 
 def test_who_joins_or_leaves_waits_for_a_stopped_one_for_a_bounded_time(join, runtime, monkeypatch):

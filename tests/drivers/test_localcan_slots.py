@@ -7,9 +7,8 @@ import shutil
 
 import pytest
 
-from drivers.can.localcan.doorbell import Doorbell
 from drivers.can.localcan.layout import SLOT_DUE, SLOT_PID, SLOT_RUNG, SLOT_SERIAL, SLOTS, slot_at
-from drivers.can.localcan.wire import Wire
+from drivers.can.localcan.wire import Doorbell, Wire
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
@@ -44,13 +43,14 @@ def test_a_wire_of_this_users_alone_is_the_bus_as_often_as_it_is_opened(tmp_path
         wire.close()
 
 
-def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead():
-    listener, caller = Doorbell("t"), Doorbell("t")
+def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead(runtime):
+    wire = Wire(runtime / "t.wire")
+    listener, caller = Doorbell(wire), Doorbell(wire)
     listener.bind(65)
     try:
         assert {caller.ring(65) for _ in range(3000)} == {True}
         with pytest.raises(BlockingIOError):  # there is no room for more
-            caller._socket.sendto(b"", f"{caller._prefix}65")
+            caller._socket.sendto(b"", f"{caller._prefix}.65")
         listener.silence()
         assert caller.ring(65)
         listener.close()
@@ -59,8 +59,8 @@ def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead():
         assert not caller.ring(65), "nor is its name there any more"
         assert not caller.ring(66), "nobody ever had that one"
     finally:
-        listener.close()
-        caller.close()
+        for each in (listener, caller, wire):
+            each.close()
 
 
 def test_where_the_runtime_folder_is_removed_nobody_on_the_bus_is_taken_for_dead(runtime, join):

@@ -6,44 +6,42 @@ import numpy as np
 import pytest
 
 from drivers.can.localcan import log
-from drivers.can.localcan.layout import FIRST, HINT_AT, LOG, LOG_AT, OUTBOX, QUEUE, SIZE, SLOTS, START, WORD
+from drivers.can.localcan.layout import (
+    FIRST,
+    HINT_AT,
+    LAP_SHIFT,
+    LOG,
+    LOG_AT,
+    NUMBER,
+    NUMBER_BITS,
+    OUTBOX,
+    SIZE,
+    SLOTS,
+    WORD,
+    record_at,
+)
 
-BEHIND = LOG - 100
-"""Entries of the log that were not read: more than are kept for a slow reader, which are all but 1024."""
-OLD = BEHIND - (LOG - 1024)
-"""Those that may be overwritten at any time: it is not looked what they were, each second one was a start."""
-OWN, OTHERS = 3, (5, 0, SLOTS - 1)
-"""Slots."""
+KEPT = LOG - 1024
+"""Entries that are kept for a slow reader."""
 
 
-def lost(entries: dict[int, tuple[int, int]], serial: int = OWN) -> int:
-    """Return what is lost of a log with some entries, place behind the first -> kind and slot."""
-    words = np.zeros(SIZE // WORD, np.int64)
-    for at, (kind, slot) in {0: (QUEUE, OTHERS[0]), **entries}.items():
-        lap = (FIRST + at) // LOG
-        words[LOG_AT + (FIRST + at) % LOG] = (lap << 8 | kind << 6 | slot) << 20 | 7
-    words[HINT_AT] = FIRST + BEHIND
-    state, waiting, flying = log.new_state(serial)
+@pytest.mark.parametrize("slot", [0, 5, SLOTS - 1])
+@pytest.mark.parametrize("behind", [1, OUTBOX, KEPT, KEPT + 1, LOG + 7, 3 * LOG])
+def test_each_start_is_read_or_lost_and_a_reader_goes_on_with_the_last_of_a_log_that_has_gone_round(
+    behind, slot
+):
+    words, state_and_queue = np.zeros(SIZE // WORD, np.int64), log.new_state(3)
+    for index in range(FIRST + max(0, behind - LOG), FIRST + behind):
+        number = index - FIRST
+        words[LOG_AT + index % LOG] = index // LOG << LAP_SHIFT | slot << NUMBER_BITS | number
+        record = record_at(slot, number)
+        # number, end, queued, priority, duration, sender
+        words[record + NUMBER : record + NUMBER + 6] = [number, 1 + number, 0, 1, 1, slot]
+    words[HINT_AT] = FIRST + behind
+    state, queue = state_and_queue
     state[log.CURSOR] = FIRST
-    ended = np.zeros((4, log.ENDS + 1), np.int64)
-    assert log.look(words, state, waiting, flying, ended, 0) == 0
-    assert state[log.CURSOR] == FIRST + BEHIND - OUTBOX
-    return int(state[log.LOST]) - OLD // 2
-
-
-def test_each_second_entry_that_is_too_old_to_be_looked_at_was_a_frame():
-    assert lost({}) == 0
-
-
-@pytest.mark.parametrize("slot", OTHERS)
-def test_a_frame_that_another_one_has_sent_meanwhile_is_lost(slot):
-    places = (OLD, OLD + 1, BEHIND // 2, BEHIND - OUTBOX - 1)
-    assert lost(dict.fromkeys(places, (START, slot))) == len(places)
-
-
-@pytest.mark.parametrize("serial", [OWN, OWN + SLOTS, OWN + 7 * SLOTS])
-def test_a_frame_of_its_own_is_not_lost_nor_one_that_was_queued_and_has_not_started(serial):
-    own = dict.fromkeys(range(OLD, OLD + 9), (START, OWN))
-    queued = dict.fromkeys(range(OLD + 9, OLD + 20), (QUEUE, OTHERS[0]))
-    assert lost(own | queued, serial) == 0
-    assert lost(own | queued | {OLD + 20: (START, OTHERS[0])}, serial) == 1
+    frames = np.zeros((LOG, log.FRAME_WORDS), np.int64)
+    taken = log.look(words, state, queue, 1 << 40, 0, frames)
+    assert taken == min(behind, OUTBOX)
+    assert frames[:taken, 0].tolist() == list(range(behind - taken + 1, behind + 1))
+    assert (state[log.CURSOR], state[log.LOST]) == (FIRST + behind, behind - taken)

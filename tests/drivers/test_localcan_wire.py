@@ -23,7 +23,7 @@ from tests.drivers.frames_heard import got
 
 @pytest.fixture
 def wire(tmp_path: Path) -> Iterator[Wire]:
-    made = Wire(tmp_path / "t.wire2")
+    made = Wire(tmp_path / "t.wire3")
     yield made
     made.close()
 
@@ -58,22 +58,16 @@ def test_a_newcomer_has_the_first_empty_slot_and_a_number_that_none_had_before(w
 def test_who_takes_a_slot_has_never_been_rung_and_holds_no_time(wire):
     at = layout.slot_at(wire.reserve())
     wire.words[at + layout.SLOT_RUNG] = wire.words[at + layout.SLOT_DUE] = 9
-    wire.counted(64, 5)
+    wire.words[at + layout.SLOT_COUNT] = wire.words[at + layout.SLOT_FIRST] = 5
     wire.register(64, 11)
-    assert wire.words[at : at + 5].tolist() == [64, 11, 0, 5, 0]
-
-
-def test_each_slot_counts_the_frames_of_its_own_outbox(wire):
-    for serial, frames in ((64, 3), (129, 1 << 40)):
-        wire.counted(serial, frames)
-    assert [wire.count(serial) for serial in (64, 129, 194)] == [3, 1 << 40, 0]
+    assert wire.words[at : at + 6].tolist() == [64, 11, 0, 5, 0, 5]
 
 
 def test_the_sixty_fifth_participant_finds_no_room(wire):
     for index in range(64):
         wire.words[layout.slot_at(index) + layout.SLOT_SERIAL] = 64 + index
     wire.words[layout.USED_AT] = 64
-    with pytest.raises(BusError, match=r"^localcan: t\.wire2 has 64 participants, no more fit; close one$"):
+    with pytest.raises(BusError, match=r"^localcan: t\.wire3 has 64 participants, no more fit; close one$"):
         wire.reserve()
     wire.words[layout.slot_at(63) + layout.SLOT_SERIAL] = 0
     assert wire.reserve() % 64 == 63
@@ -89,37 +83,24 @@ def test_a_new_bus_has_nobody_no_timing_and_no_log(wire):
 
 
 def test_what_is_no_wire_of_this_layout_is_begun_anew_and_a_wire_goes_on(tmp_path):
-    first = Wire(tmp_path / "t.wire2")
+    first = Wire(tmp_path / "t.wire3")
     first.fix(BitTiming(7, 9), fd=True)
     first.close()
-    second = Wire(tmp_path / "t.wire2")
+    second = Wire(tmp_path / "t.wire3")
     assert second.timing == BitTiming(7, 9)
     second.words[layout.MAGIC_AT] += 1
     second.close()
-    third = Wire(tmp_path / "t.wire2")
+    third = Wire(tmp_path / "t.wire3")
     assert third.timing is None
     third.close()
 
 
-def test_a_frame_is_written_at_its_number_in_its_senders_outbox_which_goes_round(wire):
-    wire.put(64, 3, 10, 11, 12, 64, 0x7FF, 6, 2, b"ab")
-    wire.put(64, 8192 + 4, 20, 21, 22, 64, 0x123, 0, 1, b"c")
-    for place, expected in (
-        (3, (3, -4, 10, 11, 12, 64, 0x7FF, 6, 2)),
-        (4, (8196, -8197, 20, 21, 22, 64, 0x123, 0, 1)),
-    ):
-        start = 8 * (layout.OUTBOX_AT + 15 * place)
-        assert layout.RECORD.unpack_from(wire.memory, start)[:9] == expected
-    assert layout.record_at(129, 5) == layout.OUTBOX_AT + 15 * (8192 + 5)
-    assert layout.outbox_at(64) == layout.outbox_at(640) == layout.OUTBOX_AT
-    assert (layout.slot_at(64), layout.slot_at(129)) == (64, 80)
-
-
 def test_header_slots_log_and_outboxes_lie_one_behind_the_other_in_a_file_of_their_size(wire):
     assert layout.SLOTS_AT + 64 * 16 <= layout.LOG_AT
-    assert layout.OUTBOX_AT == layout.LOG_AT + 65_536
-    assert (layout.RECORD.size, layout.RECORD_WORDS) == (120, 15)
-    assert wire.path.stat().st_size == 8 * layout.outbox_at(63) + 8 * 15 * 8192 == layout.SIZE
+    assert layout.OUTBOX_AT == layout.LOG_AT + 32_768
+    assert wire.path.stat().st_size == 8 * layout.record_at(63, 0) + 8 * 15 * 8192 == layout.SIZE
+    assert layout.record_at(129, 8192 + 5) == layout.OUTBOX_AT + 15 * (8192 + 5)
+    assert (layout.slot_at(64), layout.slot_at(129)) == (64, 80)
     assert isinstance(wire.memory, mmap.mmap)
 
 

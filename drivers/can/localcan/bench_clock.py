@@ -15,26 +15,13 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Ints
-from drivers.can.localcan.doorbell import Doorbell
-from drivers.can.localcan.layout import (
-    CLOCK_AT,
-    LATEST_AT,
-    OFFSET_AT,
-    SLOT,
-    SLOT_DUE,
-    SLOT_SERIAL,
-    SLOTS,
-    SLOTS_AT,
-    USED_AT,
-    WAKE_AT,
-    WORK_AT,
-)
+from drivers.can.localcan import layout as at
+from drivers.can.localcan.wire import Doorbell
 from drivers.clock import Clock
 from drivers.compiled.atomics import load, raise_to, replace, store
 from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, direct, foreign, helper
 
 _libc: Any = ctypes.CDLL(None)
-_GETTIME = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
 PLAIN, HELD, FOREIGN = range(3)
 """What stands at CLOCK_AT: time never stands still; it may; it did, until somebody sent who does not hold."""
 DISMISS_NS = 250_000_000
@@ -44,95 +31,98 @@ _ASK_NS = 2_000_000
 NAP_S = 2e-4
 """Between two looks while time stands still."""
 _NEVER = 1 << 62
-_AT, NOW, _BEHIND, _FREE, _OVERDUE, _CLOCK_ID, _SECONDS, _NANOSECONDS = range(8)
+_AT, NOW, _BEHIND, _FREE, _OVERDUE, _CLOCK_ID, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(10)
 """Of a clock's `state`: the word of its own due; bench time; by how much it stands back; CLOCK_MONOTONIC;
 slot of the participant with the earliest due, -1: none; CLOCK_MONOTONIC's number; where clock_gettime puts
-seconds and nanoseconds."""
+seconds and nanoseconds; its address, and that of the seconds."""
+
+_slot_at = helper(at.slot_at)
 
 
 @helper
 def _earliest(words: Ints) -> tuple[int, int]:
     """Return the earliest due and whose slot has it; -1 where nobody holds time."""
     cap, slot = _NEVER, -1
-    for each in range(load(words, USED_AT)):
-        at = SLOTS_AT + each * SLOT
-        due = load(words, at + SLOT_DUE)
-        if 0 < due < cap and load(words, at + SLOT_SERIAL) != 0:
+    for each in range(load(words, at.USED_AT)):
+        due = load(words, _slot_at(each) + at.SLOT_DUE)
+        if 0 < due < cap and load(words, _slot_at(each) + at.SLOT_SERIAL) != 0:
             cap, slot = due, each
     return cap, slot
 
 
 @helper
-def read_clock(words: Ints, state: Ints, gettime: int, at: int) -> None:
-    """Read bench time into `state`; gettime and at: the addresses of clock_gettime and of its result."""
+def read_clock(words: Ints, state: Ints) -> None:
+    """Read bench time into `state`."""
     while True:
         # who sets a later due has advanced the offset before: first the due, then the offset; and a due that
         # was brought forward counts if it was there when the clock was read
         cap, slot = _earliest(words)
-        offset = load(words, OFFSET_AT)
-        foreign(gettime, (state[_CLOCK_ID], at))
+        offset = load(words, at.OFFSET_AT)
+        foreign(state[_GETTIME], (state[_CLOCK_ID], state[_RESULT]))
         later_cap, later_slot = _earliest(words)
-        if load(words, OFFSET_AT) == offset:
+        if load(words, at.OFFSET_AT) == offset:
             break
     if later_cap < cap:
         cap, slot = later_cap, later_slot
-    held = load(words, CLOCK_AT) == HELD
+    held = load(words, at.CLOCK_AT) == HELD
     state[_FREE] = load(state, _SECONDS) * 1_000_000_000 + load(state, _NANOSECONDS)
     free = state[_FREE] - offset
     now = min(free, cap) if held else free
-    state[NOW] = max(now, raise_to(words, LATEST_AT, now))
+    state[NOW] = max(now, raise_to(words, at.LATEST_AT, now))
     state[_BEHIND] = max(0, free - state[NOW])
     state[_OVERDUE] = slot if held else -1
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
-def read(words: Ints, state: Ints, gettime: int, at: int) -> int:
+@helper
+def _go_on(words: Ints, state: Ints) -> None:
+    """Let time go on from where it stands."""
+    raise_to(words, at.OFFSET_AT, state[_FREE] - state[NOW])
+
+
+@direct(OUT_INTEGERS, OUT_INTEGERS)
+def read(words: Ints, state: Ints) -> int:
     """Read the clock into `state`; return bench time, ns."""
-    read_clock(words, state, gettime, at)
+    read_clock(words, state)
     return int(state[NOW])
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, INTEGER)
-def promise(words: Ints, state: Ints, gettime: int, at: int, due_ns: int) -> None:
+@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER)
+def promise(words: Ints, state: Ints, due_ns: int) -> None:
     """Set the own due; 0 or less: so long from now. Where time stood for this participant, it goes on."""
-    read_clock(words, state, gettime, at)
-    standing = load(words, state[_AT])
-    if 0 < standing <= state[NOW]:
-        raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
+    read_clock(words, state)
+    if 0 < load(words, state[_AT]) <= state[NOW]:
+        _go_on(words, state)
     if due_ns <= 0:
         due_ns = state[NOW] - due_ns
-    store(words, state[_AT], max(due_ns, state[NOW]) if load(words, CLOCK_AT) == HELD else 0)
+    store(words, state[_AT], max(due_ns, state[NOW]) if load(words, at.CLOCK_AT) == HELD else 0)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
-def dismiss(words: Ints, state: Ints, gettime: int, at: int) -> None:
+@direct(OUT_INTEGERS, OUT_INTEGERS)
+def dismiss(words: Ints, state: Ints) -> None:
     """Let time go on without the participant of the earliest due, if that is past."""
-    read_clock(words, state, gettime, at)
+    read_clock(words, state)
     if state[_OVERDUE] < 0:
         return
-    place = SLOTS_AT + state[_OVERDUE] * SLOT + SLOT_DUE
+    place = _slot_at(state[_OVERDUE]) + at.SLOT_DUE
     due = load(words, place)
     if 0 < due <= state[NOW]:
-        raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
+        _go_on(words, state)
         replace(words, place, due, 0)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
-def interrupt(words: Ints, state: Ints, gettime: int, at: int) -> None:
+@direct(OUT_INTEGERS, OUT_INTEGERS)
+def interrupt(words: Ints, state: Ints) -> None:
     """Let time stand still no more, and go on from where it is."""
-    read_clock(words, state, gettime, at)
-    raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
-    store(words, CLOCK_AT, FOREIGN)
+    read_clock(words, state)
+    _go_on(words, state)
+    store(words, at.CLOCK_AT, FOREIGN)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER)
-def share(other: Ints, words: Ints, state: Ints, gettime: int, at: int) -> None:
-    """Let the clock of another wire lag by as much; where a stranger has sent there, time stands no more."""
-    raise_to(other, OFFSET_AT, load(words, OFFSET_AT))
-    if load(other, CLOCK_AT) == FOREIGN and load(words, CLOCK_AT) == HELD:
-        read_clock(words, state, gettime, at)
-        raise_to(words, OFFSET_AT, state[_FREE] - state[NOW])
-        store(words, CLOCK_AT, FOREIGN)
+@direct(OUT_INTEGERS, OUT_INTEGERS)
+def share(other: Ints, words: Ints) -> bool:
+    """Let the clock of another wire lag by as much; tell whether time may stand still here alone."""
+    raise_to(other, at.OFFSET_AT, load(words, at.OFFSET_AT))
+    return bool(load(other, at.CLOCK_AT) == FOREIGN and load(words, at.CLOCK_AT) == HELD)
 
 
 class BenchClock(Clock):
@@ -146,10 +136,11 @@ class BenchClock(Clock):
         self._words = words
         self._serial = serial
         self._bell = bell
-        self._state = state = np.zeros(8, np.int64)
-        state[_AT] = SLOTS_AT + serial % SLOTS * SLOT + SLOT_DUE
-        state[_CLOCK_ID] = time.CLOCK_MONOTONIC
-        self.arguments = words, state, _GETTIME, state.ctypes.data + 8 * _SECONDS
+        self._state = state = np.zeros(10, np.int64)
+        state[_AT], state[_CLOCK_ID] = at.slot_at(serial) + at.SLOT_DUE, time.CLOCK_MONOTONIC
+        state[_GETTIME] = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
+        state[_RESULT] = state.ctypes.data + 8 * _SECONDS
+        self.arguments = words, state
         self._lent: list[Ints] = []
         self._waiting_for = (0, 0)
         self._waited_ns = self._asked_ns = self._looked_ns = 0
@@ -171,7 +162,8 @@ class BenchClock(Clock):
 
     def _share(self) -> None:
         for words in self._lent:
-            share(words, *self.arguments)
+            if share(words, self._words):
+                interrupt(*self.arguments)
 
     # holding time
     def begin(self, wake_ns: int, work_ns: int) -> None:
@@ -180,10 +172,10 @@ class BenchClock(Clock):
         Each has `wake_ns` to wake up after its time, and `work_ns` from then to its next wait.
         """
         words = self._words
-        words[WAKE_AT], words[WORK_AT] = max(1, wake_ns), max(1, work_ns)
+        words[at.WAKE_AT], words[at.WORK_AT] = max(1, wake_ns), max(1, work_ns)
         for each in (*self._lent, words):
-            each[OFFSET_AT] = words[OFFSET_AT]
-            each[CLOCK_AT] = HELD
+            each[at.OFFSET_AT] = words[at.OFFSET_AT]
+            each[at.CLOCK_AT] = HELD
 
     def hold(self) -> None:
         """Hold time as soon as it may stand still on this wire."""
@@ -192,20 +184,20 @@ class BenchClock(Clock):
     def working(self, allowed_ns: int = 0) -> None:
         """Say that this participant will wait again within so long, or 0: within what work may take."""
         if self.holds:
-            promise(*self.arguments, -(allowed_ns or int(self._words[WORK_AT])))
+            promise(*self.arguments, -(allowed_ns or int(self._words[at.WORK_AT])))
             self._share()
 
     def waiting(self, until_ns: int) -> None:
         """Say that this participant sleeps until then."""
         if self.holds:
-            promise(*self.arguments, until_ns + int(self._words[WAKE_AT]))
+            promise(*self.arguments, until_ns + int(self._words[at.WAKE_AT]))
             self._share()
 
     def sends(self) -> None:
         """Take note that this participant sends: time does not stand still for a stranger."""
         if self.holds:
             self.working()
-        elif self._words[CLOCK_AT] == HELD:
+        elif self._words[at.CLOCK_AT] == HELD:
             interrupt(*self.arguments)
 
     def leave(self) -> None:
@@ -219,11 +211,11 @@ class BenchClock(Clock):
     @property
     def interrupted(self) -> bool:
         """Whether a participant that does not hold time has sent, so that it cannot stand still any more."""
-        return bool(self._words[CLOCK_AT] == FOREIGN)
+        return bool(self._words[at.CLOCK_AT] == FOREIGN)
 
     def stretched(self) -> int:
         """Return by how many ns bench time has stood still in all."""
-        return int(self._words[OFFSET_AT])
+        return int(self._words[at.OFFSET_AT])
 
     # waiting
     def stands(self) -> bool:
@@ -243,7 +235,7 @@ class BenchClock(Clock):
             dismiss(*self.arguments)
         elif self._waited_ns - self._asked_ns > _ASK_NS:
             self._asked_ns = self._waited_ns
-            serial = int(self._words[SLOTS_AT + other * SLOT + SLOT_SERIAL])
+            serial = int(self._words[at.slot_at(other) + at.SLOT_SERIAL])
             if serial != self._serial and not self._bell.ring(serial):
                 dismiss(*self.arguments)
         return True
@@ -254,7 +246,7 @@ class BenchClock(Clock):
         while (now := self.now()) < t_ns:
             rest = t_ns - now - spin_ns
             if self.stands():
-                if self._state[_OVERDUE] == self._serial % SLOTS:  # a ring has brought the promise forward
+                if self._state[_OVERDUE] == self._serial % at.SLOTS:  # a ring has brought the promise forward
                     self.waiting(t_ns)
                 else:
                     time.sleep(NAP_S)

@@ -12,7 +12,8 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 from drivers.can.bus_time import BitTiming
 from drivers.can.collect import collect
 from drivers.can.localcan.layout import VERSION
-from drivers.can.localcan.participant import DEFAULT_TIMING, OWN, Participant
+from drivers.can.localcan.log import OWN
+from drivers.can.localcan.participant import DEFAULT_TIMING, Participant
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import HilError
 from drivers.frame_array import sent_array, unpack_frames

@@ -1,19 +1,17 @@
 """The shared memory of one localcan channel: where things are, in words of 8 bytes.
 
 Header, one slot a participant, the log, one outbox a participant. A word has one writer, or is changed by
-atomic operations alone; a frame is written into its sender's outbox before the log names it. So a process
+atomic operations alone; a frame is written into its sender's outbox before the slot counts it. So a process
 that is stopped or killed between any two instructions leaves nothing half done, and nobody waits for it.
 """
 
-import struct
-
-VERSION = 2
+VERSION = 3
 """Part of the file's name: programs with another layout meet on another wire."""
-MAGIC = int.from_bytes(b"hilwire2", "little")
+MAGIC = int.from_bytes(b"hilwire3", "little")
 SLOTS = 64
 """Participants at most."""
-LOG = 1 << 16
-"""Entries of the log: two a frame, so that 2 s at 14 000 frames/s are there for a slow reader."""
+LOG = 1 << 15
+"""Entries of the log, one a frame: 2 s at 14 000 frames/s are there for a slow reader."""
 OUTBOX = 1 << 13
 """Frames of one sender that a slow reader can lag behind: 1.2 s at 7000 frames/s."""
 WORD = 8
@@ -26,25 +24,22 @@ HINT_AT, OFFSET_AT, LATEST_AT = 16, 24, 32
 CLOCK_MONOTONIC by so many ns; the latest bench time that anybody has read, ns."""
 SLOTS_AT = 64
 SLOT = 16
-SLOT_SERIAL, SLOT_PID, SLOT_RUNG, SLOT_COUNT, SLOT_DUE = range(5)
+SLOT_SERIAL, SLOT_PID, SLOT_RUNG, SLOT_COUNT, SLOT_DUE, SLOT_FIRST = range(6)
 """Of a slot: serial number of who has it, unique on this wire, serial % SLOTS is the slot, 0 where it is
 empty; its process; when its doorbell was rung, 0 while it waits for a ring; frames ever put into its outbox;
-when it will have looked again, beyond which bench time does not go, 0 if it does not hold time."""
+when it will have looked again, beyond which bench time does not go, 0 if it does not hold time; number of
+the first frame in its outbox that may still wait."""
 LOG_AT = 2048
 OUTBOX_AT = LOG_AT + LOG
-RECORD = struct.Struct("<qqqqqIIHH4x64s")
-"""A frame in an outbox: number, end ns (less than 0 until it is known), queued at ns, priority,
-duration ns, sender, id, flags, length, data."""
-RECORD_WORDS = RECORD.size // WORD
-NUMBER, END, QUEUED, PRIORITY, DURATION, WHO = range(6)
-"""Words of a record; WHO has sender and id."""
+NUMBER, END, QUEUED, PRIORITY, DURATION, SENDER, DETAIL = range(7)
+"""A frame in an outbox: number, end ns (less than 0 until it starts, 0 if it was taken back), queued at ns,
+priority, duration ns, sender's serial number; from DETAIL on as in FRAME identifier to bus, and data."""
+RECORD_WORDS = DETAIL + 9
 SIZE = WORD * (OUTBOX_AT + SLOTS * OUTBOX * RECORD_WORDS)
 """Bytes; what nobody has used takes no memory."""
 
-NUMBER_BITS, SLOT_BITS, KIND_BITS = 20, 6, 2
-LAP_SHIFT = NUMBER_BITS + SLOT_BITS + KIND_BITS
-QUEUE, START, WITHDRAW = range(3)
-"""Kinds of entries: a frame is queued; it starts; a sender takes back its frames that have not started."""
+NUMBER_BITS, LAP_SHIFT = 20, 26
+"""Of an entry of the log, which is a frame that starts: number, slot and, from LAP_SHIFT on, lap."""
 FIRST = LOG
 """Index of the first entry ever: the words of an empty log are entries of the lap before."""
 
@@ -54,11 +49,6 @@ def slot_at(serial: int) -> int:
     return SLOTS_AT + serial % SLOTS * SLOT
 
 
-def outbox_at(serial: int) -> int:
-    """Return where the outbox of a participant begins."""
-    return OUTBOX_AT + serial % SLOTS * OUTBOX * RECORD_WORDS
-
-
 def record_at(serial: int, number: int) -> int:
     """Return where a participant's frame of this number is."""
-    return outbox_at(serial) + number % OUTBOX * RECORD_WORDS
+    return OUTBOX_AT + (serial % SLOTS * OUTBOX + number % OUTBOX) * RECORD_WORDS

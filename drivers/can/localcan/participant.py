@@ -3,53 +3,54 @@
 import os
 import threading
 from collections.abc import Set as AbstractSet
+from functools import lru_cache
 
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.can.arbitration import arbitrate, priority
+from drivers.can.arbitration import priority
 from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_time_ns
+from drivers.can.localcan import layout as at
 from drivers.can.localcan import log
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.can.localcan.doorbell import Doorbell
-from drivers.can.localcan.layout import (
-    END,
-    NUMBER,
-    OUTBOX,
-    QUEUE,
-    RECORD,
-    SLOT_RUNG,
-    SLOTS,
-    VERSION,
-    WITHDRAW,
-    WORD,
-    record_at,
-    slot_at,
-)
-from drivers.can.localcan.wire import Slot, Wire
+from drivers.can.localcan.wire import LEAVE_S, Doorbell, Slot, Wire
 from drivers.can.no_controller import NoController
 from drivers.can.runtime_folder import forget_in_child, runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, unpack_frames
-from drivers.protocol import ERROR, EXTENDED, FD
+from drivers.protocol import EXTENDED, FD
 
-OWN = 1 << 6
-"""Flag of a received frame that this participant has sent itself (only with `own`)."""
 DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
 TX_LIMIT = 64
 """Frames that one participant can have waiting for the bus."""
 QUEUE_LIMIT = 4096
 """Frames waiting for the bus at most, all participants together."""
-KNOWN = 1024
-"""Kinds of frames (identifier, flags, length) whose check is remembered: cyclic ones come each tick."""
 BATCH = 512
 """Frames taken from the wire at once."""
-_LENGTHS = frozenset(FD_LENGTHS)
 _AGAIN_NS = 20_000_000
 _SLICE_S = 0.1
 _LOOK_S = 1e-3
 """Between two looks while time stands still."""
-_FOREVER = 1 << 62
+
+
+@lru_cache(1024)
+def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: str) -> tuple[int, int, int]:
+    """Return priority, duration ns and length of a frame.
+
+    classic: the channel where it is a classic CAN bus, else empty. Raises BusError for a frame that this bus
+    cannot carry.
+    """
+    if not 0 <= identifier <= (0x1FFFFFFF if flags & EXTENDED else 0x7FF):
+        raise BusError(
+            f"localcan: identifier 0x{identifier:X} does not fit a CAN frame; extended ones need the flag"
+        )
+    if flags & FD and classic:
+        raise BusError(
+            f"localcan {classic} is a classic CAN bus: frame 0x{identifier:X} needs CAN FD "
+            "(open the channel with fd=True first)"
+        )
+    length = next((n for n in FD_LENGTHS if n >= size), size) if flags & FD else size
+    return priority(identifier, flags), frame_time_ns(length, flags, timing), length
 
 
 class Participant(NoController):
@@ -83,22 +84,19 @@ class Participant(NoController):
     ) -> None:
         self._own = own
         self._spin_ns = int(spin_us * 1000)
-        self._tx_limit = min(tx_limit, OUTBOX // 2)
+        self._tx_limit = min(tx_limit, at.OUTBOX // 2)
         self._fixed: BitTiming | None = None
-        self._known: dict[tuple[int, int, int], tuple[int, int]] = {}
         self._inbox = bytearray()
-        self._first_number = -1
-        """Of the first frame of the last `send`; -1: none was taken."""
-        self._taken = 0
-        """How many it took."""
+        self._sent = range(0)
+        """Numbers of the frames that the last `send` took."""
         self._taken_ns = 0
         self._thread = threading.RLock()
         """Users of python-can send and receive in several threads."""
         self.channel = channel
         self._closed = True
         self._lent_clock = clock
-        self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{VERSION}")
-        self._bell = Doorbell(channel)
+        self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{at.VERSION}")
+        self._bell = Doorbell(self._wire)
         self.fileno = self._bell.fileno
         try:
             self._join(timing, fd)
@@ -107,33 +105,29 @@ class Participant(NoController):
             self._wire.close()
             raise
         self._wire.unlock()
-        log.join(self._wire.words, self._state, self._waiting)
+        log.join(self._wire.words, self._state)
         self._closed = False
         forget_in_child(self)
 
     # joining and leaving
     def _remove(self, serial: int) -> None:
-        if log.vacate(self._wire.words, serial):
+        if log.change(self._wire.words, at.slot_at(serial) + at.SLOT_SERIAL, serial, 0):
             self._bell.remove(serial)
 
     def _join(self, timing: BitTiming | None, fd: bool | None) -> None:
         wire = self._wire
-        others: list[Slot] = []
-        for slot in wire.slots():
-            if not slot.serial:
-                continue
-            if self._bell.ring(slot.serial):
-                others.append(slot)
-            else:
+        there = [slot for slot in wire.slots() if slot.serial]
+        others = [slot for slot in there if self._bell.ring(slot.serial)]
+        for slot in there:
+            if slot not in others:
                 self._remove(slot.serial)
         if not others:
             wire.clear()
         self._agree(timing, fd, others)
         self.serial = wire.reserve()
-        self._state, self._waiting, self._flying = log.new_state(self.serial)
-        self._ended = np.zeros((BATCH, log.ENDS + 1), np.int64)
+        self._state, self._queue = log.new_state(self.serial)
         self._frames = np.zeros((BATCH, log.FRAME_WORDS), np.int64)
-        self._serials = np.zeros(SLOTS, np.int64)
+        self._serials = np.zeros(at.SLOTS, np.int64)
         self._bell.bind(self.serial)
         wire.register(self.serial, os.getpid())
         self.clock = self._lent_clock or BenchClock(wire.words, self.serial, self._bell)
@@ -162,7 +156,7 @@ class Participant(NoController):
         if not self._closed:
             self._closed = True
             self._bell.close()
-            self._wire.forget()
+            self._wire.close(forked=True)
 
     def close(self) -> None:
         """Leave the bus; frames still queued are sent. The last one takes the wire with it."""
@@ -173,7 +167,7 @@ class Participant(NoController):
             self.clock.leave()
         else:
             self._lent_clock.take_back(self._wire.words)
-        alone = self._wire.lock() and not self._bell.astray
+        alone = self._wire.lock(LEAVE_S) and not self._wire.astray
         try:
             self._remove(self.serial)
             if alone and not any(s.serial and self._bell.ring(s.serial) for s in self._wire.slots()):
@@ -198,27 +192,31 @@ class Participant(NoController):
 
         Returns at once. Raises BusError for a frame that this bus cannot carry.
         """
-        timing = self.timing
-        packed = [
-            self._check(identifier, data, size, flags, timing)
-            for _, identifier, _, size, flags, data in unpack_frames(frames.tobytes())
+        timing, content = self.timing, frames.tobytes()
+        classic = "" if self.fd else self.channel
+        costs = [
+            _cost(identifier, flags, size, timing, classic)
+            for _, identifier, _, size, flags, _ in unpack_frames(content)
         ]
-        wire, state, serial = self._wire, self._state, self.serial
+        wire, state = self._wire, self._state
         if self._fixed is None:
             if wire.timing is None:
                 wire.fix(timing, fd=True)
             self._fixed = wire.timing
         with self._thread:
             self._look()
-            room = min(self._tx_limit - int(state[log.OWN_WAITING]), QUEUE_LIMIT - int(state[log.WAITING]))
-            taken = max(0, min(len(packed), room))
-            number = wire.count(serial)
-            self._first_number, self._taken = number if taken else -1, taken
-            for key, duration, id_, flags, size, data in packed[:taken]:
-                wire.put(serial, number, 0, key, duration, serial, id_, flags, size, data[:size])
-                wire.counted(serial, number + 1)
-                self._append(QUEUE, number)
-                number += 1
+            number = int(wire.words[at.slot_at(self.serial) + at.SLOT_COUNT])
+            taken = log.put(
+                wire.words,
+                state,
+                *self.clock.arguments,
+                self._queue,
+                np.frombuffer(content, np.int64).reshape(-1, log.FRAME_WORDS),
+                np.array(costs, np.int64).reshape(-1, 3),
+                self._tx_limit,
+                QUEUE_LIMIT,
+            )
+            self._sent = range(number, number + taken)
         self._taken_ns = self.clock.now()
         if taken:
             self.clock.sends()
@@ -229,61 +227,28 @@ class Participant(NoController):
                     self._remove(other)
         return taken
 
-    def _check(
-        self, id_: int, data: bytes, size: int, flags: int, timing: BitTiming
-    ) -> tuple[int, int, int, int, int, bytes]:
-        known = self._known.get((id_, flags, size))
-        if known is not None:
-            return *known, id_, flags & ~OWN, size, data
-        if not 0 <= id_ <= (0x1FFFFFFF if flags & EXTENDED else 0x7FF):
-            raise BusError(
-                f"localcan: identifier 0x{id_:X} does not fit a CAN frame; extended ones need the flag"
-            )
-        if flags & FD:
-            if not self.fd:
-                raise BusError(
-                    f"localcan {self.channel} is a classic CAN bus: frame 0x{id_:X} needs CAN FD "
-                    "(open the channel with fd=True first)"
-                )
-            if size not in _LENGTHS:
-                size = next((n for n in FD_LENGTHS if n >= size), size)
-        cost = priority(id_, flags), frame_time_ns(size, flags, timing)
-        if self._fixed is not None and len(self._known) < KNOWN:
-            self._known[id_, flags, size] = cost
-        return *cost, id_, flags & ~OWN, size, data
-
     def flush_tx(self) -> int:
         """Drop this node's frames that have not started; return how many."""
         with self._thread:
             self._look()
-            before = int(self._state[log.WITHDRAWN])
-            self._append(WITHDRAW, self.serial // SLOTS)
-            self._look()
-            return int(self._state[log.WITHDRAWN]) - before
-
-    def _append(self, kind: int, number: int) -> None:
-        clock_words, clock, gettime, at = self.clock.arguments
-        log.append(self._wire.words, clock_words, clock, self._state, gettime, at, kind, number)
+            return int(log.withdraw(self._wire.words, self._state, self._queue))
 
     def first_sent_ns(self) -> int | None:
         """Return when the first frame of the last `send` ended, as far as this node has looked; else None."""
-        return self._ended_ns(self._first_number) if self._first_number >= 0 else None
+        return self._ended_ns(self._sent[0]) if self._sent else None
 
     def _ended_ns(self, number: int) -> int | None:
         """Return when a frame of this node ended; None where that is not known."""
-        at = record_at(self.serial, number)
-        end = int(self._wire.words[at + END])
-        same = int(self._wire.words[at + NUMBER]) == number
-        return end if same and end >= 0 else None
+        record = at.record_at(self.serial, number)
+        end = int(self._wire.words[record + at.END])
+        return end if end > 0 and int(self._wire.words[record + at.NUMBER]) == number else None
 
     def sent_ns(self) -> list[int]:
         """Return when each frame that the last `send` took ended, as far as this node has looked.
 
         Else when it was taken.
         """
-        first = self._first_number
-        ends = [self._ended_ns(first + k) for k in range(self._taken)]
-        return [self._taken_ns if end is None else end for end in ends]
+        return [self._ended_ns(number) or self._taken_ns for number in self._sent]
 
     # receiving
     @property
@@ -300,14 +265,10 @@ class Participant(NoController):
 
     def _look(self) -> None:
         """Take what has ended into the inbox."""
-        words, state, now = self._wire.words, self._state, self.clock.now()
-        own = OWN if self._own else 0
-        ended = BATCH
-        while ended == BATCH:
-            ended = log.look(words, state, self._waiting, self._flying, self._ended, now)
-            if ended:
-                taken = log.take(words, state, self._ended, ended, own, self._frames)
-                self._inbox += self._frames[:taken].tobytes()
+        words, now, taken = self._wire.words, self.clock.now(), BATCH
+        while taken == BATCH:
+            taken = log.look(words, self._state, self._queue, now, self._own, self._frames)
+            self._inbox += self._frames[:taken].tobytes()
 
     # waiting
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
@@ -315,64 +276,49 @@ class Participant(NoController):
 
         Sleeps until somebody sends where that cannot be foreseen, and at most until the deadline.
         """
-        clock, end = self.clock, self._foresee(missing)
+        clock, end = self.clock, self.foresee(missing)
+        if end is None:
+            # first promised, then asked for a ring: who rings may bring the promise forward
+            clock.waiting(deadline_ns)
+            self._ask_for_ring()
+            end = self.foresee(missing)
         if end is not None:
             clock.sleep_until(min(end, deadline_ns), self._spin_ns)
             return
-        # first promised, then asked for a ring: who rings may bring the promise forward
-        clock.waiting(deadline_ns)
-        if self.arm(idle=False):
-            left_ns = deadline_ns - clock.now()
-            if left_ns > 0:
-                # in slices: a ring can be lost when the one who rings is killed
-                self._bell.wait(_LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
+        left_ns = deadline_ns - clock.now()
+        if left_ns > 0 and not self._inbox:
+            # in slices: a ring can be lost when the one who rings is killed
+            self._bell.wait(_LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
         # awake: a ring would change nothing but bring the promise forward
-        self._wire.words[slot_at(self.serial) + SLOT_RUNG] = clock.now()
+        self._wire.words[at.slot_at(self.serial) + at.SLOT_RUNG] = clock.now()
         clock.working()
 
-    def foresee(self) -> int | None:
-        """Return when the next foreign frame that is under way will have ended; None where there is none."""
-        return self._foresee(frozenset())
+    def foresee(self, missing: AbstractSet[int] = frozenset()) -> int | None:
+        """Return when all missing identifiers will have ended, as far as can be told now; else None.
 
-    def _foresee(self, missing: AbstractSet[int]) -> int | None:
-        """Return when all missing identifiers will have ended, as far as the last look can tell.
-
-        A frame queued later can only push this instant back, unless it is itself awaited.
+        None missing: when the next foreign frame will have.
         """
-        state, memory = self._state, self._wire.memory
+        awaited = np.fromiter(missing, np.int64, len(missing))
         with self._thread:
-            flight = self._flying[: state[log.FLYING]].tolist()
-            rows = self._waiting[: state[log.WAITING]].tolist()
-        if rows:
-            order = [(row[log.SINCE], row[log.KEY], i, row[log.TAKES]) for i, row in enumerate(rows)]
-            sent, _ = arbitrate(order, int(state[log.FREE]), _FOREVER)
-            flight += [(rows[i][log.PLACE], 0, end) for i, end in sent]
-        left = set(missing)
-        for place, _, end in flight:
-            _, _, _, _, _, sender, id_, flags, _, _ = RECORD.unpack_from(memory, WORD * place)
-            if sender == self.serial and not self._own:
-                continue
-            if not flags & ERROR:
-                left.discard(id_)
-            if not left:
-                return int(end)
-        return None
+            end = log.foresee(self._wire.words, self._state, self._queue, self._own, awaited)
+        return None if end < 0 else end
+
+    def _ask_for_ring(self) -> None:
+        """Empty the doorbell and let the next sender ring. Look after it, not before."""
+        self._bell.silence()
+        place = at.slot_at(self.serial) + at.SLOT_RUNG
+        log.change(self._wire.words, place, int(self._wire.words[place]), 0)
 
     def arm(self, *, idle: bool = True) -> bool:
-        """Empty the doorbell and ask for the next ring, unless something has come since the last look.
+        """Ask for the next ring, unless something has come or is under way; return whether nothing is.
 
-        idle: and unless any frame is under way. Then the doorbell is left ringing, so that select() on
-        `fileno` returns at once. Returns whether the doorbell waits for the next ring.
+        idle: where something is, the doorbell is left ringing, so that select() on `fileno` returns at once.
         """
-        words, state = self._wire.words, self._state
-        self._bell.silence()
-        # first asked for, then looked: what is sent in between rings
-        log.ask_for_ring(words, state)
-        if not self._inbox and not log.news(words, state, idle):
-            return True
-        if idle:
+        self._ask_for_ring()
+        quiet = not self._inbox and self.foresee() is None
+        if idle and not quiet:
             self._bell.ring(self.serial)
-        return False
+        return quiet
 
     def ring(self) -> None:
         """Make `fileno` readable: frames were received that the reader has not taken yet."""

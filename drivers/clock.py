@@ -21,6 +21,13 @@ class Clock:
     def working(self, allowed_ns: int = 0) -> None:
         """Say that whoever has this clock waits again within so long; it matters to a bench's alone."""
 
+    def waiting(self, until_ns: int) -> None:
+        """Say that whoever has this clock sleeps until then; it matters to a bench's alone."""
+
+    def stands(self) -> bool:
+        """Tell whether time stands still."""
+        return False
+
     def leave(self) -> None:
         """Say that whoever has this clock looks no more."""
 

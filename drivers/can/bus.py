@@ -5,26 +5,36 @@ Frames go out and come in as they are, elements of FRAME; what they mean is the 
 
 from __future__ import annotations
 
+import select
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from typing import NamedTuple, Self
 
+import numpy as np
+
 from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import RESTART_MS
-from drivers.can.collect import collect
-from drivers.can.link_group import DEAD_AFTER_NS, Link, LinkGroup
+from drivers.can.link import Link, collect
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.participant import Participant
 from drivers.can.python_can import open_python_can
 from drivers.can.runtime_folder import RoleLock
 from drivers.can.socketcan import SocketCan
+from drivers.clock import MONOTONIC, Clock
 from drivers.config import BusSettings
 from drivers.errors import BusError
+from drivers.frame_array import joined
 from drivers.protocol import ERROR
 from drivers.signals import BusState
 
+DEAD_AFTER_NS = 50_000_000
+"""A bus that takes no frame at all for this long is dead; for less, it is busy."""
+_FIRST_LOOK_NS = 200_000
+"""Between two looks at a link that cannot be waited for together with others."""
+_LOOK_S = 1e-3
+"""Between two looks while time stands still, or a bus is off."""
 EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
 """At most one of each on a channel of this machine; on one of localcan, in its runtime folder."""
 
@@ -48,26 +58,31 @@ class BusEvents(NamedTuple):
 class Bus:
     """An open bus, or several as one: then each frame says by its flags on which it is.
 
-    `clock` is that of its frames' times and of all deadlines.
+    `clock` is that of its frames' times and of all deadlines: of the links, where all have the same.
 
-    Mutable state: the link, the error count since the last `events`, which buses were off then, and since
-    when it refuses frames.
+    Mutable state: the links, in the order of their buses; the error count since the last `events`, which
+    buses were off then, and the worst state of each; since when all refuse frames, and each; on which each
+    identifier was last received, and each frame of the last `send` went; when each had taken what was its.
     """
 
-    def __init__(self, link: Link | LinkGroup, role: RoleLock | ExitStack | None = None) -> None:
-        self._link = link
-        self.clock = link.clock
+    def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
+        self._links = tuple(links)
+        clocks = {id(link.clock) for link in self._links}
+        self.clock: Clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
+        self._single = self._links[0] if len(self._links) == 1 else None
         self._role = role
-        self._errors = 0
-        self._overflow_seen = 0
-        self._refused_since = 0
+        self._errors = self._overflow_seen = self._all_refuse_since = self._was_off = 0
         self._dead = False
-        self._was_off = 0
+        self._home: dict[int, int] = {}
+        self._order: list[int] = []
+        self._taken_ns = [0] * len(self._links)
+        self._refused_since = [0] * len(self._links)
+        self._states = [BusState.UNKNOWN] * len(self._links)
 
     @property
     def facts(self) -> str:
-        """What was read of the interface, in one line; empty where there is nothing to read."""
-        return self._link.facts
+        """What was read of the interfaces, in one line; empty where there is nothing to read."""
+        return "; ".join(link.facts for link in self._links if link.facts)
 
     @classmethod
     def open(cls, settings: BusSettings, role: str) -> Bus:
@@ -93,7 +108,7 @@ class Bus:
                     links.append(_LINKS.get(each.interface, open_python_can)(each))
                 opened.callback(links[-1].close)
             opened.pop_all()
-            return cls(links[0] if len(links) == 1 else LinkGroup(links), roles.pop_all())
+            return cls(links, roles.pop_all())
 
     def send(self, frames: Rows) -> int:
         """Send frames and return the number of those that the bus did not take.
@@ -103,15 +118,73 @@ class Bus:
         """
         if not len(frames):
             return 0
-        taken = self._link.send(frames)
+        taken = self._spread(frames) if self._single is None else self._single.send(frames)
         if taken:
-            self._refused_since = 0
+            self._all_refuse_since = 0
             self._dead = False
         else:
             now = self.clock.now()
-            self._refused_since = self._refused_since or now
-            self._dead = now - self._refused_since >= DEAD_AFTER_NS
+            self._all_refuse_since = self._all_refuse_since or now
+            self._dead = now - self._all_refuse_since >= DEAD_AFTER_NS
         return len(frames) - taken
+
+    def _spread(self, frames: Rows) -> int:
+        """Send frames, each on its bus; return how many the buses took, each from its first on."""
+        self._order = frames["bus"].tolist()
+        taken = 0
+        for bus, link in enumerate(self._links):
+            if bus in self._order:
+                own = frames[frames["bus"] == bus]
+                own["bus"] = 0
+                took = link.send(own)
+                taken += took
+                self._taken_ns[bus] = now = self.clock.now()
+                self._refused_since[bus] = 0 if took else self._refused_since[bus] or now
+        return taken
+
+    def receive(self) -> Rows:
+        """Return what is there on all buses, error frames included, in the order of time."""
+        if self._single is not None:
+            return self._single.receive()
+        parts = [link.receive() for link in self._links]
+        received = joined(parts)
+        buses = [bus for bus, part in enumerate(parts) for _ in range(len(part))]
+        if not buses:
+            return received
+        received["bus"] = buses
+        self._home.update(zip(received["id"].tolist(), buses, strict=True))
+        return received[np.argsort(received["t_ns"], kind="stable")]
+
+    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
+        """Sleep until there may be more, at most until the deadline.
+
+        What is missing is awaited bus by bus, each identifier on the bus where it was last heard; where
+        that is not known, or anything is awaited, on all buses together.
+        """
+        if self._single is not None:
+            self._single.block(deadline_ns, missing)
+            return
+        if missing and missing <= self._home.keys():
+            bus = min(self._home[identifier] for identifier in missing)
+            there = {identifier for identifier in missing if self._home[identifier] == bus}
+            self._links[bus].block(deadline_ns, there)
+            return
+        clock = self.clock
+        ends = [end for link in self._links if (end := link.foresee()) is not None]
+        if ends:
+            clock.sleep_until(min(*ends, deadline_ns))
+            return
+        files = [link.fileno() for link in self._links]
+        if min(files) < 0:
+            clock.sleep_until(min(deadline_ns, clock.now() + _FIRST_LOOK_NS))
+            return
+        clock.waiting(deadline_ns)
+        quiet = [link.arm(idle=False) for link in self._links]
+        left_s = (deadline_ns - clock.now()) * 1e-9
+        if all(quiet) and left_s > 0:
+            stands = self._off_bits() != 0 or clock.stands()
+            select.select(files, [], [], min(left_s, _LOOK_S) if stands else left_s)
+        clock.working()
 
     def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> Rows:
         """Return all frames in the order received, as soon as one of every wanted identifier has come.
@@ -119,16 +192,16 @@ class Bus:
         Returns at the deadline with what is there. What came before the call counts: to wait for answers,
         `drain_now` before asking. An empty `wanted` is fulfilled at once.
         """
-        return self._sift(collect(self._link, deadline_ns, wanted))
+        return self._sift(collect(self._single or self, deadline_ns, wanted))
 
     def drain_now(self) -> Rows:
         """Return what has been received. Does not block."""
-        return self._sift(self._link.receive())
+        return self._sift(self.receive())
 
     def wait(self, deadline_ns: int) -> Rows:
         """Return as soon as anything has come, or at the deadline with nothing."""
         while True:
-            raw = collect(self._link, deadline_ns)
+            raw = collect(self._single or self, deadline_ns)
             received = self._sift(raw)
             if len(received) or not len(raw) or self.clock.now() >= deadline_ns:
                 return received
@@ -146,57 +219,79 @@ class Bus:
 
         Where one has just gone off, what waits to be sent is dropped as far as the interface lets it.
         """
-        overflow, state = self._link.overflow, self._link.worst_state()
-        group = self._link if isinstance(self._link, LinkGroup) else None
-        off = int(self._link.off or state is BusState.OFF) if group is None else group.off_bits
-        if self._dead:
-            off = 1 if group is None else group.every_bit
+        overflow = sum(link.overflow for link in self._links)
+        self._states = [link.worst_state() for link in self._links]
+        off = (1 << len(self._links)) - 1 if self._dead else self._off_bits()
         gone = off & ~self._was_off
-        if isinstance(self._link, LinkGroup):
-            self._link.died(gone)
-        elif gone:
-            self._link.died()
+        for bus, link in enumerate(self._links):
+            if gone >> bus & 1:
+                link.died()
         self._was_off = off
-        events = BusEvents(self._errors, off, overflow - self._overflow_seen, state)
+        events = BusEvents(self._errors, off, overflow - self._overflow_seen, max(self._states))
         self._errors = 0
         self._overflow_seen = overflow
         return events
 
+    def _off_bits(self) -> int:
+        """Bit i is set while bus i is off or down, or was bus-off before the last `events`."""
+        bits = 0
+        for bus, link in enumerate(self._links):
+            since = self._refused_since[bus]
+            dead = since != 0 and self.clock.now() - since >= DEAD_AFTER_NS
+            bits |= (dead or link.off or self._states[bus] is BusState.OFF) << bus
+        return bits
+
     @property
     def knows_ends(self) -> bool:
-        """Whether `sent_ns` says when frames ended on the wire."""
-        return self._link.knows_ends
+        """Whether `sent_ns` says when frames ended on each wire."""
+        return all(link.knows_ends for link in self._links)
 
     @property
     def virtual(self) -> bool:
-        """Whether frames are there as soon as they are sent: no wire takes its time."""
-        return self._link.virtual
+        """Whether frames of a bus are there as soon as they are sent: no wire takes its time."""
+        return any(link.virtual for link in self._links)
 
     def skew_ns(self) -> int:
-        """Return the time between the first frames of the last `send` on the buses; 0 of a single bus."""
-        return self._link.skew_ns() if isinstance(self._link, LinkGroup) else 0
+        """Return the time between the first frames of the last `send` on the buses; 0 of a single bus.
+
+        Their ends on the wire where every link knows them, else the instants at which the interfaces had
+        taken what was for them.
+        """
+        ends = [end for link in self._links if (end := link.first_sent_ns()) is not None]
+        times = ends if len(ends) == len(self._links) else self._taken_ns
+        return max(times) - min(times)
 
     def sent_ns(self) -> Sequence[int | None]:
-        """Return when each frame of the last `send` ended on the wire, where the interface knows it.
+        """Return when each frame of the last `send` ended on its wire, where the interface knows it.
 
         Else when the interface had taken it; None, or no more entries, for what was not taken.
         """
-        return self._link.sent_ns()
+        if self._single is not None:
+            return self._single.sent_ns()
+        own = {bus: iter(self._links[bus].sent_ns()) for bus in set(self._order)}
+        return [next(own[bus], None) for bus in self._order]
 
     def flush_tx(self) -> None:
         """Drop frames that still wait to be sent, and have a dead bus another try.
 
-        Raises BusError when the interface cannot, or is not the configured one any more.
+        Raises BusError when an interface cannot, or is not the configured one any more; all are tried.
         """
-        self._link.flush_tx()
+        failed: BusError | None = None
+        for link in self._links:
+            try:
+                link.flush_tx()
+            except BusError as error:
+                failed = failed or error
+        if failed is not None:
+            raise failed
 
     def close(self) -> None:
         """Leave the bus and give the role back."""
-        try:
-            self._link.close()
-        finally:
+        with ExitStack() as opened:
             if self._role is not None:
-                self._role.close()
+                opened.callback(self._role.close)
+            for link in self._links[::-1]:
+                opened.callback(link.close)
 
     def __enter__(self) -> Self:
         return self

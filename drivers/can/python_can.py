@@ -14,8 +14,8 @@ import can
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.can.localcan.interface import from_message, to_message
-from drivers.can.no_controller import NoController
+from drivers.can.link import Link
+from drivers.can.messages import from_message, to_message
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
@@ -37,7 +37,7 @@ _UNREADABLE = (can.CanError, OSError, ValueError, IndexError, KeyError, TypeErro
 """What `recv` raises where the interface is gone, has lost frames, or has read what is no frame."""
 
 
-class PythonCan(NoController):
+class PythonCan(Link):
     """One bus of python-can. interface: its name there.
 
     Mutable state: the bus, whether it has failed, how many looks in a row have, what came, how many frames
@@ -45,10 +45,10 @@ class PythonCan(NoController):
     """
 
     clock = MONOTONIC
+    off = virtual = False
+    overflow = 0
 
     def __init__(self, bus: can.BusABC, interface: str = "") -> None:
-        self.off = False
-        self.overflow = 0
         self._failures = 0
         self.virtual = interface in _WIRELESS
         self._stamps = interface in _STAMPING
@@ -75,10 +75,6 @@ class PythonCan(NoController):
         self._failures = 0
         return len(frames)
 
-    def first_sent_ns(self) -> None:
-        """Return None: python-can does not say when a frame was on the wire."""
-        return
-
     def sent_ns(self) -> list[int]:
         """Return when the interface had taken each frame of the last `send`."""
         return self._taken_ns
@@ -92,15 +88,6 @@ class PythonCan(NoController):
         except (can.CanError, OSError):
             self.off = True
             return -1
-
-    def foresee(self) -> None:
-        """Return None: what is under way is not known."""
-        return
-
-    def arm(self, *, idle: bool = True) -> bool:
-        """Return True: the interface tells by itself."""
-        del idle
-        return True
 
     def _take(self, timeout_s: float) -> Literal["frame", "nothing", "failure"]:
         """Look once; a frame of our own that the interface hands back is none that has come."""

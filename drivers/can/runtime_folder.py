@@ -5,9 +5,7 @@ import fcntl
 import os
 import socket
 import tempfile
-import weakref
 from pathlib import Path
-from typing import Protocol
 from urllib.parse import quote
 
 from drivers.errors import BusError, RunError
@@ -45,25 +43,6 @@ def runtime_folder() -> Path:
 def safe_name(text: str) -> str:
     """Return `text` as a file name: anything but letters, digits and _.-~ percent-encoded."""
     return quote(text, safe="")
-
-
-class Forgets(Protocol):
-    """Holds descriptors that must not live on in a forked child."""
-
-    def forget(self) -> None:
-        """Close this process's copies of them."""
-
-
-def forget_in_child(holder: Forgets) -> None:
-    """Close the holder's descriptors in every forked child, which would keep locks and sockets alive."""
-    reference = weakref.ref(holder)
-
-    def forget() -> None:
-        alive = reference()
-        if alive is not None:
-            alive.forget()
-
-    os.register_at_fork(after_in_child=forget)
 
 
 def role_is_held(interface: str, channel: str, role: str) -> bool:
@@ -108,7 +87,6 @@ class RoleLock:
             self._bind(interface, channel, role)
         os.ftruncate(self._fd, 0)
         os.pwrite(self._fd, f"{os.getpid()}\n".encode(), 0)
-        forget_in_child(self)
 
     def _bind(self, interface: str, channel: str, role: str) -> None:
         self._mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -127,12 +105,10 @@ class RoleLock:
             ) from None
 
     def close(self) -> None:
-        """Give the role back; in a forked child, close its copy of the lock."""
+        """Give the role back."""
         if self._mark is not None:
             self._mark.close()
             self._mark = None
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-    forget = close

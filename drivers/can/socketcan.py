@@ -18,6 +18,7 @@ from drivers.arrays import Rows
 from drivers.can import netlink
 from drivers.can.can_interface import CanInterface, parse, refusal
 from drivers.can.error_frames import read_error
+from drivers.can.link import Link
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
@@ -50,7 +51,7 @@ _LOOK_NS = 100_000_000
 """How often it is looked whether an interface is back."""
 
 
-class SocketCan:
+class SocketCan(Link):
     """A raw CAN socket.
 
     Mutable state: the socket, `overflow` (frames lost so far in the kernel or the controller), whether the
@@ -62,9 +63,9 @@ class SocketCan:
     """
 
     clock = MONOTONIC
+    overflow = 0
 
     def __init__(self, settings: BusSettings) -> None:
-        self.overflow = 0
         self.channel = settings.channel
         self._settings = settings
         self._down = self._gone = self._refused = self._bus_off = self._stuck = self._dropped = False
@@ -87,11 +88,6 @@ class SocketCan:
             else ("; without the right CAP_NET_ADMIN frames that wait on a dead bus stay in its queue")
         )
         return f"bus socketcan:{self._interface.facts}{stale}"
-
-    @property
-    def knows_ends(self) -> bool:
-        """Whether it knows when a frame ended on the wire: nobody asks the kernel."""
-        return False
 
     @property
     def virtual(self) -> bool:
@@ -202,10 +198,6 @@ class SocketCan:
             self._taken_ns.append(time.monotonic_ns())
         return len(frames)
 
-    def first_sent_ns(self) -> None:
-        """Return None: nobody asks the kernel when a frame was on the wire."""
-        return
-
     def sent_ns(self) -> list[int]:
         """Return when the kernel had taken each frame of the last `send`."""
         return self._taken_ns
@@ -213,15 +205,6 @@ class SocketCan:
     def fileno(self) -> int:
         """Return the socket's descriptor, readable when something has come."""
         return self._socket.fileno()
-
-    def foresee(self) -> None:
-        """Return None: what is under way is not known."""
-        return
-
-    def arm(self, *, idle: bool = True) -> bool:
-        """Return True: the socket tells by itself."""
-        del idle
-        return True
 
     def _set_down(self, error: OSError) -> None:
         self._down = True

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from drivers.can.collect import collect
+from drivers.can.link import collect
 from drivers.can.localcan.bench_clock import DISMISS_NS
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame

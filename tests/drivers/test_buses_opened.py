@@ -66,7 +66,7 @@ def test_where_one_bus_does_not_open_nobody_stays_on_the_others(bad):
 @pytest.mark.parametrize("holder", range(3))
 def test_all_channels_of_one_bus_go_by_one_clock(holder):
     with Bus.open(three(), "controller") as bus:
-        links: Any = bus._link._links  # type: ignore[union-attr]
+        links: Any = bus._links
         assert [link.clock for link in links] == [bus.clock] * 3
         assert all(isinstance(link, Participant) for link in links)
         # 1 ns to wake up, 1 ns to work: from now on bench time stands still on all of them

@@ -7,7 +7,7 @@ import struct
 import can
 import pytest
 
-from drivers.can.localcan.interface import from_message, to_message
+from drivers.can.messages import from_message, to_message
 from drivers.can.socketcan import pack, unpack
 from drivers.frame_array import received_array, unpack_frames
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received

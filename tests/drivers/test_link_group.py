@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.can.bus import Bus
-from drivers.can.link_group import DEAD_AFTER_NS, LinkGroup
+from drivers.can.bus import DEAD_AFTER_NS, Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
 from drivers.signals import Command, DriveMode, DriveState
-from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, family
+from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, fakes, family
 
 DEADLINE_NS = 900_000_000
 
@@ -52,8 +51,8 @@ class Foreseeing(FakeLink):
         return self.quiet
 
 
-def group(*links: Any) -> LinkGroup:
-    return LinkGroup(links)
+def group(*links: Any) -> Bus:
+    return Bus(links)
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -155,9 +154,9 @@ def test_files_are_waited_for_by_a_clock_of_one_s_own_and_only_where_each_link_h
 
 def test_a_bus_that_takes_a_part_of_its_frames_is_busy_however_long():
     clock = Still()
-    links = [FakeLink(clock), FakeLink(clock)]
-    bus = Bus(group(*links))
-    links[0].send = lambda frames: 1  # type: ignore[method-assign]
+    links: list[Any] = [FakeLink(clock), FakeLink(clock)]
+    bus = group(*links)
+    links[0].send = lambda frames: 1
     for _ in range(3):
         assert bus.send(sent_array([Frame(1, b""), Frame(2, b""), Frame(1, b"", BUS)])) == 1
         assert bus.events().off == 0
@@ -190,10 +189,10 @@ def test_sync_heartbeat_and_stop_of_one_bus_reach_the_drives_of_that_bus_alone(n
 
 
 def test_of_a_bus_that_goes_off_while_another_is_off_what_waits_is_dropped_too_each_time():
-    links, dropped = [FakeLink(Still()) for _ in range(3)], list[int]()
+    links, dropped = fakes(3), list[int]()
     for k, link in enumerate(links):
-        link.died = lambda k=k: dropped.append(k)  # type: ignore[method-assign,misc]
-    bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
+        link.died = lambda k=k: dropped.append(k)
+    bus = Bus(links)
     for k in (0, 2, 1):
         links[k].off = True
         bus.events()
@@ -206,7 +205,7 @@ def test_of_a_bus_that_goes_off_while_another_is_off_what_waits_is_dropped_too_e
 
 
 def test_of_several_buses_that_cannot_be_cleared_the_first_is_told_and_each_is_tried():
-    links, tried = [FakeLink(Still()) for _ in range(4)], []
+    links, tried = fakes(4), list[int]()
 
     def clearing(bus: int) -> None:
         tried.append(bus)
@@ -214,7 +213,7 @@ def test_of_several_buses_that_cannot_be_cleared_the_first_is_told_and_each_is_t
             raise BusError(f"bus {bus} cannot be cleared")
 
     for bus, link in enumerate(links):
-        link.flush_tx = lambda bus=bus: clearing(bus)  # type: ignore[attr-defined]
+        link.flush_tx = lambda bus=bus: clearing(bus)
     with pytest.raises(BusError, match="bus 1 cannot be cleared"):
         group(*links).flush_tx()
     assert tried == [0, 1, 2, 3]

@@ -22,10 +22,9 @@ import pytest
 
 from drivers.can.arbitration import arbitrate, priority
 from drivers.can.bus_time import BitTiming, frame_time_ns
-from drivers.can.collect import collect
+from drivers.can.link import OWN, collect
 from drivers.can.localcan import layout, participant
 from drivers.can.localcan.layout import OFFSET_AT, SLOT_DUE, SLOT_RUNG, slot_at
-from drivers.can.localcan.log import OWN
 from drivers.can.localcan.participant import Participant
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import BusError
@@ -280,7 +279,7 @@ def test_killed_in_full_flight_leaves_the_bus_usable(join):
         assert got(collect(b, soon(1), {0x10}))[-1].frame.data == b"alive"
     # the sender has noticed the deaf sockets and the newcomer has swept them
     late = join()
-    assert len([slot for slot in late._wire.slots() if slot.serial]) == 3
+    assert len(late._wire.present()) == 3
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -436,7 +435,7 @@ def test_who_joins_beside_a_sender_stays_on_the_bus(join):
     for _ in range(60):
         late = Participant("t", FAST)
         assert got(collect(late, soon(), {0x55}))
-        assert late.serial in {slot.serial for slot in node._wire.slots()}
+        assert late.serial in node._wire.present()
         late.close()
     end(child)
 

@@ -96,7 +96,7 @@ def test_asyncio_reader_gets_all_messages_over_the_file_descriptor():
 
 
 def participants(node):
-    return len([slot for slot in node._wire.slots() if slot.serial])
+    return len(node._wire.present())
 
 
 def wait_for(condition):

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from drivers.can.bus_time import BitTiming
-from drivers.can.collect import collect
+from drivers.can.link import collect
 from drivers.can.localcan import layout
 from drivers.can.localcan.participant import Participant
-from drivers.can.localcan.wire import Slot, Wire
+from drivers.can.localcan.wire import Wire
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import ERROR, EXTENDED, FD, Frame
@@ -33,7 +33,7 @@ def wire(tmp_path: Path) -> Iterator[Wire]:
     "rates", [(1, 2), (1_000_000, 5_000_000), ((1 << 31) - 1, (1 << 31) - 1), (500_000, 1)]
 )
 def test_both_rates_and_whether_there_is_can_fd_are_one_word(wire, rates, fd):
-    assert wire.slots() == []
+    assert wire.present() == {}
     wire.fix(BitTiming(*rates), fd)
     assert (wire.timing, wire.fd) == (BitTiming(*rates), fd)
     wire.fix(BitTiming(7, 9), not fd)
@@ -41,18 +41,18 @@ def test_both_rates_and_whether_there_is_can_fd_are_one_word(wire, rates, fd):
 
 
 def test_a_newcomer_has_the_first_empty_slot_and_a_number_that_none_had_before(wire):
-    assert wire.slots() == []
+    assert wire.present() == {}
     serials = []
     for pid in (11, 12, 13):
         serials.append(wire.reserve())
         wire.register(serials[-1], pid)
     assert serials == [1 * 64 + 0, 2 * 64 + 1, 3 * 64 + 2]
-    assert wire.slots() == [Slot(64, 11), Slot(129, 12), Slot(194, 13)]
+    assert wire.present() == {64: 11, 129: 12, 194: 13}
     wire.words[layout.slot_at(129) + layout.SLOT_SERIAL] = 0
     again = wire.reserve()
     assert again == 4 * 64 + 1
     wire.register(again, 14)
-    assert wire.slots() == [Slot(64, 11), Slot(257, 14), Slot(194, 13)]
+    assert wire.present() == {64: 11, 257: 14, 194: 13}
 
 
 def test_who_takes_a_slot_has_never_been_rung_and_holds_no_time(wire):
@@ -78,7 +78,7 @@ def test_a_new_bus_has_nobody_no_timing_and_no_log(wire):
     wire.fix(BitTiming(1, 2), fd=True)
     wire.words[layout.LOG_AT + layout.LOG - 1] = 7
     wire.clear()
-    assert (wire.slots(), wire.timing, wire.words[layout.MAGIC_AT]) == ([], None, layout.MAGIC)
+    assert (wire.present(), wire.timing, wire.words[layout.MAGIC_AT]) == ({}, None, layout.MAGIC)
     assert not wire.words[1 : layout.OUTBOX_AT].any()
 
 

@@ -15,7 +15,6 @@ import pytest
 from can.interfaces.slcan import slcanBus
 
 from drivers.can.bus import Bus
-from drivers.can.link_group import LinkGroup
 from drivers.can.python_can import PythonCan
 from drivers.errors import BusError
 from drivers.protocol import Frame
@@ -125,7 +124,7 @@ def test_what_an_interface_raises_as_it_is_shut_down_ends_no_run_and_keeps_no_ro
     given: list[str] = []
     role: Any = SimpleNamespace(close=lambda: given.append("back"))
     adapter = Adapter(raises=error)
-    with Bus(on(adapter), role):
+    with Bus([on(adapter)], role):
         pass
     assert adapter.shut
     assert given == ["back"]
@@ -134,11 +133,11 @@ def test_what_an_interface_raises_as_it_is_shut_down_ends_no_run_and_keeps_no_ro
 @pytest.mark.parametrize("error", RAISED, ids=repr)
 def test_frames_that_cannot_be_dropped_are_an_error_of_the_bus(error):
     with pytest.raises(BusError, match="cannot be dropped"):
-        Bus(on(Adapter(raises=error))).flush_tx()
+        Bus([on(Adapter(raises=error))]).flush_tx()
 
 
 def test_an_interface_that_drops_no_frames_is_asked_in_vain_and_refuses_nothing():
-    Bus(on(Adapter(raises=NotImplementedError()))).flush_tx()
+    Bus([on(Adapter(raises=NotImplementedError()))]).flush_tx()
 
 
 @pytest.mark.parametrize("bad", range(3))
@@ -154,7 +153,7 @@ def test_where_one_bus_does_not_close_the_others_are_closed_and_the_role_is_give
     role = ExitStack()
     role.callback(closed.append, "role")
     with pytest.raises(OSError):
-        Bus(LinkGroup(links), role).close()
+        Bus(links, role).close()
     assert closed == [0, 1, 2, "role"]
 
 
@@ -223,4 +222,4 @@ def test_an_adapter_that_is_pulled_out_is_off_and_is_closed_without_a_word(line)
     assert heard(bus) == []
     assert bus.off
     bus.block(0, frozenset())
-    Bus(bus).close()
+    Bus([bus]).close()

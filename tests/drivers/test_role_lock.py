@@ -87,12 +87,6 @@ def test_a_role_that_is_refused_leaves_nothing_taken_in_the_own_folder(elsewhere
     RoleLock("kvaser", CHANNEL, "plant").close()
 
 
-def test_a_forked_child_that_forgets_a_role_does_not_keep_it(elsewhere):
-    held = RoleLock("kvaser", CHANNEL, "plant")
-    held.forget()
-    assert not role_is_held("kvaser", CHANNEL, "plant")
-
-
 def test_on_localcan_another_runtime_folder_has_another_bus_and_its_own_roles(elsewhere):
     here = RoleLock("localcan", CHANNEL, "controller")
     elsewhere("b")

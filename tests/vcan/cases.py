@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drivers.can import netlink
-from drivers.can.collect import collect
+from drivers.can.link import collect
 from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
 from drivers.errors import BusError

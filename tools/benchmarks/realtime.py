@@ -6,6 +6,7 @@ It runs `hil.loop.daemon.run`; only its bus looks at a clock as well.
 import contextlib
 import time
 from array import array
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from dataclasses import replace
@@ -15,7 +16,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
-from drivers.can.link_group import Link, LinkGroup
+from drivers.can.link import Link
 from drivers.can.runtime_folder import RoleLock
 from drivers.errors import RunError
 from drivers.signals import Mode
@@ -48,8 +49,8 @@ class StampedBus(Bus):
     Mutable state beside the bus': `stamps`, three numbers (ns) a tick.
     """
 
-    def __init__(self, link: Link | LinkGroup, role: RoleLock | ExitStack | None = None) -> None:
-        super().__init__(link, role)
+    def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
+        super().__init__(links, role)
         self.stamps = array("q")
 
     def send(self, frames: Rows) -> int:

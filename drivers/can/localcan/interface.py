@@ -10,49 +10,15 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from drivers.can.bus_time import BitTiming
-from drivers.can.collect import collect
+from drivers.can.link import collect
 from drivers.can.localcan.layout import VERSION
-from drivers.can.localcan.log import OWN
 from drivers.can.localcan.participant import DEFAULT_TIMING, Participant
+from drivers.can.messages import from_message, to_message
 from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import HilError
 from drivers.frame_array import sent_array, unpack_frames
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
 _FOREVER_NS = 1 << 62
-
-
-def to_message(
-    frame: tuple[int, int, int, int, int, bytes], epoch_ns: int = 0, channel: str = ""
-) -> can.Message:
-    """Return python-can's Message of one of `unpack_frames`; `epoch_ns` is Unix time minus the channel's."""
-    t_ns, id_, _, size, flags, data = frame
-    return can.Message(
-        timestamp=(t_ns + epoch_ns) * 1e-9,
-        arbitration_id=id_,
-        is_extended_id=bool(flags & EXTENDED),
-        is_remote_frame=bool(flags & REMOTE),
-        is_error_frame=bool(flags & ERROR),
-        is_fd=bool(flags & FD),
-        is_rx=not flags & OWN,
-        bitrate_switch=bool(flags & BRS),
-        error_state_indicator=bool(flags & ESI),
-        channel=channel,
-        data=data[:size],
-    )
-
-
-def from_message(message: can.Message) -> Frame:
-    """Return python-can's Message as a Frame. A remote frame's length code is not kept."""
-    flags = (
-        EXTENDED * message.is_extended_id
-        | REMOTE * message.is_remote_frame
-        | ERROR * message.is_error_frame
-        | FD * message.is_fd
-        | BRS * message.bitrate_switch
-        | ESI * message.error_state_indicator
-    )
-    return Frame(message.arbitration_id, bytes(message.data), flags)
 
 
 class LocalCanBus(can.BusABC):

@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.arrays import Ints
 from drivers.can import arbitration as bus
+from drivers.can.link import OWN
 from drivers.can.localcan import layout as at
 from drivers.can.localcan.bench_clock import NOW, read_clock
 from drivers.compiled.atomics import exchange, load, lower_to, raise_to, replace, store
@@ -36,8 +37,6 @@ FRAME_WORDS = 10
 _KEPT = at.LOG - 1024
 """Entries before the log's end that are not overwritten while somebody reads them."""
 _NUMBERS = (1 << at.NUMBER_BITS) - 1
-OWN = 1 << 6
-"""Flag of a received frame that this participant has sent itself."""
 _LENGTH, _FLAGS = 40, 48
 """Where they are in the word of a record that has identifier, kind, length, flags and bus."""
 _SENT_AS_IT_IS = 0xFFFFFFFF | (0xFF & ~OWN) << _FLAGS

@@ -10,12 +10,12 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.can.arbitration import priority
 from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_time_ns
+from drivers.can.link import Link
 from drivers.can.localcan import layout as at
 from drivers.can.localcan import log
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.can.localcan.wire import LEAVE_S, Doorbell, Slot, Wire
-from drivers.can.no_controller import NoController
-from drivers.can.runtime_folder import forget_in_child, runtime_folder, safe_name
+from drivers.can.localcan.wire import LEAVE_S, Doorbell, Wire
+from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, unpack_frames
 from drivers.protocol import EXTENDED, FD
@@ -53,7 +53,7 @@ def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: st
     return priority(identifier, flags), frame_time_ns(length, flags, timing), length
 
 
-class Participant(NoController):
+class Participant(Link):
     """A node on the channel.
 
     The timing (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
@@ -67,8 +67,7 @@ class Participant(NoController):
     Raises BusError when the timing disagrees or the folder cannot be used.
     """
 
-    off = False
-    """This bus cannot go off."""
+    clock: BenchClock
     knows_ends = True
 
     def __init__(
@@ -96,8 +95,7 @@ class Participant(NoController):
         self._closed = True
         self._lent_clock = clock
         self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{at.VERSION}")
-        self._bell = Doorbell(self._wire)
-        self.fileno = self._bell.fileno
+        self._bell = Doorbell(self._wire.path)
         try:
             self._join(timing, fd)
         except BaseException:
@@ -107,7 +105,6 @@ class Participant(NoController):
         self._wire.unlock()
         log.join(self._wire.words, self._state)
         self._closed = False
-        forget_in_child(self)
 
     # joining and leaving
     def _remove(self, serial: int) -> None:
@@ -116,11 +113,10 @@ class Participant(NoController):
 
     def _join(self, timing: BitTiming | None, fd: bool | None) -> None:
         wire = self._wire
-        there = [slot for slot in wire.slots() if slot.serial]
-        others = [slot for slot in there if self._bell.ring(slot.serial)]
-        for slot in there:
-            if slot not in others:
-                self._remove(slot.serial)
+        for serial in wire.present():
+            if not self._bell.ring(serial):
+                self._remove(serial)
+        others = wire.present()
         if not others:
             wire.clear()
         self._agree(timing, fd, others)
@@ -134,7 +130,7 @@ class Participant(NoController):
         if self._lent_clock is not None:
             self._lent_clock.lend(wire.words)
 
-    def _agree(self, timing: BitTiming | None, fd: bool | None, others: list[Slot]) -> None:
+    def _agree(self, timing: BitTiming | None, fd: bool | None, others: dict[int, int]) -> None:
         wire = self._wire
         agreed = wire.timing
         if agreed is None:
@@ -148,15 +144,8 @@ class Participant(NoController):
             raise BusError(
                 f"localcan {self.channel} runs as {_describe(agreed, wire.fd)}, asked for was "
                 f"{_describe(wanted, wanted_fd)}: use the timing of the others "
-                f"(processes {', '.join(str(slot.pid) for slot in others)}) or another channel"
+                f"(processes {', '.join(map(str, others.values()))}) or another channel"
             )
-
-    def forget(self) -> None:
-        """Drop a fork's copy of the participant: the socket shall die with the one who opened it."""
-        if not self._closed:
-            self._closed = True
-            self._bell.close()
-            self._wire.close(forked=True)
 
     def close(self) -> None:
         """Leave the bus; frames still queued are sent. The last one takes the wire with it."""
@@ -167,10 +156,10 @@ class Participant(NoController):
             self.clock.leave()
         else:
             self._lent_clock.take_back(self._wire.words)
-        alone = self._wire.lock(LEAVE_S) and not self._wire.astray
+        alone = self._wire.lock(LEAVE_S)
         try:
             self._remove(self.serial)
-            if alone and not any(s.serial and self._bell.ring(s.serial) for s in self._wire.slots()):
+            if alone and not any(map(self._bell.ring, self._wire.present())):
                 self._wire.path.unlink(missing_ok=True)
         finally:
             self._bell.close()
@@ -319,6 +308,10 @@ class Participant(NoController):
         if idle and not quiet:
             self._bell.ring(self.serial)
         return quiet
+
+    def fileno(self) -> int:
+        """Return the doorbell's descriptor, readable when it has rung."""
+        return self._bell.fileno()
 
     def ring(self) -> None:
         """Make `fileno` readable: frames were received that the reader has not taken yet."""

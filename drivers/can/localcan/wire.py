@@ -11,7 +11,6 @@ import select
 import socket
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,14 +23,6 @@ JOIN_S = 2.0
 """Joining waits no longer for others that join or leave; each takes a few ms."""
 LEAVE_S = 0.2
 _AGAIN_S = 0.001
-
-
-class Slot(NamedTuple):
-    """One participant as the others see it."""
-
-    serial: int
-    """Unique on this wire, serial % at.SLOTS is the slot; 0 is an empty slot."""
-    pid: int
 
 
 class Wire:
@@ -61,7 +52,6 @@ class Wire:
                 )
             if status.st_nlink:
                 raise BusError(f"localcan: {path} is not this user's alone; remove it")
-        self._made = status
         new = status.st_size != at.SIZE
         try:
             if new:
@@ -78,6 +68,7 @@ class Wire:
                 "raise what a process may have (`ulimit -v`), or end what takes the memory"
             ) from error
         self.words: Ints = np.frombuffer(self.memory, np.int64)
+        self._slots = self.words[at.SLOTS_AT :][: at.SLOTS * at.SLOT].reshape(at.SLOTS, at.SLOT)
         if self.words[at.MAGIC_AT] != at.MAGIC:
             self.clear()
 
@@ -109,30 +100,15 @@ class Wire:
         """Let the others join and leave."""
         fcntl.flock(self._fd, fcntl.LOCK_UN)
 
-    def close(self, *, forked: bool = False) -> None:
-        """Give lock and file back; the memory is unmapped with the last who looks at it.
-
-        forked: close a child's copy of the file, without a word to the others.
-        """
-        if not forked:
-            self.unlock()  # said, not left to close(): the mapping has a descriptor of its own
+    def close(self) -> None:
+        """Give lock and file back; the memory is unmapped with the last who looks at it."""
+        self.unlock()  # said, not left to close(): the mapping has a descriptor of its own
         os.close(self._fd)
 
     def clear(self) -> None:
         """Start a new bus: nobody on it, nothing sent, timing open."""
         self.words[: at.OUTBOX_AT] = 0
         self.words[at.MAGIC_AT] = at.MAGIC
-
-    @property
-    def astray(self) -> bool:
-        """Whether the file is gone or another one: what is in the folder now says nothing of this bus.
-
-        Where the user's last session ends, the folder is removed and later made again.
-        """
-        try:
-            return not os.path.samestat(self.path.stat(), self._made)
-        except OSError:
-            return True
 
     # timing
     @property
@@ -151,32 +127,26 @@ class Wire:
         self.words[at.TIMING_AT] = timing.bitrate | timing.data_bitrate << 31 | int(fd) << 62
 
     # participants
-    def slots(self) -> list[Slot]:
-        """Return all slots that were ever in use, empty ones included."""
-        rows = self.words[at.SLOTS_AT : at.LOG_AT].reshape(-1, at.SLOT)[: self.words[at.USED_AT]]
-        return [Slot(*row) for row in rows[:, [at.SLOT_SERIAL, at.SLOT_PID]].tolist()]
+    def present(self) -> dict[int, int]:
+        """Return serial number and process of each participant."""
+        pairs = self._slots[:, [at.SLOT_SERIAL, at.SLOT_PID]].tolist()
+        return {serial: pid for serial, pid in pairs if serial}
 
     def reserve(self) -> int:
         """Choose a newcomer's serial number (with the lock held). Raises BusError without a free slot."""
-        slots = self.slots()
-        index = next((i for i, slot in enumerate(slots) if not slot.serial), len(slots))
-        if index >= at.SLOTS:
+        empty = np.flatnonzero(self._slots[:, at.SLOT_SERIAL] == 0)
+        if not len(empty):
             raise BusError(f"localcan: {self.path.name} has {at.SLOTS} participants, no more fit; close one")
         self.words[at.SERIAL_AT] += 1
-        serial = int(self.words[at.SERIAL_AT]) * at.SLOTS + index
+        serial = int(self.words[at.SERIAL_AT]) * at.SLOTS + int(empty[0])
         self._claim(at.record_at(serial, 0) * at.WORD, at.OUTBOX * at.RECORD_WORDS * at.WORD)
         return serial
 
     def register(self, serial: int, pid: int) -> None:
         """Take the slot; from now on the others ring this participant, so its doorbell has to be there."""
-        slot = at.slot_at(serial)
-        for place, value in (
-            (at.SLOT_PID, pid),
-            (at.SLOT_RUNG, 0),
-            (at.SLOT_DUE, 0),
-            (at.SLOT_SERIAL, serial),
-        ):
-            self.words[slot + place] = value
+        slot = self._slots[serial % at.SLOTS]
+        slot[[at.SLOT_PID, at.SLOT_RUNG, at.SLOT_DUE]] = pid, 0, 0
+        slot[at.SLOT_SERIAL] = serial
         self.words[at.USED_AT] = max(int(self.words[at.USED_AT]), serial % at.SLOTS + 1)
 
 
@@ -186,9 +156,8 @@ class Doorbell:
     By their serial numbers. Mutable state: the socket.
     """
 
-    def __init__(self, wire: Wire) -> None:
-        self._wire = wire
-        self._prefix = str(wire.path.with_suffix(""))
+    def __init__(self, wire: Path) -> None:
+        self._prefix = str(wire.with_suffix(""))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.fileno = self._socket.fileno
@@ -208,19 +177,18 @@ class Doorbell:
             ) from error
 
     def ring(self, serial: int) -> bool:
-        """Ring a participant; return whether anybody lives there, as far as can be told."""
+        """Ring a participant; return whether anybody lives there."""
         try:
             self._socket.sendto(b"", f"{self._prefix}.{serial}")
         except (ConnectionRefusedError, FileNotFoundError):
-            return self._wire.astray
+            return False
         except BlockingIOError:
             pass
         return True
 
     def remove(self, serial: int) -> None:
         """Remove what a participant leaves in the file system."""
-        if not self._wire.astray:
-            Path(f"{self._prefix}.{serial}").unlink(missing_ok=True)
+        Path(f"{self._prefix}.{serial}").unlink(missing_ok=True)
 
     def silence(self) -> None:
         """Take all rings that have come."""

@@ -1,0 +1,131 @@
+"""One interface behind a bus, and waiting for frames on it."""
+
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from typing import Protocol
+
+from drivers.arrays import Rows
+from drivers.clock import Clock
+from drivers.frame_array import joined
+from drivers.protocol import ERROR
+from drivers.signals import BusState
+
+OWN = 1 << 6
+"""Flag of a received frame that its reader has sent itself."""
+
+
+class Source(Protocol):
+    """Where frames come from."""
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of their times."""
+
+    def receive(self) -> Rows:
+        """Return the frames that have arrived: elements of FRAME in memory of their own."""
+
+    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
+        """Sleep until there may be more, at most until the deadline.
+
+        missing: the identifiers that are awaited; empty where anything is.
+        """
+
+
+class Link:
+    """One interface, a Source; received frames may be error frames.
+
+    What stands here is that of an interface which knows neither a controller nor its wire.
+    """
+
+    clock: Clock
+
+    @property
+    def facts(self) -> str:
+        """What was read of the interface, in one line; empty where there is nothing to read."""
+        return ""
+
+    @property
+    def knows_ends(self) -> bool:
+        """Whether it knows when a frame ended on the wire."""
+        return False
+
+    @property
+    def virtual(self) -> bool:
+        """Whether frames are there as soon as they are sent."""
+        return False
+
+    @property
+    def off(self) -> bool:
+        """Whether the interface says that the bus is off or down."""
+        return False
+
+    @property
+    def overflow(self) -> int:
+        """Frames lost so far."""
+        return 0
+
+    def send(self, frames: Rows) -> int:
+        """Return how many elements of FRAME were taken, from the first on; their bus is 0."""
+        raise NotImplementedError
+
+    def first_sent_ns(self) -> int | None:
+        """Return when the first frame of the last `send` ended on the wire; None where that is not known."""
+        return None
+
+    def sent_ns(self) -> Sequence[int]:
+        """Return when each frame that the last `send` took ended on the wire, else when it was taken."""
+        raise NotImplementedError
+
+    def receive(self) -> Rows:
+        """As Source.receive."""
+        raise NotImplementedError
+
+    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
+        """As Source.block."""
+        raise NotImplementedError
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when something has come; -1 where there is none."""
+        return -1
+
+    def foresee(self) -> int | None:
+        """Return when the next foreign frame that is under way will have ended; None where none is known."""
+        return None
+
+    def arm(self, *, idle: bool = True) -> bool:
+        """Ask for a word by `fileno`, unless something has come; return whether nothing has."""
+        del idle
+        return True
+
+    def worst_state(self) -> BusState:
+        """Return the worst state of the controller since the last call."""
+        return BusState.UNKNOWN
+
+    def died(self) -> None:
+        """Take note that the bus has died: frames that wait to be sent are stale."""
+
+    def flush_tx(self) -> object:
+        """Drop frames that wait to be sent. Raises BusError where that fails."""
+
+    def close(self) -> None:
+        """Free the interface."""
+
+
+def collect(source: Source, deadline_ns: int, wanted: AbstractSet[int] | None = None) -> Rows:
+    """Receive until all of `wanted` (None: anything) has come, or the deadline.
+
+    An empty `wanted` is fulfilled at once.
+    """
+    received: list[Rows] = []
+    missing = set(wanted or ())
+    while True:
+        now = source.clock.now()
+        new = source.receive()
+        if len(new):
+            received.append(new)
+        if missing:
+            which = zip(new["id"].tolist(), new["flags"].tolist(), strict=True)
+            missing.difference_update([identifier for identifier, flags in which if not flags & ERROR])
+        if now >= deadline_ns or (received if wanted is None else not missing):
+            return received[0] if len(received) == 1 else joined(received)
+        source.block(deadline_ns, missing)

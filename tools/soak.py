@@ -33,7 +33,7 @@ from hil.config.reference import TimeOptimalReference, WaypointReference
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.replay import recorded_input
-from hil.record.mcap_summary import read_summary
+from hil.record.mcap_read import read_summary
 from hil.signals import TickInput, TickOutput
 from tools.benchmarks.figures import Figure, Mark, lines
 from tools.benchmarks.process import resident_kB

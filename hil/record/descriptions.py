@@ -14,7 +14,6 @@ from mcap.records import Schema as SchemaRecord
 
 from drivers.errors import LogError
 from hil.record.decode import CAN, OPERATOR, REFUSED
-from hil.record.mcap_parse import parse_record
 from hil.record.mcap_read import Record
 from hil.record.row import TICKS, Table, columns_of, columns_of_0_1_0, describe, row_schema
 from hil.record.schema import IDENTITY, Schema, frame_schema, message_class, operator_schema
@@ -68,9 +67,9 @@ class Descriptions:
         if record.opcode not in {Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL}:
             return
         try:
-            found: Any = parse_record(record.opcode, record.content)
+            found: Any = record.parse()
         except LogError as error:
-            self.remarks.append(f"the record at byte {record.offset} is damaged: {error}")
+            self.remarks.append(str(error))
             return
         if record.opcode == Opcode.METADATA:
             if found.name == IDENTITY and {"columns", "dtype"} & found.metadata.keys():

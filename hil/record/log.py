@@ -16,7 +16,7 @@ from drivers.tick_columns import RECORDED
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
-from hil.record.mcap_summary import read_summary
+from hil.record.mcap_read import read_summary
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
 from hil.record.selection import Selection, joined, together

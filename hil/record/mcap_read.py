@@ -8,24 +8,34 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
 
 from drivers.arrays import Ints
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
 from hil.record.mcap_file import MAGIC
-from hil.record.mcap_parse import parse_record
 from hil.record.unpack import PLAIN, SHORTEST, words_of
 
 HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")
+_TAIL = HEAD.size + 20 + len(MAGIC)
+_KINDS: dict[int, Any] = {
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
+    Opcode.METADATA: Metadata,
+    Opcode.SCHEMA: Schema,
+    Opcode.STATISTICS: Statistics,
+}
 _DESCRIPTIONS, _MOST_DESCRIPTIONS = frozenset({3, 4}), 1024
 """Schemas and channels may stand in a chunk beside the messages, and so many of them."""
 OPCODES = frozenset(int(code) for code in Opcode)
@@ -33,6 +43,8 @@ MAX_CHUNK = 1 << 24
 """Bytes of a chunk, packed or unpacked: nothing larger is taken from a log."""
 MAX_RECORD = 1 << 26
 """Bytes of any other record."""
+MAX_SUMMARY = 1 << 28
+"""Bytes of an index; one of a log of 1 TB stays below."""
 FREE_BYTES, MAX_RATIO = 1 << 28, 40
 """A log may unpack to so many bytes, and so many more for each byte of its file: 2 to 6 are usual."""
 FREE_MESSAGES, LEAST_BYTES = 50_000, 8
@@ -60,13 +72,43 @@ class Record(NamedTuple):
         Raises
         ------
         LogError
-            As `parse_record`, with the place.
+            A field reaches past the end, a text is not UTF-8, or the checksum of an attachment differs.
 
         """
         try:
-            return parse_record(self.opcode, self.content)
+            return _parsed(self.opcode, self.content)
+        except UnicodeDecodeError as error:
+            why = f"a text is not UTF-8: {error.reason} in its byte {error.start}"
+            raise LogError(f"damaged at byte {self.offset}: {why}") from None
         except LogError as error:
             raise LogError(f"damaged at byte {self.offset}: {error}") from None
+
+
+def _parsed(opcode: int, content: bytes) -> Any:
+    kind, fields = _KINDS.get(opcode), _Fields(content)
+    found = kind and kind.read(fields)
+    if isinstance(found, Attachment):
+        end = fields.count - 4
+        crc = int.from_bytes(content[end : end + 4], "little")
+        if crc and zlib.crc32(content[:end]) != crc:  # 0: its writer has made none
+            raise LogError(f"attachment {found.name!r} is damaged: its checksum differs")
+    return found
+
+
+class _Fields(ReadDataStream):
+    """The bytes of one record, past whose end no field may reach: `mcap` takes a shorter one as it is."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(BytesIO(content))
+        self._size = len(content)
+
+    def read(self, length: int) -> bytes:
+        left = self._size - self.count
+        if length > left:
+            raise LogError(
+                f"a field of {length} bytes reaches past the end of its record, which has {left} left"
+            )
+        return super().read(length)
 
 
 class MessageTable(NamedTuple):
@@ -185,6 +227,50 @@ def _check_end(file: BinaryIO, offset: int, length: int, crc: int | None) -> Non
         raise LogError(f"damaged somewhere before byte {offset}: the checksum of the data section differs")
 
 
+def read_summary(path: Path) -> tuple[Statistics, dict[int, str]]:
+    """Return the statistics of a whole file, and the topics of its channels by number.
+
+    Raises
+    ------
+    LogError
+        There is no index, or it is damaged.
+    OSError
+        The file cannot be read.
+
+    """
+    with open_regular(path) as file:
+        size = file.seek(0, os.SEEK_END)
+        end = file.seek(max(size - _TAIL, 0))
+        tail = file.read(_TAIL)
+        if len(tail) < _TAIL or HEAD.unpack_from(tail) != (Opcode.FOOTER, 20):
+            raise LogError(f"damaged at byte {end}: no footer")
+        start, _, crc = struct.unpack_from("<QQI", tail, HEAD.size)
+        if not start:
+            raise LogError("no index at the end")
+        if not len(MAGIC) <= start <= end or end - start > MAX_SUMMARY:
+            raise LogError(f"damaged at byte {end}: an index from byte {start} to {end} of {size}")
+        file.seek(start)
+        data = file.read(end - start)
+    if crc and zlib.crc32(tail[: HEAD.size + 16], zlib.crc32(data)) != crc:
+        raise LogError(f"damaged between byte {start} and {end}: the checksum of the index differs")
+    statistics, topics, at = None, {}, 0
+    while at + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        content = data[at + HEAD.size : at + HEAD.size + length]
+        if len(content) < length:
+            raise LogError(f"damaged at byte {start + at}: a record of the index reaches past its end")
+        if opcode in {Opcode.STATISTICS, Opcode.CHANNEL}:
+            found = Record(opcode, start + at, content, complete=True).parse()
+            if isinstance(found, Channel):
+                topics[found.id] = found.topic
+            else:
+                statistics = found
+        at += HEAD.size + length
+    if statistics is None:
+        raise LogError(f"damaged: the index at byte {start} has no statistics")
+    return statistics, topics
+
+
 def decompress(chunk: Chunk) -> bytes:
     """Return the records in a chunk.
 
@@ -194,41 +280,36 @@ def decompress(chunk: Chunk) -> bytes:
         The chunk is damaged, too large, or compressed in a way that MCAP does not define.
 
     """
-    data, size = bytes(chunk.data), chunk.uncompressed_size
+    size = chunk.uncompressed_size
     if size > MAX_CHUNK:
         raise LogError(f"a chunk of {size} bytes: at most {MAX_CHUNK} are unpacked")
-    try:
-        if chunk.compression == "zstd":
-            data = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
-        elif chunk.compression == "lz4":
-            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-        elif chunk.compression:
-            raise LogError(f"a chunk is compressed by {chunk.compression!r}: allowed are zstd, lz4 and none")
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
-        raise LogError(f"a chunk cannot be decompressed: {error}") from error
-    if len(data) != chunk.uncompressed_size or (
-        chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc
-    ):
+    data = _unpacked(chunk, size + 1)
+    if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         raise LogError("a chunk is damaged: its checksum differs")
     return data
 
 
 def decompress_part(content: bytes) -> bytes:
-    """Return as many of the records as there are in the beginning of a zstd or uncompressed chunk."""
-    if len(content) < _CHUNK.size:
-        return b""
-    name_length = _CHUNK.unpack_from(content)[4]
-    start = _CHUNK.size + name_length + 8
-    compression, data = content[_CHUNK.size : _CHUNK.size + name_length], content[start:]
-    if compression == b"":
-        return data[:MAX_CHUNK]
-    if compression != b"zstd":
-        return b""
+    """Return as many of the records as there are in the beginning of a chunk."""
     try:
-        found: bytes = zstandard.ZstdDecompressor().stream_reader(data).read(MAX_CHUNK)
-    except (zstandard.ZstdError, MemoryError):
+        return _unpacked(Chunk.read(ReadDataStream(BytesIO(content))), MAX_CHUNK)
+    except (McapError, LogError, UnicodeDecodeError, OverflowError, struct.error):
         return b""
-    return found
+
+
+def _unpacked(chunk: Chunk, most: int) -> bytes:
+    """Return the first bytes of what is in a chunk."""
+    data = bytes(chunk.data)
+    try:
+        if chunk.compression == "zstd":
+            data = zstandard.ZstdDecompressor().stream_reader(data).read(most)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
+        elif chunk.compression:
+            raise LogError(f"a chunk is compressed by {chunk.compression!r}: allowed are zstd, lz4 and none")
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        raise LogError(f"a chunk cannot be decompressed: {error}") from error
+    return data[:most]
 
 
 def split(

@@ -19,8 +19,15 @@ from drivers.tick_columns import ROW
 from hil.record.decode import Decoder
 from hil.record.log import Log, Tick
 from hil.record.mcap_file import McapFile, record_bytes
-from hil.record.mcap_read import FREE_BYTES, FREE_MESSAGES, LEAST_BYTES, MAX_RATIO, Allowance, decompress_part
-from hil.record.mcap_summary import read_summary
+from hil.record.mcap_read import (
+    FREE_BYTES,
+    FREE_MESSAGES,
+    LEAST_BYTES,
+    MAX_RATIO,
+    Allowance,
+    decompress_part,
+    read_summary,
+)
 from hil.record.row import TICKS as TICK_TABLE
 from hil.record.row import row_schema
 from hil.record.schema import message_class

@@ -10,9 +10,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema, Statistics
 
 from drivers.errors import LogError
-from hil.record import mcap_summary
+from hil.record import mcap_read
 from hil.record.mcap_file import MAGIC, record_bytes
-from hil.record.mcap_summary import read_summary
+from hil.record.mcap_read import read_summary
 
 
 def statistics(messages):
@@ -133,7 +133,7 @@ def test_an_index_has_256_MiB_at_most_and_a_larger_one_is_refused_before_it_is_r
     most, start = 256 * 1024 * 1024, 8
     end = struct.pack("<BQQQI", Opcode.FOOTER, 20, start, 0, 0) + MAGIC
     given = iter([EndOnly(start + most + more + 37, end) for more in (0, 1)])
-    monkeypatch.setattr(mcap_summary, "open_regular", lambda _: next(given))
+    monkeypatch.setattr(mcap_read, "open_regular", lambda _: next(given))
     with pytest.raises(AskedError, match=f"^{most}$"):
         read_summary(Path("large"))
     with pytest.raises(LogError, match=f"an index from byte 8 to {8 + most + 1} of {8 + most + 38}$"):

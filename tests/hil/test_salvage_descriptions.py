@@ -130,7 +130,7 @@ def test_a_record_that_cannot_be_read_is_said_with_its_place(descriptions):
     whole = channel(8, "/can", 2)
     found = descriptions(identity(), whole._replace(content=whole.content[:5], offset=321), schema(2))
     (remark,) = found.remarks
-    assert remark.startswith("the record at byte 321 is damaged: ")
+    assert remark.startswith("damaged at byte 321: ")
     assert found.channels == {}
     assert descriptions(identity(), Record(Opcode.CHUNK, 1, b"", True)).remarks == [], "others are not read"
 

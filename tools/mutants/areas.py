@@ -200,14 +200,14 @@ AREAS = {
         ),
     ),
     "salvage": Area(
-        ("hil/record/salvage.py", "hil/record/surviving.py", "hil/record/mcap_parse.py"),
+        ("hil/record/salvage.py", "hil/record/surviving.py"),
         ("tests/hil/test_salvage*.py", "tests/hil/test_log*.py"),
     ),
     "log": Area(
         tuple(
             f"hil/record/{name}.py"
             for name in (
-                *("log", "log_file", "mcap_file", "mcap_read", "mcap_summary"),
+                *("log", "log_file", "mcap_file", "mcap_read"),
                 *("data_frame", "decode", "entries", "selection", "unpack"),
             )
         ),

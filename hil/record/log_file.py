@@ -9,10 +9,8 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from mcap.opcode import Opcode
-from mcap.records import Chunk
 
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
@@ -25,12 +23,11 @@ from hil.record.mcap_read import (
     Allowance,
     MessageTable,
     Record,
-    decompress,
-    decompress_part,
+    messages_in,
     records,
     split,
 )
-from hil.record.row import columns_of, columns_of_0_1_0
+from hil.record.row import columns_in
 from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
@@ -87,11 +84,7 @@ class LogFile:
             )
             raise LogError(f"{path}: {reason}")
         try:
-            self.columns = (
-                columns_of(identity["columns"])
-                if "columns" in identity
-                else columns_of_0_1_0(identity["dtype"])
-            )
+            self.columns = columns_in(identity)
             self.topic, self.epoch_ns = identity["topic"], int(identity["epoch_ns"])
             self.can_channel, self.lockstep = identity["can_channel"], identity["mode"] == "lockstep"
             names = json.loads(identity["can_channels"]) if "can_channels" in identity else []
@@ -184,7 +177,10 @@ class LogFile:
         """Keep what is whole and not a message."""
         if not record.complete:
             return
-        found = self._parse(record)
+        try:
+            found = record.parse()
+        except LogError as error:
+            raise self._damaged(record, error) from None
         match type(found).__name__:
             case "Metadata":
                 self.metadata[found.name] = dict(found.metadata)
@@ -193,11 +189,8 @@ class LogFile:
             case "Schema" | "Channel":
                 self._decoder.learn(found)
 
-    def _parse(self, record: Record) -> Any:
-        try:
-            return record.parse()
-        except LogError as error:
-            raise LogError(f"{self.path}: {error}; {self.mend}") from None
+    def _damaged(self, record: Record, error: LogError) -> LogError:
+        return LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {self.mend}")
 
     def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
         """Yield buffers of messages: the chunks, or runs of messages that stand outside chunks."""
@@ -234,22 +227,14 @@ class LogFile:
 
     def _chunk(self, record: Record, allowance: Allowance) -> tuple[bytes, MessageTable]:
         """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
-        chunk: Chunk | None = self._parse(record) if record.complete else None
         try:
-            if chunk is None:
-                data = decompress_part(record.content)
-            else:
-                allowance.spend(chunk.uncompressed_size)
-                data = decompress(chunk)
-            table, others = split(data, part=chunk is None, scan=self._decoder.kernels.scan)
-            allowance.count(len(table.channel))
+            data, table, others = messages_in(record, allowance, self._decoder.kernels.scan)
         except LogError as error:
-            raise LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {self.mend}") from None
+            raise self._damaged(record, error) from None
         for other in others:
             self._learn(other._replace(offset=record.offset))
-        if chunk is None:
-            begun = self._decoder.messages_of(table, self.topic)  # the row is the first message of a tick
-            table = table.between(0, int(begun[-1]) if len(begun) else 0)
+        if not record.complete:
+            table = table.before(self._decoder.messages_of(table, self.topic))
         return data, table
 
 

@@ -19,6 +19,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
+from numpy.typing import NDArray
 
 from drivers.arrays import Ints
 from drivers.errors import LogError
@@ -75,24 +76,17 @@ class Record(NamedTuple):
             A field reaches past the end, a text is not UTF-8, or the checksum of an attachment differs.
 
         """
+        kind, fields = _KINDS.get(self.opcode), _Fields(self.content)
         try:
-            return _parsed(self.opcode, self.content)
+            found = kind and kind.read(fields)
         except UnicodeDecodeError as error:
-            why = f"a text is not UTF-8: {error.reason} in its byte {error.start}"
-            raise LogError(f"damaged at byte {self.offset}: {why}") from None
-        except LogError as error:
-            raise LogError(f"damaged at byte {self.offset}: {error}") from None
-
-
-def _parsed(opcode: int, content: bytes) -> Any:
-    kind, fields = _KINDS.get(opcode), _Fields(content)
-    found = kind and kind.read(fields)
-    if isinstance(found, Attachment):
-        end = fields.count - 4
-        crc = int.from_bytes(content[end : end + 4], "little")
-        if crc and zlib.crc32(content[:end]) != crc:  # 0: its writer has made none
-            raise LogError(f"attachment {found.name!r} is damaged: its checksum differs")
-    return found
+            raise LogError(f"a text is not UTF-8: {error.reason} in its byte {error.start}") from None
+        if isinstance(found, Attachment):
+            end = fields.count - 4
+            crc = int.from_bytes(self.content[end : end + 4], "little")
+            if crc and zlib.crc32(self.content[:end]) != crc:  # 0: its writer has made none
+                raise LogError(f"attachment {found.name!r} is damaged: its checksum differs")
+        return found
 
 
 class _Fields(ReadDataStream):
@@ -120,9 +114,12 @@ class MessageTable(NamedTuple):
     length: Ints
     """Of the whole record; the data begin 31 bytes after `offset`."""
 
-    def between(self, first: int, last: int) -> "MessageTable":
-        """Return the messages from `first` to before `last`."""
-        return MessageTable(*(column[first:last] for column in self))
+    def before(self, begun: NDArray[np.intp]) -> "MessageTable":
+        """Return the messages of whole ticks of a chunk that is cut: the last one begun may lack frames.
+
+        begun : the places of the rows, with each of which a tick begins
+        """
+        return MessageTable(*(column[: begun[-1] if len(begun) else 0] for column in self))
 
 
 class Allowance:
@@ -260,7 +257,10 @@ def read_summary(path: Path) -> tuple[Statistics, dict[int, str]]:
         if len(content) < length:
             raise LogError(f"damaged at byte {start + at}: a record of the index reaches past its end")
         if opcode in {Opcode.STATISTICS, Opcode.CHANNEL}:
-            found = Record(opcode, start + at, content, complete=True).parse()
+            try:
+                found = Record(opcode, start + at, content, complete=True).parse()
+            except LogError as error:
+                raise LogError(f"damaged at byte {start + at}: {error}") from None
             if isinstance(found, Channel):
                 topics[found.id] = found.topic
             else:
@@ -310,6 +310,26 @@ def _unpacked(chunk: Chunk, most: int) -> bytes:
     except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         raise LogError(f"a chunk cannot be decompressed: {error}") from error
     return data[:most]
+
+
+def messages_in(
+    record: Record, allowance: Allowance, scan: Callable[..., tuple[int, int]] = PLAIN.scan
+) -> tuple[bytes, MessageTable, list[Record]]:
+    """Return what is in a chunk, or in the beginning of one that is cut: its bytes, and `split` of them.
+
+    Raises
+    ------
+    LogError
+        The chunk is damaged, or larger than the allowance.
+
+    """
+    chunk = record.parse() if record.complete else None
+    if chunk is not None:
+        allowance.spend(chunk.uncompressed_size)
+    data = decompress_part(record.content) if chunk is None else decompress(chunk)
+    table, others = split(data, part=chunk is None, scan=scan)
+    allowance.count(len(table.channel))
+    return data, table, others
 
 
 def split(

@@ -7,7 +7,7 @@ that is read back.
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum, IntFlag
 from functools import lru_cache
 from math import prod
@@ -121,14 +121,16 @@ def columns_of(description: str) -> tuple[Column, ...]:
     return _checked(columns)
 
 
-def columns_of_0_1_0(description: str) -> tuple[Column, ...]:
-    """Return the columns that a log of version 0.1.0 describes: names and types alone.
+def columns_in(identity: Mapping[str, str]) -> tuple[Column, ...]:
+    """Return the columns in the metadata of a run; of version 0.1.0 names and types alone.
 
     Raises as `columns_of`.
     """
+    if "columns" in identity:
+        return columns_of(identity["columns"])
     return _checked(
         Column("output", _text(name), float if kind == "<f8" else int, "", "", (), tuple(map(_length, shape)))
-        for name, kind, shape in json.loads(description)
+        for name, kind, shape in json.loads(identity["dtype"])
     )
 
 

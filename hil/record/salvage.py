@@ -2,38 +2,43 @@
 
 The original is read, never touched; the result is a new file, which gets its name when it is whole. Complete
 chunks are copied as they are; of a chunk that is cut, the ticks that are complete. Schemas and channels stand
-twice in a log: a damaged one is taken from the other place.
+twice in a log: a damaged one is taken from the other place, or made from our own code.
 """
 
 import contextlib
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel
+from mcap.records import Channel, Metadata
+from mcap.records import Schema as SchemaRecord
+from numpy.typing import NDArray
 
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
-from hil.record.descriptions import Descriptions
+from hil.record.decode import CAN, OPERATOR, REFUSED
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile
-from hil.record.mcap_read import (
-    MAX_CHUNK,
-    Allowance,
-    MessageTable,
-    Record,
-    decompress,
-    decompress_part,
-    records,
-    split,
+from hil.record.mcap_read import Allowance, MessageTable, Record, messages_in, records
+from hil.record.row import TICKS, Table, columns_in, describe, row_schema
+from hil.record.schema import (
+    CLEAN,
+    IDENTITY,
+    LIBRARY,
+    SALVAGE,
+    SUMMARY,
+    Schema,
+    frame_schema,
+    message_class,
+    operator_schema,
 )
-from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 from hil.record.surviving import Lost, surviving
 
-_MOST_LOOSE = 1024
-"""Messages of a chunk that is made of those that stood outside chunks."""
+_DESCRIPTIONS = frozenset({Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL})
 _REMARKS = 20
 """Written into the log and reported; of more damage the number is."""
 
@@ -59,20 +64,86 @@ class SalvageReport(NamedTuple):
     """Ticks of damaged chunks, as far as the index behind them counts them."""
 
 
+class _Described:
+    """What a log says of itself: identity, schemas and channels, each from the first sound place.
+
+    Raises LogError where nothing says that it is a log of this product; OSError.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.remarks: list[str] = []
+        self.identity: dict[str, str] = {}
+        self.schemas: dict[int, SchemaRecord] = {}
+        self.channels: dict[int, Channel] = {}
+        for record in surviving(path):
+            if isinstance(record, Record) and record.complete and record.opcode in _DESCRIPTIONS:
+                with contextlib.suppress(LogError):
+                    self._learn(record.parse())
+        if not self.identity:
+            raise LogError(
+                f"{path}: no log of this product, or cut within its first bytes: nothing to salvage"
+            )
+        try:
+            columns = columns_in(self.identity)
+        except REFUSED as error:
+            if self.identity.get("topic") != TICKS.topic or "columns" not in self.identity:
+                raise LogError(
+                    f"{path}: its table of columns is damaged: nothing to salvage: {error}"
+                ) from None
+            columns, self.identity["columns"] = TICKS.columns, describe(TICKS.columns)
+            self.remarks.append("the table of columns is damaged; that of this version takes its place")
+        rows = Table(self.identity.get("topic", ""), columns)
+        own: dict[str, Callable[[], Schema]]
+        own = {CAN: frame_schema, OPERATOR: operator_schema, rows.topic: partial(row_schema, rows)}
+        for channel in self.channels.values():
+            self._give_schema(channel, own.get(channel.topic))
+
+    def _learn(self, found: Metadata | SchemaRecord | Channel) -> None:
+        if isinstance(found, Channel):
+            self.channels.setdefault(found.id, found)
+        elif isinstance(found, SchemaRecord):
+            if found.id and not _usable(self.schemas.get(found.id)):
+                self.schemas[found.id] = found
+        elif found.name == IDENTITY and {"columns", "dtype"} & found.metadata.keys():
+            self.identity = self.identity or dict(found.metadata)
+
+    def _give_schema(self, channel: Channel, own: Callable[[], Schema] | None) -> None:
+        """See to it that a channel has a schema that can be used, or none."""
+        number = channel.schema_id
+        if not number or _usable(self.schemas.get(number)):
+            return
+        if own is None:
+            self.remarks.append(f"the schema of {channel.topic} is lost")
+            self.schemas.pop(number, None)
+            channel.schema_id = 0
+            return
+        self.remarks.append(f"the schema of {channel.topic} is damaged; that of this version takes its place")
+        name, descriptors = own()
+        self.schemas[number] = SchemaRecord(id=number, name=name, encoding="protobuf", data=descriptors)
+
+
+def _usable(schema: SchemaRecord | None) -> bool:
+    """Return whether messages can be read by a schema."""
+    try:
+        if schema is not None and schema.encoding == "protobuf":
+            message_class(Schema(schema.name, bytes(schema.data)))
+    except REFUSED:
+        return False
+    return schema is not None
+
+
 class _Salvage:
     """One salvage at work. State: the new file, and what was found so far."""
 
-    def __init__(self, out: Path, source: Path, size: int, descriptions: Descriptions) -> None:
+    def __init__(self, out: Path, source: Path, size: int, described: _Described) -> None:
         self.file = McapFile(out, f"{LIBRARY}/{product_version()}")
         self.end: dict[str, str] | None = None
         """What the run has said of its end."""
         self.chunks = self.ticks = self.partial = self.lost = self.ticks_lost = 0
-        self.remarks: list[str] = list(descriptions.remarks)
-        self._source = source
-        self._allowance = Allowance(size)
-        self._known = descriptions
-        self._loose: list[bytes] = []
-        self._loose_bytes = 0
+        self.remarks = described.remarks
+        self._source, self._known, self._allowance = source, described, Allowance(size)
+        topic = described.identity.get("topic")
+        self._rows = [number for number, channel in described.channels.items() if channel.topic == topic]
         self._damaged = False
         """Whether the index that comes next is of a chunk that is left out."""
 
@@ -87,137 +158,72 @@ class _Salvage:
             if isinstance(record, Lost):
                 self.lost += record.stop - record.start
                 self.remarks.append(f"bytes {record.start} to {record.stop} are damaged and left out")
+            elif record.opcode == Opcode.DATA_END and (len(record.content) == 4 or not record.complete):
+                break
             else:
                 self._add(record)
-        self._flush()
         if not self.lost and not self.remarks:
-            self._compare()
-
-    def _compare(self) -> None:
-        """Say where the checksum of what is whole by its form tells that a bit has turned over.
-
-        Metadata and the names of schemas and channels have no checksum of their own.
-        """
-        try:
-            for _ in records(self._source):
-                pass
-        except LogError as error:
-            self.remarks.append(f"{error}: what was taken over may hold the damage")
+            try:  # metadata and the names of schemas and channels have no checksum of their own
+                for _ in records(self._source):
+                    pass
+            except LogError as error:
+                self.remarks.append(f"{error}: what was taken over may hold the damage")
 
     def _add(self, record: Record) -> None:
-        size = 9 + len(record.content)
         if record.opcode != Opcode.MESSAGE_INDEX:
             self._damaged = False
         try:
-            if not record.complete and record.opcode != Opcode.CHUNK:
-                self.remarks.append(f"the file ends inside a record at byte {record.offset}")
-                self.lost += size
-            elif record.opcode == Opcode.MESSAGE:
-                self._message(record)
-            elif record.opcode == Opcode.CHUNK:
-                self._flush()
-                if record.complete:
-                    self._chunk(record)
-                else:
-                    self._part(record)
-                    self.lost += size
+            if record.opcode == Opcode.CHUNK:
+                self._chunk(record)
+            elif not record.complete:
+                self._lose(record, f"the file ends inside a record at byte {record.offset}")
             elif record.opcode == Opcode.MESSAGE_INDEX:
                 self._index(record)
             else:
                 self._other(record)
         except LogError as error:
             self._damaged = record.opcode == Opcode.CHUNK
-            self.lost += size
             what = "the chunk" if self._damaged else "the record"
-            self.remarks.append(f"{what} at byte {record.offset} is damaged and left out: {error}")
+            self._lose(record, f"{what} at byte {record.offset} is damaged and left out: {error}")
 
-    def _message(self, record: Record) -> None:
-        whole = record.whole
-        split(whole)
-        if len(whole) > MAX_CHUNK:
-            raise LogError(f"a message of {len(whole)} bytes: at most {MAX_CHUNK} fit into a chunk")
-        if len(self._loose) >= _MOST_LOOSE or self._loose_bytes + len(whole) > MAX_CHUNK:
-            self._flush()
-        self._loose.append(whole)
-        self._loose_bytes += len(whole)
+    def _lose(self, record: Record, remark: str) -> None:
+        self.lost += len(record.whole)
+        self.remarks.append(remark)
 
     def _other(self, record: Record) -> None:
-        if record.opcode == Opcode.METADATA:
-            metadata = record.parse()
-            if metadata.name == SUMMARY:
-                self.end = dict(metadata.metadata)
-            elif metadata.name != IDENTITY:
-                self.file.add_metadata(metadata.name, metadata.metadata)
-        elif record.opcode == Opcode.ATTACHMENT:
-            file = record.parse()
-            self.file.add_attachment(file.name, file.data, file.log_time, file.media_type)
+        found = record.parse()
+        if record.opcode == Opcode.MESSAGE:
+            raise LogError("a message outside a chunk, which no recorder writes")
+        if record.opcode == Opcode.ATTACHMENT:
+            self.file.add_attachment(found.name, found.data, found.log_time, found.media_type)
+        elif record.opcode == Opcode.METADATA and found.name == SUMMARY:
+            self.end = dict(found.metadata)
+        elif record.opcode == Opcode.METADATA and found.name != IDENTITY:
+            self.file.add_metadata(found.name, found.metadata)
 
     def _chunk(self, record: Record) -> None:
-        chunk = record.parse()
-        self._allowance.spend(chunk.uncompressed_size)
-        table, others = split(decompress(chunk))
-        self._allowance.count(len(table.channel))
-        self._describe(others)
-        self._name(table)
-        self.file.add_compressed(chunk, table.channel, table.log_time, table.offset)
-        self.chunks += 1
-        self._count(table)
-
-    def _part(self, record: Record) -> None:
-        """Take over the ticks of a chunk that is cut."""
-        data = decompress_part(record.content)
-        table, others = split(data, part=True)
-        self._describe(others)
-        # the last tick begun may have lost frames: replay needs whole ticks
-        begun = np.flatnonzero(self._is_tick(table))
-        whole = int(begun[-1]) if len(begun) else 0
-        if whole:
-            self._write(data, table.between(0, whole))
-        self.partial = whole
-        self.remarks.append(
-            f"the file ends inside the chunk at byte {record.offset}: {whole} messages of it recovered"
-        )
+        """Copy a chunk; of one that is cut, the whole ticks, which are what replay needs."""
+        data, table, _ = messages_in(record, self._allowance)
+        if record.complete:
+            self.file.add_compressed(record.parse(), table.channel, table.log_time, table.offset)
+            self.chunks += 1
+        else:
+            table = table.before(self._ticks(table))
+            self.partial = len(table.channel)
+            if self.partial:
+                end = int(table.offset[-1] + table.length[-1])
+                self.file.add_chunk(data[:end], table.channel, table.log_time, table.offset)
+            what = f"the file ends inside the chunk at byte {record.offset}"
+            self._lose(record, f"{what}: {self.partial} messages of it recovered")
+        self.ticks += len(self._ticks(table))
 
     def _index(self, record: Record) -> None:
         """Count the ticks of a chunk that is left out."""
-        if self._damaged:
-            channel = int.from_bytes(record.content[:2], "little")
-            if channel in self._known.of_ticks():
-                self.ticks_lost += (len(record.content) - 6) // 16
+        if self._damaged and int.from_bytes(record.content[:2], "little") in self._rows:
+            self.ticks_lost += (len(record.content) - 6) // 16
 
-    def _flush(self) -> None:
-        """Write messages that stood outside chunks."""
-        if self._loose:
-            data, self._loose, self._loose_bytes = b"".join(self._loose), [], 0
-            self._write(data, split(data)[0])
-
-    def _write(self, data: bytes, table: MessageTable) -> None:
-        self._name(table)
-        parts = [data[o : o + n] for o, n in zip(table.offset.tolist(), table.length.tolist(), strict=True)]
-        offset = np.cumsum(table.length) - table.length
-        self.file.add_chunk(b"".join(parts), table.channel, table.log_time, offset)
-        self._count(table)
-
-    def _describe(self, records: list[Record]) -> None:
-        """Take over schemas and channels that stand within a chunk: other programs write them there."""
-        for found in self._known.further(records):
-            if isinstance(found, Channel):
-                self.file.add_channel(found)
-            else:
-                self.file.add_schema(found)
-
-    def _name(self, table: MessageTable) -> None:
-        """Describe channels whose description is lost, so that the messages can stay."""
-        for number in np.unique(table.channel).tolist():
-            if number not in self._known.channels:
-                self.file.add_channel(self._known.unknown(number))
-                self.remarks.append(f"the description of channel {number} is lost")
-
-    def _is_tick(self, table: MessageTable) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        return np.isin(table.channel, self._known.of_ticks())
-
-    def _count(self, table: MessageTable) -> None:
-        self.ticks += int(np.count_nonzero(self._is_tick(table)))
+    def _ticks(self, table: MessageTable) -> NDArray[np.intp]:
+        return np.flatnonzero(np.isin(table.channel, self._rows))
 
 
 def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> SalvageReport:
@@ -236,7 +242,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             head, size = file.read(len(MAGIC)), file.seek(0, 2)
         if head != MAGIC:
             raise LogError(f"{source}: not an MCAP file: nothing to salvage")
-        descriptions = Descriptions(source)
+        described = _Described(source)
     except OSError as error:
         raise LogError(f"{source}: cannot be read: {error.strerror}") from error
     if os.path.lexists(target):
@@ -244,7 +250,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         temporary.unlink(missing_ok=True)
-        work = _Salvage(temporary, source, size, descriptions)
+        work = _Salvage(temporary, source, size, described)
         try:
             work.work()
             report = _close(work, source, target, size)

@@ -10,17 +10,13 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Chunk
 
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
-from hil.record.mcap_file import MAGIC
+from hil.record.mcap_file import MAGIC, record_bytes
 from hil.record.mcap_read import HEAD, OPCODES, Record, decompress, longest
 
-_SHORTEST = {
-    Opcode.SCHEMA: 14, Opcode.CHANNEL: 16, Opcode.MESSAGE: 22, Opcode.CHUNK: 40, Opcode.MESSAGE_INDEX: 6,
-    Opcode.ATTACHMENT: 36, Opcode.METADATA: 8, Opcode.DATA_END: 4, Opcode.FOOTER: 20, Opcode.STATISTICS: 46,
-}  # fmt: skip
-"""Least bytes of a kind of record."""
 _BEGIN = re.compile(rb"(?=[\x01-\x0f][\s\S]{4}\x00{4})")
 """A known opcode and a length below 4 GiB."""
 _WINDOW = 1 << 20
@@ -33,10 +29,10 @@ class Lost(NamedTuple):
     stop: int
 
 
-def surviving(path: Path, *, index: bool = False) -> Iterator[Record | Lost]:
-    """Yield the records of the data section in their order, and what lies between them.
+def surviving(path: Path) -> Iterator[Record | Lost]:
+    """Yield the records of data section and index in their order, and what lies between them.
 
-    index: those of the index behind it, too. A record whose end is cut off comes last and is not complete.
+    A record whose end is cut off comes last and is not complete.
 
     Raises OSError.
     """
@@ -45,46 +41,25 @@ def surviving(path: Path, *, index: bool = False) -> Iterator[Record | Lost]:
         at = len(MAGIC)
         while at + HEAD.size <= size:
             opcode, length = _head(file, at)
-            end = at + HEAD.size + length
+            end, record, stop = at + HEAD.size + length, None, size
             if opcode == Opcode.FOOTER and length == 20:
                 return
-            if opcode == Opcode.DATA_END and length == 4:
-                if not index:
-                    return
-                at = end
-                continue
             if _plausible(opcode, length):
-                record, further = _settled(file, at, opcode, length, size)
-                if record is not None:
-                    yield record
-                    at = end
-                    if record.complete:
-                        continue
-                    return
+                content = _read(file, at + HEAD.size, min(length, size - at - HEAD.size))
+                record = Record(opcode, at, content, complete=end <= size)
+                stop = min(end, size)
+            further = None
+            if record is None or not (record.complete and (_sound(file, end, size) or _verified(record))):
+                further = _next(file, at + 1, stop, size)
+            if record is not None and further is None:
+                yield record
+                at = end
             else:
-                further = _next(file, at + 1, size, size)
-            stop = size if further is None else further
-            yield Lost(at, stop)
-            at = stop
+                stop = size if further is None else further
+                yield Lost(at, stop)
+                at = stop
         if at < size:
             yield Lost(at, size)
-
-
-def _settled(
-    file: BinaryIO, at: int, opcode: int, length: int, size: int
-) -> tuple[Record | None, int | None]:
-    """Return the record at a place; where its length is damaged, None and where the next record begins."""
-    end = at + HEAD.size + length
-    if end <= size:
-        record = Record(opcode, at, _read(file, at + HEAD.size, length), complete=True)
-        if _sound(file, end, size) or _verified(record):
-            return record, None
-        further = _next(file, at + 1, end, size)
-        return (record, None) if further is None else (None, further)
-    further = _next(file, at + 1, size, size)
-    if further is not None:
-        return None, further
-    return Record(opcode, at, _read(file, at + HEAD.size, size - at - HEAD.size), complete=False), None
 
 
 def _head(file: BinaryIO, at: int) -> tuple[int, int]:
@@ -98,7 +73,7 @@ def _read(file: BinaryIO, at: int, length: int) -> bytes:
 
 
 def _plausible(opcode: int, length: int) -> bool:
-    return opcode in OPCODES and _SHORTEST.get(Opcode(opcode), 0) <= length <= longest(opcode)
+    return opcode in OPCODES and length <= longest(opcode)
 
 
 def _sound(file: BinaryIO, at: int, size: int) -> bool:
@@ -113,11 +88,10 @@ def _verified(record: Record) -> bool:
     """Return whether a record's own checksum says that it is whole."""
     try:
         found = record.parse()
-        if record.opcode == Opcode.CHUNK:
+        if isinstance(found, Chunk):
             decompress(found)
-            fields = _SHORTEST[Opcode.CHUNK] + len(found.compression) + len(found.data)
-            return bool(found.uncompressed_crc) and len(record.content) == fields
-        return record.opcode == Opcode.ATTACHMENT and record.content[-4:] != bytes(4)
+            return bool(found.uncompressed_crc) and record_bytes(found) == record.whole
+        return isinstance(found, Attachment) and record_bytes(found) == record.whole
     except LogError:
         return False
 

@@ -9,11 +9,11 @@ from mcap.records import Attachment, Chunk
 from drivers.errors import LogError
 from hil.record.log import Log
 from hil.record.mcap_file import record_bytes
-from hil.record.mcap_read import MAX_CHUNK, Record
+from hil.record.mcap_read import Record
 from hil.record.salvage import salvage
 from hil.record.surviving import Lost, surviving
 from tests.hil.mcap_records import metadata, placed
-from tests.hil.rewrite import mcap_summary, rewrite_log
+from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, log_of, random_ticks
 
 COUNT = 900
@@ -141,35 +141,9 @@ def test_a_damaged_chunk_is_left_out_and_said_with_its_ticks(path, chunks, tmp_p
     assert 0 < len(list(log.ticks())) < COUNT
 
 
-def test_a_rewritten_log_without_chunks_can_be_salvaged_too(path, tmp_path):
-    rewrite_log(path, tmp_path / "loose.mcap", use_chunking=False)
-    size = (tmp_path / "loose.mcap").stat().st_size
-    report = salvage(cut(tmp_path / "loose.mcap", tmp_path, size // 2), tmp_path / "out.mcap")
-    assert report.ticks > 200
-    rows = Log.open(tmp_path / "out.mcap").rows()
-    assert rows.tobytes() == b"".join(tick.row.tobytes() for tick in TICKS[: report.ticks])
-
-
 def message(size, time):
     """A record of so many bytes, of a channel that nothing describes."""
     return struct.pack("<BQHIQQ", 5, size - 9, 99, 0, time, time).ljust(size, b"\0")
-
-
-def test_large_messages_outside_chunks_are_salvaged_into_chunks_that_can_be_read(path, chunks, tmp_path):
-    sizes = [9 << 20, MAX_CHUNK - (9 << 20), 1000, MAX_CHUNK, 1000, MAX_CHUNK + 1, 8 << 20, (8 << 20) + 1]
-    large = b"".join(map(message, sizes, range(1, 9)))
-    bad = cut(path, tmp_path, chunks[1].chunk_start_offset, large)
-    report = salvage(bad, tmp_path / "out.mcap")
-    assert len(list(Log.open(tmp_path / "out.mcap").ticks())) == report.ticks > 0
-    assert any(f"a message of {MAX_CHUNK + 1} bytes" in each for each in report.remarks), report.remarks
-    assert report.bytes_lost == MAX_CHUNK + 1
-    with (tmp_path / "out.mcap").open("rb") as file:
-        found = [
-            (m.log_time, len(m.data))
-            for _, channel, m in make_reader(file).iter_messages()
-            if channel.id == 99
-        ]
-    assert found == [(time, size - 31) for time, size in enumerate(sizes, 1) if size != MAX_CHUNK + 1]
 
 
 def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path):

@@ -135,7 +135,7 @@ AREAS = {
         tuple(
             f"hil/record/{name}.py"
             for name in (
-                *("alignment", "child", "descriptions", "encode", "environment", "figures", "layout", "live"),
+                *("alignment", "child", "encode", "environment", "figures", "layout", "live"),
                 *(
                     "metrics",
                     "mirror",

@@ -22,6 +22,15 @@ def begin_sent(frame: Any, identifier: int, size: int, flags: int, bus: int) -> 
 
 
 @helper
+def in_order(frames: Any) -> bool:
+    """Tell whether elements of FRAME are in the order of time."""
+    for k in range(1, frames.shape[0]):  # noqa: SIM110 - compiled
+        if frames[k].t_ns < frames[k - 1].t_ns:
+            return False
+    return True
+
+
+@helper
 def place_of(number: int, numbers: Any) -> int:
     """Return the place of a number among six; -1: it is not there."""
     for k in range(LEGS):

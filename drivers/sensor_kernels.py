@@ -1,4 +1,4 @@
-"""Samples of the sensors in compiled code: from a tick's frames to samples in the order of their instants."""
+"""Samples of the sensors in compiled code, at both ends: a frame, and a tick's samples in their order."""
 
 from math import pi
 from typing import Any
@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import helper, record
-from drivers.compiled.pointed import data_at, records_at
+from drivers.compiled.compiler import INTEGER, REAL, VECTOR, direct, helper, record
+from drivers.compiled.pointed import FAILED, data_at, records_at
+from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import signed
-from drivers.legs.crc import RESIDUE
+from drivers.legs.crc import FINAL_XOR, RESIDUE
 from drivers.legs.device_kernels import STRANGE
-from drivers.legs.kernels import natural, register_after
+from drivers.legs.kernels import natural, put, register_after
 from drivers.tick_columns import Record
 
 TRACKER, IMU, WRENCH = range(3)
@@ -30,7 +31,7 @@ values. Tracker: position m in the base frame, rotation vector rad from platform
 rad/s, specific force m/s^2. Wrench: force N, moment N m. The last two in the platform frame."""
 SENSORS = np.dtype(
     [
-        *((name, "<i8", (3,)) for name in ("id", "bus", "register", "length")),
+        *((name, "<i8", (3,)) for name in ("id", "flags", "bus", "register", "length")),
         ("start", "<i8", (3, FIELDS)), ("bits", "<i8", (3, FIELDS)),
         ("scale", "<f8", (3, QUANTITIES + 1)),
         ("low", "<f8", (3, QUANTITIES)), ("high", "<f8", (3, QUANTITIES)),
@@ -39,9 +40,9 @@ SENSORS = np.dtype(
         ("samples", "<i8"),
     ]
 )  # fmt: skip
-"""Tracker, IMU, wrench sensor: identifier (-1: there is none), bus, check after the identifier, bytes; where
-each field lies in bits; steps and ranges in SI. Then what has been heard: the counter of each one's last
-frame; of the present tick the samples, refused frames, and samples that the counters show to be missing.
+"""Tracker, IMU, wrench sensor: identifier (-1: there is none), flags, bus, check after the identifier, bytes;
+where each field lies in bits; steps and ranges in SI. Then what has been heard: the counter of each one's
+last frame; of the present tick the samples, refused frames, and samples that the counters show to be missing.
 `samples`: address of (3, MOST) elements of SAMPLE."""
 _HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
 _samples_at = records_at(record(SAMPLE))
@@ -132,3 +133,31 @@ def hear(s: Any, frames: Any, tick: int) -> None:
             )
             if not (intact and _take(s, kind, frame.data, tick)):
                 s.rejected += 1
+
+
+@helper
+def put_sample(s: Any, kind: int, v: Array, cycle: int, offset_s: float, counter: int, frame: Any) -> int:
+    """Fill in the frame of one sample, all but its instant; FAILED: see `SensorProtocol.encode`."""
+    start, bits, data = s.start[kind], s.bits[kind], frame.data
+    offset = np.rint(offset_s / s.scale[kind, QUANTITIES])
+    if not 0 <= offset <= 0xFFFF:
+        return FAILED
+    frame.id, frame.kind, frame.length = s.id[kind], SENT, s.length[kind]
+    frame.flags, frame.bus = s.flags[kind], s.bus[kind]
+    data[:] = 0
+    invalid = 0
+    for k in range(QUANTITIES):
+        if np.isnan(v[k]):
+            return FAILED
+        bounded = min(max(v[k], s.low[kind, k]), s.high[kind, k])
+        invalid |= bounded != v[k]
+        put(int(np.rint(bounded / s.scale[kind, k])), data, 0, start[k], bits[k])
+    trailer = (int(offset), cycle, counter, invalid)
+    for k in range(len(trailer)):
+        put(trailer[k], data, 0, start[QUANTITIES + k], bits[QUANTITIES + k])
+    last = s.length[kind] - 1
+    data[last] = register_after(data, 0, last, s.register[kind]) ^ FINAL_XOR
+    return 0
+
+
+encode = direct(record(SENSORS), INTEGER, VECTOR, INTEGER, REAL, INTEGER, record(FRAME))(put_sample)

@@ -5,16 +5,18 @@ clock has to be set, and a sample may be late by up to 127 ticks.
 """
 
 from collections.abc import Sequence
-from math import ceil, isfinite
+from math import ceil
 
+import numpy as np
+
+from drivers.compiled.pointed import FAILED
 from drivers.config import BusSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.codec import Codec, Layout, compile_message, layout_of, parsed, read_dbc
-from drivers.legs.crc import crc8, identifier_state
-from drivers.legs.device_kernels import intact
-from drivers.legs.kernels import FOREIGN
-from drivers.protocol import BUS, OTHER_BUSES, Frame
-from drivers.sensor_kernels import FIELDS, QUANTITIES
+from drivers.frame_array import FRAME, sent_frames
+from drivers.legs.codec import layout_of, parsed, read_dbc
+from drivers.legs.crc import identifier_state
+from drivers.protocol import Frame
+from drivers.sensor_kernels import FIELDS, NOBODY, QUANTITIES, SENSORS, encode
 from drivers.tick_columns import Record
 
 KINDS = ("tracker", "imu", "wrench")
@@ -25,7 +27,8 @@ _MESSAGES = {
 }
 """Kind -> message of sensors.dbc, the node number in its identifier, its six quantities."""
 _TRAILER = ("Offset", "Cycle", "Counter", "Validity", "CRC")
-_STRANGE = FOREIGN & ~OTHER_BUSES
+_TABLES = ("id", "flags", "bus", "register", "length", "start", "bits", "scale", "low", "high")
+"""Of SENSORS: what is known before anything is heard."""
 
 
 class SensorProtocol:
@@ -45,31 +48,30 @@ class SensorProtocol:
         self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
         database = parsed(self.database[1])
         self.sync_id: int = database.get_message_by_name("SYNC").frame_id
-        self._sync_register = identifier_state(self.sync_id)
-        self._codecs: dict[str, tuple[int, int, Codec]] = {}
-        """Kind -> identifier, CRC register after it, codec."""
-        self._layouts: dict[str, Layout] = {}
-        self._bus: dict[str, int] = {}
+        self.tables: Record = np.zeros((), SENSORS)
+        """A record of SENSORS that has heard nothing."""
+        self.tables["id"] = NOBODY
         for kind in self.rates_Hz:
             name, node, quantities = _MESSAGES[kind]
-            message = database.get_message_by_name(name)
-            codec = compile_message(message, *quantities, *_TRAILER)
-            self._layouts[kind] = layout_of(message, *quantities, *_TRAILER)
-            identifier = codec.id - node + getattr(sensors, kind).node_id
-            self._codecs[kind] = identifier, identifier_state(identifier), codec
+            form = layout_of(database.get_message_by_name(name), *quantities, *_TRAILER)
+            identifier = form.id - node + getattr(sensors, kind).node_id
             try:
-                self._bus[kind] = bus.index_of(getattr(sensors, kind).channel)
+                bus_index = bus.index_of(getattr(sensors, kind).channel)
             except ConfigurationError as error:
                 raise ConfigurationError(f"sensors.{kind}.channel: {error}") from error
+            places = form.places[:FIELDS]
+            tables = (
+                identifier, form.flags, bus_index, identifier_state(identifier), form.length,
+                [place.start for place in places], [place.size for place in places],
+                form.scale[: QUANTITIES + 1], form.low[:QUANTITIES], form.high[:QUANTITIES],
+            )  # fmt: skip
+            for column, table in zip(_TABLES, tables, strict=True):
+                self.tables[column][KINDS.index(kind)] = table
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """The configured ones of KINDS."""
-        return tuple(self._codecs)
-
-    def bus_of(self, kind: str) -> int:
-        """Return the index of the bus that a sensor is on: it hears SYNC and sends there."""
-        return self._bus[kind]
+        return tuple(self.rates_Hz)
 
     def fill_hearing(self, record: Record) -> None:
         """Fill in where the configured sensors have what in their frames, `drivers.sensor_kernels.SENSORS`.
@@ -80,14 +82,8 @@ class SensorProtocol:
         ticks back, an unknown validity, a turn of more than pi, a value outside the range of sensors.dbc.
         Foreign frames are ignored.
         """
-        for kind, (identifier, register, codec) in self._codecs.items():
-            k = KINDS.index(kind)
-            record["id"][k], record["bus"][k], record["register"][k] = identifier, self._bus[kind], register
-            record["length"][k] = codec.length
-            places = self._layouts[kind].places[:FIELDS]
-            record["start"][k], record["bits"][k] = zip(*((p.start, p.size) for p in places), strict=True)
-            record["scale"][k] = codec.scale[: QUANTITIES + 1]
-            record["low"][k], record["high"][k] = codec.low[:QUANTITIES], codec.high[:QUANTITIES]
+        for column in _TABLES:
+            record[column] = self.tables[column]
 
     def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
         """Return the frame of one sample; what exceeds a field saturates and makes the sample invalid.
@@ -95,28 +91,13 @@ class SensorProtocol:
         values: six, as in `Sample`; cycle and offset_s say when: offset_s after the SYNC that carried cycle.
         Raises ProtocolError on NaN and on an offset that is not 0 .. 65.535 ms.
         """
-        identifier, register, codec = self._codecs[kind]
-        if any(value != value for value in values):  # noqa: PLR0124 - only NaN differs from itself
-            raise ProtocolError(f"sample of {kind} is not a number: {list(values)}")
-        offset = round(offset_s / codec.scale[6]) if isfinite(offset_s) else -1
-        if not 0 <= offset <= 0xFFFF:
+        given, frame = np.array(values, float), np.zeros(1, FRAME)
+        when = (cycle, offset_s, counter)
+        if encode(self.tables, KINDS.index(kind), given, *when, frame.reshape(())) == FAILED:
+            if np.isnan(given).any():
+                raise ProtocolError(f"sample of {kind} is not a number: {given.tolist()}")
             raise ProtocolError(f"sample of {kind}: offset of {offset_s} s, allowed: 0 to 0.065535")
-        bounded = [
-            min(max(v, low), high) for v, low, high in zip(values, codec.low, codec.high, strict=False)
-        ]
-        raw = [round(v / scale) for v, scale in zip(bounded, codec.scale, strict=False)]
-        invalid = bounded != list(values)
-        data = codec.pack(*raw, offset, cycle & 0xFF, int(invalid) << 4 | counter & 0xF)
-        return Frame(identifier, data + bytes([crc8(data, register)]), codec.flags + BUS * self._bus[kind])
-
-    def cycle_of(self, frame: Frame) -> int | None:
-        """Return the Cycle of a SYNC, at a sensor's end; None for any other frame and for a damaged one.
-
-        On whichever bus it came: a sensor hears that of its own.
-        """
-        if frame.id != self.sync_id or frame.flags & _STRANGE or len(frame.data) != 2:
-            return None
-        return frame.data[0] if intact(frame.data, self._sync_register) else None
+        return sent_frames(frame)[0]
 
     def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
         """Return one example of every frame that can fall into one tick at a loop of `rate_Hz`."""

@@ -276,10 +276,10 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         sensors = build_sensors(c)
         if sensors is None:
             return Nodes(*drives), plant
-        from plant_fmu.drives.sensor_nodes import SensedNodes  # noqa: PLC0415 - SciPy's rotations
+        from plant_fmu.drives.sensor_nodes import SensedNodes  # noqa: PLC0415 - its kernels
 
         gravity = c.platform.gravity_m_s2
-        return SensedNodes(*drives, sensors, c.sensors, c.plant.sensors, gravity), plant
+        return SensedNodes(*drives, sensors, c.plant.sensors, gravity), plant
     except BaseException:
         plant.close()
         raise

@@ -24,6 +24,7 @@ from drivers.ends import (
     reading_at,
 )
 from drivers.frame_array import FRAME, SENT
+from drivers.frame_pointers import in_order
 from drivers.signals import LEGS
 from drivers.transmission import fill_loss
 from plant_fmu.drives.kernels import (
@@ -65,6 +66,7 @@ from plant_fmu.drives.record import (
     PLANT,
     REPORT,
     ROOM,
+    SENSE,
     TIME,
     UNSORTED,
     WATCHDOG,
@@ -198,14 +200,21 @@ def _happen(n: Any, t_ns: int) -> int:
 
 @helper
 def _pass_time(n: Any, frames: int, count: int) -> int:
-    """Let something happen before the next frame, or reach it."""
-    t_ns = n.until_ns
-    if n.frame < count:
+    """Let something happen before the next frame, or reach it; behind all of their instant sensors act."""
+    t_ns, is_end = n.until_ns, n.frame == count
+    if not is_end:
         t_ns = min(max(frame_at(frames + n.frame * _FRAME).t_ns, n.now_ns), t_ns)
+    senses = n.sense_ns < t_ns + is_end
+    t_ns = min(t_ns, n.sense_ns)
     if t_ns >= n.calm_ns:
         return _happen(n, t_ns)
     n.now_ns = n.t_ns = t_ns
-    if n.frame < count:
+    if senses:
+        status = move_to(n, t_ns)
+        return SENSE if status == DONE else status
+    if not is_end:
+        if n.listen != 0:
+            call(n.listen, (n.ears, frames + n.frame * _FRAME))
         n.place = HEAR
         return DONE
     n.frame += 1
@@ -364,15 +373,6 @@ def _parse(n: Any, frame: int) -> int:
     return DONE
 
 
-@helper
-def _is_sorted(frames: int, count: int) -> bool:
-    for k in range(1, count):
-        at = frames + k * _FRAME
-        if frame_at(at).t_ns < frame_at(at - _FRAME).t_ns:
-            return False
-    return True
-
-
 @direct(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
 def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
     """Live until `until_ns`, hearing frames in the order of time, or go on `again`; return why it ends."""
@@ -381,7 +381,7 @@ def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
     if not again:
         n.until_ns = until_ns
         n.frame = n.place = n.heard = n.message = n.latching = n.pending = n.reported = n.sent = 0
-        if not _is_sorted(frames, count):
+        if not in_order(received):
             return UNSORTED
     while n.frame <= count:
         if n.reported < n.pending:

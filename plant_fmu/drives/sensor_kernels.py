@@ -1,12 +1,37 @@
-"""Where the platform is between two grid points of the plant, and what a tracker sees of it."""
+"""What emulated sensors hear and measure: where the platform is between two grid points, bias and noise."""
 
-from math import atan2, sin, sqrt
+from math import atan2, pi, sin, sqrt
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import MATRIX, REAL, VECTOR, helper, kernel
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, helper, record
+from drivers.compiled.pointed import pointed, reals_at, record_at
+from drivers.ends import frame_at
+from drivers.frame_array import FRAME
+from drivers.legs.crc import RESIDUE
+from drivers.legs.device_kernels import STRANGE
+from drivers.legs.kernels import register_after
+from drivers.sensor_kernels import IMU, QUANTITIES, SENSORS, TRACKER, put_sample
 
+SENSED = np.dtype(
+    [
+        *((name, "<i8") for name in ("sensors", "wrench", "sync_id", "sync_register", "before_ns")),
+        *((name, "<i8", (3,)) for name in ("heard_ns", "cycle", "late_ns")),
+        *((name, "<f8", (3, QUANTITIES)) for name in ("bias", "noise")),
+        *((name, "<f8", (QUANTITIES,)) for name in ("drawn", "values")),
+        *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration")),
+    ]
+)
+"""Emulated sensors: addresses of SENSORS and of the wrench (6,) N, N m on the platform; SYNC's identifier and
+check. By kind: end and Cycle of the last SYNC on its bus, latency, bias and size of the noise (of a turn in
+degrees). What is drawn and measured; m/s^2; grid instant and velocity m/s that are noted for the IMU's
+acceleration."""
+SILENT = 1
+"""Status of `measure`: no SYNC has been heard for so long that the sensor cannot say when it measures."""
+_LONGEST_STAMP_S = 0.0655
+_sensors_at: Any = record_at(record(SENSORS))
 _SMALL = 1e-4
 """rad: below it the second term of a series is less than the last bit."""
 
@@ -30,13 +55,13 @@ def turn(r: Array, R: Array) -> Array:
     return found
 
 
-@kernel(VECTOR, MATRIX, VECTOR, REAL)
+@helper
 def carried(p: Array, R: Array, twist: Array, dt_s: float) -> tuple[Array, Array]:
     """Return p (3,) m and R (3, 3) after `dt_s` at a twist (6,), base frame."""
     return p + dt_s * twist[:3], turn(dt_s * twist[3:], R)
 
 
-@kernel(VECTOR, MATRIX)
+@helper
 def seen_turned(r: Array, R: Array) -> Array:
     """Return the rotation vector (3,) rad of exp([r]x) R, <= pi: by its quaternion, largest part first."""
     M = turn(r, R)
@@ -61,3 +86,44 @@ def seen_turned(r: Array, R: Array) -> Array:
     sine = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     scale = 2.0 / q[3] if sine < _SMALL * _SMALL * q[3] else 2.0 * atan2(sine, q[3]) / sine
     return scale * q[:3]
+
+
+@pointed(record(SENSED), INTEGER)
+def listen(n: Any, frame_address: int) -> int:
+    """Note a SYNC; a frame of another kind, or a damaged one, is passed over."""
+    frame, s = frame_at(frame_address), _sensors_at(n.sensors)
+    is_sync = np.int64(frame.id) == n.sync_id and not frame.flags & STRANGE and frame.length == 2
+    if is_sync and register_after(frame.data, 0, 2, n.sync_register) == RESIDUE:
+        for kind in range(3):
+            if frame.bus == s.bus[kind]:
+                n.heard_ns[kind], n.cycle[kind] = frame.t_ns, frame.data[0]
+    return 0
+
+
+@direct(record(SENSED), INTEGER, INTEGER, INTEGER, INTEGER, VECTOR, MATRIX, VECTOR, record(FRAME))
+def measure(
+    n: Any, kind: int, counter: int, t_ns: int, grid_ns: int, p: Array, R: Array, twist: Array, frame: Any
+) -> int:
+    """Measure at an instant, the truth being that of the grid, and fill in the frame; SILENT or FAILED."""
+    there, turned = carried(p, R, twist, (t_ns - grid_ns) * 1e-9)
+    bias, noise, v = n.bias[kind], n.noise[kind] * n.drawn, n.values
+    if kind == TRACKER:
+        v[:3] = there + bias[:3] + noise[:3]
+        v[3:] = seen_turned((bias[3:] + noise[3:]) * (pi / 180.0), turned)
+    else:
+        if kind == IMU:
+            if grid_ns > n.before_ns:
+                n.acceleration[:] = (twist[:3] - n.before) / ((grid_ns - n.before_ns) * 1e-9)
+            v[:3], v[3:] = twist[3:], n.acceleration - n.gravity
+        else:
+            v[:] = reals_at(n.wrench, QUANTITIES)
+        for k in (0, 3):
+            x, y, z = v[k], v[k + 1], v[k + 2]
+            for i in range(3):
+                seen = turned[0, i] * x + turned[1, i] * y + turned[2, i] * z
+                v[k + i] = seen + bias[k + i] + noise[k + i]
+    offset_s = (t_ns - n.heard_ns[kind]) * 1e-9
+    if offset_s > _LONGEST_STAMP_S:
+        return SILENT
+    frame.t_ns = t_ns + n.late_ns[kind]
+    return put_sample(_sensors_at(n.sensors), kind, v, n.cycle[kind], offset_s, counter, frame)

@@ -5,33 +5,35 @@ latency later. Between grid points of the plant the pose is carried on by the tw
 the mean over the plant's last internal step, as of a device that integrates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.arrays import Array, Rows
-from drivers.config import DriveSettings, SensorSettings
-from drivers.errors import PlantError
-from drivers.frame_array import FRAME, received_frames, timed_array
-from drivers.protocol import DriveProtocol, Frame
-from drivers.sensors import SensorProtocol
+from drivers.arrays import Rows
+from drivers.compiled.pointed import FAILED, data_at
+from drivers.config import DriveSettings
+from drivers.errors import PlantError, ProtocolError
+from drivers.frame_array import FRAME, sent_frames, timed_array
+from drivers.legs.crc import identifier_state
+from drivers.protocol import DriveProtocol
+from drivers.sensor_kernels import IMU
+from drivers.sensors import KINDS, SensorProtocol
+from drivers.tick_columns import Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
+from plant_fmu.drives import record
 from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.drives.sensor_kernels import carried, seen_turned
+from plant_fmu.drives.sensor_kernels import SENSED, SILENT, listen, measure
+from plant_fmu.faults.kinds import PlantHang
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Truth
-
-_LONGEST_STAMP_S = 0.0655
-"""A sensor that has heard no SYNC for so long cannot say when it measures, and is silent."""
 
 
 class SensedNodes(Nodes):
     """Six drives, the plant behind them, and the configured sensors on its platform.
 
-    Mutable state, beside that of `Nodes`: when each sensor measures next and its counter, the last SYNC, the
-    last acceleration and the twist before it, frames that wait out their latency, the generator. `start`
-    resets all of it.
+    Mutable state, beside that of `Nodes`: when each sensor measures next and its counter, a record of SENSED,
+    frames that wait out their latency, the generator. `start` resets all of it.
     """
 
     def __init__(
@@ -42,140 +44,107 @@ class SensedNodes(Nodes):
         drives: DriveSettings,
         faults: FaultPlan | None,
         sensors: SensorProtocol,
-        settings: SensorSettings,
         noise: SensorEmulation,
         gravity: Sequence[float],
     ) -> None:
-        self._sensors = sensors
-        self._noise = noise
-        self._gravity = np.array(gravity, float)
-        self._period_ns = {kind: 1e9 / getattr(settings, kind).rate_Hz for kind in sensors.kinds}
-        self._measure: dict[str, Callable[[Truth], Array]] = {
-            "tracker": self._pose,
-            "imu": self._inertial,
-            "wrench": self._load,
-        }
+        self._sensors, self._noise, self._gravity = sensors, noise, gravity
+        self._period_ns = {KINDS.index(kind): 1e9 / rate for kind, rate in sensors.rates_Hz.items()}
         super().__init__(plant, protocol, emulation, drives, faults)
 
     def start(self, t0_ns: int) -> None:
         """As `Nodes.start`; every sensor takes its first sample then."""
         super().start(t0_ns)
-        self._start_ns = self._until_ns = t0_ns
-        self._count = dict.fromkeys(self._sensors.kinds, 0)
-        self._due_ns = dict.fromkeys(self._sensors.kinds, t0_ns)
-        self._sync: dict[int, tuple[int, int]] = {}
-        """By bus: when the last SYNC ended, and its Cycle."""
-        self._dtwist = np.zeros(6)
-        self._noted_ns = -1
-        """When the IMU measures for which the twist is noted."""
-        self._before: tuple[int, Array]
-        """Grid instant and twist that are noted."""
-        self._waiting: list[tuple[int, Frame]] = []
+        self._start_ns = self._sense_ns = t0_ns
+        self._count, self._due_ns = dict.fromkeys(self._period_ns, 0), dict.fromkeys(self._period_ns, t0_ns)
+        self._note_ns = NEVER_NS
+        """When the velocity is to be noted, a step of the plant before the IMU measures."""
+        self._sensed: Record = np.zeros((), SENSED)
+        n, drives = self._sensed, self._record
+        tracker, imu, wrench = each = self._noise.tracker, self._noise.imu, self._noise.wrench
+        n["sensors"], n["wrench"] = data_at(self._sensors.tables), data_at(drives["wrench"])
+        n["sync_id"], n["sync_register"] = self._sensors.sync_id, identifier_state(self._sensors.sync_id)
+        n["before_ns"], n["heard_ns"], n["gravity"] = t0_ns, -NEVER_NS, self._gravity
+        n["late_ns"] = [round(sensor.latency_ms * 1e6) for sensor in each]
+        first, second = n["bias"][:, :3], n["bias"][:, 3:]
+        first[:] = tracker.position_bias_m, imu.angular_rate_bias_rad_s, wrench.force_bias_N
+        second[:] = tracker.rotation_bias_deg, imu.specific_force_bias_m_s2, wrench.moment_bias_N_m
+        first, second = n["noise"][:, :3].T, n["noise"][:, 3:].T
+        first[:] = tracker.position_noise_m, imu.angular_rate_noise_rad_s, wrench.force_noise_N
+        second[:] = tracker.orientation_noise_deg, imu.specific_force_noise_m_s2, wrench.moment_noise_N_m
+        self._waiting: list[tuple[int, Rows]] = []
+        """When each frame enters the bus, and it."""
+        self._send_ns = NEVER_NS
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
+        hangs = any(isinstance(fault, PlantHang) for fault in self._faults.faults)
+        self._in_parts = hangs or self._gateway is not None
+        if not self._in_parts:
+            drives["sense_ns"], drives["listen"], drives["ears"] = t0_ns, listen.address, data_at(n)
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
         """As `Nodes.advance`, with the frames of the sensors among the drives'."""
-        out: list[Rows] = []
-        frames = received[np.argsort(received["t_ns"], kind="stable")]
-        while (due_ns := min(self._due_ns.values())) <= t_ns:
-            heard = frames[frames["t_ns"] <= due_ns]
-            frames = frames[len(heard) :]
-            due = [kind for kind, at in self._due_ns.items() if at == due_ns]
-            out += self._live(due_ns, heard)
-            if "imu" in due:
-                self._accelerate()
-            for kind in due:
-                self._sample(kind, due_ns)
-                self._count[kind] += 1
-                self._due_ns[kind] = self._start_ns + round(self._count[kind] * self._period_ns[kind])
-        out += self._live(t_ns, frames)
-        sent = [entry for entry in self._waiting if entry[0] <= t_ns]
-        if not sent:
-            return np.concatenate(out, dtype=FRAME)
+        out = self._advance_in_parts(t_ns, received) if self._in_parts else super().advance(t_ns, received)
+        if t_ns < self._send_ns:
+            return out
+        sent = [frame for at_ns, frame in self._waiting if at_ns <= t_ns]
         self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
-        both = np.concatenate([*out, timed_array(sent)], dtype=FRAME)
+        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
+        both = np.concatenate([out, *sent], dtype=FRAME)
         return both[np.argsort(both["t_ns"], kind="stable")]
 
-    def _live(self, t_ns: int, frames: Rows) -> list[Rows]:
-        """Let plant and drives live until `t_ns`, and note the SYNCs they hear.
-
-        On the way the twist is noted one step of the plant before the IMU measures, or as soon as may be.
-        """
-        t_ns = max(t_ns, self._until_ns)
-        for at_ns, frame in received_frames(frames):
-            cycle = self._sensors.cycle_of(frame)
-            if cycle is not None:
-                self._sync[frame.bus] = at_ns, cycle
+    def _advance_in_parts(self, t_ns: int, received: Rows) -> Rows:
+        """As `Nodes.advance`, in passes that end where a sensor acts: what faults change depends on it."""
         out: list[Rows] = []
-        due_ns = self._due_ns.get("imu", NEVER_NS)
-        before_ns = due_ns - round(self._plant.internal_step_s * 1e9)
-        if self._noted_ns != due_ns and before_ns <= t_ns:
-            before_ns = max(before_ns, self._until_ns)
-            early = frames[frames["t_ns"] <= before_ns]
-            frames = frames[len(early) :]
-            out.append(super().advance(before_ns, early).copy())
-            self._noted_ns, self._before = due_ns, (self._grid_ns(), self._true().twist)
-        self._until_ns = t_ns
-        return [*out, super().advance(t_ns, frames).copy()]
+        frames = received[np.argsort(received["t_ns"], kind="stable")]
+        ends = False
+        while not ends:
+            ends = self._sense_ns > t_ns
+            at_ns = t_ns if ends else self._sense_ns
+            early = frames["t_ns"] <= at_ns
+            heard, frames = frames[early], frames[~early]
+            for k in range(len(heard)):  # as they are, whatever faults let the drives hear
+                listen(self._sensed, data_at(heard[k:]))
+            out.append(super().advance(at_ns, heard).copy())
+            if not ends:
+                self._sense(at_ns)
+        return np.concatenate(out, dtype=FRAME)
 
-    def _accelerate(self) -> None:
-        """Find the acceleration since the twist was noted."""
-        before_ns, before = self._before
-        moved_ns = self._grid_ns() - before_ns
-        if moved_ns > 0:
-            self._dtwist = (self._true().twist - before) / (moved_ns * 1e-9)
+    def _decide(self, status: int) -> None:
+        if status == record.SENSE:
+            self._sense(self._sense_ns)
+            self._record["sense_ns"] = self._sense_ns
+        else:
+            super()._decide(status)
 
-    def _sample(self, kind: str, t_ns: int) -> None:
-        """Take one sample, and keep its frame until its latency is over."""
-        settings = getattr(self._noise, kind)
-        values = self._measure[kind](self._moment(t_ns))
-        lost = self._chance.random() < 0.01 * settings.lost_percent
-        sync = self._sync.get(self._sensors.bus_of(kind))
-        if sync is None or lost or self._present.hangs:
-            return
-        offset_s = (t_ns - sync[0]) * 1e-9
-        if offset_s > _LONGEST_STAMP_S:
-            return
-        frame = self._sensors.encode(kind, values.tolist(), sync[1], offset_s, self._count[kind])
-        sent_ns = t_ns + round(settings.latency_ms * 1e6)
-        carried = self._schedule.carry(sent_ns, frame, to_drives=False)
-        self._waiting += [(at_ns, arriving) for at_ns, arriving, _ in carried]
-
-    def _true(self) -> Truth:
-        truth = self._know()
+    def _sense(self, t_ns: int) -> None:
+        """Let the sensors act that do at `t_ns`."""
+        truth, grid_ns = self._know(), self._grid_ns()
         if truth is None:
             raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
-        return truth
+        for kind, due_ns in self._due_ns.items():
+            if due_ns == t_ns:
+                self._sample(kind, t_ns, truth, grid_ns)
+                self._count[kind] += 1
+                self._due_ns[kind] = self._start_ns + round(self._count[kind] * self._period_ns[kind])
+                if kind == IMU:
+                    self._note_ns = max(self._due_ns[kind] - round(self._h_ns), t_ns)
+        if self._note_ns <= t_ns:
+            self._sensed["before_ns"], self._sensed["before"] = grid_ns, truth.twist[:3]
+            self._note_ns = NEVER_NS
+        self._sense_ns = min(self._note_ns, *self._due_ns.values())
 
-    def _moment(self, t_ns: int) -> Truth:
-        """Return the truth at `t_ns`, carried on from the plant's grid point by the twist."""
-        truth = self._true()
-        p, R = carried(truth.p, truth.R, truth.twist, (t_ns - self._grid_ns()) * 1e-9)
-        return truth._replace(p=p, R=R)
-
-    def _pose(self, truth: Truth) -> Array:
-        noise, chance = self._noise.tracker, self._chance
-        p = truth.p + noise.position_bias_m + noise.position_noise_m * chance.standard_normal(3)
-        r = np.deg2rad(noise.rotation_bias_deg + noise.orientation_noise_deg * chance.standard_normal(3))
-        return np.concatenate((p, seen_turned(r, truth.R)))
-
-    def _inertial(self, truth: Truth) -> Array:
-        s, f = self._noise.imu, self._dtwist[:3] - self._gravity
-        return self._turned(
-            truth,
-            (truth.twist[3:], s.angular_rate_bias_rad_s, s.angular_rate_noise_rad_s),
-            (f, s.specific_force_bias_m_s2, s.specific_force_noise_m_s2),
-        )
-
-    def _load(self, truth: Truth) -> Array:
-        s, wrench = self._noise.wrench, self._record["wrench"]
-        return self._turned(
-            truth,
-            (wrench[:3], s.force_bias_N, s.force_noise_N),
-            (wrench[3:], s.moment_bias_N_m, s.moment_noise_N_m),
-        )
-
-    def _turned(self, truth: Truth, *vectors: tuple[Array, tuple[float, float, float], float]) -> Array:
-        """Return (vector in the base frame, bias, noise) as they are measured in the platform frame."""
-        normal = self._chance.standard_normal
-        return np.concatenate([truth.R.T @ x + bias + noise * normal(3) for x, bias, noise in vectors])
+    def _sample(self, kind: int, t_ns: int, truth: Truth, grid_ns: int) -> None:
+        """Take one sample, and keep its frame until its latency is over."""
+        n, frame = self._sensed, np.zeros(1, FRAME)
+        self._chance.standard_normal(out=n["drawn"])
+        status = measure(n, kind, self._count[kind], t_ns, grid_ns, *truth[:3], frame.reshape(()))
+        lost = self._chance.random() < 0.01 * getattr(self._noise, KINDS[kind]).lost_percent
+        if lost or self._present.hangs or status == SILENT:
+            return
+        if status == FAILED:
+            raise ProtocolError(f"sample of {KINDS[kind]} is not a number: {n['values'].tolist()}")
+        sent = [(int(frame["t_ns"][0]), frame)]
+        if self._gateway is not None:
+            carried = self._schedule.carry(sent[0][0], sent_frames(frame)[0], to_drives=False)
+            sent = [(at_ns, timed_array([(at_ns, arriving)])) for at_ns, arriving, _ in carried]
+        self._waiting += sent
+        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)

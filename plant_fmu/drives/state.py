@@ -12,6 +12,7 @@ from drivers.frame_array import FRAME, timed_array
 from drivers.protocol import DeviceMessage, Frame
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
+from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.live import due_ns
 from plant_fmu.drives.record import MESSAGES, NODES, ROOM
 from plant_fmu.plant import Moved
@@ -45,6 +46,7 @@ class State:
         n["reading"], n["senders"] = data_at(self.reading), data_at(self._senders)
         n["out"], n["room"] = data_at(self.out), ROOM
         n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
+        n["sense_ns"] = NEVER_NS
 
     def drive_by(self, transmission: Transmission) -> None:
         """Put losses between motors and legs."""

@@ -11,7 +11,7 @@ from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSett
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.crc import crc8, identifier_state
-from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensor_kernels import OLDEST
 from drivers.sensors import KINDS, SensorProtocol
 from tests import sensed
@@ -200,16 +200,6 @@ def test_a_tick_holds_as_many_frames_as_can_fall_into_it():
     assert len(P.cyclic_frames(1000.0 * (1 - 0.5e-9))) == 3, "rounding makes no frame"
     assert len(P.cyclic_frames(1000.0 * (1 - 1.5e-9))) == 4
     assert len(P.cyclic_frames(200.0)) == 1 + 3 + 5
-
-
-def test_a_sensor_reads_the_cycle_of_a_sync():
-    for bus in range(3):
-        assert P.cycle_of(Frame(0x080, b"\xa7\xc3", BUS * bus)) == 0xA7, "each hears that of its own bus"
-    for flags in (EXTENDED, REMOTE, ERROR):
-        assert P.cycle_of(Frame(0x080, b"\xa7\xc3", flags)) is None
-    assert P.cycle_of(Frame(0x080, b"\xa7\xc2")) is None
-    assert P.cycle_of(Frame(0x080, b"\xa7")) is None
-    assert P.cycle_of(Frame(0x110, b"\xa7\xc3")) is None
 
 
 def test_readings_begin_without_a_counter_that_could_come():

@@ -18,7 +18,7 @@ from drivers.errors import PlantError
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.legs.several import LegsOnBuses
-from drivers.protocol import Received
+from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
@@ -86,7 +86,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     """Return per kind the valid samples (receive time s, sample time s, values), and what was rejected."""
     protocol = SensorProtocol(BusSettings(), settings)
     args = (plant or Mover(), DRIVES, DriveEmulation(), DriveSettings(), faults)
-    nodes = SensedNodes(*args, protocol, settings, noise, G)
+    nodes = SensedNodes(*args, protocol, noise, G)
     nodes.start(7 * MS)
     found: dict[str, list[tuple[float, float, np.ndarray]]] = {"tracker": [], "imu": [], "wrench": []}
     readings = Readings()
@@ -210,7 +210,7 @@ def test_faults_of_the_bus_strike_sensors_as_well():
 
 def test_without_sync_there_is_no_stamp_and_no_sample():
     protocol = SensorProtocol(BusSettings(), ALL)
-    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, EXACT, G)
+    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
     out = nodes.step(200 * MS, [])
     assert {frame.id for _, frame in out} <= set(range(0x701, 0x707))
     out = nodes.step(201 * MS, [Received(201 * MS, DRIVES.begin(None, 1)[0])])
@@ -219,15 +219,31 @@ def test_without_sync_there_is_no_stamp_and_no_sample():
     assert 200 * MS < max(stamped) < (201 + 66 + 6) * MS, "after that no stamp reaches back"
 
 
+@pytest.mark.parametrize(
+    ("frame", "stamps"),
+    [
+        (Frame(0x080, b"\xa7\xc3"), True),
+        *((Frame(0x080, b"\xa7\xc3", flag), False) for flag in (EXTENDED, REMOTE, ERROR)),
+        (Frame(0x080, b"\xa7\xc2"), False),
+        (Frame(0x080, b"\xa7"), False),
+        (Frame(0x110, b"\xa7\xc3"), False),
+    ],
+)
+def test_only_an_intact_sync_stamps(frame, stamps):
+    nodes = sensed(Mover(), SensorSettings(imu=ImuSettings()))
+    nodes.start(0)
+    sent = nodes.step(1 * MS, [Received(1 * MS, frame)]) + nodes.step(20 * MS, [])
+    cycles = {each.data[14] for _, each in sent if each.id == 0x488}
+    assert cycles == ({0xA7} if stamps else set())
+
+
 @pytest.mark.parametrize("bus", [0, 1])
 def test_a_sensor_is_stamped_by_the_sync_of_its_own_bus(bus):
     legs = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
     settings = SensorSettings(imu=ImuSettings(channel="b"))
     protocol = SensorProtocol(BusSettings.model_validate({"channels": legs}), settings)
     drives = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
-    nodes = SensedNodes(
-        Mover(), drives, DriveEmulation(), DriveSettings(), None, protocol, settings, EXACT, G
-    )
+    nodes = SensedNodes(Mover(), drives, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
     nodes.start(0)
     nodes.step(1 * MS, [Received(1 * MS, drives.begin(None, 0)[bus])])
     sensed = [frame.bus for _, frame in nodes.step(20 * MS, []) if frame.id == 0x488]
@@ -245,7 +261,7 @@ def test_a_plant_that_hangs_takes_its_sensors_with_it():
 
 def test_a_new_start_forgets_what_was_under_way_and_which_sync_was_heard():
     protocol = SensorProtocol(BusSettings(), ALL)
-    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, EXACT, G)
+    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
     nodes.start(0)
     nodes.step(1 * MS, [Received(1 * MS, DRIVES.begin(None, 0)[0])])
     nodes.step(7 * MS, [])
@@ -280,7 +296,7 @@ def test_a_sample_enters_the_bus_its_latency_after_its_instant_and_one_of_the_la
 ):
     """Tracker, IMU and wrench sensor at 200, 500 and 1000 Hz from the start on, to 10 ms."""
     protocol = SensorProtocol(BusSettings(), ALL)
-    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, ALL, noise, G)
+    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, noise, G)
     nodes.start(0)
     sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
     sent += nodes.step(10 * MS, [])
@@ -295,7 +311,7 @@ AT_ONCE = TrackerEmulation(latency_ms=0.0, position_noise_m=0.0, orientation_noi
 def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation = EXACT) -> SensedNodes:
     protocol = SensorProtocol(BusSettings(), settings)
     args = (plant, DRIVES, DriveEmulation(), DriveSettings(), None)
-    return SensedNodes(*args, protocol, settings, noise, G)
+    return SensedNodes(*args, protocol, noise, G)
 
 
 def test_a_plant_is_asked_for_its_truth_once_at_each_instant_whoever_wants_to_know():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from drivers.errors import ConfigurationError
 
@@ -23,29 +23,23 @@ def _legs(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
         raise ConfigurationError(
             "drives.transmission: protocol legs speaks of leg lengths and forces and has none; leave it out"
         )
-    return _our_own(
-        bus.layout, tuple(drives.node_ids), drives.force_limit_N, bus.legs if bus.channels else None
-    )
+    return _our_own(bus.layout, tuple(drives.node_ids), drives.force_limit_N, bus.legs)
 
 
 @cache
 def _our_own(
-    layout: str, node_ids: tuple[int, ...], force_limit_N: float, legs: tuple[tuple[int, ...], ...] | None
+    layout: str, node_ids: tuple[int, ...], force_limit_N: float, legs: tuple[tuple[int, ...], ...]
 ) -> DriveProtocol:
-    """Return the codec of these drives, by their buses where there are several: one is as good as another."""
+    """Return the codec of these drives: one is as good as another."""
     from drivers.legs.protocol import LegsProtocol  # noqa: PLC0415 - compiled code: not for the processes that only log
 
-    if legs is None:
-        return LegsProtocol(layout, node_ids, force_limit_N)
-    from drivers.legs.several import LegsOnBuses  # noqa: PLC0415 - as above
-
-    return LegsOnBuses(layout, node_ids, force_limit_N, legs)
+    return cast("DriveProtocol", LegsProtocol(layout, node_ids, force_limit_N, legs))
 
 
 def _cia402(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
-    from drivers.cia402.options import cia402  # noqa: PLC0415 - as above
+    from drivers.cia402.protocol import cia402  # noqa: PLC0415 - as above
 
-    return cia402(bus, drives)
+    return cast("DriveProtocol", cia402(bus, drives))
 
 
 def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
@@ -85,9 +79,4 @@ def build_protocol(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
 
     Raises ConfigurationError for settings that the protocol does not have.
     """
-    family = PROTOCOLS[drives.protocol](bus, drives)
-    from drivers.several_buses import SeveralBuses  # noqa: PLC0415 - as above
-
-    if not bus.channels or isinstance(family, SeveralBuses):
-        return family
-    return SeveralBuses(family, bus.legs)
+    return PROTOCOLS[drives.protocol](bus, drives)

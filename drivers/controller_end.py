@@ -1,19 +1,21 @@
-"""The controller's end of six drives: their dialogue, and a family's functions by address.
+"""The controller's end of six drives: the dialogue with them, their frames decoded, commands encoded.
 
-A compiled family gives an end of its own (`DriveProtocol.controller_end`); for any other the functions of its
-`DriveProtocol` are called through the same addresses.
+A family that is compiled gives a `CompiledController`. A `ControllerEnd` in plain Python goes by the same
+addresses, through callbacks.
 """
 
 import ctypes
-from typing import Any
+from abc import ABC, abstractmethod
+from typing import Any, cast
 
 import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import FAILED, of_python
+from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python
+from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array
-from drivers.protocol import Dialogue, DriveProtocol, DriveSetup
+from drivers.protocol import ALWAYS, DriveProtocol, DriveSetup
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import TICK, Record
 
@@ -32,80 +34,160 @@ def tick_at(address: int) -> Record:
     return np.ndarray((), TICK, array_at(address, TICK.itemsize // 8, np.float64))
 
 
-class ControllerEnd:
-    """The dialogue with six drives, and what decodes their frames and encodes their command.
+class ControllerEnd(ABC):
+    """The dialogue with six drives. Mutable state: that, which `start` begins.
 
-    ``decode(codec, frames, count, since_ns, last, tick)`` and ``command(codec, number, mode, stop, force,
-    into)`` take addresses: of elements of FRAME, of records of TICK, of six forces in N. `decode` returns a
-    status, > 0 where `look` has to be called; `command` the number of frames, FAILED where a force does not
-    fit.
+    A tick: `begin` is sent, the drives answer, `take` folds their frames in, then `give` is sent and, while
+    the drives are not powered, `set_up`. Where the poll is the command, `give` only remembers it, the next
+    `begin` sends it, and `DriveProtocol.command_delay_ticks` is 1.
 
-    Mutable state: the dialogue. `start` begins it anew.
+    For compiled passes ``decode(codec, frames, count, since_ns, last, tick)`` and ``command(codec, number,
+    mode, stop, force, into)`` are `take` and `give` by address: of elements of FRAME, of records of TICK, of
+    six forces in N. `decode` returns a status, > 0 where `look` has to be called; `command` the number of
+    frames, FAILED where a force does not fit.
     """
 
-    def __init__(self, protocol: DriveProtocol, setup: DriveSetup) -> None:
-        self.protocol, self._setup = protocol, setup
-        self.codec = 0
-        """Address of what the two functions work on."""
-        self.decode, self.command, self._keeps = self._functions()
-        self.error: BaseException | None = None
-        """What a function in Python met, which returned FAILED."""
+    codec = 0
+    """Address of what the two functions work on."""
+    decode: int
+    command: int
+    error: BaseException | None = None
+    """What a function in Python met, which returned FAILED."""
+
+    def __init__(self) -> None:
+        self.decode, kept = of_python(self._decode, *[INTEGER] * 6)
+        self.command, also = of_python(self._command, *[INTEGER] * 6)
+        self._keeps = kept, also
         self.start()
+        self._set_up = self.legs_set_up()
 
-    def _functions(self) -> tuple[int, int, Any]:
-        """Return the addresses of `decode` and `command`, and what keeps them."""
-        decode, kept = of_python(self._decode, *[INTEGER] * 6)
-        command, also = of_python(self._command, *[INTEGER] * 6)
-        return decode, command, (kept, also)
-
+    @abstractmethod
     def start(self) -> None:
-        """Begin the dialogue: no drive has been set up. Raises ProtocolError if the set-up does not fit."""
-        self.dialogue: Dialogue = self.protocol.start(self._setup)
-        self._set_up = self.protocol.legs_set_up(self.dialogue)
+        """Begin the dialogue: no drive has been set up."""
 
+    @abstractmethod
     def begin(self, number: int) -> Rows:
-        """Return the frames that start a tick as elements of FRAME."""
-        return sent_array(self.protocol.begin(self.dialogue, number))
+        """Return the frames that start a tick, SYNC or polls, as elements of FRAME."""
 
+    @abstractmethod
+    def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
+        """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
+
+        since_ns: when the loop woke up; the SYNC or poll of each leg was out `latch_ns` of the tick later.
+        Fills every column of the part. Frames that are nobody's are ignored; those of another controller and
+        a second answer of one node are named in `foreign` and `doubled`, a set-up that is not ours in
+        `altered`, as far as the protocol can tell. A fault code that is not a DriveFault is the drive's own.
+        """
+
+    @abstractmethod
+    def give(self, command: Command, number: int) -> Rows:
+        """Return the frames of a tick's command. Raises ProtocolError if a force does not fit."""
+
+    @abstractmethod
     def set_up(self, tick: Record) -> Rows:
-        """Return the start-up dialogue's frames of a tick as elements of FRAME."""
-        self.dialogue, frames = self.protocol.set_up(self.dialogue, tick)
-        return sent_array(frames)
+        """Return the start-up dialogue's frames of a tick. No drive in READY or RUN is disturbed."""
 
-    def look(self, frames: Rows) -> None:
+    @abstractmethod
+    def lacks(self) -> tuple[str, ...]:
+        """Return what of its set-up each drive has not confirmed, in words; empty: nothing."""
+
+    @abstractmethod
+    def remembered(self) -> Any:
+        """Return a copy of the dialogue, for `remember` of another end of the same drives."""
+
+    @abstractmethod
+    def remember(self, dialogue: Any) -> None:
+        """Go on from a dialogue that was `remembered`."""
+
+    def legs_set_up(self) -> tuple[bool, ...]:
+        """Return which of the six drives have been set up since `start`, on their own word."""
+        return tuple(not each for each in self.lacks())
+
+    def look(self, frames: Rows) -> None:  # noqa: B027 - most leave nothing
         """Take in what a decoder leaves to Python: nothing here."""
 
+    def carried(self, force: Array) -> Array:
+        """Return what a command of forces (6,) N gives legs at rest: a field may have steps."""
+        return force
+
+    def presume_running(self) -> None:  # noqa: B027 - some commands are the same to all
+        """Take all drives for enabled, whether they have been heard or not."""
+
     def refuse(self, force: Array, mode: DriveMode, number: int) -> None:
-        """Raise the ProtocolError of a command that does not fit."""
-        if self.error is not None:
-            error, self.error = self.error, None
-            raise error
-        self.protocol.command(self.dialogue, Command(mode, force), number)
+        """Raise what a command met that does not fit, or a frame."""
+        error, self.error = self.error, None
+        raise error or ProtocolError(f"command {mode.name} of {force.tolist()} N in tick {number}")
 
     def _decode(self, _codec: int, at: int, count: int, since_ns: int, last: int, tick: int) -> int:
         frames = array_at(at, count, FRAME) if count else sent_array(())
         try:
-            decode = self.protocol.decode
-            self.dialogue = decode(self.dialogue, frames, tick_at(last), tick_at(tick), since_ns)
-            before, self._set_up = self._set_up, self.protocol.legs_set_up(self.dialogue)
+            self.take(frames, tick_at(last), tick_at(tick), since_ns)
+            before, self._set_up = self._set_up, self.legs_set_up()
         except BaseException as error:  # noqa: BLE001 - nothing may pass a callback
             self.error = error
             return FAILED
         return int(self._set_up != before)
 
     def _command(self, _codec: int, number: int, mode: int, stop: int, force: int, into: int) -> int:
-        command = Command(DriveMode(mode), array_at(force, LEGS, np.float64), bool(stop))
         try:
-            self.dialogue, frames = self.protocol.command(self.dialogue, command, number)
+            forces = array_at(force, LEGS, np.float64)
+            frames = self.give(Command(DriveMode(mode), forces, bool(stop)), number)
         except BaseException as error:  # noqa: BLE001 - as above
             self.error = error
             return FAILED
-        array_at(into, len(frames), FRAME)[:] = sent_array(frames)
+        array_at(into, len(frames), FRAME)[:] = frames
         return len(frames)
 
 
+class CompiledController(ControllerEnd):
+    """A `ControllerEnd` that is compiled. Mutable state: its record, which has the dialogue.
+
+    A family gives `start`, `begin`, `set_up`, `legs_set_up`, `lacks` and `unfit`.
+    """
+
+    first: str
+    """The first field of the record that is the dialogue's, as are all behind it."""
+
+    def __init__(self, state: Rows, decode: Pointed, command: Pointed) -> None:
+        """Take the record, () of its dtype, and the family's two functions that work on it."""
+        self.state, self._decoding, self._commanding = state, decode, command
+        self.decode, self.command = decode.address, command.address
+        self.codec = data_at(state)
+        self.start()
+
+    def unfit(self, force: Array) -> ProtocolError:
+        """Return what is wrong with a force that does not fit."""
+        raise NotImplementedError
+
+    def refuse(self, force: Array, _mode: DriveMode, _number: int) -> None:
+        """Raise the ProtocolError of a command that does not fit."""
+        raise self.unfit(force)
+
+    def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
+        """Fill the measurement of a tick from that of the last one and the frames since."""
+        if self._decoding(self.state, data_at(frames), len(frames), since_ns, last, tick):
+            self.look(frames)
+
+    def give(self, command: Command, number: int) -> Rows:
+        """Return the frames of a tick's command. Raises ProtocolError if a force does not fit."""
+        into, force = np.empty(MOST_FRAMES, FRAME), np.ascontiguousarray(command.force, float)
+        given = number, int(command.mode), int(command.stop), data_at(force), data_at(into)
+        sent = FAILED if force.shape != (LEGS,) else self._commanding(self.state, *given)
+        if sent == FAILED:
+            raise self.unfit(force)
+        return into[:sent]
+
+    def remembered(self) -> Rows:
+        """Return a copy of the dialogue, for `remember` of another end of the same drives."""
+        return self.state.copy()
+
+    def remember(self, dialogue: Rows) -> None:
+        """Go on from a dialogue that was `remembered`."""
+        names = self.state.dtype.names or ()
+        for name in names[names.index(self.first) :]:
+            self.state[name] = dialogue[name]
+
+
 def controller_end(protocol: DriveProtocol, setup: DriveSetup) -> ControllerEnd:
-    """Return the controller's end of a family, compiled where the family is."""
-    make = getattr(protocol, "controller_end", None)
-    end: ControllerEnd = ControllerEnd(protocol, setup) if make is None else make(setup)
-    return end
+    """Return the controller's end of a family. Raises ProtocolError if the set-up does not fit."""
+    return cast("ControllerEnd", protocol.controller_end(setup))

@@ -1,19 +1,20 @@
 """Both ends of a drive family by address: what compiled passes call, and the records that go between.
 
-A family that is compiled returns a `DrivesEnd` from `drives_end()` and a `Hearing` from `hearing()`. For the
-others, and for what a compiled end leaves to it (FAILED), the owner of the pass calls the methods of
-`DriveProtocol`.
+A protocol returns a `DrivesEnd` from `drives_end()`, where it is compiled a `CompiledDrives`, and then a
+`Hearing` from `hearing()`.
 """
 
 import ctypes
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python, record_at
+from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, received_frames, sent_array, sent_frames
 from drivers.protocol import (
     Alive,
@@ -23,7 +24,6 @@ from drivers.protocol import (
     DriveProtocol,
     EmergencyStop,
     Frame,
-    Memory,
     Rejected,
     Status,
     Sync,
@@ -49,48 +49,58 @@ READING = np.dtype(
         *((name, "<i8", (LEGS,)) for name in ("state", "fault")),
     ]
 )
-"""What six drives read, as `DriveProtocol.answer` takes it."""
+"""What six drives read, as `DrivesEnd.reply` takes it."""
 frame_at: Any = record_at(record(FRAME))
 message_at: Any = record_at(record(MESSAGE))
 reading_at: Any = record_at(record(READING))
 
 
-class DrivesEnd(Protocol):
-    """A drives' end by address. Mutable state: what the drives remember, in the record at `context`.
+class DrivesEnd(ABC):
+    """The drives' end of a family. Mutable state: what six drives remember; powered up to begin with.
 
-    parse (context, frame, messages) -> how many messages it fills in; answer (context, sync, reading, frames,
-    legs) -> how many frames, with the leg of each; report (context, leg, state, fault, watchdog or -1 before
-    the drive is set up, reaction, due, frames) -> how many frames. All arguments are integers: addresses of
-    FRAME, MESSAGE, READING and int64, and numbers; the watchdog in ns. FAILED leaves it to the protocol.
+    For compiled passes the same by address, 0 where there is none: ``parse(context, frame, messages)`` ->
+    how many messages it fills in; ``answer(context, sync, reading, frames, legs)`` -> how many frames, with
+    the leg of each; ``report(context, leg, state, fault, watchdog or -1 before the drive is set up, reaction,
+    due, frames)`` -> how many frames. All arguments are integers: addresses of FRAME, MESSAGE, READING and
+    int64, and numbers; the watchdog in ns. FAILED leaves it to `hear`, `reply` and `announce`.
     """
-
-    parse: int
-    answer: int
-    report: int
-    context: int
-
-    @property
-    def memory(self) -> Memory:
-        """What the drives remember, as the protocol's methods take it."""
-
-    @memory.setter
-    def memory(self, memory: Memory) -> None: ...
-
-
-class PythonEnd:
-    """The drives' end of a protocol that is not compiled. Mutable state: the memory."""
 
     parse = answer = report = context = 0
 
-    def __init__(self, memory: Memory) -> None:
-        self.memory = memory
+    @abstractmethod
+    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Return what a frame says to the drives; no messages when it is not for them."""
+
+    @abstractmethod
+    def reply(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        """Return what the drives of `sync.legs` answer, each frame with its leg.
+
+        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
+        of no use; fault (6,) DriveFault, for protocols whose feedback names it. Raises ProtocolError on NaN.
+        """
+
+    @abstractmethod
+    def announce(self, status: Status) -> tuple[Frame, ...]:
+        """Return what a drive sends of what it is in, at its heartbeat and at each change."""
+
+    @abstractmethod
+    def restart(self, legs: Sequence[int]) -> None:
+        """Forget what drives remember that were switched off and on, where their state does not tell."""
+
+    @abstractmethod
+    def remembered(self) -> Any:
+        """Return a copy of what the drives remember, for `remember`."""
+
+    @abstractmethod
+    def remember(self, memory: Any) -> None:
+        """Go back to what was `remembered`."""
 
 
 def drives_end(protocol: DriveProtocol) -> DrivesEnd:
     """Return the drives' end of a protocol, powered up."""
-    compiled = getattr(type(protocol), "drives_end", None)
-    end = None if compiled is None else compiled(protocol)
-    return PythonEnd(protocol.power_up()) if end is None else end
+    return cast("DrivesEnd", protocol.drives_end())
 
 
 def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
@@ -112,15 +122,11 @@ MOST_MESSAGES, MOST_ANSWERS = 32, 4 * LEGS
 """Of one frame, and to one SYNC, at an end that is compiled."""
 
 
-class CompiledEnd:
-    """A `DrivesEnd` that is compiled, and the same for callers in Python. Mutable state: its record."""
-
-    parse: int
-    answer: int
-    report: int
+class CompiledDrives(DrivesEnd):
+    """A `DrivesEnd` that is compiled. Mutable state: what the drives remember, in `state`."""
 
     def __init__(self, record: Rows, parse: Pointed, answer: Pointed, report: Pointed) -> None:
-        self.record = record
+        self.record = self.state = record
         self._parse, self._answer, self._report = parse, answer, report
         self.parse, self.answer, self.report = parse.address, answer.address, report.address
         self.context = data_at(record)
@@ -131,36 +137,66 @@ class CompiledEnd:
         """Return why a frame is rejected: what its message has as mode, counter and first force."""
         raise NotImplementedError
 
-    def messages(self, frame: Frame) -> tuple[DeviceMessage, ...] | None:
-        """Return the messages of a frame; None: the protocol decodes it in Python."""
+    def converse(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Decode what is not compiled: what sets drives up, asks who they are or stops them."""
+        raise NotImplementedError
+
+    def notify(self, status: Status) -> tuple[Frame, ...]:
+        """Encode what is not compiled of a drive's report."""
+        raise NotImplementedError
+
+    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Return what a frame says to the drives; no messages when it is not for them."""
         count = self._parse(self.record, sent_array([frame]), self._messages)
         if count == FAILED:
-            return None
+            return self.converse(frame)
         return tuple(self._message(each, frame) for each in self._messages[:count].tolist())
 
     def _message(self, message: Any, frame: Frame) -> DeviceMessage:
         kind, mode, counter, _, _, force = message
-        said = device_message(*message)
-        return Rejected(self.reason(mode, counter, force[0], frame)) if kind == REJECTED else said
+        return (
+            Rejected(self.reason(mode, counter, force[0], frame))
+            if kind == REJECTED
+            else device_message(*message)
+        )
 
-    def answers(
+    def reply(
         self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]] | None:
-        """Return the answers to a SYNC, each with its leg; None where a value is not a number."""
+    ) -> list[tuple[int, Frame]]:
+        """Return what the drives of `sync.legs` answer, each frame with its leg; see `DrivesEnd.reply`."""
         self._reading[()] = length, rate, force, state, 0 if fault is None else fault
         put_messages([sync], self._messages)
         count = self._answer(self.record, self._messages, self._reading, self._frames, self._legs)
         if count == FAILED:
-            return None
+            raise self.no_number(sync, length, rate, force)
         return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
 
-    def reports(self, status: Status) -> tuple[Frame, ...] | None:
-        """Return a drive's report of its state; None: the protocol encodes it in Python."""
+    def no_number(self, sync: Sync, length: Array, rate: Array, force: Array) -> ProtocolError:
+        """Return what of a reading is not a number."""
+        unknown = np.isnan(length) | np.isnan(rate) | np.isnan(force)
+        leg = next((leg for leg in sync.legs if unknown[leg]), sync.legs[0])
+        return ProtocolError(
+            f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
+        )
+
+    def announce(self, status: Status) -> tuple[Frame, ...]:
+        """Return what a drive sends of what it is in, at its heartbeat and at each change."""
         leg, state, fault, holds, due = status
         watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
         given = (leg, state, fault, watchdog_ns, int(reaction), int(due))
         count = self._report(self.record, *given, self._frames)
-        return None if count == FAILED else sent_frames(self._frames[:count])
+        return self.notify(status) if count == FAILED else sent_frames(self._frames[:count])
+
+    def restart(self, legs: Sequence[int]) -> None:
+        """Forget nothing: the state of a drive tells."""
+
+    def remembered(self) -> Rows:
+        """Return a copy of what the drives remember, for `remember`."""
+        return self.state.copy()
+
+    def remember(self, memory: Rows) -> None:
+        """Go back to what was `remembered`."""
+        self.state[...] = memory
 
 
 class Hearing(NamedTuple):
@@ -179,9 +215,8 @@ class Hearing(NamedTuple):
 
 def hearing(protocol: DriveProtocol) -> Hearing:
     """Return the controller's end of a protocol, as far as it hears."""
-    compiled = getattr(type(protocol), "hearing", None)
-    found: Hearing | None = None if compiled is None else compiled(protocol)
-    return _python_hearing(protocol) if found is None else found
+    compiled = getattr(protocol, "hearing", None)
+    return _python_hearing(protocol) if compiled is None else cast("Hearing", compiled())
 
 
 def frames_at(address: int, count: int) -> Rows:

@@ -41,7 +41,7 @@ def place_of(number: int, numbers: Any) -> int:
 
 @helper
 def whole(data: Any, at: int, size: int = 4) -> int:
-    """Return the number of so many bytes, little-endian, not signed; up to seven."""
+    """Return the number of so many bytes, little-endian, not signed up to seven and signed of eight."""
     number: Any = np.int64(0)
     for k in range(size):
         number |= np.int64(data[at + k]) << 8 * k

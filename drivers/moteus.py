@@ -36,19 +36,13 @@ from drivers.moteus_registers import (
     pad,
     registers,
 )
-from drivers.motor_drives import MotorMemory, codes_of
-from drivers.motor_kernels import EAR, FALLS
+from drivers.motor_drives import codes_of
+from drivers.motor_kernels import EAR, FALLS, OWN_CODE
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-from drivers.motors import OWN_CODE, Exchange, MotorProtocol
-from drivers.protocol import (
-    BRS,
-    EXTENDED,
-    FD,
-    OTHER_BUSES,
-    DriveSetup,
-    Frame,
-)
+from drivers.motors import Exchange, MotorProtocol
+from drivers.protocol import ALL_LEGS, BRS, EXTENDED, FD, DriveSetup, Frame
 from drivers.signals import LEGS, DriveFault, Reaction
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
 QUERY = bytes.fromhex("11001f01130d")
@@ -79,7 +73,6 @@ FAULTS = {
     50: "velocity control error",
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
-_STRANGE = kernels.STRANGE | OTHER_BUSES
 _WORD = 0xFFFFFFFF
 _SERIAL = tuple(range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
 _MAX_TORQUE = 1e4
@@ -121,14 +114,20 @@ class MoteusProtocol(MotorProtocol):
     shares_identifiers = False
 
     def __init__(
-        self, nodes: Sequence[int], host: int, timeout_mode: Reaction, most: float, transmission: Transmission
+        self,
+        nodes: Sequence[int],
+        host: int,
+        timeout_mode: Reaction,
+        most: float,
+        transmission: Transmission,
+        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
     ) -> None:
-        """Take six ids, the controller's, what `servo.timeout_mode` does, and the most torque, N m.
+        """Take six ids, the controller's, what `servo.timeout_mode` does, the most torque, N m, and buses.
 
         Raises ConfigurationError for ids that a frame cannot carry.
         """
         tables = np.zeros((), EAR)
-        super().__init__(transmission, tables, (TORQUE_AT, 32, 0.0))
+        super().__init__(transmission, tables, (TORQUE_AT, 32, 0.0), legs)
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 126 or node == host:
                 raise ConfigurationError(
@@ -184,19 +183,17 @@ class MoteusProtocol(MotorProtocol):
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return a stop, whatever is asked for but torque, and torque; each with its query."""
         torque = pad(torque_command(0.0, self._most, watchdog_s))
-        return tuple(
-            tuple(Frame(each, data, EXTENDED | FD | BRS) for each in self._command_ids)
-            for data in (STOP, STOP, STOP, torque)
-        )
+        return tuple(self._to_each(data) for data in (STOP, STOP, STOP, torque))
+
+    def _to_each(self, data: bytes) -> tuple[Frame, ...]:
+        flags = EXTENDED | FD | BRS
+        return tuple(self.to_leg(leg, Frame(each, data, flags)) for leg, each in enumerate(self._command_ids))
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return the queries for the serial number, and for the version of the firmware."""
-        flags = EXTENDED | FD | BRS
-        return tuple(
-            tuple(Frame(each, pad(ask), flags) for each in self._command_ids) for ask in (WHO, WHICH)
-        )
+        return tuple(self._to_each(pad(ask)) for ask in (WHO, WHICH))
 
-    def identity(self, frame: Frame) -> Said | None:
+    def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number, 96 bits, or the version of the firmware as the revision."""
         reply = self._reply_of(frame)
         return None if reply is None else _who(*reply)
@@ -205,27 +202,31 @@ class MoteusProtocol(MotorProtocol):
         """Return leg and registers of a drive's reply to us, without any if it is not whole; else None."""
         identifier, data, flags = frame
         leg = self._answering_legs.get(identifier)
-        if leg is None or flags & (_STRANGE | FD) != FD or bool(flags & EXTENDED) != (identifier > 0x7FF):
+        if (
+            leg is None
+            or flags & (kernels.STRANGE | FD) != FD
+            or bool(flags & EXTENDED) != (identifier > 0x7FF)
+        ):
             return None
         return leg, registers(data, REPLY) or {}
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return a stop for each drive: it does not latch."""
-        return tuple(Frame(each, STOP, EXTENDED | FD | BRS) for each in self._command_ids)
+        return self._to_each(STOP)
 
     # drives' end
 
-    def power_up(self) -> MotorMemory:
-        """Return the memory of six drives that have heard nothing; unasked, they answer our query."""
-        return MotorMemory(asked=((self._host, _QUERIED),) * LEGS)
+    def power_up(self, d: Record) -> None:
+        """Let drives that have heard nothing answer our query."""
+        n = len(_QUERIED)
+        d["host"], d["asked"] = self._host, n
+        d["wanted"][:, :n], d["widths"][:, :n] = np.array(_QUERIED).T[:, np.newaxis]
 
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six torques, six replies."""
-        data = pad(torque_command(0.0, 1.0, 1.0))
-        commands = (Frame(each, data, EXTENDED | FD | BRS) for each in self._command_ids)
-        return (*commands, *self.example_feedbacks())
+        return (*self._to_each(pad(torque_command(0.0, 1.0, 1.0))), *self.example_feedbacks())
 
 
 _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
@@ -240,4 +241,4 @@ def moteus(bus: BusSettings, drives: DriveSettings) -> MoteusProtocol:
     most = options.positive("torque_N_m", _MAX_TORQUE)
     name = f"moteus, by drives.options: torque_N_m {most:g},"
     refuse_torque(transmission, drives.force_limit_N, most, name)
-    return MoteusProtocol(drives.node_ids, options.whole("host_id", 0), mode, most, transmission)
+    return MoteusProtocol(drives.node_ids, options.whole("host_id", 0), mode, most, transmission, bus.legs)

@@ -42,7 +42,7 @@ from drivers.moteus_registers import (
     scale_of,
     value,
 )
-from drivers.motor_dialogue import OWN_CODE
+from drivers.motor_kernels import OWN_CODE
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
 

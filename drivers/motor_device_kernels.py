@@ -68,13 +68,13 @@ DEVICES = np.dtype(
         # transmission
         *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "N_per_Nm", "driving", "back_driving")),
         ("full_loss_m_s", "<f8"),
-        # memory, see `drivers.motor_drives.MotorMemory`
-        ("heard", "<i8", (LEGS,)),
+        # memory
+        ("heard", "<i8", (LEGS,)),  # commands so far: none is a repetition
         ("enabled", "<i8", (LEGS,)),
         ("written", "<i8", (LEGS,)),  # how many registers
         ("registers", "<i8", (LEGS, MOST_REGISTERS)),
         ("values", "<f8", (LEGS, MOST_REGISTERS)),
-        ("host", "<i8", (LEGS,)),
+        ("host", "<i8", (LEGS,)),  # who wants what of each drive, in families where a query says so
         ("asked", "<i8", (LEGS,)),  # how many registers
         ("wanted", "<i8", (LEGS, MOST_ASKED)),
         ("widths", "<i8", (LEGS, MOST_ASKED)),

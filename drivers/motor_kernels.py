@@ -16,11 +16,14 @@ from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, records_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, frames_at, whole
-from drivers.motor_dialogue import RETRY_TICKS
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import loss_of
 
+OWN_CODE = 0x100
+"""Added to a fault code of a family, so that none is taken for a DriveFault."""
+RETRY_TICKS = 10
+"""After which a request without an answer is repeated."""
 RESTART_TICKS = 20
 """A drive that was silent for so long may have restarted: it is set up again."""
 MOST_EXCHANGES = 8
@@ -32,13 +35,13 @@ HEARD = np.dtype(
         ("turns", "<f8"),
         ("speed", "<f8"),  # turns/s
         ("torque", "<f8"),  # N m
-        ("power", "<i8"),
-        ("fault", "<i8"),
+        ("power", "<i8"),  # DriveState OFF (disabled), RUN (enabled) or FAULT
+        ("fault", "<i8"),  # DriveFault, or OWN_CODE and the family's code
         ("register", "<i8"),
         ("value", "<f8"),
     ]
 )
-"""What one frame of a drive says, see `drivers.motor_dialogue.Heard`; 0 where it says nothing."""
+"""What one frame of a drive says; `register` and `value` of an answer of the start-up dialogue."""
 BROKEN, FOREIGN, MOTION, FEEDBACK, TORQUE, POWER, ANSWER = (1 << k for k in range(7))
 EAR = np.dtype(
     [
@@ -90,20 +93,24 @@ MOTORS = np.dtype(
         ("exchanges", "<i8", (LEGS,)),  # how many each drive has to confirm
         ("registers", "<i8", (LEGS, MOST_EXCHANGES)),
         ("values", "<f8", (LEGS, MOST_EXCHANGES)),
-        # the dialogue, see `drivers.motor_dialogue.MotorDialogue`
+        # the dialogue
         ("mode", "<i8"),
-        ("torque", "<f8", (LEGS,)),
-        ("rate", "<f8", (LEGS,)),
-        ("power", "<i8", (LEGS,)),
-        ("ran", "<i8", (LEGS,)),
-        ("done", "<i8", (LEGS,)),
-        ("asked", "<i8", (LEGS,)),
-        ("said", "<i8", (LEGS,)),
-        ("owed", "<i8", (LEGS,)),
-        ("patience_ticks", "<i8"),
-        ("read", "<f8", (LEGS,)),
+        ("torque", "<f8", (LEGS,)),  # N m, of the last command
+        ("rate", "<f8", (LEGS,)),  # m/s, last read: it decides the losses
+        ("power", "<i8", (LEGS,)),  # DriveState OFF, RUN or FAULT, as last heard; BOOT: not yet
+        ("ran", "<i8", (LEGS,)),  # 1: enabled since RUN is asked for
+        (
+            "done",
+            "<i8",
+            (LEGS,),
+        ),  # 1 for a drive that is heard, 1 for each exchange that it has confirmed
+        ("asked", "<i8", (LEGS,)),  # tick of the last request
+        ("said", "<i8", (LEGS,)),  # tick in which it last said whether it is enabled
+        ("owed", "<i8", (LEGS,)),  # polls that a drive that is heard has not answered, RESTART_TICKS at most
+        ("patience_ticks", "<i8"),  # after which a drive that does not say so is in BOOT
+        ("read", "<f8", (LEGS,)),  # what the last answer held that was not the right one
         ("has_read", "<i8", (LEGS,)),
-        ("heard", "<f8", (1 + 2 * LEGS, HEARD.itemsize // 8)),  # scratch: elements of HEARD
+        ("scratch", "<f8", (1 + 2 * LEGS, HEARD.itemsize // 8)),  # elements of HEARD
     ]
 )
 """The controller's end of six single-motor drives."""
@@ -180,13 +187,13 @@ def _differ(one: Any, other: Any) -> bool:
 @helper
 def _keep(m: Any, place: int) -> None:
     """Keep what was just heard at a place of the scratch."""
-    m.heard[place, :] = m.heard[0, :]
+    m.scratch[place, :] = m.scratch[0, :]
 
 
 @helper
 def _measure(m: Any, here: int, late: int, tick: Any) -> None:
     """Fill in what the answers of this tick say of the legs: bits of those in time, and of late ones."""
-    kept = heard_at(np.int64(m.heard.ctypes.data), 1 + 2 * LEGS)
+    kept = heard_at(np.int64(m.scratch.ctypes.data), 1 + 2 * LEGS)
     for leg in range(LEGS):
         in_time = here >> leg & 1
         if in_time or late >> leg & 1:
@@ -264,7 +271,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     for leg in range(LEGS):
         m.owed[leg] = m.owed[leg] + 1 if m.done[leg] else 2
     power, said = m.power.copy(), m.said.copy()
-    at = np.int64(m.heard.ctypes.data)
+    at = np.int64(m.scratch.ctypes.data)
     kept = heard_at(at, 1 + 2 * LEGS)
     heard = kept[0]
     received = frames_at(frames, count)

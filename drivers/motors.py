@@ -10,40 +10,28 @@ anew, where it says so: a moteus may have obeyed the next command before it answ
 import struct
 from abc import abstractmethod
 from collections.abc import Sequence
-from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers import motor_device_kernels as devices
 from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
-from drivers.compiled.pointed import FAILED, data_at
-from drivers.controller_end import MOST_FRAMES
+from drivers.compiled.pointed import Pointed, data_at
+from drivers.controller_end import CompiledController
+from drivers.ends import Hearing
 from drivers.errors import ProtocolError
-from drivers.frame_array import FRAME, sent_array, sent_frames
-from drivers.motor_dialogue import OWN_CODE, RETRY_TICKS, Exchange, Heard, MotorDialogue
-from drivers.motor_drives import MotorDrives, put
-from drivers.motor_end import MotorsEnd, after, remember
-from drivers.motor_kernels import (
-    ANSWER,
-    BROKEN,
-    FEEDBACK,
-    FOREIGN,
-    HEARD,
-    KEEPS,
-    MOTION,
-    MOTORS,
-    POWER,
-    TORQUE,
-    wire_state,
-)
-from drivers.protocol import ALWAYS, BUS, OTHER_BUSES, DriveSetup, Frame, PowerTold, Received
+from drivers.family import Family
+from drivers.frame_array import FRAME, NO_FRAMES, sent_array
+from drivers.identity import Said
+from drivers.motor_drives import MotorDrivesEnd
+from drivers.motor_kernels import FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
+from drivers.protocol import ALL_LEGS, BUS, DeviceMessage, DriveSetup, Frame, PowerTold, Sync, off_bus
 from drivers.resolution import Resolution
-from drivers.several_buses import SeveralBuses
-from drivers.signals import LEGS, Command, DriveMode, DriveState
+from drivers.signals import LEGS, NEVER, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
-__all__ = ["OWN_CODE", "RETRY_TICKS", "Exchange", "Heard", "MotorDialogue", "MotorProtocol", "wire_state"]
 _NO_BRAKE = (
     "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
     "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
@@ -53,23 +41,127 @@ _pack = struct.Struct("<qI4B64s").pack
 """Makes an element of FRAME."""
 
 
-@lru_cache(maxsize=64)
-def prepared(protocol: "MotorProtocol", watchdog_s: float) -> tuple[Record, Rows]:
-    """Return the record of a family before its first frame, and the frames that it points to."""
-    m = np.zeros((), MOTORS)
-    frames = sent_array([frame for row in protocol.requests(watchdog_s) for frame in row])
-    m["hear"], m["ear"], m["frames"] = protocol.ear.address, data_at(protocol.tables), data_at(frames)
-    m["rule"], m["clears"] = protocol.rule, protocol.clears
-    m["torque_at"], m["torque_bits"], m["torque_end"] = protocol.torque_field
-    m["torque_limit"], m["unasked"] = protocol.torque_limit, protocol.unasked_s > 0.0
-    m["reports"] = protocol.reports_power
-    protocol.transmission.fill(m)
-    return m, frames
+class Exchange(NamedTuple):
+    """One request of the start-up dialogue, and what its answer must be."""
+
+    name: str
+    register: int
+    frames: tuple[Frame, ...]
+    """Sent together; the last one is answered."""
+    value: float
+    """What the drive must answer, in the drive's unit."""
 
 
-class MotorProtocol(MotorDrives):
-    """Controller's end of such a family, compiled in `drivers.motor_kernels`. Holds tables only."""
+class MotorController(CompiledController):
+    """The controller's end, compiled in `drivers.motor_kernels`.
 
+    Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set up,
+    and measures at its age where the drive owed it, so that a stall makes no leg stale. A second answer that
+    says something else makes its node `doubled`, unless the drive owes answers of the ticks before: then the
+    first ones may be those, and the last one counts. Of drives that send readings unasked, too, the newest
+    counts; the others say nothing of them.
+    """
+
+    first = "mode"
+
+    def __init__(self, family: "MotorProtocol", setup: DriveSetup) -> None:
+        """Take a set-up. Raises ProtocolError if it does not fit."""
+        family.check(setup)
+        self._family, self._exchanges = family, family.exchanges(setup)
+        self._frames = sent_array([frame for row in family.requests(setup.watchdog_s) for frame in row])
+        self._polls = sent_array(family.polls)
+        m = self._begun = np.zeros((), MOTORS)
+        m["hear"], m["ear"], m["frames"] = family.ear.address, data_at(family.tables), data_at(self._frames)
+        m["rule"], m["clears"] = family.rule, family.clears
+        m["torque_at"], m["torque_bits"], m["torque_end"] = family.torque_field
+        m["torque_limit"], m["unasked"] = family.torque_limit, family.unasked_s > 0.0
+        m["reports"] = family.reports_power
+        m["buses"], m["bus_of"] = family.buses, family.bus_of
+        family.transmission.fill(m)
+        for leg, exchanges in enumerate(self._exchanges):
+            n = m["exchanges"][leg] = len(exchanges)
+            m["registers"][leg, :n] = [each.register for each in exchanges]
+            m["values"][leg, :n] = [each.value for each in exchanges]
+        m["power"], m["asked"] = DriveState.BOOT, -RETRY_TICKS
+        m["patience_ticks"] = family.patience_ticks(setup.rate_Hz)
+        super().__init__(m.copy(), kernels.decode, family.commanding)
+
+    def start(self) -> None:
+        """Begin the dialogue: no drive has been heard."""
+        self.state[...] = self._begun
+
+    def begin(self, number: int) -> Rows:
+        """Return one poll a drive: it carries the command of the tick before, where `polls` are none."""
+        if len(self._polls):
+            return self._polls
+        into = np.empty(LEGS, FRAME)
+        kernels.begin(self.state, number, data_at(into))
+        return into
+
+    def set_up(self, tick: Record) -> Rows:
+        """Return the next request of one drive, if it is heard and disabled."""
+        m: Any = self.state
+        number, powered = int(tick["tick"]), m["mode"] in (DriveMode.READY, DriveMode.RUN)
+        for leg, exchanges in enumerate(self._exchanges):
+            step = m["done"][leg] - 1
+            waits = powered or m["power"][leg] == _RUN or number - m["asked"][leg] < RETRY_TICKS
+            if 0 <= step < len(exchanges) and not waits and tick["age"][leg] <= 1:
+                m["asked"][leg] = number
+                return sent_array([self._family.to_leg(leg, each) for each in exchanges[step].frames])
+        return NO_FRAMES
+
+    def legs_set_up(self) -> tuple[bool, ...]:
+        """Return which drives are heard and have confirmed all that was asked of them."""
+        m: Any = self.state
+        return tuple(((m["done"] > m["exchanges"]) & (m["power"] != DriveState.BOOT)).tolist())
+
+    def lacks(self) -> tuple[str, ...]:
+        """Return what is missing: the drive itself, or the register that is not confirmed."""
+        return tuple(self._lack(leg) for leg in range(LEGS))
+
+    def _lack(self, leg: int) -> str:
+        m: Any = self.state
+        done, exchanges = int(m["done"][leg]), self._exchanges[leg]
+        if done == 0:
+            return "it has not answered"
+        if done > len(exchanges):
+            return "" if m["power"][leg] != DriveState.BOOT else "it has not said whether it is enabled"
+        asked = exchanges[done - 1]
+        if not m["has_read"][leg]:
+            return f"{asked.name} is not confirmed"
+        return f"{asked.name} is {float(m['read'][leg]):.7g} in the drive, {asked.value:.7g} here"
+
+    def carried(self, force: Array) -> Array:
+        """Return what the torques give legs at rest that are sent at the rates last read: no losses."""
+        family, rate = self._family, self.state["rate"]
+        return family.transmission.force(
+            family.coded(family.transmission.torque(force, rate)), np.zeros(LEGS)
+        )
+
+    def presume_running(self) -> None:
+        """Take all drives for enabled."""
+        self.state["power"] = _RUN
+
+    def unfit(self, force: Array) -> ProtocolError:
+        """Return what is wrong with forces that do not fit."""
+        if force.shape != (LEGS,) or not np.isfinite(force).all():
+            return ProtocolError(f"force command {force.tolist()} N: six finite ones are allowed")
+        family = self._family
+        most = np.abs(family.transmission.torque(force, self.state["rate"])).max()
+        return ProtocolError(
+            f"force command {force.tolist()} N needs {most:.4g} N m: up to {family.torque_limit:g} N m are "
+            "allowed; lower limits.force_N or change drives.transmission"
+        )
+
+
+class MotorProtocol(Family):
+    """The tables of such a family."""
+
+    ear: Pointed
+    obey: Pointed
+    encode: Pointed
+    """The family's functions: see `drivers.motor_kernels` and `drivers.motor_device_kernels`."""
+    reporting = devices.silent
     rule = KEEPS
     """What a drive is sent, see `drivers.motor_kernels`."""
     clears = False
@@ -78,6 +170,17 @@ class MotorProtocol(MotorDrives):
     """What takes a command."""
     polls: tuple[Frame, ...] = ()
     """What starts a tick, where that is not the command."""
+    number_at: tuple[int, int]
+    """Where an identifier has the number of a drive, and its bits there."""
+    everyone = requests_id = -1
+    """The number of all drives; the identifier of requests whose data name a drive. -1: there is none."""
+    delivered_s = 1e6
+    """The watchdog of a drive as it is delivered."""
+    rejections: tuple[str, ...]
+    """Why a frame is rejected, by the number of its kernel: of the number that is wrong, size and kind."""
+    reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
+    feedback_by_leg = tuple(range(LEGS))
+    """Legs, as answers of several drives may share an identifier or change it; else identifiers."""
     database: tuple[str, str] | None = None
     command_delay_ticks = 1
     set_up_frames: int
@@ -93,11 +196,18 @@ class MotorProtocol(MotorDrives):
     has_watchdog = True
 
     def __init__(
-        self, transmission: Transmission, tables: Record, torque_field: tuple[int, int, float]
+        self,
+        transmission: Transmission,
+        tables: Record,
+        torque_field: tuple[int, int, float],
+        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
     ) -> None:
-        """Take what `ear` works on, and where a command has its torque: first byte, bits, end in N m."""
-        super().__init__(transmission, tables)
-        self.torque_field = torque_field
+        """Take what `ear` works on, where a command has its torque, and the legs of each bus.
+
+        torque_field: first byte, bits, end in N m.
+        """
+        super().__init__(legs)
+        self.transmission, self.tables, self.torque_field = transmission, tables, torque_field
 
     @property
     def feedback_ids(self) -> frozenset[int]:
@@ -123,7 +233,25 @@ class MotorProtocol(MotorDrives):
     def torque_limit(self) -> float:
         """N m, the largest that a command carries."""
 
-    # controller's end
+    def patience_ticks(self, _rate_Hz: float) -> int:
+        """Return after how many ticks a drive is unknown that does not say whether it is enabled."""
+        return NEVER
+
+    def said_by(self, _frame: Frame) -> Said | None:
+        """Return what a frame, as it is on bus 0, says of who sends it; None for any other frame."""
+        return None
+
+    def power_up(self, d: Record) -> None:
+        """Put what six drives remember that have heard nothing into their record: nothing."""
+
+    def converse(self, _d: Record, _leg: int | None, _frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Decode what is not compiled: what sets drives up, asks who they are or stops them.
+
+        d: the drives' record; leg: whom the frame is for, None: nobody; the frame is as it is on bus 0.
+        """
+        raise NotImplementedError
+
+    # what is the same in all
 
     def resolution(self, _rate_Hz: float) -> Resolution:
         """Return that of singles."""
@@ -137,11 +265,6 @@ class MotorProtocol(MotorDrives):
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return None: positions are turns without an end."""
         return None
-
-    def carried(self, dialogue: MotorDialogue, force: Array) -> Array:
-        """Return what the torques give legs at rest that are sent at the rates last read: no losses."""
-        torque = self.transmission.torque(force, np.array(dialogue.rate))
-        return self.transmission.force(self.coded(torque), np.zeros(LEGS))
 
     def coded(self, torque: Array) -> Array:
         """Return what the field carries of torques (6,) N m: as they are, where it is fine enough."""
@@ -162,8 +285,8 @@ class MotorProtocol(MotorDrives):
     def watchdog_danger(self) -> str:
         """What is wrong with the drives' own watchdog; empty where `start` sets it and reads it back."""
 
-    def start(self, setup: DriveSetup) -> MotorDialogue:
-        """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
+    def check(self, setup: DriveSetup) -> None:
+        """Raise ProtocolError if the set-up does not fit."""
         if not 0.0 < setup.watchdog_s <= 100.0:
             raise ProtocolError(
                 f"drive watchdog of {setup.watchdog_s} s: more than 0 up to 100 s are allowed"
@@ -174,133 +297,44 @@ class MotorProtocol(MotorDrives):
                 f"reactions.silence {setup.reaction.name.lower()}: these drives {names} by themselves; "
                 "write that"
             )
-        return MotorDialogue(self.exchanges(setup), setup.watchdog_s)
 
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what a drive's frame says; None for a frame that is nobody's."""
+    def controller_end(self, setup: DriveSetup) -> MotorController:
+        """Return the controller's end. Raises ProtocolError if the set-up does not fit."""
+        return MotorController(self, setup)
+
+    def drives_end(self) -> MotorDrivesEnd:
+        """Return the drives' end, powered up."""
+        return MotorDrivesEnd(self)
+
+    def hearing(self) -> Hearing:
+        """Return the controller's end by address, as far as it hears."""
+        return self.drives_end().hearing()
+
+    def _heard(self, frame: Frame) -> Any:
+        """Return what a drive's frame says, an element of HEARD; None for a frame that is nobody's."""
         identifier, data, flags = frame
         heard = np.zeros((), HEARD)
         row = _pack(0, identifier, 0, len(data), flags % BUS, 0, data)
-        if flags & OTHER_BUSES or not self.ear(self.tables, row, heard):
-            return None
-        leg, has, turns, speed, torque, power, fault, register, value = heard.tolist()
-        return Heard(
-            leg,
-            broken=bool(has & BROKEN),
-            foreign=bool(has & FOREIGN),
-            motion=(turns, speed) if has & MOTION else None,
-            feedback=bool(has & FEEDBACK),
-            torque=torque if has & TORQUE else None,
-            power=power if has & POWER else None,
-            fault=fault,
-            answer=(register, value) if has & ANSWER else None,
-        )
+        said = self.ear(self.tables, row, heard)
+        return heard if said and self.bus_of[heard["leg"]] == frame.bus else None
 
     def sender(self, frame: Frame) -> int:
-        """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
-        heard = self.hear(frame)
-        return -1 if heard is None or heard.foreign else heard.leg
-
-    def record(self, dialogue: MotorDialogue) -> Record:
-        """Return a record of the kernels with what the dialogue remembers."""
-        m = prepared(self, dialogue.watchdog_s)[0].copy()
-        remember(m, dialogue)
-        return m
-
-    def controller_end(self, setup: DriveSetup, buses: SeveralBuses | None = None) -> MotorsEnd:
-        """Return the controller's end, compiled, on several buses where these are given."""
-        record, frames = prepared(self, setup.watchdog_s)
-        return MotorsEnd(buses or self, setup, (record, frames, self.commanding), self.polls)
-
-    def poll(self, dialogue: MotorDialogue, leg: int) -> Frame:
-        """Return what one drive is sent in each tick."""
-        return self._next(dialogue)[leg]
-
-    def _next(self, dialogue: MotorDialogue) -> tuple[Frame, ...]:
-        into = np.empty(LEGS, FRAME)
-        kernels.begin(self.record(dialogue), 0, data_at(into))
-        return sent_frames(into)
-
-    def begin(self, dialogue: MotorDialogue, _tick: int) -> tuple[Frame, ...]:
-        """Return one poll a drive: it carries the command of the tick before, where `polls` are none."""
-        return self.polls or self._next(dialogue)
+        """Return the leg whose drive sends a frame on its own bus, -1 for any other frame."""
+        heard = self._heard(frame)
+        return -1 if heard is None or heard["has"] & FOREIGN else int(heard["leg"])
 
     def awaited(self, frame: Frame) -> int:
         """Return whose feedback a frame is, see `feedback_by_leg`; -1 for none."""
-        heard = self.hear(frame)
-        return self.feedback_by_leg[heard.leg] if heard is not None and heard.feedback else -1
+        heard = self._heard(frame)
+        return self.feedback_by_leg[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1
 
-    def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
-        """Tell whether a frame is feedback to this tick's poll: there is no counter, its time tells."""
-        return received.t_ns >= since_ns and self.awaited(received.frame) >= 0
+    def identity(self, frame: Frame) -> Said | None:
+        """Return what a frame says of who sends it on its own bus; None for any other frame."""
+        said = self.said_by(off_bus(frame))
+        return said if said is not None and self.bus_of[said.leg] == frame.bus else None
 
-    def decode(
-        self, dialogue: MotorDialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
-    ) -> MotorDialogue:
-        """Fill the measurement of a tick; see `DriveProtocol.decode`.
-
-        Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set
-        up, and measures at its age where the drive owed it, so that a stall makes no leg stale. A second
-        answer that says something else makes its node `doubled`, unless the drive owes answers of the ticks
-        before: then the first ones may be those, and the last one counts. Of drives that send readings
-        unasked, too, the newest counts; the others say nothing of them.
-        """
-        m = self.record(dialogue)
-        kernels.decode(m, data_at(frames), len(frames), since_ns, last, tick)
-        return after(m, dialogue)
-
-    def command(
-        self, dialogue: MotorDialogue, command: Command, tick: int
-    ) -> tuple[MotorDialogue, tuple[Frame, ...]]:
-        """Return a tick's command frames: none where the next polls carry it.
-
-        Raises ProtocolError if a force does not fit.
-        """
-        m, into = self.record(dialogue), np.empty(MOST_FRAMES, FRAME)
-        force = np.ascontiguousarray(command.force, float)
-        given = m, tick, int(command.mode), 0, data_at(force), data_at(into)
-        sent = FAILED if force.shape != (LEGS,) else self.commanding(*given)
-        if sent == FAILED:
-            raise self._unfit(force, dialogue.rate)
-        return after(m, dialogue), sent_frames(into[:sent])
-
-    def _unfit(self, force: Array, rate: Sequence[float]) -> ProtocolError:
-        if force.shape != (LEGS,) or not np.isfinite(force).all():
-            return ProtocolError(f"force command {force.tolist()} N: six finite ones are allowed")
-        most = np.abs(self.transmission.torque(force, np.array(rate))).max()
-        return ProtocolError(
-            f"force command {force.tolist()} N needs {most:.4g} N m: up to {self.torque_limit:g} N m are "
-            "allowed; lower limits.force_N or change drives.transmission"
-        )
-
-    def set_up(self, dialogue: MotorDialogue, tick: Record) -> tuple[MotorDialogue, tuple[Frame, ...]]:
-        """Return the next request of one drive, if it is heard and disabled."""
-        number = int(tick["tick"])
-        for leg, exchanges in enumerate(dialogue.exchanges):
-            step = dialogue.done[leg] - 1
-            waits = number - dialogue.asked[leg] < RETRY_TICKS
-            if not 0 <= step < len(exchanges) or waits or tick["age"][leg] > 1:
-                continue
-            if dialogue.power[leg] == _RUN or dialogue.mode in (DriveMode.READY, DriveMode.RUN):
-                continue
-            return dialogue._replace(asked=put(dialogue.asked, leg, number)), exchanges[step].frames
-        return dialogue, ()
-
-    def legs_set_up(self, dialogue: MotorDialogue) -> tuple[bool, ...]:
-        """Return which drives are heard and have confirmed all that was asked of them."""
-        return tuple(not self._lack(dialogue, leg) for leg in range(LEGS))
-
-    def set_up_lacks(self, dialogue: MotorDialogue) -> tuple[str, ...]:
-        """Return what is missing: the drive itself, or the register that is not confirmed."""
-        return tuple(self._lack(dialogue, leg) for leg in range(LEGS))
-
-    def _lack(self, dialogue: MotorDialogue, leg: int) -> str:
-        done, exchanges = dialogue.done[leg], dialogue.exchanges[leg]
-        if done == 0:
-            return "it has not answered"
-        if done > len(exchanges):
-            return "" if dialogue.power[leg] != DriveState.BOOT else "it has not said whether it is enabled"
-        asked, read = exchanges[done - 1], dialogue.read[leg]
-        if read is None:
-            return f"{asked.name} is not confirmed"
-        return f"{asked.name} is {read:.7g} in the drive, {asked.value:.7g} here"
+    def example_feedbacks(self) -> list[Frame]:
+        """Return the feedbacks of six running drives at rest at position zero."""
+        zeros, running = np.zeros(LEGS), np.full(LEGS, _RUN, np.int64)
+        frames = self.drives_end().reply(Sync(0), self.transmission.length(zeros), zeros, zeros, running)
+        return [frame for _, frame in frames]

@@ -25,10 +25,10 @@ from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import SERIAL, Said
 from drivers.motor_device_kernels import ANY
-from drivers.motor_drives import MotorMemory, codes_of, put
-from drivers.motor_kernels import EAR, PREPARES
+from drivers.motor_drives import codes_of
+from drivers.motor_kernels import EAR, OWN_CODE, PREPARES
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-from drivers.motors import OWN_CODE, Exchange, MotorDialogue, MotorProtocol
+from drivers.motors import Exchange, MotorProtocol
 from drivers.odrive_kernels import (
     ADDRESS,
     AXIS_STATE,
@@ -42,7 +42,7 @@ from drivers.odrive_kernels import (
     TORQUE_CONTROL,
 )
 from drivers.protocol import (
-    OTHER_BUSES,
+    ALL_LEGS,
     REMOTE,
     Answer,
     DeviceMessage,
@@ -51,6 +51,7 @@ from drivers.protocol import (
     Frame,
 )
 from drivers.signals import LEGS, DriveFault
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
 PASSTHROUGH = 1
@@ -93,7 +94,6 @@ _FAULTS = {
     DriveFault.SENSOR: 0x8,
     DriveFault.STROKE: 0x10000,
 }
-_STRANGE = kernels.STRANGE | OTHER_BUSES
 _MAX_TORQUE = 1e4
 """N m: more is a mistake, whatever a single can hold."""
 
@@ -124,13 +124,14 @@ class ODriveProtocol(MotorProtocol):
         transmission: Transmission,
         heartbeat_s: float = 0.1,
         unasked_s: float = 0.0,
+        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
     ) -> None:
-        """Take six node numbers, and the watchdog and the timers that odrivetool has set in the axes.
+        """Take six node numbers, the watchdog and timers that odrivetool has set, and the legs of each bus.
 
         Raises ConfigurationError for a node over 62: 63 is "not set".
         """
         tables = np.zeros((), EAR)
-        super().__init__(transmission, tables, (0, 32, 0.0))
+        super().__init__(transmission, tables, (0, 32, 0.0), legs)
         self.delivered_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
         for leg, node in enumerate(nodes):
             if not 0 <= node <= 62:
@@ -141,10 +142,10 @@ class ODriveProtocol(MotorProtocol):
         self._legs = {node: leg for leg, node in enumerate(nodes)}
         tables["codes"] = codes_of(_FAULTS, 0)
         self.feedback_by_leg = tuple(node << 5 | ESTIMATES for node in nodes)
-        self.polls = tuple(Frame(node << 5 | ESTIMATES, b"", REMOTE) for node in nodes)
+        self.polls = tuple(self._to(leg, ESTIMATES, b"", REMOTE) for leg in range(LEGS))
 
-    def _to(self, leg: int, command: int, data: bytes) -> Frame:
-        return Frame(self._nodes[leg] << 5 | command, data)
+    def _to(self, leg: int, command: int, data: bytes, flags: int = 0) -> Frame:
+        return self.to_leg(leg, Frame(self._nodes[leg] << 5 | command, data, flags))
 
     @property
     def torque_limit(self) -> float:
@@ -181,13 +182,9 @@ class ODriveProtocol(MotorProtocol):
         """Return nothing: an axis confirms no setting. Its control mode is sent with each enabling."""
         return ((),) * LEGS
 
-    def start(self, setup: DriveSetup) -> MotorDialogue:
-        """As the base, and let an axis count as unknown after `MISSED_BEATS` heartbeats that did not come.
-
-        Estimates are answered in any state: only the heartbeat tells whether the axis is still enabled.
-        """
-        ticks = ceil(MISSED_BEATS * self._heartbeat_s * setup.rate_Hz)
-        return super().start(setup)._replace(patience_ticks=max(ticks, 2))
+    def patience_ticks(self, rate_Hz: float) -> int:
+        """Return the ticks of `MISSED_BEATS` heartbeats: these alone tell whether an axis is enabled."""
+        return max(ceil(MISSED_BEATS * self._heartbeat_s * rate_Hz), 2)
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return what makes an axis idle, clears its errors, closes its loop, is its torque and its mode."""
@@ -202,13 +199,18 @@ class ODriveProtocol(MotorProtocol):
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return remote frames for the address of each axis."""
-        return (tuple(self._to(leg, ADDRESS, b"")._replace(flags=REMOTE) for leg in range(LEGS)),)
+        return (tuple(self._to(leg, ADDRESS, b"", REMOTE) for leg in range(LEGS)),)
 
-    def identity(self, frame: Frame) -> Said | None:
+    def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number of an address that names its own node: one that sets it names another."""
         identifier, data, flags = frame
         leg = self._legs.get(identifier >> 5)
-        if leg is None or identifier & 0x1F != ADDRESS or flags & (_STRANGE | REMOTE) or len(data) != 8:
+        if (
+            leg is None
+            or identifier & 0x1F != ADDRESS
+            or flags & (kernels.STRANGE | REMOTE)
+            or len(data) != 8
+        ):
             return None
         return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None
 
@@ -218,14 +220,15 @@ class ODriveProtocol(MotorProtocol):
 
     # drives' end
 
-    def converse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+    def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Take Estop, or the question for the address."""
-        node, kind = frame.id >> 5, frame.id & 0x1F
-        leg = self._nodes.index(node)
-        if kind == ADDRESS:
+        assert leg is not None
+        node = self._nodes[leg]
+        if frame.id & 0x1F == ADDRESS:
             said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
-            return memory, (Answer(leg, self._to(leg, ADDRESS, said)),)
-        return memory._replace(enabled=put(memory.enabled, leg, False)), (EmergencyStop((leg,)),)
+            return (Answer(leg, self._to(leg, ADDRESS, said)),)
+        d["enabled"][leg] = 0
+        return (EmergencyStop((leg,)),)
 
     # bus time
 
@@ -257,4 +260,5 @@ def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
         transmission,
         1e-3 * drives.heartbeat_ms,
         1e-3 * unasked_ms,
+        bus.legs,
     )

@@ -11,7 +11,7 @@ from drivers.compiled.pointed import FAILED, pointed
 from drivers.ends import frame_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, whole
-from drivers.motor_dialogue import OWN_CODE, RETRY_TICKS
+from drivers.motor_kernels import OWN_CODE, RETRY_TICKS
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 

@@ -3,13 +3,11 @@
 A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 """
 
-from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
-from drivers.arrays import Array, Ints, Rows
+from drivers.arrays import Array
 from drivers.resolution import Resolution
-from drivers.signals import LEGS, Command, Reaction
-from drivers.tick_columns import Record
+from drivers.signals import LEGS, Reaction
 
 EXTENDED = 1
 FD = 2
@@ -41,6 +39,11 @@ class Frame(NamedTuple):
     def bus(self) -> int:
         """Index of the bus that carries it, 0..127."""
         return self.flags // BUS
+
+
+def off_bus(frame: Frame) -> Frame:
+    """Return a frame as it would be on bus 0."""
+    return frame._replace(flags=frame.flags % BUS) if frame.flags >= BUS else frame
 
 
 class Received(NamedTuple):
@@ -135,21 +138,12 @@ class Status(NamedTuple):
 
 PowerTold = Literal["feedback", "heartbeat", "never"]
 
-Dialogue = Any
-"""What the controller's end remembers between ticks: an immutable value, the protocol's own."""
-Memory = Any
-"""What the six drives remember between frames: an immutable value, the protocol's own."""
-
 
 class DriveProtocol(Protocol):
-    """Pure codec of both ends. Implementations hold compiled tables only and are shared.
+    """Codec of both ends. Implementations hold compiled tables only and are shared.
 
-    What an end remembers is a value that its owner keeps and hands in: the cycle has the Dialogue, the
-    emulated drives the Memory. Only frames and ticks change them.
-
-    A tick: `begin` is sent; what answers it is `fresh`; `decode` folds all frames in; then `command` and,
-    while the drives are not powered, `set_up`. Where the poll is the command, `command` only remembers it,
-    the next `begin` sends it, and `command_delay_ticks` is 1.
+    What an end remembers is its owner's: the cycle has a `drivers.controller_end.ControllerEnd`, the emulated
+    drives a `drivers.ends.DrivesEnd`. Only frames and ticks change them.
     """
 
     @property
@@ -181,7 +175,7 @@ class DriveProtocol(Protocol):
 
     @property
     def reactions(self) -> tuple[Reaction, ...]:
-        """What the drives can do by themselves after silence; `start` refuses another."""
+        """What the drives can do by themselves after silence; `controller_end` refuses another."""
 
     @property
     def dangers(self) -> tuple[str, ...]:
@@ -221,15 +215,12 @@ class DriveProtocol(Protocol):
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
 
-    def carried(self, dialogue: Dialogue, force: Array) -> Array:
-        """Return what a command of forces (6,) N gives legs at rest: its fields have steps."""
-
     # controller's end
-    def start(self, setup: DriveSetup) -> Dialogue:
-        """Return the dialogue before its first frame. Raises ProtocolError if the set-up does not fit."""
+    def controller_end(self, setup: DriveSetup) -> Any:
+        """Return the controller's end, see `drivers.controller_end`.
 
-    def begin(self, dialogue: Dialogue, tick: int) -> tuple[Frame, ...]:
-        """Frames that start a tick: SYNC or polls; none for drives that send of their own accord."""
+        Raises ProtocolError if the set-up does not fit.
+        """
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
         """Tell whether a frame is feedback of this tick that can be trusted: the drain waits for others.
@@ -243,38 +234,12 @@ class DriveProtocol(Protocol):
     def fault_text(self, code: int) -> str:
         """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
 
-    def decode(
-        self, dialogue: Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
-    ) -> Dialogue:
-        """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
-
-        since_ns: when the loop woke up; the SYNC or poll of each leg was out `latch_ns` of the tick later.
-        Fills every column of the part. Frames that are nobody's are ignored; those of another controller and
-        a second answer of one node are named in `foreign` and `doubled`, a set-up that is not ours in
-        `altered`, as far as the protocol can tell. A fault code that is not a DriveFault is the drive's own.
-        """
-
-    def command(self, dialogue: Dialogue, command: Command, tick: int) -> tuple[Dialogue, tuple[Frame, ...]]:
-        """Frames of one tick's command. Raises ProtocolError if a force does not fit."""
-
-    def set_up(self, dialogue: Dialogue, tick: Record) -> tuple[Dialogue, tuple[Frame, ...]]:
-        """Frames of the start-up dialogue of this tick. No drive in READY or RUN is disturbed."""
-
-    def legs_set_up(self, dialogue: Dialogue) -> tuple[bool, ...]:
-        """Which of the six drives have been set up since `start`, on their own word where they give it."""
-
-    def set_up_lacks(self, dialogue: Dialogue) -> tuple[str, ...]:
-        """Return what of its set-up each of the six drives has not confirmed, in words; empty: nothing."""
-
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
 
     # drives' end
-    def power_up(self) -> Memory:
-        """Return the memory of six drives that have heard nothing."""
-
-    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end; no messages when the frame is not for them."""
+    def drives_end(self) -> Any:
+        """Return the drives' end, powered up, see `drivers.ends`."""
 
     # which drive a frame concerns: what spreads the legs over several buses
     def addressed(self, frame: Frame) -> tuple[int, ...]:
@@ -282,28 +247,6 @@ class DriveProtocol(Protocol):
 
     def sender(self, frame: Frame) -> int:
         """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
-
-    def answer(
-        self,
-        memory: Memory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        fault: Ints | None = None,
-    ) -> tuple[Memory, list[tuple[int, Frame]]]:
-        """Encode what the drives of `sync.legs` answer, each frame with its leg; they may remember it.
-
-        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
-        of no use; fault (6,) DriveFault, for protocols whose feedback names it. Raises ProtocolError on NaN.
-        """
-
-    def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
-        """Learn what a drive is in, at its heartbeat and at each change, and return what it sends of it."""
-
-    def restarted(self, memory: Memory, legs: Sequence[int]) -> Memory:
-        """Return the memory after drives were switched off and on, where their state alone does not tell."""
 
     # bus time
     def cyclic_frames(self) -> tuple[Frame, ...]:

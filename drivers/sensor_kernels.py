@@ -10,9 +10,8 @@ from drivers.compiled.compiler import INTEGER, REAL, VECTOR, direct, helper, rec
 from drivers.compiled.pointed import FAILED, data_at, records_at
 from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import signed
-from drivers.legs.crc import FINAL_XOR, RESIDUE
-from drivers.legs.device_kernels import STRANGE
-from drivers.legs.kernels import natural, put, register_after
+from drivers.legs.crc import check_of, intact
+from drivers.legs.kernels import STRANGE, natural, put
 from drivers.tick_columns import Record
 
 TRACKER, IMU, WRENCH = range(3)
@@ -31,7 +30,7 @@ values. Tracker: position m in the base frame, rotation vector rad from platform
 rad/s, specific force m/s^2. Wrench: force N, moment N m. The last two in the platform frame."""
 SENSORS = np.dtype(
     [
-        *((name, "<i8", (3,)) for name in ("id", "flags", "bus", "register", "length")),
+        *((name, "<i8", (3,)) for name in ("id", "flags", "bus", "length")),
         ("start", "<i8", (3, FIELDS)), ("bits", "<i8", (3, FIELDS)),
         ("scale", "<f8", (3, QUANTITIES + 1)),
         ("low", "<f8", (3, QUANTITIES)), ("high", "<f8", (3, QUANTITIES)),
@@ -40,9 +39,9 @@ SENSORS = np.dtype(
         ("samples", "<i8"),
     ]
 )  # fmt: skip
-"""Tracker, IMU, wrench sensor: identifier (-1: there is none), flags, bus, check after the identifier, bytes;
-where each field lies in bits; steps and ranges in SI. Then what has been heard: the counter of each one's
-last frame; of the present tick the samples, refused frames, and samples that the counters show to be missing.
+"""Tracker, IMU, wrench sensor: identifier (-1: there is none), flags, bus, bytes; where each field lies in
+bits; steps and ranges in SI. Then what has been heard: the counter of each one's last frame; of the present
+tick the samples, refused frames, and samples that the counters show to be missing.
 `samples`: address of (3, MOST) elements of SAMPLE."""
 _HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
 _samples_at = records_at(record(SAMPLE))
@@ -94,14 +93,14 @@ def _keep(s: Any, kind: int, tick: int, offset_s: float, values: Array) -> None:
 def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
     """Take a sample from an intact frame; tell whether it can be believed."""
     start, bits = s.start[kind], s.bits[kind]
-    behind = (tick - natural(data, 0, start[7], bits[7])) & 0xFF
-    counter = natural(data, 0, start[8], bits[8])
-    validity = natural(data, 0, start[9], bits[9])
+    behind = (tick - natural(data, start[7], bits[7])) & 0xFF
+    counter = natural(data, start[8], bits[8])
+    validity = natural(data, start[9], bits[9])
     if behind > OLDEST or tick < behind or validity > 1 or s.count[kind] == MOST:
         return False
     v = np.empty(QUANTITIES)
     for k in range(QUANTITIES):
-        v[k] = signed(natural(data, 0, start[k], bits[k]), bits[k]) * s.scale[kind, k]
+        v[k] = signed(natural(data, start[k], bits[k]), bits[k]) * s.scale[kind, k]
         if not s.low[kind, k] <= v[k] <= s.high[kind, k]:
             return False
     if kind == TRACKER and v[3] * v[3] + v[4] * v[4] + v[5] * v[5] > _HALF_TURN_2:
@@ -112,7 +111,7 @@ def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
         s.lost += (counter - s.counter[kind] - 1) & 0xF
     s.counter[kind] = counter
     if validity == 0:
-        offset_s = natural(data, 0, start[6], bits[6]) * s.scale[kind, 6]
+        offset_s = natural(data, start[6], bits[6]) * s.scale[kind, 6]
         _keep(s, kind, tick - behind, offset_s, v)
     return True
 
@@ -127,11 +126,8 @@ def hear(s: Any, frames: Any, tick: int) -> None:
         for kind in range(3):
             if np.int64(frame.id) != s.id[kind] or frame.flags & STRANGE or frame.bus != s.bus[kind]:
                 continue
-            intact = (
-                frame.length == s.length[kind]
-                and register_after(frame.data, 0, frame.length, s.register[kind]) == RESIDUE
-            )
-            if not (intact and _take(s, kind, frame.data, tick)):
+            whole = frame.length == s.length[kind] and intact(frame)
+            if not (whole and _take(s, kind, frame.data, tick)):
                 s.rejected += 1
 
 
@@ -151,12 +147,12 @@ def put_sample(s: Any, kind: int, v: Array, cycle: int, offset_s: float, counter
             return FAILED
         bounded = min(max(v[k], s.low[kind, k]), s.high[kind, k])
         invalid |= bounded != v[k]
-        put(int(np.rint(bounded / s.scale[kind, k])), data, 0, start[k], bits[k])
+        put(int(np.rint(bounded / s.scale[kind, k])), data, start[k], bits[k])
     trailer = (int(offset), cycle, counter, invalid)
     for k in range(len(trailer)):
-        put(trailer[k], data, 0, start[QUANTITIES + k], bits[QUANTITIES + k])
+        put(trailer[k], data, start[QUANTITIES + k], bits[QUANTITIES + k])
     last = s.length[kind] - 1
-    data[last] = register_after(data, 0, last, s.register[kind]) ^ FINAL_XOR
+    data[last] = check_of(s.id[kind], data, last, 1)
     return 0
 
 

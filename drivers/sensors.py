@@ -13,21 +13,19 @@ from drivers.compiled.pointed import FAILED
 from drivers.config import BusSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import FRAME, sent_frames
-from drivers.legs.codec import layout_of, parsed, read_dbc
-from drivers.legs.crc import identifier_state
+from drivers.legs.messages import layout_of, parsed, read_dbc
 from drivers.protocol import Frame
 from drivers.sensor_kernels import FIELDS, NOBODY, QUANTITIES, SENSORS, encode
 from drivers.tick_columns import Record
 
 KINDS = ("tracker", "imu", "wrench")
 _MESSAGES = {
-    "tracker": ("TRACKER_7", 7, ("X", "Y", "Z", "RX", "RY", "RZ")),
-    "imu": ("IMU_8", 8, ("WX", "WY", "WZ", "FX", "FY", "FZ")),
-    "wrench": ("WRENCH_9", 9, ("FX", "FY", "FZ", "MX", "MY", "MZ")),
+    "tracker": ("TRACKER_7", 7),
+    "imu": ("IMU_8", 8),
+    "wrench": ("WRENCH_9", 9),
 }
-"""Kind -> message of sensors.dbc, the node number in its identifier, its six quantities."""
-_TRAILER = ("Offset", "Cycle", "Counter", "Validity", "CRC")
-_TABLES = ("id", "flags", "bus", "register", "length", "start", "bits", "scale", "low", "high")
+"""Kind -> message of sensors.dbc, and the node number in its identifier."""
+_TABLES = ("id", "flags", "bus", "length", "start", "bits", "scale", "low", "high")
 """Of SENSORS: what is known before anything is heard."""
 
 
@@ -52,17 +50,16 @@ class SensorProtocol:
         """A record of SENSORS that has heard nothing."""
         self.tables["id"] = NOBODY
         for kind in self.rates_Hz:
-            name, node, quantities = _MESSAGES[kind]
-            form = layout_of(database.get_message_by_name(name), *quantities, *_TRAILER)
+            name, node = _MESSAGES[kind]
+            form = layout_of(database.get_message_by_name(name))
             identifier = form.id - node + getattr(sensors, kind).node_id
             try:
                 bus_index = bus.index_of(getattr(sensors, kind).channel)
             except ConfigurationError as error:
                 raise ConfigurationError(f"sensors.{kind}.channel: {error}") from error
-            places = form.places[:FIELDS]
+            start, bits = zip(*form.places[:FIELDS], strict=True)
             tables = (
-                identifier, form.flags, bus_index, identifier_state(identifier), form.length,
-                [place.start for place in places], [place.size for place in places],
+                identifier, form.flags, bus_index, form.length, start, bits,
                 form.scale[: QUANTITIES + 1], form.low[:QUANTITIES], form.high[:QUANTITIES],
             )  # fmt: skip
             for column, table in zip(_TABLES, tables, strict=True):

@@ -1,6 +1,6 @@
-"""The drives' end of CiA 402, compiled: SYNC, PDOs and heartbeats of six emulated drives.
+"""The drives' end of CiA 402, compiled: SYNC, PDOs, heartbeats and EMCY of six emulated drives.
 
-NMT, SDO, EMCY, and what is rejected are left to `devices`.
+NMT, SDO, and what is rejected are left to `drives_end`.
 """
 
 from typing import Any
@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import ENTRIES, MAPPED, PDOS, TORQUE_MODES
+from drivers.cia402 import states as s
+from drivers.cia402.dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
+from drivers.cia402.emergency import HEARTBEAT_LOST
 from drivers.cia402.kernels import STRANGE
-from drivers.cia402.states import STATUSWORDS, State, commanded
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, record_at
 from drivers.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, frame_at, message_at, reading_at
@@ -19,39 +20,35 @@ from drivers.frame_pointers import begin_sent, place_of, signed, whole
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.transmission import loss_of
 
-MAPPABLE = (
-    o.CONTROLWORD,
-    o.TARGET_TORQUE,
-    o.MODE,
-    o.STATUSWORD,
-    o.POSITION,
-    o.VELOCITY,
-    o.TORQUE,
-    o.ERROR_CODE,
-    o.MODE_SHOWN,
+_WORD, _TARGET, _MODE, _SHOWN = (PLACE[key] for key in (o.CONTROLWORD, o.TARGET_TORQUE, o.MODE, o.MODE_SHOWN))
+_POSITION, _VELOCITY, _TORQUE, _STATUS = (
+    PLACE[key] for key in (o.POSITION, o.VELOCITY, o.TORQUE, o.STATUSWORD)
 )
-"""Objects that a PDO can carry."""
-_WORD, _TARGET, _MODE, _STATUS, _POSITION, _VELOCITY, _TORQUE, _ERROR, _SHOWN = range(len(MAPPABLE))
-_SIZES = tuple(ENTRIES[key].size for key in MAPPABLE)
-REMEMBERED = ("nmt", "state", "word", "torque", "error", "commands", "started", "stops")
-"""What a `Device` remembers besides its objects."""
-ACTUAL = ("position", "velocity", "current")
+_ERROR, _REGISTER, _COMMUNICATION = (
+    PLACE[key] for key in (o.ERROR_CODE, o.ERROR_REGISTER, o.COMMUNICATION_ERROR)
+)
+_CONSUMER, _PRODUCER, _MOST, _QUICK = (
+    PLACE[key] for key in (o.CONSUMER_HEARTBEAT, o.PRODUCER_HEARTBEAT, o.MAX_TORQUE, o.QUICK_STOP)
+)
+_SIZES = np.array([entry.size for entry in ENTRIES.values()])
 DEVICE = np.dtype(
     [
-        *((name, "<i8") for name in ("leg", "node", *REMEMBERED, *ACTUAL)),
-        # objects
-        *((name, "<i8") for name in ("mode", "shown", "most", "quick", "consumer", "producer")),
-        ("scale", "<f8"),  # N at the leg of a permille
-        # RPDOs and TPDOs: identifiers, 0: none; bytes; how many objects, and their places in MAPPABLE
-        *((name, "<i8", (PDOS,)) for name in ("heard", "size", "entries", "sent", "sends")),
-        ("takes", "<i8", (PDOS, MAPPED)),
-        ("holds", "<i8", (PDOS, MAPPED)),
+        ("nmt", "<i8"),
+        ("state", "<i8"),
+        ("commands", "<i8"),  # so far
+        ("started", "<i8"),  # 1: it has been in Operational since power-up
+        ("stops", "<i8"),  # 1: it has reported its quick stop once
+        ("values", "<i8", (len(ENTRIES),)),  # its object dictionary
+        # from that, RPDOs and the TPDOs of a SYNC: identifiers, 0: none; bytes; the places of their objects
+        *((name, "<i8", (2, PDOS)) for name in ("pdos", "sizes", "counts")),
+        ("places", "<i8", (2, PDOS, MAPPED)),
     ]
 )
-"""One drive, see `drivers.cia402.device.Device`."""
+"""What one drive remembers."""
 DEVICES = np.dtype(
     [
         ("devices", "<i8"),  # address of six elements of DEVICE
+        ("new", "<i8"),  # of six that have just been powered up
         ("stops", "<i8"),  # 1: it takes what stops a drive quickly, else that is left to its owner
         ("buses", "<i8"),  # how many; 0: one
         ("bus_of", "<i8", (LEGS,)),
@@ -60,19 +57,17 @@ DEVICES = np.dtype(
         ("codes", "<i8", (len(DriveFault),)),  # of an EMCY, by fault
         ("rated_mNm", "<f8"),
         *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "counts", "N_per_Nm")),
-        *((name, "<f8", (LEGS,)) for name in ("driving", "back_driving")),
+        *((name, "<f8", (LEGS,)) for name in ("N_per_permille", "driving", "back_driving")),
         ("full_loss_m_s", "<f8"),
     ]
 )
 """Six emulated drives."""
-_DEVICE, _DEVICES = record(DEVICE), record(DEVICES)
-_device_at: Any = record_at(_DEVICE)
+_DEVICES = record(DEVICES)
+_device_at: Any = record_at(record(DEVICE))
 _ROW, _FRAME, _MESSAGE = DEVICE.itemsize, FRAME.itemsize, MESSAGE.itemsize
-_STATUSWORDS = np.array([STATUSWORDS[state] for state in State])
+_STATUSWORDS = np.array([*s.STATUSWORDS.values()])
 _BOOT, _FAULT = int(DriveState.BOOT), int(DriveState.FAULT)
 _OFF, _READY, _RUN, _RESET = map(int, DriveMode)
-_DISABLED, _ENABLED, _QUICK_STOP = int(State.DISABLED), int(State.ENABLED), int(State.QUICK_STOP)
-_FAULT_REACTION, _IN_FAULT = int(State.FAULT_REACTION), int(State.FAULT)
 _NODE = 0x7F
 _LEAST_WORD, _MOST_WORD = -float(1 << 31), float((1 << 31) - 1)
 _LEAST_SHORT, _MOST_SHORT = -float(1 << 15), float((1 << 15) - 1)
@@ -91,9 +86,9 @@ def _device(c: Any, leg: int) -> Any:
 @helper
 def _following(d: Any, word: int) -> int:
     """Return the state to which a controlword leads."""
-    state = commanded(word, d.state, not d.word & 0x80)
-    stops_at_once = state == _QUICK_STOP and d.state == _ENABLED and d.quick == 0
-    return _DISABLED if stops_at_once else state
+    state = s.commanded(word, d.state, not d.values[_WORD] & 0x80)
+    stops_at_once = state == s.QUICK_STOP and d.state == s.ENABLED and d.values[_QUICK] == 0
+    return s.DISABLED if stops_at_once else state
 
 
 @helper
@@ -106,38 +101,39 @@ def _put(messages: int, count: int, leg: int, kind: int, mode: int, counter: int
 
 
 @helper
-def _control(d: Any, word: int, torque: int, messages: int) -> int:
+def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
+    d = _device(c, leg)
     state, before, n, count = _following(d, word), d.state, d.commands, 0
-    if state == _ENABLED:
-        most = d.most if d.mode else 0
-        force = min(max(torque, -most), most) * d.scale
-        if before != _ENABLED:
-            count = _put(messages, count, d.leg, UNWATCHED, _READY, n + 1, force)
-        count = _put(messages, count, d.leg, UNWATCHED, _RUN, n + 2, force)
-    elif state == _QUICK_STOP:
-        if before != _QUICK_STOP:
-            count = _put(messages, count, d.leg, STOP, 0, 0, 0.0)
-    elif before == _ENABLED:
-        count = _put(messages, count, d.leg, UNWATCHED, _OFF, n + 1, 0.0)
-    elif before in (_IN_FAULT, _DISABLED) and state != before:
-        count = _put(messages, count, d.leg, UNWATCHED, _RESET, n + 1, 0.0)
-    d.stops = d.stops != 0 and state == _QUICK_STOP
-    d.word, d.torque, d.state, d.commands = word, torque, state, n + 2
+    if state == s.ENABLED:
+        most = d.values[_MOST] if d.values[_MODE] else 0
+        force = min(max(torque, -most), most) * c.N_per_permille[leg]
+        if before != s.ENABLED:
+            count = _put(messages, count, leg, UNWATCHED, _READY, n + 1, force)
+        count = _put(messages, count, leg, UNWATCHED, _RUN, n + 2, force)
+    elif state == s.QUICK_STOP:
+        if before != s.QUICK_STOP:
+            count = _put(messages, count, leg, STOP, 0, 0, 0.0)
+    elif before == s.ENABLED:
+        count = _put(messages, count, leg, UNWATCHED, _OFF, n + 1, 0.0)
+    elif before in (s.IN_FAULT, s.DISABLED) and state != before:
+        count = _put(messages, count, leg, UNWATCHED, _RESET, n + 1, 0.0)
+    d.stops = d.stops != 0 and state == s.QUICK_STOP
+    d.values[_WORD], d.values[_TARGET], d.state, d.commands = word, torque, state, n + 2
     return count
 
 
-@pointed(_DEVICE, INTEGER, INTEGER, INTEGER)
-def control(d: Any, word: int, torque: int, messages: int) -> int:
-    """Let a controlword and a target torque act; without a mode of operation no torque follows."""
-    return _control(d, word, torque, messages)
+@pointed(_DEVICES, INTEGER, INTEGER, INTEGER)
+def control(c: Any, leg: int, word: int, messages: int) -> int:
+    """Let a controlword act with the target torque; without a mode of operation no torque follows."""
+    return _control(c, leg, word, _device(c, leg).values[_TARGET], messages)
 
 
 @helper
 def _carried(d: Any, k: int, data: Any) -> tuple[int, int, int]:
     """Return controlword, target torque and mode of operation after an RPDO."""
-    at, word, torque, mode = 0, d.word, d.torque, d.mode
-    for j in range(d.entries[k]):
-        what = d.takes[k, j]
+    at, word, torque, mode = 0, d.values[_WORD], d.values[_TARGET], d.values[_MODE]
+    for j in range(d.counts[0, k]):
+        what = d.places[0, k, j]
         value = whole(data, at, _SIZES[what])
         at += _SIZES[what]
         if what == _WORD:
@@ -151,7 +147,7 @@ def _carried(d: Any, k: int, data: Any) -> tuple[int, int, int]:
 
 @helper
 def _listens(c: Any, leg: int, k: int, frame: Any) -> bool:
-    heard = _device(c, leg).heard[k]
+    heard = _device(c, leg).pdos[0, k]
     return bool(heard != 0 and heard == frame.id and c.bus_of[leg] == frame.bus)
 
 
@@ -167,9 +163,9 @@ def _listeners(c: Any, frame: Any) -> int:
             found |= 1 << leg
             if d.nmt != o.OPERATES:
                 continue
-            if frame.length < d.size[k]:
+            if frame.length < d.sizes[0, k]:
                 return FAILED
-            stops = _following(d, _carried(d, k, frame.data)[0]) == _QUICK_STOP != d.state
+            stops = _following(d, _carried(d, k, frame.data)[0]) == s.QUICK_STOP != d.state
             if (stops or again) and not c.stops:
                 return FAILED
     return found
@@ -184,9 +180,9 @@ def _obey(c: Any, frame: Any, messages: int) -> int:
         for k in range(PDOS):
             if d.nmt == o.OPERATES and _listens(c, leg, k, frame):
                 word, torque, mode = _carried(d, k, frame.data)
-                if mode != d.mode:
-                    d.mode = d.shown = mode
-                count += _control(d, word, torque, messages + count * _MESSAGE)
+                if mode != d.values[_MODE]:
+                    d.values[_MODE] = d.values[_SHOWN] = mode
+                count += _control(c, leg, word, torque, messages + count * _MESSAGE)
     return count
 
 
@@ -199,11 +195,12 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
         if c.bus_of[leg] != bus:
             continue
         if kind == SYNC:
-            hears = d.nmt == o.OPERATES and d.sends[0] > 0
-            if d.state == _FAULT_REACTION:
-                d.state = _IN_FAULT
+            hears = d.nmt == o.OPERATES and d.counts[1, 0] > 0
+            if d.state == s.FAULT_REACTION:
+                d.state = s.IN_FAULT
         else:
-            hears = d.nmt != o.BOOTS and d.consumer & 0xFFFF != 0 and d.consumer >> 16 & _NODE == node
+            watched = d.values[_CONSUMER]
+            hears = d.nmt != o.BOOTS and watched & 0xFFFF != 0 and watched >> 16 & _NODE == node
         if hears:
             message.legs[count] = leg
             count += 1
@@ -213,7 +210,7 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(c: Any, frame_address: int, messages: int) -> int:
-    """Decode a SYNC, a PDO or a heartbeat, see `Devices.parse`."""
+    """Decode a SYNC, a PDO or a heartbeat, else leave it to `drives_end`."""
     frame = frame_at(frame_address)
     if frame.flags & STRANGE or frame.bus >= max(c.buses, 1):
         return 0
@@ -235,6 +232,14 @@ def parse(c: Any, frame_address: int, messages: int) -> int:
 
 
 @helper
+def _restart(c: Any, leg: int) -> None:
+    """Let a drive forget what was set in it, but not how many commands there were."""
+    commands = _device(c, leg).commands + 1
+    integers_at(c.devices + leg * _ROW, _ROW // 8)[:] = integers_at(c.new + leg * _ROW, _ROW // 8)
+    _device(c, leg).commands = commands
+
+
+@helper
 def _whole(number: float, least: float, most: float) -> int:
     """Return the nearest whole number, saturated."""
     return int(np.rint(min(max(number, least), most)))
@@ -250,34 +255,20 @@ def _measure(c: Any, leg: int, reading: Any) -> bool:
     torque = loss * force / c.N_per_Nm[leg] * 1e6 / c.rated_mNm
     if np.isnan(position) or np.isnan(velocity) or np.isnan(torque):
         return False
-    d.position = _whole(position, _LEAST_WORD, _MOST_WORD)
-    d.velocity = _whole(velocity, _LEAST_WORD, _MOST_WORD)
-    d.current = _whole(torque, _LEAST_SHORT, _MOST_SHORT)
+    d.values[_POSITION] = _whole(position, _LEAST_WORD, _MOST_WORD)
+    d.values[_VELOCITY] = _whole(velocity, _LEAST_WORD, _MOST_WORD)
+    d.values[_TORQUE] = _whole(torque, _LEAST_SHORT, _MOST_SHORT)
     return True
-
-
-@helper
-def _object(d: Any, what: int) -> int:
-    """Return an object that a TPDO carries."""
-    if what == _STATUS:
-        return int(_STATUSWORDS[d.state])
-    if what == _POSITION:
-        return int(d.position)
-    if what == _VELOCITY:
-        return int(d.velocity)
-    if what == _TORQUE:
-        return int(d.current)
-    return int(d.error if what == _ERROR else d.shown)
 
 
 @helper
 def _send(d: Any, bus: int, k: int, frame: Any) -> None:
     """Fill in a TPDO."""
-    begin_sent(frame, d.sent[k], 0, 0, bus)
+    begin_sent(frame, d.pdos[1, k], 0, 0, bus)
     at = 0
-    for j in range(d.sends[k]):
-        what = d.holds[k, j]
-        value = _object(d, what)
+    for j in range(d.counts[1, k]):
+        what = d.places[1, k, j]
+        value = _STATUSWORDS[d.state] if what == _STATUS else d.values[what]
         for n in range(_SIZES[what]):
             frame.data[at] = value >> 8 * n & 0xFF
             at += 1
@@ -286,7 +277,7 @@ def _send(d: Any, bus: int, k: int, frame: Any) -> None:
 
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in the TPDOs of a SYNC and the leg of each; FAILED for a NaN, and where a drive has restarted."""
+    """Fill in the TPDOs of a SYNC and the leg of each; FAILED for a NaN."""
     sync, reading = message_at(sync_address), reading_at(reading_address)
     legs, asked, buses, count = integers_at(senders, LEGS * PDOS), 0, 0, 0
     for k in range(sync.count):
@@ -298,7 +289,7 @@ def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: 
         if c.buses and not buses >> c.bus_of[leg] & 1:
             continue
         if reading.state[leg] & ~INVALID == _BOOT and _device(c, leg).started:
-            return FAILED
+            _restart(c, leg)
         if not _measure(c, leg, reading):
             return FAILED
     for bus in range(max(c.buses, 1)):
@@ -309,7 +300,7 @@ def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: 
             if state == _BOOT or state & INVALID:
                 continue
             for k in range(PDOS):
-                if d.sends[k]:
+                if d.counts[1, k]:
                     _send(d, bus, k, frame_at(into + count * _FRAME))
                     legs[count] = leg
                     count += 1
@@ -320,22 +311,36 @@ def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: 
 def report(
     c: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, _due: int, into: int
 ) -> int:
-    """Fill in a heartbeat, and let a quick stop that has been reported end; FAILED for boot-up and EMCY."""
-    d = _device(c, leg)
-    in_fault = state == _FAULT
-    trips, recovers = in_fault and c.codes[fault] and not d.error, d.error and not in_fault
-    if d.nmt == o.BOOTS or (state == _BOOT and d.started) or trips or recovers:
-        return FAILED
-    if d.state == _QUICK_STOP:
+    """Fill in a boot-up, else EMCY and heartbeat, and let a quick stop that has been reported end."""
+    d, count = _device(c, leg), 0
+    if state == _BOOT and d.started:
+        _restart(c, leg)
+    if d.nmt == o.BOOTS:
+        d.nmt, d.state = o.PREPARES, s.DISABLED
+        begin_sent(frame_at(into), o.HEARTBEAT_ID + c.nodes[leg], 1, 0, c.bus_of[leg])
+        return 1
+    code = c.codes[fault] if state == _FAULT else 0
+    if (code and not d.values[_ERROR]) or (d.values[_ERROR] and state != _FAULT):
+        if code:
+            d.state = s.FAULT_REACTION
+        if code == HEARTBEAT_LOST and d.values[_COMMUNICATION] == 0 and d.nmt == o.OPERATES:
+            d.nmt = o.PREPARES
+        register = (0x11 if code >> 8 == 0x81 else 0x01) if code else 0
+        d.values[_ERROR], d.values[_REGISTER] = code, register
+        emergency = frame_at(into)
+        begin_sent(emergency, o.EMCY_ID + c.nodes[leg], 8, 0, c.bus_of[leg])
+        emergency.data[0], emergency.data[1], emergency.data[2] = code & 0xFF, code >> 8, register
+        count = 1
+    if d.state == s.QUICK_STOP:
         if d.stops:
-            d.state = _DISABLED
+            d.state = s.DISABLED
         d.stops = 1
-    if not d.producer:
-        return 0
-    frame = frame_at(into)
-    begin_sent(frame, o.HEARTBEAT_ID + d.node, 1, 0, c.bus_of[leg])
-    frame.data[0] = d.nmt
-    return 1
+    if not d.values[_PRODUCER]:
+        return count
+    beat = frame_at(into + count * _FRAME)
+    begin_sent(beat, o.HEARTBEAT_ID + c.nodes[leg], 1, 0, c.bus_of[leg])
+    beat.data[0] = d.nmt
+    return count + 1
 
 
 # the controller's end, as far as it hears

@@ -1,12 +1,14 @@
 """The object dictionary of an emulated CiA 402 drive, and which writes it refuses with which abort code.
 
-Values are unsigned raw numbers in one tuple, in the order of ENTRIES. PDO parameters and mapping: CiA 301,
-7.5.2. No state, no clock.
+Values are the numbers that they stand for, in one array (len(ENTRIES),) in the order of ENTRIES. PDO
+parameters and mapping: CiA 301, 7.5.2. No state, no clock.
 """
 
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
+from drivers.arrays import Ints
 from drivers.cia402 import objects as o
 from drivers.cia402.objects import Key
 
@@ -53,7 +55,7 @@ def _communication() -> dict[Key, Entry]:
 
 ENTRIES: dict[Key, Entry] = {
     o.DEVICE_TYPE: Entry(4, default=2 << 16 | o.PROFILE_402),
-    (0x1001, 0): Entry(1),
+    o.ERROR_REGISTER: Entry(1),
     (0x1005, 0): Entry(4, default=o.SYNC_ID),
     (0x1014, 0): Entry(4),
     (0x1016, 0): Entry(1, default=1),
@@ -91,45 +93,22 @@ ENTRIES: dict[Key, Entry] = {
 }
 """What the emulated drives have, with what a drive has after power-up."""
 PLACE = {key: place for place, key in enumerate(ENTRIES)}
-_PDO_VALUES = slice(PLACE[o.RPDO, 0], PLACE[o.ABORT_CONNECTION])
-"""Where the parameters and mappings of all PDOs stand."""
 _INDICES = {index for index, _ in ENTRIES}
 
-Values = tuple[int, ...]
-"""Raw values, in the order of ENTRIES."""
 
-
-class Pdo(NamedTuple):
-    """A PDO that exists."""
-
-    id: int
-    transmission: int
-    keys: tuple[Key, ...]
-    size: int
-    """Bytes."""
-
-
-def defaults(node: int, rated_torque_mNm: int, increments: int, revolutions: int) -> Values:
-    """Return the dictionary of a drive that has just been powered up."""
+def defaults(node: int, rated_torque_mNm: int, increments: int, revolutions: int) -> Ints:
+    """Return the values of a drive that has just been powered up."""
     own = {
         (0x1014, 0): o.EMCY_ID + node,
         o.SERIAL: node,
-        (o.RPDO, 1): o.RPDO_ID[0] + node,
-        (o.TPDO, 1): o.TPDO_ID[0] + node,
         o.RATED_TORQUE: rated_torque_mNm,
         o.ENCODER_INCREMENTS: increments,
         o.MOTOR_REVOLUTIONS: revolutions,
     }
-    for n in range(1, PDOS):
-        own |= {(o.RPDO + n, 1): o.NOT_VALID | o.RPDO_ID[n] + node}
-        own |= {(o.TPDO + n, 1): o.NOT_VALID | o.TPDO_ID[n] + node}
-    return tuple(own.get(key, entry.default) for key, entry in ENTRIES.items())
-
-
-def with_value(values: Values, key: Key, value: int) -> Values:
-    """Return the dictionary with another value."""
-    at = PLACE[key]
-    return (*values[:at], value, *values[at + 1 :])
+    for n in range(PDOS):
+        own |= {(o.RPDO + n, 1): o.RPDO_ID[n] + node | (o.NOT_VALID if n else 0)}
+        own |= {(o.TPDO + n, 1): o.TPDO_ID[n] + node | (o.NOT_VALID if n else 0)}
+    return np.array([own.get(key, entry.default) for key, entry in ENTRIES.items()], np.int64)
 
 
 def signed(key: Key, raw: int) -> int:
@@ -139,26 +118,24 @@ def signed(key: Key, raw: int) -> int:
     return raw - (1 << bits) if entry.signed and raw >> bits - 1 else raw
 
 
-def pdos(values: Values, parameters: int, mapping: int) -> tuple[Pdo, ...]:
-    """Return the PDOs that exist: RPDO and RPDO_MAP, or TPDO and TPDO_MAP."""
-    return _pdos(values[_PDO_VALUES], parameters, mapping)
-
-
-@lru_cache(maxsize=256)
-def _pdos(values: Values, parameters: int, mapping: int) -> tuple[Pdo, ...]:
-    def value(index: int, sub: int) -> int:
-        return values[PLACE[index, sub] - _PDO_VALUES.start]
-
-    found = []
-    for n in range(PDOS):
-        cob, count = value(parameters + n, 1), value(mapping + n, 0)
-        if cob & o.NOT_VALID or not count:
-            continue
-        entries = [value(mapping + n, k + 1) for k in range(count)]
-        keys = tuple((entry >> 16, entry >> 8 & 0xFF) for entry in entries)
-        size = sum(ENTRIES[key].size for key in keys)
-        found.append(Pdo(cob & _IDS, value(parameters + n, 2), keys, size))
-    return tuple(found)
+def fill_pdos(row: Any) -> None:
+    """Put the PDOs that a drive has into its element of DEVICE, from its objects."""
+    row["pdos"] = row["counts"] = 0
+    for way, (parameters, mapping) in enumerate(((o.RPDO, o.RPDO_MAP), (o.TPDO, o.TPDO_MAP))):
+        found = 0
+        for n in range(PDOS):
+            cob, kind, count = (
+                int(row["values"][PLACE[key]])
+                for key in ((parameters + n, 1), (parameters + n, 2), (mapping + n, 0))
+            )
+            if cob & o.NOT_VALID or not count or (way and kind != o.AT_EVERY_SYNC):
+                continue
+            first = PLACE[mapping + n, 1]
+            entries = row["values"][first : first + count].tolist()
+            row["pdos"][way, found], row["counts"][way, found] = cob & _IDS, count
+            row["sizes"][way, found] = sum(entry & 0xFF for entry in entries) // 8
+            row["places"][way, found, :count] = [PLACE[entry >> 16, entry >> 8 & 0xFF] for entry in entries]
+            found += 1
 
 
 def missing(key: Key) -> int:
@@ -168,47 +145,38 @@ def missing(key: Key) -> int:
     return o.NO_SUB_INDEX if key[0] in _INDICES else o.NO_OBJECT
 
 
-def refused(values: Values, key: Key, value: int, size: int) -> int:
+def refused(values: Ints, key: Key, value: int, size: int) -> int:
     """Return the abort code with which a write is refused; 0: it is taken. size: bytes, 0: not said."""
-    code = missing(key)
-    if code:
-        return code
     entry = ENTRIES[key]
     if entry.access == "ro":
         return o.READ_ONLY
     if size and size != entry.size:
         return o.TOO_LONG if size > entry.size else o.TOO_SHORT
-    number = signed(key, value)
-    if entry.allowed is not None and number not in entry.allowed:
+    if entry.allowed is not None and signed(key, value) not in entry.allowed:
         return o.BAD_VALUE
-    return _pdo_refused(values, key, value) if o.RPDO <= key[0] < o.TPDO_MAP + PDOS else 0
-
-
-def _pdo_refused(values: Values, key: Key, value: int) -> int:
     index, sub = key
+    if not o.RPDO <= index < o.TPDO_MAP + PDOS:
+        return 0
     if index & 0x0200:  # the mappings lie 0x200 above the parameters
         return _mapping_refused(values, key, value)
-    now = values[PLACE[index, 1]]
-    if sub == 1:
-        if not value & o.NOT_VALID and not 1 <= value & 0x3FFF_FFFF <= _IDS:
-            return o.BAD_VALUE
-        both = not now & o.NOT_VALID and not value & o.NOT_VALID
-        return o.BAD_STATE if both and now & _IDS != value & _IDS else 0
-    return 0
+    now = int(values[PLACE[index, 1]])
+    if sub != 1 or value & o.NOT_VALID:
+        return 0
+    if not 1 <= value & 0x3FFF_FFFF <= _IDS:
+        return o.BAD_VALUE
+    return o.BAD_STATE if not now & o.NOT_VALID and now & _IDS != value & _IDS else 0
 
 
-def _mapping_refused(values: Values, key: Key, value: int) -> int:
+def _mapping_refused(values: Ints, key: Key, value: int) -> int:
     index, sub = key
     letter = "r" if index < o.TPDO else "t"
-    if not values[PLACE[index - 0x200, 1]] & o.NOT_VALID:
+    if not values[PLACE[index - 0x200, 1]] & o.NOT_VALID or (sub and values[PLACE[index, 0]]):
         return o.BAD_STATE
     if sub:
-        if values[PLACE[index, 0]]:
-            return o.BAD_STATE
         return 0 if _fits(value, letter) else o.CANNOT_MAP
     if value > MAPPED:
         return o.MAPPING_TOO_LONG
-    entries = [values[PLACE[index, k + 1]] for k in range(value)]
+    entries = values[PLACE[index, 1] : PLACE[index, 1] + value].tolist()
     if not all(_fits(entry, letter) for entry in entries):
         return o.CANNOT_MAP
     return o.MAPPING_TOO_LONG if sum(entry & 0xFF for entry in entries) > _PDO_BITS else 0

@@ -1,8 +1,4 @@
-"""The controller's end of six CiA 402 drives, compiled: one record, which has the dialogue.
-
-What the start-up dialogue decides is left to Python: a function by address, called where an SDO answer comes
-or a drive answers that is not set up.
-"""
+"""The controller's end of six CiA 402 drives, compiled: one record, which has the dialogue."""
 
 from __future__ import annotations
 
@@ -11,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from drivers.cia402 import objects as o
-from drivers.cia402.states import DRIVE_STATE, RESET_FAULT, STATE_OF, UNHEARD, State, controlword
+from drivers.cia402 import states as s
 from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import FAILED, address_of, call, integers_at, pointed, reals_at
-from drivers.frame_array import FRAME, SENT
-from drivers.frame_pointers import begin_measurement, frames_at, place_of, signed, whole
+from drivers.compiled.pointed import FAILED, pointed, reals_at
+from drivers.frame_pointers import begin_measurement, begin_sent, frames_at, place_of, signed, whole
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
@@ -28,76 +23,72 @@ STRAYING = 8
 SHORTEST = 0.5
 """Periods; a stall leaves shorter steps, over which the steps of the encoder make too rough a rate."""
 MOST_PERMILLE = 32_767
+MOST_STEPS = 96
+"""Of a plan."""
+OPTIONAL = 1 << 32
+"""Bit of a mask: a drive may lack the object."""
 NOT_ASKED = -1
 STRANGE = EXTENDED | FD | REMOTE | ERROR
 """Flags of frames that cannot be ours."""
 DRIVES = np.dtype(
     [
-        ("news", "<i8"),  # address of news(leg, frame or 0, tick): the start-up dialogue
         ("nodes", "<i8", (LEGS,)),
         ("controller", "<i8"),  # its node
         ("velocity", "<i8"),  # 1: it comes in TPDO2
         ("buses", "<i8"),  # how many; 0: one, and frames of others are not ours
         ("bus_of", "<i8", (LEGS,)),
-        ("period_s", "<f8"),
-        # transmission
+        ("beat", "<i8"),  # ticks from one heartbeat of ours to the next
         ("lossless", "<i8"),
-        ("offset", "<f8", (LEGS,)),
-        ("m_per_count", "<f8", (LEGS,)),
-        ("N_per_permille", "<f8", (LEGS,)),
-        ("permille_per_N", "<f8", (LEGS,)),
-        ("permille_Nm", "<f8"),
-        ("N_per_Nm", "<f8", (LEGS,)),
-        ("driving", "<f8", (LEGS,)),
-        ("back_driving", "<f8", (LEGS,)),
-        ("full_loss_m_s", "<f8"),
-        # our heartbeat
-        ("beat", "<i8"),  # ticks from one to the next
-        ("beats", "<i8"),  # address of its frames
-        ("beat_frames", "<i8"),  # how many
-        # the dialogue, see `drivers.cia402.set_up.Cia402Dialogue`
+        *((name, "<f8") for name in ("period_s", "permille_Nm", "full_loss_m_s")),
+        *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_count", "N_per_permille", "permille_per_N")),
+        *((name, "<f8", (LEGS,)) for name in ("N_per_Nm", "driving", "back_driving")),
+        # the start-up dialogue
+        ("patience", "<i8"),  # ticks after which a request is repeated
         ("steps", "<i8", (LEGS,)),  # of each plan
-        ("at", "<i8", (LEGS,)),
-        ("asked", "<i8", (LEGS,)),
-        ("tries", "<i8", (LEGS,)),
+        ("requests", "<i8", (LEGS, MOST_STEPS)),  # data of an SDO request; of NMT the command and the node
+        ("values", "<i8", (LEGS, MOST_STEPS)),  # that are written or expected
+        ("masks", "<i8", (LEGS, MOST_STEPS)),  # bits of it that are compared, and OPTIONAL
+        ("at", "<i8", (LEGS,)),  # step of its plan that a drive is at
+        ("asked", "<i8", (LEGS,)),  # tick of the request that is not answered
+        ("tries", "<i8", (LEGS,)),  # how often that has been sent
+        ("refused", "<i8", (LEGS,)),  # step, from 1 on, that a drive has refused or reads otherwise; 0: none
+        ("abort", "<i8", (LEGS,)),  # its abort code; 0: it reads otherwise
+        ("read", "<i8", (LEGS,)),  # and what
+        # what a tick needs of those before
         ("states", "<i8", (LEGS,)),
-        ("mode", "<i8"),
-        ("stopped", "<i8"),
-        ("resets", "<i8"),
+        ("mode", "<i8"),  # commanded last
+        ("stopped", "<i8"),  # bit i: drive i has been stopped quickly, and no RESET since
+        ("resets", "<i8"),  # bit i: drive i could not hear a RESET, and gets one when it is set up
         ("rate", "<f8", (LEGS,)),
-        ("owed", "<i8", (2 * LEGS,)),
-        ("missed", "<i8", (LEGS,)),
-        # slopes
-        ("mean", "<f8", (LEGS,)),
-        ("T", "<f8", (LEGS,)),
-        ("latched_ns", "<i8", (LEGS,)),
-        ("length", "<f8", (LEGS,)),
+        ("owed", "<i8", (2 * LEGS,)),  # TPDO1, then TPDO2 of each drive to earlier SYNCs, that have not come
+        ("missed", "<i8", (LEGS,)),  # last tick in which a drive was not heard
+        # the step from one length of a leg to the next
+        ("mean", "<f8", (LEGS,)),  # rate, m/s
+        ("T", "<f8", (LEGS,)),  # s, between the two; 0: there is one length only
+        ("latched_ns", "<i8", (LEGS,)),  # when the last one was latched, by the clock
+        ("length", "<f8", (LEGS,)),  # that one, m
         ("has_length", "<i8", (LEGS,)),
-        # scratch: the TPDOs of a tick, those of kind 1 in the first six places
-        ("held", "<i8", (2 * LEGS, 3)),
+        # scratch: TPDO1, then TPDO2 of a tick, their bytes as one number
+        ("held", "<i8", (2 * LEGS,)),
         ("has", "<i8", (2 * LEGS,)),
         ("late", "<i8", (2 * LEGS,)),
     ]
 )
 """The controller's end of six drives."""
-_PLACE, _SPEED = 0, 1
-"""Kinds of TPDOs."""
-_PLACE_BYTES, _SPEED_BYTES, _EMERGENCY_BYTES = 8, 4, 8
+_PLACE_BYTES, _SPEED_BYTES, _EMERGENCY_BYTES, _SDO_BYTES = 8, 4, 8, 8
 _DRIVES = record(DRIVES)
 _TICK = record(TICK, "tick", "t_ns", "lateness_ns", "latch_ns", *part("measurement"))
-_FRAME_BYTES = FRAME.itemsize
-_STATE_OF = np.array(STATE_OF)
-_DRIVE_STATE = np.array(DRIVE_STATE, np.int64)
-_NODE = 0x7F
+_STATE_OF = np.array(s.STATE_OF)
+_DRIVE_STATE = np.array(s.DRIVE_STATE, np.int64)
+_NODE, _ALL_BITS = 0x7F, 0xFFFF_FFFF
+_WHY = o.ERROR_CODE[0] | o.ERROR_CODE[1] << 16
 _BOOT, _FAULT = int(DriveState.BOOT), int(DriveState.FAULT)
 _NONE, _ESTOP = int(DriveFault.NONE), int(DriveFault.ESTOP)
 _OFF, _READY, _RUN, _RESET = map(int, DriveMode)
 _FOREIGN_SYNC, _FOREIGN_COMMAND = int(Foreign.SYNC), int(Foreign.COMMAND)
 _FOREIGN_CONFIG = int(Foreign.CONFIG)
-_DISABLED, _READY_TO_SWITCH_ON = int(State.DISABLED), int(State.READY_TO_SWITCH_ON)
-_ENABLED, _QUICK_STOP, _IN_FAULT = int(State.ENABLED), int(State.QUICK_STOP), int(State.FAULT)
 _ALL = (1 << LEGS) - 1
-_FROM_DRIVES = o.EMCY_ID, *o.TPDO_ID, o.SDO_REPLY_ID, o.HEARTBEAT_ID
+FROM_DRIVES = o.EMCY_ID, *o.TPDO_ID, o.SDO_REPLY_ID, o.HEARTBEAT_ID
 _TPDO1, _TPDO2, _RPDO = o.TPDO_ID[0], o.TPDO_ID[1], o.RPDO_ID[0]
 
 
@@ -116,7 +107,7 @@ def difference(
     the mean rate d1 of the step alone is that of T1 / 2 ago. T from SYNC to SYNC as the bus carried them: at
     400 Hz one that is 25 us late moves a leg by 1 % of its step. A step shorter than SHORTEST periods leaves
     the rate as it was read last, m/s, and is part of the next one; after OLDEST periods the rate begins at 0.
-    before: `drivers.cia402.set_up.Slope`, whose length counts where there is one.
+    before: mean rate, m/s, and T, s, of the step before, and when the last length, m, was latched.
     """
     d0, T0, was_ns, was = before
     T1 = 1e-9 * (latched_ns - was_ns)
@@ -129,24 +120,58 @@ def difference(
 
 
 @helper
-def _take(c: Any, kind: int, leg: int, data: Any, late: bool, tick: Any) -> None:
-    """Keep a TPDO, if it is newer than what is there and its drive owes it."""
+def _take(c: Any, slot: int, leg: int, data: int, late: bool, tick: Any) -> None:
+    """Keep a TPDO, as one number, if it is newer than what is there and its drive owes it."""
     if late and tick.age[leg] <= 1:
         return
-    slot = kind * LEGS + leg
-    held = c.held[slot]
-    word: Any = np.int64(0)
-    torque: Any = np.int64(0)
-    if kind == _PLACE:
-        word, torque = whole(data, 0, 2), signed(whole(data, 6, 2), 16)
-    number = signed(whole(data, 2 if kind == _PLACE else 0), 32)
-    if not c.has[slot] or held[0] != word or held[1] != number or held[2] != torque:
+    if not c.has[slot] or c.held[slot] != data:
         if c.owed[slot] <= 0:
             tick.doubled |= 1 << leg
             return
         c.owed[slot] -= 1
-    held[0], held[1], held[2] = word, number, torque
-    c.has[slot], c.late[slot] = 1, late
+    c.held[slot], c.has[slot], c.late[slot] = data, 1, late
+
+
+@helper
+def _move(c: Any, leg: int, at: int) -> None:
+    """Let a drive be at a step of its plan that it has not been asked yet."""
+    c.at[leg], c.asked[leg], c.tries[leg] = at, NOT_ASKED, 0
+    if at == c.steps[leg]:
+        c.refused[leg] = 0
+
+
+@helper
+def _answered(c: Any, leg: int, data: Any, tick: Any) -> bool:
+    """Take an SDO answer; tell whether it is one.
+
+    After a refusal the plan begins again, but not before the patience is over: it would be refused at once.
+    """
+    specifier, key, value = int(data[0]), whole(data, 1, 3), whole(data, 4)
+    aborts, wrote, reads = specifier == 0x80, specifier >> 5 == 3, specifier >> 5 == 2 and specifier & 2 != 0
+    if not (aborts or wrote or reads):
+        return False
+    if reads and specifier & 1:
+        value &= (1 << 8 * (4 - (specifier >> 2 & 3))) - 1
+    why = key == _WHY and tick.drive_state[leg] == _FAULT and tick.drive_fault[leg] == _NONE
+    if why and reads:
+        tick.drive_fault[leg] = value
+    at = c.at[leg]
+    if at == c.steps[leg] or c.asked[leg] == NOT_ASKED:
+        return True
+    request, mask = c.requests[leg, at], c.masks[leg, at]
+    if request >> 16 == 0 or request >> 8 & 0xFFFFFF != key:
+        return True
+    writes = request & 0xFF != o.UPLOAD
+    lacks = aborts and mask & OPTIONAL and value in (o.NO_OBJECT, o.NO_SUB_INDEX)
+    differs = reads and not writes and (value ^ c.values[leg, at]) & mask & _ALL_BITS != 0
+    if differs or (aborts and not lacks):
+        c.refused[leg], c.read[leg] = at + 1, value
+        c.abort[leg] = (value or o.BAD_COMMAND) if aborts else 0
+        _move(c, leg, 0)
+        c.asked[leg] = tick.tick
+    elif lacks or writes == wrote:
+        _move(c, leg, at + 1)
+    return True
 
 
 @helper
@@ -158,24 +183,24 @@ def _beat(c: Any, leg: int, state: int, tick: Any) -> bool:
         tick.drive_state[leg], c.has[leg] = _BOOT, 0
         if state == o.BOOTS:
             tick.drive_fault[leg] = _NONE
-        c.states[leg], c.at[leg], c.asked[leg], c.tries[leg] = UNHEARD, 0, NOT_ASKED, 0
+        c.states[leg] = s.UNHEARD
+        _move(c, leg, 0)
     return True
 
 
 @helper
-def _hear(c: Any, base: int, leg: int, at: int, since_ns: int, tick: Any) -> bool:
-    """Take a frame, at an address, that has the number of a drive; tell whether it can be believed."""
-    frame = frames_at(at, 1)[0]
+def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> bool:
+    """Take a frame that has the number of a drive; tell whether it can be believed."""
     data, size = frame.data, int(frame.length)
     late = frame.t_ns < since_ns + tick.latch_ns[leg]
     if base == _TPDO1:
-        if size != _PLACE_BYTES or _STATE_OF[data[0] & 0x7F] == UNHEARD:
+        if size != _PLACE_BYTES or _STATE_OF[data[0] & 0x7F] == s.UNHEARD:
             return False
-        _take(c, _PLACE, leg, data, late, tick)
+        _take(c, leg, leg, whole(data, 0, _PLACE_BYTES), late, tick)
     elif base == _TPDO2 and c.velocity:
         if size != _SPEED_BYTES:
             return False
-        _take(c, _SPEED, leg, data, late, tick)
+        _take(c, LEGS + leg, leg, whole(data, 0, _SPEED_BYTES), late, tick)
     elif base == o.HEARTBEAT_ID:
         return size == 1 and _beat(c, leg, int(data[0]), tick)
     elif base == o.EMCY_ID:
@@ -183,7 +208,7 @@ def _hear(c: Any, base: int, leg: int, at: int, since_ns: int, tick: Any) -> boo
             return False
         tick.drive_fault[leg] = whole(data, 0, 2)
     elif base == o.SDO_REPLY_ID:
-        return bool(call(c.news, (leg, at, address_of(tick))))
+        return size == _SDO_BYTES and _answered(c, leg, data, tick)
     elif base == _RPDO:
         tick.foreign |= _FOREIGN_COMMAND
     elif base == o.SDO_REQUEST_ID:
@@ -218,18 +243,18 @@ def _begin(c: Any, last: Any, tick: Any) -> None:
 def _measure(c: Any, leg: int, last: Any, tick: Any) -> None:
     """Put what a drive has sent into the tick."""
     held, late = c.held[leg], c.late[leg] != 0
-    state = _STATE_OF[held[0] & 0x7F]
-    if state == _QUICK_STOP or (c.states[leg] == _ENABLED and state == _DISABLED):
+    state = _STATE_OF[held & 0x7F]
+    if state == s.QUICK_STOP or (c.states[leg] == s.ENABLED and state == s.DISABLED):
         c.stopped |= 1 << leg
     c.states[leg] = state
     tick.drive_state[leg] = _DRIVE_STATE[state]
-    tick.drive_force[leg] = held[2] * c.N_per_permille[leg]
+    tick.drive_force[leg] = signed(held >> 48 & 0xFFFF, 16) * c.N_per_permille[leg]
     has_speed = c.has[LEGS + leg] != 0
     if c.velocity and (not has_speed or (c.late[LEGS + leg] and not late)):
         return
-    here = c.offset[leg] + c.m_per_count[leg] * held[1]
+    here = c.offset[leg] + c.m_per_count[leg] * signed(held >> 16 & _ALL_BITS, 32)
     if has_speed:
-        tick.rate[leg] = c.m_per_count[leg] * c.held[LEGS + leg, 1]
+        tick.rate[leg] = c.m_per_count[leg] * signed(c.held[LEGS + leg], 32)
     else:
         of = last if late else tick
         latched_ns = of.t_ns + of.lateness_ns + of.latch_ns[leg]
@@ -240,8 +265,9 @@ def _measure(c: Any, leg: int, last: Any, tick: Any) -> None:
         c.mean[leg], c.T[leg], c.latched_ns[leg], c.length[leg] = then
         c.has_length[leg] = 1
     tick.length[leg], tick.age[leg] = here, late
-    if not late and c.asked[leg] >= 0 and c.at[leg] < c.steps[leg]:
-        call(c.news, (leg, 0, address_of(tick)))
+    at = c.at[leg]
+    if not late and c.asked[leg] >= 0 and at < c.steps[leg] and c.requests[leg, at] >> 16 == 0:
+        _move(c, leg, at + 1)
 
 
 @helper
@@ -255,9 +281,16 @@ def _set_up(c: Any) -> int:
 
 @pointed(_DRIVES, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick, see `Cia402Protocol.decode`.
+    """Fill the measurement of a tick from that of the last one and the frames since.
 
-    frames: address of `count` elements of FRAME. Returns 1 where other drives are set up than before, else 0.
+    frames: address of `count` elements of FRAME; since_ns: when the loop woke up. A TPDO that came after this
+    tick's SYNC had ended answers it; an earlier one answers the last one, and counts with age 1 if nothing
+    newer is held. Refused, and counted in `rejected`: a wrong length, an unknown statusword or NMT state, an
+    SDO frame that is not an expedited answer. A second TPDO of a tick with other data makes the node
+    `doubled`, and the first one counts; unless the drive owes one to an earlier SYNC since it was missed
+    within the last STRAYING ticks: then the last one counts. A leg is as old as the older one of its two
+    TPDOs. Boot-up, and a drive that has left Operational, begin its set-up again. Returns 1 where other
+    drives are set up than before, else 0.
     """
     _begin(c, last, tick)
     set_up = _set_up(c)
@@ -266,21 +299,21 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         frame = received[n]
         identifier, bus = int(frame.id), int(frame.bus)
         base, leg = identifier & ~_NODE, place_of(identifier & _NODE, c.nodes)
-        away = leg >= 0 and base in _FROM_DRIVES and bus != c.bus_of[leg]
+        away = leg >= 0 and base in FROM_DRIVES and bus != c.bus_of[leg]
         if c.buses and (away or bus >= c.buses):
             tick.rejected += 1
         elif frame.flags & STRANGE or bus >= max(c.buses, 1):
             continue
         elif leg < 0:
             tick.foreign |= _foreign(c, identifier)
-        elif not _hear(c, base, leg, frames + n * _FRAME_BYTES, since_ns, tick):
+        elif not _hear(c, base, leg, frame, since_ns, tick):
             tick.rejected += 1
     for leg in range(LEGS):
         if c.has[leg]:
             _measure(c, leg, last, tick)
     for leg in range(LEGS):
         if c.stopped >> leg & 1:
-            if c.states[leg] in (_DISABLED, _READY_TO_SWITCH_ON, _QUICK_STOP):
+            if c.states[leg] in (s.DISABLED, s.READY_TO_SWITCH_ON, s.QUICK_STOP):
                 tick.drive_state[leg] = _FAULT
                 if tick.drive_fault[leg] == _NONE:
                     tick.drive_fault[leg] = _ESTOP
@@ -325,20 +358,19 @@ def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int)
     late = c.resets & done
     c.resets &= ~late
     c.mode = mode
-    sent = frames_at(into, LEGS)
+    sent = frames_at(into, LEGS + max(c.buses, 1))
     for leg in range(LEGS):
         frame, state, halted = sent[leg], c.states[leg], c.stopped >> leg & 1 != 0
-        word = controlword(mode, state, number & 1 == 0, halted)
-        if late >> leg & 1 and state == _IN_FAULT and mode == _OFF:
-            word = RESET_FAULT
+        word = s.controlword(mode, state, number & 1 == 0, halted)
+        if late >> leg & 1 and state == s.IN_FAULT and mode == _OFF:
+            word = s.RESET_FAULT
         torque = int(_permille(c, leg, force[leg])) if mode in (_READY, _RUN) and not halted else 0
-        frame.t_ns, frame.kind, frame.flags, frame.length = 0, SENT, 0, 4
-        frame.id, frame.bus = _RPDO + c.nodes[leg], c.bus_of[leg]
-        frame.data[:] = 0
+        begin_sent(frame, _RPDO + c.nodes[leg], 4, 0, c.bus_of[leg])
         for k in range(2):
             frame.data[k], frame.data[2 + k] = word >> 8 * k & 0xFF, torque >> 8 * k & 0xFF
     if number % c.beat:
         return LEGS
-    words = c.beat_frames * (_FRAME_BYTES // 8)
-    integers_at(into + LEGS * _FRAME_BYTES, words)[:] = integers_at(c.beats, words)
-    return LEGS + int(c.beat_frames)
+    for bus in range(max(c.buses, 1)):
+        begin_sent(sent[LEGS + bus], o.HEARTBEAT_ID + c.controller, 1, 0, bus)
+        sent[LEGS + bus].data[0] = o.OPERATES
+    return LEGS + int(max(c.buses, 1))

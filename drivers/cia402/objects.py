@@ -4,8 +4,6 @@ Identifiers and services: CiA 301 (EN 50325-4), 7.2 and 7.3. Drive objects: CiA 
 Integers are little-endian. No state, no clock.
 """
 
-from typing import NamedTuple
-
 NMT_ID, SYNC_ID, EMCY_ID = 0x000, 0x080, 0x080
 TPDO_ID = 0x180, 0x280, 0x380, 0x480
 RPDO_ID = 0x200, 0x300, 0x400, 0x500
@@ -15,6 +13,8 @@ START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 
 """NMT commands."""
 BOOTS, STOPPED, OPERATES, PREPARES = 0, 4, 5, 127
 """NMT states in a heartbeat: initialising (its boot-up), stopped, operational, pre-operational."""
+UPLOAD = 0x40
+"""First byte of an SDO request that reads."""
 NOT_VALID = 1 << 31
 """Bit of a PDO's COB-ID: the PDO does not exist."""
 AT_EVERY_SYNC, AT_ONCE = 1, 255
@@ -29,6 +29,7 @@ PROFILE_402 = 0x0192
 Key = tuple[int, int]
 """Index and sub-index."""
 DEVICE_TYPE: Key = 0x1000, 0
+ERROR_REGISTER: Key = 0x1001, 0
 CONSUMER_HEARTBEAT: Key = 0x1016, 1
 PRODUCER_HEARTBEAT: Key = 0x1017, 0
 REVISION: Key = 0x1018, 3
@@ -135,7 +136,7 @@ def download(key: Key, value: int, size: int) -> bytes:
 
 def upload(key: Key) -> bytes:
     """Return the request that reads an object."""
-    return head(0x40, key) + bytes(4)
+    return head(UPLOAD, key) + bytes(4)
 
 
 def abort(key: Key, code: int) -> bytes:
@@ -143,31 +144,13 @@ def abort(key: Key, code: int) -> bytes:
     return head(0x80, key) + code.to_bytes(4, "little")
 
 
-class Reply(NamedTuple):
-    """What a server has answered."""
-
-    key: Key
-    abort: int
-    """Abort code; 0: none."""
-    wrote: bool
-    """It confirms a download."""
-    value: int
-    """What was read, as an unsigned number."""
-
-
-def read_reply(data: bytes) -> Reply | None:
-    """Return the answer in an SDO frame of 8 bytes; None for one that is no expedited answer."""
-    if len(data) != 8:
+def read_value(data: bytes) -> tuple[Key, int] | None:
+    """Return the object, and its value as an unsigned number, of a transfer that read it; else None."""
+    specifier = data[0] if len(data) == 8 else 0
+    if specifier >> 5 != 2 or not specifier & 2:
         return None
-    specifier, key = data[0], (data[1] | data[2] << 8, data[3])
-    if specifier == 0x80:
-        return Reply(key, int.from_bytes(data[4:], "little") or BAD_COMMAND, wrote=False, value=0)
-    if specifier >> 5 == 3:
-        return Reply(key, 0, wrote=True, value=0)
-    if specifier >> 5 == 2 and specifier & 2:
-        unused = specifier >> 2 & 3 if specifier & 1 else 0
-        return Reply(key, 0, wrote=False, value=int.from_bytes(data[4 : 8 - unused], "little"))
-    return None
+    unused = specifier >> 2 & 3 if specifier & 1 else 0
+    return (data[1] | data[2] << 8, data[3]), int.from_bytes(data[4 : 8 - unused], "little")
 
 
 def mapped(key: Key, bits: int) -> int:

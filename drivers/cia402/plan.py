@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 from drivers.cia402 import objects as o
 from drivers.cia402.objects import Key
 from drivers.errors import ProtocolError
-from drivers.protocol import DriveSetup, Frame
+from drivers.protocol import DriveSetup
 from drivers.signals import Reaction
 
 LEAST_TICKS = 4
@@ -52,13 +52,11 @@ class Step(NamedTuple):
     mask: int = _ALL_BITS
     """Bits that are compared."""
 
-    def frame(self, node: int) -> Frame:
-        """Return its frame."""
+    def request(self, node: int) -> bytes:
+        """Return the data of its frame."""
         if self.kind == "nmt":
-            return Frame(o.NMT_ID, bytes((self.value, node)))
-        write = self.kind == "write"
-        data = o.download(self.key, self.value, self.size) if write else o.upload(self.key)
-        return Frame(o.SDO_REQUEST_ID + node, data)
+            return bytes((self.value, node))
+        return o.download(self.key, self.value, self.size) if self.kind == "write" else o.upload(self.key)
 
 
 def watchdog_ms(setup: DriveSetup) -> int:

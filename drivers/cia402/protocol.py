@@ -2,49 +2,44 @@
 
 A tick: SYNC without counter; each drive answers with TPDO1 (statusword, position, torque), where asked for
 with TPDO2 (velocity) too; each gets RPDO1 (controlword, target torque), which acts at once; every few ticks
-our heartbeat follows. A TPDO carries no counter: it answers the SYNC after which it arrived. No clock.
+our heartbeat follows. A TPDO carries no counter: it answers the SYNC after which it arrived. Which drive a
+frame concerns the predefined connection set says by the node number. No clock.
 """
 
 import struct
 from collections.abc import Sequence
+from math import isfinite
 
 import numpy as np
 
-from drivers.arrays import Array, Ints, Rows
-from drivers.cia402 import kernels
+from drivers.arrays import Array
+from drivers.cia402 import device_kernels, kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.devices import Devices, DevicesEnd, Memory
-from drivers.cia402.emergency import meaning
-from drivers.cia402.end import Cia402End, Drives
-from drivers.cia402.kernels import MOST_PERMILLE
-from drivers.cia402.plan import FAULT_REACTIONS, Settings, max_torque, plan
-from drivers.cia402.routes import Routes
-from drivers.cia402.set_up import Cia402Dialogue, lack, next_frames
+from drivers.cia402.drives_end import Cia402Drives
+from drivers.cia402.emergency import CODES, meaning
+from drivers.cia402.end import MOST_REQUESTS, Cia402End, begun
+from drivers.cia402.kernels import FROM_DRIVES, STRANGE
+from drivers.cia402.plan import FAULT_REACTIONS, Settings, Step, max_torque, plan
 from drivers.cia402.states import STOP_QUICKLY
-from drivers.compiled.pointed import FAILED, data_at
+from drivers.compiled.pointed import data_at
+from drivers.config import BusSettings, DriveSettings
 from drivers.ends import Hearing
-from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import FRAME, sent_frames
-from drivers.protocol import (
-    ALWAYS,
-    DeviceMessage,
-    DriveSetup,
-    Frame,
-    PowerTold,
-    Received,
-    Status,
-    Sync,
-)
+from drivers.errors import ConfigurationError
+from drivers.family import Family
+from drivers.identity import REVISION, SERIAL, Said
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame, PowerTold
 from drivers.resolution import Resolution
-from drivers.several_buses import SeveralBuses
-from drivers.signals import LEGS, Command, DriveMode, DriveState
-from drivers.tick_columns import Record
+from drivers.signals import LEGS, DriveFault
 from drivers.transmission import Transmission
 
 MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")
-_BEATS = 4
-"""Heartbeats of ours within the drives' watchdog, where the rate allows."""
+_NODE = 0x7F
+_IDENTITY = {o.SERIAL: SERIAL, o.REVISION: REVISION}
+_VELOCITY = ("pdo", "difference")
+_ALLOWED = ("rated_torque_Nm", "velocity", "controller_node", "check_encoder", "eds")
+_MOST_Nm = 4_294_967.0
+"""What 0x6076 can say."""
 
 
 _BRAKES = (
@@ -59,18 +54,18 @@ _DIFFERENCE = (
 )
 
 
-class Cia402Protocol(Routes):
+class Cia402Protocol(Family):
     """Six CiA 402 drives. Holds tables only.
 
     `node_ids` are the drives' node numbers, leg order; `transmission` says what a turn and a torque are at
     the leg; `rated_torque_Nm` is the motors' (0x6076), the unit of torques being its thousandth;
-    `velocity` asks for TPDO2, else leg rates are differences of lengths. Raises ConfigurationError on node
-    numbers that are not six different ones of 1..127 beside the controller's own.
+    `velocity` asks for TPDO2, else leg rates are differences of lengths; `legs` are those of each bus. Raises
+    ConfigurationError on node numbers that are not six different ones of 1..127 beside the controller's own.
     """
 
     database = None
     command_delay_ticks = 0
-    set_up_frames = 3
+    set_up_frames = MOST_REQUESTS
     shares_identifiers = False
     answers_name_sync = False
     unasked_s = 0.0
@@ -88,19 +83,22 @@ class Cia402Protocol(Routes):
         transmission: Transmission,
         rated_torque_Nm: float,
         *,
+        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
         force_limit_N: float = 60_000.0,
         heartbeat_ms: float = 100.0,
         velocity: bool = True,
         controller_node: int = MAX_NODE,
         check_encoder: bool = True,
     ) -> None:
-        self.node_ids = _nodes(node_ids, controller_node)
-        self.transmission, self.velocity = transmission, velocity
-        self.controller_node = controller_node
-        self._permille_Nm = 1e-3 * rated_torque_Nm
+        super().__init__(legs)
+        self.node_ids, self.transmission, self.velocity = (
+            _nodes(node_ids, controller_node),
+            transmission,
+            velocity,
+        )
         self.dangers = (_BRAKES,) if velocity else (_BRAKES, _DIFFERENCE)
+        self._permille_Nm = 1e-3 * rated_torque_Nm
         N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
-        self._permille_per_N = [1.0 / scale for scale in N_per_permille]
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
         self._settings = Settings(
             rated_torque_mNm=round(1e3 * rated_torque_Nm),
@@ -109,25 +107,26 @@ class Cia402Protocol(Routes):
             controller_node=controller_node,
             velocity=velocity,
         )
-        self._heartbeat = Frame(o.HEARTBEAT_ID + controller_node, bytes((o.OPERATES,)))
-        self._sync = (Frame(o.SYNC_ID, b""),)
-        self._drives = Drives(self._tables(N_per_permille), (self._heartbeat,))
-        self._rpdo_ids = [o.RPDO_ID[0] + node for node in self.node_ids]
-        self._devices = Devices(
-            self.node_ids, transmission, self._settings.rated_torque_mNm, N_per_permille, velocity
+        c, d = self._tables, self._devices = (
+            np.zeros((), kernels.DRIVES),
+            np.zeros((), device_kernels.DEVICES),
         )
-        self.feedback_ids = frozenset(self._devices.wanted)
-
-    def _tables(self, N_per_permille: Sequence[float]) -> Record:
-        """Return a record of the kernels before its first frame."""
-        c, t = np.zeros((), kernels.DRIVES), self.transmission
-        c["nodes"], c["controller"], c["velocity"] = self.node_ids, self.controller_node, self.velocity
-        c["lossless"] = (t.driving == 1.0).all() and (t.back_driving == 1.0).all()
-        c["m_per_count"] = t.m_per_turn / t.counts
-        c["N_per_permille"], c["permille_per_N"] = N_per_permille, self._permille_per_N
-        c["permille_Nm"] = self._permille_Nm
-        t.fill(c)
-        return c
+        for tables in (c, d):
+            tables["nodes"], tables["velocity"], tables["N_per_permille"] = (
+                self.node_ids,
+                velocity,
+                N_per_permille,
+            )
+            tables["buses"], tables["bus_of"] = self.buses, self.bus_of
+            transmission.fill(tables)
+        c["controller"], c["permille_Nm"] = controller_node, self._permille_Nm
+        c["permille_per_N"] = [1.0 / scale for scale in N_per_permille]
+        c["m_per_count"] = transmission.m_per_turn / transmission.counts
+        c["lossless"] = (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
+        d["rated_mNm"] = self._settings.rated_torque_mNm
+        d["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
+        self._wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
+        self.feedback_ids = frozenset(self._wanted)
 
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return a count of length, and of rate what TPDO2 or the difference of lengths leaves.
@@ -146,160 +145,78 @@ class Cia402Protocol(Routes):
         ends = [self.transmission.length_of_counts(edge) for edge in edges]
         return np.minimum(*ends), np.maximum(*ends)
 
-    def carried(self, dialogue: Cia402Dialogue, force: Array) -> Array:
-        """Return what whole thousandths of the rated torque give legs at rest of forces (6,) N."""
-        running = dialogue._replace(stopped=0)
-        _, frames = self.command(running, Command(DriveMode.RUN, force), 1)
-        permille = [_RPDO.unpack(frame.data)[1] for frame in frames[:LEGS]]
-        return np.array([n / scale for n, scale in zip(permille, self._permille_per_N, strict=True)])
+    def fault_text(self, code: int) -> str:
+        """Return what the code of an EMCY means, with the code as the documents write it."""
+        return f"EMCY 0x{code:04X}, {meaning(code)}"
 
-    # controller's end
+    # both ends
 
-    def start(self, setup: DriveSetup) -> Cia402Dialogue:
-        """Return the dialogue before its first request.
+    def plans(self, setup: DriveSetup) -> tuple[tuple[Step, ...], ...]:
+        """Return the steps of each drive's start-up dialogue.
 
         Raises ProtocolError if the watchdog does not fit or is too short for the rate, and for a reaction
         that such drives do not have.
         """
         own = zip(self.node_ids, self._increments, strict=True)
-        plans = tuple(plan(node, setup, self._settings, increments) for node, increments in own)
-        beat = max(2, int(setup.watchdog_s * setup.rate_Hz) // _BEATS)
-        return Cia402Dialogue(setup, plans, beat)
+        return tuple(plan(node, setup, self._settings, increments) for node, increments in own)
 
-    def controller_end(self, setup: DriveSetup, buses: SeveralBuses | None = None) -> Cia402End:
-        """Return the controller's end, compiled, on several buses where these are given."""
-        return Cia402End(buses or self, setup, self._drives.record, *self._sync, self._heartbeat)
+    def controller_end(self, setup: DriveSetup) -> Cia402End:
+        """Return the controller's end, compiled; see `plans`."""
+        return Cia402End(self, begun(self._tables, setup, self.plans(setup)))
 
-    def begin(self, _dialogue: Cia402Dialogue, _tick: int) -> tuple[Frame, ...]:
-        """Return the SYNC, without counter."""
-        return self._sync
+    def drives_end(self) -> Cia402Drives:
+        """Return the drives' end, powered up."""
+        return Cia402Drives(self._devices)
 
-    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
-        """Tell whether a frame is a TPDO that arrived after the tick's SYNC."""
-        return self._devices.fresh(received, tick, since_ns)
+    def hearing(self) -> Hearing:
+        """Return the controller's end by address, as far as it hears."""
+        d = self._devices
+        fresh, addressed = device_kernels.fresh.address, device_kernels.addressed.address
+        return Hearing(fresh, addressed, data_at(d), self._wanted, d)
+
+    # which drive a frame concerns
 
     def awaited(self, frame: Frame) -> int:
         """Return its identifier."""
         return frame.id
 
-    def fault_text(self, code: int) -> str:
-        """Return what the code of an EMCY means, with the code as the documents write it."""
-        return f"EMCY 0x{code:04X}, {meaning(code)}"
+    def sender(self, frame: Frame) -> int:
+        """Return the leg of a PDO, SDO, EMCY or heartbeat of one of the drives on its own bus."""
+        node = frame.id & _NODE
+        if frame.id & ~_NODE not in FROM_DRIVES or node not in self.node_ids:
+            return -1
+        leg = self.node_ids.index(node)
+        return leg if frame.bus == self.bus_of[leg] else -1
 
-    def decode(
-        self, dialogue: Cia402Dialogue, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
-    ) -> Cia402Dialogue:
-        """Fill the measurement of a tick from that of the last one and the frames since.
+    def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
+        """Return a frame for each drive, leg order."""
+        return tuple(self.to_leg(leg, Frame(base + node, data)) for leg, node in enumerate(self.node_ids))
 
-        since_ns: when the loop woke up. A TPDO that came after this tick's SYNC had ended answers it; an
-        earlier one answers the last one, and counts with age 1 if nothing newer is held. Refused, and counted
-        in `rejected`: a wrong length, a statusword or an NMT state that there is not, an SDO frame that is no
-        expedited answer. A second TPDO of a tick with other data makes the node `doubled`, and the first one
-        counts; unless the drive owes one to an earlier SYNC since it was missed within the last STRAYING
-        ticks: then the last one counts. A leg is as old as the older one of its two TPDOs. Boot-up, and a
-        drive that has left Operational, begin its set-up anew.
-        """
-        drives = self._drives
-        drives.dialogue = dialogue
-        kernels.decode(drives.record, data_at(frames), len(frames), since_ns, last, tick)
-        return drives.dialogue
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Return SDO requests for the identity object, 0x1018."""
+        return tuple(self._to_each(o.SDO_REQUEST_ID, o.upload(key)) for key in _IDENTITY)
 
-    def command(
-        self, dialogue: Cia402Dialogue, command: Command, tick: int
-    ) -> tuple[Cia402Dialogue, tuple[Frame, ...]]:
-        """Return six RPDO1, and our heartbeat where it is due.
-
-        force (6,) N, > 0 extends. Raises ProtocolError if a torque is not finite or not -32767..32767
-        thousandths of the rated one.
-        """
-        drives, force = self._drives, np.ascontiguousarray(command.force, float)
-        drives.dialogue, into = dialogue, np.empty(LEGS + 1, FRAME)
-        given = drives.record, tick, int(command.mode), command.stop, data_at(force), data_at(into)
-        sent = FAILED if force.shape != (LEGS,) else kernels.command(*given)
-        if sent == FAILED:
-            most = min(MOST_PERMILLE / abs(scale) for scale in self._permille_per_N)
-            raise ProtocolError(
-                f"force command {force.tolist()} N does not fit 0x6071: six of up to {most:.6g} N are "
-                "allowed; lower limits.force_N, or correct drives.options.rated_torque_Nm or "
-                "drives.transmission"
-            )
-        return drives.dialogue, sent_frames(into[:sent])
-
-    def set_up(self, dialogue: Cia402Dialogue, tick: Record) -> tuple[Cia402Dialogue, tuple[Frame, ...]]:
-        """Return the requests of this tick, see `drivers.cia402.plan`."""
-        return next_frames(dialogue, tick, self.node_ids, self.set_up_frames)
-
-    def legs_set_up(self, dialogue: Cia402Dialogue) -> tuple[bool, ...]:
-        """Tell which drives hold on their own word what was set, and answer the SYNC."""
-        return tuple(dialogue.done(leg) for leg in range(LEGS))
-
-    def set_up_lacks(self, dialogue: Cia402Dialogue) -> tuple[str, ...]:
-        """Return the object that a drive refused, reads otherwise or does not answer for."""
-        return tuple(lack(dialogue, leg) for leg in range(LEGS))
+    def identity(self, frame: Frame) -> Said | None:
+        """Return what an SDO answer says of the identity object; an abort says nothing."""
+        leg, read = self.sender(frame), o.read_value(frame.data)
+        if leg < 0 or frame.id & ~_NODE != o.SDO_REPLY_ID or frame.flags & STRANGE or read is None:
+            return None
+        key, value = read
+        return Said(leg, _IDENTITY[key], value) if key in _IDENTITY else None
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return a quick stop for each drive: its option code 2 ends in Switch On Disabled, brake shut."""
-        return tuple(Frame(identifier, _RPDO.pack(STOP_QUICKLY, 0)) for identifier in self._rpdo_ids)
-
-    # drives' end
-
-    def drives_end(self, buses: SeveralBuses | None = None) -> DevicesEnd | None:
-        """Return the drives' end by address, powered up; None for a protocol that changes it."""
-        return self._devices.end(buses) if type(self) is Cia402Protocol else None
-
-    def hearing(self, buses: SeveralBuses | None = None) -> Hearing | None:
-        """Return the controller's end by address, as far as it hears; None as `drives_end`."""
-        return self._devices.hearing(buses) if type(self) is Cia402Protocol else None
-
-    def addressed(self, frame: Frame) -> tuple[int, ...]:
-        """Return the leg of a PDO or SDO, or of the NMT command of one node; the others are for all.
-
-        None for another node, and for an NMT command that names none.
-        """
-        return self._devices.addressed(frame)
-
-    def power_up(self) -> Memory:
-        """Return the memory of six drives that have just been powered up."""
-        return self._devices.power_up()
-
-    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
-        """Decode at the drives' end, see `Devices`."""
-        return self._devices.parse(memory, frame)
-
-    def answer(
-        self,
-        memory: Memory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        _fault: Ints | None = None,
-    ) -> tuple[Memory, list[tuple[int, Frame]]]:
-        """Encode the TPDOs of the drives that send some, see `Devices`."""
-        return self._devices.answer(memory, sync, length, rate, force, state)
-
-    def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
-        """Encode boot-up, EMCY and heartbeat of a drive, see `Devices`."""
-        return self._devices.report(memory, status)
-
-    @staticmethod
-    def restarted(memory: Memory, _legs: Sequence[int]) -> Memory:
-        """Return the memory as it is: a drive's state tells `Devices`."""
-        return memory
-
-    # bus time
+        return self._to_each(o.RPDO_ID[0], _RPDO.pack(STOP_QUICKLY, 0))
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: SYNC, RPDOs, TPDOs.
 
         The heartbeats, of which no tick needs one, are left to the free part of the bus, as are SDO and EMCY.
         """
-        zeros, off = np.zeros(LEGS), np.full(LEGS, DriveState.OFF, np.int64)
-        memory = self._devices.set_up(self._settings, off)
-        _, answers = self._devices.answer(memory, Sync(0), zeros, zeros, zeros, off)
-        commands = [Frame(identifier, _RPDO.pack(0, 0)) for identifier in self._rpdo_ids]
-        return (*self._sync, *commands, *(frame for _, frame in answers))
+        sizes = zip(o.TPDO_ID, (8, 4) if self.velocity else (8,), strict=False)
+        answers = zip(*(self._to_each(kind, bytes(size)) for kind, size in sizes), strict=True)
+        commands = self._to_each(o.RPDO_ID[0], bytes(4))
+        return (*self.to_all(Frame(o.SYNC_ID, b"")), *commands, *(frame for leg in answers for frame in leg))
 
 
 def _nodes(node_ids: Sequence[int], controller_node: int) -> tuple[int, ...]:
@@ -313,3 +230,55 @@ def _nodes(node_ids: Sequence[int], controller_node: int) -> tuple[int, ...]:
                 f"{controller_node}, given: {node}"
             )
     return nodes
+
+
+def cia402(bus: BusSettings, drives: DriveSettings) -> Cia402Protocol:
+    """Return the codec of a configuration.
+
+    Raises ConfigurationError, with the key, for what such drives do not have or what they need and lack.
+    """
+    options = drives.options
+    if bus.layout != "classic":
+        raise ConfigurationError(
+            f"bus.layout: allowed with cia402: classic, frames of up to 8 bytes, given: {bus.layout}"
+        )
+    for name in options:
+        if name not in _ALLOWED:
+            raise ConfigurationError(
+                f"drives.options.{name}: unknown, allowed with cia402: {', '.join(_ALLOWED)}"
+            )
+    if drives.transmission is None:
+        raise ConfigurationError(
+            "drives.transmission: missing, cia402 drives speak of counts and torques: give lead_m or "
+            "pulley_radius_m, gear_ratio, sign, offset_m and counts_per_turn"
+        )
+    rated = options.get("rated_torque_Nm")
+    if isinstance(rated, bool | str | None) or not isfinite(rated) or not 1e-3 <= rated <= _MOST_Nm:
+        raise ConfigurationError(
+            "drives.options.rated_torque_Nm: the motors' rated torque, 0x6076, of which torques are "
+            f"thousandths, allowed: 0.001 to {_MOST_Nm:.0f}, given: {rated}"
+        )
+    velocity = options.get("velocity", "pdo")
+    if velocity not in _VELOCITY:
+        raise ConfigurationError(
+            f"drives.options.velocity: allowed: {', '.join(_VELOCITY)}, given: {velocity}"
+        )
+    node = options.get("controller_node", MAX_NODE)
+    if type(node) is not int or not 1 <= node <= MAX_NODE:
+        raise ConfigurationError(
+            f"drives.options.controller_node: allowed: a whole number of 1 to {MAX_NODE}, given: {node}"
+        )
+    check = options.get("check_encoder", True)
+    if not isinstance(check, bool):
+        raise ConfigurationError(f"drives.options.check_encoder: allowed: true, false, given: {check}")
+    return Cia402Protocol(
+        drives.node_ids,
+        Transmission.of(drives.transmission),
+        float(rated),
+        legs=bus.legs,
+        force_limit_N=drives.force_limit_N,
+        heartbeat_ms=drives.heartbeat_ms,
+        velocity=velocity == "pdo",
+        controller_node=node,
+        check_encoder=check,
+    )

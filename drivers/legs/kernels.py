@@ -1,6 +1,6 @@
-"""Cyclic frames, all legs in one call: feedback to SI, forces to bytes.
+"""The own protocol's controller's end, compiled: all feedback to SI in one call, forces to frames.
 
-Fields are little-endian; checks as in `drivers.legs.crc`.
+Fields are little-endian, those of 64 bits float64; checks as in `drivers.legs.crc`.
 """
 
 from __future__ import annotations
@@ -11,157 +11,119 @@ import numpy as np
 
 from drivers.arrays import Array, Bytes, Ints
 from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import FAILED, integers_at, pointed, reals_at
-from drivers.frame_array import SENT
-from drivers.frame_pointers import begin_measurement, frames_at
-from drivers.legs.crc import FINAL_XOR, RESIDUE, TABLE, TABLE_16
-from drivers.protocol import ERROR, EXTENDED, OTHER_BUSES, REMOTE
+from drivers.compiled.pointed import FAILED, pointed, reals_at, records_at
+from drivers.frame_pointers import begin_measurement, begin_sent, frames_at, place_of, signed, whole
+from drivers.legs.crc import check_of, intact
+from drivers.protocol import ERROR, EXTENDED, REMOTE
 from drivers.signals import INVALID, LEGS, DriveFault, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 
-FOREIGN = EXTENDED | REMOTE | ERROR | OTHER_BUSES
+STRANGE = EXTENDED | REMOTE | ERROR
 """Flags of frames that cannot be ours."""
 OLDEST = 8
 """Of the 16 counter values, these many ticks back count as late; the rest are refused."""
 QUANTITIES = 3
 """Of a feedback: length, rate, force."""
-FEEDBACK_SIZE, STATUS_SIZE, STATE_AT, FAULT_AT, SETUP_AT, LAST_AT, CHECKED, FIELD = range(8)
-"""Places in `form` of `fold`: bytes of a feedback and of a status; the bytes of state, fault and set-up in a
-status, of state and counter in a feedback; whether values are checked against their range; then first bit,
-bits and kind (1: float64) of each quantity, no bits where there is none."""
-_FEEDBACK, _STATUS = 0, 2 * LEGS
-OTHERS = 4 * LEGS
-"""Place in `identifiers` of `fold`: E-stop, SYNC, the six CONFIG, and the commands of all layouts."""
-_ESTOP, _SYNC, _CONFIG, _COMMAND = OTHERS, OTHERS + 1, OTHERS + 2, OTHERS + 2 + LEGS
-FORCE_AT, FORCE_SIZE, FORCE_KIND, COUNTER_AT, COUNTER_SIZE = range(5)
-MODE_AT, MODE_SIZE, CHECK_AT, CHECK_SIZE, FORCES = range(5, 10)
-"""Places in the form of a command frame: first force, its bits and kind; first bit and bits of counter and
-mode; first byte and bytes of the check; forces in the frame."""
-FRAME_ID, FRAME_FLAGS, FRAME_BUS, FRAME_SIZE, REGISTER, LEG = range(FORCES + 1, FORCES + 7)
-"""Behind them: the frame itself, the register of its check after the identifier, and the leg of each force,
--1 where none has that place."""
-COMMAND_FORM = LEG + LEGS
-CODEC = np.dtype(
+EXACT = 64
+"""Bits of a float64. It is not rounded, and its range has to be checked."""
+COMMAND_IDS = 5
+COMMAND = np.dtype(
     [
-        ("identifiers", "<i8"),  # address of the identifiers of `decode`
-        ("known", "<i8"),  # how many they are
-        ("form", "<i8", (FIELD + 3 * QUANTITIES,)),
-        ("scale", "<f8", (3 * QUANTITIES,)),  # scales, least and largest values of the quantities, SI
-        ("expected", "u1", (2 * LEGS,)),  # two bytes a leg: the checksum of its set-up
-        ("confirmed", "<i8"),  # bit i: drive i has confirmed it
-        ("buses", "<i8"),  # how many there are
-        ("bus_of", "<i8", (LEGS,)),  # of each leg
-        ("commands", "<i8"),  # address of (frames, COMMAND_FORM) integers
-        ("steps", "<i8"),  # address of (frames, 3): step, least and largest force
-        ("frames", "<i8"),  # how many carry a command
+        *((name, "<i8") for name in ("id", "flags", "bus", "length", "legs", "forces", "first", "bits")),
+        *((name, "<i8", (2,)) for name in ("counter", "mode", "check")),
+        ("leg", "<i8", (LEGS,)),
     ]
 )
-"""The controller's end of the drives: tables, and what it remembers. Forces are in N where they are float64,
-in steps where they are rounded."""
+"""A command frame of a bus: how many legs it has, and for how many forces there is room; bits of a force, and
+the first one's first; first bit and bits of other fields; the leg of each force, -1 where there is none."""
+ENDS = np.dtype(
+    [
+        *((name, "<i8", (LEGS,)) for name in ("feedback", "status", "config", "place", "home")),
+        *((name, "<i8") for name in ("sync", "sync_length", "estop", "version", "rated_mN", "buses")),
+        *((name, "<i8") for name in ("feedback_length", "feedback_flags", "counter_at")),
+        *((name, "<i8") for name in ("status_length", "status_flags", "commands", "frames")),
+        ("command_ids", "<i8", (COMMAND_IDS,)),
+        *((name, "<i8", (QUANTITIES,)) for name in ("start", "bits")),
+        *((name, "<f8", (QUANTITIES,)) for name in ("scale", "low", "high")),
+        *((name, "<f8") for name in ("step", "least", "most", "watchdog_s")),
+        *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent")),
+        *((name, "<i8") for name in ("confirmed", "watchdog", "reaction", "interval")),
+        ("present", "<i8", (LEGS,)),
+    ]
+)
+"""Both ends. Tables: each leg's identifiers, its place in the command, from 1 on, and its bus; identifiers
+and bytes of the other frames; the byte of a feedback with counter and state; address of `frames` elements of
+COMMAND; identifiers of the commands of all layouts; of each quantity first bit, bits (0: there is none),
+scale and range, SI; of a force step and range, in steps where it is rounded, else N; step of the watchdog, s.
+
+What the controller remembers: the checksum of each leg's set-up, what its last status has said of it, how
+often it was sent its CONFIG; bit i: the last status of drive i has confirmed it; the watchdog in steps, the
+reaction, and the ticks from one CONFIG of a drive to its next. What the drives remember: Cycle of the present
+SYNC of each bus."""
 CHANGED = 1
 """Status of `decode`: not all drives have confirmed their set-up, or one has just done so."""
-_CODEC = record(CODEC)
+ends: Any = record(ENDS)
+commands_at: Any = records_at(record(COMMAND))
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _BOOT = int(DriveState.BOOT)
 _ALL = (1 << LEGS) - 1
 _FOREIGN_SYNC, _FOREIGN_COMMAND = int(Foreign.SYNC), int(Foreign.COMMAND)
 _FOREIGN_CONFIG, _FOREIGN_ESTOP = int(Foreign.CONFIG), int(Foreign.ESTOP)
-_TABLE = np.array(TABLE, np.uint8)
-_TABLE_16 = np.array(TABLE_16, np.int64)
 _TICK = record(TICK, "tick", *part("measurement"))
 
 
 @helper
-def integer(data: Any, at: int, size: int) -> int:
-    """Return `size` bytes at `at` as an integer, signed only if there are eight."""
-    value = 0
-    for k in range(size):
-        value |= int(data[at + k]) << (8 * k)
-    return value
+def natural(data: Any, start: int, bits: int) -> int:
+    """Return a field of up to 32 bits, or 64 on a byte, by its first bit."""
+    value = whole(data, start >> 3, ((start & 7) + bits + 7) >> 3) >> (start & 7)
+    return value if bits == EXACT else value & ((1 << bits) - 1)
 
 
 @helper
-def natural(data: Any, at: int, start: int, bits: int) -> int:
-    """Return the field of up to 32 bits, or 64 on a byte, that begins `start` bits behind byte `at`."""
-    shift = start & 7
-    value = integer(data, at + (start >> 3), (shift + bits + 7) >> 3) >> shift
-    return value if bits == 64 else value & ((1 << bits) - 1)
-
-
-@helper
-def read(data: Any, at: int, start: int, bits: int, is_float: int, word: Ints) -> float:
+def read(data: Any, start: int, bits: int, word: Ints) -> float:
     """Return a field, see `natural`, as a signed integer or a float64; `word` (1,) is scratch."""
-    unused = 64 - bits
-    word[0] = (natural(data, at, start, bits) << unused) >> unused
-    return float(word.view(np.float64)[0]) if is_float else float(word[0])
+    word[0] = natural(data, start, bits)
+    return float(word.view(np.float64)[0]) if bits == EXACT else float(signed(word[0], bits))
 
 
 @helper
-def put(value: int, data: Bytes, at: int, start: int, bits: int) -> None:
+def put(value: int, data: Bytes, start: int, bits: int) -> None:
     """Put the low bits of an integer into a field that is 0, see `natural`."""
     shift = start & 7
-    raw = value if bits == 64 else (value & ((1 << bits) - 1)) << shift
+    raw = value if bits == EXACT else (value & ((1 << bits) - 1)) << shift
     for k in range((shift + bits + 7) >> 3):
-        data[at + (start >> 3) + k] |= (raw >> (8 * k)) & 0xFF
+        data[(start >> 3) + k] |= (raw >> (8 * k)) & 0xFF
 
 
 @helper
-def write(value: float, data: Bytes, at: int, start: int, bits: int, is_float: int, word: Ints) -> None:
+def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
     """Put a value that fits into its field, which is 0; see `read`."""
-    if is_float:
+    if bits == EXACT:
         word.view(np.float64)[0] = value
     else:
         word[0] = np.int64(value)
-    put(word[0], data, at, start, bits)
-
-
-@helper
-def register_after(data: Any, start: int, end: int, register: int) -> int:
-    """Return the CRC-8 register after data[start:end]."""
-    for k in range(start, end):
-        register = int(_TABLE[register ^ int(data[k])])
-    return register
-
-
-@helper
-def check_of(data: Any, start: int, end: int, register: int, size: int) -> int:
-    """Return the check of data[start:end], `size` bytes long, from the register after the identifier."""
-    if size == 1:
-        return register_after(data, start, end, register) ^ FINAL_XOR
-    for k in range(start, end):
-        register = ((register << 8) & 0xFFFF) ^ _TABLE_16[(register >> 8) ^ int(data[k])]
-    return register
+    put(word[0], data, start, bits)
 
 
 @helper
 def _take_feedback(
-    data: Any,
-    early: bool,
-    leg: int,
-    form: Ints,
-    scale: Array,
-    value: Array,
-    word: Ints,
-    last: Any,
-    tick: Any,
+    e: Any, data: Any, early: bool, leg: int, value: Array, word: Ints, last: Any, tick: Any
 ) -> bool:
     """Take an intact feedback; tell whether it can be believed. `value` and `word` are scratch."""
-    counted = int(data[form[LAST_AT]])
+    counted = int(data[e.counter_at])
     behind = (tick.tick - counted) & 0xF
     state = counted >> 4 & ~INVALID
     invalid = counted >> 4 & INVALID != 0
     if behind > OLDEST or state >= _STATES or (early and behind == 0):
         return False
     for k in range(QUANTITIES):
-        start, bits = form[FIELD + 3 * k], form[FIELD + 3 * k + 1]
-        if bits > 0:
-            raw = read(data, 0, start, bits, form[FIELD + 3 * k + 2], word)
-            low, high = scale[QUANTITIES + k], scale[2 * QUANTITIES + k]
-            if form[CHECKED] and not low <= raw <= high:
+        if e.bits[k] > 0:
+            raw = read(data, e.start[k], e.bits[k], word)
+            if e.bits[k] == EXACT and not e.low[k] <= raw <= e.high[k]:
                 return False
-            value[k] = raw * scale[k]
-    has_force = form[FIELD + 3 * QUANTITIES - 2] > 0
+            value[k] = raw * e.scale[k]
+    has_force = e.bits[QUANTITIES - 1] > 0
     blind = tick.blind[leg] != 0
     if behind == tick.age[leg] or (blind and behind == 0):  # answers the SYNC of what is held
         same = invalid == (blind and behind == 0)
@@ -184,123 +146,104 @@ def _take_feedback(
 
 
 @helper
-def _take_status(
-    data: Any, leg: int, form: Ints, expected: Any, confirmed: int, tick: Any
-) -> tuple[bool, int]:
-    """Take an intact status; tell whether it can be believed, and who has confirmed the set-up."""
-    state, fault = int(data[form[STATE_AT]]), int(data[form[FAULT_AT]])
+def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
+    """Take an intact status; tell whether it can be believed."""
+    state, fault, mine = int(data[0]), int(data[1]), 1 << leg
+    e.said[leg] = whole(data, 2, 2)
     if state >= _STATES or fault >= _FAULTS:
-        return False, confirmed
+        return False
     tick.drive_fault[leg] = fault
-    if state != _BOOT and integer(data, form[SETUP_AT], 2) == integer(expected, 2 * leg, 2):
-        return True, confirmed | 1 << leg
-    if state != _BOOT:
-        tick.altered |= 1 << leg
-    return True, confirmed & ~(1 << leg)
+    e.confirmed &= ~mine
+    if state != _BOOT and e.said[leg] == e.expected[leg]:
+        e.confirmed |= mine
+    elif state != _BOOT:
+        tick.altered |= mine
+    return True
 
 
 @helper
-def _foreign(identifier: int, identifiers: Ints) -> int:
+def _foreign(e: Any, identifier: int) -> int:
     """Return which frame of the controller has this identifier; the own ones are not received."""
-    for k in range(OTHERS, identifiers.shape[0]):
-        if identifier == identifiers[k]:
-            if k >= _COMMAND:
-                return _FOREIGN_COMMAND
-            if k >= _CONFIG:
-                return _FOREIGN_CONFIG
-            return _FOREIGN_SYNC if k == _SYNC else _FOREIGN_ESTOP
-    return 0
+    if identifier == e.sync:
+        return _FOREIGN_SYNC
+    if identifier == e.estop:
+        return _FOREIGN_ESTOP
+    for k in range(COMMAND_IDS):
+        if identifier == e.command_ids[k]:
+            return _FOREIGN_COMMAND
+    return _FOREIGN_CONFIG if place_of(identifier, e.config) >= 0 else 0
 
 
-@helper
-def _sender(identifier: int, identifiers: Ints) -> int:
-    """Return the place among the identifiers of a drive's feedback or status; -1: it is neither."""
-    for k in range(LEGS):
-        if identifier == identifiers[_FEEDBACK + k]:
-            return _FEEDBACK + k
-        if identifier == identifiers[_STATUS + k]:
-            return _STATUS + k
-    return -1
+@pointed(ends, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
+def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
+    """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
 
-
-@pointed(_CODEC, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
-def decode(codec: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick, see `LegsProtocol.decode`.
-
-    frames: address of `count` elements of FRAME. Returns CHANGED or 0.
+    Every leg first ages by the ticks since the last one, up to NEVER. A feedback whose counter is this tick's
+    has age 0, unless it came before `since_ns`: then it answers an older SYNC with the same four bits, and is
+    refused. One whose counter lies d = 1..8 ticks back takes effect with age d if that is newer than what is
+    held, else it is passed over; any other counter is refused. Refused as well, and counted in `rejected`:
+    wrong length, CRC, state or fault, a value that is not finite, of several buses another one than the
+    drive's. A feedback of this tick that calls its length invalid gives state and force alone: the leg ages,
+    and is `blind`. A second answer to the SYNC of what is held that says something else makes the node
+    `doubled`; the first one counts. SYNC, command, CONFIG and E-stop are `foreign`, whatever they carry:
+    nobody hears what he sends himself. Other frames are ignored. Fault and set-up come from the status, state
+    from the feedback. Layout classic carries no force: it stays as it was. Returns CHANGED or 0.
     """
-    identifiers = integers_at(codec.identifiers, codec.known)
-    form, scale, expected = codec.form, codec.scale, codec.expected
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
-    before = confirmed = codec.confirmed
+    before, rejected = e.confirmed, 0
     begin_measurement(last, tick)
-    rejected = 0
     received = frames_at(frames, count)
     for n in range(count):
         frame = received[n]
-        identifier, bus, size = int(frame.id), int(frame.bus), int(frame.length)
-        place = _sender(identifier, identifiers)
-        leg = place - _STATUS if place >= _STATUS else place
-        if codec.buses > 1 and (bus >= codec.buses or (place >= 0 and bus != codec.bus_of[leg])):
+        identifier: Any = np.int64(frame.id)
+        bus = np.int64(frame.bus)
+        leg = place_of(identifier, e.feedback)
+        is_status = leg < 0
+        if is_status:
+            leg = place_of(identifier, e.status)
+        strays = bus >= e.buses or (leg >= 0 and bus != e.home[leg])
+        if strays and e.buses > 1:
             rejected += 1
-        if frame.flags & FOREIGN or bus >= codec.buses or (place >= 0 and bus != codec.bus_of[leg]):
+        if strays or frame.flags & STRANGE:
             continue
-        if place < 0:
-            tick.foreign |= _foreign(identifier, identifiers)
+        if leg < 0:
+            tick.foreign |= _foreign(e, identifier)
             continue
-        is_status = place >= _STATUS
-        data, register = frame.data, identifiers[place + LEGS]
-        good = size == form[STATUS_SIZE if is_status else FEEDBACK_SIZE]
-        good = good and register_after(data, 0, size, register) == RESIDUE
+        good = frame.length == (e.status_length if is_status else e.feedback_length) and intact(frame)
         if good and is_status:
-            good, confirmed = _take_status(data, leg, form, expected, confirmed, tick)
+            good = _take_status(e, frame.data, leg, tick)
         elif good:
-            early = frame.t_ns < since_ns
-            good = _take_feedback(data, early, leg, form, scale, value, word, last, tick)
+            good = _take_feedback(e, frame.data, frame.t_ns < since_ns, leg, value, word, last, tick)
         if not good:
             rejected += 1
     tick.rejected = rejected
     tick.counted_age[:] = tick.age
-    codec.confirmed = confirmed
-    return 0 if confirmed == before == _ALL else CHANGED
+    return 0 if e.confirmed == before == _ALL else CHANGED
 
 
-@helper
-def _carried(value: float, is_float: int, step: float) -> float:
-    """Return a force as its field has it: N, or rounded to whole steps."""
-    return value if is_float else float(np.rint(value / step))
-
-
-@pointed(_CODEC, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
-def command(codec: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
+@pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def command(e: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
     """Fill the elements of FRAME at `into` with the frames of a tick's command; return how many they are.
 
     number: of the tick, of whose low bits the counter has as many as there is room for; force_at: address of
-    (6,) N. FAILED: a force does not fit. An emergency stop is a frame of its own.
+    (6,) N, > 0 extends. FAILED: a force does not fit. An emergency stop is a frame of its own.
     """
-    forces = reals_at(force_at, LEGS)
-    forms = integers_at(codec.commands, codec.frames * COMMAND_FORM)
-    steps = reals_at(codec.steps, 3 * codec.frames)
-    word = np.empty(1, np.int64)
-    sent = frames_at(into, codec.frames)
-    for n in range(codec.frames):
-        form = forms[n * COMMAND_FORM : (n + 1) * COMMAND_FORM]
-        frame = sent[n]
-        frame.t_ns, frame.kind = 0, SENT
-        frame.id, frame.flags, frame.bus = form[FRAME_ID], form[FRAME_FLAGS], form[FRAME_BUS]
-        frame.length = form[FRAME_SIZE]
+    forces, word = reals_at(force_at, LEGS), np.empty(1, np.int64)
+    commands, sent = commands_at(e.commands, e.frames), frames_at(into, e.frames)
+    for n in range(e.frames):
+        of, frame = commands[n], sent[n]
+        begin_sent(frame, of.id, of.length, of.flags, of.bus)
         data = frame.data
-        data[:] = 0
-        for k in range(form[FORCES]):
-            leg = form[LEG + k]
-            value = _carried(forces[leg] if leg >= 0 else 0.0, form[FORCE_KIND], steps[3 * n])
-            if not steps[3 * n + 1] <= value <= steps[3 * n + 2]:
+        for k in range(of.forces):
+            value = forces[of.leg[k]] if of.leg[k] >= 0 else 0.0
+            if of.bits != EXACT:
+                value = float(np.rint(value / e.step))
+            if not e.least <= value <= e.most:
                 return FAILED
-            bit = form[FORCE_AT] + k * form[FORCE_SIZE]
-            write(value, data, 0, bit, form[FORCE_SIZE], form[FORCE_KIND], word)
-        put(number & 0xFF, data, 0, form[COUNTER_AT], form[COUNTER_SIZE])
-        put(mode, data, 0, form[MODE_AT], form[MODE_SIZE])
-        place, size = form[CHECK_AT], form[CHECK_SIZE]
-        put(check_of(data, 0, place, form[REGISTER], size), data, place, 0, 8 * size)
-    return int(codec.frames)
+            write(value, data, of.first + k * of.bits, of.bits, word)
+        put(number & 0xFF, data, of.counter[0], of.counter[1])
+        put(mode, data, of.mode[0], of.mode[1])
+        start, bits = of.check[0], of.check[1]
+        put(check_of(of.id, data, start >> 3, bits >> 3), data, start, bits)
+    return int(e.frames)

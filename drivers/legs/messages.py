@@ -1,29 +1,27 @@
 """The messages of legs.dbc that a run uses: those of its layout, their forces in newtons.
 
 The short force fields, of the classic command and the fd feedback, count in per cent of the drives' rated
-force. That is said once, in `drives.force_limit_N`; both ends, the log's copy of the DBC and the checksum of
+force. That is said once, in `drivers.force_limit_N`; both ends, the log's copy of the DBC and the checksum of
 a drive's set-up take it from there.
 """
 
 import re
-from typing import NamedTuple
+from functools import cache
+from importlib import resources
+from typing import Any, NamedTuple
 
-from drivers.errors import ConfigurationError
-from drivers.legs.codec import Codec, Layout, compile_message, layout_of, parsed, read_dbc
-from drivers.legs.crc import crc16, identifier_state
-from drivers.signals import LEGS
+from cantools.database.can import Database
+
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.legs.crc import check
+from drivers.protocol import BRS, FD, Frame
 
 COMMANDS = {
-    "classic": ("COMMAND_CLASSIC_A", "COMMAND_CLASSIC_B"),
-    "fd": ("COMMAND_FD",),
-    "ideal": ("COMMAND_IDEAL",),
+    "classic": (("COMMAND_CLASSIC_A", "COMMAND_CLASSIC_B"), ("COMMAND_CLASSIC_A",)),
+    "fd": (("COMMAND_FD",), ("COMMAND_FD_SHORT",)),
+    "ideal": (("COMMAND_IDEAL",), ("COMMAND_IDEAL",)),
 }
-SHORT_COMMANDS = {
-    "classic": ("COMMAND_CLASSIC_A",),
-    "fd": ("COMMAND_FD_SHORT",),
-    "ideal": ("COMMAND_IDEAL",),
-}
-"""Of a bus with SHORT legs or fewer."""
+"""Of each layout; the second ones of a bus with SHORT legs or fewer."""
 SHORT = 3
 LAYOUTS = tuple(COMMANDS)
 RATED_N = 0.001, 4294967.295
@@ -31,13 +29,39 @@ RATED_N = 0.001, 4294967.295
 _SHARE = re.compile(r'\(([\d.]+),0\) \[(-[\d.]+)\|([\d.]+)\] "%"')
 
 
-class CommandFrame(NamedTuple):
-    """One command frame of the layout."""
+class Layout(NamedTuple):
+    """One message of a DBC: little-endian fields that do not overlap, in order of position."""
 
-    layout: Layout
-    legs: tuple[int, ...]
-    register: int
-    """Of its check, after the identifier."""
+    id: int
+    length: int
+    flags: int
+    signals: tuple[str, ...]
+    places: tuple[tuple[int, int], ...]
+    """First bit and bits of each field; a field of 64 bits is a float64."""
+    scale: tuple[float, ...]
+    low: tuple[float, ...]
+    """Ranges in SI."""
+    high: tuple[float, ...]
+
+    def place(self, signal: str) -> tuple[int, int]:
+        """Return first bit and bits of a field."""
+        return self.places[self.signals.index(signal)]
+
+    def pack(self, *values: int) -> bytes:
+        """Return the bytes with the low bits of whole numbers in the first fields."""
+        fields = zip(values, self.places, strict=False)
+        whole = sum((value & (1 << bits) - 1) << start for value, (start, bits) in fields)
+        return whole.to_bytes(self.length, "little")
+
+    def unpack(self, data: bytes) -> list[int]:
+        """Return the fields as whole numbers that are not negative."""
+        whole = int.from_bytes(data, "little")
+        return [whole >> start & (1 << bits) - 1 for start, bits in self.places]
+
+    def frame(self, identifier: int, *values: int) -> Frame:
+        """Return the frame with whole numbers in all fields but the last, which is the CRC-8."""
+        data = self.pack(*values)[:-1]
+        return Frame(identifier, data + bytes([check(identifier, data, 1)]), self.flags)
 
 
 class Messages(NamedTuple):
@@ -47,21 +71,64 @@ class Messages(NamedTuple):
     """legs.dbc with these forces in N."""
     version: int
     """Of the protocol."""
-    estop: Codec
-    sync: Codec
-    config: Codec
-    status: Codec
+    estop: Layout
+    sync: Layout
+    config: Layout
+    status: Layout
     feedback: Layout
-    commands: tuple[CommandFrame, ...]
+    commands: tuple[tuple[Layout, ...], tuple[Layout, ...]]
+    """The short ones behind the others."""
     command_ids: tuple[int, ...]
     """Of the commands of all layouts."""
 
 
-def read_messages(layout: str, rated_force_N: float, places: int = LEGS) -> Messages:
-    """Return the messages of a layout for drives of a rated force; commands with room for `places` forces.
+def read_dbc(package: str, name: str) -> str:
+    """Return the text of a DBC of ours, for the log and for other tools."""
+    return resources.files(package).joinpath(name).read_text(encoding="ascii")
 
-    Raises ConfigurationError if the checksum of a set-up cannot carry that.
+
+@cache
+def parsed(dbc: str) -> Database:
+    """Return the messages of a DBC text; parsed once, for all who read them, and for reading only."""
+    database = Database()
+    database.add_dbc_string(dbc)
+    return database
+
+
+def layout_of(message: Any, rated_N: float = 100.0) -> Layout:
+    """Return the layout of a cantools message; its fields in per cent are of a rated force.
+
+    Raises ProtocolError for fields that the kernels cannot read.
     """
+    fields = sorted(message.signals, key=lambda s: s.start)
+    for s in fields:  # they do not overlap: the parser sees to that
+        if s.byte_order != "little_endian" or s.offset or (s.start % 8 and s.length > 32):
+            raise ProtocolError(f"DBC: {message.name}.{s.name} is no little-endian field that can be read")
+    brs = "CANFD_BRS" in message.dbc.attributes and str(message.dbc.attributes["CANFD_BRS"].value) == "1"
+    units = [rated_N / 100.0 if s.unit == "%" else 1.0 for s in fields]
+
+    def times(values: list[float]) -> tuple[float, ...]:
+        return tuple(float(value) * unit for value, unit in zip(values, units, strict=True))
+
+    return Layout(
+        id=message.frame_id,
+        length=message.length,
+        flags=(FD if message.is_fd else 0) | (BRS if brs else 0),
+        signals=tuple(s.name for s in fields),
+        places=tuple((s.start, s.length) for s in fields),
+        scale=times([s.scale for s in fields]),
+        low=times([s.minimum for s in fields]),
+        high=times([s.maximum for s in fields]),
+    )
+
+
+def read_messages(layout: str, rated_force_N: float) -> Messages:
+    """Return the messages of a layout for drives of a rated force.
+
+    Raises ConfigurationError for an unknown layout, or a force that the checksum of a set-up cannot carry.
+    """
+    if layout not in LAYOUTS:
+        raise ConfigurationError(f"bus.layout: {layout!r} is unknown, allowed are {', '.join(LAYOUTS)}")
     if not RATED_N[0] <= rated_force_N <= RATED_N[1]:
         raise ConfigurationError(
             f"drives.force_limit_N: out of range for protocol legs, allowed: {RATED_N[0]:g} to "
@@ -69,59 +136,29 @@ def read_messages(layout: str, rated_force_N: float, places: int = LEGS) -> Mess
         )
     text = read_dbc("drivers.legs", "legs.dbc")
     database = parsed(text)
-    get = database.get_message_by_name
-    quantities = ("Length", "Rate") if layout == "classic" else ("Length", "Rate", "Force")
-    feedback = layout_of(
-        get(f"FEEDBACK_{layout.upper()}_1"), *quantities, "Counter", "State", "Invalid", "CRC"
-    )
-    trailer = ("Mode", "Counter", "CRC") if layout == "classic" else ("Counter", "Mode", "CRC")
-    commands: list[CommandFrame] = []
-    names = (SHORT_COMMANDS if places <= SHORT else COMMANDS)[layout]
-    for name in names:
-        share = sum(signal.name.startswith("Force") for signal in get(name).signals)
-        addressed = tuple(range(len(commands) * share, (len(commands) + 1) * share))
-        of = layout_of(get(name), *(f"Force{leg + 1}" for leg in addressed), *trailer)
-        wide = of.place("CRC").size == 16
-        register = crc16(of.id.to_bytes(2, "little")) if wide else identifier_state(of.id)
-        commands.append(CommandFrame(_in_newtons(of, rated_force_N), addressed, register))
-    return Messages(
-        text=_text_in_newtons(text, rated_force_N),
-        version=int((database.version or "").partition(".")[0]),
-        estop=compile_message(get("ESTOP"), "Source"),
-        sync=compile_message(get("SYNC"), "Cycle", "CRC"),
-        config=compile_message(get("CONFIG_1"), "Watchdog", "Reaction", "Leg", "Version", "CRC"),
-        status=compile_message(get("STATUS_1"), "State", "Fault", "SetUp", "CRC"),
-        feedback=_in_newtons(feedback, rated_force_N),
-        commands=tuple(commands),
-        command_ids=tuple(
-            dict.fromkeys(
-                get(name).frame_id
-                for layouts in (COMMANDS, SHORT_COMMANDS)
-                for names in layouts.values()
-                for name in names
-            )
-        ),
-    )
 
+    def get(name: str) -> Layout:
+        return layout_of(database.get_message_by_name(name), rated_force_N)
 
-def _in_newtons(of: Layout, rated_force_N: float) -> Layout:
-    units = [rated_force_N / 100.0 if unit == "%" else 1.0 for unit in of.units]
-
-    def times(values: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(value * unit for value, unit in zip(values, units, strict=True))
-
-    return of._replace(scale=times(of.scale), low=times(of.low), high=times(of.high))
-
-
-def _text_in_newtons(text: str, rated_force_N: float) -> str:
     def newtons(found: re.Match[str]) -> str:
         scale, low, high = (float(number) * (rated_force_N / 100.0) for number in found.groups())
         return f'({scale!r},0) [{low!r}|{high!r}] "N"'
 
-    return _SHARE.sub(newtons, text)
+    long, short = (tuple(map(get, names)) for names in COMMANDS[layout])
+    every = [name for both in COMMANDS.values() for names in both for name in names]
+    return Messages(
+        text=_SHARE.sub(newtons, text),
+        version=int((database.version or "").partition(".")[0]),
+        estop=get("ESTOP"),
+        sync=get("SYNC"),
+        config=get("CONFIG_1"),
+        status=get("STATUS_1"),
+        feedback=get(f"FEEDBACK_{layout.upper()}_1"),
+        commands=(long, short),
+        command_ids=tuple(dict.fromkeys(get(name).id for name in every)),
+    )
 
 
 def set_up_checksum(identifier: int, config: bytes, rated_force_N: float) -> int:
     """Return what a status says of a set-up: of its CONFIG without the CRC and the drive's rated force."""
-    rated_mN = round(rated_force_N * 1e3)
-    return crc16(identifier.to_bytes(2, "little") + config + rated_mN.to_bytes(4, "little"))
+    return check(identifier, config + round(rated_force_N * 1e3).to_bytes(4, "little"), 2)

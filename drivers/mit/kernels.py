@@ -12,7 +12,7 @@ from drivers.compiled.pointed import pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, whole
 from drivers.mit.fields import TURN, device_motion, unpack_motion
-from drivers.motor_dialogue import OWN_CODE
+from drivers.motor_kernels import OWN_CODE
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
 

@@ -39,12 +39,12 @@ from drivers.mit.kernels import (
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
 from drivers.motor_device_kernels import ANY
-from drivers.motor_drives import MotorMemory, codes_of, put
-from drivers.motor_kernels import EAR
+from drivers.motor_drives import codes_of, put_written, written
+from drivers.motor_kernels import EAR, OWN_CODE
 from drivers.motor_settings import unwatched
-from drivers.motors import OWN_CODE, Exchange, MotorProtocol
+from drivers.motors import Exchange, MotorProtocol
 from drivers.protocol import (
-    OTHER_BUSES,
+    ALL_LEGS,
     Answer,
     Configure,
     DeviceMessage,
@@ -55,12 +55,12 @@ from drivers.protocol import (
 )
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Reaction
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
 ENABLE, DISABLE, CLEAR, ZERO = (
     b"\xff" * 7 + bytes((last,)) for last in (kernels.ENABLE, kernels.DISABLE, kernels.CLEAR, kernels.ZERO)
 )
-STRANGE = kernels.STRANGE | OTHER_BUSES
 
 
 class MitProtocol(MotorProtocol):
@@ -71,14 +71,20 @@ class MitProtocol(MotorProtocol):
     rejections = "command of {size} bytes", "the zero of the position is not emulated"
 
     def __init__(
-        self, variant: str, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission
+        self,
+        variant: str,
+        ranges: Ranges,
+        nodes: Sequence[int],
+        host: int,
+        transmission: Transmission,
+        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
     ) -> None:
-        """Take the variant's name, the ranges, six identifiers, and the reply's: Damiao's less the node's.
+        """Take variant, ranges, six identifiers, the reply's (Damiao's less the node's), and legs by bus.
 
         Raises ConfigurationError for nodes that the frames cannot tell apart.
         """
         tables = np.zeros((), EAR)
-        super().__init__(transmission, tables, (6, 12, ranges.torque))
+        super().__init__(transmission, tables, (6, 12, ranges.torque), legs)
         self.name, self.variant, self.ranges = variant, VARIANTS[variant], ranges
         self.damiao = variant == "damiao"
         self.set_up_frames = 1 if self.damiao else 0
@@ -168,14 +174,14 @@ class MitProtocol(MotorProtocol):
         if not self.damiao:
             return ()
         return tuple(
-            tuple(_exchange(node, "", READ, register, 0.0).frames[0] for node in self._nodes)
+            self._to_each(*(_exchange(node, "", READ, register, 0.0).frames[0] for node in self._nodes))
             for register in _SAID
         )
 
-    def identity(self, frame: Frame) -> Said | None:
+    def said_by(self, frame: Frame) -> Said | None:
         """Return what such a reading is answered with."""
         identifier, data, flags = frame
-        if not self.damiao or flags & STRANGE or identifier not in self._replies or len(data) != 8:
+        if not self.damiao or flags & kernels.STRANGE or identifier not in self._replies or len(data) != 8:
             return None
         leg = self._replies.index(identifier)
         if data[:3] != bytes((self._nodes[leg], 0, READ)) or data[3] not in _SAID:
@@ -190,48 +196,49 @@ class MitProtocol(MotorProtocol):
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return DISABLE for each drive: it does not latch."""
-        return tuple(Frame(node, DISABLE) for node in self._nodes)
+        return self._to_each(*(Frame(node, DISABLE) for node in self._nodes))
+
+    def _to_each(self, *frames: Frame) -> tuple[Frame, ...]:
+        return tuple(self.to_leg(leg, frame) for leg, frame in enumerate(frames))
 
     # drives' end
 
-    def converse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+    def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Take the request of a Damiao's register."""
         data = frame.data
-        if frame.flags & STRANGE:
-            return memory, ()
-        leg = self._legs.get(data[0] | data[1] << 8) if len(data) > 1 else None
+        if frame.flags & kernels.STRANGE:
+            return ()
         if len(data) == 8 and data[2] == REFRESH and leg is not None:
-            return memory, (Sync(0, (leg,)),)
+            return (Sync(0, (leg,)),)
         if (
             len(data) != 8
             or data[2] not in (READ, WRITE)
             or data[3] not in _KIND
             or (data[2] == WRITE and data[3] in _SAID)
         ):
-            return memory, (Rejected("register request"),)
+            return (Rejected("register request"),)
         if leg is None:
-            return memory, ()
+            return ()
         r, register = self.ranges, data[3]
         held = {CTRL_MODE: 0.0, TIMEOUT: 0.0, PMAX: r.position, VMAX: r.velocity, TMAX: r.torque}
         held |= {SN: float(self._nodes[leg]), SW_VER: 1.0}
-        held |= dict(memory.registers[leg])
+        held |= written(d, leg)
         messages: tuple[DeviceMessage, ...] = ()
         if data[2] == WRITE:
             (held[register],) = struct.unpack(_KIND[register], data[4:])
             if register == TIMEOUT and held[TIMEOUT] > 0:
                 messages = (Configure(leg, held[TIMEOUT] / TICKS_PER_S, Reaction.BRAKE),)
-            memory = memory._replace(registers=put(memory.registers, leg, tuple(held.items())))
+            put_written(d, leg, held)
         kind = _KIND[register]
         body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
-        reply = Frame(self._replies[leg], data[:4] + body)
-        return memory, (*messages, Answer(leg, reply))
+        reply = self.to_leg(leg, Frame(self._replies[leg], data[:4] + body))
+        return (*messages, Answer(leg, reply))
 
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six commands, six feedbacks."""
-        commands = (Frame(node, DISABLE) for node in self._nodes)
-        return (*commands, *self.example_feedbacks())
+        return (*self.emergency_stop(), *self.example_feedbacks())
 
 
 _SAID = {SN: SERIAL, SW_VER: REVISION}

@@ -26,13 +26,13 @@ from drivers.mit.robstride_kernels import (
     WRITE,
 )
 from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
-from drivers.motor_drives import MotorMemory, codes_of, put
-from drivers.motor_kernels import EAR, IN_IDENTIFIER
+from drivers.motor_drives import codes_of, put_written, written
+from drivers.motor_kernels import EAR, IN_IDENTIFIER, OWN_CODE
 from drivers.motor_settings import unwatched
-from drivers.motors import OWN_CODE, Exchange, MotorProtocol
+from drivers.motors import Exchange, MotorProtocol
 from drivers.protocol import (
+    ALL_LEGS,
     EXTENDED,
-    OTHER_BUSES,
     Answer,
     Configure,
     DeviceMessage,
@@ -43,6 +43,7 @@ from drivers.protocol import (
 )
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Reaction
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
 ASKED_WHO = 0xFE
@@ -50,7 +51,6 @@ ASKED_WHO = 0xFE
 RUN_MODE = 0x7005
 OPERATION = 0
 """Of RUN_MODE: MIT's five numbers."""
-_STRANGE = kernels.STRANGE | OTHER_BUSES
 _ZEROS = bytes(8)
 
 
@@ -64,10 +64,20 @@ class RobStrideProtocol(MotorProtocol):
     set_up_frames = 2
     has_watchdog = False
 
-    def __init__(self, ranges: Ranges, nodes: Sequence[int], host: int, transmission: Transmission) -> None:
-        """Take the ranges, six motor numbers and the host's. Raises ConfigurationError for others."""
+    def __init__(
+        self,
+        ranges: Ranges,
+        nodes: Sequence[int],
+        host: int,
+        transmission: Transmission,
+        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
+    ) -> None:
+        """Take the ranges, six motor numbers, the host's, and the legs of each bus.
+
+        Raises ConfigurationError for other numbers.
+        """
         tables = np.zeros((), EAR)
-        super().__init__(transmission, tables, (IN_IDENTIFIER, 16, ranges.torque))
+        super().__init__(transmission, tables, (IN_IDENTIFIER, 16, ranges.torque), legs)
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 127:
                 raise ConfigurationError(
@@ -105,7 +115,7 @@ class RobStrideProtocol(MotorProtocol):
 
     def _to(self, kind: int, leg: int, data: bytes = _ZEROS, middle: int | None = None) -> Frame:
         middle = self._host if middle is None else middle
-        return Frame(kind << 24 | middle << 8 | self._nodes[leg], data, EXTENDED)
+        return self.to_leg(leg, Frame(kind << 24 | middle << 8 | self._nodes[leg], data, EXTENDED))
 
     def resolution(self, _rate_Hz: float) -> Resolution:
         """Return a step of each field."""
@@ -127,12 +137,12 @@ class RobStrideProtocol(MotorProtocol):
         """Return the request for the processor's number of each drive."""
         return (tuple(self._to(WHO, leg) for leg in range(LEGS)),)
 
-    def identity(self, frame: Frame) -> Said | None:
+    def said_by(self, frame: Frame) -> Said | None:
         """Return that number."""
         identifier, data, flags = frame
         leg = self._legs.get(identifier >> 8 & 0xFFFF)
         answers = identifier >> 24 == WHO and identifier & 0xFF in (ASKED_WHO, self._host) and len(data) == 8
-        if leg is None or not answers or not flags & EXTENDED or flags & _STRANGE:
+        if leg is None or not answers or not flags & EXTENDED or flags & kernels.STRANGE:
             return None
         return Said(leg, SERIAL, int.from_bytes(data, "little"))
 
@@ -171,29 +181,29 @@ class RobStrideProtocol(MotorProtocol):
 
     # drives' end
 
-    def converse(self, memory: MotorMemory, frame: Frame) -> tuple[MotorMemory, tuple[DeviceMessage, ...]]:
+    def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Take the request for the processor's number, or a register's; all but its reading has feedback."""
         identifier, data, _ = frame
-        leg, kind = self._legs[identifier & 0xFF], identifier >> 24
+        assert leg is not None
+        kind = identifier >> 24
         if kind == WHO:
-            identifier = WHO << 24 | self._nodes[leg] << 8 | ASKED_WHO
             said = self._nodes[leg].to_bytes(8, "little")
-            return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
+            return (Answer(leg, self._from(WHO, leg, said, ASKED_WHO)),)
         register, number = struct.unpack("<HxxI", data)
         if register != RUN_MODE:
-            return memory, (Rejected(f"register {register:#x}"),)
+            return (Rejected(f"register {register:#x}"),)
         if kind == WRITE:
-            held = memory.registers
-            memory = memory._replace(registers=put(held, leg, ((register, float(number)),)))
-            return memory, (Configure(leg, self.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
+            put_written(d, leg, {register: float(number)})
+            return (Configure(leg, self.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
         # A drive leaves the factory in mode 0, and says so.
-        said = struct.pack("<HxxI", register, int(dict(memory.registers[leg]).get(register, OPERATION)))
-        identifier = READ << 24 | self._nodes[leg] << 8 | self._host
-        return memory, (Answer(leg, Frame(identifier, said, EXTENDED)),)
+        said = struct.pack("<HxxI", register, int(written(d, leg).get(register, OPERATION)))
+        return (Answer(leg, self._from(READ, leg, said, self._host)),)
+
+    def _from(self, kind: int, leg: int, data: bytes, to: int) -> Frame:
+        return self.to_leg(leg, Frame(kind << 24 | self._nodes[leg] << 8 | to, data, EXTENDED))
 
     # bus time
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: six commands, six feedbacks."""
-        commands = (self._to(STOP, leg) for leg in range(LEGS))
-        return (*commands, *self.example_feedbacks())
+        return (*self.emergency_stop(), *self.example_feedbacks())

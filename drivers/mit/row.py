@@ -34,10 +34,10 @@ def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol | RobStrideProto
     if variant == "robstride":
         from drivers.mit.robstride import RobStrideProtocol  # noqa: PLC0415 - compiled code
 
-        protocol = RobStrideProtocol(ranges, drives.node_ids, host, transmission)
+        protocol = RobStrideProtocol(ranges, drives.node_ids, host, transmission, bus.legs)
     else:
         from drivers.mit.protocol import MitProtocol  # noqa: PLC0415 - compiled code
 
-        protocol = MitProtocol(variant, ranges, drives.node_ids, host, transmission)
+        protocol = MitProtocol(variant, ranges, drives.node_ids, host, transmission, bus.legs)
     refuse_torque(transmission, drives.force_limit_N, protocol.torque_limit, f"mit, variant {variant},")
     return protocol

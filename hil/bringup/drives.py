@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.frame_array import received_array
+from drivers.controller_end import controller_end
+from drivers.frame_array import received_array, sent_frames
 from drivers.identity import SERIAL, Identified, Said
-from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame, Received
+from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from hil.bringup.line import Line
@@ -47,14 +48,14 @@ class Drives:
         self.watchdog_s = watchdog_s
         self._sink = sink
         reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
-        self.locks = shares_commands(protocol, protocol.start(DriveSetup(watchdog_s, reaction, line.rate_Hz)))
+        self.locks = shares_commands(protocol, DriveSetup(watchdog_s, reaction, line.rate_Hz))
         """One command goes to several drives."""
         lock_s = LOCK_S if self.locks else watchdog_s
         self._setups = (
             DriveSetup(watchdog_s, reaction, line.rate_Hz),
             DriveSetup(lock_s, reaction, line.rate_Hz),
         )
-        self._live, self._rest = (protocol.start(setup) for setup in self._setups)
+        self._live, self._rest = (controller_end(protocol, setup) for setup in self._setups)
         self.tick = -1
         self.record = new_record()
         """Of the last tick; states of locked drives are theirs."""
@@ -98,7 +99,7 @@ class Drives:
         self.tick = tick = self.tick + 1
         opening: tuple[Frame, ...] = ()
         if not silent or self.protocol.command_delay_ticks == 0:
-            starts = self.protocol.begin(self._live, tick), self.protocol.begin(self._rest, tick)
+            starts = sent_frames(self._live.begin(tick)), sent_frames(self._rest.begin(tick))
             # with a delay they carry the last command, which powers no drive but its own
             opening = self._chosen(*starts, self._commanded if self.protocol.command_delay_ticks else leg)
         self._commanded = leg
@@ -115,27 +116,26 @@ class Drives:
             record["tick"], record["t_ns"] = tick, heard.since_ns
             record["stretched_ns"] = heard.stretched_ns
         before, alike = self._records, leg is None and not self.locks
-        self._live = self.protocol.decode(self._live, received, before[0], live, heard.since_ns)
+        self._live.take(received, before[0], live, heard.since_ns)
         if alike:
-            self._rest, rest = self._live, live
+            rest = live
         else:
-            self._rest = self.protocol.decode(self._rest, received, before[1], rest, heard.since_ns)
+            self._rest.take(received, before[1], rest, heard.since_ns)
         self._records = live, rest
         self.record = self._seen(live, rest, leg)
         tau = np.zeros(LEGS)
         if leg is not None:
             tau[leg] = force
         self.record["tau"], self.record["command_mode"] = tau, mode
-        self._live, frames = self.protocol.command(self._live, Command(mode, tau), tick)
+        frames = sent_frames(self._live.give(Command(mode, tau), tick))
         if not self.locks and leg is not None:
             shut = Command(DriveMode.OFF, np.zeros(LEGS))
-            self._rest, others = self.protocol.command(self._rest, shut, tick)
-            frames = self._chosen(frames, others, leg)
+            frames = self._chosen(frames, sent_frames(self._rest.give(shut, tick)), leg)
         sent: tuple[Frame, ...] = () if silent else frames
         if set_up:
             sent += self._set_up_frames()
         if alike:
-            self._rest = self._live
+            self._rest.remember(self._live.remembered())
         sent += asked
         self.line.send(sent)
         self._sink(self.record, heard.frames, (*opening, *sent))
@@ -170,7 +170,8 @@ class Drives:
         for _ in range(self.protocol.reset_ticks if self._faulted() else 1):
             self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
         self._alone = leg
-        self._live, self._rest = (self.protocol.start(setup) for setup in self._setups)
+        self._live.start()
+        self._rest.start()
         for _ in range(self.ticks(SETUP_S)):
             self.step(set_up=True)
             lacks = self.lacks()
@@ -180,7 +181,7 @@ class Drives:
 
     def lacks(self) -> tuple[str, ...]:
         """Return what each drive has not confirmed of the set-up that it should have."""
-        live, rest = (self.protocol.set_up_lacks(d) for d in (self._live, self._rest))
+        live, rest = self._live.lacks(), self._rest.lacks()
         return tuple(live[k] if self._powers(k) else rest[k] for k in range(LEGS))
 
     def _powers(self, leg: int) -> bool:
@@ -191,10 +192,10 @@ class Drives:
 
     def _set_up_frames(self) -> tuple[Frame, ...]:
         mine = np.array([self._powers(k) for k in range(LEGS)])
-        self._live, frames = self.protocol.set_up(self._live, _only(self.record, mine))
-        if not frames and not mine.all():
-            self._rest, frames = self.protocol.set_up(self._rest, _only(self.record, ~mine))
-        return frames
+        frames = self._live.set_up(_only(self.record, mine))
+        if not len(frames) and not mine.all():
+            frames = self._rest.set_up(_only(self.record, ~mine))
+        return sent_frames(frames)
 
     def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
         """Ask the drives of some legs, commanded off, who they are; return what each has said, maybe nothing.
@@ -260,7 +261,7 @@ class Drives:
         """Return what a command of force N to drive `leg` gives a leg at rest: a coarse field takes of it."""
         forces = np.zeros(LEGS)
         forces[leg] = force
-        return float(self.protocol.carried(self._live, forces)[leg])
+        return float(self._live.carried(forces)[leg])
 
     def force_step(self, leg: int, force: float) -> float:
         """Return the step of the commands between half a force N and all of it, N; 0: too fine to matter."""
@@ -273,12 +274,13 @@ class Drives:
             self.step(DriveMode.OFF)
 
 
-def shares_commands(protocol: DriveProtocol, dialogue: Dialogue) -> bool:
+def shares_commands(protocol: DriveProtocol, setup: DriveSetup) -> bool:
     """Tell whether one frame powers several drives: some of those for several differ by the command."""
 
     def shared(mode: DriveMode) -> list[Frame]:
-        after, sent = protocol.command(dialogue, Command(mode, np.zeros(LEGS)), 0)
-        return [each for each in (*protocol.begin(after, 0), *sent) if len(protocol.addressed(each)) > 1]
+        end = controller_end(protocol, setup)
+        command = sent_frames(end.give(Command(mode, np.zeros(LEGS)), 0))
+        return [each for each in (*sent_frames(end.begin(0)), *command) if len(protocol.addressed(each)) > 1]
 
     return shared(DriveMode.OFF) != shared(DriveMode.RUN)
 

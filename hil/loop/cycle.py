@@ -18,7 +18,6 @@ import numpy as np
 from drivers.arrays import ZERO6, Rows
 from drivers.controller_end import MOST_FRAMES, controller_end
 from drivers.frame_array import FRAME, sent_array
-from drivers.protocol import Dialogue
 from drivers.signals import DriveMode, Fault, Mode, Stop
 from drivers.tick_columns import INPUT_ELEMENTS, Record, new_record, row_of
 from hil.loop import compiled_pass, modes
@@ -88,6 +87,8 @@ class Cycle:
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R, parts.engage.stop_s)
         self.mode = Mode.WAITING
         self.mode_tick = 0
+        self.looked = True
+        """Whether there was anything to decide in the last tick."""
         self._yields = False
         """PARKING after a fault: the reference stays with the platform, and what holds it is all the force. A
         law that was not followed could work against the brakes."""
@@ -105,11 +106,6 @@ class Cycle:
             if part is not None:
                 part.reset()
         self._control.reset()
-
-    @property
-    def dialogue(self) -> Dialogue:
-        """What the controller's end of the drives remembers."""
-        return self.end.dialogue
 
     def settle(self) -> None:
         """Let the compiled pass know what was changed from outside, as a mode."""
@@ -131,7 +127,8 @@ class Cycle:
         )  # fmt: skip
         self.tick, self.inp, record, into = tick, inp, control.record, np.empty(MOST_FRAMES, FRAME)
         look = observe(record, tick, self.last, inp.frames)
-        if look or inp.orders or inp.operator or inp.setpoints:
+        looked = look or inp.orders or inp.operator or inp.setpoints
+        if looked:
             self._decide(inp, tick, look)
             control.settle(attentive=bool(inp.operator))
         if control.probes:
@@ -142,6 +139,7 @@ class Cycle:
         else:
             ended = act(record, tick, into, ALL)
         frames = self._finish(inp, tick, into, ended) if ended else into[: record["sent"]]
+        self.looked = bool(looked or ended or control.probes)
         if control.error is not None:
             control.fail()
         return TickOutput(frames, row_of(tick))
@@ -226,9 +224,7 @@ class Cycle:
             tick["drive_state"].tolist(),
             self.mode in modes.BEFORE
             and self.homing.known
-            and ready(
-                tick, self.mode, self.parts.protocol.legs_set_up(self.dialogue), located=self.sight.located
-            ),
+            and ready(tick, self.mode, self.end.legs_set_up(), located=self.sight.located),
             elapsed,
             self._finished(tick),
             self.stop_requested is not Stop.NONE,

@@ -14,7 +14,7 @@ from drivers.arrays import ZERO6, Rows
 from drivers.can.bus import Bus
 from drivers.ends import Hearing, hearing
 from drivers.errors import BusError, HilError
-from drivers.frame_array import joined, sent_array, sent_at
+from drivers.frame_array import joined, sent_at
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake
 from hil.loop.console import Console
@@ -101,7 +101,7 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
     Returns whether the bus took a whole one of these commands.
     """
     protocol = cycle.parts.protocol
-    dialogue, off = cycle.dialogue, Command(DriveMode.OFF, ZERO6)
+    end, off = cycle.end, Command(DriveMode.OFF, ZERO6)
     told, first = False, deadlines.tick + 1
     for tick in range(first, first + 2 * SAFE_FRAMES):
         if tick == first + SAFE_FRAMES:
@@ -112,9 +112,9 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
                     bus.flush_tx()
         with suppress(HilError):
             polls = protocol.command_delay_ticks > 0
-            opening = () if polls else protocol.begin(dialogue, tick)  # drives obey the present SYNC alone
-            dialogue, frames = protocol.command(dialogue, off, tick)
-            failed = bus.send(sent_array(protocol.begin(dialogue, tick) if polls else opening + frames))
+            opening = end.begin(tick)  # drives obey the present SYNC alone
+            frames = end.give(off, tick)
+            failed = bus.send(end.begin(tick) if polls else joined((opening, frames)))
             told = told or not failed
         time.sleep(deadlines.period_ns * 1e-9)
     return told

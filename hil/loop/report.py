@@ -33,7 +33,7 @@ def waiting_text(cycle: Cycle) -> str:
     last = cycle.tick
     lacking = []
     protocol = cycle.parts.protocol
-    lacks = protocol.set_up_lacks(cycle.dialogue)
+    lacks = cycle.end.lacks()
     for leg in range(LEGS):
         state, fault = DriveState(int(last["drive_state"][leg])), int(last["drive_fault"][leg])
         why = because(fault, protocol.fault_text(fault))

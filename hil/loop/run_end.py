@@ -93,6 +93,10 @@ class Ending:
         return replace(self, reason=reason, story=story)
 
 
+_QUIET = frozenset(Mode) - {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT, Mode.HELD}
+"""Modes that no time ends here."""
+
+
 class Course:
     """Engages once the drives are ready, stops after `duration_s`, and ends the run.
 
@@ -141,9 +145,14 @@ class Course:
         self._fault_tick, self._faults, self._fault_text = -1, Fault.NONE, ""
         self._after_fault_since: int | None = None
         self._held_since: int | None = None
+        self._quiet = False
+        """Nothing ends the run, and nothing is to be told, until the cycle has something to decide."""
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
         """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
+        if self._quiet and not operator and tick < self._stop_tick:
+            self._operator = operator
+            return operator
         over = tick >= self._stop_tick
         if over or Operator.END in operator:
             self._stop_tick = inf
@@ -196,10 +205,14 @@ class Course:
 
     def ending(self, tick: int) -> Ending | None:
         """Return how the run ends with the tick that has just been stepped; None if it goes on."""
+        cycle = self.cycle
+        if self._quiet and not cycle.looked:
+            return None
         self._narrator.look(self._operator)
         self._tell()
         ending = self._ending(tick)
         if ending is None:
+            self._quiet = cycle.mode in _QUIET and not (cycle.faults or self._just_consented)
             return None
         return replace(ending, story=self.story(), reason=ending.reason or self._narrator.short)
 

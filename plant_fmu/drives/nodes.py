@@ -23,7 +23,6 @@ from drivers.protocol import (
     DriveProtocol,
     EmergencyStop,
     Frame,
-    Memory,
     Received,
     Sync,
 )
@@ -200,14 +199,6 @@ class Nodes:
         """SYNC frames or polls heard since the start."""
         return int(self._state.words[SYNCS])
 
-    @property
-    def _memory(self) -> Memory:
-        return self._end.memory
-
-    @_memory.setter
-    def _memory(self, memory: Memory) -> None:
-        self._end.memory = memory
-
     def starts_ns(self, fault: Fault) -> int:
         """Return when a fault begins; `NEVER_NS` where it will not, as things stand."""
         return self._schedule.starts_ns(fault)
@@ -305,7 +296,7 @@ class Nodes:
         self._spoiled.begin(present)
         self._turns.switch_on(present.reset, n["length"])
         n["uncounted"] = self._turns.uncounted_m
-        self._memory = self._protocol.restarted(self._memory, np.flatnonzero(present.reset).tolist())
+        self._end.restart(np.flatnonzero(present.reset).tolist())
         self._weigh()
         moves.actuate(n, t)
 
@@ -335,7 +326,7 @@ class Nodes:
     def _parse(self) -> None:
         """Let the protocol decode a frame."""
         frame = sent_frames(self._frames[int(self._record["frame"])][np.newaxis])[0]
-        self._memory, self._heard = self._protocol.parse(self._memory, frame)
+        self._heard = self._end.hear(frame)
         self._state.hear(self._heard)
 
     def _do(self, message: DeviceMessage, t: int) -> None:
@@ -355,12 +346,11 @@ class Nodes:
             self._drives.drift(self._present, t)
 
     def _answered(self, length: Array) -> list[tuple[int, Frame]]:
-        """Return what the drives answer that read lengths (6,) m; their memory stays as it is."""
+        """Return what the drives answer that read lengths (6,) m."""
         asked, reading = self._state.asked, self._state.reading
         sync = Sync(int(asked["counter"]), tuple(asked["legs"][: asked["count"]].tolist()))
         read = (reading["rate"], reading["force"], reading["state"], self._drives.fault)
-        self._answering, frames = self._protocol.answer(self._memory, sync, length, *read)
-        return frames
+        return self._end.reply(sync, length, *read)
 
     def _answer(self, t: int) -> None:
         """Let the protocol answer."""
@@ -368,7 +358,6 @@ class Nodes:
             frames = self._answered(self._state.reading["length"])
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
-        self._memory = self._answering
         for leg, frame in frames:
             self._send(leg, t, (frame,))
         self._record["latching"] = False
@@ -379,12 +368,13 @@ class Nodes:
         """Send what others send under the name of a drive."""
         for leg, by_m in enumerate(self._present.forged_m):
             if by_m is not None:
+                before = self._end.remembered()
                 other = self._answered(self._state.reading["length"] + by_m)
+                self._end.remember(before)
                 self._state.queue(t, [frame for k, frame in other if k == leg])
 
     def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
-        self._memory, frames = self._protocol.report(self._memory, self._drives.status(leg, due=due))
-        self._send(leg, t, frames)
+        self._send(leg, t, self._end.announce(self._drives.status(leg, due=due)))
 
     def _send(self, leg: int, t: int, frames: Sequence[Frame]) -> None:
         """Queue frames of one drive, as far as it is not silent."""

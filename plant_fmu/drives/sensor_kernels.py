@@ -10,14 +10,13 @@ from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, helper, r
 from drivers.compiled.pointed import pointed, reals_at, record_at
 from drivers.ends import frame_at
 from drivers.frame_array import FRAME
-from drivers.legs.crc import RESIDUE
-from drivers.legs.device_kernels import STRANGE
-from drivers.legs.kernels import register_after
+from drivers.legs.crc import intact
+from drivers.legs.kernels import STRANGE
 from drivers.sensor_kernels import IMU, QUANTITIES, SENSORS, TRACKER, put_sample
 
 SENSED = np.dtype(
     [
-        *((name, "<i8") for name in ("sensors", "wrench", "sync_id", "sync_register", "before_ns")),
+        *((name, "<i8") for name in ("sensors", "wrench", "sync_id", "before_ns")),
         *((name, "<i8", (3,)) for name in ("heard_ns", "cycle", "late_ns")),
         *((name, "<f8", (3, QUANTITIES)) for name in ("bias", "noise")),
         *((name, "<f8", (QUANTITIES,)) for name in ("drawn", "values")),
@@ -93,7 +92,7 @@ def listen(n: Any, frame_address: int) -> int:
     """Note a SYNC; a frame of another kind, or a damaged one, is passed over."""
     frame, s = frame_at(frame_address), _sensors_at(n.sensors)
     is_sync = np.int64(frame.id) == n.sync_id and not frame.flags & STRANGE and frame.length == 2
-    if is_sync and register_after(frame.data, 0, 2, n.sync_register) == RESIDUE:
+    if is_sync and intact(frame):
         for kind in range(3):
             if frame.bus == s.bus[kind]:
                 n.heard_ns[kind], n.cycle[kind] = frame.t_ns, frame.data[0]

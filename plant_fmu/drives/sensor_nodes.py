@@ -14,7 +14,6 @@ from drivers.compiled.pointed import FAILED, data_at
 from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
 from drivers.frame_array import FRAME, sent_frames, timed_array
-from drivers.legs.crc import identifier_state
 from drivers.protocol import DriveProtocol
 from drivers.sensor_kernels import IMU
 from drivers.sensors import KINDS, SensorProtocol
@@ -62,7 +61,7 @@ class SensedNodes(Nodes):
         n, drives = self._sensed, self._record
         tracker, imu, wrench = each = self._noise.tracker, self._noise.imu, self._noise.wrench
         n["sensors"], n["wrench"] = data_at(self._sensors.tables), data_at(drives["wrench"])
-        n["sync_id"], n["sync_register"] = self._sensors.sync_id, identifier_state(self._sensors.sync_id)
+        n["sync_id"] = self._sensors.sync_id
         n["before_ns"], n["heard_ns"], n["gravity"] = t0_ns, -NEVER_NS, self._gravity
         n["late_ns"] = [round(sensor.latency_ms * 1e6) for sensor in each]
         first, second = n["bias"][:, :3], n["bias"][:, 3:]

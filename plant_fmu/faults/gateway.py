@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from operator import itemgetter
 
+from drivers.ends import drives_end
 from drivers.protocol import DriveProtocol, Frame, Received, Sync
 from plant_fmu.faults.frames import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
@@ -25,7 +26,7 @@ class Gateway:
     def __init__(self, schedule: Schedule, protocol: DriveProtocol, t0_ns: int) -> None:
         self._schedule = schedule
         self._protocol = protocol
-        self._memory = protocol.power_up()
+        self._end = drives_end(protocol)
         self._later: list[Timed] = []
         self._added: list[Timed] = []
         self._sent: dict[int, int] = {}
@@ -50,8 +51,7 @@ class Gateway:
     def _forge(self, t_ns: int, frame: Frame, heard: list[Timed]) -> None:
         """Answer a SYNC, or the poll of a drive, before its controller sends another command."""
         protocol, addressed = self._protocol, self._protocol.addressed
-        self._memory, messages = protocol.parse(self._memory, frame)
-        for message in messages:
+        for message in self._end.hear(frame):
             if isinstance(message, Sync):
                 for _, fault in self._schedule.active(t_ns):
                     if isinstance(fault, FramesForgedCommand):

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from drivers.cia402.set_up import Cia402Dialogue
-from drivers.cia402.states import State
-from drivers.motor_dialogue import MotorDialogue
-from drivers.protocol import Dialogue, DriveProtocol, DriveSetup, Frame
-from drivers.signals import LEGS, Command, DriveMode, DriveState
+from drivers.controller_end import ControllerEnd, controller_end
+from drivers.frame_array import sent_frames
+from drivers.protocol import DriveProtocol, DriveSetup, Frame
+from drivers.signals import LEGS, Command, DriveMode
 
 
 def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
@@ -14,21 +13,18 @@ def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, .
 
     He takes all drives for enabled. Raises ProtocolError if the force does not fit.
     """
-    dialogue = _dialogue(protocol)
-    if isinstance(dialogue, Cia402Dialogue):
-        dialogue = dialogue._replace(states=(State.ENABLED,) * LEGS)
-    elif isinstance(dialogue, MotorDialogue):
-        dialogue = dialogue._replace(power=(int(DriveState.RUN),) * LEGS)
-    dialogue, frames = protocol.command(dialogue, Command(DriveMode.RUN, np.full(LEGS, force_N)), tick)
-    return protocol.begin(dialogue, tick) if protocol.command_delay_ticks else frames
+    end = _unheard(protocol)
+    end.presume_running()
+    frames = end.give(Command(DriveMode.RUN, np.full(LEGS, force_N)), tick)
+    return sent_frames(end.begin(tick) if protocol.command_delay_ticks else frames)
 
 
 def opened(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
     """Return what starts a tick of a stranger's own, and his command; where the poll is that, it alone."""
     command = forged(protocol, force_N, tick)
-    return command if protocol.command_delay_ticks else protocol.begin(_dialogue(protocol), tick) + command
+    return command if protocol.command_delay_ticks else sent_frames(_unheard(protocol).begin(tick)) + command
 
 
-def _dialogue(protocol: DriveProtocol) -> Dialogue:
+def _unheard(protocol: DriveProtocol) -> ControllerEnd:
     """Return that of a controller that has heard nothing."""
-    return protocol.start(DriveSetup(0.01, protocol.reactions[0], 1000.0))
+    return controller_end(protocol, DriveSetup(0.01, protocol.reactions[0], 1000.0))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Ints
+from drivers.ends import DrivesEnd, drives_end
 from drivers.protocol import (
     Alive,
     Answer,
@@ -16,7 +17,6 @@ from drivers.protocol import (
     DriveProtocol,
     EmergencyStop,
     Frame,
-    Memory,
     Status,
     Sync,
 )
@@ -31,13 +31,25 @@ PRE_OPERATIONAL = b"\x7f"
 
 
 class WiredDrives:
-    """A drive protocol whose drives' end is that of a wiring; the controller's end is not to be used.
+    """A drive protocol whose drives' end is that of a wiring. It has no controller's end."""
+
+    def __init__(self, protocol: DriveProtocol, wiring: Wiring, node_ids: Sequence[int]) -> None:
+        self._given = protocol, wiring, node_ids
+        self.unasked_s = protocol.unasked_s
+
+    def drives_end(self) -> "WiredEnd":
+        """Return the drives' end, powered up."""
+        return WiredEnd(*self._given)
+
+
+class WiredEnd(DrivesEnd):
+    """The drives' end of a protocol, wired.
 
     What drives remember is by the number that they answer to: two with one number share it.
     """
 
     def __init__(self, protocol: DriveProtocol, wiring: Wiring, node_ids: Sequence[int]) -> None:
-        self._protocol = protocol
+        self._end = drives_end(protocol)
         self._wiring = wiring
         self._node_ids = tuple(node_ids)
         self._plain = wiring.answers_as == OWN and all(wiring.present) and not any(wiring.other_protocol)
@@ -46,21 +58,10 @@ class WiredDrives:
         """Each drive hears what it is told, as it is told."""
         self._mute = {k for k in range(LEGS) if not wiring.present[k] or wiring.other_protocol[k]}
 
-    @property
-    def unasked_s(self) -> float:
-        """As the family's."""
-        return self._protocol.unasked_s
-
-    def power_up(self) -> Memory:
-        """Return the memory of six drives that have heard nothing."""
-        return self._protocol.power_up()
-
-    def parse(self, memory: Memory, frame: Frame) -> tuple[Memory, tuple[DeviceMessage, ...]]:
-        """Decode what a frame says to the drives that believe it to be theirs."""
-        memory, messages = self._protocol.parse(memory, frame)
-        if self._right:
-            return memory, messages
-        return memory, tuple(each for message in messages for each in self._heard(message))
+    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Return what a frame says to the drives that believe it to be theirs."""
+        messages = self._end.hear(frame)
+        return messages if self._right else tuple(each for one in messages for each in self._heard(one))
 
     def _heard(self, message: DeviceMessage) -> list[DeviceMessage]:
         match message:
@@ -94,19 +95,12 @@ class WiredDrives:
         factor = self._wiring.watchdog[drive]
         return round(watchdog_s - NEVER_S, 9) if isinf(factor) else watchdog_s / factor
 
-    def answer(
-        self,
-        memory: Memory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        fault: Ints | None = None,
-    ) -> tuple[Memory, list[tuple[int, Frame]]]:
-        """Encode what the drives answer, each under the number that it was given."""
+    def reply(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        """Return what the drives answer, each under the number that it was given."""
         if self._plain:
-            return self._protocol.answer(memory, sync, length, rate, force, state, fault)
+            return self._end.reply(sync, length, rate, force, state, fault)
         frames = []
         for drive in sync.legs:
             if drive in self._mute:
@@ -117,25 +111,33 @@ class WiredDrives:
             )
             code = None if fault is None else _moved(fault, as_leg, drive)
             said = sync._replace(legs=(as_leg,))
-            memory, answers = self._protocol.answer(memory, said, length_, rate_, force_, state_, code)
+            answers = self._end.reply(said, length_, rate_, force_, state_, code)
             frames += [(drive, frame) for leg, frame in answers if leg == as_leg]
-        return memory, frames
+        return frames
 
-    def report(self, memory: Memory, status: Status) -> tuple[Memory, tuple[Frame, ...]]:
-        """Encode one drive's heartbeat, which confirms what the drive was told."""
+    def announce(self, status: Status) -> tuple[Frame, ...]:
+        """Return one drive's heartbeat, which confirms what the drive was told."""
         drive = status.leg
         if self._wiring.other_protocol[drive]:
-            return memory, (Frame(HEARTBEAT + self._node_ids[drive], PRE_OPERATIONAL),)
+            return (Frame(HEARTBEAT + self._node_ids[drive], PRE_OPERATIONAL),)
         if not self._wiring.present[drive]:
-            return memory, ()
+            return ()
         as_leg, holds = self._wiring.answers_as[drive], status.set_up
         if holds is not None:
             holds = Configure(as_leg, self._told(drive, holds.watchdog_s), holds.reaction)
-        return self._protocol.report(memory, status._replace(leg=as_leg, set_up=holds))
+        return self._end.announce(status._replace(leg=as_leg, set_up=holds))
 
-    def restarted(self, memory: Memory, legs: Sequence[int]) -> Memory:
-        """Return the memory after drives were switched off and on."""
-        return self._protocol.restarted(memory, [self._wiring.answers_as[k] for k in legs])
+    def restart(self, legs: Sequence[int]) -> None:
+        """Forget what drives remember that were switched off and on."""
+        self._end.restart([self._wiring.answers_as[k] for k in legs])
+
+    def remembered(self) -> Any:
+        """Return a copy of what the drives remember."""
+        return self._end.remembered()
+
+    def remember(self, memory: Any) -> None:
+        """Go back to what was `remembered`."""
+        self._end.remember(memory)
 
 
 def _moved(values: Any, to: int, drive: int) -> Any:

@@ -1,12 +1,28 @@
 """CiA 402 drives of the tests: a screw of 20 mm, 2^17 counts a turn, 9 N m of rated torque."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from drivers.cia402 import kernels
+from drivers.cia402 import objects as o
+from drivers.cia402.dictionary import PLACE, fill_pdos
 from drivers.cia402.protocol import Cia402Protocol
-from drivers.cia402.set_up import Slope
+from drivers.cia402.states import State
 from drivers.config import TransmissionSettings
+from drivers.ends import drives_end
+from drivers.protocol import ALL_LEGS, DriveSetup
+from drivers.signals import DriveState, Reaction
 from drivers.transmission import Transmission
+from tests.drivers.by_value import Remembered
+
+
+class Slope(NamedTuple):
+    """The step from one length of a leg to the next."""
+
+    rate: float = 0.0
+    T: float = 0.0
+    latched_ns: int = 0
+    length: float | None = None
+
 
 NODES = (1, 2, 3, 4, 5, 6)
 COUNTS = 131072
@@ -26,10 +42,16 @@ def settings(**changes) -> TransmissionSettings:
     })  # fmt: skip
 
 
-def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, **changes) -> Cia402Protocol:
+def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, legs=(ALL_LEGS,), **changes) -> Any:
     transmission = Transmission.of(settings(**changes))
     return Cia402Protocol(
-        node_ids, transmission, rated_Nm, force_limit_N=10_000.0, heartbeat_ms=24.0, velocity=velocity
+        node_ids,
+        transmission,
+        rated_Nm,
+        legs=legs,
+        force_limit_N=10_000.0,
+        heartbeat_ms=24.0,
+        velocity=velocity,
     )
 
 
@@ -39,3 +61,34 @@ def difference(length: float, t_ns: int, before: Slope, rate: float, period_s: f
     given: Any = before
     found, after = kernels.difference(length, t_ns, given, has_length, rate, period_s)
     return found, Slope(*after)
+
+
+DEVICE_STATES = {
+    DriveState.BOOT: State.NOT_READY,
+    DriveState.OFF: State.DISABLED,
+    DriveState.READY: State.SWITCHED_ON,
+    DriveState.RUN: State.ENABLED,
+    DriveState.FAULT: State.FAULT,
+}
+
+
+def changed(memory: Remembered, leg: int, objects: Any = None, **fields: Any) -> Remembered:
+    """Return the memory of six drives with other objects and fields of one of them."""
+    rows = memory.state.copy()
+    for key, value in (objects or {}).items():
+        rows[leg]["values"][PLACE[key]] = value
+    fill_pdos(rows[leg])
+    for name, value in fields.items():
+        rows[leg][name] = value
+    return Remembered(rows)
+
+
+def holding(protocol: Any, states: Any) -> Remembered:
+    """Return the memory of six drives that hold our set-up, in the contract's states (6,)."""
+    memory = Remembered(drives_end(protocol).remembered())
+    setup = DriveSetup(1.0, Reaction.BRAKE, 100.0)
+    for leg, steps in enumerate(protocol.plans(setup)):
+        objects = {step.key: step.value for step in steps if step.kind == "write"}
+        state = DEVICE_STATES[DriveState(int(states[leg]))]
+        memory = changed(memory, leg, objects, nmt=o.OPERATES, state=state)
+    return memory

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from drivers.arrays import Array, Ints
+from drivers.ends import drives_end
 from drivers.protocol import DeviceCommand, DeviceMessage, DriveProtocol, Frame, Status, Sync
 
 
@@ -15,12 +16,12 @@ def answers(
     state: Ints,
 ) -> list[tuple[int, Frame]]:
     """Return what the drives answer to a SYNC or poll, each frame with its leg."""
-    return protocol.answer(protocol.power_up(), sync, length, rate, force, state)[1]
+    return drives_end(protocol).reply(sync, length, rate, force, state)
 
 
 def reports(protocol: DriveProtocol, status: Status) -> tuple[Frame, ...]:
     """Return what a drive sends of its state."""
-    return protocol.report(protocol.power_up(), status)[1]
+    return drives_end(protocol).announce(status)
 
 
 def plain(messages: Sequence[DeviceMessage]) -> tuple[DeviceMessage, ...]:

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.frame_array import received_array
-from drivers.protocol import ALWAYS, DeviceMessage, DriveProtocol, DriveSetup, Frame, Received, Sync
+from drivers.controller_end import ControllerEnd, controller_end
+from drivers.ends import DrivesEnd, drives_end
+from drivers.frame_array import received_array, sent_frames
+from drivers.protocol import ALWAYS, DeviceMessage, DriveSetup, Frame, Received, Sync
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record, new_record
 from tests.drivers.drives_end import answers
@@ -20,13 +22,20 @@ COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
 
 
 @cache
-def _dialogue(protocol: DriveProtocol) -> Any:
-    """Return a dialogue at its start, made once: listeners decode thousands of frames a second."""
-    return protocol.start(SETUP)
+def _controller(protocol: Any) -> tuple[ControllerEnd, Any]:
+    """Return a controller's end and its dialogue at the start: listeners decode thousands of frames a second."""
+    end = controller_end(protocol, SETUP)
+    return end, end.remembered()
+
+
+@cache
+def _drives(protocol: Any) -> tuple[DrivesEnd, Any]:
+    end = drives_end(protocol)
+    return end, end.remembered()
 
 
 def decode(
-    protocol: DriveProtocol,
+    protocol: Any,
     frames: Sequence[Received],
     tick: int,
     last: Record | None = None,
@@ -35,30 +44,42 @@ def decode(
     """Return the record of a tick with what the drives said since the last one, FIRST if there is none."""
     record = new_record()
     record["tick"] = tick
-    key: Any = protocol
-    protocol.decode(
-        _dialogue(key), received_array(frames), new_record() if last is None else last, record, since_ns
-    )
+    end, start = _controller(protocol)
+    end.remember(start)
+    end.take(received_array(frames), new_record() if last is None else last, record, since_ns)
     return record
 
 
-def command_frames(protocol: DriveProtocol, sent: Command, tick: int) -> tuple[Frame, ...]:
+def opening(protocol: Any, tick: int) -> tuple[Frame, ...]:
+    """Return the frames that start a tick."""
+    return sent_frames(_controller(protocol)[0].begin(tick))
+
+
+def command_frames(protocol: Any, sent: Command, tick: int) -> tuple[Frame, ...]:
     """Return the frames of a command."""
-    return protocol.command(None, sent, tick)[1]
+    return sent_frames(_controller(protocol)[0].give(sent, tick))
 
 
-def parse(protocol: DriveProtocol, frame: Frame, present: int | None = None) -> DeviceMessage | None:
+def heard(protocol: Any, frame: Frame, present: int = -1) -> tuple[DeviceMessage, ...]:
+    """Return what the drives make of a frame after the SYNC `present` on each bus; -1: after none."""
+    end, start = _drives(protocol)
+    start["present"] = present
+    end.remember(start)
+    return end.hear(frame)
+
+
+def parse(protocol: Any, frame: Frame, present: int | None = None) -> DeviceMessage | None:
     """Return what the drives make of a frame after the SYNC `present`; None: that of a command itself."""
     if present is None:
         at = COUNTER_AT.get(frame.id, len(frame.data))
         present = frame.data[at] if at < len(frame.data) else -1
-    _, messages = protocol.parse(present, frame)
+    messages = heard(protocol, frame, present)
     assert len(messages) <= 1
     return messages[0] if messages else None
 
 
 def one_feedback(
-    protocol: DriveProtocol, leg: int, length: float, rate: float, force: float, state: int, counter: int
+    protocol: Any, leg: int, length: float, rate: float, force: float, state: int, counter: int
 ) -> Frame:
     """Return one drive's feedback to the SYNC with a counter."""
     l, dl, f = (np.full(LEGS, value, float) for value in (length, rate, force))

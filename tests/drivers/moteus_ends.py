@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.moteus import MoteusProtocol
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Sync
 from drivers.signals import DriveState, Reaction
+from tests.drivers.motor_families import MoteusProtocol
 from tests.drivers.test_odrive import UNIT
 
 P = MoteusProtocol((1, 2, 3, 4, 5, 6), 0, Reaction.DAMP, 2.0, UNIT)
@@ -15,7 +15,8 @@ P = MoteusProtocol((1, 2, 3, 4, 5, 6), 0, Reaction.DAMP, 2.0, UNIT)
 def asked(data: bytes) -> tuple[tuple[int, int], ...]:
     """Return the registers that a frame asks for, each with its width."""
     memory, _ = P.parse(P.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
-    return memory.asked[0][1]
+    registers: tuple[tuple[int, int], ...] = memory.asked[0][1]
+    return registers
 
 
 def replied(

@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import of_python
+from drivers.compiled.pointed import data_at, of_python
 from drivers.config import TransmissionSettings
 from drivers.controller_end import array_at
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.motor_kernels import HEARD
-from drivers.motors import Exchange, Heard, MotorDialogue, MotorProtocol
+from drivers.motors import Exchange, MotorProtocol
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
+from tests.drivers.by_value import Remembered
+from tests.drivers.motor_families import Heard, Motors
 
 UNLIKE = Transmission.of(
     TransmissionSettings(
@@ -35,9 +37,12 @@ SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 SINCE_NS = 1_000
 
 
-class Spoken(MotorProtocol):
+class SpokenProtocol(MotorProtocol):
     """Frames are numbers of what they say."""
 
+    obey: Any = SimpleNamespace(address=0)
+    encode: Any = SimpleNamespace(address=0)
+    number_at = 0, 0
     set_up_frames = 1
     torque_limit = 2.0
     watchdog_danger = "nobody watches"
@@ -50,23 +55,21 @@ class Spoken(MotorProtocol):
         unasked_s: float = 0.0,
         transmission: Any = UNLIKE,
     ) -> None:
-        super().__init__(transmission, np.zeros((), np.dtype([("nothing", "<i8")])), (1, 32, 2.0))
+        tables = np.zeros((), np.dtype([("nodes", "<i8", (6,))]))
+        super().__init__(transmission, tables, (1, 32, 2.0))
         address, self._keeps = of_python(self._hear, INTEGER, INTEGER, INTEGER)
         self.ear: Any = SimpleNamespace(address=address)
         self.reports_power, self.unasked_s = reports, unasked_s
-        self._counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
+        self.counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
         self.words: list[Heard | None] = []
 
-    def word(self, heard: Heard | None) -> Frame:
-        """Return the frame that says this."""
-        self.words.append(heard)
-        return Frame(len(self.words) - 1, b"")
-
-    def hear(self, frame: Frame) -> Heard | None:
-        return self.words[frame.id]
+    def _heard(self, frame: Frame) -> Any:
+        into = np.zeros((), HEARD)
+        array = received_array([Received(0, frame)])
+        return into if self._hear(0, data_at(array), data_at(into)) else None
 
     def _hear(self, _ear: int, frame: int, into: int) -> int:
-        heard = self.hear(sent_frames(array_at(frame, 1, FRAME))[0])
+        heard = self.words[sent_frames(array_at(frame, 1, FRAME))[0].id]
         if heard is not None:
             bits = (
                 heard.broken,
@@ -94,7 +97,7 @@ class Spoken(MotorProtocol):
                 Exchange(f"register {k}", 10 + k, (Frame(0x200 + 16 * leg + k, b""),), 0.1 + k + 10 * leg)
                 for k in range(count)
             )
-            for leg, count in enumerate(self._counts)
+            for leg, count in enumerate(self.counts)
         )
 
     def fault_text(self, code: int) -> str:
@@ -103,22 +106,22 @@ class Spoken(MotorProtocol):
     def addressed(self, frame: Frame) -> tuple[int, ...]:
         return (frame.id - 0x100,) if 0x100 <= frame.id < 0x106 else ()
 
-    def parse(self, _memory: Any, _frame: Any) -> Any:
-        raise NotImplementedError
 
-    def answer(self, *_given: Any) -> Any:
-        raise NotImplementedError
+class Spoken(Motors):
+    """Such a family by value."""
 
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        raise NotImplementedError
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(SpokenProtocol(*given, **named))
 
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        raise NotImplementedError
+    def word(self, heard: Heard | None) -> Frame:
+        """Return the frame that says this."""
+        self.words.append(heard)
+        return Frame(len(self.words) - 1, b"")
 
-    def begun(self, **fields: Any) -> MotorDialogue:
+    def begun(self, **fields: Any) -> Remembered:
         """Return the dialogue of drives that are heard and disabled, with other fields."""
         values: dict[str, Any] = {
-            "done": tuple(1 + n for n in self._counts),
+            "done": tuple(1 + n for n in self.counts),
             "power": (int(DriveState.OFF),) * 6,
         }
         return self.start(SETUP)._replace(**values | fields)
@@ -129,7 +132,7 @@ class Spoken(MotorProtocol):
         last: Record | None = None,
         number: int = 13,
         **fields: Any,
-    ) -> tuple[Any, MotorDialogue]:
+    ) -> tuple[Any, Remembered]:
         """Return a tick and the dialogue after these words; a word with a time comes then, others in time."""
         timed: list[Any] = [each if type(each) is tuple else (SINCE_NS, each) for each in words]
         run = received_array([Received(t_ns, self.word(heard)) for t_ns, heard in timed])

@@ -16,8 +16,10 @@ import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
 from drivers.config import BusSettings, DriveSettings
+from drivers.controller_end import ControllerEnd
+from drivers.ends import DrivesEnd
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import received_frames
+from drivers.frame_array import received_frames, sent_array
 from drivers.protocol import (
     ALWAYS,
     ERROR,
@@ -127,10 +129,11 @@ class StubProtocol:
         self._meaning = {identifier: key for key, identifier in self._id.items()}
         self.feedback_ids = frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS))
 
-    @staticmethod
-    def carried(_dialogue: StubDialogue, force: Array) -> Array:
-        """Return the forces: singles carry them."""
-        return force
+    def controller_end(self, setup: DriveSetup) -> StubController:
+        return StubController(self, setup)
+
+    def drives_end(self) -> StubDrives:
+        return StubDrives(self)
 
     def _frame(self, kind: int, leg: int, *values: float) -> Frame:
         return Frame(self._id[kind, leg], _FIELDS[kind].pack(*values), EXTENDED)
@@ -164,9 +167,6 @@ class StubProtocol:
 
     def _polls(self, mode: int, force: tuple[float, ...]) -> tuple[Frame, ...]:
         return tuple(self._frame(POLL, leg, mode, f) for leg, f in enumerate(force))
-
-    def begin(self, dialogue: StubDialogue, _tick: int) -> tuple[Frame, ...]:
-        return dialogue.polls
 
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         read = self._read(received.frame)
@@ -252,9 +252,6 @@ class StubProtocol:
                 done=_put(dialogue.done, leg, done), asked=_put(dialogue.asked, leg, number)
             )
         return dialogue, tuple(frames)
-
-    def legs_set_up(self, dialogue: StubDialogue) -> tuple[bool, ...]:
-        return tuple(done == EXCHANGES for done in dialogue.done)
 
     def set_up_lacks(self, dialogue: StubDialogue) -> tuple[str, ...]:
         return tuple(
@@ -342,13 +339,74 @@ class StubProtocol:
         code = OWN_FAULTS + status.fault if status.fault else 0
         return memory, (self._frame(BEAT, status.leg, status.state, code),)
 
-    def restarted(self, memory: StubMemory, _legs: Sequence[int]) -> StubMemory:
-        return memory
-
     def cyclic_frames(self) -> tuple[Frame, ...]:
         zeros = np.zeros(LEGS)
         answers = self.answer(self.power_up(), Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))[1]
         return (*self._polls(DriveMode.OFF, (0.0,) * LEGS), *(frame for _, frame in answers))
+
+
+class StubController(ControllerEnd):
+    """The controller's end. Mutable state: the dialogue."""
+
+    def __init__(self, protocol: StubProtocol, setup: DriveSetup) -> None:
+        self._protocol, self._setup = protocol, setup
+        super().__init__()
+
+    def start(self) -> None:
+        self.dialogue = self._protocol.start(self._setup)
+
+    def begin(self, _number: int) -> Rows:
+        return sent_array(self.dialogue.polls)
+
+    def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
+        self.dialogue = self._protocol.decode(self.dialogue, frames, last, tick, since_ns)
+
+    def give(self, command: Command, number: int) -> Rows:
+        self.dialogue, frames = self._protocol.command(self.dialogue, command, number)
+        return sent_array(frames)
+
+    def set_up(self, tick: Record) -> Rows:
+        self.dialogue, frames = self._protocol.set_up(self.dialogue, tick)
+        return sent_array(frames)
+
+    def lacks(self) -> tuple[str, ...]:
+        return self._protocol.set_up_lacks(self.dialogue)
+
+    def remembered(self) -> StubDialogue:
+        return self.dialogue
+
+    def remember(self, dialogue: StubDialogue) -> None:
+        self.dialogue = dialogue
+
+
+class StubDrives(DrivesEnd):
+    """The drives' end. Mutable state: the memory."""
+
+    def __init__(self, protocol: StubProtocol) -> None:
+        self._protocol, self.memory = protocol, protocol.power_up()
+
+    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+        self.memory, messages = self._protocol.parse(self.memory, frame)
+        return messages
+
+    def reply(
+        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
+    ) -> list[tuple[int, Frame]]:
+        self.memory, frames = self._protocol.answer(self.memory, sync, length, rate, force, state, fault)
+        return frames
+
+    def announce(self, status: Status) -> tuple[Frame, ...]:
+        self.memory, frames = self._protocol.report(self.memory, status)
+        return frames
+
+    def restart(self, _legs: Sequence[int]) -> None:
+        """Forget nothing."""
+
+    def remembered(self) -> StubMemory:
+        return self.memory
+
+    def remember(self, memory: StubMemory) -> None:
+        self.memory = memory
 
 
 def stub(bus: BusSettings, drives: DriveSettings) -> StubProtocol:

@@ -23,6 +23,7 @@ from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
+from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, RATED_Nm, SCREW_m, drives
 from tests.drivers.cia402_sheet import sheet
 
@@ -251,7 +252,7 @@ class Local:
 def test_our_controller_sets_up_six_drives_of_canopen(network, od):
     network, channel = network
     local = Local(network, od)
-    protocol = drives()
+    protocol = ByValue(drives())
     bus = can.Bus(interface="virtual", channel=channel)
     dialogue = protocol.start(DriveSetup(0.05, Reaction.BRAKE, 100.0))
     tick, begin = new_record(), time.monotonic_ns()

@@ -22,7 +22,7 @@ class TestCia402WithVelocity(TroubleContract):
         return {0x701, 0x702, 0x703, 0x704, 0x705, 0x706}
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return drives()
 
 
@@ -32,5 +32,5 @@ class TestCia402WithoutVelocity(ProtocolContract):
     """The legs of the contract stand still and say that they move: only a PDO tells that."""
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return drives((126, 20, 30, 40, 50, 1), velocity=False)

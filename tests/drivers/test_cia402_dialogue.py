@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import struct
+from typing import Any
+
 import numpy as np
 import pytest
 
 from drivers.cia402 import dictionary
 from drivers.cia402 import objects as o
-from drivers.cia402.device import Device, control
-from drivers.cia402.devices import Memory
 from drivers.cia402.emergency import meaning
-from drivers.cia402.set_up import Slope
 from drivers.cia402.states import State, commanded
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
@@ -26,7 +26,17 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
-from tests.drivers.cia402_drives import PERMILLE_N, SCREW_m, STEP_m, difference, drives
+from tests.drivers.by_value import ByValue, Remembered
+from tests.drivers.cia402_drives import (
+    PERMILLE_N,
+    SCREW_m,
+    Slope,
+    STEP_m,
+    changed,
+    difference,
+    drives,
+    holding,
+)
 from tests.drivers.protocol_contract import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 
 RUN = Command(DriveMode.RUN, FORCE)
@@ -35,20 +45,23 @@ RESET = Command(DriveMode.RESET, np.zeros(LEGS))
 HEARTBEAT = 0x77F
 
 
-def enabled() -> Device:
-    """Return leg 2's drive in Operation Enabled, set to cyclic torque."""
-    protocol = drives()
-    there = protocol._devices.set_up(protocol._settings, np.full(LEGS, DriveState.RUN)).devices[2]
-    return there._replace(word=0x0F)
+P = ByValue(drives())
 
 
-def reported(device: Device) -> Device:
-    """Return a drive that has reported its emergency stop."""
-    protocol = drives()
-    devices = [*protocol.power_up().devices]
-    devices[device.leg] = device
-    status = Status(device.leg, DriveState.FAULT, DriveFault.ESTOP)
-    return protocol.report(Memory(tuple(devices)), status)[0].devices[device.leg]
+def enabled(**objects: int) -> Remembered:
+    """Return drives in Operation Enabled, set to cyclic torque; objects are those of leg 2's."""
+    memory = holding(P.protocol, [DriveState.RUN] * LEGS)
+    return changed(memory, 2, {o.CONTROLWORD: 0x0F} | {getattr(o, name): n for name, n in objects.items()})
+
+
+def control(memory: Remembered, word: int, torque: int) -> tuple[Remembered, tuple[Any, ...]]:
+    """Return the drives after an RPDO of leg 2's, and what that says."""
+    return P.parse(memory, Frame(0x203, struct.pack("<Hh", word, torque)))
+
+
+def reported(memory: Remembered) -> Remembered:
+    """Return the drives when leg 2's has reported its emergency stop."""
+    return P.report(memory, Status(2, DriveState.FAULT, DriveFault.ESTOP))[0]
 
 
 def states(ends: Ends) -> list[int]:
@@ -67,7 +80,7 @@ def alone(ends: Ends, frames, ticks: int) -> list[Frame]:
 
 @pytest.mark.parametrize(("mode", "torque"), [(None, 0.0), (4, 500.0), (10, 500.0)])
 def test_a_drive_without_a_mode_of_operation_gives_no_torque(mode, torque):
-    protocol = drives()
+    protocol = P
     memory = protocol.power_up()
     _, (booted,) = protocol.report(memory, Status(0, DriveState.BOOT, 0))
     assert booted == Frame(0x701, b"\0")
@@ -83,7 +96,7 @@ def test_a_drive_without_a_mode_of_operation_gives_no_torque(mode, torque):
 
 
 def test_a_mode_that_comes_by_pdo_is_the_one_that_is_shown():
-    protocol = drives()
+    protocol = P
     memory, _ = protocol.report(protocol.power_up(), Status(0, DriveState.BOOT, 0))
     mapping = [(0x1400, 1, 0x80000201, 4), (0x1600, 0, 0, 1), (0x1600, 1, 0x60600008, 4), (0x1600, 0, 1, 1)]
     for index, sub, value, size in (*mapping, (0x1400, 1, 0x201, 4)):
@@ -177,7 +190,7 @@ def test_drives_left_enabled_by_a_dead_daemon_are_braked_and_set_up_by_the_next_
 
 def test_another_rated_torque_keeps_the_set_up_from_its_end_and_is_named():
     ends = Ends(drives())
-    ends.protocol = drives(rated_Nm=10.0)
+    ends.protocol = ByValue(drives(rated_Nm=10.0))
     ends.dialogue = ends.protocol.start(SETUP)
     for _ in range(150):
         ends.step()
@@ -201,7 +214,8 @@ def test_another_rated_torque_keeps_the_set_up_from_its_end_and_is_named():
 def test_an_abort_is_named_with_object_code_and_meaning(monkeypatch, key, code, named):
     honest = dictionary.refused
     monkeypatch.setattr(
-        "drivers.cia402.device.refused", lambda values, k, v, n: code if k == key else honest(values, k, v, n)
+        "drivers.cia402.drives_end.refused",
+        lambda values, k, v, n: code if k == key else honest(values, k, v, n),
     )
     ends = Ends(drives())
     for _ in range(150):
@@ -213,17 +227,16 @@ def test_an_abort_is_named_with_object_code_and_meaning(monkeypatch, key, code, 
 def test_a_drive_may_lack_what_is_optional(monkeypatch):
     honest = dictionary.missing
     optional = {0x1029, 0x60C2, 0x1802, 0x1803, 0x6502, 0x608F}
-    for module in ("device", "dictionary"):
-        monkeypatch.setattr(
-            f"drivers.cia402.{module}.missing", lambda key: o.NO_OBJECT if key[0] in optional else honest(key)
-        )
+    monkeypatch.setattr(
+        "drivers.cia402.drives_end.missing", lambda key: o.NO_OBJECT if key[0] in optional else honest(key)
+    )
     Ends(drives()).until_set_up()
 
 
 def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(monkeypatch):
     honest = dictionary.refused
     monkeypatch.setattr(
-        "drivers.cia402.device.refused",
+        "drivers.cia402.drives_end.refused",
         lambda values, k, v, n: 0x06090030 if k == o.COMMUNICATION_ERROR else honest(values, k, v, n),
     )
     ends = Ends(drives())
@@ -235,10 +248,10 @@ def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(mon
 
 
 def test_a_value_that_a_drive_does_not_keep_is_found_when_read_back(monkeypatch):
-    honest = dictionary.with_value
+    honest = dictionary.signed
     monkeypatch.setattr(
-        "drivers.cia402.device.with_value",
-        lambda values, key, value: honest(values, key, 40 if key == o.PRODUCER_HEARTBEAT else value),
+        "drivers.cia402.drives_end.signed",
+        lambda key, value: 40 if key == o.PRODUCER_HEARTBEAT else honest(key, value),
     )
     ends = Ends(drives())
     for _ in range(200):
@@ -299,36 +312,33 @@ def test_a_quick_stop_leads_where_the_automaton_has_it(before, after):
 
 @pytest.mark.parametrize(("option", "after"), [(0, State.DISABLED), (2, State.QUICK_STOP)])
 def test_a_quick_stop_disables_at_once_where_its_option_code_says_so(option, after):
-    device = enabled()
-    device = device._replace(values=dictionary.with_value(device.values, o.QUICK_STOP, option))
-    device, _ = control(device, 0x02, 0)
-    assert device.state is after
+    memory, _ = control(enabled(QUICK_STOP=option), 0x02, 0)
+    assert memory.state[2]["state"] == after
 
 
 def test_every_quick_stop_is_shown_before_the_drive_is_disabled():
-    device = enabled()
+    memory = enabled()
     for _ in range(2):
-        device, _ = control(device, 0x02, 0)
-        device = reported(device)
-        assert device.state is State.QUICK_STOP
-        device = reported(device)
-        assert device.state is State.DISABLED
+        memory, _ = control(memory, 0x02, 0)
+        memory = reported(memory)
+        assert memory.state[2]["state"] == State.QUICK_STOP
+        memory = reported(memory)
+        assert memory.state[2]["state"] == State.DISABLED
         for word in (0x06, 0x07, 0x0F):
-            device, _ = control(device, word, 0)
-        assert device.state is State.ENABLED
+            memory, _ = control(memory, word, 0)
+        assert memory.state[2]["state"] == State.ENABLED
 
 
 def test_the_most_torque_of_a_drive_holds_in_both_directions():
-    device = enabled()
-    device = device._replace(values=dictionary.with_value(device.values, o.MAX_TORQUE, 500))
+    memory = enabled(MAX_TORQUE=500)
     for torque, given in ((700, 500), (-700, -500), (-400, -400)):
-        _, messages = control(device, 0x0F, torque)
+        _, messages = control(memory, 0x0F, torque)
         force = [each.force[0] for each in messages if isinstance(each, UnwatchedCommand)]
-        assert force == [given * device.N_per_permille]
+        assert force == pytest.approx([given * PERMILLE_N], rel=1e-12)
 
 
 def test_a_drive_that_was_stopped_gets_no_torque_and_the_others_theirs():
-    protocol = drives()
+    protocol = P
     dialogue = protocol.start(SETUP)._replace(states=(int(State.ENABLED),) * LEGS, stopped=1 << 2)
     _, frames = protocol.command(dialogue, RUN, 1)
     torques = [int.from_bytes(frame.data[2:4], "little", signed=True) for frame in frames[:LEGS]]
@@ -339,10 +349,10 @@ def test_a_drive_that_was_stopped_gets_no_torque_and_the_others_theirs():
 
 
 def test_a_reset_from_before_the_set_up_reaches_a_drive_once_and_only_in_fault():
-    protocol = drives()
+    protocol = P
     dialogue = protocol.start(SETUP)
     states = (State.FAULT, State.DISABLED, *[State.FAULT] * 4)
-    done = tuple(len(plan) if leg < 3 else 0 for leg, plan in enumerate(dialogue.plans))
+    done = tuple(steps if leg < 3 else 0 for leg, steps in enumerate(dialogue.steps))
     dialogue = dialogue._replace(states=tuple(map(int, states)), at=done, resets=0b111011)
     words = []
     for tick in (1, 2):
@@ -397,13 +407,13 @@ def test_the_slope_of_a_parabola_is_exact_at_its_end():
 
 @pytest.mark.parametrize("lateness_ns", [(0, 0, 0, 0), (0, 300_000, 0, 200_000)], ids=["in time", "late"])
 def test_without_a_velocity_pdo_the_rate_is_that_of_the_lengths(lateness_ns):
-    protocol = drives(velocity=False)
+    protocol = ByValue(drives(velocity=False))
     dialogue, m = protocol.start(SETUP), at_tick(-1)
     v = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
     for number, late_ns in enumerate(lateness_ns):
         state = np.full(LEGS, DriveState.RUN)
-        frames = protocol._devices.answer(
-            protocol._devices.set_up(protocol._settings, state),
+        frames = protocol.answer(
+            holding(protocol.protocol, state),
             Sync(0),
             LENGTH + v * (number * 4e-3 + 1e-9 * late_ns),
             v,
@@ -420,19 +430,19 @@ def test_without_a_velocity_pdo_the_rate_is_that_of_the_lengths(lateness_ns):
 @pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.ZERO])
 def test_a_reaction_that_such_drives_do_not_have_is_refused(reaction):
     with pytest.raises(ProtocolError, match=r"reactions\.silence.*brake, damp"):
-        drives().start(SETUP._replace(reaction=reaction))
+        P.start(SETUP._replace(reaction=reaction))
 
 
 def test_a_watchdog_of_too_few_periods_is_refused():
-    drives().start(DriveSetup(0.010, Reaction.BRAKE, 400.0))
+    P.start(DriveSetup(0.010, Reaction.BRAKE, 400.0))
     with pytest.raises(ProtocolError, match=r"at least 4 periods are allowed, 0\.01 s"):
-        drives().start(DriveSetup(0.0099, Reaction.BRAKE, 400.0))
+        P.start(DriveSetup(0.0099, Reaction.BRAKE, 400.0))
 
 
 def test_the_heartbeat_comes_four_times_within_the_watchdog_where_the_rate_allows():
     for rate, beat in ((1000.0, 12), (250.0, 3), (100.0, 2)):
-        dialogue = drives().start(DriveSetup(0.05, Reaction.BRAKE, rate))
-        ticks = [n for n in range(60) if drives().command(dialogue, OFF, n)[1][-1].id == HEARTBEAT]
+        dialogue = P.start(DriveSetup(0.05, Reaction.BRAKE, rate))
+        ticks = [n for n in range(60) if P.command(dialogue, OFF, n)[1][-1].id == HEARTBEAT]
         assert set(np.diff(ticks)) == {beat}
 
 
@@ -457,7 +467,7 @@ def test_an_error_code_has_a_meaning_by_its_row_or_its_class(code, text):
 
 
 def test_losses_are_made_up_for_while_the_motor_drives_and_saved_while_it_brakes():
-    protocol = drives(efficiency=0.8, back_driving_efficiency=0.5)
+    protocol = ByValue(drives(efficiency=0.8, back_driving_efficiency=0.5))
     dialogue = protocol.start(SETUP)._replace(states=(State.ENABLED,) * LEGS, rate=(0.1, 0.1, -0.1, 0, 0, 0))
     force = np.array([1000.0, 1000.0, 1000.0, 1000.0, 0.0, 0.0])
     torques = [

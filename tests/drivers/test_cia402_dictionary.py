@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import ENTRIES, PLACE, defaults, pdos, refused, with_value
+from drivers.cia402.device_kernels import DEVICE
+from drivers.cia402.dictionary import ENTRIES, PLACE, defaults, fill_pdos, refused
 from tests.drivers.cia402_sheet import sheet
 
 SHIPPED = Path(__file__).parents[2] / "drivers/cia402/emulated_drive.eds"
@@ -47,11 +49,18 @@ def test_an_object_takes_the_values_that_mean_something_and_no_others():
 @pytest.mark.parametrize("n", range(4))
 def test_a_pdo_exists_while_its_identifier_is_valid_and_something_is_mapped(n):
     parameters, mapping = o.TPDO + n, o.TPDO_MAP + n
-    filled = with_value(with_value(NEW, (mapping, 1), 0x60640020), (mapping, 2), 0x60410010)
+    row = np.zeros(1, DEVICE)[0]
     for valid, count in ((True, 2), (True, 1), (True, 0), (False, 2)):
         identifier = 0x300 + NODE | (0 if valid else 1 << 31)
-        values = with_value(with_value(filled, (parameters, 1), identifier), (mapping, 0), count)
-        found = [pdo for pdo in pdos(values, o.TPDO, o.TPDO_MAP) if pdo.id == 0x300 + NODE]
-        keys = ((0x6064, 0), (0x6041, 0))[:count]
-        expected = [(0x300 + NODE, 255, keys, 4 + 2 * (count > 1))] if valid and count else []
-        assert found == expected
+        row["values"] = NEW
+        own = {(mapping, 1): 0x60640020, (mapping, 2): 0x60410010, (mapping, 0): count}
+        for key, value in {**own, (parameters, 1): identifier, (parameters, 2): o.AT_EVERY_SYNC}.items():
+            row["values"][PLACE[key]] = value
+        fill_pdos(row)
+        found = [
+            (row["places"][1, k, : row["counts"][1, k]].tolist(), row["sizes"][1, k])
+            for k in range(4)
+            if row["pdos"][1, k] == 0x300 + NODE
+        ]
+        places = [PLACE[0x6064, 0], PLACE[0x6041, 0]][:count]
+        assert found == ([(places, 4 + 2 * (count > 1))] if valid and count else [])

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from drivers.cia402.protocol import Cia402Protocol
-from drivers.cia402.set_up import Cia402Dialogue, Slope
 from drivers.cia402.states import STATUSWORDS, UNHEARD, State
 from drivers.frame_array import received_array
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import NEVER, DriveFault, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record, new_record
-from tests.drivers.cia402_drives import difference, drives
+from tests.drivers.by_value import ByValue, Remembered
+from tests.drivers.cia402_drives import Slope, difference, drives
 from tests.drivers.spoken_drives import UNLIKE, last_tick
 
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
 NODES = (1, 2, 3, 4, 5, 6)
-P = drives(NODES, lead_m=[0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
+P = ByValue(drives(NODES, lead_m=[0.01, 0.02, 0.03, 0.04, 0.05, 0.06]))
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
 WOKE_NS, SYNCED_NS = 1_000, 1_500
 """When the loop woke up, and when the SYNC of this tick had ended on the bus of every leg but the last."""
@@ -37,18 +37,18 @@ def speed(leg: int, counts_per_s: int = 0) -> Frame:
     return Frame(0x281 + leg, struct.pack("<i", counts_per_s))
 
 
-def begun(protocol: Cia402Protocol = P, **fields: Any) -> Cia402Dialogue:
+def begun(protocol: ByValue = P, **fields: Any) -> Remembered:
     start = protocol.start(SETUP)
-    done = {"at": tuple(map(len, start.plans)), "states": (int(State.ENABLED),) * 6}
+    done = {"at": start.steps, "states": (int(State.ENABLED),) * 6}
     return start._replace(**done | fields)
 
 
 def told(
     *frames: Frame | tuple[int, Frame],
     last: Record | None = None,
-    protocol: Cia402Protocol = P,
+    protocol: ByValue = P,
     **fields: Any,
-) -> tuple[Any, Cia402Dialogue]:
+) -> tuple[Any, Remembered]:
     """Return a tick and the dialogue after these frames; one with a time came then, the others in time."""
     timed = [
         Received(*each) if isinstance(each[0], int) and len(each) == 2 else Received(2_000, each)
@@ -242,7 +242,7 @@ def test_the_first_answer_after_the_start_ends_the_set_up_of_its_drive(leg):
     asked = tuple(0 if each == leg else -1 for each in range(6))
     frames = [frame for each in range(6) for frame in (place(each), speed(each))]
     _, dialogue = told(*frames, at=last_step, asked=asked)
-    assert [dialogue.done(each) for each in range(6)] == [each == leg for each in range(6)]
+    assert P.legs_set_up(dialogue) == tuple(each == leg for each in range(6))
     late = [(WOKE_NS, frame) for frame in frames]
     assert told(*late, at=last_step, asked=asked, last=last_tick(age=3))[1].at == last_step
     earlier = tuple(n - 2 for n in begun().at)
@@ -250,7 +250,7 @@ def test_the_first_answer_after_the_start_ends_the_set_up_of_its_drive(leg):
 
 
 def test_forces_are_read_with_the_losses_of_each_leg_at_its_rate():
-    lossy = Cia402Protocol(NODES, UNLIKE, 9.0, force_limit_N=100.0)
+    lossy = ByValue(Cia402Protocol(NODES, UNLIKE, 9.0, force_limit_N=100.0))
     speeds = [30000, -30000, 0, 30000, -30000, 2000]
     frames = [
         frame for leg in range(6) for frame in (place(leg, 0, 100), speed(leg, 65536 * speeds[leg] // 100))
@@ -300,20 +300,20 @@ def test_a_length_is_latched_when_the_sync_of_its_tick_had_ended_on_the_bus_of_i
     last["t_ns"], last["lateness_ns"], last["latch_ns"] = 100, 20, [1, 2, 3, 4, 5, 6]
     tick = new_record()
     tick["tick"], tick["t_ns"], tick["lateness_ns"], tick["latch_ns"] = 13, 900, 100, [10, 20, 30, 40, 50, 60]
-    protocol = drives(NODES, velocity=False)
+    protocol = ByValue(drives(NODES, velocity=False))
     run = received_array([Received(1_000 if late else 2_000, place(leg, 131072)) for leg in range(6)])
     dialogue = protocol.decode(begun(protocol), run, last, tick, 1_000)
     ended = [121, 122, 123, 124, 125, 126] if late else [1_010, 1_020, 1_030, 1_040, 1_050, 1_060]
     lengths = protocol.transmission.length(np.ones(6))
-    assert [each.latched_ns for each in dialogue.slopes] == ended
-    assert [each.length for each in dialogue.slopes] == pytest.approx(lengths.tolist(), rel=1e-12)
+    assert list(dialogue.latched_ns) == ended
+    assert list(dialogue.length) == pytest.approx(lengths.tolist(), rel=1e-12)
     assert tick["age"].tolist() == [late] * 6
 
 
 def test_a_step_is_long_enough_by_the_period_of_the_loop_and_else_leaves_each_leg_its_own_rate():
-    protocol = drives(NODES, velocity=False)
+    protocol = ByValue(drives(NODES, velocity=False))
     run = received_array([Received(2_000, place(leg, 131072)) for leg in range(6)])
-    slopes = (Slope(0.5, 0.004, 0, 0.0),) * 6
+    before = {"mean": 0.5, "T": 0.004, "latched_ns": 0, "length": 0.0, "has_length": 1}
     for t_ns, kind in (
         (1_999_999, "kept"),
         (2_000_001, "new"),
@@ -322,7 +322,7 @@ def test_a_step_is_long_enough_by_the_period_of_the_loop_and_else_leaves_each_le
     ):
         tick = new_record()
         tick["tick"], tick["t_ns"] = 13, t_ns
-        dialogue = protocol.decode(begun(protocol, slopes=slopes), run, last_tick(), tick, 1_000)
+        dialogue = protocol.decode(begun(protocol, **before), run, last_tick(), tick, 1_000)
         assert (tick["rate"].tolist() == last_tick()["rate"].tolist()) == (kind == "kept")
         assert (tick["rate"].tolist() == [0.0] * 6) == (kind == "begun")
-        assert [each.T > 0.0 for each in dialogue.slopes] == [kind != "begun"] * 6
+        assert [each > 0.0 for each in dialogue.T] == [kind != "begun"] * 6

@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.cia402 import objects as o
-from drivers.cia402.device import booted, emergency
 from drivers.cia402.plan import plan
 from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array
-from drivers.protocol import DriveSetup, Frame, Received, Sync
-from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
+from drivers.protocol import DriveSetup, Frame, Received, Status, Sync
+from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, drives
+from tests.drivers.by_value import ByValue
+from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, changed, drives, holding
 
 DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
 VECTORS = DATA["vectors"]
@@ -27,8 +27,8 @@ SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
 NODES = (1, 2, 3, 4, 5, 6)
 LEG = 4
 """Of node 5."""
-P = drives(NODES)
-RUNNING = P._devices.set_up(P._settings, np.full(6, DriveState.RUN))
+P = ByValue(drives(NODES))
+RUNNING = holding(P.protocol, [DriveState.RUN] * 6)
 """What drives remember that have been set up."""
 
 
@@ -53,7 +53,7 @@ def decoded(frames, protocol=P, *, since_ns=0, t_ns=1):
 
 def test_the_set_up_maps_the_pdos_in_the_order_and_with_the_bytes_of_canopen():
     steps = [step for step in plan(5, SETUP, P._settings) if step.kind == "write"]
-    sent = [step.frame(5) for step in steps]
+    sent = [Frame(0x605, step.request(5)) for step in steps]
     for pdo in ("remap RPDO1", "remap TPDO1"):
         expected = [frame(v) for v in vectors(pdo)]
         at = sent.index(expected[0])
@@ -61,7 +61,7 @@ def test_the_set_up_maps_the_pdos_in_the_order_and_with_the_bytes_of_canopen():
 
 
 def test_nmt_commands_have_the_bytes_of_canopen():
-    steps = [step.frame(5) for step in plan(5, SETUP, P._settings) if step.kind == "nmt"]
+    steps = [Frame(0x000, step.request(5)) for step in plan(5, SETUP, P._settings) if step.kind == "nmt"]
     expected = [
         frame(v)
         for v in VECTORS
@@ -92,22 +92,18 @@ def test_an_upload_has_the_bytes_of_canopen(vector):
 @pytest.mark.parametrize("vector", vectors("SDO reply: upload"), ids=lambda v: v["what"])
 def test_an_answer_is_read_as_canopen_reads_it(vector):
     said = vector["inputs"]
-    reply = o.read_reply(frame(vector).data)
-    assert reply is not None
     bits = {0x4B: 16, 0x43: 32}[frame(vector).data[0]]
-    assert reply.key == (int(said["index"], 16), said["sub"])
-    assert reply.value == vector["decoded"]["value"] % (1 << bits)
+    value = vector["decoded"]["value"] % (1 << bits)
+    assert o.read_value(frame(vector).data) == ((int(said["index"], 16), said["sub"]), value)
 
 
 @pytest.mark.parametrize("vector", vectors("SDO abort"), ids=lambda v: v["what"])
 def test_an_abort_is_read_with_its_meaning_and_written_as_canopen_does(vector):
     said, data = vector["inputs"], frame(vector).data
-    reply = o.read_reply(data)
-    assert reply is not None
-    assert reply.abort == int.from_bytes(data[4:], "little")
-    assert o.abort(reply.key, reply.abort) == data
+    code = int.from_bytes(data[4:], "little")
+    assert o.abort((int(said["index"], 16), said["sub"]), code) == data
     meanings = {"0x2000": "does not exist in", "0x1600": "sub-index does not", "0x6041": "write a read only"}
-    assert meanings[said["index"]] in o.abort_text(reply.abort)
+    assert meanings[said["index"]] in o.abort_text(code)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +150,7 @@ def test_a_controlword_is_that_of_canopens_table(state, mode, word):
 @pytest.mark.parametrize("vector", vectors("TPDO1 statusword"), ids=lambda v: v["data"])
 def test_a_tpdo_of_node_5_is_length_force_and_state(vector):
     said = vector["inputs"]
-    protocol = drives(NODES, velocity=False)
+    protocol = ByValue(drives(NODES, velocity=False))
     _, m = decoded([frame(vector)], protocol)
     assert m["age"].tolist() == [NEVER] * 4 + [0, NEVER]
     assert m["length"][LEG] == pytest.approx(0.75 + SCREW_m * said["position_counts"] / COUNTS, abs=1e-9)
@@ -164,10 +160,13 @@ def test_a_tpdo_of_node_5_is_length_force_and_state(vector):
 
 
 def test_emcy_and_boot_up_have_the_bytes_of_canopen():
-    device = P.power_up().devices[LEG]
-    assert booted(device)[1] == frame(vectors("heartbeat INITIALISING")[0])
-    for v in (vectors("EMCY 0x8130")[0], vectors("EMCY error reset")[0]):
-        assert emergency(device, v["inputs"]["error_code"]) == frame(v)
+    _, booted = P.report(P.power_up(), Status(LEG, DriveState.BOOT, 0))
+    assert booted == (frame(vectors("heartbeat INITIALISING")[0]),)
+    memory = changed(RUNNING, LEG, {o.PRODUCER_HEARTBEAT: 0})
+    lost = Status(LEG, DriveState.FAULT, DriveFault.WATCHDOG)
+    for status, what in ((lost, "EMCY 0x8130"), (Status(LEG, DriveState.OFF, 0), "EMCY error reset")):
+        memory, sent = P.report(memory, status)
+        assert sent == (frame(vectors(what)[0]),)
 
 
 @pytest.mark.parametrize("vector", vectors("EMCY"), ids=lambda v: v["what"])
@@ -275,7 +274,7 @@ def test_an_answer_from_before_the_sync_is_a_tick_old():
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_rate_of_differences_is_timed_by_the_sync_that_each_answer_is_to(late):
     """Ten counts in 0.1 ms from SYNC to SYNC of unlike distances, answers of this tick or of the one before."""
-    protocol, last = drives(NODES, velocity=False), new_record()
+    protocol, last = ByValue(drives(NODES, velocity=False)), new_record()
     dialogue = protocol.start(SETUP)
     at = np.cumsum([0, 43, 37, 46, 34, 41, 38, 44, 36])
     counts = [int(10 * at[k]).to_bytes(4, "little") for k in range(len(at))]

@@ -3,9 +3,18 @@
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import MAPPED, PDOS, PLACE, defaults, refused, with_value
+from drivers.cia402.dictionary import MAPPED, PDOS, PLACE, defaults, refused
 
 NODE = 5
+
+
+def with_value(values, key, value):
+    """Return a dictionary with another value."""
+    values = values.copy()
+    values[PLACE[key]] = value
+    return values
+
+
 CASES = [
     (o.RPDO, 0x60400010, 0x60640020),
     (o.TPDO, 0x60410010, 0x12340010),

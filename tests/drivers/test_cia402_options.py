@@ -6,6 +6,7 @@ import sys
 from math import ceil
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers import PROTOCOLS
@@ -14,7 +15,8 @@ from drivers.cia402.eds import check_eds
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.protocol import BUS, DriveSetup
-from drivers.signals import Reaction
+from drivers.signals import Command, DriveMode, Reaction
+from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import PERMILLE_N, drives, settings
 from tests.drivers.cia402_sheet import sheet
 
@@ -54,9 +56,11 @@ def test_the_rate_that_a_bus_of_1_Mbit_s_carries_at_70_percent(velocity, buses, 
 
 
 def test_a_configuration_makes_the_codec():
-    protocol = made(velocity="difference", controller_node=100)
+    protocol = ByValue(made(velocity="difference", controller_node=100))
     assert not protocol.velocity
-    assert protocol.controller_node == 100
+    off = Command(DriveMode.OFF, np.zeros(6))
+    _, frames = protocol.command(protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0)), off, 0)
+    assert frames[-1].id == 0x700 + 100
     assert len(protocol.feedback_ids) == 6
     assert len(protocol.dangers) == 2
     assert len(made().dangers) == 1
@@ -71,7 +75,7 @@ def test_each_setting_of_the_drives_reaches_the_object_that_it_is_for():
     }
     found = DriveSettings(protocol="cia402", options=OPTIONS, transmission=settings(), **own)
     protocol = PROTOCOLS["cia402"](BusSettings(layout="classic"), found)
-    plans = protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0)).plans
+    plans = ByValue(protocol).plans(DriveSetup(0.04, Reaction.BRAKE, 250.0))
     told = [{s.key: s.value for s in plan if s.kind == "write"} for plan in plans]
     assert [each[0x1017, 0] for each in told] == [35] * 6
     assert [each[0x1016, 1] for each in told] == [127 << 16 | 40] * 6

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from drivers import PROTOCOLS
 from drivers.cia402 import objects as o
-from drivers.cia402.device import Device
-from drivers.cia402.set_up import TRIES
+from drivers.cia402.dictionary import signed
+from drivers.cia402.end import TRIES
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, EmergencyStop, Frame, Received
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.cia402_drives import COUNTS, NODES, drives, settings
+from tests.drivers.by_value import ByValue
+from tests.drivers.cia402_drives import COUNTS, NODES, drives, holding, settings
 from tests.drivers.protocol_contract import SETUP, Ends
 
 ON_ITS_OWN = 1 << 30
@@ -24,7 +24,7 @@ ON_ITS_OWN = 1 << 30
 
 def steps(protocol, kind, key, setup=SETUP):
     """Return the values that each drive is asked or told of an object, in order."""
-    return [[s.value for s in plan if (s.kind, s.key) == (kind, key)] for plan in protocol.start(setup).plans]
+    return [[s.value for s in plan if (s.kind, s.key) == (kind, key)] for plan in protocol.plans(setup)]
 
 
 @pytest.mark.parametrize(
@@ -64,14 +64,14 @@ def test_every_pdo_that_is_not_used_is_switched_off_and_read_back_as_off(velocit
 
 
 def test_a_drive_that_allows_no_remote_frames_on_its_pdos_is_set_up(monkeypatch):
-    honest, seen = Device.raw, []
+    seen = []
 
-    def raw(device, key):
+    def kept(key, raw):
         is_cob = key[1] == 1 and (0x1400 <= key[0] < 0x1600 or 0x1800 <= key[0] < 0x1A00)
         seen.append(is_cob)
-        return honest(device, key) | ON_ITS_OWN * is_cob
+        return signed(key, raw) | ON_ITS_OWN * is_cob
 
-    monkeypatch.setattr(Device, "raw", raw)
+    monkeypatch.setattr("drivers.cia402.drives_end.signed", kept)
     Ends(drives()).until_set_up()
     assert any(seen)
 
@@ -87,16 +87,16 @@ def test_the_counts_of_a_turn_are_read_unless_the_configuration_says_not_to(chec
 
 @pytest.mark.parametrize("node", range(LEGS + 1))
 def test_an_nmt_stop_takes_the_force_of_every_enabled_drive_that_it_addresses(node):
-    protocol = drives()
+    protocol = ByValue(drives())
     states = [DriveState.RUN, DriveState.OFF, DriveState.RUN, DriveState.RUN, DriveState.OFF, DriveState.RUN]
-    memory = protocol._devices.set_up(protocol._settings, np.array(states))
+    memory = holding(protocol.protocol, states)
     addressed = [leg for leg in range(LEGS) if node in (0, leg + 1)]
     enabled = [leg for leg in addressed if states[leg] == DriveState.RUN]
     memory, messages = protocol.parse(memory, Frame(0x000, bytes((0x02, node))))
     assert messages == tuple(EmergencyStop((leg,)) for leg in enabled)
-    stopped = [leg for leg, device in enumerate(memory.devices) if device.nmt == o.STOPPED]
+    stopped = [leg for leg in range(LEGS) if memory.nmt[leg] == o.STOPPED]
     assert stopped == addressed
-    quick = [leg for leg, device in enumerate(memory.devices) if device.state is State.QUICK_STOP]
+    quick = [leg for leg in range(LEGS) if memory.state["state"][leg] == State.QUICK_STOP]
     assert quick == enabled
     _, again = protocol.parse(memory, Frame(0x000, bytes((0x02, node))))
     assert again == ()
@@ -104,7 +104,7 @@ def test_an_nmt_stop_takes_the_force_of_every_enabled_drive_that_it_addresses(no
 
 def decoded(frames, last, number):
     """Return the measurement of a tick after `last`."""
-    protocol, tick = drives(), new_record()
+    protocol, tick = ByValue(drives()), new_record()
     tick["tick"] = number
     run = received_array([Received(1, frame) for frame in frames])
     protocol.decode(protocol.start(SETUP), run, last, tick, 0)
@@ -133,7 +133,7 @@ def test_a_drive_that_is_not_heard_ages_by_the_ticks_that_were_skipped_too(numbe
 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_a_drive_that_answers_no_more_is_asked_from_the_beginning_and_the_others_go_on(leg):
-    protocol, asked = drives(), 900
+    protocol, asked = ByValue(drives()), 900
     dialogue = protocol.start(SETUP)._replace(
         at=(4,) * LEGS,
         asked=tuple(0 if each == leg else asked for each in range(LEGS)),
@@ -144,4 +144,4 @@ def test_a_drive_that_answers_no_more_is_asked_from_the_beginning_and_the_others
     after, frames = protocol.set_up(dialogue, tick)
     assert after.at == tuple(0 if each == leg else 4 for each in range(LEGS))
     assert after.tries == (1,) * LEGS
-    assert frames == (dialogue.plans[leg][0].frame(NODES[leg]),)
+    assert frames == (Frame(0x600 + NODES[leg], protocol.plans(SETUP)[leg][0].request(NODES[leg])),)

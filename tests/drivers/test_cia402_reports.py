@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.set_up import answered, moved
 from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received, Status
 from drivers.signals import LEGS, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.cia402_drives import NODES, drives
+from tests.drivers.by_value import ByValue
+from tests.drivers.cia402_drives import NODES, drives, holding
 
-P = drives()
+P = ByValue(drives())
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
 CODES = {DriveFault.WATCHDOG: 0x8130}
 
@@ -26,7 +25,7 @@ def told(memory, leg, state, fault=DriveFault.NONE):
 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_a_fault_is_told_once_and_once_that_it_is_over_each_time_it_comes(leg):
-    memory = P._devices.set_up(P._settings, np.full(LEGS, DriveState.RUN))
+    memory = holding(P.protocol, [DriveState.RUN] * LEGS)
     for _ in range(2):
         memory, come = told(memory, leg, DriveState.FAULT, DriveFault.WATCHDOG)
         assert [frame.data.hex() for frame in come] == ["3081110000000000"]
@@ -50,15 +49,12 @@ def test_the_controller_takes_a_fault_that_is_over_for_none(leg):
 
 def shown(protocol, leg, at, value):
     """Return the step that a drive is at which answers the reading of step `at` with a value."""
-    dialogue = moved(protocol.start(SETUP), leg, at)
-    step = dialogue.step(leg)
-    assert step is not None
-    dialogue = dialogue._replace(asked=tuple(3 if each == leg else -1 for each in range(LEGS)))
-    index, sub = step.key
+    index, sub = protocol.plans(SETUP)[leg][at].key
+    asked = [3 if each == leg else -1 for each in range(LEGS)]
+    dialogue = protocol.start(SETUP)._replace(at=at, asked=asked)
     data = bytes((0x43, index & 0xFF, index >> 8, sub)) + value.to_bytes(4, "little")
-    after = answered(dialogue, leg, data, 4)
-    assert after is not None
-    return after.at[leg]
+    reply = received_array([Received(1, Frame(0x580 + NODES[leg], data))])
+    return protocol.decode(dialogue, reply, new_record(), new_record(), 0).at[leg]
 
 
 @pytest.mark.parametrize("leg", [0, 5])
@@ -66,8 +62,8 @@ def shown(protocol, leg, at, value):
 def test_a_drive_may_say_that_its_pdo_has_no_remote_frames_and_nothing_else_than_was_written(
     leg, velocity, on
 ):
-    protocol = drives(velocity=velocity)
-    plan = protocol.start(SETUP).plans[leg]
+    protocol = ByValue(drives(velocity=velocity))
+    plan = protocol.plans(SETUP)[leg]
     found = [
         at
         for at, step in enumerate(plan)

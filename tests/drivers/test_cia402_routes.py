@@ -48,7 +48,8 @@ def test_drives_are_asked_for_their_serial_number_and_then_for_their_revision():
 @pytest.mark.parametrize("leg", ALL)
 def test_an_answer_says_who_its_drive_is_and_nothing_else_does(leg):
     def said(text: str, identifier: int = 0x580 + NODES[leg], flags: int = 0) -> Said | None:
-        return P.identity(Frame(identifier, bytes.fromhex(text), flags))
+        found: Said | None = P.identity(Frame(identifier, bytes.fromhex(text), flags))
+        return found
 
     serial = "4318100478563412"
     assert said(serial) == Said(leg, SERIAL, 0x12345678)

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.cia402.devices import Memory
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import State
 from drivers.errors import ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Alive, Answer, Frame, Sync
 from drivers.signals import DriveState
-from tests.drivers.cia402_drives import drives
+from tests.drivers.by_value import ByValue, Remembered
+from tests.drivers.cia402_drives import changed, drives, holding
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (11, 12, 13, 14, 15, 16)
-P = Cia402Protocol(NODES, UNLIKE, 9.0, force_limit_N=100.0)
+P = ByValue(Cia402Protocol(NODES, UNLIKE, 9.0, force_limit_N=100.0))
 RUNNING = np.full(6, DriveState.RUN)
 SIX = np.arange(1.0, 7.0)
 
 
-def running(protocol: Cia402Protocol = P) -> Memory:
+def running() -> Remembered:
     """Return drives that are set up and enabled."""
-    return protocol._devices.set_up(protocol._settings, RUNNING)
-
-
-def changed(memory: Memory, legs: dict[int, dict[str, Any]]) -> Memory:
-    return Memory(tuple(each._replace(**legs.get(leg, {})) for leg, each in enumerate(memory.devices)))
+    return holding(P.protocol, RUNNING)
 
 
 def write(leg: int, text: str) -> Frame:
@@ -37,14 +32,13 @@ def write(leg: int, text: str) -> Frame:
 
 
 def test_a_sync_is_answered_by_drives_in_operational_that_send_something_and_ends_a_fault_reaction():
-    memory = changed(running(), {1: {"nmt": 127}, 2: {"nmt": 4}, 4: {"state": State.FAULT_REACTION}})
+    memory = changed(changed(running(), 1, nmt=127), 2, nmt=4)
+    memory = changed(memory, 4, state=State.FAULT_REACTION)
     for at in (0x1800, 0x1801):
         memory, _ = P.parse(memory, write(3, f"23{at & 0xFF:02x}{at >> 8:02x}0180010080"))
     after, messages = P.parse(memory, Frame(0x80, b""))
     assert messages == (Sync(0, (0, 4, 5)),)
-    assert [each.state for each in after.devices] == [
-        State.FAULT if leg == 4 else State.ENABLED for leg in range(6)
-    ]
+    assert after.state["state"].tolist() == [State.FAULT if leg == 4 else State.ENABLED for leg in range(6)]
 
 
 def test_a_heartbeat_is_heard_by_the_drives_that_watch_its_node():
@@ -107,12 +101,12 @@ def test_what_a_drive_sends_and_hears_follows_what_was_written_to_it_alone(leg):
 
 @pytest.mark.parametrize("leg", range(6))
 def test_a_drive_that_was_switched_off_and_on_sends_nothing_until_it_is_set_up_anew(leg):
-    started = changed(running(), {each: {"started": True} for each in range(6)})
+    started = running()._replace(started=True)
     states = RUNNING.copy()
     states[leg] = DriveState.BOOT
     memory, sent = P.answer(started, Sync(0), SIX, SIX, SIX, states)
     assert {each for each, _ in sent} == set(range(6)) - {leg}
-    assert [each.nmt for each in memory.devices] == [0 if each == leg else 5 for each in range(6)]
+    assert list(memory.nmt) == [0 if each == leg else 5 for each in range(6)]
     states[leg] = DriveState.OFF
     _, sent = P.answer(memory, Sync(0), SIX, SIX, SIX, states)
     assert {each for each, _ in sent} == set(range(6)) - {leg}
@@ -120,9 +114,8 @@ def test_a_drive_that_was_switched_off_and_on_sends_nothing_until_it_is_set_up_a
 
 def test_each_drive_says_the_counts_of_its_own_encoder():
     counts = [1000, 2000, 3000, 4000, 5000, 6000]
-    protocol = drives(NODES, counts_per_turn=counts)
-    memory, found = protocol.power_up(), []
-    memory = changed(memory, {leg: {"nmt": 127} for leg in range(6)})
+    protocol, found = ByValue(drives(NODES, counts_per_turn=counts)), []
+    memory = protocol.power_up()._replace(nmt=127)
     for leg in range(6):
         (answer,) = protocol.parse(memory, write(leg, "408f600100000000"))[1]
         assert isinstance(answer, Answer)

@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
+from drivers.cia402 import end as ends
 from drivers.cia402 import objects as o
 from drivers.cia402.plan import Step, max_torque, plan, watchdog_ms
-from drivers.cia402.set_up import Cia402Dialogue, Slope, answered, lack, next_frames, patience
 from drivers.errors import ProtocolError
-from drivers.protocol import DriveSetup, Frame
-from drivers.signals import DriveMode, DriveState, Reaction
+from drivers.frame_array import received_array, sent_frames
+from drivers.protocol import DriveSetup, Frame, Received
+from drivers.signals import DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from tests.drivers.cia402_drives import drives
 
@@ -35,14 +36,14 @@ READ_BACK = """
 def test_a_drive_is_asked_what_it_is_mapped_set_read_back_and_started_in_this_order():
     steps = plan(5, SETUP, drives()._settings)
 
-    def read(index: int, sub: int) -> Frame:
-        return Frame(0x605, bytes((0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0)))
+    def read(index: int, sub: int) -> bytes:
+        return bytes((0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0))
 
-    expected = [read(0x1000, 0), Frame(0, b"\x80\5"), read(0x6502, 0), read(0x6076, 0)]
-    expected += [Frame(0x605, bytes.fromhex(each)) for each in WRITES.split()]
+    expected = [read(0x1000, 0), b"\x80\5", read(0x6502, 0), read(0x6076, 0)]
+    expected += [bytes.fromhex(each) for each in WRITES.split()]
     expected += [read(int(each[:4], 16), int(each[4])) for each in READ_BACK.split()]
-    expected.append(Frame(0, b"\1\5"))
-    assert [step.frame(5) for step in steps] == expected
+    expected.append(b"\1\5")
+    assert [step.request(5) for step in steps] == expected
 
 
 def test_what_is_read_is_compared_with_what_was_written_in_the_bits_that_count():
@@ -140,8 +141,17 @@ A = (
 )
 
 
-def begun(**fields: Any) -> Cia402Dialogue:
-    return Cia402Dialogue(SETUP, (A,) * 6, 3)._replace(**fields)
+NODES = (10, 11, 12, 13, 14, 15)
+P = drives(NODES)
+DONE = 3
+
+
+def begun(plans: Any = (A,) * 6, setup: DriveSetup = SETUP, **fields: Any) -> ends.Cia402End:
+    """Return the controller's end of six drives with these plans, at these steps."""
+    end = ends.Cia402End(P, ends.begun(P._tables, setup, plans))
+    for name, value in fields.items():
+        end.state[name] = value
+    return end
 
 
 def tick(number: int = 100, **columns: Any) -> Record:
@@ -152,51 +162,35 @@ def tick(number: int = 100, **columns: Any) -> Record:
     return record
 
 
+def sent(end: ends.Cia402End, *given: Any, **columns: Any) -> tuple[Frame, ...]:
+    """Return the requests of a tick."""
+    return sent_frames(end.set_up(tick(*given, **columns)))
+
+
 def asked(frames: tuple[Frame, ...]) -> list[int]:
     """Return the legs of requests to nodes 10 to 15."""
     return [frame.id - 0x60A if frame.id else frame.data[1] - 10 for frame in frames]
 
 
-NODES = (10, 11, 12, 13, 14, 15)
+def of(end: ends.Cia402End, name: str) -> list[int]:
+    found: list[int] = end.state[name].tolist()
+    return found
 
 
-def test_a_dialogue_begins_with_drives_of_which_nothing_is_known():
-    assert begun()._asdict() == {
-        "setup": SETUP,
-        "plans": (A,) * 6,
-        "beat": 3,
-        "at": (0,) * 6,
-        "asked": (-1,) * 6,
-        "tries": (0,) * 6,
-        "refusal": ("",) * 6,
-        "states": (-1,) * 6,
-        "mode": DriveMode.OFF,
-        "stopped": 0,
-        "resets": 0,
-        "rate": (0.0,) * 6,
-        "slopes": (Slope(),) * 6,
-        "owed": (1,) * 12,
-        "missed": (0,) * 6,
-    }
-    assert tuple(Slope()) == (0.0, 0.0, 0, None)
-
-
-@pytest.mark.parametrize(("number", "legs"), [(0, [0, 1]), (1, [2, 3]), (2, [4, 5]), (3, [0, 1])])
+@pytest.mark.parametrize(("number", "legs"), [(0, [0, 1, 2]), (1, [3, 4, 5]), (2, [0, 1, 2]), (3, [3, 4, 5])])
 def test_the_turn_goes_round_by_the_number_of_the_tick_and_no_more_are_asked_than_fit(number, legs):
-    dialogue, frames = next_frames(begun(), tick(number), NODES, 2)
-    assert asked(frames) == legs
-    assert dialogue.asked == tuple(number if leg in legs else -1 for leg in range(6))
-    assert dialogue.tries == tuple(int(leg in legs) for leg in range(6))
+    end = begun()
+    assert asked(sent(end, number)) == legs
+    assert of(end, "asked") == [number if leg in legs else -1 for leg in range(6)]
+    assert of(end, "tries") == [int(leg in legs) for leg in range(6)]
 
 
 def test_drives_that_are_done_that_wait_or_that_are_powered_are_passed_over():
-    waits = {"at": (3, 0, 0, 0, 0, 3), "asked": (-1, 95, 88, 87, -1, -1)}
+    waits: dict[str, Any] = {"at": (DONE, 0, 0, 0, 0, DONE), "asked": (-1, 95, 88, 87, -1, -1)}
     states = [OFF, OFF, OFF, OFF, READY, OFF]
-    _, frames = next_frames(begun(**waits), tick(drive_state=states), NODES, 6)
-    assert asked(frames) == [2, 3]
+    assert asked(sent(begun(**waits), drive_state=states)) == [2, 3]
     for age, there in ((11, False), (12, True)):
-        ages = [0, 0, 0, 0, age, 0]
-        _, frames = next_frames(begun(**waits), tick(drive_state=states, age=ages), NODES, 6)
+        frames = sent(begun(**waits), drive_state=states, age=[0, 0, 0, 0, age, 0])
         assert (4 in asked(frames)) == there, "silent for its patience"
 
 
@@ -204,47 +198,43 @@ def test_drives_that_are_done_that_wait_or_that_are_powered_are_passed_over():
     ("rate_Hz", "ticks"), [(250.0, 12), (100.0, 6), (120.0, 6), (150.0, 8), (1000.0, 50)]
 )
 def test_patience_is_50_ms_and_six_ticks_at_least(rate_Hz, ticks):
-    assert patience(begun(setup=SETUP._replace(rate_Hz=rate_Hz))) == ticks
+    setup = SETUP._replace(rate_Hz=rate_Hz)
     for since, again in ((ticks - 1, False), (ticks, True)):
-        dialogue = begun(setup=SETUP._replace(rate_Hz=rate_Hz), asked=(100 - since,) * 6)
-        assert bool(next_frames(dialogue, tick(100), NODES, 6)[1]) == again
+        assert bool(sent(begun(setup=setup, asked=100 - since))) == again
 
 
 @pytest.mark.parametrize(("tries", "at", "first"), [(19, 1, False), (20, 1, True), (20, 0, False)])
 def test_a_drive_that_did_not_answer_twenty_times_is_asked_from_the_beginning(tries, at, first):
     mine = (A[0]._replace(key=o.REVISION), *A[1:])
-    before = begun(at=(3, 3, at, 3, 3, 3), tries=(0, 0, tries, 0, 0, 0), plans=(A, A, mine, A, A, A))
-    dialogue, (frame,) = next_frames(before, tick(100), NODES, 3)
-    assert frame == mine[0 if first or at == 0 else 1].frame(12)
-    assert dialogue.at == (3, 3, 0 if first else at, 3, 3, 3)
-    assert dialogue.tries == (0, 0, 1 if first else tries + 1, 0, 0, 0)
-    assert dialogue.asked == (-1, -1, 100, -1, -1, -1)
+    end = begun((A, A, mine, A, A, A), at=(3, 3, at, 3, 3, 3), tries=(0, 0, tries, 0, 0, 0))
+    assert sent(end) == (Frame(0x60C, mine[0 if first or at == 0 else 1].request(12)),)
+    assert of(end, "at") == [3, 3, 0 if first else at, 3, 3, 3]
+    assert of(end, "tries") == [0, 0, 1 if first else tries + 1, 0, 0, 0]
+    assert of(end, "asked") == [-1, -1, 100, -1, -1, -1]
 
 
 def test_an_nmt_command_is_not_answered_but_for_the_start_and_the_next_step_follows():
     prepare = (Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL), A[1])
-    dialogue, (frame,) = next_frames(
-        begun(plans=(A, A, prepare, A, A, A), at=(3, 3, 0, 3, 3, 3)), tick(), NODES, 3
-    )
-    assert frame == Frame(0, b"\x80\x0c")
-    assert (dialogue.at[2], dialogue.asked[2], dialogue.tries[2]) == (1, -1, 0)
-    dialogue, (frame,) = next_frames(begun(at=(3, 3, 2, 3, 3, 3)), tick(), NODES, 3)
-    assert frame == Frame(0, b"\1\x0c")
-    assert (dialogue.at[2], dialogue.asked[2], dialogue.tries[2]) == (2, 100, 1)
+    end = begun((A, A, prepare, A, A, A), at=(3, 3, 0, 3, 3, 3))
+    assert sent(end) == (Frame(0, b"\x80\x0c"),)
+    assert [of(end, name)[2] for name in ("at", "asked", "tries")] == [1, -1, 0]
+    end = begun(at=(3, 3, 2, 3, 3, 3))
+    assert sent(end) == (Frame(0, b"\1\x0c"),)
+    assert [of(end, name)[2] for name in ("at", "asked", "tries")] == [2, 100, 1]
 
 
 def test_a_drive_in_fault_of_which_no_code_is_known_is_asked_for_it_when_it_is_set_up():
-    done = begun(at=(3,) * 6)
     states, codes = [FAULT, OFF, FAULT, FAULT, RUN, FAULT], [1, 0, 0, 0x7300, 0, 0]
-    dialogue, frames = next_frames(done, tick(drive_state=states, drive_fault=codes), NODES, 6)
+    end = begun(at=DONE)
+    frames = sent(end, drive_state=states, drive_fault=codes)
     assert sorted(frames) == [Frame(0x600 + node, bytes.fromhex("403f600000000000")) for node in (12, 15)]
-    assert dialogue.tries == (0,) * 6
-    assert dialogue.asked == (-1, -1, 100, -1, -1, 100)
-    assert next_frames(done, tick(), NODES, 6) == (done, ())
-    assert len(next_frames(done, tick(drive_state=FAULT), NODES, 6)[1]) == 6
+    assert of(end, "tries") == [0] * 6
+    assert of(end, "asked") == [-1, -1, 100, -1, -1, 100]
+    assert sent(begun(at=DONE)) == ()
+    assert len(sent(begun(at=DONE), drive_state=FAULT)) == 3
     early = begun(at=(3, 3, 1, 3, 3, 3))
-    _, (frame,) = next_frames(early, tick(drive_state=states, drive_fault=[1, 0, 0, 1, 0, 1]), NODES, 6)
-    assert frame == A[1].frame(12), "the set-up comes first"
+    frames = sent(early, drive_state=states, drive_fault=[1, 0, 0, 1, 0, 1])
+    assert frames == (Frame(0x60C, A[1].request(12)),), "the set-up comes first"
 
 
 # answers
@@ -257,71 +247,104 @@ def read(value: int, index: int = 0x1000) -> bytes:
 WROTE = bytes.fromhex("6060600000000000")
 
 
-def at(leg_at: int, **fields: Any) -> Cia402Dialogue:
+def at(leg_at: int, plans: Any = (A,) * 6, **fields: Any) -> ends.Cia402End:
     """Return leg 2 at a step, asked in tick 90."""
-    return begun(at=(0, 0, leg_at, 0, 0, 0), asked=(9, 9, 90, 9, 9, 9), tries=(1, 1, 5, 1, 1, 1), **fields)
+    asked = {"asked": (9, 9, 90, 9, 9, 9), "tries": (1, 1, 5, 1, 1, 1)}
+    return begun(plans, at=(0, 0, leg_at, 0, 0, 0), **asked | fields)
+
+
+def answered(end: ends.Cia402End, data: bytes, number: int = 100, **columns: Any) -> Record:
+    """Let leg 2 answer; return the tick."""
+    here = tick(number)
+    end.take(received_array([Received(1, Frame(0x58C, data))]), tick(number - 1, **columns), here, 0)
+    return here
+
+
+def same(end: ends.Cia402End, other: ends.Cia402End) -> bool:
+    return all(of(end, name) == of(other, name) for name in ("at", "asked", "tries", "refused"))
 
 
 def test_an_answer_leads_its_drive_alone_to_the_next_step():
     for leg_at, data in ((0, read(7)), (0, read(0xAB07)), (1, WROTE)):
-        after = answered(at(leg_at), 2, data, 100)
-        assert after is not None
-        assert after.at == (0, 0, leg_at + 1, 0, 0, 0)
-        assert after.asked == (9, 9, -1, 9, 9, 9)
-        assert after.tries == (1, 1, 0, 1, 1, 1)
+        end = at(leg_at)
+        assert answered(end, data)["rejected"] == 0
+        assert of(end, "at") == [0, 0, leg_at + 1, 0, 0, 0]
+        assert of(end, "asked") == [9, 9, -1, 9, 9, 9]
+        assert of(end, "tries") == [1, 1, 0, 1, 1, 1]
 
 
-def test_an_answer_to_nothing_that_was_asked_changes_nothing_and_what_is_no_answer_is_none():
+def test_an_answer_to_nothing_that_was_asked_changes_nothing_and_what_is_no_answer_is_rejected():
     for leg_at, data in (
         (0, WROTE),
         (1, read(7)),
         (1, read(10, 0x6060)),
         (0, read(7, 0x1001)),
         (2, read(1)),
+        (2, read(1, 0x000C)),
         (3, read(7)),
     ):
-        assert answered(at(leg_at), 2, data, 100) == at(leg_at)
-    unasked = begun(at=(0, 0, 0, 0, 0, 0))
-    assert answered(unasked, 2, read(7), 100) == unasked
+        end = at(leg_at)
+        assert answered(end, data)["rejected"] == 0
+        assert same(end, at(leg_at))
+    end = begun()
+    answered(end, read(7))
+    assert same(end, begun())
     for data in (b"", read(7)[:7], b"\x20" + bytes(7), b"\x41" + bytes(7)):
-        assert answered(at(0), 2, data, 100) is None
+        assert answered(at(0), data)["rejected"] == 1
+
+
+@pytest.mark.parametrize(
+    ("head", "value"),
+    [(0x43, 0x12345678), (0x47, 0x345678), (0x4B, 0x5678), (0x4F, 0x78), (0x4E, 0x12345678)],
+)
+def test_a_drive_in_fault_says_why_in_the_bytes_of_the_size(head, value):
+    data = bytes((head, 0x3F, 0x60, 0)) + bytes.fromhex("78563412")
+    found = answered(begun(at=DONE), data, drive_state=FAULT)
+    assert found["drive_fault"].tolist() == [0, 0, value, 0, 0, 0]
+    known = answered(begun(at=DONE), data, drive_state=FAULT, drive_fault=9)
+    assert known["drive_fault"].tolist() == [9] * 6
+    assert not answered(begun(at=DONE), data)["drive_fault"].any()
+    abort = bytes.fromhex("803f600000000206")
+    assert not answered(begun(at=DONE), abort, drive_state=FAULT)["drive_fault"].any()
 
 
 def test_a_refusal_is_kept_until_the_drive_is_set_up_and_waits_its_patience():
-    abort = bytes.fromhex("8060600030000906")
-    after = answered(at(1), 2, abort, 100)
-    assert after is not None
+    end = at(1)
+    answered(end, bytes.fromhex("8060600030000906"))
     why = "0x6060:0 mode of operation: write refused with abort 0x06090030 (invalid value for the parameter)"
-    assert after.refusal == ("", "", why, "", "", "")
-    assert (after.at, after.asked, after.tries[2]) == ((0,) * 6, (9, 9, 100, 9, 9, 9), 0)
-    assert [lack(after, leg) for leg in range(6)] == [
+    assert (of(end, "at"), of(end, "asked"), of(end, "tries")[2]) == ([0] * 6, [9, 9, 100, 9, 9, 9], 0)
+    assert end.lacks() == tuple(
         "no answer to 1 requests for 0x1000:0 device type" if leg != 2 else why for leg in range(6)
-    ]
-    again = answered(after, 2, read(7), 110)
-    assert again is not None
-    assert again.refusal[2] == why
-    last = answered(at(1, plans=(A, A, A[:2], A, A, A), refusal=("x",) * 6), 2, WROTE, 100)
-    assert last is not None
-    assert last.refusal == ("x", "x", "", "x", "x", "x")
-    assert lack(last, 2) == ""
+    )
+    answered(end, read(7), 110)
+    assert end.lacks()[2] == why
+    last = at(1, (A, A, A[:2], A, A, A), refused=2, abort=o.BAD_VALUE)
+    answered(last, WROTE)
+    assert last.lacks() == tuple("" if leg == 2 else why for leg in range(6))
+
+
+def test_an_abort_without_a_code_is_that_of_an_unknown_command():
+    end = at(1)
+    answered(end, bytes.fromhex("8060600000000000"))
+    assert "abort 0x05040001" in end.lacks()[2]
 
 
 def test_a_value_that_reads_otherwise_is_named_in_the_bits_that_count():
-    after = answered(at(0), 2, read(0xAB08), 100)
-    assert after is not None
-    assert after.refusal[2] == "0x1000:0 device type is 8, expected 7"
-    assert (after.at[2], after.asked[2]) == (0, 100)
+    end = at(0)
+    answered(end, read(0xAB08))
+    assert end.lacks()[2] == "0x1000:0 device type is 8, expected 7"
+    assert (of(end, "at")[2], of(end, "asked")[2]) == (0, 100)
 
 
 @pytest.mark.parametrize(("code", "passes"), [(0x06020000, True), (0x06090011, True), (0x06090030, False)])
 @pytest.mark.parametrize("optional", [False, True])
 def test_an_object_that_is_not_there_is_passed_over_where_a_drive_may_lack_it(code, passes, optional):
-    plans = ((A[0]._replace(optional=optional), A[1]),) * 6
-    after = answered(at(0, plans=plans), 2, bytes.fromhex("80001000") + code.to_bytes(4, "little"), 100)
-    assert after is not None
-    assert (after.at[2], bool(after.refusal[2])) == ((1, False) if passes and optional else (0, True))
+    end = at(0, ((A[0]._replace(optional=optional), A[1]),) * 6)
+    answered(end, bytes.fromhex("80001000") + code.to_bytes(4, "little"))
+    found = of(end, "at")[2], "refused" in end.lacks()[2]
+    assert found == ((1, False) if passes and optional else (0, True))
 
 
 def test_a_drive_that_was_started_lacks_its_tpdo():
-    assert lack(at(2), 2) == "it sends no TPDO, although it was started by NMT"
-    assert lack(at(1), 2) == "no answer to 5 requests for 0x6060:0 mode of operation"
+    assert at(2).lacks()[2] == "it sends no TPDO, although it was started by NMT"
+    assert at(1).lacks()[2] == "no answer to 5 requests for 0x6060:0 mode of operation"

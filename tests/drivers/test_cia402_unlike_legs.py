@@ -15,6 +15,7 @@ from drivers.frame_array import received_array
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import new_record
+from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives, settings
 from tests.drivers.protocol_contract import SETUP, Ends
 
@@ -30,7 +31,7 @@ def but(leg, value, others=1.0):
 
 def written(protocol, key):
     """Return what the start-up dialogue writes into an object of each drive."""
-    plans = protocol.start(SETUP).plans
+    plans = protocol.plans(SETUP)
     return [step.value for plan in plans for step in plan if (step.kind, step.key) == ("write", key)]
 
 
@@ -57,7 +58,7 @@ def test_the_drive_of_the_weakest_leg_may_give_the_rated_force(quantity, value, 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_each_drive_is_asked_for_the_counts_of_its_own_leg(leg):
     counts = but(leg, 4096, others=10_000)
-    plans = drives(counts_per_turn=counts).start(SETUP).plans
+    plans = drives(counts_per_turn=counts).plans(SETUP)
     asked = [[s.value for s in plan if (s.kind, s.key) == ("read", (0x608F, 1))] for plan in plans]
     assert asked == [[each] for each in counts]
 
@@ -105,7 +106,7 @@ def forces(protocol, permille, rate):
 @pytest.mark.parametrize(("driving", "back"), LOSSES)
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_loss_of_one_direction_alone_is_made_up_for_in_that_direction(driving, back, side):
-    protocol = drives(efficiency=driving, back_driving_efficiency=back)
+    protocol = ByValue(drives(efficiency=driving, back_driving_efficiency=back))
     lossless = 1000.0 / PERMILLE_N
     assert torques(protocol, side * 1000.0, side * 0.1) == [side * round(lossless / driving)] * LEGS
     assert torques(protocol, side * 1000.0, side * -0.1) == [side * round(lossless * back)] * LEGS
@@ -114,7 +115,7 @@ def test_a_loss_of_one_direction_alone_is_made_up_for_in_that_direction(driving,
 @pytest.mark.parametrize(("driving", "back"), LOSSES)
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_loss_of_one_direction_alone_is_taken_from_the_force_that_is_read(driving, back, side):
-    protocol = drives(efficiency=driving, back_driving_efficiency=back)
+    protocol = ByValue(drives(efficiency=driving, back_driving_efficiency=back))
     lossless = side * 400 * PERMILLE_N
     np.testing.assert_allclose(forces(protocol, side * 400, side * 0.1), lossless * driving, rtol=1e-12)
     np.testing.assert_allclose(forces(protocol, side * 400, side * -0.1), lossless / back, rtol=1e-12)
@@ -126,7 +127,7 @@ def test_a_loss_of_one_leg_alone_is_that_of_its_leg(leg):
         ({"efficiency": but(leg, 0.8)}, 0.1, 0.8),
         ({"back_driving_efficiency": but(leg, 0.5)}, -0.1, 2.0),
     ):
-        protocol = drives(**changes)
+        protocol = ByValue(drives(**changes))
         expected = [round(1000.0 / PERMILLE_N / each) for each in but(leg, share)]
         assert torques(protocol, 1000.0, rate) == expected
         read = 400 * PERMILLE_N * np.array(but(leg, share))

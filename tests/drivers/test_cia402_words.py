@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from drivers.cia402.protocol import Cia402Protocol
-from drivers.cia402.set_up import Cia402Dialogue
 from drivers.cia402.states import DRIVE_STATE, STATE_OF, STATUSWORDS, State, commanded, controlword
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Reaction
+from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import PERMILLE_N, drives
 from tests.drivers.spoken_drives import UNLIKE
 
 OFF, READY, RUN, RESET = DriveMode
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
-P = drives()
+P = ByValue(drives())
 SIGN = np.array([1, -1, 1, -1, 1, 1])
 STATES = (-1, *State)
 """UNHEARD, NOT_READY, DISABLED, READY_TO_SWITCH_ON, SWITCHED_ON, ENABLED, QUICK_STOP, FAULT_REACTION, FAULT."""
@@ -85,17 +85,14 @@ def test_each_statusword_is_its_state_and_its_bits_of_no_state_do_not_count():
 # commands
 
 
-def begun(**fields: Any) -> Cia402Dialogue:
+def begun(**fields: Any) -> Remembered:
     """Return the dialogue of drives that are set up and enabled."""
     start = P.start(SETUP)
-    done = tuple(len(plan) for plan in start.plans)
-    known: dict[str, Any] = {"at": done, "states": (int(State.ENABLED),) * 6, "mode": RUN}
+    known: dict[str, Any] = {"at": start.steps, "states": (int(State.ENABLED),) * 6, "mode": RUN}
     return start._replace(**known | fields)
 
 
-def sent(
-    dialogue: Cia402Dialogue, command: Command, tick: int = 1
-) -> tuple[Cia402Dialogue, list[tuple[int, int]]]:
+def sent(dialogue: Remembered, command: Command, tick: int = 1) -> tuple[Remembered, list[tuple[int, int]]]:
     """Return word and torque of each drive."""
     dialogue, frames = P.command(dialogue, command, tick)
     assert [frame.id for frame in frames[:6]] == [0x200 + node for node in P.node_ids]
@@ -177,7 +174,7 @@ def test_forces_that_are_not_six_finite_ones_are_refused(force):
 
 
 def test_the_force_that_fits_is_that_of_the_weakest_leg():
-    unlike = Cia402Protocol((1, 2, 3, 4, 5, 6), UNLIKE, 9.0, force_limit_N=100.0)
+    unlike = ByValue(Cia402Protocol((1, 2, 3, 4, 5, 6), UNLIKE, 9.0, force_limit_N=100.0))
     with pytest.raises(ProtocolError, match=r"six of up to 18529\.3 N are allowed"):
         unlike.command(unlike.start(SETUP), Command(RUN, np.full(6, 1e5)), 1)
 
@@ -231,7 +228,7 @@ def test_a_length_is_off_by_a_count_and_a_rate_by_one_or_by_two_a_period(velocit
 
 
 def test_losses_are_those_of_each_leg_at_the_rate_last_read():
-    lossy = Cia402Protocol((1, 2, 3, 4, 5, 6), UNLIKE, 9.0, force_limit_N=100.0)
+    lossy = ByValue(Cia402Protocol((1, 2, 3, 4, 5, 6), UNLIKE, 9.0, force_limit_N=100.0))
     rate = (0.2, -0.2, 0.2, 0.0, -0.2, 0.05)
     force = np.array([100.0, 100.0, -100.0, 100.0, -100.0, 100.0])
     start = lossy.start(SETUP)._replace(rate=rate, states=(int(State.ENABLED),) * 6)
@@ -268,7 +265,7 @@ def test_nodes_are_six_different_ones_beside_the_controllers_own(nodes, message)
 @pytest.mark.parametrize(("heartbeat_ms", "set_to"), [(0.2, 1), (24.4, 24), (70_000.0, 65_535)])
 def test_the_drives_heartbeat_is_whole_milliseconds_of_16_bits(heartbeat_ms, set_to):
     protocol = Cia402Protocol((1, 2, 3, 4, 5, 6), UNLIKE, 9.0, heartbeat_ms=heartbeat_ms)
-    (step,) = [s for s in protocol.start(SETUP).plans[0] if s.key == (0x1017, 0) and s.kind == "write"]
+    (step,) = [s for s in protocol.plans(SETUP)[0] if s.key == (0x1017, 0) and s.kind == "write"]
     assert step.value == set_to
 
 

@@ -40,7 +40,7 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.drives_end import answers, reports
-from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, parse
+from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, opening, parse
 from tests.drivers.protocol_contract import at_tick
 from tests.drivers.test_crc import bitwise_crc16
 
@@ -320,7 +320,7 @@ def test_all_that_is_doubled_altered_or_foreign_in_a_tick_is_told_and_not_the_la
     frames = [feedback("fd", 5, leg=leg, length=length) for length in (1.5, 1.6) for leg in (1, 4)]
     frames += [reports(protocol, Status(leg, DriveState.OFF, 0, None))[0] for leg in (2, 5)]
     frames += [reports(protocol, Status(3, DriveState.BOOT, 0, None))[0]]
-    frames += [*protocol.begin(None, 5), protocol.configure(0.01, Reaction.BRAKE)[0]]
+    frames += [*opening(protocol, 5), protocol.configure(0.01, Reaction.BRAKE)[0]]
     m = decode(protocol, received(*frames), 5)
     assert m["doubled"] == 1 << 1 | 1 << 4
     assert m["altered"] == 1 << 2 | 1 << 5, "a drive that boots has none yet"
@@ -332,13 +332,13 @@ def test_a_drive_is_sent_its_set_up_while_it_is_heard_or_was_missed_once():
     for age, sent in ((0, True), (1, True), (2, False)):
         tick = at_tick(3)  # the turn of leg 3
         tick["age"] = [0 if leg != 3 else age for leg in range(6)]
-        _, frames = protocol.set_up(protocol.start(SETUP), tick)
-        assert bool(frames) == sent
+        assert bool(len(protocol.controller_end(SETUP).set_up(tick))) == sent
 
 
 def test_each_drive_confirms_its_own_set_up_and_takes_its_own_word_back():
     protocol = P["fd"]
-    dialogue = protocol.start(SETUP)._replace(sent=(1,) * 6)
+    end = protocol.controller_end(SETUP)
+    end.state["sent"] = 1
     held = [
         reports(protocol, Status(leg, DriveState.OFF, 0, Configure(leg, 0.01, Reaction.BRAKE)))[0]
         for leg in range(6)
@@ -348,10 +348,10 @@ def test_each_drive_confirms_its_own_set_up_and_takes_its_own_word_back():
         (held[4:], [True] * 6),
         (reports(protocol, Status(3, DriveState.OFF, 0, None)), [True] * 3 + [False] + [True] * 2),
     ):
-        run = received_array(received(*frames))
-        dialogue = protocol.decode(dialogue, run, new_record(), at_tick(5))
-        assert list(protocol.legs_set_up(dialogue)) == there
-    assert not any(protocol.legs_set_up(dialogue._replace(sent=(0,) * 6))), "we have sent none yet"
+        end.take(received_array(received(*frames)), new_record(), at_tick(5))
+        assert list(end.legs_set_up()) == there
+    end.state["sent"] = 0
+    assert not any(end.legs_set_up()), "we have sent none yet"
 
 
 @all_layouts
@@ -369,7 +369,7 @@ def test_foreign_identifiers_and_other_layouts_are_ignored_and_error_passive_sen
         Frame(0x200, b""),
         feedback("classic", 5),
         feedback("ideal", 5),
-        *P["fd"].begin(None, 5),
+        *opening(P["fd"], 5),
     ]
     measurement = decode(P["fd"], received(*strange), 5)
     assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
@@ -444,7 +444,7 @@ def test_fresh_is_a_feedback_with_this_ticks_counter(layout):
     for tick in (0, 5, 15, 16, 300):
         assert P[layout].fresh(Received(0, feedback(layout, tick & 15)), tick, 0)
         assert not P[layout].fresh(Received(0, feedback(layout, (tick - 1) & 15)), tick, 0)
-    assert not P[layout].fresh(Received(0, P[layout].begin(None, 5)[0]), 5, 0)
+    assert not P[layout].fresh(Received(0, opening(P[layout], 5)[0]), 5, 0)
 
 
 def test_decode_leaves_the_previous_measurement_alone():

@@ -14,13 +14,7 @@ import numpy as np
 import pytest
 
 from drivers.mit.fields import Ranges, pack_command, unpack_motion
-from drivers.mit.protocol import MitProtocol
-from drivers.mit.robstride import RobStrideProtocol
-from drivers.moteus import MoteusProtocol
 from drivers.moteus_registers import COMMAND, MODE, TIMEOUT, WRITE, registers
-from drivers.motor_drives import MotorMemory
-from drivers.motors import MotorProtocol
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
     BRS,
     EXTENDED,
@@ -36,6 +30,13 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, DriveMode, Reaction
 from tests.drivers.moteus_ends import asked
+from tests.drivers.motor_families import (
+    MitProtocol,
+    MoteusProtocol,
+    Motors,
+    ODriveProtocol,
+    RobStrideProtocol,
+)
 from tests.drivers.test_odrive import UNIT
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
@@ -53,7 +54,7 @@ def frame(v: Vector) -> Frame:
 
 def obeyed(protocol: Any, v: Vector, *, enabled: bool = True) -> str:
     """Return what the emulated drives make of a frame, in words."""
-    memory = MotorMemory(enabled=(enabled,) * LEGS)
+    memory = protocol.power_up()._replace(enabled=(enabled,) * LEGS)
     if isinstance(protocol, ODriveProtocol):
         memory = memory._replace(registers=(((0x0B, 1.0),),) * LEGS)
     words = []
@@ -74,7 +75,7 @@ def obeyed(protocol: Any, v: Vector, *, enabled: bool = True) -> str:
     return " ".join(words)
 
 
-def heard(protocol: MotorProtocol, v: Vector) -> str:
+def heard(protocol: Motors, v: Vector) -> str:
     """Return what the controller makes of a frame, in words."""
     found = protocol.hear(frame(v))
     if found is None:
@@ -114,11 +115,11 @@ def moteus(_v: Vector) -> MoteusProtocol:
     return MoteusProtocol((1, 2, 3, 4, 5, 6), 0, Reaction.DAMP, 1e4, UNIT)
 
 
-def to_drive(make: Callable[[Vector], MotorProtocol], words: str, *, enabled: bool = True) -> Any:
+def to_drive(make: Callable[[Vector], Motors], words: str, *, enabled: bool = True) -> Any:
     return lambda v: obeyed(make(v), v, enabled=enabled) == words
 
 
-def to_controller(make: Callable[[Vector], MotorProtocol], words: str) -> Any:
+def to_controller(make: Callable[[Vector], Motors], words: str) -> Any:
     return lambda v: heard(make(v), v) == words
 
 

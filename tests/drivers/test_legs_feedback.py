@@ -25,6 +25,7 @@ from drivers.protocol import (
 from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
 from tests.drivers.drives_end import answers, reports
+from tests.drivers.legs_frames import command_frames, opening
 from tests.drivers.spoken_drives import last_tick
 from tests.drivers.test_dbc import resealed
 
@@ -59,9 +60,8 @@ def told(
     for name in ("blind", "rejected", "doubled", "foreign", "altered"):
         tick[name] = 9
     before = last_tick() if last is None else last
-    P[layout].decode(
-        P[layout].start(SETUP), received_array([Received(t_ns, f) for f in frames]), before, tick, since_ns
-    )
+    end = P[layout].controller_end(SETUP)
+    end.take(received_array([Received(t_ns, f) for f in frames]), before, tick, since_ns)
     return tick
 
 
@@ -181,10 +181,10 @@ def test_behind_a_blind_answer_one_of_an_earlier_tick_is_no_second_one(layout, l
 
 def test_frames_of_a_controller_are_foreign_by_their_kind_in_any_layout():
     zeros = Command(DriveMode.OFF, np.zeros(6))
-    commands = [f for p in P.values() for f in p.command(None, zeros, 0)[1]]
+    commands = [f for p in P.values() for f in command_frames(p, zeros, 0)]
     assert len(commands) == 4
     kinds = {
-        Foreign.SYNC: P["fd"].begin(None, 0),
+        Foreign.SYNC: opening(P["fd"], 0),
         Foreign.ESTOP: P["fd"].emergency_stop(),
         Foreign.CONFIG: P["fd"].configure(0.01, Reaction.BRAKE),
         Foreign.COMMAND: commands,
@@ -216,9 +216,10 @@ def test_a_status_says_the_fault_of_its_drive_and_whether_its_set_up_is_another(
         tick = told(layout, bad, bad)
         assert int(tick["rejected"]) == 2
         assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()
-        dialogue = P[layout].start(SETUP)._replace(confirmed=0b111111)
-        run = received_array([Received(SINCE_NS, bad)])
-        assert P[layout].decode(dialogue, run, last_tick(), tick, SINCE_NS).confirmed == 0b111111
+        end = P[layout].controller_end(SETUP)
+        end.state["confirmed"] = 0b111111
+        end.take(received_array([Received(SINCE_NS, bad)]), last_tick(), tick, SINCE_NS)
+        assert end.state["confirmed"] == 0b111111
         assert tick["rejected"] == 1
 
 
@@ -257,7 +258,7 @@ def test_the_answer_that_is_held_may_come_again_and_its_state_is_compared_unless
 @layouts
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 128 * BUS], ids=str)
 def test_frames_that_are_no_plain_ones_of_this_bus_say_nothing_and_are_nobodys(layout, flag):
-    frames = [*sent(layout), *P[layout].begin(None, 0), *P[layout].emergency_stop()]
+    frames = [*sent(layout), *opening(P[layout], 0), *P[layout].emergency_stop()]
     tick = told(layout, *(frame._replace(flags=frame.flags | flag) for frame in frames))
     assert tick["age"].tolist() == [1] * 6
     assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4

@@ -9,10 +9,8 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
-from drivers.legs.controller import LegsDialogue
 from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsProtocol
-from drivers.legs.several import LegsOnBuses
 from drivers.protocol import (
     ALL_LEGS,
     BUS,
@@ -29,12 +27,22 @@ from drivers.protocol import (
 )
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
+from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import reports
+from tests.drivers.legs_frames import command_frames, opening, parse
 
 NODES = (127, 20, 30, 40, 50, 1)
 P = LegsProtocol("fd", NODES, 32_000.0)
+V = ByValue(P)
 SETUP = DriveSetup(0.0125, Reaction.HOLD, 250.0)
 BOOT, OFF, READY, RUN, FAULT = DriveState
+
+
+def placed(*places: int) -> LegsProtocol:
+    """Return the protocol of drives that hold these places in the command."""
+    protocol = LegsProtocol("fd", NODES, 32_000.0)
+    protocol.tables["place"] = places
+    return protocol
 
 
 def status(leg: int, state: int = OFF, protocol: LegsProtocol = P, **other: Any) -> Frame:
@@ -48,10 +56,10 @@ def bare(leg: int) -> Frame:
     return reports(P, Status(leg, OFF, DriveFault.NONE))[0]
 
 
-def told(dialogue: LegsDialogue, *frames: Frame) -> LegsDialogue:
+def told(dialogue: Remembered, *frames: Frame) -> Remembered:
     tick = new_record()
     tick["tick"] = 1
-    return P.decode(dialogue, received_array([Received(5, each) for each in frames]), new_record(), tick)
+    return V.decode(dialogue, received_array([Received(5, each) for each in frames]), new_record(), tick)
 
 
 def at(number: int, age: Any = 0, state: Any = OFF) -> Record:
@@ -60,23 +68,22 @@ def at(number: int, age: Any = 0, state: Any = OFF) -> Record:
     return tick
 
 
-def begun(**fields: Any) -> LegsDialogue:
-    return P.start(SETUP)._replace(**fields)
+def begun(**fields: Any) -> Remembered:
+    return V.start(SETUP)._replace(**fields)
 
 
 def test_a_dialogue_begins_with_drives_that_were_sent_nothing_and_have_said_nothing():
-    start = P.start(SETUP)
+    start = V.start(SETUP)
     assert (start.sent, start.confirmed, start.said) == ((0,) * 6, 0, (-1,) * 6)
-    assert start.configure == P.configure(0.0125, Reaction.HOLD)
-    assert [start.expected[2 * leg : 2 * leg + 2] for leg in range(6)] == [
+    assert [each.to_bytes(2, "little") for each in start.expected] == [
         status(leg).data[2:4] for leg in range(6)
     ]
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(50.0, 6), (325.0, 6), (330.0, 7), (400.0, 8), (1000.0, 20)])
 def test_each_drive_has_its_turn_every_20_ms_and_every_sixth_tick_at_most(rate_Hz, ticks):
-    dialogue = P.start(SETUP._replace(rate_Hz=rate_Hz))
-    turns = [[f.id - 0x600 for f in P.set_up(dialogue, at(k, state=BOOT))[1]] for k in range(2 * ticks)]
+    dialogue = V.start(SETUP._replace(rate_Hz=rate_Hz))
+    turns = [[f.id - 0x600 for f in V.set_up(dialogue, at(k, state=BOOT))[1]] for k in range(2 * ticks)]
     assert turns == [[node] for node in NODES] + [[]] * (ticks - 6) + [[node] for node in NODES] + [[]] * (
         ticks - 6
     )
@@ -88,8 +95,8 @@ def test_a_drive_is_sent_its_config_by_its_own_state_age_and_number_of_tries(leg
         states, ages, tries = ([9] * 6 for _ in range(3))
         states[leg], ages[leg], tries[leg] = state, age, sent
         dialogue = begun(sent=tuple(tries), confirmed=confirmed << leg)
-        after, frames = P.set_up(dialogue, at(leg + 6, ages, states))
-        assert frames in ((), (dialogue.configure[leg],))
+        after, frames = V.set_up(dialogue, at(leg + 6, ages, states))
+        assert frames in ((), (P.configure(0.0125, Reaction.HOLD)[leg],))
         assert after == dialogue._replace(sent=tuple(9 if k != leg else sent + len(frames) for k in range(6)))
         return bool(frames)
 
@@ -100,7 +107,7 @@ def test_a_drive_is_sent_its_config_by_its_own_state_age_and_number_of_tries(leg
 
 
 def test_a_drive_is_set_up_when_it_was_sent_its_config_and_has_confirmed_it():
-    assert P.legs_set_up(begun(sent=(0, 1, 0, 1, 2, 0), confirmed=0b011011)) == (
+    assert V.legs_set_up(begun(sent=(0, 1, 0, 1, 2, 0), confirmed=0b011011)) == (
         False,
         True,
         False,
@@ -147,7 +154,7 @@ def test_the_word_of_the_one_drive_that_is_not_set_up_yet_is_kept(leg):
 
 
 def test_each_drive_lacks_what_its_checksum_tells():
-    other_leg = LegsProtocol("fd", NODES, 32_000.0, slots=(0, 1, 2, 5, 4, 3))
+    other_leg = placed(1, 2, 3, 6, 5, 4)
     statuses = {
         0: status(0),
         2: status(2, reaction=Reaction.DAMP),
@@ -157,12 +164,12 @@ def test_each_drive_lacks_what_its_checksum_tells():
     }
     dialogue = told(begun(sent=(1, 0, 1, 2, 3, 4)), *statuses.values())
     number = int.from_bytes(statuses[5].data[2:4], "little")
-    expected = int.from_bytes(dialogue.expected[10:12], "little")
+    expected = dialogue.expected[5]
     several = (
         f"its checksum is 0x{number:04X}, not 0x{expected:04X}, and fits no other reaction, leg or version alone: "
         "watchdog (sent: 12.5 ms), rated force (drives.force_limit_N: 32000 N) or several values differ"
     )
-    assert P.set_up_lacks(dialogue) == (
+    assert V.set_up_lacks(dialogue) == (
         "",
         "it was sent no CONFIG",
         "its checksum is that of reaction damp, sent was hold",
@@ -171,17 +178,17 @@ def test_each_drive_lacks_what_its_checksum_tells():
         several,
     )
     unheard = "no status of it was heard that confirms one of {} CONFIG"
-    assert P.set_up_lacks(begun(sent=(1, 2, 3, 4, 5, 6)))[3] == unheard.format(4)
+    assert V.set_up_lacks(begun(sent=(1, 2, 3, 4, 5, 6)))[3] == unheard.format(4)
     taken_back = told(dialogue, status(0, BOOT))
-    assert P.set_up_lacks(taken_back)[0] == unheard.format(1), "the right checksum, and it is in boot"
+    assert V.set_up_lacks(taken_back)[0] == unheard.format(1), "the right checksum, and it is in boot"
 
 
 @pytest.mark.parametrize("leg", range(1, 8))
 def test_a_drive_that_holds_the_place_of_another_leg_is_named_by_it_and_there_are_six(leg):
-    other = LegsProtocol("fd", NODES, 32_000.0, slots=(leg - 1,) * 6)
+    other = placed(*[leg] * 6)
     for at in (0, 5):
         dialogue = told(begun(sent=(1,) * 6), status(at, protocol=other))
-        found = P.set_up_lacks(dialogue)[at]
+        found = V.set_up_lacks(dialogue)[at]
         if leg == at + 1:
             assert found == ""
         elif leg <= 6:
@@ -192,13 +199,13 @@ def test_a_drive_that_holds_the_place_of_another_leg_is_named_by_it_and_there_ar
 
 def test_a_drive_of_another_version_of_the_protocol_is_named_by_it():
     older = LegsProtocol("fd", NODES, 32_000.0)
-    older._end.record["version"] = 8
-    assert "fits no other" in P.set_up_lacks(told(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
+    older.tables["version"] = 8
+    assert "fits no other" in V.set_up_lacks(told(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
     for version in (0, 1, 7):
-        older._end.record["version"] = version
+        older.tables["version"] = version
         dialogue = told(begun(sent=(1,) * 6), status(1, protocol=older))
         assert (
-            P.set_up_lacks(dialogue)[1]
+            V.set_up_lacks(dialogue)[1]
             == f"its checksum is that of version of the protocol {version}, sent was 2"
         )
 
@@ -210,7 +217,7 @@ def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
     ):
         P.configure(watchdog_s, Reaction.HOLD)
     for fits in (6e-7, 4294.967295):
-        (message,) = P.parse(0, P.configure(fits, Reaction.HOLD)[2])[1]
+        message = parse(P, P.configure(fits, Reaction.HOLD)[2])
         assert message == Configure(2, pytest.approx(fits if fits > 1 else 1e-6), Reaction.HOLD)  # type: ignore[arg-type]
 
 
@@ -226,8 +233,7 @@ def test_the_own_protocol_has_its_traits():
     assert P.reported_lengths() is None
     assert P.fault_text(3) == ""
     force = np.arange(6.0)
-    assert P.carried(None, force) is force
-    assert P.restarted(7, (1,)) == 7
+    assert P.controller_end(SETUP).carried(force) is force
 
 
 @pytest.mark.parametrize(
@@ -243,7 +249,7 @@ def test_a_rounded_field_is_off_by_half_a_step(layout, steps):
 def test_frames_concern_the_legs_of_their_identifiers():
     config, feedback = P.configure(0.0125, Reaction.HOLD), [Frame(0x280 + node, b"") for node in NODES]
     assert [P.addressed(each) for each in config] == [(leg,) for leg in range(6)]
-    assert P.addressed(P.begin(None, 0)[0]) == P.addressed(P.emergency_stop()[0]) == ALL_LEGS
+    assert P.addressed(opening(P, 0)[0]) == P.addressed(P.emergency_stop()[0]) == ALL_LEGS
     assert [P.sender(each) for each in (*feedback, *map(status, range(6)))] == [*range(6), *range(6)]
     assert P.sender(config[0]) == -1
     assert P.feedback_ids == {each.id for each in feedback}
@@ -277,8 +283,8 @@ def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
 
 
 def test_drives_say_why_they_refuse_a_frame():
-    command = P.command(None, Command(DriveMode.RUN, np.zeros(6)), 7)[1][0]
-    sync = P.begin(None, 7)[0]
+    command = command_frames(P, Command(DriveMode.RUN, np.zeros(6)), 7)[0]
+    sync = opening(P, 7)[0]
     for frame, present, reason in (
         (sync, 7, "repeated SYNC"),
         (sync._replace(data=sync.data[:1]), 0, "length or CRC of SYNC"),
@@ -288,29 +294,29 @@ def test_drives_say_why_they_refuse_a_frame():
         (command, -1, "command 7 while the present SYNC is -1"),
         (P.configure(0.0125, Reaction.HOLD)[2]._replace(data=bytes(9)), 7, "length or CRC of CONFIG"),
     ):
-        assert P.parse(present, frame) == (present, (Rejected(reason),))
-    assert P.parse(6, sync) == (7, (Sync(7),))
-    other = LegsProtocol("fd", NODES, 32_000.0)
-    other._version = 3
+        end = P.drives_end()
+        end.record["present"] = present
+        assert end.hear(frame) == (Rejected(reason),)
+        assert end.record["present"].tolist() == [present] * 6
+    assert parse(P, sync, 6) == Sync(7)
     text = "CONFIG of version 3 of the protocol, this drive has 2"
-    assert P.parse(0, other.configure(0.0125, Reaction.HOLD)[2])[1] == (Rejected(text),)
-    other = LegsProtocol("fd", NODES, 32_000.0, slots=(0, 1, 5, 3, 4, 2))
+    assert parse(P, P.config(2, 12_500, Reaction.HOLD, 3, 3)) == Rejected(text)
     text = "CONFIG with watchdog 12500 us, reaction 2, leg 6"
-    assert P.parse(0, other.configure(0.0125, Reaction.HOLD)[2])[1] == (Rejected(text),)
+    assert parse(P, placed(1, 2, 6, 4, 5, 3).configure(0.0125, Reaction.HOLD)[2]) == Rejected(text)
 
 
 # on several buses
 
 
 def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_them():
-    protocol = LegsOnBuses("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
+    protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
     force = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    _, frames = protocol.command(None, Command(DriveMode.RUN, force), 7)
+    frames = command_frames(protocol, Command(DriveMode.RUN, force), 7)
     assert [frame.bus for frame in frames] == [0, 1]
-    memory = protocol.power_up()
-    for frame in protocol.begin(None, 7):
-        memory, _ = protocol.parse(memory, frame)
-    found = [protocol.parse(memory, frame)[1][0] for frame in frames]
+    end = protocol.drives_end()
+    for frame in opening(protocol, 7):
+        end.hear(frame)
+    found = [end.hear(frame)[0] for frame in frames]
     assert [(each.legs, each.force.tolist()) for each in found] == [  # type: ignore[union-attr]
         ((4, 1), [5.0, 2.0]),
         ((0, 2, 3, 5), [1.0, 3.0, 4.0, 6.0]),
@@ -318,9 +324,9 @@ def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_t
 
 
 def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
-    protocol = LegsOnBuses("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
+    protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
     ones = np.ones(6)
-    answers = protocol.answer(protocol.power_up(), Sync(7), ones, ones, ones, np.ones(6, np.int64))[1]
+    answers = protocol.drives_end().reply(Sync(7), ones, ones, ones, np.ones(6, np.int64))
     assert sorted(leg for leg, _ in answers) == list(range(6))
     last, tick = new_record(), new_record()
     tick["tick"] = 7
@@ -328,13 +334,8 @@ def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     strange = Frame(0x7FF, b"", 2 * BUS)
     for frame, (leg, _) in zip(moved, answers, strict=True):
         assert protocol.fresh(Received(5, frame), 7, 0) == (leg not in (1, 2))
-    protocol.decode(
-        protocol.start(SETUP),
-        received_array([Received(5, each) for each in (*moved, strange)]),
-        last,
-        tick,
-        0,
-    )
+    received = received_array([Received(5, each) for each in (*moved, strange)])
+    protocol.controller_end(SETUP).take(received, last, tick, 0)
     assert tick["rejected"] == 3
     assert [age == 0 for age in tick["age"]] == [leg not in (1, 2) for leg in range(6)]
 
@@ -351,7 +352,7 @@ def test_a_protocol_names_its_layout_and_nodes_and_says_how_large_a_force_may_be
     }
     text = rf"does not fit layout {layout}: {span[layout]} N are allowed; lower limits\.force_N or choose another"
     with pytest.raises(ProtocolError, match=text):
-        protocol.command(None, Command(DriveMode.RUN, np.full(6, 1e12)), 0)
+        command_frames(protocol, Command(DriveMode.RUN, np.full(6, 1e12)), 0)
 
 
 @pytest.mark.parametrize(
@@ -370,17 +371,18 @@ def test_a_force_at_either_end_of_its_field_reaches_its_drive_and_one_beyond_is_
     for force, outside in ((low, low - beyond), (high, high + beyond)):
         six = np.zeros(6)
         six[leg] = force
-        frames = protocol.command(None, Command(DriveMode.RUN, six), 7)[1]
-        commands: list[Any] = [protocol.parse(7, frame)[1][0] for frame in frames]
+        commands: list[Any] = [
+            parse(protocol, frame) for frame in command_frames(protocol, Command(DriveMode.RUN, six), 7)
+        ]
         taken = [each for command in commands for each in command.force.tolist()]
         assert taken == pytest.approx(six.tolist(), rel=1e-12)
         assert {command.mode for command in commands} == {DriveMode.RUN}
         six[leg] = outside
         with pytest.raises(ProtocolError, match=f"does not fit layout {layout}"):
-            protocol.command(None, Command(DriveMode.RUN, six), 7)
+            command_frames(protocol, Command(DriveMode.RUN, six), 7)
 
 
 def test_drives_of_another_rated_force_confirm_nothing_be_it_by_a_thousandth_of_a_newton():
-    frame = P.start(SETUP).configure[2]
+    frame = P.configure(0.0125, Reaction.HOLD)[2]
     rated_N = (32_000.0, 32_000.001, 31_999.999, 32_000.4, 32_000.5, 32_001.0, 0.001, 0.002)
     assert len({set_up_checksum(frame.id, frame.data[:-1], each) for each in rated_N}) == len(rated_N)

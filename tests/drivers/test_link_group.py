@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.can.bus import DEAD_AFTER_NS, Bus
@@ -17,6 +16,7 @@ from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
 from drivers.signals import Command, DriveMode, DriveState
+from tests.drivers.cia402_drives import holding
 from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, fakes, family
 
 DEADLINE_NS = 900_000_000
@@ -174,8 +174,7 @@ def test_sync_heartbeat_and_stop_of_one_bus_reach_the_drives_of_that_bus_alone(n
     for bus, there in enumerate(ODD):
         memory, heard = protocol.power_up(), set()
         if name == "cia402":
-            on = np.full(6, DriveState.READY, np.int64)
-            memory = (protocol.family._devices.set_up(protocol.family._settings, on),) * 2
+            memory = holding(protocol.protocol, [DriveState.READY] * 6)
         for frame in sent:
             if frame.bus == bus:
                 memory, messages = protocol.parse(memory, frame)

@@ -25,16 +25,16 @@ from drivers.mit.fields import (
     unpack_command,
     unpack_motion,
 )
-from drivers.mit.protocol import ENABLE, MitProtocol
-from drivers.mit.robstride import RobStrideProtocol
+from drivers.mit.protocol import ENABLE
 from drivers.mit.variants import VARIANTS
-from drivers.motors import Heard
 from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
+from tests.drivers.by_value import ByValue
 from tests.drivers.drives_end import answers
+from tests.drivers.motor_families import Heard, MitProtocol, RobStrideProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, at_tick
 from tests.drivers.trouble_contract import TroubleContract
 
@@ -62,7 +62,7 @@ class TestMiniCheetah(MitInTrouble):
     RESTART, WRAPS = "nothing", True
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return MitProtocol("mini_cheetah", WIDE, NODES, 0, GEAR)
 
 
@@ -72,7 +72,7 @@ class TestCubeMars(MitInTrouble):
     RESTART = "nothing"
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return MitProtocol("cubemars", WIDE, NODES, 0, GEAR)
 
 
@@ -81,7 +81,7 @@ class TestDamiao(MitInTrouble):
     TELLS_BOOT = False
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return MitProtocol("damiao", WIDE, NODES, 16, GEAR)
 
 
@@ -90,7 +90,7 @@ class TestRobStride(MitInTrouble):
     SETS_WATCHDOG = TELLS_BOOT = WATCHED = False
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return RobStrideProtocol(WIDE, (1, 2, 3, 4, 5, 127), 253, GEAR)
 
 
@@ -223,7 +223,7 @@ def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
     for frame, what in ((off, "disable"), (on, "enable"), (clear, "clear error")):
         (vector,) = vectors("damiao", what)
         assert (frame.id, frame.data.hex(), frame.flags) == (vector["id"], vector["data"], 0)
-    asked = {exchange.name.split()[0]: exchange.frames[0] for exchange in start.exchanges[4]}
+    asked = {exchange.name.split()[0]: exchange.frames[0] for exchange in protocol.exchanges(SETUP)[4]}
     for what, name in (
         ("write parameter CTRL_MODE", "CTRL_MODE"),
         ("read parameter PMAX", "PMAX"),
@@ -232,7 +232,7 @@ def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
         vector = vectors("damiao", what)[0]
         assert (asked[name].id, asked[name].data.hex()) == (vector["id"], vector["data"])
     # 0.1 s are 2000 steps of 50 us
-    slow = protocol.start(SETUP._replace(watchdog_s=0.1)).exchanges[4]
+    slow = protocol.exchanges(SETUP._replace(watchdog_s=0.1))[4]
     (vector,) = vectors("damiao", "write parameter TIMEOUT")
     assert slow[1].frames[0].data.hex() == vector["data"]
 
@@ -333,7 +333,7 @@ def test_robstride_special_frames_are_those_of_its_libraries():
     protocol = robstride("rs-02")
     start = protocol.start(SETUP)
     on = protocol.poll(start._replace(mode=DriveMode.RUN), 0)
-    written, read = start.exchanges[0][0].frames
+    written, read = protocol.exchanges(SETUP)[0][0].frames
     for frame, what in (
         (on, "type 3 enable"),
         (protocol.poll(start, 0), "type 4 disable"),
@@ -419,7 +419,8 @@ def test_a_drive_that_restarts_in_motion_is_lost_and_is_not_enabled_again(make, 
     ends.running()
     drives = ends.nodes._drives
     drives.state[3], drives.configured[3] = DriveState.BOOT, False
-    ends.nodes._memory = ends.nodes._memory._replace(enabled=(True, True, True, False, True, True))
+    end: Any = ends.nodes._end
+    end.record["enabled"] = (1, 1, 1, 0, 1, 1)
     states = []
     for _ in range(10):
         ends.step(Command(DriveMode.RUN, np.zeros(6)))
@@ -510,7 +511,7 @@ def test_a_drive_is_enabled_by_a_controller_that_has_set_nothing_up(variant):
 
 def test_a_drive_whose_ranges_are_others_is_not_set_up_and_says_which():
     ends = Ends(MitProtocol("damiao", WIDE, NODES, 16, GEAR))
-    other = MitProtocol("damiao", WIDE._replace(position=100.0), NODES, 16, GEAR)
+    other = ByValue(MitProtocol("damiao", WIDE._replace(position=100.0), NODES, 16, GEAR))
     ends.dialogue = other.start(SETUP)
     ends.protocol = other
     for _ in range(100):
@@ -537,7 +538,7 @@ def test_a_position_at_the_end_of_its_range_is_no_reading():
         protocol, Sync(0), length, np.zeros(6), np.zeros(6), np.full(6, DriveState.OFF, np.int64)
     )
     m = at_tick(1)
-    protocol.decode(
+    ends.protocol.decode(
         ends.dialogue, received_array([Received(0, frame) for _, frame in frames]), ends.measurement, m
     )
     assert m["blind"].tolist() == [1] * 6

@@ -10,10 +10,10 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.mit.fields import pack_command
-from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, MitProtocol
-from drivers.motors import Heard
+from drivers.mit.protocol import CLEAR, DISABLE, ENABLE
 from drivers.protocol import FD, DriveSetup, Frame
 from drivers.signals import DriveFault, DriveMode, Reaction
+from tests.drivers.motor_families import Heard, MitProtocol
 from tests.drivers.spoken_drives import UNLIKE
 from tests.drivers.test_mit_drive import DAMIAO, FAULT, NODES, OFF, RANGES, RUN, VARIANTS, STEP_Nm
 
@@ -174,7 +174,8 @@ def test_the_largest_torque_is_that_of_the_top_code(name):
 
 def test_a_damiao_is_named_in_a_register_request_by_two_bytes():
     def leg(data: bytes, identifier: int = 0x7FF) -> tuple[int, ...]:
-        return DAMIAO.addressed(Frame(identifier, data))
+        legs: tuple[int, ...] = DAMIAO.addressed(Frame(identifier, data))
+        return legs
 
     assert [leg(bytes((node, 0, 0x33))) for node in NODES] == [(k,) for k in range(6)]
     assert [leg(b"\4\1"), leg(b"\4"), leg(b"")] == [(), (), ()]

@@ -10,8 +10,7 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.mit.fields import Ranges
-from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, ZERO, MitProtocol
-from drivers.motor_drives import MotorMemory
+from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, ZERO
 from drivers.protocol import (
     BUS,
     ERROR,
@@ -25,7 +24,9 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
+from tests.drivers.motor_families import MitProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (1, 2, 3, 4, 5, 15)
@@ -40,7 +41,7 @@ OFF, RUN, FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 BRAKES_NEVER = Configure(3, 1e6, Reaction.BRAKE)
 
 
-def told(name: str, *frames: Frame, memory: MotorMemory | None = None) -> tuple[MotorMemory, list[Any]]:
+def told(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
     memory, found = memory or VARIANTS[name].power_up(), []
     for frame in frames:
         memory, messages = VARIANTS[name].parse(memory, frame)

@@ -11,9 +11,9 @@ import pytest
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.mit.fields import Ranges
-from drivers.mit.protocol import MitProtocol
 from drivers.mit.variants import VARIANTS
 from drivers.transmission import Transmission
+from tests.drivers.motor_families import MitProtocol
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
 LIBRARIES: dict[str, list[float]] = json.loads((DATA / "mit.json").read_text("utf-8"))["ranges"]

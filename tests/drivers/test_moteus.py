@@ -18,9 +18,8 @@ from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import Said
-from drivers.moteus import QUERY, STOP, MoteusProtocol, torque_command
+from drivers.moteus import QUERY, STOP, torque_command
 from drivers.moteus_registers import pad, registers
-from drivers.motors import Heard
 from drivers.protocol import (
     BRS,
     EXTENDED,
@@ -35,6 +34,7 @@ from drivers.protocol import (
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from tests.drivers import moteus_foreign as foreign
+from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
 from tests.drivers.trouble_contract import TroubleContract
 
@@ -54,7 +54,7 @@ class TestMoteus(TroubleContract):
     RESTART = "obeys"
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR)
 
 
@@ -63,7 +63,7 @@ class TestMoteusStopped(ProtocolContract):
     SETS_WATCHDOG = TELLS_BOOT = False
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return MoteusProtocol(NODES, 10, Reaction.BRAKE, 1000.0, GEAR)
 
 
@@ -193,7 +193,8 @@ def test_a_drive_that_restarts_in_motion_obeys_again_from_the_next_command_on():
     ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
     ends.running()
     ends.nodes._drives.state[3], ends.nodes._drives.configured[3] = DriveState.BOOT, False
-    ends.nodes._memory = ends.nodes._memory._replace(enabled=(True, True, True, False, True, True))
+    end: Any = ends.nodes._end
+    end.record["enabled"] = (1, 1, 1, 0, 1, 1)
     states = []
     for _ in range(10):
         ends.step(Command(DriveMode.RUN, np.zeros(6)))

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.moteus import STOP, MoteusProtocol, torque_command
+from drivers.moteus import STOP, torque_command
 from drivers.moteus_registers import pad, registers
-from drivers.motor_drives import MotorMemory
-from drivers.motors import Heard
 from drivers.protocol import (
     BRS,
     BUS,
@@ -28,8 +26,10 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
 from tests.drivers.moteus_ends import asked
+from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (9, 2, 3, 4, 5, 126)
@@ -44,7 +44,7 @@ def to(leg: int, data: bytes) -> Frame:
     return Frame(0x8100 | NODES[leg], pad(data), ALL)
 
 
-def told(*frames: Frame) -> tuple[MotorMemory, list[Any]]:
+def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
     memory, found = P.power_up(), []
     for frame in frames:
         memory, messages = P.parse(memory, frame)

@@ -10,7 +10,6 @@ from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required, unwatched
-from drivers.protocol import DriveSetup
 from drivers.signals import Reaction
 from drivers.transmission import Transmission
 
@@ -120,7 +119,7 @@ def test_an_odrive_is_made_with_its_nodes_and_timers():
     protocol = made("odrive", "classic", heartbeat_ms=200, watchdog_ms=30, options={"encoder_msg_rate_ms": 4})
     assert protocol.feedback_ids == {node << 5 | 9 for node in (7, 2, 3, 4, 5, 6)}
     assert protocol.unasked_s == pytest.approx(0.004)
-    assert protocol.start(DriveSetup(0.03, Reaction.BRAKE, 101.0)).patience_ticks == 61
+    assert protocol.patience_ticks(101.0) == 61
     assert made("odrive", "classic").unasked_s == pytest.approx(0.01)
     assert (
         made("odrive", "classic", heartbeat_ms=250, options={"encoder_msg_rate_ms": 10_000}).unasked_s == 10.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.motors import wire_state
+from drivers.motor_kernels import wire_state
 from drivers.signals import DriveMode, DriveState
 from tests.drivers.test_no_reading import FAMILIES
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.motors import Heard
 from drivers.protocol import Frame, Received
 from drivers.signals import NEVER, DriveMode, DriveState, Foreign
+from tests.drivers.motor_families import Heard
 from tests.drivers.spoken_drives import RUNNING, SINCE_NS, Spoken, feedback, last_tick
 
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.motor_drives import MotorMemory
 from drivers.motor_kernels import ENABLE
-from drivers.motors import Heard, MotorDialogue
 from drivers.protocol import DriveSetup, Frame, Status
 from drivers.signals import NEVER, Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
+from tests.drivers.motor_families import Heard
 from tests.drivers.spoken_drives import SETUP, UNLIKE, Spoken
 from tests.drivers.test_no_reading import FAMILIES
 
@@ -35,28 +34,26 @@ def test_a_word_says_nothing_but_its_leg_where_nothing_else_is_given():
 
 
 def test_a_dialogue_begins_with_drives_of_which_nothing_is_known_and_asks_at_once():
-    empty = ((),) * 6
+    dialogue = Spoken().start(SETUP)
     begun = {
-        "exchanges": empty,
-        "watchdog_s": 0.05,
         "mode": DriveMode.OFF,
         "torque": (0.0,) * 6,
         "rate": (0.0,) * 6,
         "power": (BOOT,) * 6,
-        "ran": (False,) * 6,
+        "ran": (0,) * 6,
         "done": (0,) * 6,
         "asked": (-10,) * 6,
-        "read": (None,) * 6,
+        "has_read": (0,) * 6,
         "said": (0,) * 6,
         "owed": (0,) * 6,
         "patience_ticks": NEVER,
     }
-    assert Spoken().start(SETUP)._asdict() == MotorDialogue(empty, 0.05)._asdict() == begun
+    assert {name: getattr(dialogue, name) for name in begun} == begun
 
 
 @pytest.mark.parametrize("watchdog_s", [1e-9, 100.0])
 def test_a_watchdog_of_more_than_nothing_up_to_100_s_is_taken(watchdog_s):
-    assert Spoken().start(DriveSetup(watchdog_s, Reaction.BRAKE, 250.0)).watchdog_s == watchdog_s
+    assert Spoken().start(DriveSetup(watchdog_s, Reaction.BRAKE, 250.0)).done == (0,) * 6
 
 
 @pytest.mark.parametrize("watchdog_s", [0.0, -1.0, 100.001, float("nan")])
@@ -265,6 +262,4 @@ def test_drives_that_speak_when_they_are_asked_report_nothing_and_begin_with_not
     memory = FAMILIES[name].power_up()
     for state in DriveState:
         assert FAMILIES[name].report(memory, Status(2, state, DriveFault.SENSOR)) == (memory, ())
-    unheard = ((0,) * 6, (False,) * 6, ((),) * 6)
-    assert tuple(memory[:3]) == unheard
-    assert tuple(MotorMemory()) == (*unheard, ((0, ()),) * 6)
+    assert (memory.heard, memory.enabled, memory.registers) == ((0,) * 6, (0,) * 6, ((),) * 6)

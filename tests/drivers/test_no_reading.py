@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 
 from drivers.mit.fields import Ranges
-from drivers.mit.protocol import MitProtocol
-from drivers.mit.robstride import RobStrideProtocol
-from drivers.moteus import MoteusProtocol
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import Frame, Sync
 from drivers.signals import INVALID, LEGS, DriveState, Reaction
-from tests.drivers.cia402_drives import drives
+from tests.drivers.by_value import ByValue
+from tests.drivers.cia402_drives import drives, holding
 from tests.drivers.drives_end import answers
+from tests.drivers.motor_families import MitProtocol, MoteusProtocol, ODriveProtocol, RobStrideProtocol
 from tests.drivers.test_odrive import GEAR, NODES
 
 RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
@@ -63,15 +61,12 @@ def test_a_lost_encoder_of_mini_cheetah_reads_the_lower_end_in_any_state(state):
 
 @pytest.mark.parametrize("state", STATES)
 def test_a_lost_encoder_of_a_cia_402_drive_sends_no_pdo_in_any_state(state):
-    protocol = drives()
-    memory = protocol._devices.set_up(protocol._settings, np.full(LEGS, int(state)))
-    devices = tuple(each._replace(nmt=5) for each in memory.devices)  # Operational
+    protocol = ByValue(drives())
+    memory = holding(protocol.protocol, [state] * LEGS)
     for lost in range(LEGS):
         states = np.full(LEGS, int(state))
         states[lost] |= INVALID
-        _, sent = protocol.answer(
-            memory._replace(devices=devices), Sync(0), ZEROS + 0.7, ZEROS, ZEROS, states
-        )
+        _, sent = protocol.answer(memory, Sync(0), ZEROS + 0.7, ZEROS, ZEROS, states)
         there = [leg for leg in range(LEGS) if leg != lost and state != DriveState.BOOT]
         assert [leg for leg, _ in sent] == [leg for leg in there for _ in range(2)]
 

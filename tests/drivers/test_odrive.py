@@ -16,8 +16,6 @@ from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import received_array
-from drivers.motors import MotorDialogue
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
     REMOTE,
     Configure,
@@ -31,7 +29,9 @@ from drivers.protocol import (
 )
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
+from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import answers, reports
+from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.drivers.trouble_contract import TroubleContract
 
@@ -52,7 +52,7 @@ class TestODrive(TroubleContract):
         return {node << 5 | 1 for node in NODES}
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return ODriveProtocol(NODES, 0.05, GEAR)
 
 
@@ -74,7 +74,7 @@ def frame(vector: dict[str, Any]) -> Frame:
     return Frame(vector["id"], bytes.fromhex(vector["data"]))
 
 
-def told(dialogue: MotorDialogue, mode: DriveMode, tick: int = 0) -> list[list[Frame]]:
+def told(dialogue: Remembered, mode: DriveMode, tick: int = 0) -> list[list[Frame]]:
     """Return the frames of a tick's command to each axis."""
     _, frames = unit().command(dialogue, Command(mode, np.zeros(6)), tick)
     return [[frame for frame in frames if frame.id >> 5 == node] for node in NODES]
@@ -253,7 +253,8 @@ def test_a_row_names_what_it_does_not_have(change, message):
 
 def test_the_watchdog_and_the_heartbeats_of_an_axis_are_those_of_the_configuration():
     values = {"protocol": "odrive", "transmission": {"lead_m": 0.02}, "watchdog_ms": 40, "heartbeat_ms": 125}
-    protocol = PROTOCOLS["odrive"](BusSettings(layout="classic"), DriveSettings.model_validate(values))
+    made = PROTOCOLS["odrive"](BusSettings(layout="classic"), DriveSettings.model_validate(values))
+    protocol = ByValue(made)
     dialogue: Any = protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0))
     assert dialogue.patience_ticks == 94, "three heartbeats of 0.125 s, whole ticks"
     idle = Frame(3 << 5 | 0x07, struct.pack("<Ixxxx", 1))

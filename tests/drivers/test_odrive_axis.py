@@ -10,8 +10,6 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.identity import Said
-from drivers.motor_drives import MotorMemory
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
     BUS,
     ERROR,
@@ -29,7 +27,9 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
+from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (7, 1, 2, 3, 5, 62)
@@ -51,7 +51,7 @@ def torque(value: float, size: int = 8) -> Frame:
     return to(0x0E, struct.pack("<fxxxx", value)[:size])
 
 
-def told(*frames: Frame) -> tuple[MotorMemory, list[tuple[DeviceMessage, ...]]]:
+def told(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]]:
     """Return what an axis remembers of frames, and what each of them came to."""
     memory, found = P.power_up(), []
     for frame in frames:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from drivers.config import TransmissionSettings
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState
 from drivers.transmission import Transmission
+from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.protocol_contract import BEAT_TICKS, FORCE, OFF, PERIOD_NS
 from tests.drivers.trouble_contract import READY, RESET, Line
 

@@ -11,7 +11,6 @@ import pytest
 from drivers import PROTOCOLS, build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.frame_array import received_array, sent_array
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
@@ -19,6 +18,7 @@ from hil.app.check.bus import answered_ns
 from hil.app.configuration.bus_budget import unasked_readings
 from hil.app.encoder_limits import encoder_limits
 from hil.loop.latches import checked
+from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.hil.bringup.families import family
 

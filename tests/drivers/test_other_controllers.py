@@ -8,12 +8,10 @@ from typing import Any
 import pytest
 
 from drivers.mit.fields import Ranges
-from drivers.mit.protocol import MitProtocol
-from drivers.mit.robstride import RobStrideProtocol
-from drivers.moteus import STOP, MoteusProtocol
-from drivers.odrive import ODriveProtocol
+from drivers.moteus import STOP
 from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import Reaction
+from tests.drivers.motor_families import MitProtocol, MoteusProtocol, ODriveProtocol, RobStrideProtocol
 from tests.drivers.test_odrive import GEAR, NODES
 
 RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)

@@ -14,6 +14,7 @@ from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
+from drivers.ends import drives_end
 from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_frames
 from drivers.legs.protocol import LegsProtocol
@@ -51,7 +52,7 @@ class TestLegsClassic(LegsInTrouble):
     SPEED = 3.27
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return LegsProtocol("classic", (1, 2, 3, 4, 5, 6))
 
 
@@ -61,7 +62,7 @@ class TestLegsFd(LegsInTrouble):
     NODES = (127, 20, 30, 40, 50, 1)
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return LegsProtocol("fd", (127, 20, 30, 40, 50, 1))
 
 
@@ -70,7 +71,7 @@ class TestLegsIdeal(LegsInTrouble):
     SPEED = 1e3
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return LegsProtocol("ideal", (1, 2, 3, 4, 5, 6))
 
 
@@ -78,7 +79,7 @@ class TestStub(ProtocolContract):
     RESOLUTION = (1e-7, 1e-7, 5e-4, 5e-4)
 
     @pytest.fixture
-    def protocol(self):
+    def family(self):
         return StubProtocol([4096, 513, 770, 1027, 1284, 65535])
 
     def test_a_fault_code_of_the_drives_own_passes_through(self, protocol):
@@ -172,20 +173,20 @@ def test_its_frames_and_its_database_are_in_the_log(recorded):
 def test_the_dialogue_is_the_same_after_a_reset_of_the_cycle(row):
     c = configuration((NODES, STUB_NODES))
     cycle = build_cycle(c, 50.0, 0.24)
-    before = cycle.dialogue
-    cycle.end.dialogue = before._replace(done=(3,) * 6)
+    before = cycle.end.remembered()
+    cycle.end.remember(before._replace(done=(3,) * 6))
     cycle.reset()
-    assert cycle.dialogue == before
+    assert cycle.end.remembered() == before
 
 
 def test_a_loop_that_fails_switches_the_drives_off_also_where_the_poll_is_the_command(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     run = Command(DriveMode.RUN, np.full(6, 100.0))
-    cycle.end.dialogue, _ = cycle.parts.protocol.command(cycle.dialogue, run, 0)
+    cycle.end.give(run, 0)
     bus = Wire()
     switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
     assert len(bus.sent) == 5 * 6
-    heard = [cycle.parts.protocol.parse(cycle.parts.protocol.power_up(), frame)[1][0] for frame in bus.sent]
+    heard = [drives_end(cycle.parts.protocol).hear(frame)[0] for frame in bus.sent]
     assert {each.mode for each in heard if isinstance(each, DeviceCommand)} == {DriveMode.OFF}
 
 
@@ -212,7 +213,7 @@ def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_
 def test_drives_whose_set_up_is_not_complete_are_named(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
-    cycle.end.dialogue = cycle.dialogue._replace(done=(3, 3, 3, 3, 1, 3))
+    cycle.end.remember(cycle.end.remembered()._replace(done=(3, 3, 3, 3, 1, 3)))
     said = "drive 4 does not complete its set-up: exchange 1 of 3 is not confirmed"
     assert waiting_text(cycle) == f"the drives are not ready: {said}"
 

@@ -11,9 +11,6 @@ import pytest
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.identity import Said
 from drivers.mit.fields import Ranges
-from drivers.mit.robstride import RobStrideProtocol
-from drivers.motor_drives import MotorMemory
-from drivers.motors import Heard
 from drivers.protocol import (
     BUS,
     ERROR,
@@ -28,7 +25,9 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
+from tests.drivers.motor_families import Heard, RobStrideProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (1, 2, 3, 4, 5, 127)
@@ -42,7 +41,7 @@ def to(kind: int, data: bytes = bytes(8), middle: int = 253, leg: int = 3, flags
     return Frame(kind << 24 | middle << 8 | NODES[leg], data, flags)
 
 
-def told(*frames: Frame, memory: MotorMemory | None = None) -> tuple[MotorMemory, list[Any]]:
+def told(*frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
     memory, found = memory or P.power_up(), []
     for frame in frames:
         memory, messages = P.parse(memory, frame)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
-from drivers.legs.crc import crc8, identifier_state
+from drivers.legs.crc import check
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensor_kernels import OLDEST
 from drivers.sensors import KINDS, SensorProtocol
@@ -168,7 +168,7 @@ def test_a_sample_is_valid_or_not_and_what_says_something_else_is_refused(kind):
     frame, at = sample(kind, 5, 3), 15 if kind == "imu" else 27
     for validity, there, rejected in ((0, 1, 0), (1, 0, 0), (2, 0, 1), (3, 0, 1), (15, 0, 1)):
         data = frame.data[:at] + bytes([validity << 4 | 3]) + frame.data[at + 1 : -1]
-        readings = decode(5, frame._replace(data=data + bytes([crc8(data, identifier_state(frame.id))])))
+        readings = decode(5, frame._replace(data=data + bytes([check(frame.id, data, 1)])))
         assert (len(getattr(readings, kind)), readings.rejected) == (there, rejected), validity
 
 

@@ -18,13 +18,24 @@ from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettin
 from drivers.errors import BusError, ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
 from drivers.legs.protocol import LegsProtocol
-from drivers.legs.several import LegsOnBuses
-from drivers.protocol import BUS, Answer, Configure, DeviceCommand, DriveSetup, Frame, Received, Sync
+from drivers.protocol import (
+    BUS,
+    Answer,
+    Configure,
+    DeviceCommand,
+    DriveSetup,
+    Frame,
+    Received,
+    Sync,
+    off_bus,
+)
 from drivers.sensors import SensorProtocol
-from drivers.several_buses import off_bus
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
+from tests.drivers.by_value import ByValue
+from tests.drivers.cia402_drives import holding
 from tests.drivers.frames_heard import got
+from tests.drivers.legs_frames import command_frames, opening, parse
 from tests.drivers.protocol_contract import Ends
 from tests.sensed import Readings
 from tests.sensed import decode as decode_samples
@@ -62,7 +73,8 @@ def family(name, legs=((0, 1, 2), (3, 4, 5))):
     protocol = {"damiao": "mit", "robstride": "mit"}.get(name, name)
     channels = [{"channel": f"c{k}", "legs": list(there)} for k, there in enumerate(legs)]
     drives = DriveSettings(protocol=protocol, options=options, transmission=gear, force_limit_N=100.0)
-    return build_protocol(buses(*channels, layout=layout), drives)
+    bus = buses(*channels, layout=layout) if len(legs) > 1 else BusSettings(layout=layout)  # type: ignore[arg-type]
+    return ByValue(build_protocol(bus, drives))
 
 
 # configuration
@@ -122,7 +134,7 @@ def test_a_sensor_is_on_a_bus_that_there_is_and_hears_and_sends_there():
         SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="c")))
     sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
     frame = sensors.encode("imu", (0.0,) * 6, 7, 0.0, 3)
-    assert (sensors.bus_of("imu"), frame.bus) == (1, 1)
+    assert frame.bus == 1
     before = decode_samples(sensors, NO_FRAMES, 7, Readings())
     assert len(decode_samples(sensors, received_array([Received(0, frame)]), 7, before).imu) == 1
     elsewhere = frame._replace(flags=frame.flags - BUS)
@@ -147,7 +159,7 @@ def test_a_drive_is_polled_commanded_set_up_and_stopped_on_its_own_bus_alone(nam
         k: 1 if for_all else len(legs[k]) for k in set(on.values())
     }
     assert {frame.bus for frame in stop} == set(on.values())
-    single, named = protocol.family, set()
+    single, named = family(name, (tuple(range(6)),)), set()
     for frame in (*opening, *command, *configure, *stop):
         _, messages = single.parse(single.power_up(), off_bus(frame))
         alone = {message.leg for message in messages if isinstance(message, Answer | Configure)}
@@ -168,8 +180,7 @@ def test_what_the_drives_answer_is_on_their_bus_and_counts_there_alone(name):
     state = np.full(6, DriveState.OFF, np.int64)
     memory = protocol.power_up()
     if name == "cia402":  # its drives answer when they have been set up
-        family_of = protocol.family
-        memory = (family_of._devices.set_up(family_of._settings, state),) * len(ODD)
+        memory = holding(protocol.protocol, state)
     _, answers = protocol.answer(memory, Sync(0), zeros + 0.1, zeros, zeros, state)
     assert {leg: frame.bus for leg, frame in answers} == {0: 0, 5: 0, 1: 1, 2: 1, 3: 1, 4: 1}
     assert all(protocol.sender(frame) == leg for leg, frame in answers)
@@ -191,37 +202,35 @@ def test_what_the_drives_answer_is_on_their_bus_and_counts_there_alone(name):
     "legs", [((0, 1, 2), (3, 4, 5)), ODD, ((4,), (2, 0), (5, 1, 3)), ((1, 0, 2, 3, 4), (5,))]
 )
 def test_every_leg_gets_its_own_force_whatever_the_assignment(layout, legs):
-    protocol = LegsOnBuses(layout, NODES, 100.0, [sorted(there) for there in legs])
-    memory = protocol.power_up()
+    protocol = LegsProtocol(layout, NODES, 100.0, [sorted(there) for there in legs])
+    end = protocol.drives_end()
     got: dict[int, float] = {}
-    for frame in protocol.begin(None, 9) + protocol.command(None, Command(DriveMode.RUN, FORCE), 9)[1]:
-        memory, messages = protocol.parse(memory, frame)
-        for message in messages:
+    for frame in opening(protocol, 9) + command_frames(protocol, Command(DriveMode.RUN, FORCE), 9):
+        for message in end.hear(frame):
             if isinstance(message, DeviceCommand):
                 got |= dict(zip(message.legs, message.force.tolist(), strict=True))
     assert got == pytest.approx(dict(enumerate(FORCE.tolist())), abs=0.01)
 
 
 def test_a_drive_is_told_its_slot_in_the_command_of_its_bus():
-    protocol = LegsOnBuses("fd", NODES, 100.0, ODD)
-    frames = protocol.family.configure(0.01, Reaction.BRAKE)  # type: ignore[attr-defined]
+    protocol = LegsProtocol("fd", NODES, 100.0, ODD)
+    frames = protocol.configure(0.01, Reaction.BRAKE)
     assert [frame.data[5] for frame in frames] == [1, 1, 2, 3, 4, 2], "legs 0 and 5; legs 1 to 4"
     alone = LegsProtocol("fd", NODES, 100.0).configure(0.01, Reaction.BRAKE)
     assert [frame.data[5] for frame in alone] == [1, 2, 3, 4, 5, 6]
-    _, (message,) = protocol.parse(protocol.power_up(), frames[5])
-    assert message == Configure(5, 0.01, Reaction.BRAKE)
-    assert protocol.parse(protocol.power_up(), frames[5]._replace(flags=frames[5].flags + BUS))[1] == ()
+    assert parse(protocol, frames[5]) == Configure(5, 0.01, Reaction.BRAKE)
+    assert parse(protocol, frames[5]._replace(flags=frames[5].flags + BUS)) is None
 
 
 def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it():
-    protocol = LegsOnBuses("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
-    first, second = protocol.begin(None, 4)
-    memory, messages = protocol.parse(protocol.power_up(), second)
-    assert messages == (Sync(4, (3, 4, 5)),)
-    commands = protocol.command(None, Command(DriveMode.OFF, np.zeros(6)), 4)[1]
-    kinds = [type(protocol.parse(memory, frame)[1][0]).__name__ for frame in commands]
+    protocol = LegsProtocol("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
+    first, second = opening(protocol, 4)
+    end = protocol.drives_end()
+    assert end.hear(second) == (Sync(4, (3, 4, 5)),)
+    commands = command_frames(protocol, Command(DriveMode.OFF, np.zeros(6)), 4)
+    kinds = [type(end.hear(frame)[0]).__name__ for frame in commands]
     assert kinds == ["Rejected", "DeviceCommand"], "bus 0 has had no SYNC"
-    assert protocol.parse(memory, first)[1] == (Sync(4, (0, 1, 2)),)
+    assert end.hear(first) == (Sync(4, (0, 1, 2)),)
 
 
 @pytest.mark.parametrize("name", ["legs", "cia402", "odrive", "moteus"])
@@ -241,13 +250,14 @@ def test_strays_and_frames_of_a_bus_that_is_not_there_are_refused_with_what_is_d
     protocol = family(name)
     zeros, state, memory = np.zeros(6), np.full(6, DriveState.OFF, np.int64), protocol.power_up()
     if name == "cia402":
-        memory = (protocol.family._devices.set_up(protocol.family._settings, state),) * 2
+        memory = holding(protocol.protocol, state)
     _, answers = protocol.answer(memory, Sync(0), zeros + 0.1, zeros, zeros, state)
     first, stray = answers[0][1], answers[-1][1]
+    begun = protocol.begin(protocol.start(SETUP), 0)
     frames = [
         first._replace(data=first.data[:-1]),
         stray._replace(flags=stray.flags - BUS),
-        protocol.begin(None, 0)[0]._replace(flags=protocol.begin(None, 0)[0].flags + 2 * BUS),
+        begun[0]._replace(flags=begun[0].flags + 2 * BUS),
     ]
     last, tick = new_record(), new_record()
     last["tick"], tick["tick"] = -1, 0

@@ -15,7 +15,6 @@ import pytest
 import drivers
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.legs.protocol import LegsProtocol
-from drivers.legs.several import LegsOnBuses
 from drivers.protocol import (
     BRS,
     FD,
@@ -30,13 +29,13 @@ from drivers.protocol import (
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.drives_end import reports
-from tests.drivers.legs_frames import command_frames, decode, one_feedback, parse
+from tests.drivers.legs_frames import command_frames, decode, one_feedback, opening, parse
 
 NODES = (1, 2, 3, 4, 5, 6)
 RATED_N = 32_000.0
 """One step of the short force fields, 1/16000 of the rated force, is 2 N."""
 P = {layout: LegsProtocol(layout, NODES, RATED_N) for layout in ("classic", "fd", "ideal")}
-TWO_BUSES = LegsOnBuses("fd", NODES, RATED_N, ((0, 1, 2), (3, 4, 5)))
+TWO_BUSES = LegsProtocol("fd", NODES, RATED_N, ((0, 1, 2), (3, 4, 5)))
 GENERAL: Any = cantools.database.load_file(Path(drivers.__file__).parent / "legs/legs.dbc")
 DATABASE: Any = cantools.database.Database()
 DATABASE.add_dbc_string(P["fd"].database[1])
@@ -63,7 +62,7 @@ class Vector(NamedTuple):
 
 VECTORS = [
     Vector("ESTOP", P["fd"].emergency_stop()[0], 0x001, 0, "00", {"Source": 0}),
-    Vector("SYNC", P["fd"].begin(None, TICK)[0], 0x080, 0, "A7 C3", {"Cycle": 167, "CRC": 0xC3}),
+    Vector("SYNC", opening(P["fd"], TICK)[0], 0x080, 0, "A7 C3", {"Cycle": 167, "CRC": 0xC3}),
     Vector(
         "CONFIG_3",
         P["fd"].configure(0.0125, Reaction.HOLD)[2],
@@ -131,7 +130,7 @@ VECTORS = [
     ),
     Vector(
         "COMMAND_FD_SHORT",
-        TWO_BUSES.command(None, Command(DriveMode.RUN, FD_FORCE), TICK)[1][0],
+        command_frames(TWO_BUSES, Command(DriveMode.RUN, FD_FORCE), TICK)[0],
         0x111,
         FD | BRS,
         # the same three of leg 1 to 3; the check begins with the bytes 11 01 of the identifier

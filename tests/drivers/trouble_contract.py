@@ -23,6 +23,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
 from plant_fmu.faults.plan import FaultPlan
+from tests.drivers.by_value import ByValue
 from tests.drivers.protocol_contract import (
     FORCE,
     LENGTH,
@@ -56,11 +57,11 @@ class Placed(Given):
 class Line(Ends):
     """Both ends, a plant that can be placed, and somebody between them who changes frames."""
 
-    def __init__(self, protocol: DriveProtocol, *faults: Fault) -> None:
+    def __init__(self, protocol: DriveProtocol | ByValue, *faults: Fault) -> None:
         super().__init__(protocol, *faults)
         self.plant = Placed()
         emulation, drives = DriveEmulation(encoder_resolution_m=0.0), DriveSettings(heartbeat_ms=24.0)
-        self.nodes = Nodes(self.plant, protocol, emulation, drives, FaultPlan(faults))
+        self.nodes = Nodes(self.plant, self.protocol.protocol, emulation, drives, FaultPlan(faults))
         self.to_hear: Tamper = list
         """What happens to frames on their way to the controller."""
         self.to_obey: Callable[[Sequence[Frame]], Sequence[Frame]] = list
@@ -94,7 +95,7 @@ class Line(Ends):
         self.until_set_up()
 
 
-def most_force(protocol: DriveProtocol) -> float:
+def most_force(protocol: ByValue) -> float:
     """Return the largest force that a command takes."""
     dialogue, low, high = Ends(protocol).dialogue, 0.0, 2 * CLIPS_N
     for _ in range(50):
@@ -283,7 +284,7 @@ class TroubleContract(ProtocolContract):
 
     # power
 
-    def powers_up(self, protocol: DriveProtocol, order: Sequence[int], gap_s: float) -> None:
+    def powers_up(self, protocol: ByValue, order: Sequence[int], gap_s: float) -> None:
         late: list[Fault] = []
         for k, leg in enumerate(order):
             at_s = 0.02 + gap_s * k

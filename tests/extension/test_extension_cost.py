@@ -36,9 +36,9 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
             '    _("reference", "leg_error", float, "m", "q_d less q", *PER_LEG),\n',
         ),
         (
-            "hil/loop/cycle.py",
-            '        tick["reference_time_s"] = t\n',
-            '        tick["leg_error"] = tick["q_d"] - tick["q"]\n',
+            "hil/loop/compiled_pass.py",
+            "    tick.reference_time_s = time_at(override, tick.tick)\n",
+            "    tick.leg_error[:] = tick.q_d - tick.q\n",
         ),
     ],
     "law": [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -269,8 +268,7 @@ def test_a_law_that_is_asked_what_it_asks_for_at_rest_keeps_nothing_of_it():
 @pytest.mark.parametrize("what", ["its turn", "its set-up"])
 def test_a_drive_that_was_switched_off_while_the_operator_was_waited_for_is_not_armed(operator, what):
     cycle: Any = build_cycle(VIRTUAL, 1000.0, 0.01)
-    protocol = SimpleNamespace(legs_set_up=lambda _: [True] * 6)
-    cycle.parts = replace(cycle.parts, protocol=protocol)
+    cycle.end = SimpleNamespace(legs_set_up=lambda: [True] * 6)
     tick = record_of(tick=5, drive_state=int(DriveState.OFF), p=cycle.parts.home_p, R=np.eye(3), J=np.eye(6))
     cycle.mode = Mode.IDLE
     cycle._change_mode(SimpleNamespace(tick=5, operator=()), tick)
@@ -278,6 +276,6 @@ def test_a_drive_that_was_switched_off_while_the_operator_was_waited_for_is_not_
     if what == "its turn":
         cycle.homing = SimpleNamespace(known=False)
     else:
-        protocol.legs_set_up = lambda _: [True, True, False, True, True, True]
+        cycle.end.legs_set_up = lambda: [True, True, False, True, True, True]
     cycle._change_mode(SimpleNamespace(tick=6, operator=operator), tick)
     assert cycle.mode == Mode.WAITING

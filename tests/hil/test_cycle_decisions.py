@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.frame_array import sent_frames
+from drivers.controller_end import controller_end
+from drivers.frame_array import sent_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
 from hil.app.compose import build_cycle
@@ -64,8 +65,9 @@ def test_a_reset_clears_what_is_latched_where_nothing_is_held_and_nowhere_else(
         monkeypatch.setattr(owner, last, lambda name=name: told.append(name))
     monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
     cycle.mode, cycle.mode_tick, cycle.estop, cycle.stop_requested = mode, 50, True, Stop.MISSED
-    cycle.faults, fresh = Fault.DRIVE, cycle.dialogue
-    cycle.end.dialogue = cycle.parts.protocol.start(cycle.parts.setup._replace(watchdog_s=0.5))
+    cycle.faults, fresh = Fault.DRIVE, cycle.end.remembered()
+    other = controller_end(cycle.parts.protocol, cycle.parts.setup._replace(watchdog_s=0.5))
+    cycle.end.remember(other.remembered())
     cycle._change_mode(said(Operator.RELEASE), measured(cycle))
     assert not told
     cycle._change_mode(said(Operator.STOP, Operator.RESET), measured(cycle))
@@ -73,12 +75,12 @@ def test_a_reset_clears_what_is_latched_where_nothing_is_held_and_nowhere_else(
         assert told == ["sight.forget", "obedience.reset", "parts.wrench.forget", "parts.safety.reset"]
         assert (cycle.faults, cycle.estop, cycle.stop_requested) == (Fault.NONE, False, Stop.NONE)
         assert cycle.reset_tick == 50
-        assert cycle.dialogue == fresh
+        assert cycle.end.remembered() == fresh
     else:
         assert not told
         assert (cycle.faults, cycle.estop, cycle.stop_requested) == (Fault.DRIVE, True, Stop.MISSED)
         assert cycle.reset_tick is None
-        assert cycle.dialogue != fresh
+        assert cycle.end.remembered() != fresh
 
 
 # -- what a transition is told
@@ -108,7 +110,7 @@ def test_drives_are_ready_with_their_turns_known_and_set_up_and_a_pose_before_th
     cycle.sight.located = lacks != "pose"
     monkeypatch.setattr(type(cycle.homing), "known", lacks != "turns")
     legs = [lacks != "set-up"] * 6
-    monkeypatch.setattr(cycle.parts.protocol, "legs_set_up", lambda dialogue: legs)
+    monkeypatch.setattr(cycle.end, "legs_set_up", lambda: legs)
     needed = {Mode.WAITING: {"turns", "set-up", "pose"}, Mode.IDLE: {"turns", "set-up"}}
     ready = facts_of(cycle, monkeypatch, measured(cycle)).ready
     assert ready == (mode in needed and lacks not in needed[mode])
@@ -381,17 +383,12 @@ def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(b
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_drives_are_set_up_while_they_are_waited_for_and_after_a_fault(bench, monkeypatch, mode):
-    protocol = bench.cycle.parts.protocol
-    gone_on, frame = bench.cycle.dialogue._replace(sent=(7,) * 6), Frame(0x7A5, b"\1")
-    monkeypatch.setattr(protocol, "set_up", lambda dialogue, tick: (gone_on, (frame,)))
-    before = bench.cycle.dialogue
-    cycle = bench.cycle
+    frame, cycle = Frame(0x7A5, b"\1"), bench.cycle
+    monkeypatch.setattr(cycle.end, "set_up", lambda tick: sent_array([frame]))
     cycle.mode = mode
     cycle.settle()
     frames = sent_frames(bench.step().frames)
-    begun = mode in {Mode.WAITING, Mode.FAULT}
-    assert (frames[-1] == frame) == begun
-    assert cycle.dialogue == (gone_on if begun else before)
+    assert (frames[-1] == frame) == (mode in {Mode.WAITING, Mode.FAULT})
 
 
 def test_a_platform_that_yields_takes_its_reference_along(cycle, monkeypatch):

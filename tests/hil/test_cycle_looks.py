@@ -16,6 +16,7 @@ from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator
 from hil.trajectory.move import GeodesicMove
+from tests.drivers.by_value import ByValue, InPython
 from tests.drivers.drives_end import reports
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
@@ -93,20 +94,24 @@ def test_a_drive_whose_turns_are_no_longer_known_is_waited_for_again(parts):
 
 
 class Uncompiled:
-    """A family whose functions are in Python alone."""
+    """A family whose controller's end is in Python alone."""
 
     def __init__(self, family: Any) -> None:
         self._family = family
 
+    def drives_end(self) -> Any:
+        return self._family.drives_end()
+
+    def controller_end(self, setup: Any) -> InPython:
+        return InPython(self._family, setup)
+
     def __getattr__(self, name: str) -> Any:
-        if name == "controller_end":
-            raise AttributeError(name)
         return getattr(self._family, name)
 
 
 def test_a_family_in_python_is_decided_on_in_the_same_ticks_as_one_that_is_compiled(parts):
     compiled = Bench(cycle=Cycle(parts))
-    plain = Bench(cycle=Cycle(replace(made(), protocol=Uncompiled(parts.protocol))))
+    plain = Bench(cycle=Cycle(replace(made(), protocol=Uncompiled(ByValue(parts.protocol)))))
     modes = []
     for number in range(400):
         for bench in (compiled, plain):

@@ -52,7 +52,7 @@ def test_where_a_jog_comes_to_rest_is_judged_but_by_the_steering_where_the_refer
 
 
 def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle, monkeypatch):
-    fresh = cycle.dialogue
+    fresh = cycle.end.remembered()
     told: list[str] = []
     names = ("sight", "homing", "effort", "obedience", "operating")
     for name in names:
@@ -61,7 +61,7 @@ def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle, monkeypa
     cycle._yields, cycle.proven, cycle.estop = True, False, True
     cycle.faults, cycle.stop_requested = Fault.BRAKE, Stop.MISSED
     cycle.tick = record_of(tick=9, length=1.0)
-    cycle.end.dialogue = "used"
+    cycle.end.state["sent"] = 9
     cycle.motion.rest(np.ones(3), np.eye(3), 8)
     cycle.reset()
     assert sorted(told) == sorted(names)
@@ -69,7 +69,7 @@ def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(cycle, monkeypa
     assert (cycle._yields, cycle.proven, cycle.estop) == (False, True, False)
     assert (cycle.faults, cycle.stop_requested) == (Fault.NONE, Stop.NONE)
     assert cycle.tick.tobytes() == new_record().tobytes()
-    assert cycle.dialogue == fresh
+    assert cycle.end.remembered() == fresh
     np.testing.assert_array_equal(cycle.motion.sample(3).p, cycle.parts.home_p)
     assert cycle.motion.time(3) == 3 * 0.002
 

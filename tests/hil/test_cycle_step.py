@@ -21,6 +21,8 @@ from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, Order, SetPoint
+from tests.drivers.by_value import ByValue
+from tests.drivers.legs_frames import opening
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import LIVE, VIRTUAL
 from tests.hil.test_cycle_held import aside
@@ -180,7 +182,7 @@ def test_the_row_has_the_mode_and_the_faults_that_the_tick_has_led_to(bench):
 def test_a_tick_begins_with_what_the_dialogue_asks_for_in_it(bench):
     cycle = bench.cycle
     for number in (7, 300):
-        assert sent_frames(cycle.begin(number)) == cycle.parts.protocol.begin(cycle.dialogue, number)
+        assert sent_frames(cycle.begin(number)) == opening(cycle.parts.protocol, number)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
@@ -215,7 +217,7 @@ STOP, COMMAND, SET_UP = (Frame(identifier, b"\1") for identifier in (0x7A1, 0x7A
 @pytest.fixture
 def spoken(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return such a bench, whose family sends these frames, and what that is told of a stop."""
-    family = build_cycle(VIRTUAL, 1000.0, 0.01).parts.protocol
+    family = ByValue(build_cycle(VIRTUAL, 1000.0, 0.01).parts.protocol)
     bench = a_bench(protocol=Uncompiled(family))
     told: list[Any] = []
 

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
-from drivers.ends import hearing
+from drivers.ends import drives_end, hearing
 from drivers.errors import BusError
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DeviceCommand, Frame, Received, Sync
@@ -128,10 +128,8 @@ def test_a_frame_from_before_the_tick_is_none_of_the_six(cycle):
 def test_a_loop_that_fails_sends_sync_and_command_so_that_the_drives_obey(cycle):
     bus, protocol = Queue(), cycle.parts.protocol
     switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
-    memory, heard = protocol.power_up(), []
-    for frame in bus.sent:
-        memory, messages = protocol.parse(memory, frame)
-        heard += messages
+    end = drives_end(protocol)
+    heard = [message for frame in bus.sent for message in end.hear(frame)]
     commands = [each for each in heard if isinstance(each, DeviceCommand)]
     assert len(commands) == 5
     assert {each.mode for each in commands} == {DriveMode.OFF}
@@ -143,10 +141,9 @@ def test_the_commands_of_a_loop_that_fails_go_on_where_its_ticks_have_ended(cycl
     bus, protocol = Queue(), cycle.parts.protocol
     ended = SimpleNamespace(tick=last, period_ns=1_000)
     assert switch_off(cycle, cast("Bus", bus), cast("Deadlines", ended))
-    memory, counters = protocol.power_up(), []
-    for frame in bus.sent:
-        memory, messages = protocol.parse(memory, frame)
-        counters += [each.counter for each in messages if isinstance(each, DeviceCommand)]
+    end = drives_end(protocol)
+    heard = [message for frame in bus.sent for message in end.hear(frame)]
+    counters = [each.counter for each in heard if isinstance(each, DeviceCommand)]
     assert counters == [last + k for k in range(1, 6)]
 
 
@@ -154,13 +151,11 @@ def test_a_loop_that_fails_never_repeats_the_force_of_its_last_tick_where_the_po
     desktop = build_cycle(load("desktop"), 400.0, 0.013)
     bus, protocol = Queue(), desktop.parts.protocol
     assert protocol.command_delay_ticks == 1
-    desktop.end.dialogue, _ = protocol.command(desktop.dialogue, Command(DriveMode.RUN, np.full(6, 5.0)), 6)
+    desktop.end.give(Command(DriveMode.RUN, np.full(6, 5.0)), 6)
     ended = SimpleNamespace(tick=6, period_ns=1_000)
     assert switch_off(desktop, cast("Bus", bus), cast("Deadlines", ended))
-    memory, heard = protocol.power_up(), []
-    for frame in bus.sent:
-        memory, messages = protocol.parse(memory, frame)
-        heard += [each for each in messages if isinstance(each, DeviceCommand)]
+    end = drives_end(protocol)
+    heard = [each for frame in bus.sent for each in end.hear(frame) if isinstance(each, DeviceCommand)]
     assert len(heard) == 5 * 6
     assert {each.mode for each in heard} == {DriveMode.OFF}
 

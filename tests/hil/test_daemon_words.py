@@ -40,14 +40,17 @@ class World:
         self.course: Any = None
         protocol = SimpleNamespace(
             feedback_ids=frozenset(), shares_identifiers=False, addressed=lambda _: (), fresh=None, awaited=None,
-            command_delay_ticks=0, has_watchdog=True, begin=lambda *_: OPENING,
-            command=lambda dialogue, command, _tick: (dialogue, (Frame(ORDERS + command.mode, b""),)),
+            command_delay_ticks=0, has_watchdog=True,
         )  # fmt: skip
+        end = SimpleNamespace(
+            begin=lambda _: sent_array(OPENING),
+            give=lambda command, _: sent_array([Frame(ORDERS + command.mode, b"")]),
+        )
         safety = SimpleNamespace(stops_unrecorded=stops_unrecorded)
         setup = SimpleNamespace(watchdog_s=0.02)
         parts = SimpleNamespace(protocol=protocol, safety=safety, rate_Hz=1000.0, steering=None, setup=setup)
         self.cycle: Any = SimpleNamespace(
-            parts=parts, begin=lambda _: sent_array(OPENING), step=self.step, mode=Mode.WAITING, dialogue="the last one",
+            parts=parts, begin=lambda _: sent_array(OPENING), step=self.step, mode=Mode.WAITING, end=end,
             faults=Fault.SPEED, operating=SimpleNamespace(answers=[]), tick={"tick": 0},
         )  # fmt: skip
         self.clock: Any = SimpleNamespace(

@@ -7,13 +7,14 @@ import pytest
 
 from drivers.arrays import Rows
 from drivers.frame_array import sent_frames
-from drivers.legs.protocol import TRIES, LegsProtocol
+from drivers.legs.ends import TRIES
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Configure, EmergencyStop, Frame, Received, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
 from hil.loop.report import waiting_text
 from hil.signals import Operator
 from tests.drivers.drives_end import reports
-from tests.drivers.legs_frames import command_frames, one_feedback, parse
+from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
 from tests.hil.test_cycle import PERIOD_NS, Bench
 from tests.stories import fault_text
 
@@ -21,7 +22,7 @@ POWERED = [Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING]
 OURS = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 30_000.0)
 RUN = Command(DriveMode.RUN, np.full(6, 3e3))
 CONTROLLERS = {
-    "a SYNC": (OURS.begin(None, 3)[0], Foreign.SYNC),
+    "a SYNC": (opening(OURS, 3)[0], Foreign.SYNC),
     "a SYNC of another kind": (Frame(0x080, b""), Foreign.SYNC),
     "our own command": (command_frames(OURS, RUN, 3)[0], Foreign.COMMAND),
     "a command of another layout": (

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from drivers import build_protocol
-from drivers.ends import hearing
+from drivers.ends import drives_end, hearing
 from drivers.frame_array import received_array, sent_array
-from drivers.protocol import BUS, DriveSetup, Frame, Received
-from drivers.signals import Reaction
+from drivers.protocol import BUS, Frame, Received, Sync
 from drivers.tick_columns import row_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
@@ -21,6 +20,7 @@ from hil.loop import latches
 from hil.loop.replay import recorded_input
 from hil.record.log import Tick
 from hil.signals import TickInput
+from tests.drivers.legs_frames import opening
 from tests.records import record_of
 
 
@@ -55,7 +55,7 @@ def test_each_bus_has_its_own_sync():
 
 def test_each_poll_is_that_of_its_leg():
     family = protocol("desktop")
-    polls = family.begin(family.start(DriveSetup(0.01, Reaction.BRAKE, 400.0)), 0)
+    polls = opening(family, 0)
     assert latch_ns(family, polls, [1_001, 1_002, 1_003, 1_004, 1_005, 1_006], 1_000) == (1, 2, 3, 4, 5, 6)
 
 
@@ -99,12 +99,11 @@ def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
 def answer_of_two(tick):
     """The feedback of leg 0 to the SYNC of a tick, 0.2 ms after it was given to the bus."""
     two = protocol("two_buses")
-    memory = two.power_up()
-    opening = two.begin(two.start(DriveSetup(0.01, Reaction.BRAKE, 1000.0)), tick)
-    memory, (sync,) = two.parse(memory, opening[0])
+    end = drives_end(two)
+    (sync,) = end.hear(opening(two, tick)[0])
+    assert isinstance(sync, Sync)
     zeros, states = np.zeros(6), np.zeros(6, dtype=np.int64)
-    _, answers = two.answer(memory, sync, zeros, zeros, zeros, states)
-    return Received(1_200_000, dict(answers)[0])
+    return Received(1_200_000, dict(end.reply(sync, zeros, zeros, zeros, states))[0])
 
 
 def test_an_answer_that_names_an_older_sync_or_is_damaged_sets_no_clock_right():

@@ -10,7 +10,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from drivers.tick_columns import RECORDED, ROW, Column
-from hil.record.row import TICKS, RowCodec, Table, columns_of, columns_of_0_1_0, describe, row_schema
+from hil.record.row import TICKS, RowCodec, Table, columns_in, columns_of, describe, row_schema
 from hil.record.schema import message_class
 from hil.record.unpack import words_of
 from tests.hil.samples import packed_rows
@@ -194,14 +194,14 @@ def test_a_log_of_version_0_1_0_has_axes_of_1_to_65536(length):
     """The row has no room for the longest one; what refuses it is the row."""
     text = json.dumps([["tick", "<i8", []], ["t_ns", "<i8", []], ["x", "<f8", [length]]])
     if length == 1 and length is not True:
-        assert columns_of_0_1_0(text)[1:] == (
+        assert columns_in({"dtype": text})[1:] == (
             Column("output", "t_ns", int, "", "", (), ()),
             Column("output", "x", float, "", "", (), (1,)),
         )
         return
     says = "allowed: rows of 65536 bytes" if length == 65536 else "in a shape, allowed: 1 to 65536"
     with pytest.raises(ValueError, match=says):
-        columns_of_0_1_0(text)
+        columns_in({"dtype": text})
 
 
 def test_what_is_described_is_read_back_and_rows_of_our_own_have_the_one_type():

@@ -142,8 +142,8 @@ def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layo
         last,
         poisoned(last, "tick", "length", "rate", "drive_force", "drive_state", "drive_fault", "age", "blind"),
     ]
-    dialogue = protocol.start(SETUP)
-    stages = iter([lambda tick, last=last: protocol.decode(dialogue, run, last, tick) for last in lasts])
+    end = protocol.controller_end(SETUP)
+    stages = iter([lambda tick, last=last: end.take(run, last, tick) for last in lasts])
     follow(lambda: next(stages), [record_of(tick=8)], ("tick",), part("measurement"))
 
 

@@ -14,8 +14,7 @@ import pytest
 
 from drivers.config import TrackerSettings
 from drivers.legs.messages import set_up_checksum
-from drivers.legs.set_up import lack
-from drivers.protocol import Configure, Status
+from drivers.protocol import Configure, DriveSetup, Status
 from drivers.signals import DriveFault, DriveState, Fault, Foreign, Mode, Reaction, Stop, Warn
 from hil.app.configuration.configuration import load
 from hil.loop.story.faults import FAULTS
@@ -216,7 +215,7 @@ def strike(bench: Bench, case: Case) -> tuple[Narrator, list[str]]:
     events: list[str] = []
     narrator = Narrator(bench.cycle, lambda _t_ns, level, text: events.append(f"{level} {text}"))
     narrator.look()
-    tick = bench.cycle.tick
+    tick = bench.cycle.last = bench.cycle.tick
     bench.cycle.tick = altered(tick, **{"tick": int(tick["tick"]) + 1} | case.columns)
     for name, value in case.memory.items():
         bench.cycle.parts.safety.memory[name] = value
@@ -596,6 +595,7 @@ def test_a_drive_that_does_not_obey_after_another_fault_is_told_with_the_force_o
     try:
         narrator, _ = strike(moving, Case(Fault.STALE, {"counted_age": legs(0, leg_1=7)}, []))
         for faults, columns in later:
+            cycle.last = cycle.tick
             cycle.tick = altered(
                 cycle.tick, **{"tick": int(cycle.tick["tick"]) + 1, "tau": legs(7)} | columns
             )
@@ -632,8 +632,9 @@ def test_the_value_that_a_set_up_lacks_is_told_where_a_checksum_can_tell_it(plac
     other = bytearray(CONFIG.data[:-1])
     assert bytes(other) == bytes([0x10, 0x27, 0, 0, 0, 4, 2])
     other[place] = value
-    said = set_up_checksum(CONFIG.id, bytes(other), 30e3)
-    assert words in lack(said, 10, CONFIG, OURS._config, 30e3)
+    end = OURS.controller_end(DriveSetup(0.01, Reaction.BRAKE, 1000.0))
+    end.state["said"], end.state["sent"] = set_up_checksum(CONFIG.id, bytes(other), 30e3), 10
+    assert words in end.lacks()[3]
 
 
 @pytest.mark.parametrize("reaction", [Reaction.DAMP, Reaction.HOLD, Reaction.ZERO])

@@ -17,7 +17,7 @@ from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
 from hil.app.sim.wires import COMMANDS, STEP
 from hil.signals import Operator
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.legs_frames import command_frames, opening
 
 FALL_m_s2 = 12.0
 """A leg accelerates by less without any force."""
@@ -70,7 +70,7 @@ ATTACKS: dict[str, Callable[[Attacked], Attack]] = {
     "old commands": lambda bench: lambda tick: forged(bench, tick - 1 - tick % 2, 3e3),
     "SYNC and command": lambda bench: (
         lambda tick: (
-            *bench.cycle.parts.protocol.begin(None, tick + 9),
+            *opening(bench.cycle.parts.protocol, tick + 9),
             *forged(bench, tick + 9, 3e3),
         )
     ),
@@ -119,16 +119,16 @@ def test_a_config_of_somebody_else_is_noticed_before_the_drives_are_powered(virt
 def test_an_emergency_stop_reaches_drives_that_miss_the_first_ones(virtual):
     bench = begin(virtual, Mode.APPROACH)
     estop = bench.cycle.parts.protocol.emergency_stop()[0]
-    parse, lost = bench.nodes._protocol.parse, [0]
+    hear, lost = bench.nodes._end.hear, [0]
 
-    def deaf(memory, frame):
+    def deaf(frame):
         if frame == estop and lost[0] < 3:
             lost[0] += 1
-            return memory, ()
-        return parse(memory, frame)
+            return ()
+        return hear(frame)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench.nodes._protocol, "parse", deaf)
+        patch.setattr(bench.nodes._end, "hear", deaf)
         bench.step((Operator.ESTOP,))
         sent = [estop in sent_frames(bench.step()[2].frames) for _ in range(50)]
     assert lost == [3]

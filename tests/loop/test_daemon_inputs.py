@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.arrays import Rows
-from drivers.ends import hearing
+from drivers.ends import drives_end, hearing
 from drivers.errors import BusError
 from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
 from drivers.protocol import DeviceCommand, Frame, Received
@@ -159,11 +159,9 @@ def test_a_reset_calls_the_frames_of_a_dead_bus_back(operator, tries):
 
 
 def modes(wire: Busy, protocol: Any) -> list[DriveMode]:
-    memory, found = protocol.power_up(), []
-    for frame in wire.all_sent:
-        memory, messages = protocol.parse(memory, frame)
-        found += [DriveMode(each.mode) for each in messages if isinstance(each, DeviceCommand)]
-    return found
+    end = drives_end(protocol)
+    heard = [message for frame in wire.all_sent for message in end.hear(frame)]
+    return [DriveMode(each.mode) for each in heard if isinstance(each, DeviceCommand)]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])

@@ -24,7 +24,7 @@ SHELL = {"Cycle.begin", "Cycle.step", "new_record", "copy_of", "row_of"}
 """What every tick enters between frames in and frames out, but for the first frames of a tick."""
 LOCKSTEP = {"Lockstep.step", "Lockstep._exchange", "Lockstep._pass_time", "Nodes.advance"}
 """What a tick of both ends enters besides: of the bus, and of the drives and the plant."""
-BEGIN = {"LegsController.begin", "MotorsEnd.begin", "Cia402End.begin"}
+BEGIN = {"LegsController.begin", "MotorController.begin", "Cia402End.begin"}
 """What makes these, with all that it calls: one of them in a run."""
 CHANGES = 9
 """Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""

@@ -17,7 +17,6 @@ from tests.records import altered, record_of
 
 RATE_Hz = 100.0
 SET_UP = SimpleNamespace(
-    set_up_lacks=lambda _: ("",) * 6,
     fault_text=lambda _: "",
     stop_latches=True,
     force_on_brakes=True,
@@ -27,18 +26,21 @@ HEARD = {"age": 0, "counted_age": 0, "drive_state": DriveState.OFF}
 
 
 def cycle(mode, mode_tick=0, faults=Fault.NONE, stop=Stop.NONE, **measured):
+    tick = record_of(**(HEARD | measured))
     return SimpleNamespace(
         mode=mode,
         mode_tick=mode_tick,
         faults=faults,
         stop_requested=stop,
         proven=True,
-        tick=record_of(**(HEARD | measured)),
+        tick=tick,
+        last=tick,
         estop=False,
         homing=SimpleNamespace(refusal=""),
         operating=SimpleNamespace(trouble=""),
         reset_tick=None,
-        dialogue=None,
+        end=SimpleNamespace(lacks=lambda: ("",) * 6),
+        looked=True,
         durations=Durations(0.3, 0.1, 0.1),
         parts=SimpleNamespace(
             rate_Hz=RATE_Hz,

@@ -7,12 +7,11 @@ import itertools
 import numpy as np
 import pytest
 
-from drivers.legs.device_kernels import NO_SYNC
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Configure, Frame, Rejected, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.drives_end import reports
-from tests.drivers.legs_frames import command_frames, parse
+from tests.drivers.legs_frames import command_frames, opening, parse
 from tests.plant_fmu.test_nodes import MS, Rig
 
 LAYOUTS = ("classic", "fd", "ideal")
@@ -23,7 +22,7 @@ def commands(rig: Rig, tick: int, force: float = 5.0, mode: DriveMode = DriveMod
 
 
 def sync(rig: Rig, tick: int) -> Frame:
-    return rig.protocol.begin(None, tick)[0]
+    return opening(rig.protocol, tick)[0]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -84,7 +83,6 @@ def test_without_a_sync_no_command_counts(layout):
         rig.at(tick * 1000, *commands(rig, tick, mode=DriveMode.READY))
     assert rig.states == [DriveState.OFF] * 6
     assert rig.nodes.snapshot().commands == 0
-    assert rig.protocol.power_up() == NO_SYNC
 
 
 def test_any_flipped_bit_of_a_sync_is_refused_and_what_was_present_stays():

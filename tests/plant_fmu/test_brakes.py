@@ -9,7 +9,7 @@ from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import BrakeStuckOpen
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
 
 OPEN_MS, CLOSE_MS = 50, 30
@@ -150,7 +150,7 @@ def test_brakes_of_three_legs_alone_open_and_close_on_time_while_the_others_stay
     for mode, at_ms, until_ms, free_for_ms in ((DriveMode.RUN, 1, 7, 2.0), (DriveMode.READY, 8, 13, 2.0)):
         a.tick += 1
         frames = command_frames(a.protocol, Command(mode, np.zeros(6)), a.tick)
-        a.at(at_ms * MS, *a.protocol.begin(None, a.tick))
+        a.at(at_ms * MS, *opening(a.protocol, a.tick))
         a.plant.calls.clear()
         a.at(at_ms * MS, frames[half])
         a.at(until_ms * MS)

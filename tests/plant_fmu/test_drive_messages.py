@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from drivers.config import DriveSettings
+from drivers.legs.ends import LegsDrives
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Alive, Answer, Configure, Frame, Received, Status, Sync
+from drivers.protocol import Alive, Answer, Configure, DeviceMessage, Frame, Received, Status
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.drives_end import reports
+from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.test_nodes import MS, Masses, Rig
 
 
@@ -32,18 +32,13 @@ def test_each_heartbeat_says_state_fault_and_set_up_of_its_own_drive():
     for leg, (state, fault) in enumerate(said):
         beats = [frame for t, frame in sent if t == round(leg * 100 * MS / 6) and frame.id == 0x701 + leg]
         status = Status(leg, state, fault, sets[leg - 1] if leg else None, True)
-        _, expected = rig.protocol.report(rig.protocol.power_up(), status)
-        assert beats == list(expected), leg
+        assert beats == list(reports(rig.protocol, status)), leg
 
 
 class Unasked(LegsProtocol):
     """Drives that each say what they measure every 6 ms."""
 
     unasked_s = 6e-3
-
-    def answer(self, memory: Any, sync: Sync, *given: Any) -> tuple[Any, list[tuple[int, Frame]]]:
-        memory, frames = super().answer(memory, sync, *given)
-        return memory, [(leg, frame) for leg, frame in frames if leg in sync.legs]
 
 
 @pytest.mark.parametrize("t0_ns", [0, 7 * MS + 3])
@@ -58,12 +53,21 @@ def test_drives_that_speak_unasked_do_so_one_sixth_of_their_period_after_the_oth
 class Asked(LegsProtocol):
     """Drives that know two frames more: a sign of life, and a request that one of them answers."""
 
-    def parse(self, memory: Any, frame: Frame) -> tuple[Any, tuple[Any, ...]]:
+    def drives_end(self) -> LegsDrives:
+        return AskedDrives(self)
+
+
+class AskedDrives(LegsDrives):
+    def __init__(self, family: LegsProtocol) -> None:
+        super().__init__(family)
+        self.parse = 0  # the pass leaves all frames to Python
+
+    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
         if frame.id == 0x7FE:
-            return memory, (Alive(tuple(frame.data)),)
+            return (Alive(tuple(frame.data)),)
         if frame.id == 0x7FF:
-            return memory, (Answer(frame.data[0], Frame(0x6A0 + frame.data[0], b"here")),)
-        return super().parse(memory, frame)
+            return (Answer(frame.data[0], Frame(0x6A0 + frame.data[0], b"here")),)
+        return super().hear(frame)
 
 
 def test_a_sign_of_life_feeds_the_watchdogs_of_those_that_it_is_for():
@@ -96,10 +100,16 @@ def test_a_request_is_answered_by_its_drive_at_its_instant_unless_that_is_silent
 def test_a_status_is_due_at_its_heartbeat_and_not_where_something_has_changed():
     said: list[tuple[int, bool]] = []
 
-    class Reporting(LegsProtocol):
-        def report(self, memory: Any, status: Status) -> tuple[Any, tuple[Frame, ...]]:
+    class ReportingDrives(LegsDrives):
+        def announce(self, status: Status) -> tuple[Frame, ...]:
             said.append((status.leg, status.due))
-            return super().report(memory, status)
+            return super().announce(status)
+
+    class Reporting(LegsProtocol):
+        def drives_end(self) -> LegsDrives:
+            end = ReportingDrives(self)
+            end.report = 0  # the pass leaves all reports to Python
+            return end
 
     protocol = Reporting("fd", (1, 2, 3, 4, 5, 6))
     nodes = Nodes(Masses(), protocol, DriveEmulation(), DriveSettings())
@@ -117,7 +127,7 @@ def test_a_frame_that_comes_late_is_heard_where_the_drives_are_by_now_and_feeds_
     rig.configure(watchdog_s=0.01)
     rig.at(5 * MS)
     command = Command(DriveMode.READY, np.zeros(6))
-    late = [*rig.protocol.begin(None, 1), *command_frames(rig.protocol, command, 1)]
+    late = [*opening(rig.protocol, 1), *command_frames(rig.protocol, command, 1)]
     sent = rig.nodes.step(6 * MS, [Received(MS, frame) for frame in late])
     assert [(t, frame.id) for t, frame in sent if frame.id < 0x700] == [(5 * MS, 0x281 + k) for k in range(6)]
     assert rig.nodes.now_ns == 6 * MS

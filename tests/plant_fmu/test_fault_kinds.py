@@ -10,7 +10,6 @@ import pytest
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
-from drivers.legs.several import LegsOnBuses
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
@@ -47,7 +46,7 @@ from plant_fmu.faults.kinds import (
     PlantNaN,
 )
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.test_nodes import MASS, MS, REST, Masses, Rig, push
 from tests.plant_fmu.test_sensor_nodes import Mover, rotation
 
@@ -295,7 +294,7 @@ def test_a_delayed_command_is_obeyed_later():
 def test_delayed_feedback_is_for_an_instant_to_come():
     rig = Rig("fd", faults=[FramesDelay(by_ms=2.0, identifier=FEEDBACK_3)])
     rig.configure()
-    sent = rig.at(1 * MS, *rig.protocol.begin(None, 0))
+    sent = rig.at(1 * MS, *opening(rig.protocol, 0))
     late = [t for t, frame in sent if frame.id == FEEDBACK_3]
     assert late == [3 * MS]
     assert [t for t, _ in sent] == sorted(t for t, _ in sent)
@@ -304,7 +303,7 @@ def test_delayed_feedback_is_for_an_instant_to_come():
 def test_doubled_feedback_is_on_the_bus_twice():
     rig = Rig("fd", faults=[FramesDuplicate(identifier=FEEDBACK_3)])
     rig.configure()
-    sent = ids(rig.at(1 * MS, *rig.protocol.begin(None, 0)))
+    sent = ids(rig.at(1 * MS, *opening(rig.protocol, 0)))
     assert sent.count(FEEDBACK_3) == 2
     assert sent.count(FEEDBACK_3 - 1) == 1
 
@@ -313,7 +312,7 @@ def test_a_forger_is_obeyed_before_the_controller_and_both_ends_hear_him():
     rig = Rig("fd", faults=[FramesForgedCommand(force_N=300.0, at_s=2e-3)])
     rig.run(0.0)
     rig.tick += 1
-    sync = rig.protocol.begin(None, rig.tick)
+    sync = opening(rig.protocol, rig.tick)
     sent = rig.at(3 * MS, *sync)
     assert ids(sent).count(0x110) == 1
     assert rig.nodes.snapshot().command.tolist() == pytest.approx([300.0] * 6, abs=2.0)
@@ -325,13 +324,13 @@ def test_a_forger_is_obeyed_before_the_controller_and_both_ends_hear_him():
 
 @pytest.mark.parametrize("bus", [0, 1])
 def test_a_forger_on_several_buses_answers_each_sync_on_its_own_bus(bus):
-    protocol = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
     nodes = Nodes(
         Masses(), protocol, DriveEmulation(), DriveSettings(), FaultPlan([FramesForgedCommand(force_N=300.0)])
     )
     nodes.start(0)
-    own = protocol.command(None, Command(DriveMode.RUN, np.full(6, 300.0)), 0)[1][bus]
-    sent = nodes.step(1 * MS, [Received(1 * MS, protocol.begin(None, 0)[bus])])
+    own = command_frames(protocol, Command(DriveMode.RUN, np.full(6, 300.0)), 0)[bus]
+    sent = nodes.step(1 * MS, [Received(1 * MS, opening(protocol, 0)[bus])])
     assert [frame.bus for _, frame in sent if frame.id == own.id] == [bus]
 
 
@@ -361,10 +360,10 @@ def test_bus_off_cuts_both_directions_and_is_reported():
     assert not rig.nodes.bus_off
     rig.at(2 * MS)
     assert rig.nodes.bus_off
-    assert rig.at(3 * MS, *rig.protocol.begin(None, 200)) == []
+    assert rig.at(3 * MS, *opening(rig.protocol, 200)) == []
     rig.at(7 * MS)
     assert not rig.nodes.bus_off
-    assert len(rig.at(8 * MS, *rig.protocol.begin(None, 201))) >= 6
+    assert len(rig.at(8 * MS, *opening(rig.protocol, 201))) >= 6
 
 
 def test_a_flood_has_its_rate_and_is_put_on_the_bus_ahead():
@@ -403,7 +402,7 @@ def test_a_crash_comes_at_its_instant():
 def test_a_plant_that_hangs_answers_nothing_and_then_catches_up():
     rig = accelerating(PlantHang(at_s=2e-3, for_s=3e-3))
     rig.at(2 * MS)
-    assert rig.at(4 * MS, *rig.protocol.begin(None, 200)) == []
+    assert rig.at(4 * MS, *opening(rig.protocol, 200)) == []
     stood = rig.nodes.snapshot().length.copy()
     rig.at(4_900_000)
     np.testing.assert_array_equal(rig.nodes.snapshot().length, stood)
@@ -435,7 +434,7 @@ def test_a_payload_weighs_where_its_moving_platform_is_by_now():
     nodes.start(0)
     assert nodes.snapshot().applied.tolist() == [7.0] * 6, "the plant's own word"
     for t_ms in (1, 200, 900):
-        nodes.step(t_ms * MS, [Received(t_ms * MS, protocol.begin(None, t_ms)[0])])
+        nodes.step(t_ms * MS, [Received(t_ms * MS, opening(protocol, t_ms)[0])])
         x, y, _ = 0.5 * rotation(1e-3 * t_ms)[:, 0]
         expected = [0.0, 0.0, -1000.0, -1000.0 * y, 1000.0 * x, 0.0]
         np.testing.assert_allclose(nodes.snapshot().wrench, expected, rtol=0, atol=1e-9)

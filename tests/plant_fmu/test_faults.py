@@ -11,7 +11,6 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.legs.protocol import LegsProtocol
-from drivers.legs.several import LegsOnBuses
 from drivers.protocol import BUS, Frame
 from plant_fmu.faults import FAULTS, KINDS
 from plant_fmu.faults.fault import NEVER_NS, Fault
@@ -345,7 +344,7 @@ def test_a_flood_wins_against_every_identifier_of_the_protocol():
 
 @pytest.mark.parametrize("bus", [0, 1])
 def test_a_second_controller_sends_on_its_own_bus_alone(bus):
-    protocol = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
     frames = BusSecondController(bus=bus).frames(protocol, 0)
     assert [frame.bus for frame in frames] == [bus] * 2
 

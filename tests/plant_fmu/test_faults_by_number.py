@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.config import MAX_BUSES
-from drivers.legs.several import LegsOnBuses
+from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, Frame
 from plant_fmu.faults.fault import Fault, LastingFault, Passed
 from plant_fmu.faults.frames import (
@@ -49,7 +49,7 @@ def test_frames_of_the_identifier_that_is_named_are_struck_and_no_others(kind, i
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_a_node_that_should_not_be_there_sends_on_the_bus_that_is_named(bus):
-    each_leg = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, [[leg] for leg in range(6)])
+    each_leg = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, [[leg] for leg in range(6)])
     for fault in (BusFlood(bus=bus), BusSecondController(bus=bus)):
         sent = fault.frames(each_leg, 3)
         assert sent

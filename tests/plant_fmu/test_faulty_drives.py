@@ -11,7 +11,7 @@ import pytest
 
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
-from drivers.legs.protocol import LegsProtocol
+from drivers.legs.ends import LegsDrives
 from drivers.protocol import Received
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
@@ -21,7 +21,7 @@ from plant_fmu.drives.reading import Reading
 from plant_fmu.faults.fault import Present
 from plant_fmu.faults.frames import FramesForgedFeedback
 from plant_fmu.faults.kinds import DriveReset, EncoderJump, PlantCrash, PlantHang
-from tests.drivers.legs_frames import decode
+from tests.drivers.legs_frames import decode, opening
 from tests.plant_fmu.test_fault_kinds import accelerating
 from tests.plant_fmu.test_nodes import MS, REST, Rig, starve
 
@@ -43,7 +43,7 @@ def test_after_a_second_hang_the_frames_of_the_first_are_not_heard_once_more():
     for hang_ms, ticks in ((2, (200, 201)), (5, (202, 203))):
         rig.at(hang_ms * MS)
         for k, tick in enumerate(ticks, 1):
-            assert rig.at(hang_ms * MS + k * MS // 4, *rig.protocol.begin(None, tick)) == []
+            assert rig.at(hang_ms * MS + k * MS // 4, *opening(rig.protocol, tick)) == []
         rig.at((hang_ms + 2) * MS)
         heard.append(rig.nodes.snapshot().syncs - before.syncs)
     assert heard == [2, 4]
@@ -56,7 +56,7 @@ def test_the_forged_answer_says_that_the_leg_is_longer_by_so_much(leg, by_m):
     rig = Rig("fd", faults=[FramesForgedFeedback(leg=leg, by_m=by_m)])
     rig.configure()
     rig.tick = 1
-    sent = rig.at(1 * MS, *rig.protocol.begin(None, rig.tick))
+    sent = rig.at(1 * MS, *opening(rig.protocol, rig.tick))
     answers = [Received(t, frame) for t, frame in sent if frame.id == 0x281 + leg]
     said = [decode(rig.protocol, [each], rig.tick, new_record())["length"][leg] for each in answers]
     assert said == pytest.approx([REST[leg], REST[leg] + by_m], abs=1e-6)
@@ -122,11 +122,7 @@ def test_a_drive_that_starts_anew_is_not_set_up_and_its_fault_leads_back_to_boot
 def test_a_protocol_is_told_which_drives_start_anew_at_their_instant(monkeypatch):
     told: list[list[int]] = []
 
-    def restarted(_: LegsProtocol, memory: int, legs: list[int]) -> int:
-        told.append(list(legs))
-        return memory
-
-    monkeypatch.setattr(LegsProtocol, "restarted", restarted)
+    monkeypatch.setattr(LegsDrives, "restart", lambda _, legs: told.append(list(legs)))
     times = {1: 3e-3, 4: 3e-3, 0: 5e-3}
     rig = Rig(faults=[DriveReset(leg=leg, at_s=at_s) for leg, at_s in times.items()])
     rig.at(2 * MS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import Command, DriveMode, DriveState, Reaction
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.test_nodes import MASS, MS, Rig
 
 
@@ -16,7 +16,7 @@ def test_a_command_acts_from_its_own_instant_on_and_not_from_that_of_its_sync(la
     rig.run()
     rig.tick += 1
     command = Command(DriveMode.RUN, np.arange(1.0, 7.0) * MASS)
-    rig.at(1 * MS, *rig.protocol.begin(None, rig.tick))
+    rig.at(1 * MS, *opening(rig.protocol, rig.tick))
     rig.at(1 * MS + 1000 * late_us, *command_frames(rig.protocol, command, rig.tick))
     rig.at(3 * MS)
     moved_s = 2e-3 - 1e-6 * late_us
@@ -31,7 +31,7 @@ def test_drives_that_damp_go_by_their_rates_at_the_instant_at_which_the_others_a
         rig.tick += 1
         command = Command(DriveMode.RUN, np.full(6, 10.0 * MASS))
         frames = command_frames(rig.protocol, command, rig.tick)
-        rig.at(t_ms * MS, *rig.protocol.begin(None, rig.tick), frames[1])
+        rig.at(t_ms * MS, *opening(rig.protocol, rig.tick), frames[1])
     found = rig.nodes.snapshot()
     assert found.state.tolist() == [DriveState.FAULT] * 3 + [DriveState.RUN] * 3
     assert (found.rate > 0.01).all()

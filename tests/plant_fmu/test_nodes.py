@@ -41,7 +41,7 @@ from plant_fmu.faults.kinds import (
 )
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
-from tests.drivers.legs_frames import command_frames, decode
+from tests.drivers.legs_frames import command_frames, decode, opening
 from tests.plant_fmu.by_hand import obey
 
 MS = 1_000_000
@@ -110,7 +110,7 @@ class Rig:
 
     def sync(self, t_ns: int) -> Record:
         self.tick += 1
-        sent = self.at(t_ns, *self.protocol.begin(None, self.tick))
+        sent = self.at(t_ns, *opening(self.protocol, self.tick))
         received = [Received(t, frame) for t, frame in sent]
         self.measurement = decode(self.protocol, received, self.tick, self.measurement)
         return self.measurement
@@ -120,7 +120,7 @@ class Rig:
     ) -> list[tuple[int, Frame]]:
         self.tick += 1
         command = Command(mode, np.array(np.broadcast_to(force, 6), float))
-        sync = self.protocol.begin(None, self.tick)
+        sync = opening(self.protocol, self.tick)
         return self.at(t_ns, *sync, *command_frames(self.protocol, command, self.tick))
 
     def configure(self, watchdog_s: float = 0.01) -> None:
@@ -285,7 +285,7 @@ def test_the_same_frames_in_one_call_or_many_give_the_same_motion():
         rig.run(100.0)
     frames = []
     for k in range(1, 6):
-        frames.append(Received(k * MS, one.protocol.begin(None, k)[0]))
+        frames.append(Received(k * MS, opening(one.protocol, k)[0]))
         command = Command(DriveMode.RUN, np.full(6, 50.0 * k))
         frames.append(Received(k * MS + 400 * US, command_frames(one.protocol, command, k)[0]))
     together = one.nodes.step(6 * MS, frames[::-1])
@@ -302,7 +302,7 @@ def test_start_restores_everything():
         rig.nodes.start(0)
         rig.tick = 0
         rig.run(100.0)
-        sent = [each for k in range(1, 30) for each in rig.at(k * MS, *rig.protocol.begin(None, k))]
+        sent = [each for k in range(1, 30) for each in rig.at(k * MS, *opening(rig.protocol, k))]
         damaged = command_frames(rig.protocol, Command(DriveMode.RUN, np.zeros(6)), 0)[0]
         rig.at(30 * MS, damaged._replace(data=damaged.data[::-1]))
         return sent
@@ -328,7 +328,7 @@ def test_time_does_not_run_backwards():
 def test_feedback_is_queued_at_the_arrival_of_its_sync_with_its_counter():
     rig = Rig()
     rig.tick = 0x1A7
-    sent = rig.at(3 * MS + 77 * US, *rig.protocol.begin(None, rig.tick))
+    sent = rig.at(3 * MS + 77 * US, *opening(rig.protocol, rig.tick))
     feedback = [(t, frame) for t, frame in sent if frame.id in rig.protocol.feedback_ids]
     assert [t for t, _ in feedback] == [3 * MS + 77 * US] * 6
     assert [frame.id for _, frame in feedback] == [0x281, 0x282, 0x283, 0x284, 0x285, 0x286]
@@ -540,7 +540,7 @@ def test_each_command_frame_of_the_classic_layout_is_for_its_own_three_legs():
     def second_alone(t_ms: int, mode: DriveMode) -> list[int]:
         rig.tick += 1
         frames = command_frames(rig.protocol, Command(mode, np.zeros(6)), rig.tick)
-        sent = rig.at(t_ms * MS, *rig.protocol.begin(None, rig.tick), frames[1])
+        sent = rig.at(t_ms * MS, *opening(rig.protocol, rig.tick), frames[1])
         return [frame.id - 0x701 for _, frame in sent if frame.id > 0x700]
 
     assert second_alone(1, DriveMode.READY) == [3, 4, 5], "they say so at once"
@@ -741,7 +741,7 @@ def test_swapped_wires_push_the_other_way():
 def test_a_silent_drive_is_missed_and_still_obeys():
     rig = Rig(faults=[DriveSilence(leg=3)])
     rig.run(200.0)
-    sent = rig.at(5 * MS, *rig.protocol.begin(None, 0))
+    sent = rig.at(5 * MS, *opening(rig.protocol, 0))
     assert not {frame.id for _, frame in sent} & {0x284, 0x704}
     assert rig.sync(5 * MS)["age"].tolist() == [0, 0, 0, 1_000_000, 0, 0]
     assert rig.nodes.snapshot().rate[3] == pytest.approx(5e-3)

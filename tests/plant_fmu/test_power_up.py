@@ -15,7 +15,7 @@ from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Present
 from plant_fmu.faults.kinds import EncoderFreeze, EncoderJump
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.by_hand import actuate, next_move_ns, obey
 from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig
 from tests.plant_fmu.test_sensor_nodes import Mover, position
@@ -120,9 +120,9 @@ def test_syncs_commands_those_repeated_and_those_refused_are_counted_from_0():
     rig.configure()
     frame = command_frames(rig.protocol, Command(DriveMode.READY, np.zeros(6)), 1)[0]
     damaged = frame._replace(data=frame.data[::-1])
-    rig.at(1 * MS, *rig.protocol.begin(None, 1), frame, frame, frame, *[damaged] * 4)
-    rig.at(2 * MS, *rig.protocol.begin(None, 2))
-    rig.at(3 * MS, *rig.protocol.begin(None, 3))
+    rig.at(1 * MS, *opening(rig.protocol, 1), frame, frame, frame, *[damaged] * 4)
+    rig.at(2 * MS, *opening(rig.protocol, 2))
+    rig.at(3 * MS, *opening(rig.protocol, 3))
     snapshot = rig.nodes.snapshot()
     assert (snapshot.syncs, snapshot.commands, snapshot.repeated, snapshot.rejected) == (3, 1, 2, 4)
 
@@ -130,7 +130,7 @@ def test_syncs_commands_those_repeated_and_those_refused_are_counted_from_0():
 def test_two_frames_are_heard_in_the_order_of_their_times():
     rig = Rig()
     rig.configure()
-    rig.at(0, *rig.protocol.begin(None, 1))
+    rig.at(0, *opening(rig.protocol, 1))
     ready, off = (
         command_frames(rig.protocol, Command(mode, np.zeros(6)), 1)[0]
         for mode in (DriveMode.READY, DriveMode.OFF)

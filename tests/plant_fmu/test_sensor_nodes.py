@@ -17,7 +17,6 @@ from drivers.config import (
 from drivers.errors import PlantError
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
-from drivers.legs.several import LegsOnBuses
 from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
@@ -26,6 +25,7 @@ from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
 from plant_fmu.faults.kinds import PlantHang, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
+from tests.drivers.legs_frames import opening
 from tests.sensed import Readings, decode
 
 MS, US = 1_000_000, 1_000
@@ -93,7 +93,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     rejected = 0
     for tick in range(ticks):
         synced = 7 * MS + tick * MS + sync_after_us * US
-        out = nodes.step(synced, [Received(synced, DRIVES.begin(None, tick)[0])])
+        out = nodes.step(synced, [Received(synced, opening(DRIVES, tick)[0])])
         assert [t for t, _ in out] == sorted(t for t, _ in out)
         readings = decode(protocol, received_array([Received(t, frame) for t, frame in out]), tick, readings)
         rejected += readings.rejected
@@ -213,7 +213,7 @@ def test_without_sync_there_is_no_stamp_and_no_sample():
     nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
     out = nodes.step(200 * MS, [])
     assert {frame.id for _, frame in out} <= set(range(0x701, 0x707))
-    out = nodes.step(201 * MS, [Received(201 * MS, DRIVES.begin(None, 1)[0])])
+    out = nodes.step(201 * MS, [Received(201 * MS, opening(DRIVES, 1)[0])])
     out = nodes.step(500 * MS, [])
     stamped = [t for t, frame in out if frame.id == 0x407]
     assert 200 * MS < max(stamped) < (201 + 66 + 6) * MS, "after that no stamp reaches back"
@@ -242,10 +242,10 @@ def test_a_sensor_is_stamped_by_the_sync_of_its_own_bus(bus):
     legs = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
     settings = SensorSettings(imu=ImuSettings(channel="b"))
     protocol = SensorProtocol(BusSettings.model_validate({"channels": legs}), settings)
-    drives = LegsOnBuses("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
+    drives = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
     nodes = SensedNodes(Mover(), drives, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
     nodes.start(0)
-    nodes.step(1 * MS, [Received(1 * MS, drives.begin(None, 0)[bus])])
+    nodes.step(1 * MS, [Received(1 * MS, opening(drives, 0)[bus])])
     sensed = [frame.bus for _, frame in nodes.step(20 * MS, []) if frame.id == 0x488]
     assert sensed == [1] * len(sensed)
     assert bool(sensed) == (bus == 1), "it hears the SYNC of its own bus alone"
@@ -263,7 +263,7 @@ def test_a_new_start_forgets_what_was_under_way_and_which_sync_was_heard():
     protocol = SensorProtocol(BusSettings(), ALL)
     nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
     nodes.start(0)
-    nodes.step(1 * MS, [Received(1 * MS, DRIVES.begin(None, 0)[0])])
+    nodes.step(1 * MS, [Received(1 * MS, opening(DRIVES, 0)[0])])
     nodes.step(7 * MS, [])
     nodes.start(0)
     assert {frame.id for _, frame in nodes.step(20 * MS, [])} <= set(range(0x701, 0x707))
@@ -298,7 +298,7 @@ def test_a_sample_enters_the_bus_its_latency_after_its_instant_and_one_of_the_la
     protocol = SensorProtocol(BusSettings(), ALL)
     nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, noise, G)
     nodes.start(0)
-    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    sent = nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
     sent += nodes.step(10 * MS, [])
     for identifier, period_ms in ((0x407, 5), (0x488, 2), (0x509, 1)):
         due = [k * MS + late_us[identifier] * US for k in range(0, 11, period_ms)]
@@ -324,7 +324,7 @@ def test_a_plant_is_asked_for_its_truth_once_at_each_instant_whoever_wants_to_kn
     nodes = sensed(Asked())
     nodes.start(0)
     asked.clear()
-    nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
     for t_ms in range(1, 11):
         nodes.step(t_ms * MS, [])
         assert nodes.snapshot().truth is not None
@@ -335,7 +335,7 @@ def test_a_plant_is_asked_for_its_truth_once_at_each_instant_whoever_wants_to_kn
 def test_a_sample_is_stamped_up_to_65500_us_after_a_sync_and_not_later():
     nodes = sensed(Mover(), SensorSettings(imu=ImuSettings(rate_Hz=2000)))
     nodes.start(0)
-    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    sent = nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
     sent += nodes.step(80 * MS, [])
     taken = [t_ns // US - 200 for t_ns, frame in sent if frame.id == 0x488]
     assert taken == list(range(0, 65_501, 500))
@@ -347,7 +347,7 @@ def test_before_the_plant_has_moved_an_imu_measures_its_weight_alone_at_the_firs
     nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
     for _ in range(2):
         nodes.start(t0_ns)
-        sent = nodes.step(t0_ns, [Received(t0_ns, DRIVES.begin(None, 0)[0])])
+        sent = nodes.step(t0_ns, [Received(t0_ns, opening(DRIVES, 0)[0])])
         sent += nodes.step(t0_ns + MS, [])
         readings = decode(protocol, received_array([Received(*each) for each in sent]), 0, Readings())
         (first,) = readings.imu
@@ -358,8 +358,7 @@ def test_before_the_plant_has_moved_an_imu_measures_its_weight_alone_at_the_firs
 @pytest.mark.parametrize("cycles", [(9, 5), (5, 9)])
 def test_syncs_that_are_handed_over_together_in_any_order_stamp_as_those_of_one_step_each(cycles):
     syncs = [
-        Received(at_ms * MS, DRIVES.begin(None, cycle)[0])
-        for at_ms, cycle in zip((1, 3), cycles, strict=True)
+        Received(at_ms * MS, opening(DRIVES, cycle)[0]) for at_ms, cycle in zip((1, 3), cycles, strict=True)
     ]
     apart = sensed(Mover())
     apart.start(0)
@@ -379,8 +378,8 @@ def test_a_tracker_alone_measures_where_the_plant_is_at_each_instant_of_a_long_s
         SensorProtocol(BusSettings(), settings),
     )
     nodes.start(0)
-    nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
-    sent = nodes.step(20 * MS, [Received(7 * MS, DRIVES.begin(None, 1)[0])])
+    nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
+    sent = nodes.step(20 * MS, [Received(7 * MS, opening(DRIVES, 1)[0])])
     assert [t for t, frame in sent if frame.id == 0x702] == [round(100 * MS / 6)], "the drives' heartbeats"
     readings = decode(protocol, received_array([Received(*each) for each in sent]), 1, Readings())
     assert [(each.tick, round(1e3 * each.offset_s)) for each in readings.tracker] == [
@@ -398,7 +397,7 @@ def test_an_imu_measures_right_after_steps_that_ended_less_than_one_of_the_plant
     settings = SensorSettings(imu=ImuSettings(rate_Hz=500))
     nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
     nodes.start(0)
-    nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
     for at_ms in (2, 4, 6):
         sent = nodes.step(at_ms * MS - early_us * US, []) + nodes.step((at_ms + 1) * MS, [])
         *_, sample = decode(protocol, received_array([Received(*each) for each in sent]), 0, Readings()).imu

@@ -16,6 +16,7 @@ from drivers.sensors import SensorProtocol
 from plant_fmu.config import ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.plant import Truth
+from tests.drivers.legs_frames import opening
 from tests.plant_fmu.test_sensor_nodes import ALL, DRIVES, MS, Mover, sensed
 from tests.sensed import Readings, decode
 
@@ -68,7 +69,7 @@ def first_samples() -> tuple[np.ndarray, ...]:
     draw(nodes)
     nodes._sensed["acceleration"] = 1.0, 2.0, 3.0
     nodes._record["wrench"] = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
-    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])]) + nodes.step(9 * MS, [])
+    sent = nodes.step(0, [Received(0, opening(DRIVES, 0)[0])]) + nodes.step(9 * MS, [])
     frames = received_array([Received(*each) for each in sent])
     found = decode(SensorProtocol(BusSettings(), ALL), frames, 0, Readings())
     return tuple(np.array(samples[0].values) for samples in found[:3])
@@ -101,7 +102,7 @@ def test_a_sample_is_lost_where_its_draw_is_below_its_share(chance, kept):
     nodes = sensed(Mover(), SensorSettings(imu=ImuSettings()), lossy)
     nodes.start(0)
     draw(nodes, chance)
-    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])]) + nodes.step(1 * MS, [])
+    sent = nodes.step(0, [Received(0, opening(DRIVES, 0)[0])]) + nodes.step(1 * MS, [])
     assert sum(frame.id == 0x488 for _, frame in sent) == kept
 
 
@@ -111,7 +112,7 @@ def test_an_imu_that_measures_more_often_than_its_plant_steps_measures_all_the_s
 
     nodes = sensed(Coarse(), SensorSettings(imu=ImuSettings(rate_Hz=2000)))
     nodes.start(0)
-    sent = nodes.step(0, [Received(0, DRIVES.begin(None, 0)[0])])
+    sent = nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
     for t_ms in range(1, 11):
         sent += nodes.step(t_ms * MS, [])
     assert [t for t, frame in sent if frame.id == 0x488] == [k * MS // 2 + 200_000 for k in range(20)]

@@ -11,7 +11,8 @@ import pytest
 
 from drivers import build_protocol
 from drivers.config import ChannelSettings
-from drivers.frame_array import received_array
+from drivers.controller_end import controller_end
+from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveProtocol, DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
 from plant_fmu.faults import stranger
@@ -57,7 +58,7 @@ def struck(name: str, kind: str, mode: DriveMode) -> tuple[Ends, list[Received]]
         ends.step(Command(mode, np.zeros(LEGS)), set_up=False)
         assert ends.measurement["foreign"] == 0
     t_ns = BEGINS * PERIOD_NS + 1000
-    polls = protocol.begin(ends.dialogue, BEGINS) if kind == "forger" else ()
+    polls = ends.protocol.begin(ends.dialogue, BEGINS) if kind == "forger" else ()
     heard = ends.nodes.step(t_ns, [Received(t_ns, frame) for frame in polls])
     return ends, [Received(*each) for each in heard]
 
@@ -71,7 +72,7 @@ def test_drives_that_run_obey_his_force_and_the_controller_hears_him(name, kind)
     assert (snapshot.command > 0.8 * FORCE_N).all(), snapshot.command
     assert (snapshot.command < 1.3 * FORCE_N).all(), snapshot.command
     tick = at_tick(BEGINS)
-    codec(name).decode(ends.dialogue, received_array(heard), ends.measurement, tick, BEGINS * PERIOD_NS)
+    ends.protocol.decode(ends.dialogue, received_array(heard), ends.measurement, tick, BEGINS * PERIOD_NS)
     assert tick["foreign"] & Foreign.COMMAND
 
 
@@ -92,8 +93,8 @@ def test_drives_that_are_ready_run_with_his_force_but_those_that_wait_for_a_fram
 def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus(name):
     protocol = codec(name, BUSES)
     gateway = Gateway(Schedule(FaultPlan([FramesForgedCommand(force_N=FORCE_N)]), 0), protocol, 0)
-    dialogue = protocol.start(DriveSetup(0.05, protocol.reactions[0], 250.0))
-    polls = protocol.begin(dialogue, 0)
+    end = controller_end(protocol, DriveSetup(0.05, protocol.reactions[0], 250.0))
+    polls = sent_frames(end.begin(0))
     assert {frame.bus for frame in polls} == {0, 1}
     for poll in polls:
         gateway.hear([Received(0, poll)], 0)
@@ -104,5 +105,7 @@ def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus
 
 
 def test_a_stranger_would_set_drives_up_with_10_ms_and_their_first_reaction_at_1000_hz():
-    family: Any = SimpleNamespace(start=lambda setup: setup, reactions=(Reaction.HOLD, Reaction.BRAKE))
-    assert stranger._dialogue(family) == DriveSetup(0.01, Reaction.HOLD, 1000.0)
+    family: Any = SimpleNamespace(
+        controller_end=lambda setup: setup, reactions=(Reaction.HOLD, Reaction.BRAKE)
+    )
+    assert stranger._unheard(family) == DriveSetup(0.01, Reaction.HOLD, 1000.0)  # type: ignore[comparison-overlap]

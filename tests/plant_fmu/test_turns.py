@@ -15,7 +15,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.kinds import DriveReset
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.legs_frames import decode
+from tests.drivers.legs_frames import decode, opening
 from tests.plant_fmu.test_nodes import MS, REST, Masses
 
 LEADS = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
@@ -53,7 +53,7 @@ def test_a_drive_that_starts_anew_in_motion_reports_the_turns_since_then():
     nodes.start(0)
     seen = []
     for tick, t_ms in enumerate((499, 501)):
-        sent = nodes.step(t_ms * MS, [Received(t_ms * MS, protocol.begin(None, tick)[0])])
+        sent = nodes.step(t_ms * MS, [Received(t_ms * MS, opening(protocol, tick)[0])])
         received = [Received(t, frame) for t, frame in sent]
         seen.append(decode(protocol, received, tick, new_record())["length"].copy())
     steps = seen[1] - seen[0]

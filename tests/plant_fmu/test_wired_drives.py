@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.config import TransmissionSettings
+from drivers.ends import DrivesEnd
 from drivers.legs.protocol import LegsProtocol
 from drivers.mit.fields import Ranges
 from drivers.mit.protocol import MitProtocol
@@ -29,10 +31,11 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
-from plant_fmu.rehearsal.wired_drives import WiredDrives
+from plant_fmu.rehearsal.wired_drives import WiredDrives, WiredEnd
 from plant_fmu.rehearsal.wiring import Wiring
+from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import drives
-from tests.drivers.legs_frames import command_frames, decode
+from tests.drivers.legs_frames import command_frames, decode, opening
 
 NODES = (1, 2, 3, 4, 5, 6)
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1))
@@ -42,14 +45,18 @@ RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
 def asked(name: str) -> tuple[Any, list[Frame]]:
     """Return a codec, and a request to each drive that is answered at once, by no feedback."""
     if name == "cia402":  # upload of 0x1000
-        return drives(NODES), [Frame(0x600 + node, bytes.fromhex("4000100000000000")) for node in NODES]
+        return ByValue(drives(NODES)), [
+            Frame(0x600 + node, bytes.fromhex("4000100000000000")) for node in NODES
+        ]
     if name == "damiao":  # read register 9
-        protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
+        protocol = ByValue(MitProtocol("damiao", RANGES, NODES, 16, GEAR))
         return protocol, [Frame(0x7FF, bytes((node, 0, 0x33, 9, 0, 0, 0, 0))) for node in NODES]
     if name == "robstride":  # who are you
-        other = RobStrideProtocol(RANGES, NODES, 253, GEAR)
+        other = ByValue(RobStrideProtocol(RANGES, NODES, 253, GEAR))
         return other, [Frame(253 << 8 | node, bytes(8), EXTENDED) for node in NODES]
-    return ODriveProtocol(NODES, 0.05, GEAR), [Frame(node << 5 | 0x06, b"", REMOTE) for node in NODES]
+    return ByValue(ODriveProtocol(NODES, 0.05, GEAR)), [
+        Frame(node << 5 | 0x06, b"", REMOTE) for node in NODES
+    ]
 
 
 def wirings(mute: int) -> list[Wiring]:
@@ -61,7 +68,7 @@ def wirings(mute: int) -> list[Wiring]:
 def answering(name: str, wiring: Wiring) -> list[int]:
     """Return the drives that answer a request to each, once they have booted."""
     protocol, frames = asked(name)
-    wired = WiredDrives(protocol, wiring, NODES)
+    wired = ByValue(WiredDrives(protocol.protocol, wiring, NODES))
     memory = protocol.power_up()
     for leg in range(LEGS):
         memory, _ = protocol.report(memory, Status(leg, DriveState.BOOT, 0))
@@ -90,7 +97,7 @@ def test_a_drive_without_power_says_nothing_of_its_state_either():
     memory = protocol.power_up()
     zeros = np.zeros(LEGS)
     for mute in range(LEGS):
-        wired = WiredDrives(protocol, wirings(mute)[0], NODES)
+        wired = ByValue(WiredDrives(protocol.protocol, wirings(mute)[0], NODES))
         reports = [wired.report(memory, Status(leg, DriveState.OFF, 0))[1] for leg in range(LEGS)]
         assert [leg for leg, frames in enumerate(reports) if not frames] == [mute]
         sync = wired.parse(memory, Frame(NODES[mute] << 5 | 0x09, b"", REMOTE))[1]
@@ -106,16 +113,16 @@ def test_a_drive_without_power_says_nothing_of_its_state_either():
 def test_two_drives_of_one_number_say_each_its_own(first, second):
     """`second` was given the number of `first`: both answer under it, with what each measures."""
     number = tuple(first if drive == second else drive for drive in range(LEGS))
-    protocol = LegsProtocol("fd", NODES)
-    wired = WiredDrives(protocol, Wiring(answers_as=number), NODES)
-    sync: Any = protocol.parse(protocol.power_up(), protocol.begin(None, 1)[0])[1][0]
+    protocol = ByValue(LegsProtocol("fd", NODES))
+    wired = ByValue(WiredDrives(protocol.protocol, Wiring(answers_as=number), NODES))
+    sync: Any = protocol.parse(protocol.power_up(), opening(protocol.protocol, 1)[0])[1][0]
     length, rate = np.linspace(1.0, 1.5, LEGS), np.linspace(0.0, 0.05, LEGS)
     force, state = np.linspace(0.0, 500.0, LEGS), np.array([DriveState.OFF] * LEGS)
     state[second] = DriveState.READY
     _, answers = wired.answer(protocol.power_up(), sync, length, rate, force, state)
     assert [drive for drive, _ in answers] == list(range(LEGS))
     for drive, frame in answers:
-        said = decode(protocol, [Received(0, frame)], 1)
+        said = decode(protocol.protocol, [Received(0, frame)], 1)
         leg = number[drive]
         assert said["length"][leg] == pytest.approx(length[drive], abs=1e-6)
         assert said["rate"][leg] == pytest.approx(rate[drive], abs=1e-6)
@@ -129,8 +136,9 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
 ):
     """inf: it never ends, in a million seconds."""
     factors = (1.0, 8.0, 0.3, inf, 2.5, 0.5)
-    protocol = LegsProtocol("fd", NODES)
-    wired = WiredDrives(protocol, Wiring(answers_as=number, watchdog=factors), NODES)
+    protocol = ByValue(LegsProtocol("fd", NODES))
+    given = WiredDrives(protocol.protocol, Wiring(answers_as=number, watchdog=factors), NODES)
+    wired, wired_end = ByValue(given), given.drives_end()
     memory = protocol.power_up()
     for frame in protocol.configure(0.01, Reaction.DAMP):
         ((_, (said,)), (_, heard)) = protocol.parse(memory, frame), wired.parse(memory, frame)
@@ -141,7 +149,7 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
         assert isinstance(told, Configure)
         assert (told.leg, told.reaction) == (drive, Reaction.DAMP)
         assert told.watchdog_s == pytest.approx(waits, rel=1e-12)
-        assert wired._told(drive, told.watchdog_s) == pytest.approx(0.01, rel=1e-12)
+        assert wired_end._told(drive, told.watchdog_s) == pytest.approx(0.01, rel=1e-12)
         _, confirmed = wired.report(memory, Status(drive, DriveState.OFF, 0, told))
         assert confirmed == protocol.report(memory, Status(said.leg, DriveState.OFF, 0, said))[1]
 
@@ -149,14 +157,14 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
 @pytest.mark.parametrize("mute", range(6))
 def test_a_drive_as_delivered_says_that_it_is_pre_operational_under_its_number_and_nothing_else(mute):
     """CiA 301: heartbeat 0x7F."""
-    protocol, numbers = LegsProtocol("fd", NODES), (11, 12, 13, 14, 15, 16)
-    wired = WiredDrives(protocol, wirings(mute)[1], numbers)
+    protocol, numbers = ByValue(LegsProtocol("fd", NODES)), (11, 12, 13, 14, 15, 16)
+    wired = ByValue(WiredDrives(protocol.protocol, wirings(mute)[1], numbers))
     memory = protocol.power_up()
     said = [wired.report(memory, Status(leg, DriveState.OFF, 0))[1] for leg in range(LEGS)]
     assert said[mute] == (Frame(0x70B + mute, b"\x7f"),)
     for leg in set(range(LEGS)) - {mute}:
         assert said[leg] == protocol.report(memory, Status(leg, DriveState.OFF, 0))[1]
-    sync: Any = protocol.parse(memory, protocol.begin(None, 1)[0])[1][0]
+    sync: Any = protocol.parse(memory, opening(protocol.protocol, 1)[0])[1][0]
     zeros = np.zeros(LEGS)
     _, answers = wired.answer(memory, sync, zeros, zeros, zeros, zeros.astype(int))
     assert [drive for drive, _ in answers] == [leg for leg in range(LEGS) if leg != mute]
@@ -171,11 +179,11 @@ def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_mean
         present=(True, True, True, True, False, True),
         other_protocol=(False, False, False, False, False, True),
     )
-    protocol = LegsProtocol(layout, NODES)
-    wired = WiredDrives(protocol, wiring, NODES)
-    memory, _ = protocol.parse(protocol.power_up(), protocol.begin(None, 7)[0])
+    protocol = ByValue(LegsProtocol(layout, NODES))
+    wired = ByValue(WiredDrives(protocol.protocol, wiring, NODES))
+    memory, _ = protocol.parse(protocol.power_up(), opening(protocol.protocol, 7)[0])
     given: dict[int, float] = {}
-    for frame in command_frames(protocol, Command(DriveMode.RUN, 100.0 * np.arange(6.0) - 250.0), 7):
+    for frame in command_frames(protocol.protocol, Command(DriveMode.RUN, 100.0 * np.arange(6.0) - 250.0), 7):
         (message,) = wired.parse(memory, frame)[1]
         assert isinstance(message, DeviceCommand)
         assert message.mode == DriveMode.RUN
@@ -183,8 +191,8 @@ def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_mean
     assert given == pytest.approx({0: -150.0, 1: -250.0, 2: 50.0, 3: 50.0}, abs=2.0)
 
 
-class Family:
-    """A protocol that keeps what it is given; its frames say for which leg they are."""
+class Family(DrivesEnd):
+    """A protocol and its drives' end, which keeps what it is given; its frames say for which leg they are."""
 
     unasked_s = 0.125
 
@@ -193,19 +201,27 @@ class Family:
         self.restarts: list[list[int]] = []
         self.given: list[tuple[Any, ...]] = []
 
-    def power_up(self) -> str:
-        return "just powered up"
+    def drives_end(self) -> Family:
+        return self
 
-    def parse(self, memory: int, _frame: Frame) -> tuple[int, tuple[Any, ...]]:
-        return memory + 1, self.messages
+    def hear(self, _frame: Frame) -> tuple[Any, ...]:
+        return self.messages
 
-    def answer(self, memory: int, sync: Sync, *given: Any) -> tuple[int, list[tuple[int, Frame]]]:
+    def reply(self, sync: Sync, *given: Any) -> list[tuple[int, Frame]]:
         self.given.append((sync.legs, *(None if each is None else each.tolist() for each in given)))
-        return memory + 1, [(leg, Frame(leg, b"")) for leg in range(LEGS)]
+        return [(leg, Frame(leg, b"")) for leg in range(LEGS)]
 
-    def restarted(self, memory: int, legs: list[int]) -> int:
-        self.restarts.append(legs)
-        return memory + 1
+    def restart(self, legs: Sequence[int]) -> None:
+        self.restarts.append(list(legs))
+
+    def announce(self, _status: Status) -> Any:
+        raise NotImplementedError
+
+    def remembered(self) -> Any:
+        raise NotImplementedError
+
+    def remember(self, _memory: Any) -> None:
+        raise NotImplementedError
 
 
 CROSSED = Wiring(
@@ -216,9 +232,9 @@ CROSSED = Wiring(
 """Two answer to number 3, nobody to 2; drives 4 and 5 are there in no way."""
 
 
-def wired_to(wiring: Wiring, *messages: Any) -> tuple[WiredDrives, Family]:
+def wired_to(wiring: Wiring, *messages: Any) -> tuple[WiredEnd, Family]:
     family: Any = Family(*messages)
-    return WiredDrives(family, wiring, NODES), family
+    return WiredDrives(family, wiring, NODES).drives_end(), family
 
 
 @pytest.mark.parametrize("kind", [lambda legs: Sync(9, legs), Alive, EmergencyStop])
@@ -228,35 +244,34 @@ def wired_to(wiring: Wiring, *messages: Any) -> tuple[WiredDrives, Family]:
 def test_a_sync_a_sign_of_life_and_a_stop_reach_who_answers_to_their_numbers(kind, legs, drives_):
     wired, _ = wired_to(CROSSED, kind(legs))
     expected = () if drives_ is None else (kind(legs)._replace(legs=drives_),)
-    assert wired.parse(7, Frame(1, b"")) == (8, expected)
+    assert wired.hear(Frame(1, b"")) == expected
 
 
 def test_drives_that_are_wired_right_hear_what_is_said_as_it_is():
     for wiring in (Wiring(), Wiring(scale=(2.0,) * 6)):
         messages = (Alive((2, 4)), Configure(3, 0.02, Reaction.HOLD))
         wired, _ = wired_to(wiring, *messages)
-        assert wired.parse(7, Frame(1, b"")) == (8, messages)
+        assert wired.hear(Frame(1, b"")) == messages
     for factors in ((1.0, 1.0, 1.0, 2.0, 1.0, 1.0), (2.0,) * 6):
         wired, _ = wired_to(Wiring(watchdog=factors), Configure(3, 0.02, Reaction.HOLD))
-        assert wired.parse(7, Frame(1, b""))[1] == (Configure(3, 0.04, Reaction.HOLD),)
+        assert wired.hear(Frame(1, b"")) == (Configure(3, 0.04, Reaction.HOLD),)
 
 
 def test_drives_that_are_wired_right_answer_with_what_they_measure_as_it_is():
     wired, family = wired_to(Wiring(scale=(2.0,) * 6))
     length, rate, force = (10.0 * k + np.arange(6.0) for k in range(3))
     state, fault = np.arange(6), 6 - np.arange(6)
-    memory: Any = 7
-    memory, answers = wired.answer(memory, Sync(9, (0, 2, 4)), length, rate, force, state, fault)
-    assert (memory, len(answers)) == (8, LEGS)
+    answers = wired.reply(Sync(9, (0, 2, 4)), length, rate, force, state, fault)
+    assert len(answers) == LEGS
     given = (length, rate, force, state, fault)
     assert family.given == [((0, 2, 4), *(each.tolist() for each in given))]
 
 
-def test_drives_that_start_anew_are_those_of_their_numbers_and_memory_and_period_are_the_familys():
+def test_drives_that_start_again_are_those_of_their_numbers_and_the_period_is_the_familys():
     wired, family = wired_to(CROSSED)
-    assert (wired.unasked_s, wired.power_up()) == (0.125, "just powered up")
-    memory: Any = 7
-    assert wired.restarted(memory, [0, 2, 3]) == 8
+    given: Any = family
+    assert WiredDrives(given, CROSSED, NODES).unasked_s == 0.125
+    wired.restart([0, 2, 3])
     assert family.restarts == [[1, 3, 3]]
 
 
@@ -266,9 +281,7 @@ def test_what_a_drive_measures_and_its_fault_stand_at_the_number_that_it_answers
     cases: tuple[tuple[Any, ...], ...] = ((*figures, state), (*figures, state, fault))
     for given in cases:
         wired, family = wired_to(CROSSED)
-        memory: Any = 7
-        memory, answers = wired.answer(memory, Sync(9, (0, 2, 4)), *given)
-        assert memory == 9
+        answers = wired.reply(Sync(9, (0, 2, 4)), *given)
         assert [(drive, frame.id) for drive, frame in answers] == [(0, 1), (2, 3)]
         for (drive, number), (legs, *seen) in zip(((0, 1), (2, 3)), family.given, strict=True):
             assert legs == (number,)
@@ -286,8 +299,8 @@ def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
     protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
-    wired: Any = WiredDrives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES)
-    _, (held, *commands, poll) = wired.parse(protocol.power_up(), Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
+    wired: Any = WiredDrives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES).drives_end()
+    held, *commands, poll = wired.hear(Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
     assert isinstance(held, Configure)
     assert held.leg == leg
     assert [(each.legs, each.mode) for each in commands] == [

@@ -22,7 +22,7 @@ from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration, load
 from hil.record.log import Log
 from tests.drivers.frames_heard import got
-from tests.drivers.legs_frames import command_frames, one_feedback, parse
+from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
 from tests.realtime.rig import Listener, Process, configuration, gone
 
 pytestmark = [pytest.mark.realtime(patient=True), pytest.mark.long]
@@ -81,7 +81,7 @@ class Attacker:
                 watchdog_s = draw.choice((1e-3, 0.15, 4000.0))
                 return (protocol.configure(watchdog_s, draw.choice(list(Reaction)))[draw.randrange(LEGS)],)
             case 3:
-                return protocol.begin(None, near)
+                return opening(protocol, near)
             case 4 if draw.random() < 0.1:
                 return protocol.emergency_stop()
             case 5:

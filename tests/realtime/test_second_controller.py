@@ -16,7 +16,7 @@ from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from tests.drivers.frames_heard import got
-from tests.drivers.legs_frames import command_frames, parse
+from tests.drivers.legs_frames import command_frames, opening, parse
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
 pytestmark = pytest.mark.realtime(patient=True)
@@ -24,7 +24,7 @@ FORGED = Command(DriveMode.RUN, np.full(6, 3e3))
 ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
     "command": lambda protocol, cycle: command_frames(protocol, FORGED, cycle),
     "CONFIG": lambda protocol, cycle: protocol.configure(4000.0, Reaction.ZERO)[cycle % 6 :][:1],
-    "SYNC": lambda protocol, cycle: protocol.begin(None, cycle + 7),
+    "SYNC": lambda protocol, cycle: opening(protocol, cycle + 7),
 }
 
 

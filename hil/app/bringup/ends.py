@@ -7,6 +7,7 @@ from typing import NamedTuple
 from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
+from drivers.controller_end import controller_end
 from drivers.protocol import DriveProtocol
 from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.hands import RemoteHands
@@ -49,8 +50,8 @@ def served_end(
     hands = RemoteHands(BusAddress(c.bus.interface, c.bus.channel), beside, agree)
     with contextlib.closing(hands), real_time(c.loop.priority, c.loop.cpu):
         if clock is not None:
-            dialogue = protocol.start(drive_setup(c, rate))
-            begin(clock, c, protocol, dialogue, round(1e9 * WINDOW / rate))
+            opening = controller_end(protocol, drive_setup(c, rate)).begin(0)
+            begin(clock, c, protocol, opening, round(1e9 * WINDOW / rate))
         try:
             yield End(_line(c, bus, protocol), hands)
         finally:

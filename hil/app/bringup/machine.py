@@ -5,6 +5,7 @@ import contextlib
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.ends import drives_end
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import DriveProtocol, Status
 from drivers.signals import LEGS, DriveState
@@ -128,6 +129,6 @@ def unasked_identifiers(protocol: DriveProtocol) -> frozenset[int]:
     known: set[int] = set()
     for leg in range(LEGS):
         with contextlib.suppress(ProtocolError):
-            _, said = protocol.report(protocol.power_up(), Status(leg, int(DriveState.OFF), 0))
+            said = drives_end(protocol).announce(Status(leg, int(DriveState.OFF), 0))
             known |= {frame.id for frame in said}
     return frozenset(known)

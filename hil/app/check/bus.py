@@ -2,7 +2,9 @@
 
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.python_can import unknown_interface
-from drivers.several_buses import off_bus
+from drivers.controller_end import controller_end
+from drivers.frame_array import sent_frames
+from drivers.protocol import off_bus
 from hil.app.check.findings import Report
 from hil.app.compose import build_protocol, drive_setup
 from hil.app.configuration.bus_budget import bus_budgets, bus_names, set_up_ns
@@ -55,7 +57,7 @@ def report_bus(report: Report, c: Configuration) -> None:
 def answered_ns(c: Configuration) -> list[int]:
     """Return the bus time of SYNC or polls and the feedbacks, bus by bus, ns."""
     protocol = build_protocol(c)
-    opening = protocol.begin(protocol.start(drive_setup(c, c.loop.rate_Hz)), 0)
+    opening = sent_frames(controller_end(protocol, drive_setup(c, c.loop.rate_Hz)).begin(0))
     opens = {frame.id for frame in opening}
     counted = [
         frame

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drivers.motor_drives import MotorDrives
+from drivers.motors import MotorProtocol
 from drivers.signals import Fault
 from drivers.transmission import Transmission
 from hil.app.check.brakes import brake_dangers
@@ -61,7 +61,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence | None) -> Iterator[str]
         )
     protocol = build_protocol(c)
     yield from protocol.dangers
-    if isinstance(protocol, MotorDrives) and c.drives.homing is None:
+    if isinstance(protocol, MotorProtocol) and c.drives.homing is None:
         yield (
             "drives.homing: left out, so after a power-off each drive has to know by itself how often its "
             "motor has turned; one that does not reads a length that is wrong by whole turns, and nothing "

@@ -6,9 +6,8 @@ from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns, shortest_frame_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, Status
+from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, Status, off_bus
 from drivers.sensors import SensorProtocol
-from drivers.several_buses import off_bus
 from drivers.signals import LEGS, DriveFault, DriveState
 
 _SET_UP_BYTES = 8
@@ -23,10 +22,12 @@ def bus_budgets(
     Raises ConfigurationError with the arithmetic of a bus on which it is more than `max_load_percent`, for
     settings that the protocol does not have, and for sensors where layout or protocol have no room for them.
     """
+    from drivers.controller_end import controller_end  # noqa: PLC0415 - compiled code: not for all that read a configuration
+
     nodes = SensorProtocol(bus, sensors)
     protocol = build_protocol(bus, drives)
     try:
-        protocol.start(DriveSetup(1e-3 * drives.watchdog_ms, protocol.reactions[0], rate_Hz))
+        controller_end(protocol, DriveSetup(1e-3 * drives.watchdog_ms, protocol.reactions[0], rate_Hz))
     except ProtocolError as error:
         raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
     frames = protocol.cyclic_frames()
@@ -56,11 +57,14 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
 
     Rarer ones are left to the free part of the bus, as is what sets the drives up: see `set_up_ns`.
     """
+    from drivers.ends import drives_end  # noqa: PLC0415 - as above
+
     found: list[Frame] = []
     for turn in range(floor(LEGS / (heartbeat_s * rate_Hz) * (1 + 1e-9))):
         status = Status(turn % LEGS, DriveState.OFF, DriveFault.NONE)
-        booted, _ = protocol.report(protocol.power_up(), status)  # some say once that they have started
-        found += protocol.report(booted, status)[1]
+        end = drives_end(protocol)
+        end.announce(status)  # some say once that they have started
+        found += end.announce(status)
     return tuple(found)
 
 

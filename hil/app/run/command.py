@@ -106,7 +106,7 @@ def run_daemon(
             scheduled = scheduling() | {"granted": granted.granted, "missing": granted.missing}
             window_ns = round(c.loop.window_s(rate) * 1e9)
             if clock is not None:
-                begin(clock, c, cycle.parts.protocol, cycle.dialogue, window_ns)
+                begin(clock, c, cycle.parts.protocol, cycle.begin(0), window_ns)
             deadlines = Deadlines(rate, c.loop.spin_us if granted.fifo else 0.0, clock=bus.clock)
             shortest_ns = 0 if bus.virtual else shortest_answer_ns(c.bus, cycle.parts.protocol)
             answer_ns = None if bus.knows_ends else shortest_ns

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Ints
+from drivers.arrays import Ints, Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.protocol import Dialogue, DriveProtocol
-from drivers.several_buses import off_bus
+from drivers.frame_array import sent_frames
+from drivers.protocol import DriveProtocol, off_bus
 from hil.app.configuration.configuration import Configuration
 from hil.safety.signals import HARMFUL_STRETCH_NS
 
@@ -27,21 +27,21 @@ def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
 
 
 def begin(
-    clock: BenchClock, c: Configuration, protocol: DriveProtocol, dialogue: Dialogue, window_ns: int
+    clock: BenchClock, c: Configuration, protocol: DriveProtocol, opening: Rows, window_ns: int
 ) -> None:
     """Let time stand still from now on, and hold it.
 
-    Of what the frames of SYNC and feedback leave of the feedback window, on the fullest bus, a part each is
-    for the controller to wake up in, for the drives to do so, and two for these to answer; the rest is kept.
+    opening: the frames that start a tick. Of what these and the feedbacks leave of the feedback window, on
+    the fullest bus, a part each is for the controller to wake up in, for the drives to do so, and two for
+    these to answer; the rest is kept.
     """
-    asked = protocol.begin(dialogue, 0)
     answers = [
         frame for frame in protocol.cyclic_frames() if protocol.awaited(frame) in protocol.feedback_ids
     ]
     bus_ns = max(
         sum(
             frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))
-            for f in (*asked, *answers)
+            for f in (*sent_frames(opening), *answers)
             if f.bus == index
         )
         for index, each in enumerate(c.bus.buses)

@@ -177,16 +177,15 @@ class Lockstep:
         while ending is None:
             tick = self.tick + 1
             said = commands(tick)
-            silent = over() and not said.operator and not said.orders
-            mode = self.cycle.mode
+            taken, mode, refused = said.operator, self.cycle.mode, list[str]()
             was_held, held = held, mode is Mode.HELD
-            refused: list[str] = []
-            taken = said.operator
             if taken:
                 goes_on = course.goes_on
                 refused = [refusal(each, mode, was_held=was_held, goes_on=goes_on) for each in taken]
                 taken = tuple(each for each, why in zip(taken, refused, strict=True) if not why)
-            operator = course.commands(tick, course.left_alone() if silent else taken)
+            elif over() and not said.orders:
+                taken = course.left_alone()
+            operator = course.commands(tick, taken)
             try:
                 stepped = self.step(operator, said.setpoints, said.orders)
             except PlantError as error:

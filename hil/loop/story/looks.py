@@ -41,7 +41,7 @@ def legs_of(bits: int) -> Iterator[int]:
 
 def set_up(m: Moment) -> Iterator[Seen]:
     """Name the legs, and what their drives say."""
-    lacks = m.cycle.parts.protocol.set_up_lacks(m.cycle.dialogue)
+    lacks = m.cycle.end.lacks()
     return (Seen(lacks[leg] or "", "", leg) for leg in legs_of(int(m.tick["altered"])))
 
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 
 from drivers.signals import LEGS, DriveMode, DriveState, Fault, Mode
-from drivers.tick_columns import FIRST, Record
+from drivers.tick_columns import Record
 from hil.loop.cycle import Cycle
 from hil.loop.drives_say import confirmed, unconfirmed
 from hil.loop.modes import drive_mode
@@ -23,18 +23,17 @@ def no_event(t_ns: int, level: str, text: str) -> None:
 
 
 class Narrator:
-    """Told every tick of a cycle, it knows what its latched faults have to tell. It changes nothing.
+    """Told every tick in which a cycle decides, it knows what its latched faults have to tell.
 
-    Most ticks have nothing to tell: only what has changed since the last one is looked at.
+    It changes nothing. Most ticks have nothing to tell: only what has changed since the last is looked at.
 
-    Mutable state: record and mode of the last tick, the faults told of, what was found and what the drives
+    Mutable state: mode of the last tick, the faults told of, what was found and what the drives
     said then, the modes since, how commands and emergency stops went.
     """
 
     def __init__(self, cycle: Cycle, event: EventSink = no_event) -> None:
         """Watch a cycle from its present tick on; each finding is an event."""
         self._cycle, self._event = cycle, event
-        self._before: Record = FIRST
         self._mode, self._mode_tick = cycle.mode, cycle.mode_tick
         self._reset_tick = cycle.reset_tick
         self._forget()
@@ -70,7 +69,7 @@ class Narrator:
                 self._wait(cycle)
             if mode is not self._mode or faults != self._faults:
                 self._follow(cycle, faults, Operator.RELEASE in operator)
-        self._before, self._mode, self._mode_tick = cycle.tick, mode, cycle.mode_tick
+        self._mode, self._mode_tick = mode, cycle.mode_tick
 
     def _wait(self, cycle: Cycle) -> None:
         """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
@@ -105,7 +104,7 @@ class Narrator:
         if new:
             first = not self._findings
             elapsed_s = (number - self._mode_tick) / cycle.parts.rate_Hz
-            found = list(findings(Moment(cycle, self._before, self._mode, elapsed_s), new))
+            found = list(findings(Moment(cycle, cycle.last, self._mode, elapsed_s), new))
             self._findings += found
             self._faults = faults
             if first:

@@ -25,7 +25,7 @@ from hil.loop.parts import Parts
 from hil.loop.replay import replay
 from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
-from tests.drivers.legs_frames import command_frames
+from tests.drivers.legs_frames import command_frames, opening
 from tests.hil.app.campaign.campaigns import SMALL, written
 from tests.records import asked, record_of
 from tools.benchmarks import campaign, cyclictest, realtime, versions
@@ -339,7 +339,7 @@ def test_the_loop_in_real_time_cannot_be_faster_than_the_bus(benchmark):
     figures = {f.name: f for f in realtime.realtime(benchmark)}
     protocol = build_protocol(c)
     timing = BitTiming(c.bus.bitrate_bit_s, c.bus.data_bitrate_bit_s)
-    (sync,) = protocol.begin(None, 0)
+    (sync,) = opening(protocol, 0)
     # of the fd layout: 12 bytes each, flags as those of the command
     (command,) = command_frames(protocol, Command(DriveMode.OFF, np.zeros(6)), 0)
     feedbacks = 6 * frame_time_ns(12, command.flags, timing)

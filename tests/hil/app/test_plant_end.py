@@ -16,8 +16,7 @@ from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.frame_array import received_array
-from drivers.protocol import DriveSetup, Frame, Received
-from drivers.signals import Reaction
+from drivers.protocol import Frame, Received
 from hil.app import plant
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
@@ -25,6 +24,7 @@ from hil.loop.clock import RealTime
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.plant import Truth
+from tests.drivers.legs_frames import opening
 
 MS = 1_000_000
 DIED = "its process died of SIGKILL"
@@ -135,8 +135,7 @@ def serve(monkeypatch):
             }
         )
         protocol = build_protocol(c)
-        dialogue = protocol.start(DriveSetup(0.1, Reaction.BRAKE, 1000.0))
-        bus = Asked(lambda tick: protocol.begin(dialogue, tick)[0], period_ns)
+        bus = Asked(lambda tick: opening(protocol, tick)[0], period_ns)
         log, asked = Kept(), []
 
         def real_time(at: int, _cpu: int | None) -> Any:

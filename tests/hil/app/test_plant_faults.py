@@ -21,7 +21,7 @@ from hil.app.configuration.fault_words import read_fault
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.legs_frames import decode
+from tests.drivers.legs_frames import decode, opening
 from tests.plant_fmu.test_nodes import MS, Masses
 
 C = load("virtual")
@@ -62,7 +62,7 @@ class Rounds:
         for _ in range(self._syncs):
             self.t_ns += MS
             self.tick += 1
-            found += [Received(self.t_ns, frame) for frame in PROTOCOL.begin(None, self.tick)]
+            found += [Received(self.t_ns, frame) for frame in opening(PROTOCOL, self.tick)]
         self.sent.append([])
         if len(self.sent) == ROUNDS:
             self._stop.reason = "enough"

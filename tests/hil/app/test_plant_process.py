@@ -26,6 +26,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import plant_process
 from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
 from hil.cli import main
+from tests.drivers.by_value import ByValue
 from tests.hil.bringup.families import FAMILIES
 
 Begin = Callable[[str], SupervisedPlant]
@@ -75,7 +76,7 @@ def test_axes_that_no_frame_tells_their_watchdog_have_the_one_that_the_run_has_c
     monkeypatch.setattr(plant_process, "start", start)
     with SupervisedPlant(load(str(file)), tmp_path / "x-plant.mcap", watchdog_s=given_s):
         (c,) = served
-    protocol = build_protocol(c.bus, c.drives)
+    protocol = ByValue(build_protocol(c.bus, c.drives))
     dialogue = protocol.start(DriveSetup(held_s, Reaction.BRAKE, 312.5))
     _, frames = protocol.command(dialogue, Command(DriveMode.OFF, np.zeros(6)), 0)
     said = [each for frame in frames for each in protocol.parse(protocol.power_up(), frame)[1]]

@@ -9,11 +9,12 @@ import pytest
 
 from drivers.arrays import Rows
 from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_array, sent_frames
-from drivers.protocol import DriveSetup, Frame, Received
-from drivers.signals import DriveState, Reaction
+from drivers.protocol import Frame, Received
+from drivers.signals import DriveState
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.plant_rows import SILENT_NS, PlantRows, at_rest
+from tests.drivers.legs_frames import opening
 
 MS = 1_000_000
 
@@ -34,10 +35,9 @@ def served():
     c = load("virtual")
     nodes, plant = build_nodes(c)
     protocol = build_protocol(c)
-    dialogue = protocol.start(DriveSetup(0.1, Reaction.BRAKE, 1000.0))
     nodes.start(0)
     log = Log()
-    yield nodes, log, PlantRows(log.tick, nodes), lambda tick: protocol.begin(dialogue, tick)[0]
+    yield nodes, log, PlantRows(log.tick, nodes), lambda tick: opening(protocol, tick)[0]
     plant.close()
 
 

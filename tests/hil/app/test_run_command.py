@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
+from drivers.frame_array import NO_FRAMES
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import Configuration, load
@@ -59,6 +60,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
             clock=clock, facts="", virtual=True, knows_ends=True, flush_tx=lambda: 0, drain_now=list
         )
         cycle: Any = a_cycle(Mode.WAITING)
+        cycle.begin = lambda _: NO_FRAMES
         cycle.parts.trajectory, cycle.parts.law = SimpleNamespace(duration_s=1.0), None
         closed = LogSummary(tmp_path / "a.mcap", 0, 0, 0, 0, 0, 0.0, True, "", gave_up=False)
         recording = SimpleNamespace(event=lambda *each: told.append(each), close=lambda _: closed)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.frame_array import sent_array
 from drivers.protocol import BUS, Frame
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
@@ -19,10 +20,10 @@ MS = 1_000_000
 
 @pytest.fixture(scope="module")
 def ends() -> Any:
-    """Return a configuration, and the dialogue of its controller with its protocol."""
+    """Return a configuration, its protocol, and the frames that start a tick."""
     c = load("virtual")
     cycle = build_cycle(c, 1000.0, 0.01)
-    return c, cycle.parts.protocol, cycle.dialogue
+    return c, cycle.parts.protocol, cycle.begin(0)
 
 
 def shares(ends: Any, window_ns: int) -> tuple[int, int]:
@@ -32,8 +33,8 @@ def shares(ends: Any, window_ns: int) -> tuple[int, int]:
     clock: Any = SimpleNamespace(
         begin=lambda wake_ns, work_ns: told.append((wake_ns, work_ns)), hold=lambda: held.append(True)
     )
-    c, protocol, dialogue = ends
-    begin(clock, c, protocol, dialogue, window_ns)
+    c, protocol, opening = ends
+    begin(clock, c, protocol, opening, window_ns)
     assert held == [True]
     (found,) = told
     return found
@@ -62,12 +63,12 @@ def test_of_several_buses_the_fullest_alone_leaves_the_rest_of_the_window(fulles
         answer._replace(id=0x700 + 8 * bus + n, flags=bus * BUS) for bus in (0, 1) for n in range(counts[bus])
     ]
     protocol: Any = SimpleNamespace(
-        begin=lambda *_: asked, cyclic_frames=lambda: answers, awaited=lambda frame: frame.id,
+        cyclic_frames=lambda: answers, awaited=lambda frame: frame.id,
         feedback_ids={frame.id for frame in answers},
     )  # fmt: skip
     each = SimpleNamespace(bitrate_bit_s=1_000_000, data_bitrate_bit_s=5_000_000, layout="classic")
     c = SimpleNamespace(bus=SimpleNamespace(buses=(each, each)))
-    wake_ns, _ = shares((c, protocol, None), 10 * MS)
+    wake_ns, _ = shares((c, protocol, sent_array(asked)), 10 * MS)
     timing = BitTiming.of(each)  # type: ignore[arg-type]
     taken_ns = frame_time_ns(0, 0, timing) + 3 * frame_time_ns(8, 0, timing)
     assert wake_ns == (10 * MS - taken_ns) // 6

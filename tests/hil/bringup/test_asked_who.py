@@ -18,7 +18,6 @@ from drivers.moteus import MoteusProtocol
 from drivers.moteus_registers import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, pad
 from drivers.motors import MotorProtocol
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
-from drivers.several_buses import SeveralBuses
 from hil.app.compose import build_protocol
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
@@ -28,6 +27,7 @@ from hil.bringup.procedure import STEPS
 from hil.bringup.steps import scan
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.broad import broad
+from tests.drivers.motor_families import Motors
 from tests.hil.bringup.families import family
 from tests.hil.bringup.kit import Rehearsal, named
 
@@ -173,7 +173,11 @@ def test_an_answer_counts_only_as_it_is_sent_and_on_the_bus_of_its_drive(name):
     protocol = build_protocol(family(name))
     assert isinstance(protocol, Identified)
     _, line = asked_over(name, 0)
-    two = SeveralBuses(protocol, ((0, 1, 2), (3, 4, 5)))
+    halves = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
+    c = family(name)
+    text = with_changes(c.text, {"bus": {"channel": None, "channels": halves}})
+    two = build_protocol(loads(text, name, c.folder))
+    assert isinstance(two, Identified)
     assert len(line.answers) >= 6
     for frame in line.answers:
         said = protocol.identity(frame)
@@ -288,10 +292,10 @@ WELL = {MODE: 10.0, PLACE: 0.5, SPEED: 0.0, TORQUE: 1.0, FAULT: 0.0}
     ],
 )
 def test_a_moteus_reply_with_figures_of_no_sense_is_a_broken_one(wrong):
-    good = MOTEUS.hear(reply(WELL))
+    good = Motors(MOTEUS).hear(reply(WELL))
     assert good is not None
     assert (good.motion, good.torque, good.broken) == ((0.5, 0.0), 1.0, False)
-    heard = MOTEUS.hear(reply(WELL | wrong))
+    heard = Motors(MOTEUS).hear(reply(WELL | wrong))
     assert heard is not None
     assert heard.broken
     assert not heard.feedback
@@ -303,7 +307,7 @@ def test_a_moteus_serial_number_of_no_sense_is_none(wrong):
     assert MOTEUS.identity(reply(words)) == Said(0, SERIAL, 1 << 64 | 5)
     frame = reply(words | {SERIAL_NUMBER + 1: wrong})
     assert MOTEUS.identity(frame) is None
-    heard = MOTEUS.hear(frame)
+    heard = Motors(MOTEUS).hear(frame)
     assert heard is not None
     assert heard.broken
 
@@ -323,7 +327,7 @@ def test_no_frame_of_a_drive_raises(name, data):
     assert said is None or 0 <= said.leg < 6
     assert -1 <= protocol.sender(frame) < 6
     if isinstance(protocol, MotorProtocol):
-        heard = protocol.hear(frame)
+        heard = Motors(protocol).hear(frame)
         assert heard is None or 0 <= heard.leg < 6
 
 

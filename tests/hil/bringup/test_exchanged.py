@@ -7,7 +7,7 @@ import copy
 import pytest
 
 from drivers.cia402 import objects
-from drivers.cia402.dictionary import defaults, with_value
+from drivers.cia402.dictionary import PLACE, defaults
 from drivers.identity import Identified, Said
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
@@ -19,6 +19,7 @@ from hil.app.compose import build_protocol
 from hil.bringup.procedure import STEPS
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
+from tests.drivers.motor_families import Motors
 from tests.hil.bringup.families import FAMILIES, family
 from tests.hil.bringup.kit import Rehearsal
 
@@ -35,9 +36,11 @@ def with_another(monkeypatch, node, key, value):
 
     def of_one(n, *figures):
         values = defaults(n, *figures)
-        return with_value(values, key, value) if n == node else values
+        if n == node:
+            values[PLACE[key]] = value
+        return values
 
-    monkeypatch.setattr("drivers.cia402.device.defaults", of_one)
+    monkeypatch.setattr("drivers.cia402.drives_end.defaults", of_one)
 
 
 @pytest.mark.parametrize(
@@ -122,10 +125,10 @@ def test_a_damiao_is_asked_by_its_registers_15_and_14():
     assert version[0] == Frame(0x7FF, bytes.fromhex("0100330e00000000"))
     answer = Frame(damiao._replies[4], bytes.fromhex("0500330f785634f2"))
     assert damiao.identity(answer) == Said(4, "serial number", 0xF2345678)
-    heard = damiao.hear(answer)
+    heard = Motors(damiao).hear(answer)
     assert heard is not None
     assert heard.answer is None, "no answer to the set-up"
     for other in ("0500550f785634f2", "0600330f785634f2", "0500330a785634f2", "0500330f7856"):
         assert damiao.identity(answer._replace(data=bytes.fromhex(other))) is None
-    _, refused = damiao.parse(damiao.power_up(), Frame(0x7FF, bytes.fromhex("0500550f00000000")))
+    refused = damiao.drives_end().hear(Frame(0x7FF, bytes.fromhex("0500550f00000000")))
     assert isinstance(refused[0], Rejected)

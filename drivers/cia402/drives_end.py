@@ -1,0 +1,155 @@
+"""The drives' end of CiA 402: NMT, SDO, and what is rejected, of six emulated drives; the rest is compiled.
+
+A drive follows the documents, not our controller: CiA 301 for communication, IEC 61800-7-201 for the drive.
+What it has of both is in `dictionary`. Its brake is its own. Quick stop and NMT stop end in the brake at
+once, as the emulated power stage has no ramps.
+"""
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.cia402 import device_kernels as kernels
+from drivers.cia402 import objects as o
+from drivers.cia402.dictionary import ENTRIES, PDOS, PLACE, defaults, fill_pdos, missing, refused, signed
+from drivers.cia402.objects import Key
+from drivers.cia402.states import DISABLED, ENABLED, QUICK_STOP, STATUSWORDS
+from drivers.compiled.pointed import data_at
+from drivers.ends import CompiledDrives, device_message
+from drivers.protocol import (
+    BUS,
+    Answer,
+    Configure,
+    DeviceMessage,
+    EmergencyStop,
+    Frame,
+    Rejected,
+    UnwatchedCommand,
+)
+from drivers.signals import LEGS, DriveMode, Reaction
+
+NO_WATCHDOG_s = 1e6
+"""Time after which a drive without a consumer heartbeat time reacts."""
+_SHORT_PDO = bytes.fromhex("1082010000000000")
+_NODE = 0x7F
+
+Messages = tuple[DeviceMessage, ...]
+
+
+class Cia402Drives(CompiledDrives):
+    """Six drives. Mutable state: their elements of DEVICE."""
+
+    def __init__(self, tables: Rows) -> None:
+        """Take an element of DEVICES, which is copied."""
+        super().__init__(tables.copy(), kernels.parse, kernels.answer, kernels.report)
+        self.nodes, self._bus_of = tables["nodes"].tolist(), tables["bus_of"].tolist()
+        self._new = np.zeros(LEGS, kernels.DEVICE)
+        for row, node, counts in zip(self._new, self.nodes, tables["counts"].tolist(), strict=True):
+            row["values"] = defaults(node, int(tables["rated_mNm"]), round(counts), 1)
+            fill_pdos(row)
+        self.state = self._new.copy()
+        self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)
+
+    def hear(self, frame: Frame) -> Messages:
+        """Return what a frame says to the drives, also what stops one quickly."""
+        self.record["stops"] = True
+        messages = super().hear(frame)
+        self.record["stops"] = False
+        return messages
+
+    def converse(self, frame: Frame) -> Messages:
+        """Decode an NMT command, an SDO request, and what is rejected.
+
+        Rejected: a PDO that is shorter than its mapping, an NMT or heartbeat frame of a wrong length, SDO
+        requests of another length than 8.
+        """
+        identifier, data, _ = frame
+        here = [leg for leg in range(LEGS) if self._bus_of[leg] == frame.bus]
+        if identifier == o.NMT_ID:
+            if len(data) != 2:
+                return (Rejected(f"NMT command of {len(data)} bytes"),)
+            addressed = [leg for leg in here if data[1] in (0, self.nodes[leg])]
+            return tuple(message for leg in addressed for message in self._on_nmt(leg, data[0]))
+        messages: Messages = ()
+        for leg, k in np.argwhere(self.state["pdos"][:, 0] == identifier).tolist():
+            if leg in here and self.state["nmt"][leg] == o.OPERATES:
+                why = f"PDO of {len(data)} bytes, mapped are {self.state['sizes'][leg, 0, k]}"
+                messages += Rejected(why), self._sent(leg, o.EMCY_ID, _SHORT_PDO)
+        if messages:
+            return messages
+        if identifier & ~_NODE == o.HEARTBEAT_ID:
+            return (Rejected(f"heartbeat of {len(data)} bytes"),)
+        if len(data) != 8:
+            return (Rejected(f"SDO request of {len(data)} bytes"),)
+        leg = self.nodes.index(identifier & _NODE)
+        return self._on_sdo(leg, data) if leg in here else ()
+
+    def _sent(self, leg: int, base: int, data: bytes) -> Answer:
+        return Answer(leg, Frame(base + self.nodes[leg], data, BUS * self._bus_of[leg]))
+
+    def _on_nmt(self, leg: int, command: int) -> Messages:
+        """Follow an NMT command that addresses a drive."""
+        d = self.state[leg]
+        if d["nmt"] == o.BOOTS:
+            return ()
+        if command == o.START:
+            d["nmt"], d["started"] = o.OPERATES, True
+            return (self._configure(leg),)
+        if command == o.PRE_OPERATIONAL:
+            d["nmt"] = o.PREPARES
+        if command == o.STOP:
+            d["nmt"] = o.STOPPED
+            if d["state"] == ENABLED:
+                d["state"] = QUICK_STOP
+                return (EmergencyStop((leg,)),)
+        if command in (o.RESET_NODE, o.RESET_COMMUNICATION):
+            commands = int(d["commands"]) + 1
+            self.state[leg] = self._new[leg]
+            d["commands"], d["nmt"], d["state"] = commands, o.PREPARES, DISABLED
+            off = UnwatchedCommand((leg,), DriveMode.OFF, np.zeros(1), commands)
+            return off, self._sent(leg, o.HEARTBEAT_ID, bytes((o.BOOTS,)))
+        return ()
+
+    def _configure(self, leg: int) -> Configure:
+        values = self.state["values"][leg]
+        time_ms = int(values[PLACE[o.CONSUMER_HEARTBEAT]]) & 0xFFFF
+        at_once = values[PLACE[o.FAULT_REACTION]] == 0
+        watchdog_s = time_ms * 1e-3 if time_ms else NO_WATCHDOG_s
+        return Configure(leg, watchdog_s, Reaction.BRAKE if at_once else Reaction.DAMP)
+
+    def _on_sdo(self, leg: int, data: bytes) -> Messages:
+        """Answer an SDO client; segmented and block transfers are refused, no object needs them."""
+        d, specifier, key = self.state[leg], data[0], (data[1] | data[2] << 8, data[3])
+        kind = specifier >> 5
+        if d["nmt"] in (o.BOOTS, o.STOPPED) or kind == 4:
+            return ()
+        messages: Messages = ()
+        code, answer = missing(key) if kind in (1, 2) else o.BAD_COMMAND, b""
+        if not code and kind == 2:
+            d["values"][PLACE[o.STATUSWORD]] = STATUSWORDS[d["state"]]
+            size = ENTRIES[key].size
+            value = int(d["values"][PLACE[key]]) & (1 << 8 * size) - 1
+            answer = o.head(0x43 | 4 - size << 2, key) + value.to_bytes(4, "little")
+        elif not code:
+            messages, code = self._written(leg, key, specifier, data[4:])
+            answer = o.head(0x60, key) + bytes(4)
+        return *messages, self._sent(leg, o.SDO_REPLY_ID, o.abort(key, code) if code else answer)
+
+    def _written(self, leg: int, key: Key, specifier: int, data: bytes) -> tuple[Messages, int]:
+        """Take a download; return what it does, and the abort code."""
+        if not specifier & 2:
+            return (), o.TOO_LONG
+        d, said = self.state[leg], 4 - (specifier >> 2 & 3) if specifier & 1 else 0
+        value = int.from_bytes(data[: said or ENTRIES[key].size], "little")
+        code = refused(d["values"], key, value, said)
+        if code:
+            return (), code
+        if key == o.CONTROLWORD:
+            count = kernels.control(self.record, leg, value, data_at(self._messages))
+            return tuple(device_message(*each) for each in self._messages[:count].tolist()), 0
+        d["values"][PLACE[key]] = signed(key, value)
+        if key == o.MODE:  # it is in force at once, and shown
+            d["values"][PLACE[o.MODE_SHOWN]] = d["values"][PLACE[key]]
+        if o.RPDO <= key[0] < o.TPDO_MAP + PDOS:
+            fill_pdos(d)
+        acts = key in (o.CONSUMER_HEARTBEAT, o.FAULT_REACTION) and d["started"]
+        return (self._configure(leg),) if acts else (), 0

@@ -1,0 +1,224 @@
+"""Both ends of a protocol as values: each call takes what an end remembers, and returns what it does then.
+
+So a test can go back, ask twice, or compare what two courses of frames leave behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array, Ints, Rows
+from drivers.controller_end import ControllerEnd, controller_end
+from drivers.ends import DrivesEnd, drives_end
+from drivers.frame_array import sent_array, sent_frames
+from drivers.protocol import ALWAYS, DeviceMessage, DriveSetup, Frame, Status, Sync
+from drivers.signals import Command
+from drivers.tick_columns import Record
+
+
+class Remembered:
+    """What an end remembers; its fields are those of the end's record, tuples where there are several."""
+
+    def __init__(self, state: Any, setup: DriveSetup | None = None, first: str | None = None) -> None:
+        """Take the state, of a dialogue also its set-up and the first field of the record that is its own."""
+        self.state, self.setup, self.first = state, setup, first
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "state":
+            raise AttributeError(name)
+        if not isinstance(self.state, np.ndarray):
+            return getattr(self.state, name)
+        value = self.state[name].tolist()
+        return tuple(value) if isinstance(value, list) else value
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Remembered) or not isinstance(self.state, np.ndarray):
+            return isinstance(other, Remembered) and self.__reduce__() == other.__reduce__()
+        names = list(self.state.dtype.names or ())
+        names = [name for name in names[names.index(self.first or names[0]) :] if name != "scratch"]
+        alike = (self.state[name].tobytes() == other.state[name].tobytes() for name in names)
+        return self.setup == other.setup and all(alike)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> Any:
+        return type(self), (self.state, self.setup, self.first)
+
+    def _replace(self, **values: Any) -> Remembered:
+        """Return it with other values of fields."""
+        if not isinstance(self.state, np.ndarray):
+            return type(self)(self.state._replace(**values), self.setup)
+        state = self.state.copy()
+        for name, value in values.items():
+            state[name] = value
+        return type(self)(state, self.setup, self.first)
+
+
+class ByValue:
+    """A protocol, and its two ends by value."""
+
+    def __init__(self, protocol: Any) -> None:
+        self.protocol = protocol
+        self._controllers: dict[DriveSetup, ControllerEnd] = {}
+        self._drives: DrivesEnd | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "protocol":
+            raise AttributeError(name)
+        return getattr(self.protocol, name)
+
+    @staticmethod
+    def of(protocol: Any) -> ByValue:
+        """Return a protocol by value, itself if it is."""
+        return protocol if isinstance(protocol, ByValue) else ByValue(protocol)
+
+    # controller's end
+
+    def start(self, setup: DriveSetup) -> Remembered:
+        """Return the dialogue before its first frame."""
+        end = self._controllers[setup] = controller_end(self.protocol, setup)
+        return self._dialogue(end, setup)
+
+    def _dialogue(self, end: ControllerEnd, setup: DriveSetup | None) -> Remembered:
+        return Remembered(end.remembered(), setup, getattr(end, "first", None))
+
+    def _end(self, dialogue: Remembered) -> ControllerEnd:
+        assert dialogue.setup is not None
+        if dialogue.setup not in self._controllers:
+            self.start(dialogue.setup)
+        end = self._controllers[dialogue.setup]
+        end.remember(dialogue.state)
+        return end
+
+    def begin(self, dialogue: Remembered, tick: int) -> tuple[Frame, ...]:
+        """Return the frames that start a tick."""
+        return sent_frames(self._end(dialogue).begin(tick))
+
+    def decode(
+        self, dialogue: Remembered, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
+    ) -> Remembered:
+        """Fill the measurement of a tick."""
+        end = self._end(dialogue)
+        end.take(frames, last, tick, since_ns)
+        return self._dialogue(end, dialogue.setup)
+
+    def command(
+        self, dialogue: Remembered, command: Command, tick: int
+    ) -> tuple[Remembered, tuple[Frame, ...]]:
+        """Return the frames of one tick's command."""
+        end = self._end(dialogue)
+        frames = sent_frames(end.give(command, tick))
+        return self._dialogue(end, dialogue.setup), frames
+
+    def set_up(self, dialogue: Remembered, tick: Record) -> tuple[Remembered, tuple[Frame, ...]]:
+        """Return the frames of the start-up dialogue of a tick."""
+        end = self._end(dialogue)
+        frames = sent_frames(end.set_up(tick))
+        return self._dialogue(end, dialogue.setup), frames
+
+    def legs_set_up(self, dialogue: Remembered) -> tuple[bool, ...]:
+        """Return which drives have been set up."""
+        return self._end(dialogue).legs_set_up()
+
+    def set_up_lacks(self, dialogue: Remembered) -> tuple[str, ...]:
+        """Return what each drive has not confirmed."""
+        return self._end(dialogue).lacks()
+
+    def carried(self, dialogue: Remembered, force: Array) -> Array:
+        """Return what a command of forces gives legs at rest."""
+        return self._end(dialogue).carried(force)
+
+    # drives' end
+
+    def power_up(self) -> Remembered:
+        """Return the memory of six drives that have heard nothing."""
+        self._drives = drives_end(self.protocol)
+        return self._memory(self._drives)
+
+    def _memory(self, end: DrivesEnd) -> Remembered:
+        return Remembered(end.remembered())
+
+    def _at(self, memory: Remembered) -> DrivesEnd:
+        if self._drives is None:
+            self.power_up()
+        assert self._drives is not None
+        self._drives.remember(memory.state)
+        return self._drives
+
+    def parse(self, memory: Remembered, frame: Frame) -> tuple[Remembered, tuple[DeviceMessage, ...]]:
+        """Decode a frame at the drives."""
+        end = self._at(memory)
+        messages = end.hear(frame)
+        return self._memory(end), messages
+
+    def answer(
+        self,
+        memory: Remembered,
+        sync: Sync,
+        length: Array,
+        rate: Array,
+        force: Array,
+        state: Ints,
+        fault: Ints | None = None,
+    ) -> tuple[Remembered, list[tuple[int, Frame]]]:
+        """Encode what the drives answer."""
+        end = self._at(memory)
+        frames = end.reply(sync, length, rate, force, state, fault)
+        return self._memory(end), frames
+
+    def report(self, memory: Remembered, status: Status) -> tuple[Remembered, tuple[Frame, ...]]:
+        """Encode what a drive sends of its state."""
+        end = self._at(memory)
+        frames = end.announce(status)
+        return self._memory(end), frames
+
+    def restarted(self, memory: Remembered, legs: Sequence[int]) -> Remembered:
+        """Return the memory after drives were switched off and on."""
+        end = self._at(memory)
+        end.restart(legs)
+        return self._memory(end)
+
+
+class InPython(ControllerEnd):
+    """The controller's end of a protocol by value, which compiled passes call as one in plain Python."""
+
+    def __init__(self, family: ByValue, setup: DriveSetup) -> None:
+        self._family, self._setup_given = family, setup
+        super().__init__()
+
+    def start(self) -> None:
+        """Begin the dialogue."""
+        self.dialogue = self._family.start(self._setup_given)
+
+    def begin(self, number: int) -> Rows:
+        """Return the frames that start a tick."""
+        return sent_array(self._family.begin(self.dialogue, number))
+
+    def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
+        """Fill the measurement of a tick."""
+        self.dialogue = self._family.decode(self.dialogue, frames, last, tick, since_ns)
+
+    def give(self, command: Command, number: int) -> Rows:
+        """Return the frames of one tick's command."""
+        self.dialogue, frames = self._family.command(self.dialogue, command, number)
+        return sent_array(frames)
+
+    def set_up(self, tick: Record) -> Rows:
+        """Return the frames of the start-up dialogue of a tick."""
+        self.dialogue, frames = self._family.set_up(self.dialogue, tick)
+        return sent_array(frames)
+
+    def lacks(self) -> tuple[str, ...]:
+        """Return what each drive has not confirmed."""
+        return self._family.set_up_lacks(self.dialogue)
+
+    def remembered(self) -> Remembered:
+        """Return the dialogue."""
+        return self.dialogue
+
+    def remember(self, dialogue: Remembered) -> None:
+        """Go on from a dialogue."""
+        self.dialogue = dialogue

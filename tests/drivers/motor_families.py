@@ -1,0 +1,150 @@
+"""The families of single-motor drives by value, and what one frame of such a drive says."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers import moteus, odrive
+from drivers import motor_kernels as kernels
+from drivers.compiled.pointed import data_at
+from drivers.controller_end import ControllerEnd
+from drivers.ends import DrivesEnd
+from drivers.frame_array import FRAME, sent_frames
+from drivers.mit import protocol as mit
+from drivers.mit import robstride
+from drivers.motor_drives import put_written, written
+from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
+from drivers.protocol import DriveSetup, Frame
+from drivers.signals import LEGS
+from tests.drivers.by_value import ByValue, Remembered
+
+
+class Heard(NamedTuple):
+    """What one frame of a drive says."""
+
+    leg: int
+    broken: bool = False
+    """It cannot be trusted."""
+    foreign: bool = False
+    """It is a command, so another controller's."""
+    motion: tuple[float, float] | None = None
+    """Turns of the motor and turns/s; None in a frame that is no feedback, or where it is of no use."""
+    feedback: bool = False
+    """It answers the poll."""
+    torque: float | None = None
+    """N m."""
+    power: int | None = None
+    """DriveState OFF (disabled), RUN (enabled) or FAULT; None where it does not say."""
+    fault: int = 0
+    """DriveFault, or OWN_CODE and the family's code."""
+    answer: tuple[int, float] | None = None
+    """Register and value, of the start-up dialogue."""
+
+
+class MotorDialogue(Remembered):
+    """What the controller's end remembers."""
+
+    @property
+    def read(self) -> tuple[float | None, ...]:
+        """What the last answer held that was not the right one, by leg; None: nothing."""
+        has = self.state["has_read"].tolist()
+        return tuple(
+            value if there else None for value, there in zip(self.state["read"].tolist(), has, strict=True)
+        )
+
+    def _replace(self, **values: Any) -> Remembered:
+        read = values.pop("read", None)
+        if read is not None:
+            values["read"] = [each or 0.0 for each in read]
+            values["has_read"] = [each is not None for each in read]
+        return super()._replace(**values)
+
+
+class MotorMemory(Remembered):
+    """What six drives remember."""
+
+    @property
+    def registers(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """What has been written, by leg."""
+        return tuple(tuple(written(self.state, leg).items()) for leg in range(LEGS))
+
+    @property
+    def asked(self) -> tuple[tuple[int, tuple[tuple[int, int], ...]], ...]:
+        """Who wants which registers of each drive, with their widths."""
+        d = self.state
+        return tuple(
+            (host, tuple(zip(d["wanted"][leg, :n].tolist(), d["widths"][leg, :n].tolist(), strict=True)))
+            for leg, (host, n) in enumerate(zip(d["host"].tolist(), d["asked"].tolist(), strict=True))
+        )
+
+    def _replace(self, **values: Any) -> MotorMemory:
+        memory = MotorMemory(self.state.copy())
+        for leg, held in enumerate(values.pop("registers", ())):
+            put_written(memory.state, leg, dict(held))
+        for name, value in values.items():
+            memory.state[name] = value
+        return memory
+
+
+class Motors(ByValue):
+    """Such a family."""
+
+    def _dialogue(self, end: ControllerEnd, setup: DriveSetup | None) -> Remembered:
+        return MotorDialogue(end.remembered(), setup, "mode")
+
+    def _memory(self, end: DrivesEnd) -> Remembered:
+        return MotorMemory(end.remembered())
+
+    def hear(self, frame: Frame) -> Heard | None:
+        """Return what a drive's frame says; None for a frame that is nobody's."""
+        heard = self.protocol._heard(frame)
+        if heard is None:
+            return None
+        leg, has, turns, speed, torque, power, fault, register, value = heard.tolist()
+        return Heard(
+            leg,
+            broken=bool(has & BROKEN),
+            foreign=bool(has & FOREIGN),
+            motion=(turns, speed) if has & MOTION else None,
+            feedback=bool(has & FEEDBACK),
+            torque=torque if has & TORQUE else None,
+            power=power if has & POWER else None,
+            fault=fault,
+            answer=(register, value) if has & ANSWER else None,
+        )
+
+    def poll(self, dialogue: Remembered, leg: int) -> Frame:
+        """Return what one drive is sent in a tick."""
+        into = np.empty(LEGS, FRAME)
+        kernels.begin(self._end(dialogue).state, 0, data_at(into))  # type: ignore[attr-defined]
+        return sent_frames(into)[leg]
+
+
+class MitProtocol(Motors):
+    """MIT framing on 11-bit identifiers."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(mit.MitProtocol(*given, **named))
+
+
+class RobStrideProtocol(Motors):
+    """RobStride's."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(robstride.RobStrideProtocol(*given, **named))
+
+
+class ODriveProtocol(Motors):
+    """ODrive's."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(odrive.ODriveProtocol(*given, **named))
+
+
+class MoteusProtocol(Motors):
+    """moteus'."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(moteus.MoteusProtocol(*given, **named))

@@ -6,13 +6,14 @@ addresses, through callbacks.
 
 import ctypes
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import FAILED, Pointed, data_at, integers_at, of_python, pointed
 from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array
 from drivers.protocol import ALWAYS, DriveProtocol, DriveSetup
@@ -20,7 +21,8 @@ from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import TICK, Record
 
 MOST_FRAMES = 64
-"""Room for the frames of a command."""
+"""Room for the frames of a command, and for those that start a tick."""
+_FRAME_WORDS = FRAME.itemsize // 8
 
 
 def array_at(address: int, count: int, dtype: Any) -> Any:
@@ -34,6 +36,19 @@ def tick_at(address: int) -> Record:
     return np.ndarray((), TICK, array_at(address, TICK.itemsize // 8, np.float64))
 
 
+OPENINGS = np.dtype([("at", "<i8"), ("kinds", "<i8"), ("frames", "<i8")])
+"""Address and shape of elements of FRAME: what starts a tick, one kind after the other."""
+
+
+@pointed(record(OPENINGS), INTEGER, INTEGER)
+def put_opening(openings: Any, number: int, into: int) -> int:
+    """Put the frames that start a tick at an address; return how many."""
+    words = openings.frames * _FRAME_WORDS
+    first = openings.at + number % openings.kinds * words * 8
+    integers_at(into, words)[:] = integers_at(first, words)
+    return int(openings.frames)
+
+
 class ControllerEnd(ABC):
     """The dialogue with six drives. Mutable state: that, which `start` begins.
 
@@ -44,20 +59,24 @@ class ControllerEnd(ABC):
     For compiled passes ``decode(codec, frames, count, since_ns, last, tick)`` and ``command(codec, number,
     mode, stop, force, into)`` are `take` and `give` by address: of elements of FRAME, of records of TICK, of
     six forces in N. `decode` returns a status, > 0 where `look` has to be called; `command` the number of
-    frames, FAILED where a force does not fit.
+    frames, FAILED where a force does not fit. ``opening(opener, number, into)`` is `begin`.
     """
 
     codec = 0
     """Address of what the two functions work on."""
     decode: int
     command: int
+    opening: int
+    opener = 0
+    """Address of what `opening` works on."""
     error: BaseException | None = None
     """What a function in Python met, which returned FAILED."""
 
     def __init__(self) -> None:
         self.decode, kept = of_python(self._decode, *[INTEGER] * 6)
         self.command, also = of_python(self._command, *[INTEGER] * 6)
-        self._keeps = kept, also
+        self.opening, begins = of_python(self._opening, *[INTEGER] * 3)
+        self._keeps = kept, also, begins
         self.start()
         self._set_up = self.legs_set_up()
 
@@ -129,31 +148,48 @@ class ControllerEnd(ABC):
         return int(self._set_up != before)
 
     def _command(self, _codec: int, number: int, mode: int, stop: int, force: int, into: int) -> int:
+        command = Command(DriveMode(mode), array_at(force, LEGS, np.float64), bool(stop))
+        return self._put(into, lambda: self.give(command, number))
+
+    def _opening(self, _opener: int, number: int, into: int) -> int:
+        return self._put(into, lambda: self.begin(number))
+
+    def _put(self, into: int, given: Callable[[], Rows]) -> int:
         try:
-            forces = array_at(force, LEGS, np.float64)
-            frames = self.give(Command(DriveMode(mode), forces, bool(stop)), number)
+            frames = given()
+            array_at(into, MOST_FRAMES, FRAME)[: len(frames)] = frames
         except BaseException as error:  # noqa: BLE001 - as above
             self.error = error
             return FAILED
-        array_at(into, len(frames), FRAME)[:] = frames
         return len(frames)
 
 
 class CompiledController(ControllerEnd):
     """A `ControllerEnd` that is compiled. Mutable state: its record, which has the dialogue.
 
-    A family gives `start`, `begin`, `set_up`, `legs_set_up`, `lacks` and `unfit`.
+    A family gives `start`, `set_up`, `legs_set_up`, `lacks` and `unfit`.
     """
 
     first: str
     """The first field of the record that is the dialogue's, as are all behind it."""
 
-    def __init__(self, state: Rows, decode: Pointed, command: Pointed) -> None:
-        """Take the record, () of its dtype, and the family's two functions that work on it."""
+    def __init__(self, state: Rows, decode: Pointed, command: Pointed, openings: Rows) -> None:
+        """Take the record, () of its dtype, and the family's two functions that work on it.
+
+        openings: elements of FRAME that start a tick (kinds, frames), one kind after the other.
+        """
         self.state, self._decoding, self._commanding = state, decode, command
         self.decode, self.command = decode.address, command.address
         self.codec = data_at(state)
+        self._openings, self._table = openings, np.zeros((), OPENINGS)
+        self._table["at"], (self._table["kinds"], self._table["frames"]) = data_at(openings), openings.shape
+        self.opening, self.opener = put_opening.address, data_at(self._table)
         self.start()
+
+    def begin(self, number: int) -> Rows:
+        """Return the frames that start a tick."""
+        frames: Rows = self._openings[number % len(self._openings)]
+        return frames
 
     def unfit(self, force: Array) -> ProtocolError:
         """Return what is wrong with a force that does not fit."""

@@ -69,7 +69,6 @@ class MotorController(CompiledController):
         family.check(setup)
         self._family, self._exchanges = family, family.exchanges(setup)
         self._frames = sent_array([frame for row in family.requests(setup.watchdog_s) for frame in row])
-        self._polls = sent_array(family.polls)
         m = self._begun = np.zeros((), MOTORS)
         m["hear"], m["ear"], m["frames"] = family.ear.address, data_at(family.tables), data_at(self._frames)
         m["rule"], m["clears"] = family.rule, family.clears
@@ -84,7 +83,11 @@ class MotorController(CompiledController):
             m["values"][leg, :n] = [each.value for each in exchanges]
         m["power"], m["asked"] = DriveState.BOOT, -RETRY_TICKS
         m["patience_ticks"] = family.patience_ticks(setup.rate_Hz)
-        super().__init__(m.copy(), kernels.decode, family.commanding)
+        polls = sent_array(family.polls)[np.newaxis]
+        super().__init__(m.copy(), kernels.decode, family.commanding, polls)
+        self._polls_by_command = not polls.size
+        if self._polls_by_command:
+            self.opening, self.opener = kernels.begin.address, self.codec
 
     def start(self) -> None:
         """Begin the dialogue: no drive has been heard."""
@@ -92,8 +95,8 @@ class MotorController(CompiledController):
 
     def begin(self, number: int) -> Rows:
         """Return one poll a drive: it carries the command of the tick before, where `polls` are none."""
-        if len(self._polls):
-            return self._polls
+        if not self._polls_by_command:
+            return super().begin(number)
         into = np.empty(LEGS, FRAME)
         kernels.begin(self.state, number, data_at(into))
         return into

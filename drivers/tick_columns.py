@@ -281,18 +281,18 @@ FIRST.flags.writeable = False
 
 
 def new_record() -> Record:
-    """Return a record that begins as FIRST; its base is the float64 buffer of all its columns."""
-    return copy_of(FIRST)
+    """Return a record that begins as FIRST."""
+    return np.ndarray((), TICK, FIRST.base.copy())  # type: ignore[union-attr]
 
 
 def copy_of(record: Record) -> Record:
     """Return another record of the same content."""
-    return np.ndarray((), TICK, record.base.copy())  # type: ignore[union-attr]
+    return np.ndarray((), TICK, record.reshape(1).view(np.float64).copy())
 
 
 def row_of(record: Record) -> Record:
     """Return the recorded columns, one element of ROW over the record's own memory."""
-    return np.ndarray((), ROW, record.base)
+    return np.ndarray((), ROW, record)
 
 
 def part(*parts: Part) -> tuple[str, ...]:

@@ -53,16 +53,12 @@ class Cia402End(CompiledController):
     def __init__(self, family: Family, begun: Rows) -> None:
         """Take the family, and the record of the dialogue before its first request."""
         self._family, self._begun = family, begun
-        self._sync = sent_array(family.to_all(Frame(o.SYNC_ID, b"")))
-        super().__init__(begun.copy(), kernels.decode, kernels.command)
+        sync = sent_array(family.to_all(Frame(o.SYNC_ID, b"")))  # without counter
+        super().__init__(begun.copy(), kernels.decode, kernels.command, sync[np.newaxis])
 
     def start(self) -> None:
         """Begin the dialogue: no drive has been set up."""
         self.state[...] = self._begun
-
-    def begin(self, _number: int) -> Rows:
-        """Return the SYNC, without counter."""
-        return self._sync
 
     def presume_running(self) -> None:
         """Take all drives for enabled."""

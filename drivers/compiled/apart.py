@@ -15,17 +15,19 @@ from llvmlite import binding
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from drivers.compiled.compiler import compiled_of
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def apart(kernel: F) -> F:
     """Return what calls a compiled kernel by its symbol, inside other kernels; elsewhere call the kernel."""
-    compiled: Any = kernel
+    compiled = compiled_of(kernel)
     if not hasattr(compiled, "overloads"):  # where Numba is disabled
         return kernel
     (only,) = compiled.overloads.values()
     arguments, result = only.signature.args, only.signature.return_type
-    symbol = f"{kernel.__module__}.{kernel.__qualname__}"
+    symbol = f"{compiled.__module__}.{compiled.__qualname__}"
     binding.add_symbol(symbol, only.library.get_pointer_to_function(only.fndesc.llvm_func_name))
 
     def typed(_context: Any, *_given: Any) -> Any:

@@ -127,8 +127,8 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """As `kernel`, for what the loop calls each tick: no dispatcher, arrays borrowed.
 
-    See `drivers.compiled.borrowed`. It returns numbers only, and other kernels cannot call it. An array
-    of another type raises TypeError.
+    See `drivers.compiled.borrowed`. It returns numbers only, and other kernels call it `apart` alone. An
+    array of another type raises TypeError.
     """
 
     def decorate(function: F) -> F:
@@ -145,7 +145,16 @@ def entry(compiled: F) -> F:
     (only,) = made.overloads.values()
     if not only_numbers(only.signature.return_type):
         raise TypeError(f"{made.__qualname__}: a direct kernel fills arrays and returns numbers")
+    _of_entry[only.entry_point] = made
     return cast("F", only.entry_point)
+
+
+_of_entry: dict[Any, Any] = {}
+
+
+def compiled_of(function: Any) -> Any:
+    """Return the dispatcher of a `kernel` or of a `direct` one."""
+    return _of_entry.get(function, function)
 
 
 def helper(function: F) -> F:

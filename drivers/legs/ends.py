@@ -57,7 +57,7 @@ class LegsController(CompiledController):
     def __init__(self, family: Any, setup: DriveSetup) -> None:
         """Begin the dialogue. Raises ProtocolError if the watchdog does not fit."""
         self._family, self._setup = family, setup
-        super().__init__(family.tables.copy(), kernels.decode, kernels.command)
+        super().__init__(family.tables.copy(), kernels.decode, kernels.command, family.syncs)
 
     def start(self) -> None:
         """Begin the dialogue: no drive has been set up."""
@@ -76,11 +76,6 @@ class LegsController(CompiledController):
         """Return what a drive says of its set-up whose CONFIG has these fields."""
         body = self._family.messages.config.pack(*values)[:-1]
         return set_up_checksum(int(self.state["config"][leg]), body, self._family.rated_force_N)
-
-    def begin(self, number: int) -> Rows:
-        """Return SYNC: its Cycle is the tick modulo 256."""
-        sync: Rows = self._family.syncs[number & 0xFF]
-        return sync
 
     def set_up(self, tick: Record) -> Rows:
         """Return the CONFIG of a drive that is heard and has none from us or does not confirm it, one a tick.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.compiled.pointed import data_at
 from drivers.ends import Hearing
 from drivers.errors import ConfigurationError, ProtocolError
@@ -86,7 +86,8 @@ class LegsProtocol(Family):
         self.feedback_ids = frozenset(self.feedback_by_leg)
         both = self.feedback_by_leg, self.tables["status"].tolist()
         self._senders = {identifier: leg for ids in both for leg, identifier in enumerate(ids)}
-        self.syncs = [sent_array(self.to_all(m.sync.frame(m.sync.id, cycle))) for cycle in range(256)]
+        syncs = [sent_array(self.to_all(m.sync.frame(m.sync.id, cycle))) for cycle in range(256)]
+        self.syncs: Rows = np.array(syncs)
         """SYNC of each Cycle on all buses, elements of FRAME."""
 
     def _tabulate(self) -> None:

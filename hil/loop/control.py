@@ -8,13 +8,14 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.controller_end import tick_at
 from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
 from hil.estimation.external_wrench import hear_sensors
-from hil.loop.compiled_pass import CONTROL, NEVER, WHOLE
+from hil.loop.compiled_pass import ALL, COMMAND, CONTROL, EFFORT, JUDGE, NEVER, WHOLE, act
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STEERED, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
 
@@ -133,6 +134,15 @@ class Control:
         if steering is not None:
             c["setpoints"] = steering.counts
 
+    def act(self, tick: Record, into: Rows) -> int:
+        """Go from the reference of a tick to its command, `into`; return how `compiled_pass.act` ends."""
+        if not self.probes:
+            return act(self.record, tick, into, ALL)
+        while act(self.record, tick, into, EFFORT):
+            self.stop_on_the_way()
+        self.probe(tick)
+        return act(self.record, tick, into, JUDGE | COMMAND)
+
     def stop_on_the_way(self) -> None:
         """Count that the live reference has stopped on its way."""
         steering = self._cycle.parts.steering
@@ -192,8 +202,8 @@ class Control:
         cycle, record = self._cycle, self._cycle.homing.record
 
         def correct(tick: int) -> int:
-            known = cycle.homing.known
-            cycle.homing.correct(tick_at(tick), cycle.last, braked=cycle.proven)
+            known, last = cycle.homing.known, tick_at(int(self.record["last"]))
+            cycle.homing.correct(tick_at(tick), last, braked=cycle.proven)
             return int(cycle.homing.known != known)
 
         record["decode"], record["codec"], record["correct"] = decode, codec, self._called(correct)

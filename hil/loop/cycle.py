@@ -9,9 +9,7 @@ columns of the tick's record (`drivers.tick_columns`).
 
 from __future__ import annotations
 
-import struct
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +17,9 @@ from drivers.arrays import ZERO6, Rows
 from drivers.controller_end import MOST_FRAMES, controller_end
 from drivers.frame_array import FRAME, sent_array
 from drivers.signals import DriveMode, Fault, Mode, Stop
-from drivers.tick_columns import INPUT_ELEMENTS, Record, new_record, row_of
+from drivers.tick_columns import Record, new_record, row_of
 from hil.loop import compiled_pass, modes
-from hil.loop.compiled_pass import ALL, COMMAND, EFFORT, JUDGE, STOPPED, act, observe
+from hil.loop.compiled_pass import ALL, COMMAND, STOPPED, act, observe
 from hil.loop.control import Control
 from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready
 from hil.loop.effort import Effort
@@ -34,11 +32,11 @@ from hil.loop.operating import Operating
 from hil.loop.parts import Parts
 from hil.loop.setup_moves import Inspection, approach
 from hil.loop.sight import Sight
+from hil.loop.tick_input import put_input
 from hil.safety.guard import Verdict
 from hil.safety.motion import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
 
-_put_input = struct.Struct(f"<{INPUT_ELEMENTS}q").pack_into
 REST_PATIENCE_S = 1.0
 """Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
 
@@ -71,7 +69,8 @@ class Cycle:
         self._torque_off = parts.reactions.led_to("sto")
         self.end = controller_end(parts.protocol, parts.setup)
         """The dialogue with the drives."""
-        self._control = Control(self)
+        self.control = Control(self)
+        """What the compiled pass works on."""
         self.reset()
         self.first = parts.trajectory.sample(0.0)
         """Where the reference begins."""
@@ -105,11 +104,11 @@ class Cycle:
         for part in (parts.law, parts.wrench, parts.predictor, parts.safety, parts.steering):
             if part is not None:
                 part.reset()
-        self._control.reset()
+        self.control.reset()
 
     def settle(self) -> None:
         """Let the compiled pass know what was changed from outside, as a mode."""
-        self._control.settle()
+        self.control.settle()
 
     def begin(self, tick: int) -> Rows:
         """Return the frames that start a tick, elements of FRAME: the drives answer with their encoders."""
@@ -117,32 +116,35 @@ class Cycle:
 
     def step(self, inp: TickInput) -> TickOutput:
         """Return what to send and what to record for one tick."""
-        control, tick, self.last = self._control, new_record(), self.tick
-        buffer: Any = tick.base
-        _put_input(
-            buffer.data, 0, inp.tick,
-            inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns, inp.sends_failed,
-            inp.bus_errors, inp.bus_off, inp.bus_overflow, inp.bus_state, inp.recorder_alive,
-            inp.recorder_dropped, inp.compute_ns, *inp.latch_ns,
-        )  # fmt: skip
-        self.tick, self.inp, record, into = tick, inp, control.record, np.empty(MOST_FRAMES, FRAME)
-        look = observe(record, tick, self.last, inp.frames)
+        tick, into = new_record(), np.empty(MOST_FRAMES, FRAME)
+        put_input(tick, inp)
+        look = observe(self.control.record, tick, self.tick, inp.frames)
+        self.pass_on(self.tick, tick)
+        return TickOutput(self.decide(inp, into, look), row_of(tick))
+
+    def pass_on(self, last: Record, tick: Record) -> None:
+        """Take the records of the last two ticks, in which there was nothing to decide."""
+        self.last, self.tick, self.looked = last, tick, False
+
+    def decide(self, inp: TickInput, into: Rows, look: int = 0) -> Rows:
+        """Return what to send in a tick that has been observed, and was passed on: `into`, or more.
+
+        look: what `compiled_pass.observe` returned.
+        """
         looked = look or inp.orders or inp.operator or inp.setpoints
         if looked:
-            self._decide(inp, tick, look)
-            control.settle(attentive=bool(inp.operator))
-        if control.probes:
-            while act(record, tick, into, EFFORT):
-                control.stop_on_the_way()
-            control.probe(tick)
-            ended = act(record, tick, into, JUDGE | COMMAND)
-        else:
-            ended = act(record, tick, into, ALL)
-        frames = self._finish(inp, tick, into, ended) if ended else into[: record["sent"]]
-        self.looked = bool(looked or ended or control.probes)
-        if control.error is not None:
-            control.fail()
-        return TickOutput(frames, row_of(tick))
+            self._decide(inp, self.tick, look)
+            self.control.settle(attentive=bool(inp.operator))
+        ended = self.control.act(self.tick, into)
+        return self.end_tick(inp, into, ended, looked=bool(looked or self.control.probes))
+
+    def end_tick(self, inp: TickInput, into: Rows, ended: int, *, looked: bool = False) -> Rows:
+        """Return what to send in a tick behind `compiled_pass.act`, which returned `ended`."""
+        self.looked = looked or bool(ended)
+        frames = self._finish(inp, self.tick, into, ended) if ended else into[: self.control.record["sent"]]
+        if self.control.error is not None:
+            self.control.fail()
+        return frames
 
     def _decide(self, inp: TickInput, tick: Record, look: int) -> None:
         """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
@@ -153,7 +155,7 @@ class Cycle:
             self.end.look(inp.frames)
         if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
-            self._control.load(tick)
+            self.control.load(tick)
         self.effort.last_tau = self.last["tau"]
         self.operating.step(inp.orders, number, self.mode, self.motion)
         self._change_mode(inp, tick)
@@ -164,7 +166,7 @@ class Cycle:
 
     def _finish(self, inp: TickInput, tick: Record, into: Rows, ended: int) -> Rows:
         """Look at the verdict of a tick, and send what follows from it."""
-        control, record, parts = self._control, self._control.record, self.parts
+        control, record, parts = self.control, self.control.record, self.parts
         if ended == STOPPED:
             control.stop_on_the_way()
             if not act(record, tick, into, ALL):

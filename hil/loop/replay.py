@@ -1,29 +1,47 @@
 """Replay: the recorded inputs through the same Cycle, compared to the bit."""
 
 import math
-import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from drivers.arrays import Rows
-from drivers.compiled.compiler import direct, records
-from drivers.compiled.pointed import address_of, integers_at
+from drivers.arrays import Flags, Rows
+from drivers.compiled.compiler import (
+    INTEGERS,
+    MATRIX_OF_INTEGERS,
+    OUT_FLAGS,
+    direct,
+    helper,
+    record,
+    records,
+)
+from drivers.compiled.pointed import address_of, data_at, integers_at
 from drivers.errors import LogError
 from drivers.frame_array import FRAME, joined, sent_frames
 from drivers.signals import BusState
-from drivers.tick_columns import (
-    COMPUTED_COLUMNS,
-    INPUT_COLUMNS,
-    INPUT_ELEMENTS,
-    RECORDED,
-    Column,
-)
+from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_ELEMENTS, RECORDED, ROW, Column
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
+from hil.loop.tick_input import input_of
+from hil.loop.tick_kernels import (
+    ACT,
+    BYTES,
+    COMMAND,
+    NO_ROOM,
+    OBSERVE,
+    ROW_OF_TICKS,
+    START,
+    act,
+    begin_tick,
+    end_tick,
+    has_room,
+    observe,
+    start,
+)
+from hil.loop.tick_row import CAPACITY, NOTHING, Given, TickRow, Ticks
 from hil.record.log import Tick
 from hil.signals import Operator, TickInput
 
@@ -84,13 +102,8 @@ class Comparison:
         )
 
 
-_INPUT = struct.Struct(f"<{INPUT_ELEMENTS}q")
-"""The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
 _WORDS = FRAME.itemsize // 8
-_FRAMES = TickInput._fields.index("frames")
-_STATE, _ALIVE, _COMPUTE = map(INPUT_COLUMNS.index, ("bus_state", "recorder_alive", "compute_ns"))
-"""Where TickInput has what no column holds or is no integer. latch_ns, the last column, is six."""
-_STATES = {int(state): state for state in BusState}
+_STATES = frozenset(map(int, BusState))
 
 
 def other_columns(columns: Sequence[Column]) -> str:
@@ -120,31 +133,40 @@ class Recorded(Protocol):
 
 def recorded_input(entry: Tick) -> TickInput:
     """Return what the cycle was given in a recorded tick. Raises LogError: one that no cycle writes."""
-    row: Any = entry.row
-    numbers = _INPUT.unpack_from(row)
-    tick, alive, state = numbers[0], numbers[_ALIVE], _STATES.get(numbers[_STATE])
-    if alive not in (0, 1):
-        raise LogError(f"the row of tick {tick} is damaged: {alive} is not a valid recorder_alive")
-    if state is None:
-        raise LogError(f"the row of tick {tick} is damaged: {numbers[_STATE]} is not a valid BusState")
-    try:
-        operator = tuple(map(Operator, entry.operator))
-    except ValueError as error:
-        raise LogError(f"the row of tick {tick} is damaged: {error}") from None
-    values: Sequence[Any] = (
-        *numbers[:_FRAMES],
-        entry.received_items,
-        *numbers[_FRAMES:_STATE],
-        state,
-        alive == 1,
-        *numbers[_ALIVE + 1 : _COMPUTE],
-        operator,
-        numbers[_COMPUTE],
-        numbers[_COMPUTE + 1 :],
-        entry.setpoints,
-        entry.orders,
-    )
-    return TickInput(*values)
+    return input_of(entry.row, entry.received_items, entry.operator, entry.setpoints, entry.orders)
+
+
+class Block(NamedTuple):
+    """Recorded ticks, and what a cycle makes of their inputs; at most in the last one it decides."""
+
+    entries: Sequence[Tick]
+    """What was recorded."""
+    recorded: Rows
+    """The rows of these."""
+    ticks: Ticks
+    """What the cycle hears, sends and records."""
+    span: slice
+    """Which of the ticks they are."""
+
+    @property
+    def operator(self) -> tuple[Operator, ...]:
+        """What the operator said in the last tick."""
+        return tuple(map(Operator, self.entries[-1].operator))
+
+    def sent(self, k: int) -> Rows:
+        """Return what the cycle sends in a tick of the block."""
+        _, opened, command = self.ticks.spans(self.span.start + k)
+        return self.ticks.frames[opened.start : command.stop]
+
+    def differs(self) -> tuple[Flags, Flags]:
+        """Return in which ticks sent frames, whatever their times, and columns differ, (n,) each."""
+        count, ends = len(self.entries), self.ticks.ends[self.span]
+        words = self.ticks.records[self.span].view(np.int64)[:, :_ROW_WORDS]
+        columns: Flags = (words != self.recorded.view(np.int64).reshape(count, _ROW_WORDS)).any(axis=1)
+        sent = [entry.sent_items for entry in self.entries]
+        wire = np.zeros(count, np.bool_)
+        _compare_frames(self.ticks.frames, ends, joined(sent), np.cumsum([0, *map(len, sent)]), wire)
+        return wire, columns
 
 
 class Stepped(NamedTuple):
@@ -154,63 +176,154 @@ class Stepped(NamedTuple):
     """What was recorded."""
     inp: TickInput
     """What the cycle was given: the recorded inputs."""
-    opening: Rows
-    """What it sends to start the tick."""
-    frames: Rows
-    """What it sends then."""
+    sent: Rows
+    """What it sends in all."""
     row: Rows
     """What it records, one element of ROW."""
-
-    @property
-    def sent(self) -> Rows:
-        """What it sends in all."""
-        return joined((self.opening, self.frames))
+    now: bool = True
+    """Whether the cycle is in this tick: it has gone on if the tick is one of several at once."""
 
     @property
     def same_frames(self) -> bool:
         """Whether it sends what was recorded, whatever the times."""
-        return bool(_same(self.opening, self.frames, self.entry.sent_items))
+        own, recorded = (self.sent.copy(), self.entry.sent_items.copy())
+        own["t_ns"] = recorded["t_ns"] = 0
+        return own.tobytes() == recorded.tobytes()
 
 
-@direct(records(FRAME), records(FRAME), records(FRAME))
-def _same(opening: Any, frames: Any, recorded: Any) -> int:
-    first = opening.shape[0]
-    if first + frames.shape[0] != recorded.shape[0]:
-        return 0
-    for n in range(recorded.shape[0]):
-        own = address_of(opening[n] if n < first else frames[n - first])
-        a, b = integers_at(own, _WORDS), integers_at(address_of(recorded[n]), _WORDS)
-        for k in range(1, _WORDS):  # the first one is the time
-            if a[k] != b[k]:
-                return 0
-    return 1
+@direct(records(FRAME), MATRIX_OF_INTEGERS, records(FRAME), INTEGERS, OUT_FLAGS)
+def _compare_frames(own: Any, ends: Any, recorded: Any, bounds: Any, differs: Any) -> None:
+    """Tell for each tick whether its frames differ: own ones from `ends` (n, 3), recorded by `bounds`."""
+    for k in range(differs.shape[0]):
+        first, count = ends[k, 0], ends[k, 2] - ends[k, 0]
+        differs[k] = count != bounds[k + 1] - bounds[k]
+        for n in range(0 if differs[k] else count):
+            a = integers_at(address_of(own[first + n]), _WORDS)
+            b = integers_at(address_of(recorded[bounds[k] + n]), _WORDS)
+            for word in range(1, _WORDS):  # the first one is the time
+                differs[k] = differs[k] or a[word] != b[word]
+
+
+REPLAY = np.dtype([*ROW_OF_TICKS, *((name, "<i8") for name in ("entry", "rows", "items", "bounds"))])
+"""A row of ticks, and the recorded ones: the next of these; addresses of their rows, of the frames that they
+heard, and of where these begin and end, (n + 1,)."""
+_ROW_BYTES, _ROW_WORDS = ROW.itemsize, ROW.itemsize // 8
+
+
+@helper
+def _begins(s: Any) -> int:
+    """Let the controller hear what it heard in the recorded tick."""
+    bounds = integers_at(s.bounds + 8 * s.entry, 2)
+    s.heard_at, s.heard = s.items + bounds[0] * BYTES, bounds[1] - bounds[0]
+    if not has_room(s):
+        return NO_ROOM
+    tick = begin_tick(s)
+    given = integers_at(s.rows + s.entry * _ROW_BYTES, INPUT_ELEMENTS)
+    integers_at(address_of(tick), INPUT_ELEMENTS)[:] = given
+    return observe(s, tick)
+
+
+@direct(record(REPLAY), unlocked=True)
+def again(s: Any) -> int:
+    """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
+    while s.done < s.count:
+        status = 0
+        if s.stage == START:
+            status = start(s, integers_at(s.rows + s.entry * _ROW_BYTES, 1)[0])
+            following = OBSERVE
+        elif s.stage == OBSERVE:
+            status = _begins(s)
+            following = ACT
+        elif s.stage == ACT:
+            status = act(s)
+            following = COMMAND
+        else:
+            end_tick(s)
+            s.entry += 1
+            following = START
+        if status != 0:
+            return status
+        s.stage = following
+    return 0
+
+
+def _gathered(log: Recorded) -> Iterator[list[Tick]]:
+    """Yield the ticks of a log, some at a time; what cannot be read is raised behind the last that can."""
+    gathered: list[Tick] = []
+    damage: LogError | None = None
+    try:
+        for entry in log.ticks():
+            gathered.append(entry)
+            if len(gathered) == CAPACITY:
+                yield gathered
+                gathered = []
+    except LogError as error:
+        damage = error
+    if gathered:
+        yield gathered
+    if damage is not None:
+        raise damage
+
+
+def _odd(entries: Sequence[Tick], recorded: Rows, last: int) -> list[int]:
+    """Return which ticks have words of the operator, follow a gap, or have a row that no cycle writes."""
+    tick, skipped = recorded["tick"], recorded["skipped"]
+    gap = tick - skipped - np.concatenate(([last], tick[:-1])) != 1
+    flags = zip(recorded["recorder_alive"].tolist(), recorded["bus_state"].tolist(), strict=True)
+    unknown = [alive not in (0, 1) or state not in _STATES for alive, state in flags]
+    given = [bool(entry.operator or entry.setpoints or entry.orders) for entry in entries]
+    return [int(k) for k in np.flatnonzero(gap | (skipped < 0) | unknown | given)]
+
+
+def blocks(
+    log: Recorded, cycle: Cycle, gaps: list[tuple[int, int]], progress: Callable[[int], None] | None = None
+) -> Iterator[Block]:
+    """Give `cycle`, which was reset, the recorded inputs of a log; yield what it makes of them.
+
+    Ends at the first gap, which is added to `gaps`: the first missing tick, and how many. A cycle with
+    latched faults goes through one tick at a time. Raises LogError where the log cannot be read.
+    """
+    row, last, done = TickRow(cycle, REPLAY, again), -1, 0
+    for entries in _gathered(log):
+        recorded = np.frombuffer(b"".join([entry.row.tobytes() for entry in entries]), ROW)
+        heard = [entry.received_items for entry in entries]
+        items, bounds = joined(heard), np.cumsum([0, *map(len, heard)])
+        s = row.record
+        s["entry"], s["rows"], s["items"], s["bounds"] = 0, data_at(recorded), data_at(items), data_at(bounds)
+        odd, first = _odd(entries, recorded, last), 0
+        while first < len(entries):
+            said = NOTHING
+            if odd and odd[0] == first:
+                del odd[0]
+                inp = recorded_input(entries[first])
+                missing = inp.tick - inp.skipped - last - 1
+                if missing < 0 or inp.skipped < 0:
+                    raise LogError(
+                        f"the row of tick {inp.tick} is damaged: {inp.skipped} ticks cannot have been "
+                        "skipped before it"
+                    )
+                if missing:
+                    gaps.append((last + 1, missing))
+                    return
+                said = Given(inp.operator, inp.orders, inp.setpoints)
+            new = row.go(1 if cycle.faults else (odd[0] if odd else len(entries)) - first, said)
+            end = first + new.stop - new.start
+            yield Block(entries[first:end], recorded[first:end], row.ticks, new)
+            last, done = int(recorded["tick"][end - 1]), done + end - first
+            if progress is not None and done // 1000 > (done - end + first) // 1000:
+                progress(done // 1000 * 1000)
+            first = end
 
 
 def stepped(
     log: Recorded, cycle: Cycle, gaps: list[tuple[int, int]], progress: Callable[[int], None] | None = None
 ) -> Iterator[Stepped]:
-    """Give `cycle`, which was reset, the recorded inputs of each tick of a log; yield what it makes of them.
-
-    Ends at the first gap, which is added to `gaps`: the first missing tick, and how many. Raises LogError
-    where the log cannot be read.
-    """
-    expected = 0
-    for done, entry in enumerate(log.ticks()):
-        inp = recorded_input(entry)
-        tick, missing = inp.tick, inp.tick - inp.skipped - expected
-        if missing < 0 or inp.skipped < 0:
-            raise LogError(
-                f"the row of tick {tick} is damaged: {inp.skipped} ticks cannot have been skipped before it"
-            )
-        if missing:
-            gaps.append((expected, missing))
-            return
-        expected = tick + 1
-        opening = cycle.begin(tick)
-        out = cycle.step(inp)
-        yield Stepped(entry, inp, opening, out.frames, out.row)
-        if progress is not None and (done + 1) % 1000 == 0:
-            progress(done + 1)
+    """Yield the ticks of `blocks` one by one."""
+    for block in blocks(log, cycle, gaps, progress):
+        last = len(block.entries) - 1
+        for k, entry in enumerate(block.entries):
+            row = block.ticks.row(block.span.start + k)
+            yield Stepped(entry, recorded_input(entry), block.sent(k), row, now=k == last)
 
 
 def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Comparison:
@@ -220,26 +333,33 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     """
     cycle.reset()
     comparison, narrator = Comparison(), Narrator(cycle)
-    for step in stepped(log, cycle, comparison.gaps, progress):
-        entry, inp, opening, frames, row = step
-        narrator.look(inp.operator)
-        comparison.ticks, comparison.end = comparison.ticks + 1, inp.tick + 1
-        comparison.frames += len(opening) + len(frames)
-        wire = not step.same_frames
-        columns = row.tobytes() != entry.row.tobytes()
-        if wire or columns:
-            comparison.different_ticks += 1
-            comparison.wire_different_ticks += wire
-            if columns:
-                comparison.largest = max(comparison.largest, _largest(row, entry.row))
-            if not comparison.first:
-                comparison.first = _differences(inp.tick, row, entry.row)
-                if wire:
-                    comparison.first.append(
-                        Difference(inp.tick, "sent frames", entry.sent, sent_frames(step.sent))
-                    )
+    for block in blocks(log, cycle, comparison.gaps, progress):
+        if cycle.looked or cycle.faults:
+            narrator.look(block.operator)
+        rows = block.ticks.recorded(block.span)[0]
+        comparison.ticks += len(rows)
+        comparison.end = int(rows["tick"][-1]) + 1
+        wire, columns = block.differs()
+        ends = block.ticks.ends[block.span]
+        comparison.frames += int((ends[:, 2] - ends[:, 0]).sum())
+        for k in np.flatnonzero(wire | columns).tolist():
+            _compare(comparison, block, k, wire=bool(wire[k]))
     comparison.story = narrator.story()
     return comparison
+
+
+def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> None:
+    """Take in a tick that differs."""
+    row, entry = block.ticks.row(block.span.start + k), block.entries[k]
+    comparison.different_ticks += 1
+    comparison.wire_different_ticks += wire
+    comparison.largest = max(comparison.largest, _largest(row, entry.row))
+    if not comparison.first:
+        tick = int(row["tick"])
+        comparison.first = _differences(tick, row, entry.row)
+        if wire:
+            sent = sent_frames(block.sent(k))
+            comparison.first.append(Difference(tick, "sent frames", entry.sent, sent))
 
 
 def _differences(tick: int, replayed: Rows, recorded: np.void) -> list[Difference]:

@@ -184,6 +184,10 @@ class Course:
         self._operator = operator
         return operator
 
+    def quiet(self, tick: int) -> float:
+        """Return for how many ticks nothing ends the run unless the cycle decides, 1 at least."""
+        return max(1, self._stop_tick - tick) if self._quiet else 1
+
     def left_alone(self) -> tuple[Operator, ...]:
         """Return what follows where the operator says nothing from now on: STOP if the run waits for more.
 

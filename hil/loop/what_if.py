@@ -220,7 +220,8 @@ def what_if(
     narrator = Narrator(cycle, lambda _, level, text: _find(answer, level, text))
     blocks = _Blocks(answer, keep)
     for step in _readable(stepped(log, cycle, answer.gaps, progress), answer):
-        narrator.look(step.inp.operator)
+        if step.now:
+            narrator.look(step.inp.operator)
         blocks.add(step)
         answer.ticks += 1
         answer.setpoints += len(step.inp.setpoints)

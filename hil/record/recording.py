@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from drivers.arrays import Rows
+from drivers.arrays import Ints, Rows
 from drivers.clock import MONOTONIC, Clock
 from drivers.compiled.machine_code import machine_code
 from drivers.errors import LogError
@@ -246,6 +246,25 @@ class Recording:
         self._ring.put(self._items + len(received), sent)
         self._end(row, self._items + len(received) + len(sent), operator, setpoints, orders)
 
+    def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
+        """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
+        ring, count = self._ring, len(rows)
+        if count > 1 and (count > ring.capacity or len(items) > ring.item_capacity):
+            half = count // 2
+            middle = int(ends[half - 1])
+            self.ticks_of_items(rows[:half], items[:middle], ends[:half])
+            self.ticks_of_items(rows[half:], items[middle:], ends[half:] - middle)
+        elif self._has_room(len(items), count):
+            ring.put_rows(self.ticks, rows, ends + self._items)
+            ring.put(self._items, items)
+            self._items += len(items)
+            fence()
+            self.ticks += count
+            self._counters[WRITTEN] = self.ticks
+        else:
+            self.dropped += count
+            self._counters[DROPPED] = self.dropped
+
     def _begun(self, row: Rows | np.void, count: int) -> bool:
         """Copy the row where it and `count` items have room; otherwise count the tick as dropped."""
         if not self._has_room(count):
@@ -332,11 +351,11 @@ class Recording:
         died = "the recorder died; recover the log with `hil replay --salvage`"
         return str(reply.get("error", "" if "ticks" in reply else died))
 
-    def _has_room(self, count: int) -> bool:
-        """Return whether one row and `count` items fit; in lockstep wait until they do."""
+    def _has_room(self, count: int, rows: int = 1) -> bool:
+        """Return whether rows and `count` items fit; in lockstep wait until they do."""
         ring, counters = self._ring, self._counters
         while (
-            self.ticks - counters[READ] >= ring.capacity
+            self.ticks + rows - counters[READ] > ring.capacity
             or self._items + count - counters[READ_ITEMS] > ring.item_capacity
         ):
             if not self._lockstep:

@@ -118,6 +118,14 @@ class Ring:
         self.item_bytes[first : first + here] = data[:here]
         self.item_bytes[: len(data) - here] = data[here:]
 
+    def put_rows(self, number: int, rows: Rows, ends: Ints) -> None:
+        """Copy rows, and where the items of each end, to their places from `number` on."""
+        first = number % self.capacity
+        here = min(len(rows), self.capacity - first)
+        for ring, given in ((self.rows, rows), (self._ends_array, ends)):
+            ring[first : first + here] = given[:here]
+            ring[: len(given) - here] = given[here:]
+
     # consumer
     def ready(self, limit: int) -> bool:
         """Return whether `limit` rows wait, or a quarter of the room for items is taken."""

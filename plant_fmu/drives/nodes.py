@@ -130,13 +130,23 @@ class Nodes:
             received, self._missed = np.concatenate(self._missed, dtype=FRAME), []
         if self._gateway is not None:
             received = received_array(self._gateway.hear(received_frames(received), t_ns))
-        state, again = self._state, False
+        out = self.go_on(received, live(self._record, received, t_ns, False))
+        return out if self._gateway is None else timed_array(self._gateway.send(received_frames(out)))
+
+    @property
+    def address(self) -> int:
+        """Where the record is that `live` works on; 0 where only `advance` can let the drives live now."""
+        return 0 if self._gateway is not None or self._present.hangs else self._state.address
+
+    def go_on(self, received: Rows, status: int) -> Rows:
+        """Return what is sent where `live` has ended with a status; see `advance`."""
+        state = self._state
         self._frames = received
-        while status := live(state.record, self._frames, t_ns, again):
+        while status:
             self._decide(status)
             again = status != record.UNSORTED
-        out = state.out[: state.words[SENT]]
-        return out if self._gateway is None else timed_array(self._gateway.send(received_frames(out)))
+            status = live(state.record, self._frames, int(self._record["until_ns"]), again)
+        return state.out[: state.words[SENT]]
 
     def _decide(self, status: int) -> None:
         """Do what the pass has stopped for."""

@@ -79,6 +79,11 @@ class SensedNodes(Nodes):
         if not self._in_parts:
             drives["sense_ns"], drives["listen"], drives["ears"] = t0_ns, listen.address, data_at(n)
 
+    @property
+    def address(self) -> int:
+        """0: frames of the sensors are added behind each pass."""
+        return 0
+
     def advance(self, t_ns: int, received: Rows) -> Rows:
         """As `Nodes.advance`, with the frames of the sensors among the drives'."""
         out = self._advance_in_parts(t_ns, received) if self._in_parts else super().advance(t_ns, received)

@@ -32,6 +32,7 @@ class State:
         """Power up at `t0_ns` with the arrays of the drives, their end and the plant behind them."""
         self._keeps = matrices, end, plant
         self.record = n = np.zeros((), NODES)
+        self.address = data_at(n)
         self.words = n.reshape(1).view(np.int64).data
         """The same as integers, quick to get at."""
         self.out = np.zeros(ROOM, FRAME)

@@ -151,7 +151,7 @@ def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(bench
     kept = np.clip(ASKED, -limit_N, limit_N) - ASKED if limited else ZERO6
     np.testing.assert_array_equal(cycle.parts.law.shortfall, kept)
     cycle.reset()
-    assert not cycle._control.record["shortfall"].any()
+    assert not cycle.control.record["shortfall"].any()
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -208,7 +208,10 @@ def test_the_operators_orders_of_a_tick_are_taken_before_its_mode_is_chosen(benc
     monkeypatch.setattr(cycle, "_change_mode", lambda *what: told.append(what))
     orders = (Order(Operator.HOLD),)
     step(bench, Mode.TRACKING, orders=orders)
-    assert told == [(orders, 50, Mode.TRACKING, cycle.motion), (cycle.inp, cycle.tick)]
+    (ordered, (inp, tick)) = told
+    assert ordered == (orders, 50, Mode.TRACKING, cycle.motion)
+    assert inp.orders == orders
+    assert tick is cycle.tick
 
 
 STOP, COMMAND, SET_UP = (Frame(identifier, b"\1") for identifier in (0x7A1, 0x7A2, 0x7A3))

@@ -74,7 +74,7 @@ def filled(
     tick = record_of(tick=number, drive_state=int(DriveState.RUN if free else DriveState.OFF), **columns)
     cycle.tick, cycle.mode, cycle.mode_tick = tick, mode, since
     cycle.settle()
-    record = cycle._control.record
+    record = cycle.control.record
     record["tick"] = data_at(tick)
     act(record, tick, np.empty(1, FRAME), EFFORT)
     return tick
@@ -103,8 +103,8 @@ def learns(cycle: Cycle) -> list[tuple[int, ...]]:
         (ctypes.c_double * LEGS).from_address(given[-1])[:] = list(LEARNED)
         return 1
 
-    cycle._control.record["learn"], keeps = of_python(look, *[INTEGER] * 9)
-    cycle._control._keeps.append(keeps)
+    cycle.control.record["learn"], keeps = of_python(look, *[INTEGER] * 9)
+    cycle.control._keeps.append(keeps)
     return asked
 
 
@@ -200,7 +200,7 @@ def test_a_law_that_looks_ahead_reads_its_table_from_the_first_force_that_acts_a
 @pytest.mark.parametrize("predicts", [True, False])
 def test_the_law_sees_what_the_limits_took_of_its_last_force(parts, predicts):
     cycle, law = a_cycle(parts, predictor=Predictor() if predicts else None)
-    cycle._control.record["shortfall"] = SHORTFALL
+    cycle.control.record["shortfall"] = SHORTFALL
     filled(cycle, Mode.TRACKING)
     assert law.seen is not None
     np.testing.assert_array_equal(law.seen["shortfall"], SHORTFALL)

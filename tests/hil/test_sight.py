@@ -54,7 +54,7 @@ def observe_in(cycle: Cycle, tick: Any, frames: Any = NO_FRAMES, last: Any = Non
     cycle.sight.located = True
     cycle.sight.fusing = cycle.parts.fusion is not None
     cycle.settle()
-    observe(cycle._control.record, tick, record_of() if last is None else last, frames)
+    observe(cycle.control.record, tick, record_of() if last is None else last, frames)
 
 
 def see(sight: Sight, tick: Any) -> None:
@@ -125,8 +125,8 @@ def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
 
     wrench = different.get("wrench", parts.wrench)
     cycle = Cycle(replace(parts, wrench=wrench, fusion=fused(parts), sensors=P))
-    cycle._control.record["fuse"], keeps = of_python(fuse, *[INTEGER] * 5)
-    cycle._control._keeps.append(keeps)
+    cycle.control.record["fuse"], keeps = of_python(fuse, *[INTEGER] * 5)
+    cycle.control._keeps.append(keeps)
     return cycle, called
 
 

@@ -11,18 +11,17 @@ from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
-from hil.app.sim.lockstep import Lockstep
-from hil.app.sim.wire_kernels import command
 from hil.app.sim.wires import LATCH, SKEW, STEP
 from hil.loop.cycle import Cycle
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
+from tests.loop.by_hand import ByHand
 
 PLACES = ("asleep", "before SYNC", "before the command", "between the SYNCs of two buses")
 
 
 @dataclass
-class Stalling(Lockstep):
+class Stalling(ByHand):
     """A controller whose machine takes the processor away now and then, and wakes it late.
 
     It stalls where it sleeps, between the clock and SYNC, and between the feedbacks and the command, each
@@ -58,7 +57,7 @@ class Stalling(Lockstep):
         given = opening.copy()
         given["t_ns"] = np.where(given["bus"] > 0, sent_ns + apart_ns, sent_ns)
         window_ns, self.window_ns = self.window_ns, self.window_ns - (sent_ns - t_ns)
-        heard = self._exchange(sent_ns, given)
+        heard = self.exchange(sent_ns, given)
         self.window_ns = window_ns
         behind_ns = sent_ns - t_ns - lateness_ns
         inp = TickInput(
@@ -75,7 +74,7 @@ class Stalling(Lockstep):
         )
         out = self.cycle.step(inp)
         done_ns = max(words[STEP], sent_ns + apart_ns) + self.compute_ns + held_ns
-        assert command(self.wires.record, out.frames, done_ns, next_ns - 1) == 0
+        self.send(out.frames, done_ns, next_ns - 1)
         awake_ns = max(done_ns, next_ns + asleep_ns)
         self._skipped = (awake_ns - next_ns) // self.period_ns
         self.tick += self._skipped

@@ -14,10 +14,10 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Fault, Mode, Reaction
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
-from hil.app.sim.lockstep import Lockstep
 from hil.app.sim.wires import COMMANDS, STEP
 from hil.signals import Operator
 from tests.drivers.legs_frames import command_frames, opening
+from tests.loop.by_hand import ByHand
 
 FALL_m_s2 = 12.0
 """A leg accelerates by less without any force."""
@@ -25,15 +25,15 @@ Attack = Callable[[int], tuple[Frame, ...]]
 
 
 @dataclass
-class Attacked(Lockstep):
+class Attacked(ByHand):
     """A lockstep with a third node, which sends after the feedback and before our command."""
 
     attack: Attack = field(default=lambda _tick: ())
     audible: bool = True
     """Whether the controller hears it: behind a gateway it does not."""
 
-    def _exchange(self, t_ns, opening):
-        feedback, words = super()._exchange(t_ns, opening), self.wires.words
+    def exchange(self, t_ns, opening):
+        feedback, words = super().exchange(t_ns, opening), self.wires.words
         forged = received_array([Received(words[STEP], frame) for frame in self.attack(self.tick)])
         before = words[COMMANDS]
         words[COMMANDS] += len(forged)

@@ -17,15 +17,16 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.unattended import without_operator
 from hil.app.sim.build import build_lockstep
+from hil.loop.tick_row import Given, Ticks
 from tools.drive_families import FAMILIES, Changes, merged
 
 CONFIGS = Path(str(configs.__path__[0]))
-SHELL = {"Cycle.begin", "Cycle.step", "new_record", "copy_of", "row_of"}
-"""What every tick enters between frames in and frames out, but for the first frames of a tick."""
-LOCKSTEP = {"Lockstep.step", "Lockstep._exchange", "Lockstep._pass_time", "Nodes.advance"}
-"""What a tick of both ends enters besides: of the bus, and of the drives and the plant."""
-BEGIN = {"LegsController.begin", "MotorController.begin", "Cia402End.begin"}
-"""What makes these, with all that it calls: one of them in a run."""
+ROOTS = tuple(str(CONFIGS.parent / name) for name in ("drivers", "hil", "plant_fmu"))
+SHELL = {"Lockstep.advance", "Lockstep._look_at_nodes", "Nodes.address", "Cycle.pass_on", "Ticks.record"}
+"""What a call for many ticks enters."""
+MEMORY = {"Lockstep._turn_over", "Lockstep._reserve", "Ticks.__init__", "Ticks.reserve", "data_at"}
+"""What it enters besides where memory is used up."""
+DECISIONS = {"Cycle.decide", "Cycle.end_tick"}
 CHANGES = 9
 """Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""
 OBSERVED = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
@@ -39,25 +40,14 @@ FUSED = "\nsensors: {tracker: {rate_Hz: 200}}\nestimation: {pose: fused}\n"
 
 
 class Watch:
-    """Notes what is entered in a tick. State: the functions of this tick, and what began the run."""
+    """Notes which functions of the project are entered. State: these."""
 
     def __init__(self) -> None:
         self.entered: set[str] = set()
-        self.begun: set[str] = set()
-        self._beginning: Any = None
 
     def __call__(self, frame: Any, event: str, _argument: Any) -> None:
-        if self._beginning is not None:
-            if event == "return" and frame is self._beginning:
-                self._beginning = None
-            return
         code = frame.f_code
-        if event != "call" or code.co_filename == "<string>":  # the constructor of a NamedTuple
-            return
-        if code.co_qualname in BEGIN:
-            self._beginning = frame
-            self.begun.add(code.co_qualname)
-        else:
+        if event == "call" and code.co_filename.startswith(ROOTS):
             self.entered.add(code.co_qualname)
 
     def over(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -95,31 +85,30 @@ CASES: dict[str, Callable[[], Configuration]] = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_python_decides_only_where_a_mode_changes(name):
-    """At both ends and on the bus; with sensors at the controller's end, as samples are drawn in Python."""
+    """At both ends and on the bus; with sensors in the cycle, as their samples are drawn in Python."""
     c = CASES[name]()
     watch = Watch()
     cycle: Any = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
     nodes, plant = build_nodes(c)
     lockstep: Any = build_lockstep(c, cycle, nodes)
-    if name == "fused pose":
-        cycle.begin, cycle.step = watch.over(cycle.begin), watch.over(cycle.step)
-    else:
-        lockstep.step = watch.over(lockstep.step)
+    lockstep.advance = watch.over(lockstep.advance)
     modes: list[Mode] = []
     decided = 0
 
-    def observe(*_: object) -> None:
+    def take(ticks: Ticks, new: slice, _given: Given) -> None:
+        """Count the calls in which Python decides: at most the last tick of a call does."""
         nonlocal decided
-        if cycle.mode not in {Mode.WAITING, Mode.FAULT}:
-            modes.append(cycle.mode)
-            decided += bool(watch.entered - SHELL - LOCKSTEP)
+        found = ticks.recorded(new)[0]["mode"].tolist()
+        moved = [Mode(mode) for mode in found if mode not in {Mode.WAITING, Mode.FAULT}]
+        modes.extend(moved)
+        others = watch.entered & DECISIONS if name == "fused pose" else watch.entered - SHELL - MEMORY
+        decided += bool(moved and others)
         watch.entered.clear()
 
     try:
-        assert lockstep.run(4000 / c.loop.rate_Hz, observe).success
+        assert lockstep.run(4000 / c.loop.rate_Hz, None, take=take).success
     finally:
         plant.close()
     assert len(modes) > 500
     assert {Mode.TRACKING, Mode.PARKED} <= set(modes)
     assert 0 < decided <= CHANGES
-    assert len(watch.begun) == 1

@@ -4,7 +4,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from drivers.signals import DriveState, Fault, Mode
-from hil.app.sim.lockstep import NOTHING, Given, Lockstep
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.tick_row import NOTHING, Given
 from hil.signals import Operator, Order, SetPoint
 from tests.loop.test_run_end import cycle, states
 

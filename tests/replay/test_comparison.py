@@ -7,7 +7,6 @@ import math
 import re
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from hil.app.replay import replay_log, summary
 from hil.app.sim.command import simulate
 from hil.app.what_if.command import what_if_log
 from hil.cli import main
-from hil.loop import replay as kernel
 from hil.loop.replay import Comparison, Difference, replay
 from hil.loop.story.narrator import Narrator
 from hil.record.log import Log
@@ -359,13 +357,10 @@ def test_progress_is_drawn_over_itself_on_a_terminal_and_not_at_all_elsewhere(lo
     assert said == "\r1000 ticks\r2000 ticks\r\x1b[K"
 
 
-@pytest.mark.parametrize(
-    ("count", "said"), [(999, []), (1000, [1000]), (1001, [1000]), (3000, [1000, 2000, 3000])]
-)
-def test_progress_is_told_every_thousand_ticks(monkeypatch, count, said):
-    inputs = iter(SimpleNamespace(tick=tick, skipped=0) for tick in range(count))
-    monkeypatch.setattr(kernel, "recorded_input", lambda _: next(inputs))
-    cycle: Any = SimpleNamespace(begin=lambda _: (), step=lambda _: SimpleNamespace(frames=(), row=None))
-    told: list[int] = []
-    steps = list(kernel.stepped(Entries([None] * count), cycle, [], told.append))
-    assert (len(steps), told) == (count, said)
+def test_progress_is_told_every_thousand_ticks(tmp_path):
+    simulate(load("virtual"), log=tmp_path / "run.mcap", duration_s=1.7, check_replay=False)
+    entries = list(Log.open(tmp_path / "run.mcap").ticks())
+    for count, said in ((999, []), (1000, [1000]), (1001, [1000]), (2000, [1000, 2000])):
+        told: list[int] = []
+        assert replay(Entries(entries[:count]), virtual(), told.append).ticks == count
+        assert told == said

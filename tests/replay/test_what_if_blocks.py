@@ -35,7 +35,7 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
         row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
         row["mode"] = Mode.FAULT if latched else Mode.IDLE
         inp: Any = SimpleNamespace(t_ns=int(row["t_ns"]))
-        blocks.add(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, row))
+        blocks.add(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, row))
     blocks.flush()
     assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
     assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
@@ -58,7 +58,7 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
         there["faults"] = Fault.SPEED if 6 <= tick < 12 else Fault.NONE
         here["tau"] = 1.0 if tick < 6 else 50.0
         inp: Any = SimpleNamespace(t_ns=0)
-        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
+        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, here))
     blocks.flush()
     assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
     assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
@@ -103,7 +103,7 @@ def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts
     for tick, count in enumerate(counts):
         row: Any = np.zeros((), ROW)
         inp: Any = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
-        steps.append(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, NO_FRAMES, row))
+        steps.append(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, row))
     monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
     idle = SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None
@@ -119,7 +119,7 @@ def steps(pairs, begun_ns=0):
         row: Any = np.zeros((), ROW)
         row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
         inp: Any = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
-        found.append(Stepped(Tick(row[()], (), there, ()), inp, NO_FRAMES, sent_array(here), row))
+        found.append(Stepped(Tick(row[()], (), there, ()), inp, sent_array(here), row))
     protocol = SimpleNamespace(addressed=lambda frame: (frame.id,))
     return iter(found), SimpleNamespace(
         reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
@@ -210,7 +210,7 @@ def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the
         there["warnings"] = Warn.FORCE_STEP if tick in {1, 2, 5} else Warn.NONE
         here["warnings"] = Warn.FORCE_STEP | Warn.LATE if tick in {2, 4, 5, 6, 11} else Warn.NONE
         inp: Any = SimpleNamespace(t_ns=0)
-        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, NO_FRAMES, here))
+        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, here))
     blocks.flush()
     assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
 

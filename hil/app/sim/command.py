@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, HilError, LogError
-from drivers.frame_array import sent_at
+from drivers.frame_array import NO_FRAMES, sent_at
 from drivers.regular_file import open_regular
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
@@ -27,12 +27,13 @@ from hil.app.plant_rows import plant_row
 from hil.app.replay import not_replayed, replay_log
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
-from hil.app.sim.lockstep import Given, Lockstep
+from hil.app.sim.lockstep import Lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.console import REFUSED
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.run_end import Ending
+from hil.loop.tick_row import Given, Ticks
 from hil.record import Recording
 from hil.record.figures import figures
 from hil.record.log import Log, plant_log_beside
@@ -85,12 +86,16 @@ def _run(
     setpoints: Script | None,
     script: CommandScript,
 ) -> Ending:
+    def take(ticks: Ticks, new: slice, given: Given) -> None:
+        rows, frames, ends = ticks.recorded(new)
+        if any(given):
+            recording.tick_of_items(rows[0], frames, NO_FRAMES, given.operator, given.setpoints, given.orders)
+        else:
+            recording.ticks_of_items(rows, frames, ends)
+
     def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
         sent = sent_at(inp.t_ns, opening, out.frames)
         recording.tick_of_items(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
-
-    def observe_both(inp: TickInput, opening: Rows, out: TickOutput) -> None:
-        observe(inp, opening, out)
         assert truth is not None
         truth.tick(plant_row(inp.tick, lockstep.nodes.snapshot()), (), ())
 
@@ -103,10 +108,16 @@ def _run(
         if refused:
             recording.event(lockstep.tick * lockstep.period_ns, "warning", REFUSED + "; ".join(refused))
 
-    observer = observe if truth is None else observe_both
-    event, over = recording.event, (lambda: script.over)
     return lockstep.run(
-        duration_s, observer, event, said, armed=not script.arms, over=over, answered=answered
+        duration_s,
+        None if truth is None else observe,
+        recording.event,
+        said,
+        take=take,
+        silent=script.silent if setpoints is None else lambda _: 1,
+        armed=not script.arms,
+        over=lambda: script.over,
+        answered=answered,
     )
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from math import inf
 from pathlib import Path
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.text_file import read_text
 from hil.app.operate import REPEAT_S, REPEATED
-from hil.app.sim.lockstep import NOTHING, Given
+from hil.loop.tick_row import NOTHING, Given
 from hil.operate.words import Said, parse
 from hil.signals import Operator
 
@@ -58,6 +59,10 @@ class CommandScript:
     def over(self) -> bool:
         """Whether all has been said."""
         return self._given == len(self._said)
+
+    def silent(self, tick: int) -> float:
+        """Return for how many ticks, from one on that has been asked for, nothing is said; 1 at least."""
+        return inf if self.over else max(1, self._said[self._given][0] - tick)
 
     def __call__(self, tick: int) -> Given:
         """Return the commands of a tick, in their order."""

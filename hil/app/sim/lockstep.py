@@ -5,43 +5,49 @@ A frame takes its worst-case bit time and the lowest identifier wins.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
-
-import numpy as np
+from math import inf
+from typing import Any
 
 from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
+from drivers.compiled.pointed import data_at
+from drivers.controller_end import array_at
 from drivers.ends import hearing
 from drivers.errors import PlantError
-from drivers.frame_array import FRAME
-from drivers.signals import LEGS, BusState, Mode
-from hil.app.sim.wire_kernels import answer, begin, command, heard_by, pass_on
-from hil.app.sim.wires import COMMANDS, LATCH, SKEW, STEP, SYNCED, TAKEN, Wires
+from drivers.frame_array import FRAME, NO_FRAMES
+from drivers.signals import BusState, Mode
+from hil.app.sim import tick_kernels as at
+from hil.app.sim.tick_kernels import LOCKSTEP, advance
+from hil.app.sim.wires import COMMANDS, SYNCED, Wires
 from hil.loop.console import refusal, setpoint_refusals
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
+from hil.loop.tick_input import input_of
+from hil.loop.tick_row import CAPACITY, NOTHING, STAGE, Given, TickRow, Ticks
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
 Observer = Callable[[TickInput, Rows, TickOutput], None]
 """Called after every tick with its input, the opening frames and the output."""
+Taker = Callable[[Ticks, slice, "Given"], None]
+"""Called with ticks that are done, which of them are new, and what the operator gave in the first of these.
+"""
 
+_PLACES: Any = LOCKSTEP.fields
+TICK, NODES, EARLY, REPLIES, REPLIED, BUS_OFF, BUS_STATE = (
+    _PLACES[name][1] // 8 for name in ("tick", "nodes", "early", "replies", "replied", "bus_off", "bus_state")
+)
+"""Places of integers in the kernel's record."""
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
 REST_S = 0.1
 """A reference that has stood still for so long in TRACKING is at rest: HOLD, as faults call it."""
 
 
-class Given(NamedTuple):
-    """What the operator gives in a tick."""
-
-    operator: tuple[Operator, ...] = ()
-    orders: tuple[Order, ...] = ()
-    setpoints: tuple[SetPoint, ...] = ()
-
-
-NOTHING = Given()
+def _frames(at: Any, count: Any) -> Rows:
+    """Return elements of FRAME at an address."""
+    return array_at(int(at), int(count), FRAME) if count else NO_FRAMES
 
 
 def nothing_given(tick: int) -> Given:
@@ -60,8 +66,8 @@ class Lockstep:
 
     The faults of the nodes that wait for a mode are told when it is reached.
 
-    Mutable state: the wires, the tick, the last mode and since when the reference rests; and the controller
-    and the nodes themselves. One run per instance.
+    Mutable state: the wires, the row of ticks, the tick, the last mode and since when the reference rests;
+    and the controller and the nodes themselves. One run per instance.
     """
 
     cycle: Cycle
@@ -79,14 +85,18 @@ class Lockstep:
     """How many ticks in a row the reference has stood still in TRACKING."""
 
     def __post_init__(self) -> None:
-        self.period_ns = round(1e9 / self.cycle.parts.rate_Hz)
-        self.window_ns = round(self.feedback_window_s * 1e9)
-        self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
+        cycle, protocol = self.cycle, self.cycle.parts.protocol
+        self.period_ns = round(1e9 / cycle.parts.rate_Hz)
         several = self.timings or (self.timing,)
-        protocol = self.cycle.parts.protocol
         self.wires = Wires([each if self.timing else None for each in several], hearing(protocol))
         self._all_buses = (1 << len(several)) - 1
-        self._unasked = protocol.unasked_s > 0.0
+        self.row = TickRow(cycle, LOCKSTEP, advance, self._attend)
+        s: Any = self.row.record
+        s["wires"] = data_at(self.wires.record)
+        s["period_ns"], s["window_ns"] = self.period_ns, round(self.feedback_window_s * 1e9)
+        s["compute_ns"] = round(self.compute_us * 1e3) if self.timing else 0
+        s["unasked"], s["tick"] = protocol.unasked_s > 0.0, self.tick + 1
+        self._replies = NO_FRAMES
         self.nodes.start((self.tick + 1) * self.period_ns)
 
     def step(
@@ -96,30 +106,62 @@ class Lockstep:
         orders: tuple[Order, ...] = (),
     ) -> tuple[TickInput, Rows, TickOutput]:
         """Advance both ends by one tick."""
-        self.tick = tick = self.tick + 1
-        wires, words, t_ns = self.wires, self.wires.words, tick * self.period_ns
-        opening = self.cycle.begin(tick)
-        heard = self._exchange(t_ns, opening)
-        off = self.nodes.bus_off & self._all_buses
-        inp = TickInput(
-            tick,
-            t_ns,
-            frames=heard,
-            sync_skew_ns=words[SKEW],
-            bus_off=off,
-            bus_state=BusState.OFF if off else BusState.UNKNOWN,
-            operator=operator,
-            latch_ns=tuple(words[LATCH : LATCH + LEGS]),
-            setpoints=setpoints,
-            orders=orders,
-        )
-        out = self.cycle.step(inp)
+        k = self.advance(1, Given(operator, orders, setpoints)).start
+        ticks = self.row.ticks
+        heard, opened, sent = ticks.spans(k)
+        row, frames = ticks.row(k), ticks.frames
+        inp = input_of(row, frames[heard], operator, setpoints, orders)
+        return inp, frames[opened], TickOutput(frames[sent], row)
+
+    def advance(self, count: int, given: Given = NOTHING) -> slice:
+        """Advance both ends by at most `count` ticks: to the end of `row.ticks`, or of one that decides.
+
+        given: in the first one. Returns which of the ticks are new; where this raises, `row.new` has them.
+        """
+        row, words = self.row, self.row.words
+        self._look_at_nodes()
+        try:
+            new = row.go(count, given)
+        except BaseException:
+            self.tick = words[TICK]
+            raise
+        self.tick = words[TICK] - 1
         if self.nodes.waiting:
             self._report_mode()
-        done_ns, until_ns = words[STEP] + self.compute_ns, t_ns + self.period_ns - 1
-        while status := command(wires.record, out.frames, done_ns, until_ns):
-            wires.settle(status, out.frames)
-        return inp, opening, out
+        return new
+
+    def _look_at_nodes(self) -> None:
+        """Take from the plant's end what faults may change."""
+        words, off = self.row.words, self.nodes.bus_off & self._all_buses
+        words[NODES] = self.nodes.address
+        words[BUS_OFF], words[BUS_STATE] = off, BusState.OFF if off else BusState.UNKNOWN
+
+    def _attend(self, stage: int, stopped: int) -> None:
+        """Do what a stage of the buses has stopped for."""
+        s: Any = self.row.record
+        match stage:
+            case at.HEAR | at.LIVE:
+                self._live(stopped, first=stage == at.HEAR)
+            case at.SYNC:
+                self.wires.settle(stopped, _frames(s["starts"], s["begins"]))
+            case at.PASS | at.ANSWER:
+                self.wires.settle(stopped, _frames(s["replies"], s["replied"]))
+            case _:
+                self.wires.settle(stopped, _frames(s["frames"] + s["used"] * FRAME.itemsize, s["sent"]))
+
+    def _live(self, stopped: int, *, first: bool) -> None:
+        """Let the drives live: those of HEAR to the tick's begin, else to the end of its SYNC or polls."""
+        words, wires = self.row.words, self.wires
+        until_ns = words[TICK] * self.period_ns if first else wires.words[SYNCED]
+        received = wires.commands[: words[EARLY] if first else wires.words[COMMANDS]]
+        if words[NODES]:
+            replies = self.nodes.go_on(received, stopped)
+        else:
+            replies = self.nodes.advance(until_ns, received)
+        self._replies = replies
+        words[REPLIES], words[REPLIED] = data_at(replies), len(replies)
+        self._look_at_nodes()
+        words[STAGE] += 1
 
     def _report_mode(self) -> None:
         """Let the time of the faults count that wait for the controller's mode."""
@@ -133,34 +175,15 @@ class Lockstep:
         if self._rests == round(REST_S * cycle.parts.rate_Hz):
             self.nodes.reached("HOLD")
 
-    def _exchange(self, t_ns: int, opening: Rows) -> Rows:
-        """Let SYNC reach the drives and their answers the controller; return what it hears."""
-        wires, words = self.wires, self.wires.words
-        deadline_ns = t_ns + self.window_ns
-        if self._unasked:
-            self._pass_time(t_ns)
-        while status := begin(wires.record, opening, t_ns, deadline_ns):
-            wires.settle(status, opening)
-        replies = self.nodes.advance(words[SYNCED], wires.commands[: words[COMMANDS]])
-        while status := answer(wires.record, replies, self.tick, t_ns, deadline_ns):
-            wires.settle(status, replies)
-        return np.frombuffer(wires.late[: FRAME.itemsize * words[TAKEN]].tobytes(), FRAME)
-
-    def _pass_time(self, t_ns: int) -> None:
-        """Let the drives hear what has come before the tick, and send what they send unasked."""
-        wires = self.wires
-        heard = heard_by(wires.record, t_ns)
-        replies = self.nodes.advance(t_ns, wires.commands[:heard])
-        while status := pass_on(wires.record, replies, t_ns, heard):
-            wires.settle(status, replies)
-
     def run(
         self,
         duration_s: float | None,
-        observe: Observer,
+        observe: Observer | None,
         event: EventSink = no_event,
         commands: Callable[[int], Given] = nothing_given,
         *,
+        take: Taker | None = None,
+        silent: Callable[[int], float] = lambda _: inf,
         armed: bool = True,
         over: Callable[[], bool] = lambda: False,
         answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = nobody_answered,
@@ -170,6 +193,9 @@ class Lockstep:
         `commands` gives all that the operator says in a tick, and `answered` takes after it why each of these
         was refused, empty where it was taken; armed: it engages by itself; over: whether the operator has
         said all. It ends with its plant, too. `event` takes what each fault tells in its tick.
+
+        Without `observe`, `take` is given many ticks at once, between which nobody sees the two ends. silent:
+        for how many ticks from one on `commands` gives nothing.
         """
         stays = self.cycle.parts.operator.stays
         course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=stays)
@@ -185,14 +211,27 @@ class Lockstep:
                 taken = tuple(each for each, why in zip(taken, refused, strict=True) if not why)
             elif over() and not said.orders:
                 taken = course.left_alone()
-            operator = course.commands(tick, taken)
+            given = said._replace(operator=course.commands(tick, taken))
+            alone = any(given) or self.nodes.waiting
             try:
-                stepped = self.step(operator, said.setpoints, said.orders)
+                if observe is not None:
+                    observe(*self.step(given.operator, given.setpoints, given.orders))
+                else:
+                    count = 1 if alone else int(min(course.quiet(tick), silent(tick), CAPACITY))
+                    self._give(take, count, given)
             except PlantError as error:
-                return course.failed(str(error), tick)
-            observe(*stepped)
+                return course.failed(str(error), self.tick)
             if any(said):
                 setpoints = setpoint_refusals(self.cycle, len(said.setpoints))
                 answered(refused, self.cycle.operating.answers, setpoints)
-            ending = course.ending(tick)
+            ending = course.ending(self.tick)
         return ending
+
+    def _give(self, take: Taker | None, count: int, given: Given) -> None:
+        """Advance, and give what was done."""
+        row = self.row
+        try:
+            self.advance(count, given)
+        finally:
+            if take is not None and row.new.start < row.new.stop:
+                take(row.ticks, row.new, given)

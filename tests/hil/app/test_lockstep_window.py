@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,7 +10,7 @@ from drivers.compiled.pointed import of_python
 from drivers.ends import Hearing, frames_at
 from drivers.frame_array import FRAME, NO_FRAMES, timed_array
 from drivers.protocol import Frame
-from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.wire_kernels import DONE, answer, begin
 from hil.app.sim.wires import LATE, STEP, TAKEN, Wires
 
 BEGUN_NS, WINDOW_NS = 1_000_000, 500
@@ -38,11 +35,11 @@ def exchanged(wanted: str, replies: dict[str, int], stale: str = "") -> tuple[li
     wires = Wires([None], Hearing(fresh, 0, 0, tuple(waited), keeps))
     wires.times_ns[:] = NS
     sent = timed_array([(BEGUN_NS + at, FRAMES[name]) for name, at in replies.items()])
-    lockstep: Any = object.__new__(Lockstep)
-    nodes = SimpleNamespace(advance=lambda *_: sent)
-    lockstep.__dict__.update(tick=7, window_ns=WINDOW_NS, wires=wires, nodes=nodes, _unasked=False)
-    heard = lockstep._exchange(BEGUN_NS, NO_FRAMES)
-    late = np.frombuffer(wires.late, FRAME)[wires.words[TAKEN] : wires.words[LATE]]
+    deadline_ns = BEGUN_NS + WINDOW_NS
+    assert begin(wires.record, NO_FRAMES, BEGUN_NS, deadline_ns) == DONE
+    assert answer(wires.record, sent, 7, BEGUN_NS, deadline_ns) == DONE
+    frames = np.frombuffer(wires.late, FRAME)
+    heard, late = frames[: wires.words[TAKEN]], frames[wires.words[TAKEN] : wires.words[LATE]]
     names = {number: name for name, number in ids.items()}
     answers, rest = ([names[number] for number in each["id"].tolist()] for each in (heard, late))
     return answers, rest, wires.words[STEP] - BEGUN_NS

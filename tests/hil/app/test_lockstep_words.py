@@ -10,7 +10,8 @@ import pytest
 from drivers.errors import PlantError
 from drivers.signals import Mode
 from hil.app.sim import lockstep as kernel
-from hil.app.sim.lockstep import NOTHING, Given, Lockstep
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.tick_row import NOTHING, Given
 from hil.signals import Operator, Order
 
 PARKING = (Operator.STOP,)

@@ -1,0 +1,120 @@
+"""Ticks of both ends of the buses, compiled: as many as pass without anything for Python to do."""
+
+from typing import Any
+
+import numpy as np
+
+from drivers.compiled.apart import apart
+from drivers.compiled.compiler import direct, helper, record
+from drivers.compiled.pointed import record_at
+from drivers.frame_pointers import frames_at
+from hil.app.sim import wire_kernels
+from hil.app.sim.wire_kernels import WIRES
+from hil.loop.tick_kernels import (
+    ACT,
+    BYTES,
+    COMMAND,
+    NO_ROOM,
+    OBSERVE,
+    ROW_OF_TICKS,
+    START,
+    act,
+    begin_tick,
+    end_tick,
+    has_room,
+    observe,
+    start,
+)
+from plant_fmu.drives.live import NODES_RECORD, live
+
+HEAR, PASS, SYNC, LIVE, ANSWER = range(START + 1, OBSERVE)
+"""Stages of a tick: drives that send unasked hear what has come before it; what they send is queued; SYNC or
+polls are sent; the drives hear them and the plant moves; their answers arrive. Each stops with what its
+kernel returns, HEAR and LIVE also where Python moves the drives."""
+LOCKSTEP = np.dtype(
+    [
+        *ROW_OF_TICKS,
+        *((name, "<i8") for name in ("wires", "nodes", "period_ns", "window_ns", "compute_ns", "unasked")),
+        *((name, "<i8") for name in ("tick", "replies", "replied", "early", "bus_off", "bus_state")),
+    ]
+)
+"""Both ends of the buses, and a row of ticks.
+
+Addresses of records: WIRES and, unless Python moves the drives, NODES. Times in ns; whether drives send
+unasked. The number of the tick; what the drives send, and how many frames; how many they have heard before
+the tick; off and state of the buses.
+"""
+_wires_at, _nodes_at, _live = record_at(record(WIRES)), record_at(NODES_RECORD), apart(live)
+_heard_by, _pass_on = apart(wire_kernels.heard_by), apart(wire_kernels.pass_on)
+_begin, _answer, _command = apart(wire_kernels.begin), apart(wire_kernels.answer), apart(wire_kernels.command)
+
+
+@helper
+def _lives(s: Any, until_ns: int, heard: int) -> int:
+    """Let the drives hear so many frames, and live until an instant."""
+    if s.nodes == 0:
+        return 1
+    nodes, wires = _nodes_at(s.nodes), _wires_at(s.wires)
+    status = int(_live(nodes, frames_at(wires.commands_at, heard), until_ns, False))
+    s.replies, s.replied = nodes.out, nodes.sent
+    return status
+
+
+@helper
+def _observes(s: Any, wires: Any, t_ns: int) -> int:
+    """Let the controller hear what has come."""
+    s.heard_at, s.heard = wires.late_at, wires.taken
+    if not has_room(s):
+        return NO_ROOM
+    tick = begin_tick(s)
+    tick.tick, tick.t_ns, tick.sync_skew_ns = s.tick, t_ns, wires.skew_ns
+    tick.bus_off, tick.bus_state = s.bus_off, s.bus_state
+    tick.latch_ns[:] = wires.latch_ns
+    return observe(s, tick)
+
+
+@helper
+def _commands(s: Any, wires: Any, t_ns: int) -> int:
+    """Queue the controller's command, and end the tick."""
+    frames = frames_at(s.frames + s.used * BYTES, s.sent)
+    status = int(_command(wires, frames, wires.step_ns + s.compute_ns, t_ns + s.period_ns - 1))
+    if status == 0:
+        end_tick(s)
+        s.tick += 1
+    return status
+
+
+@helper
+def _go_through(s: Any) -> int:
+    """Go through a stage of the tick; return 0, or why it stops."""
+    t_ns, stage, wires = s.tick * s.period_ns, s.stage, _wires_at(s.wires)
+    deadline_ns = t_ns + s.window_ns
+    if stage == START:
+        return start(s, s.tick)
+    if stage in (HEAR, PASS) and not s.unasked:
+        return 0
+    if stage == HEAR:
+        s.early = _heard_by(wires, t_ns)
+        return _lives(s, t_ns, s.early)
+    if stage == PASS:
+        return int(_pass_on(wires, frames_at(s.replies, s.replied), t_ns, s.early))
+    if stage == SYNC:
+        return int(_begin(wires, frames_at(s.starts, s.begins), t_ns, deadline_ns))
+    if stage == LIVE:
+        return _lives(s, wires.synced_ns, wires.commands)
+    if stage == ANSWER:
+        return int(_answer(wires, frames_at(s.replies, s.replied), s.tick, t_ns, deadline_ns))
+    if stage == OBSERVE:
+        return _observes(s, wires, t_ns)
+    return act(s) if stage == ACT else _commands(s, wires, t_ns)
+
+
+@direct(record(LOCKSTEP), unlocked=True)
+def advance(s: Any) -> int:
+    """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
+    while s.done < s.count:
+        status = _go_through(s)
+        if status != 0:
+            return status
+        s.stage = (s.stage + 1) % (COMMAND + 1)
+    return 0

@@ -1,0 +1,171 @@
+"""A row of ticks: a kernel goes through them, and stops where the cycle has something to decide."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import ZERO6, Ints, Rows
+from drivers.compiled.pointed import data_at
+from drivers.controller_end import MOST_FRAMES
+from drivers.frame_array import FRAME
+from drivers.signals import DriveMode
+from drivers.tick_columns import ROW, TICK, Record, new_record
+from hil.loop.cycle import Cycle
+from hil.loop.tick_input import input_of, put_input
+from hil.loop.tick_kernels import ACT, COMMAND, NO_ROOM, OBSERVE, ROW_OF_TICKS, START
+from hil.signals import Operator, Order, SetPoint, TickInput
+
+CAPACITY = 64
+"""Ticks that have memory at once."""
+_FRAMES_A_TICK = 24
+
+
+_AT = {name: k for k, (name, _) in enumerate(ROW_OF_TICKS)}
+BEGINS, LAST, USED, COUNT, DONE = (_AT[name] for name in ("begins", "last", "used", "count", "done"))
+STAGE, ATTENDS, HEARD, SENT = (_AT[name] for name in ("stage", "attends", "heard", "sent"))
+"""Places of integers in the record of a kernel."""
+
+
+class Given(NamedTuple):
+    """What the operator gives in a tick."""
+
+    operator: tuple[Operator, ...] = ()
+    orders: tuple[Order, ...] = ()
+    setpoints: tuple[SetPoint, ...] = ()
+
+
+NOTHING = Given()
+
+
+class Ticks:
+    """Memory for CAPACITY ticks, which the kernel fills one after the other; none is filled twice.
+
+    Attributes: records (CAPACITY, words of TICK); frames, elements of FRAME: of each tick those heard, those
+    that started it and those of its command, sent at its instant; ends (CAPACITY, 3), where these end.
+    """
+
+    def __init__(self) -> None:
+        self.records = np.empty((CAPACITY, TICK.itemsize // 8))
+        self.ends = np.zeros((CAPACITY, 3), np.int64)
+        self.frames: Rows = np.empty(CAPACITY * _FRAMES_A_TICK + 2 * MOST_FRAMES, FRAME)
+
+    def record(self, k: int) -> Record:
+        """Return the record of a tick."""
+        return np.ndarray((), TICK, self.records[k])
+
+    def row(self, k: int) -> Record:
+        """Return the recorded columns of a tick."""
+        return np.ndarray((), ROW, self.records[k])
+
+    def recorded(self, ticks: slice) -> tuple[Rows, Rows, Ints]:
+        """Return of some ticks the rows, the frames, and how many there are up to the end of each."""
+        records = self.records[ticks]
+        rows = np.ndarray((len(records),), ROW, records, strides=(TICK.itemsize,))
+        first = int(self.ends[ticks.start - 1, 2]) if ticks.start else 0
+        ends = self.ends[ticks, 2]
+        return rows, self.frames[first : int(ends[-1])], ends - first
+
+    def spans(self, k: int) -> tuple[slice, slice, slice]:
+        """Return where in `frames` those heard, those that started a tick and those of its command are."""
+        first = int(self.ends[k - 1, 2]) if k else 0
+        heard, opened, ended = self.ends[k].tolist()
+        return slice(first, heard), slice(heard, opened), slice(opened, ended)
+
+
+class TickRow:
+    """The ticks of a cycle that a kernel goes through, one after the other.
+
+    Mutable state: the kernel's record, the ticks that it fills, what is given, and the cycle itself.
+    """
+
+    def __init__(
+        self,
+        cycle: Cycle,
+        dtype: np.dtype[np.void],
+        kernel: Callable[[Record], int],
+        attend: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """Take a kernel and the type of its record, which begins with ROW_OF_TICKS.
+
+        attend: called with a stage that is not the controller's, and why it stopped.
+        """
+        self._cycle, self._kernel, self._attend = cycle, kernel, attend
+        self.record = s = np.zeros((), dtype)
+        self.words = s.reshape(1).view(np.int64).data
+        """The same as integers, quick to get at."""
+        self._begun, self._starts = new_record(), np.zeros(MOST_FRAMES, FRAME)
+        put_input(self._begun, TickInput(0, 0))
+        s["control"] = data_at(cycle.control.record)
+        s["opening"], s["opener"] = cycle.end.opening, cycle.end.opener
+        s["begun"], s["starts"] = data_at(self._begun), data_at(self._starts)
+        self._given, self._decided, self._latest = NOTHING, False, self._begun
+        self.new: slice[int, int, None] = slice(0, 0)
+        """Which of the ticks the last `go` has done."""
+        self._turn_over()
+
+    def go(self, count: int, given: Given = NOTHING, *, attends: bool = False) -> slice:
+        """Go through at most `count` ticks: to the end of `ticks`, or of one that decides.
+
+        given: in the first one; attends: Python attends to that in any case. Returns which ticks are done;
+        where this raises, `new` has them.
+        """
+        words, cycle = self.words, self._cycle
+        if words[DONE] == CAPACITY:
+            self._turn_over()
+        before, first = cycle.tick, words[DONE]
+        if before is not self._latest:
+            words[LAST] = data_at(before)
+        self._given, self._decided = given, False
+        words[ATTENDS] = attends or any(given) or cycle.control.probes
+        words[COUNT] = min(first + count, CAPACITY)
+        try:
+            while stopped := self._kernel(self.record):
+                self._stop(words[STAGE], stopped)
+        finally:
+            done = words[DONE]
+            self.new = slice(first, done)
+            if done > first and not self._decided:
+                last = self.ticks.record(done - 2) if done > first + 1 else before
+                cycle.pass_on(last, self.ticks.record(done - 1))
+            self._latest = cycle.tick
+        return self.new
+
+    def _turn_over(self) -> None:
+        """Begin new memory for ticks: who has the old one keeps it."""
+        s, self.ticks = self.record, Ticks()
+        s["ticks"], s["ends"] = data_at(self.ticks.records), data_at(self.ticks.ends)
+        s["done"] = s["used"] = 0
+        self._hold(self.ticks.frames)
+
+    def _hold(self, frames: Rows) -> None:
+        """Let the frames of the ticks be held in this memory."""
+        self.ticks.frames = frames
+        self.record["frames"], self.record["room"] = data_at(frames), len(frames)
+
+    def _stop(self, stage: int, stopped: int) -> None:
+        """Do what a stage has stopped for."""
+        if stage == START:
+            self._cycle.end.refuse(ZERO6, DriveMode.OFF, self.words[DONE])
+        elif stage == OBSERVE and stopped == NO_ROOM:
+            frames = self.ticks.frames
+            self._hold(np.concatenate((frames, np.empty(self.words[HEARD] + len(frames), FRAME))))
+        elif stage in (OBSERVE, ACT):
+            self._decide(stopped, observed=stage == OBSERVE)
+        else:
+            assert self._attend is not None
+            self._attend(stage, stopped)
+
+    def _decide(self, stopped: int, *, observed: bool) -> None:
+        """Let the cycle decide in a tick; it is the last one of `go`."""
+        words, ticks, cycle, given = self.words, self.ticks, self._cycle, self._given
+        k, used = words[DONE], words[USED]
+        tick = ticks.record(k)
+        cycle.pass_on(ticks.record(k - 1) if k else cycle.tick, tick)
+        self._decided, words[COUNT] = True, k + 1
+        heard = ticks.frames[used - words[BEGINS] - words[HEARD] : used - words[BEGINS]]
+        inp = input_of(ticks.row(k), heard, given.operator, given.setpoints, given.orders)
+        into = ticks.frames[used : used + MOST_FRAMES]
+        frames = cycle.decide(inp, into, max(stopped, 0)) if observed else cycle.end_tick(inp, into, stopped)
+        into[: len(frames)] = frames
+        words[SENT], words[STAGE] = len(frames), COMMAND

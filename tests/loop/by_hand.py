@@ -1,0 +1,68 @@
+"""A lockstep whose tick is made of its parts one by one, for tests that come in between."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.frame_array import FRAME
+from drivers.signals import LEGS
+from hil.app.sim.lockstep import Lockstep
+from hil.app.sim.wire_kernels import answer, begin, command, heard_by, pass_on
+from hil.app.sim.wires import COMMANDS, LATCH, SKEW, STEP, SYNCED, TAKEN
+from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
+
+
+@dataclass
+class ByHand(Lockstep):
+    """Both ends, a tick at a time; faults that wait for a mode are not told of it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.window_ns = round(self.feedback_window_s * 1e9)
+        self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
+
+    def step(
+        self,
+        operator: tuple[Operator, ...] = (),
+        setpoints: tuple[SetPoint, ...] = (),
+        orders: tuple[Order, ...] = (),
+    ) -> tuple[TickInput, Rows, TickOutput]:
+        """Advance both ends by one tick."""
+        self.tick = tick = self.tick + 1
+        t_ns, words, opening = tick * self.period_ns, self.wires.words, self.cycle.begin(tick)
+        heard = self.exchange(t_ns, opening)
+        inp = TickInput(
+            tick,
+            t_ns,
+            sync_skew_ns=words[SKEW],
+            frames=heard,
+            latch_ns=tuple(words[LATCH : LATCH + LEGS]),
+            operator=operator,
+            setpoints=setpoints,
+            orders=orders,
+        )
+        out = self.cycle.step(inp)
+        self.send(out.frames, words[STEP] + self.compute_ns, t_ns + self.period_ns - 1)
+        return inp, opening, out
+
+    def exchange(self, t_ns: int, opening: Rows) -> Rows:
+        """Let SYNC reach the drives and their answers the controller; return what it hears."""
+        wires, words, nodes = self.wires, self.wires.words, self.nodes
+        deadline_ns = t_ns + self.window_ns
+        if self.cycle.parts.protocol.unasked_s > 0.0:
+            heard = heard_by(wires.record, t_ns)
+            replies = nodes.advance(t_ns, wires.commands[:heard])
+            while status := pass_on(wires.record, replies, t_ns, heard):
+                wires.settle(status, replies)
+        while status := begin(wires.record, opening, t_ns, deadline_ns):
+            wires.settle(status, opening)
+        replies = nodes.advance(words[SYNCED], wires.commands[: words[COMMANDS]])
+        while status := answer(wires.record, replies, self.tick, t_ns, deadline_ns):
+            wires.settle(status, replies)
+        return np.frombuffer(wires.late[: FRAME.itemsize * words[TAKEN]].tobytes(), FRAME)
+
+    def send(self, frames: Rows, t_ns: int, until_ns: int) -> None:
+        """Queue the controller's command."""
+        while status := command(self.wires.record, frames, t_ns, until_ns):
+            self.wires.settle(status, frames)

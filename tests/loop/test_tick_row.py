@@ -1,0 +1,115 @@
+"""Many ticks in one call give what one call for each gives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from hil.app.compose import build_cycle, build_nodes
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.sim.build import build_lockstep
+from hil.app.sim.commands import CommandScript
+from hil.app.sim.lockstep import Lockstep
+from hil.loop.run_end import Ending
+from hil.loop.tick_row import CAPACITY
+from tests.golden.cases import CASES
+from tests.golden.runner import configured
+
+NAMES = (
+    "shipped virtual",
+    "shipped two buses",
+    "shipped virtual-cia402",
+    "reference live, then hold, start and park",
+    "law inverse_dynamics with the wrench observer",
+)
+
+
+class Kept:
+    """All ticks of a run: rows, frames, and how many calls it took. State: these."""
+
+    def __init__(self) -> None:
+        self.rows: list[bytes] = []
+        self.frames: list[bytes] = []
+        self.calls = 0
+
+    def observe(self, inp: Any, opening: Any, out: Any) -> None:
+        """Take one tick."""
+        self.calls += 1
+        sent = np.concatenate((opening, out.frames))
+        sent["t_ns"] = inp.t_ns
+        self.rows.append(out.row.tobytes())
+        self.frames += [each.tobytes() for each in (*inp.frames, *sent)]
+
+    def take(self, ticks: Any, new: slice, _given: Any) -> None:
+        """Take many."""
+        self.calls += 1
+        rows, frames, _ends = ticks.recorded(new)
+        self.rows += [row.tobytes() for row in rows]
+        self.frames += [each.tobytes() for each in frames]
+
+
+def bench(c: Configuration) -> tuple[Lockstep, Any]:
+    nodes, plant = build_nodes(c)
+    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+    return build_lockstep(c, cycle, nodes, attended=True), plant
+
+
+def run(name: str, *, at_once: bool) -> tuple[Kept, Ending]:
+    case, kept = CASES[name], Kept()
+    c = configured(case)
+    script = CommandScript(case.commands, c.loop.rate_Hz)
+    lockstep, plant = bench(c)
+    try:
+        ending = lockstep.run(
+            min(case.duration_s or 2.0, 2.0),
+            None if at_once else kept.observe,
+            commands=script,
+            take=kept.take,
+            silent=script.silent,
+            armed=not script.arms,
+            over=lambda: script.over,
+        )
+    finally:
+        plant.close()
+    return kept, ending
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_many_ticks_in_one_call_are_those_of_one_call_each(name):
+    (alone, one), (together, many) = run(name, at_once=False), run(name, at_once=True)
+    assert together.rows == alone.rows
+    assert together.frames == alone.frames
+    assert (many.mode, many.ticks, many.reason) == (one.mode, one.ticks, one.reason)
+    assert together.calls < alone.calls // 4
+
+
+def test_ticks_before_a_plant_fails_are_given_and_the_run_ends_in_the_tick_that_failed(monkeypatch):
+    lockstep, plant = bench(load("virtual"))
+    kept, nodes, failing = Kept(), lockstep.nodes, 1000
+    known: Any = type(nodes).address
+
+    def fails(received: Any, _status: int) -> Any:
+        raise PlantError(f"the model is gone after {len(received)} frames")
+
+    def address(self: Any) -> int:
+        """Let Python move the plant from some tick on, and fail."""
+        return 0 if lockstep.tick + 1 >= failing - CAPACITY else int(known.fget(self))
+
+    def advance(t_ns: int, received: Any) -> Any:
+        if t_ns >= failing * lockstep.period_ns:
+            fails(received, 0)
+        return type(nodes).advance(nodes, t_ns, received)
+
+    monkeypatch.setattr(type(nodes), "address", property(address))
+    monkeypatch.setattr(nodes, "advance", advance)
+    try:
+        ending = lockstep.run(2.0, None, take=kept.take)
+    finally:
+        plant.close()
+    assert len(kept.rows) == failing == ending.ticks == lockstep.tick
+    assert ending.reason.startswith("the model is gone")
+    assert lockstep.cycle.tick["tick"] == failing - 1
+    assert lockstep.cycle.last["tick"] == failing - 2

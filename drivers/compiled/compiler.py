@@ -15,6 +15,7 @@ from numba import types
 from numba.extending import intrinsic, register_jitable
 from numba.np import linalg
 
+import drivers.compiled.assignment  # noqa: F401 - lowers assignments to slices
 from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
 from drivers.compiled.cache import Locator, announce, is_as_imported
 from drivers.compiled.cache import compiled as count_compiled

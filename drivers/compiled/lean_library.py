@@ -64,3 +64,8 @@ def lean_libraries() -> Iterator[None]:
         yield
     finally:
         del codegen._library_class  # noqa: SLF001
+
+
+def makes_lean_libraries() -> bool:
+    """Tell whether what is compiled now is a kernel of this project."""
+    return cpu_target.target_context.codegen()._library_class is LeanLibrary  # noqa: SLF001

@@ -1,4 +1,8 @@
-"""How compiled kernels lie in the cache: machine code and the names it defines; LLVM's bitcode waits aside.
+"""How kernels are linked, and lie in the cache: machine code, its names, and LLVM's bitcode set aside.
+
+Numba optimises each helper by itself and makes machine code of it, which nobody calls, and optimises it once
+more in each of its callers. Here a helper is linked as it was lowered: all that a kernel holds is optimised
+once, in the kernel.
 
 Numba parses the bitcode of each kernel that it loads, for the names in it and for kernels that may inline it.
 The names are kept beside the code, and the bitcode is parsed when a kernel that calls this one is compiled;
@@ -11,26 +15,64 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
-from llvmlite import binding
+from llvmlite import binding, ir
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 
 _KIND = "machine code, names, bitcode"
+_ENVIRONMENT = "_ZN08NumbaEnv"
+_POINTER = ir.IntType(8).as_pointer()
 
 
 class LeanLibrary(JITCodeLibrary):
-    """The machine code of one kernel. Mutable state: the bitcode, until it is parsed."""
+    """One kernel or helper. Mutable state: a kernel's bitcode, until it is parsed; what is linked to it."""
 
     _bitcode: bytes | None = None
     machine_code = b""
     """As the cache keeps it; empty where it does not."""
 
+    def add_linking_library(self, library: Any) -> None:
+        """Link another one to it, at the end."""
+        self._reload_init.update(library._reload_init)  # noqa: SLF001
+        self._linking_libraries.append(library)
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a function of a kernel. A helper has none that anybody calls: 0."""
+        own: Any = self._final_module
+        if self._finalized or any(each.name == name for each in own.functions):
+            return int(super().get_pointer_to_function(name))  # type: ignore[no-untyped-call]
+        self._place_environments()
+        return 0
+
+    def _place_environments(self) -> None:
+        """Make the places in which Numba puts a helper's environment; else machine code brings them."""
+        own: Any = self._final_module
+        codegen: Any = self._codegen
+        module = codegen._create_empty_module(f"environments of {self.name}")  # noqa: SLF001
+        for each in own.global_variables:
+            if each.name.startswith(_ENVIRONMENT):
+                place = ir.GlobalVariable(module, _POINTER, each.name)
+                place.linkage, place.initializer = "common", _POINTER(None)
+        engine = codegen._engine  # noqa: SLF001
+        engine.add_module(binding.parse_assembly(str(module)))
+        engine.finalize_object()
+
     def _get_module_for_linking(self) -> Any:
-        """Return the kernel as LLVM has it, for a kernel that inlines it."""
+        """Return the kernel, or the helper, as LLVM has it, for a kernel that inlines it."""
         if self._bitcode is not None:
             self._shared_module = binding.parse_bitcode(self._bitcode)
             self._bitcode = None
-        return super()._get_module_for_linking()  # type: ignore[no-untyped-call]
+        if self._finalized:
+            return super()._get_module_for_linking()  # type: ignore[no-untyped-call]
+        if self._shared_module is None:
+            module = self._final_module.clone()
+            for each in dict.fromkeys(self._linking_libraries):
+                module.link_in(each._get_module_for_linking(), preserve=True)  # noqa: SLF001
+            for function in module.functions:
+                if not function.is_declaration and function.linkage == binding.Linkage.external:
+                    function.linkage = "linkonce_odr"
+            self._shared_module = module
+        return self._shared_module
 
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, tuple[str, ...], bytes]]:
         """Return what the cache keeps."""

@@ -10,15 +10,21 @@ from llvmlite import binding
 from numba.core.registry import cpu_target
 
 from drivers.compiled import cache
-from drivers.compiled.compiler import REAL, kernel
+from drivers.compiled.compiler import OPTIONS, REAL, kernel
 from drivers.compiled.lean_library import LeanLibrary
 
 SOURCE = """
-from drivers.compiled.compiler import REAL, kernel
+from drivers.compiled.compiler import REAL, helper, kernel
+
+@helper
+def positive(x):
+    if x < 0.0:
+        raise ValueError("negative")
+    return x
 
 @kernel(REAL)
 def twice(x):
-    return 2.0 * x
+    return 2.0 * positive(x)
 
 @kernel(REAL)
 def fourfold(x):
@@ -75,6 +81,27 @@ def test_a_loaded_kernel_names_all_that_it_defines(imported, monkeypatch):
     assert hits(module.fourfold) == 1
     assert engine.is_symbol_defined(loaded.fndesc.llvm_func_name)
     assert engine.is_symbol_defined(loaded.fndesc.llvm_cpython_wrapper_name)
+
+
+def test_a_loaded_kernel_raises_what_its_helper_raises(imported):
+    module = imported()
+    assert hits(module.fourfold) == 1
+    with pytest.raises(ValueError, match="negative"):
+        module.fourfold(-1.0)
+
+
+def test_a_kernel_of_others_calls_a_helper_that_a_kernel_has_called(imported):
+    positive = imported().positive
+
+    @kernel(REAL)
+    def own(x):
+        return positive(x) + 1.0
+
+    foreign = numba.njit("float64(float64)", **OPTIONS)(lambda x: positive(x) - 1.0)
+    assert (own(2.0), foreign(2.0)) == (3.0, 1.0)
+    for each in (own, foreign):
+        with pytest.raises(ValueError, match="negative"):
+            each(-1.0)
 
 
 def test_what_others_compile_stays_as_numba_has_it(imported):

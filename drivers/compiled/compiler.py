@@ -20,6 +20,7 @@ from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
 from drivers.compiled.cache import Locator, announce, is_as_imported
 from drivers.compiled.cache import compiled as count_compiled
 from drivers.compiled.lean_library import lean_libraries
+from drivers.compiled.pipeline import KernelPipeline
 from drivers.compiled.undisturbed import undisturbed
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -78,8 +79,9 @@ def records(dtype: np.dtype[np.void]) -> Any:
     return types.Array(BorrowedRecord(dtype, dtype.names or ()), 1, "C", readonly=True)
 
 
+_njit: Any = numba.njit
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "pipeline_class": KernelPipeline}
 
 
 @contextmanager
@@ -117,7 +119,8 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         with compiling(function) as kept:
-            compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **OPTIONS)(function)
+            options = {"nogil": unlocked, "cache": kept, "no_cfunc_wrapper": True}
+            compiled = _njit(arguments, **options, **OPTIONS)(function)
         if hasattr(compiled, "stats"):
             count(function, kept=kept, misses=len(compiled.stats.cache_misses))
         return cast("F", compiled)

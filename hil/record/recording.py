@@ -19,6 +19,7 @@ from drivers.arrays import Ints, Rows
 from drivers.clock import MONOTONIC, Clock
 from drivers.compiled.machine_code import machine_code
 from drivers.errors import LogError
+from drivers.frame_array import received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, set_up, spawn, write_all
 from hil.record.environment import environment, scheduling
@@ -31,12 +32,10 @@ from hil.record.ring import (
     OPERATOR,
     READ,
     READ_ITEMS,
-    RECEIVED,
-    SENT,
     WRITTEN,
     Ring,
     fence,
-    pack_item,
+    item_of,
     pack_numbers,
 )
 from hil.record.row import TICKS, Table, describe
@@ -211,24 +210,13 @@ class Recording:
         Raises LogError for a frame of more than 64 bytes, and in lockstep where one tick has more frames than
         the ring, RecorderEndedError where the recorder has ended.
         """
-        if not self._begun(row, len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)):
-            return
-        buffer, size, capacity = self._ring.item_bytes, ITEM.itemsize, self._ring.item_capacity
-        item = self._items
-        for t_ns, (can_id, data, flags) in received:
-            length = len(data)
-            if length > MAX_DATA:
-                raise _too_long(can_id, length)
-            pack_item(buffer, item % capacity * size, t_ns, can_id, RECEIVED, length, flags, data)
-            item += 1
-        now = int(row["t_ns"])
-        for can_id, data, flags in sent:
-            length = len(data)
-            if length > MAX_DATA:
-                raise _too_long(can_id, length)
-            pack_item(buffer, item % capacity * size, now, can_id, SENT, length, flags, data)
-            item += 1
-        self._end(row, item, operator, setpoints, orders)
+        for can_id, data, _ in (*(frame for _, frame in received), *sent):
+            if len(data) > MAX_DATA:
+                raise LogError(
+                    f"frame 0x{can_id:X} has {len(data)} data bytes: CAN FD carries at most {MAX_DATA}"
+                )
+        outgoing = sent_at(int(row["t_ns"]), sent_array(sent))
+        self.tick_of_items(row, received_array(received), outgoing, operator, setpoints, orders)
 
     def tick_of_items(
         self,
@@ -240,11 +228,26 @@ class Recording:
         orders: Sequence[Order] = (),
     ) -> None:
         """Record one tick as `tick` does, its frames as elements of ITEM: kind, time and bus are theirs."""
-        if not self._begun(row, len(received) + len(sent) + len(operator) + len(setpoints) + len(orders)):
+        data = received.tobytes() + sent.tobytes()
+        if operator or setpoints or orders:
+            now = int(row["t_ns"])
+            bare, poses = [(each, ()) for each in operator], [(_SETPOINT, each) for each in setpoints]
+            for command, numbers in (*bare, *poses, *orders):
+                content = pack_numbers(numbers)
+                data += item_of(now, command, OPERATOR, len(content), 0, content)
+        count, ring = len(data) // ITEM.itemsize, self._ring
+        if not self._has_room(count):
+            self.dropped += 1
+            self._counters[DROPPED] = self.dropped
             return
-        self._ring.put(self._items, received)
-        self._ring.put(self._items + len(received), sent)
-        self._end(row, self._items + len(received) + len(sent), operator, setpoints, orders)
+        place = self.ticks % ring.capacity
+        ring.rows[place] = row
+        ring.put(self._items, data)
+        self._items += count
+        ring.ends[place] = self._items
+        fence()
+        self.ticks += 1
+        self._counters[WRITTEN] = self.ticks
 
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
         """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
@@ -256,7 +259,7 @@ class Recording:
             self.ticks_of_items(rows[half:], items[middle:], ends[half:] - middle)
         elif self._has_room(len(items), count):
             ring.put_rows(self.ticks, rows, ends + self._items)
-            ring.put(self._items, items)
+            ring.put(self._items, items.tobytes())
             self._items += len(items)
             fence()
             self.ticks += count
@@ -265,48 +268,14 @@ class Recording:
             self.dropped += count
             self._counters[DROPPED] = self.dropped
 
-    def _begun(self, row: Rows | np.void, count: int) -> bool:
-        """Copy the row where it and `count` items have room; otherwise count the tick as dropped."""
-        if not self._has_room(count):
-            self.dropped += 1
-            self._counters[DROPPED] = self.dropped
-            return False
-        self._ring.rows[self.ticks % self._ring.capacity] = row
-        return True
-
-    def _end(
-        self,
-        row: Rows | np.void,
-        item: int,
-        operator: Sequence[int],
-        setpoints: Sequence[SetPoint],
-        orders: Sequence[Order],
-    ) -> None:
-        """Copy what the operator sent, from item number `item` on, and publish the tick."""
-        ring = self._ring
-        if operator or setpoints or orders:
-            now = int(row["t_ns"])
-            bare, poses = [(each, ()) for each in operator], [(_SETPOINT, each) for each in setpoints]
-            for command, numbers in (*bare, *poses, *orders):
-                data = pack_numbers(numbers)
-                offset = item % ring.item_capacity * ITEM.itemsize
-                pack_item(ring.item_bytes, offset, now, command, OPERATOR, len(data), 0, data)
-                item += 1
-        self._items = ring.ends[self.ticks % ring.capacity] = item
-        fence()
-        self.ticks += 1
-        self._counters[WRITTEN] = self.ticks
-
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
         data = text.encode(errors="replace")  # it may name a file whose name is no UTF-8
         pieces = [data[i : i + _PIECE] for i in range(0, len(data), _PIECE)] or [b""]
         if not self._has_room(len(pieces)):
             return
-        ring = self._ring
         for left, piece in zip(range(len(pieces) - 1, -1, -1), pieces, strict=True):
-            offset = self._items % ring.item_capacity * ITEM.itemsize
-            pack_item(ring.item_bytes, offset, t_ns, left, EVENT, len(piece), LEVELS[level], piece)
+            self._ring.put(self._items, item_of(t_ns, left, EVENT, len(piece), LEVELS[level], piece))
             self._items += 1
         fence()
         self._counters[EVENTS] = self._items
@@ -406,10 +375,6 @@ def _mirror(mirror: tuple[Path, Mapping[str, object]] | None, table: Table) -> d
         return None
     path, about = mirror
     return {"path": str(path), "about": {**about, "columns": describe(table.columns)}}
-
-
-def _too_long(can_id: int, length: int) -> LogError:
-    return LogError(f"frame 0x{can_id:X} has {length} data bytes: CAN FD carries at most {MAX_DATA}")
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:

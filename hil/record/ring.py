@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Ints, Rows
-from drivers.frame_array import FRAME, pack_frame, unpack_frames
+from drivers.frame_array import FRAME, frame_bytes, unpack_frames
 
 ITEM = FRAME
 """Frames as they are; commands of the operator and pieces of events in the same form."""
-pack_item, unpack_items = pack_frame, unpack_frames
+item_of, unpack_items = frame_bytes, unpack_frames
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
 """Kinds of item. Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces
 follow, flags the level."""
@@ -111,9 +111,9 @@ class Ring:
             os.close(self.fd)
         self.fd = -1
 
-    def put(self, number: int, items: Rows) -> None:
-        """Copy items, elements of ITEM, to their places from `number` on; there is room for them."""
-        data, first = items.tobytes(), number % self.item_capacity * ITEM.itemsize
+    def put(self, number: int, data: bytes) -> None:
+        """Copy bytes of items to their places from `number` on; there is room for them."""
+        first = number % self.item_capacity * ITEM.itemsize
         here = min(len(data), len(self.item_bytes) - first)
         self.item_bytes[first : first + here] = data[:here]
         self.item_bytes[: len(data) - here] = data[here:]

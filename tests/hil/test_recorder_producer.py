@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
+from drivers.frame_array import pack_frame as pack_item
 from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import recording as module
 from hil.record.recording import RecorderEndedError, Recording
-from hil.record.ring import DROPPED, ITEM, RECEIVED, SENT, WRITTEN, Ring, pack_item
+from hil.record.ring import DROPPED, ITEM, RECEIVED, SENT, WRITTEN, Ring
 from hil.signals import Operator, Order, SetPoint
 
 

@@ -8,12 +8,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from drivers.frame_array import pack_frame as pack_item
 from drivers.protocol import Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record import recording as producer
 from hil.record import ring as module
-from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, READ_ITEMS, SENT, WRITTEN, Ring, pack_item
+from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, READ_ITEMS, SENT, WRITTEN, Ring
 from hil.signals import Operator, Order, SetPoint
 
 DTYPE = np.dtype([("tick", "<i8"), ("t_ns", "<i8"), ("x", "<f8", (3,))])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +17,7 @@ from drivers.tick_columns import RECORDED
 from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
-from hil.record.mcap_read import read_summary
+from hil.record.mcap_read import MessageTable, read_summary
 from hil.record.row import Table
 from hil.record.schema import SUMMARY
 from hil.record.selection import Selection, joined, together
@@ -269,20 +270,10 @@ class Log(LogFile):
 
         """
         selection = self._selection(names, start_s, stop_s)
-        pending, done = np.zeros(0, self.dtype), -1
-        for data, table in self._buffers():
-            pending = together((pending, self._decoder.rows(data, table)))
-            if len(pending) < _BATCH:
-                continue
-            pending = self._sorted(pending, np.zeros(0, ITEM), done)
-            ready, pending = pending[:-_LOOKAHEAD], pending[-_LOOKAHEAD:]
-            done = int(ready["tick"][-1])
+        for ready, _ in self._in_order():
             within = selection.within(ready)
             if len(within):
                 yield selection.of_rows(within)
-        rest = selection.within(self._sorted(pending, np.zeros(0, ITEM), done))
-        if len(rest):
-            yield selection.of_rows(rest)
 
     def _selection(self, names: Sequence[str], start_s: float | None, stop_s: float | None) -> Selection:
         selection = Selection.of(self.columns, names, str(self.path))
@@ -334,41 +325,47 @@ class Log(LogFile):
             The file is damaged, or another program has moved messages too far from their tick.
 
         """
-        rows, items = [np.zeros(0, self.dtype)], [np.zeros(0, ITEM)]
         commands: Commands = {}
-        done = -1
-        for data, table in self._buffers():
-            rows.append(self._decoder.rows(data, table))
-            items.append(self._decoder.frames(data, table))
-            for message in self._decoder.messages(data, table, OPERATOR):
-                with self._decoder.understood(OPERATOR):
-                    tick, command = int(message.tick), Operator(message.command)
-                    numbers = tuple(map(float, message.setpoint))
-                    commands.setdefault(tick, []).append((int(message.index), command, numbers))
-                wanted = NUMBERS.get(command)
-                if wanted is not None and len(numbers) != wanted:
-                    raise LogError(
-                        f"{self.path}: the operator's command of tick {tick} has {len(numbers)} numbers, "
-                        f"allowed: {wanted}"
-                    )
-            if sum(map(len, rows)) < _BATCH:
-                continue
-            frames = together(items)
-            ready = self._sorted(together(rows), frames, done)
-            ready, rows = ready[:-_LOOKAHEAD], [ready[-_LOOKAHEAD:]]
-            done = int(ready["tick"][-1])
-            mine = frames["tick"] <= done
-            yield from assemble(ready, frames.compress(mine), commands)
-            items = [frames.compress(~mine)]
-        frames = together(items)
-        yield from assemble(self._sorted(together(rows), frames, done), frames, commands)
+        for rows, frames in self._in_order(commands):
+            yield from assemble(rows, frames, commands)
 
-    def _sorted(self, rows: Rows, items: Rows, done: int) -> Rows:
-        """Return rows in tick order; refuse what belongs to ticks up to `done`, already handed out."""
-        ticks = np.concatenate((rows["tick"], items["tick"]))
-        if len(ticks) and int(ticks.min()) <= done:
-            raise LogError(f"{self.path}: messages stand more than {_LOOKAHEAD} ticks out of order")
-        order = rows["tick"]
-        if (order[1:] >= order[:-1]).all():
-            return rows
-        return rows.take(np.argsort(order, kind="stable"))
+    def _in_order(self, commands: Commands | None = None) -> Iterator[tuple[Rows, Rows]]:
+        """Yield rows in tick order, reading as it goes; with `commands`, which it fills, their frames, too.
+
+        Raises LogError for what belongs to ticks that were already handed out.
+        """
+        rows, items, done = np.zeros(0, self.dtype), np.zeros(0, ITEM), -1
+        for buffer in chain(self._buffers(), (None,)):
+            if buffer is not None:
+                rows = together((rows, self._decoder.rows(*buffer)))
+                if commands is not None:
+                    items = together((items, self._decoder.frames(*buffer)))
+                    self._read_commands(*buffer, commands)
+                if len(rows) < _BATCH:
+                    continue
+            ticks = np.concatenate((rows["tick"], items["tick"]))
+            if len(ticks) and int(ticks.min()) <= done:
+                raise LogError(f"{self.path}: messages stand more than {_LOOKAHEAD} ticks out of order")
+            order = rows["tick"]
+            if (order[1:] < order[:-1]).any():
+                rows = rows.take(np.argsort(order, kind="stable"))
+            settled = len(rows) if buffer is None else len(rows) - _LOOKAHEAD
+            ready, rows = rows[:settled], rows[settled:]
+            done = int(ready["tick"][-1]) if len(ready) else done
+            mine = items["tick"] <= done
+            yield ready, items.compress(mine)
+            items = items.compress(~mine)
+
+    def _read_commands(self, data: bytes, table: MessageTable, commands: Commands) -> None:
+        """Add the operator's commands in a buffer to those found before."""
+        for message in self._decoder.messages(data, table, OPERATOR):
+            with self._decoder.understood(OPERATOR):
+                tick, command = int(message.tick), Operator(message.command)
+                numbers = tuple(map(float, message.setpoint))
+                commands.setdefault(tick, []).append((int(message.index), command, numbers))
+            wanted = NUMBERS.get(command)
+            if wanted is not None and len(numbers) != wanted:
+                raise LogError(
+                    f"{self.path}: the operator's command of tick {tick} has {len(numbers)} numbers, "
+                    f"allowed: {wanted}"
+                )

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from drivers.arrays import Ints, Rows
+from drivers.arrays import Ints
 from drivers.tick_columns import RECORDED, ROW, Column
-from hil.record.layout import FIXED64, LENGTH, VARINT, Builder, varint
+from hil.record.layout import FIXED64, LENGTH, RECORD_HEADER, VARINT, Builder, varint
 from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_file, schema_of
 
 NUMBER = "_number"
@@ -204,14 +204,9 @@ class RowCodec:
 
     def places(self) -> Ints:
         """Return where a message of the layout has the words of a row, in the order of the row: (n,)."""
-        fields: Any = self.layout.payload.fields
-        places: list[int] = []
-        for name, c, names in self._fields:
-            if not names:
-                kind, at = fields[name][:2]
-                first = at + (kind.base.fields["value"][1] if kind.base.names else 0)
-                places += [first + k * kind.base.itemsize for k in range(max(c.size, 1))]
-        return np.array(places, np.int64)
+        _, places, what = self.packed_places().T
+        found: Ints = places[what == WHOLE] - RECORD_HEADER
+        return found
 
     def parse(self, message: Any) -> np.void:
         """Return the row of a message that protobuf has read.
@@ -229,11 +224,6 @@ class RowCodec:
                 numbers = [getattr(value, element) for element in c.elements] if c.elements else value
                 row[c.name] = np.reshape(numbers, c.shape)
         return cast("np.void", row[()])
-
-
-def _values(records: Rows, name: str) -> Any:
-    field = records[name]
-    return field["value"] if field.dtype.names else field
 
 
 def _lay_out(builder: Builder, number: int, name: str, c: Column, *, names: bool) -> None:

@@ -93,7 +93,8 @@ class Recorder:
         self.batch = min(self.batch, ring.capacity // 2)
         self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
-        self.socket = LiveSocket.listening(setup["websocket"], self._encoder.channels)
+        where = setup["websocket"]
+        self.socket = LiveSocket(where[0], where[1], self._encoder.channels) if where else None
         version = setup["environment"].get("version", "unknown")
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{version}")
         try:

@@ -7,7 +7,7 @@ its own; of a client that reads too slowly the oldest messages are dropped, ther
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from drivers.errors import LogError
@@ -58,13 +58,6 @@ class LiveSocket:
             )
             for number, (topic, schema, metadata) in channels.items()
         }
-
-    @classmethod
-    def listening(
-        cls, where: Sequence[Any] | None, channels: Mapping[int, tuple[str, Schema, dict[str, str]]]
-    ) -> LiveSocket | None:
-        """Return a server at host and port, or None where nothing is asked for. Raises LogError."""
-        return cls(str(where[0]), int(where[1]), channels) if where else None
 
     def publish(self, messages: Messages) -> None:
         """Hand a batch to the clients of its channels. Never raises, never waits for a client."""

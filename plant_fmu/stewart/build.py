@@ -119,7 +119,7 @@ def find_compiler(*, zig: bool = False) -> Compiler:
 
 
 def _source_files(version: FmiVersion) -> dict[str, bytes]:
-    names = [*(f"{n}.{x}" for n in _COMMON for x in ("c", "h")), f"fmi{version[0]}.c"]
+    names = [*(f"{n}.{x}" for n in _COMMON for x in ("c", "h")), "access.h", f"fmi{version[0]}.c"]
     try:
         files = {name: (SOURCES / name).read_bytes() for name in names}
     except OSError as error:

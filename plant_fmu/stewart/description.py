@@ -12,6 +12,7 @@ from plant_fmu.stewart.variables import (
     UNITS,
     VARIABLES,
     Causality,
+    Variable,
     element_name,
     offsets,
     parameters_behind,
@@ -58,26 +59,18 @@ def _units(root: ET.Element) -> None:
         ET.SubElement(unit, "BaseUnit", {base: str(n) for base, n in exponents.items()})
 
 
-def _range(low: float | None, high: float | None) -> dict[str, str]:
-    return {k: repr(v) for k, v in (("min", low), ("max", high)) if v is not None}
-
-
-def _type_attributes(name: str) -> dict[str, str]:
-    kind = TYPES[name]
-    unit = {"unit": kind.unit} if kind.unit else {}
-    return {"quantity": kind.quantity, **unit, **_range(kind.min, kind.max)}
-
-
 def _types(root: ET.Element, version: FmiVersion) -> None:
     types = ET.SubElement(root, "TypeDefinitions")
     for name, kind in TYPES.items():
         if name == "Mixed":
             continue
         about = {"name": name, "description": kind.description}
+        bounds = {"unit": kind.unit, "min": kind.min, "max": kind.max}
+        of = {"quantity": kind.quantity, **{k: str(v) for k, v in bounds.items() if v is not None}}
         if version == "2.0":
-            ET.SubElement(ET.SubElement(types, "SimpleType", about), "Real", _type_attributes(name))
+            ET.SubElement(ET.SubElement(types, "SimpleType", about), "Real", of)
         else:
-            ET.SubElement(types, "Float64Type", {**about, **_type_attributes(name)})
+            ET.SubElement(types, "Float64Type", {**about, **of})
     about = {"name": "LegSpin", "description": "What turns a leg about its own axis"}
     if version == "2.0":
         items = ET.SubElement(ET.SubElement(types, "SimpleType", about), "Enumeration")
@@ -93,6 +86,20 @@ _VARIABILITY: dict[Causality, dict[str, str]] = {
     "input": {"variability": "continuous"},
     "output": {"variability": "continuous", "initial": "calculated"},
 }
+
+
+def _about(v: Variable) -> dict[str, str]:
+    return {"description": v.description, "causality": v.causality, **_VARIABILITY[v.causality]}
+
+
+def _value(kind: str, start: Sequence[float] | None) -> dict[str, str]:
+    """Return type, unit and start value of a variable or an element."""
+    value = {} if kind == "Mixed" else {"declaredType": kind}
+    if kind in TYPES and (unit := TYPES[kind].unit):
+        value["unit"] = unit
+    if start is not None:
+        value["start"] = str(int(start[0])) if kind == "LegSpin" else _numbers(start)
+    return value
 
 
 def _dependencies(depends: Sequence[str]) -> dict[str, str]:
@@ -131,23 +138,9 @@ def model_description_3(token: str) -> bytes:
     reference = {v.name: str(i) for i, v in enumerate(VARIABLES)}
     variables = ET.SubElement(root, "ModelVariables")
     for v in VARIABLES:
-        typed = {} if v.type == "Mixed" else {"declaredType": v.type}
-        if v.type in TYPES and (unit := TYPES[v.type].unit):
-            typed["unit"] = unit
-        about = {
-            "name": v.name,
-            "valueReference": reference[v.name],
-            "description": v.description,
-            "causality": v.causality,
-            **_VARIABILITY[v.causality],
-            **typed,
-        }
-        if v.type == "LegSpin":
-            assert v.start is not None
-            ET.SubElement(variables, "Enumeration", {**about, "start": str(int(v.start[0]))})
-            continue
-        start = {} if v.start is None else {"start": _numbers(v.start)}
-        element = ET.SubElement(variables, "Float64", {**about, **start})
+        tag = "Enumeration" if v.type == "LegSpin" else "Float64"
+        about = {"name": v.name, "valueReference": reference[v.name], **_about(v)}
+        element = ET.SubElement(variables, tag, {**about, **_value(v.type, v.start)})
         for n in v.shape:
             ET.SubElement(element, "Dimension", start=str(n))
     structure = ET.SubElement(root, "ModelStructure")
@@ -169,25 +162,11 @@ def model_description_2(token: str, sources: Sequence[str]) -> bytes:
     variables = ET.SubElement(root, "ModelVariables")
     for v in VARIABLES:
         for k in range(v.size):
-            scalar = ET.SubElement(
-                variables,
-                "ScalarVariable",
-                {
-                    "name": element_name(v, k),
-                    "valueReference": str(place[v.name] + k),
-                    "description": v.description,
-                    "causality": v.causality,
-                    **_VARIABILITY[v.causality],
-                },
-            )
-            if v.type == "LegSpin":
-                assert v.start is not None
-                ET.SubElement(scalar, "Enumeration", declaredType=v.type, start=str(int(v.start[0])))
-                continue
-            kind = type_of(v, k)
-            unit = {"unit": u} if (u := TYPES[kind].unit) else {}
-            start = {} if v.start is None else {"start": repr(float(v.start[k]))}
-            ET.SubElement(scalar, "Real", {"declaredType": kind, **unit, **start})
+            about = {"name": element_name(v, k), "valueReference": str(place[v.name] + k), **_about(v)}
+            scalar = ET.SubElement(variables, "ScalarVariable", about)
+            tag = "Enumeration" if v.type == "LegSpin" else "Real"
+            start = None if v.start is None else v.start[k : k + 1]
+            ET.SubElement(scalar, tag, _value(type_of(v, k), start))
     by_name = {v.name: v for v in VARIABLES}
 
     def indices(names: Sequence[str]) -> list[str]:

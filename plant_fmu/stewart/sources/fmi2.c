@@ -1,6 +1,6 @@
 /* FMI 2.0 face: every function of the standard, co-simulation. Value reference = place in Plant.v.
  */
-#include "instance.h"
+#include "model.h"
 
 #ifdef FMI2_FUNCTION_PREFIX
 #define FMI(name) JOIN(FMI2_FUNCTION_PREFIX, name)
@@ -12,6 +12,14 @@
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 
 typedef unsigned int Ref;
+#define STANDARD(name) fmi2##name
+#define TYPE_OF(ref) ((ref) >= N_VALUES ? -1 : (ref) == V_leg_spin ? ENUMERATION : FLOAT64)
+#define OFFSET(ref) ((int)(ref))
+#define COUNT(ref) ((void)(ref), 1)
+#define VALUES(T) T values[]
+#define N_GIVEN n
+#include "access.h"
+
 typedef const char *String;
 typedef void (*Logger)(void *environment, String name, int status, String category, String message, ...);
 
@@ -22,11 +30,6 @@ typedef struct {
     void (*step_finished)(void *, int);
     void *environment;
 } Callbacks;
-
-typedef struct {
-    int new_discrete_states, terminate, nominals_changed, values_changed, next_time_defined;
-    double next_time;
-} EventInfo;
 
 static void report(const Instance *instance, Status status, const char *message)
 {
@@ -55,8 +58,6 @@ EXPORT void *FMI(fmi2Instantiate)(String name, int type, String guid, String res
     return instance;
 }
 
-EXPORT void FMI(fmi2FreeInstance)(void *c) { instance_free(c); }
-
 API FMI(fmi2SetupExperiment)(void *c, int tolerance_defined, double tolerance, double start, int stop_defined,
                              double stop)
 {
@@ -72,71 +73,13 @@ API FMI(fmi2EnterInitializationMode)(void *c)
 {
     return c ? instance_enter_initialisation(c, ((Instance *)c)->plant.start_time) : ERROR;
 }
-API FMI(fmi2ExitInitializationMode)(void *c) { return instance_exit_initialisation(c); }
-API FMI(fmi2Terminate)(void *c) { return instance_terminate(c); }
-API FMI(fmi2Reset)(void *c) { return instance_reset(c); }
 
-static int type_at(Ref ref) { return ref == V_leg_spin ? ENUMERATION : FLOAT64; }
+ACCESS(GetReal, SetReal, double, FLOAT64)
+ACCESS(GetInteger, SetInteger, int, ENUMERATION)
 
-static int known(const Instance *instance, const Ref vr[], size_t n, int type)
-{
-    for (size_t i = 0; i < n; i++)
-        if (vr[i] >= N_VALUES || type_at(vr[i]) != type) {
-            instance_fail(instance, "unknown value reference for this type");
-            return 0;
-        }
-    return 1;
-}
-
-API FMI(fmi2GetReal)(void *c, const Ref vr[], size_t n, double value[])
-{
-    Instance *instance = c;
-    char why[REASON_SIZE];
-    if (!instance || !known(instance, vr, n, FLOAT64)) return ERROR;
-    for (size_t i = 0; i < n; i++) {
-        if (plant_refresh(&instance->plant, (int)vr[i], why) != 0) return instance_fail(instance, why);
-        value[i] = instance->plant.v[vr[i]];
-    }
-    return OK;
-}
-
-API FMI(fmi2GetInteger)(void *c, const Ref vr[], size_t n, int value[])
-{
-    Instance *instance = c;
-    if (!instance || !known(instance, vr, n, ENUMERATION)) return ERROR;
-    for (size_t i = 0; i < n; i++) value[i] = (int)instance->plant.v[vr[i]];
-    return OK;
-}
-
-API FMI(fmi2SetReal)(void *c, const Ref vr[], size_t n, const double value[])
-{
-    Instance *instance = c;
-    char why[REASON_SIZE];
-    if (!instance || !known(instance, vr, n, FLOAT64)) return ERROR;
-    for (size_t i = 0; i < n; i++)
-        if (plant_check(&instance->plant, (int)vr[i], value[i], why) != 0) return instance_fail(instance, why);
-    for (size_t i = 0; i < n; i++) plant_store(&instance->plant, (int)vr[i], value[i]);
-    return OK;
-}
-
-API FMI(fmi2SetInteger)(void *c, const Ref vr[], size_t n, const int value[])
-{
-    Instance *instance = c;
-    char why[REASON_SIZE];
-    if (!instance || !known(instance, vr, n, ENUMERATION)) return ERROR;
-    for (size_t i = 0; i < n; i++)
-        if (plant_check(&instance->plant, (int)vr[i], value[i], why) != 0) return instance_fail(instance, why);
-    for (size_t i = 0; i < n; i++) plant_store(&instance->plant, (int)vr[i], value[i]);
-    return OK;
-}
-
-/* There are no Boolean and no String variables, and no derivatives of inputs and outputs. */
-NO_VARIABLES(fmi2GetBoolean, void *c, const Ref vr[], size_t n, int value[])
-NO_VARIABLES(fmi2GetString, void *c, const Ref vr[], size_t n, String value[])
-NO_VARIABLES(fmi2SetBoolean, void *c, const Ref vr[], size_t n, const int value[])
-NO_VARIABLES(fmi2SetString, void *c, const Ref vr[], size_t n, const String value[])
-NO_VARIABLES(fmi2SetRealInputDerivatives, void *c, const Ref vr[], size_t n, const int order[], const double value[])
-NO_VARIABLES(fmi2GetRealOutputDerivatives, void *c, const Ref vr[], size_t n, const int order[], double value[])
+/* There are no derivatives of inputs and outputs. */
+NO_VARIABLES(SetRealInputDerivatives)
+NO_VARIABLES(GetRealOutputDerivatives)
 
 API FMI(fmi2GetFMUstate)(void *c, void **state) { return instance_save(c, state); }
 API FMI(fmi2SetFMUstate)(void *c, void *state) { return instance_restore(c, state); }
@@ -150,14 +93,12 @@ API FMI(fmi2DeSerializeFMUstate)(void *c, const char bytes[], size_t size, void 
 {
     return instance_deserialise(c, (const unsigned char *)bytes, size, state);
 }
-UNSUPPORTED(fmi2GetDirectionalDerivative, void *c, const Ref unknown[], size_t n_unknown, const Ref known_[],
-            size_t n_known, const double dv_known[], double dv_unknown[])
 
 API FMI(fmi2DoStep)(void *c, double time, double dt, int no_set_state_before)
 {
     return instance_step(c, time, dt);
 }
-UNSUPPORTED(fmi2CancelStep, void *c)
+UNSUPPORTED(CancelStep)
 
 /* No step is ever pending; status and last time are known after every step all the same. */
 API FMI(fmi2GetStatus)(void *c, int kind, int *value)
@@ -175,23 +116,15 @@ API FMI(fmi2GetRealStatus)(void *c, int kind, double *value)
     *value = instance->plant.v[V_time];
     return OK;
 }
-UNSUPPORTED(fmi2GetIntegerStatus, void *c, int kind, int *value)
+UNSUPPORTED(GetIntegerStatus)
 API FMI(fmi2GetBooleanStatus)(void *c, int kind, int *value)
 {
     if (!c || kind != 3) return instance_unsupported(c, "fmi2GetBooleanStatus");
     *value = 0;
     return OK;
 }
-UNSUPPORTED(fmi2GetStringStatus, void *c, int kind, String *value)
+UNSUPPORTED(GetStringStatus)
 
 /* Model exchange. */
-UNSUPPORTED(fmi2EnterEventMode, void *c)
-UNSUPPORTED(fmi2NewDiscreteStates, void *c, EventInfo *info)
-UNSUPPORTED(fmi2EnterContinuousTimeMode, void *c)
-UNSUPPORTED(fmi2CompletedIntegratorStep, void *c, int no_set_state_before, int *enter_event_mode, int *terminate)
-UNSUPPORTED(fmi2SetTime, void *c, double time)
-UNSUPPORTED(fmi2SetContinuousStates, void *c, const double x[], size_t n)
-UNSUPPORTED(fmi2GetDerivatives, void *c, double x[], size_t n)
-UNSUPPORTED(fmi2GetEventIndicators, void *c, double x[], size_t n)
-UNSUPPORTED(fmi2GetContinuousStates, void *c, double x[], size_t n)
-UNSUPPORTED(fmi2GetNominalsOfContinuousStates, void *c, double x[], size_t n)
+UNSUPPORTED(NewDiscreteStates)
+UNSUPPORTED(GetDerivatives)

@@ -14,13 +14,6 @@
 #define API EXPORT int
 #define JOIN2(a, b) a##b
 #define JOIN(a, b) JOIN2(a, b)
-/* A function of the standard that this FMU has no use for; FMI(name) gives it the importer's prefix. */
-#define UNSUPPORTED(function, ...) \
-    API FMI(function)(__VA_ARGS__) { return instance_unsupported(c, #function); }
-/* The same for a type without variables: an empty list is no error. */
-#define NO_VARIABLES(function, ...) \
-    API FMI(function)(__VA_ARGS__) { return c && n == 0 ? OK : instance_unsupported(c, #function); }
-
 /* Numbers of both standards' status enumerations. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 

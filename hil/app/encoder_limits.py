@@ -13,10 +13,9 @@ from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
-from hil.safety.differences import REACHES_BACK
 from hil.safety.encoder_kernels import RATE_MOVES
 from hil.safety.encoder_limits import UNASKED, UNSHARED, EncoderLimits
-from hil.safety.stillness import MOVED
+from hil.safety.residuals import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 
 LENGTH_STEP_M = 1e-7
@@ -35,6 +34,8 @@ NEVER_TICKS = 1e12
 """30 years at 1 kHz: what takes longer is never seen."""
 LAGS = 3.0
 """Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
+REACHES_BACK = 2
+"""Periods from a rate that is a slope of lengths to the first length that it is made of."""
 
 
 def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:

@@ -7,9 +7,9 @@ family      rules                                                   acts as
 =========== ======================================================= ==========================
 finite      every number is finite                                  NOT_FINITE, LAW
 encoders    lost or slipped encoder, uncertain fused pose           ENCODER, UNCERTAIN, warnings
-increments  a leg's length against its rate                         ENCODER
-leaps       a leg's rate against force and model                    ENCODER
-stillness   a reading that stands still while its leg must move     ENCODER, after two pushes
+residuals   a leg's length against its rate, its rate against       ENCODER
+            force and model; a reading that stands still while its  ENCODER, after two pushes
+            leg must move
 legs        stale leg; drive in fault, rebooted, or out of RUN      STALE, DRIVE
 bus         bus off; sends failing tick after tick                  BUS
 frames      another controller, a doubled node, another set-up,     SECOND_CONTROLLER, SET_UP, ESTOP,

@@ -8,11 +8,26 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.signals import Doubt, Fault, Mode
-from hil.safety.differences import is_time, lag_of, lag_of_leap
-from hil.safety.increments import beside, excused, gap_bound, gap_of, remembered, slip_bound
-from hil.safety.latch import explained, shared_delay
-from hil.safety.leaps import acceleration_range, leap_bound, leap_of, sole
-from hil.safety.stillness import SETTLES_S, SUSPECT, eased, held_fast, push_of, pushed, stands, strayed
+from hil.safety.residuals import (
+    SETTLES_S,
+    SUSPECT,
+    WINDOW_S,
+    acceleration_range,
+    beside,
+    excused,
+    explained,
+    gap_bound,
+    is_time,
+    lag_of,
+    lag_of_leap,
+    leap_bound,
+    push_of,
+    shared_delay,
+    slip_bound,
+    sole,
+    stands,
+    strayed,
+)  # fmt: skip
 
 _ENCODER = int(Fault.ENCODER)
 _JUMP, _SLIP, _LEAP, _STILL = int(Doubt.JUMP), int(Doubt.SLIP), int(Doubt.LEAP), int(Doubt.STILL)
@@ -27,21 +42,9 @@ LEAST_m_s = 1e-9
 RATE_MOVES = 3.0
 """So many times its noise make a rate that is not zero."""
 (
-    _DT,
-    _GAP,
-    _RATE,
-    _BOUND,
-    _RANGE,
-    _LEAPED,
-    _EXCESS,
-    _DEVIATION,
-    _SWING,
-    _NOISE,
-    _SAY,
-    _LATE,
-    _LAG,
-    _LEAPS,
-) = range(14)
+    _DT, _GAP, _RATE, _BOUND, _RANGE, _LEAPED, _EXCESS, _DEVIATION, _SWING, _NOISE, _SAY, _LATE, _LAG, _LEAPS,
+    _STRAY,
+) = range(15)  # fmt: skip
 """Rows of a tick's scratch."""
 
 
@@ -70,9 +73,16 @@ def forget_doubt(memory: Any) -> None:
 
 
 @helper
-def swings(history: Array, newest: int, rows: int, swing: Array) -> None:
-    """Fill swing (6,) N: largest less smallest of the last `rows` + 1 forces sent; history (n, 6): a ring."""
-    n = history.shape[0]
+def swings(tick: Any, limits: Any, memory: Any, history: Array, swing: Array) -> None:
+    """Fill swing (6,) N: largest less smallest of the forces that act between the readings to be compared.
+
+    history (n, 6) N: ring of the forces sent.
+    """
+    n, newest, rows = history.shape[0], memory.newest, limits.acting_ticks
+    for i in range(6):
+        if tick.age[i] == 0:
+            since = min(tick.tick + 1 - memory.heard[i], LONGEST_GAP)
+            rows = max(rows, limits.acting_ticks + since)
     for j in range(6):
         low, high = inf, -inf
         for k in range(min(rows + 1, n)):
@@ -82,63 +92,17 @@ def swings(history: Array, newest: int, rows: int, swing: Array) -> None:
 
 
 @helper
-def acting(tick: Any, limits: Any, memory: Any) -> int:
-    """Return how many of the last forces, beside the newest, act between the readings to be compared."""
-    rows: int = limits.acting_ticks
-    for i in range(6):
-        if tick.age[i] == 0:
-            since = min(tick.tick + 1 - memory.heard[i], LONGEST_GAP)
-            rows = max(rows, limits.acting_ticks + since)
-    return rows
-
-
-@helper
-def unsure(tick: Any, limits: Any, memory: Any, leg: int) -> bool:
-    """Tell whether the answer of a leg may be that to the SYNC or poll of the tick before.
-
-    Where no feedback names it, so it is from a tick on in which the leg was missed, or any where one SYNC
-    serves all, until what was under way then has been heard: each drive was late by itself.
-    """
-    return bool(limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick[leg] <= LONGEST_GAP)
-
-
-@helper
-def note_missed(tick: Any, limits: Any, memory: Any) -> None:
-    """Remember for each leg the last tick in which it was not heard, or any where all latch together."""
-    for i in range(6):
-        if tick.age[i] == 0:
-            continue
-        if limits.apart != 0:
-            memory.missed_tick[i] = tick.tick + 1
-        else:
-            memory.missed_tick[:] = tick.tick + 1
-
-
-@helper
-def stray_of(tick: Any, limits: Any, memory: Any, leg: int) -> float:
-    """Return by how many s the latch of a leg may be off by itself, whatever others say."""
-    return STRAYS * limits.period_s if unsure(tick, limits, memory, leg) else 0.0
-
-
-@helper
 def latched(tick: Any, leg: int) -> int:
     """Return when the encoder of a leg was latched for a tick, ns: when its SYNC or poll had gone out."""
     return int(tick.t_ns + tick.lateness_ns + tick.latch_ns[leg])
 
 
 @helper
-def pace(rate: float, rate_was: float, differs: bool) -> float:
-    """Return the rate, m/s, by which a late latch moves a length: the mean one from reading to reading.
-
-    Where rates are made of lengths it is the one before: a jump of the length must not be what excuses it.
-    """
-    return rate_was if differs else 0.5 * (rate + rate_was)
-
-
-@helper
 def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
     """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
 
+    The bounds allow for what a delay that is not shared may make of each gap: a whole period where no leg
+    contradicts it, as a leg that is heard in its tick was latched in it.
     Returns how much later than the clock says the latch was, over the legs heard the last time any was.
     """
     for i in range(6):
@@ -151,10 +115,17 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
         x[_RANGE, i] = acceleration_range(limits.mobility, x[_SWING], limits.disturbance_m_s2, i)
         lively = x[_RANGE, i] + abs(memory.acceleration[i])
         x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
-        x[_GAP, i] = gap_of(tick.length[i], tick.rate[i], memory.length_was[i], memory.rate_was[i], T)
-        x[_RATE, i] = pace(tick.rate[i], memory.rate_was[i], limits.differences != 0)
-        strayed_T = T + stray_of(tick, limits, memory, i)
-        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], strayed_T)
+        rates = tick.rate[i] + memory.rate_was[i]
+        x[_GAP, i] = tick.length[i] - memory.length_was[i] - 0.5 * T * rates  # trapezoidal rule
+        # A late latch moves a length by the mean rate; where rates are made of lengths by the one before: a
+        # jump of the length must not be what excuses it.
+        x[_RATE, i] = memory.rate_was[i] if limits.differences != 0 else 0.5 * rates
+        # Where no feedback names its SYNC or poll, the answer may be that to the one of the tick before: from
+        # a tick on in which the leg was missed, or any where one SYNC serves all, until what was under way
+        # then has been heard: each drive was late by itself.
+        unsure = limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick[i] <= LONGEST_GAP
+        x[_STRAY, i] = STRAYS * limits.period_s if unsure else 0.0
+        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T + x[_STRAY, i])
         if limits.differences != 0:
             x[_LAG, i] = lag_of(T, memory.spacing_s[i])
             x[_BOUND, i] += 0.5 * T * (x[_LAG, i] + memory.lag_s[i]) * x[_RANGE, i]
@@ -166,26 +137,16 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
             late = memory.delay_s + delay - memory.latched_delay_s[i]
             x[_DT, i] += late
             x[_GAP, i] -= late * x[_RATE, i]
-    allow_delay(tick, limits, memory, shared, x)
-    return delay
-
-
-@helper
-def allow_delay(tick: Any, limits: Any, memory: Any, shared: bool, x: Array) -> None:
-    """Fill what a delay that is not shared may make of each gap, and add it to the bounds.
-
-    Where no leg contradicts it, it may be a whole period: a leg that is heard in its tick was latched in it.
-    """
     for i in range(6):
-        stray_s = stray_of(tick, limits, memory, i)
         period = limits.period_s * abs(x[_RATE, i])
-        x[_LATE, i] = max(limits.unshared * limits.period_s, stray_s) * abs(x[_RATE, i])
+        x[_LATE, i] = max(limits.unshared * limits.period_s, x[_STRAY, i]) * abs(x[_RATE, i])
         beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
         if beyond and explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
             x[_LATE, i] = period
     for i in range(6):
-        if not shared or unsure(tick, limits, memory, i) or isnan(x[_SAY, i]):
+        if not shared or x[_STRAY, i] > 0.0 or isnan(x[_SAY, i]):
             x[_BOUND, i] += x[_LATE, i]
+    return delay
 
 
 @helper
@@ -193,9 +154,8 @@ def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     """Fill how far each rate leaps, and as a share of what forces explain; nan and 0: not known."""
     x[_LEAPED] = np.nan
     for i in range(6):
-        known = not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0
-        if known and not unsure(tick, limits, memory, i):
-            leap = leap_of(tick.rate[i], memory.rate_was[i], memory.acceleration[i], x[_DT, i])
+        if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0 and x[_STRAY, i] == 0.0:
+            leap = tick.rate[i] - memory.rate_was[i] - x[_DT, i] * memory.acceleration[i]
             bound = leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
             if limits.differences != 0:
                 lag = lag_of_leap(x[_LAG, i], memory.lag_s[i], x[_DT, i], memory.spacing_s[i])
@@ -216,7 +176,7 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
             gap = beside(gap, x[_LEAPED, i], T)
         if abs(gap) > x[_BOUND, i]:
             doubt_leg(tick, limits, memory, i, _JUMP, gap, x[_BOUND, i])
-        keep = remembered(T)
+        keep = max(1.0 - T / WINDOW_S, 0.0)
         memory.gaps[i] = keep * memory.gaps[i] + gap
         memory.travel[i] = keep * memory.travel[i] + abs(x[_RATE, i]) * T
         noise, share = limits.length_noise_m, limits.rate_error
@@ -273,21 +233,26 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
             continue
         moved = strayed(deviation, memory.began[i], tick.age)
         if memory.push[i] != 0 or moved > SUSPECT * noise:
-            memory.push[i] = pushed(memory.push[i], deviation[i])
-        if held_fast(memory.push[i], limits.push_ticks):
+            towards = memory.push[i] < 0 if memory.push[i] != 0 else deviation[i] > 0.0
+            memory.push[i] += -1 if towards else 1  # ticks; < 0 retracts the leg, first towards its reference
+        if abs(memory.push[i]) > 2 * limits.push_ticks:
             doubt_leg(tick, limits, memory, i, _STILL, moved, SUSPECT * noise)
 
 
 @helper
 def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Array) -> None:
-    """Keep what the next tick is compared with."""
+    """Keep what the next tick is compared with, and in which one each leg, or any, was last missed."""
     memory.delay_s += delay
     for i in range(6):
         if tick.age[i] != 0:
+            if limits.apart != 0:
+                memory.missed_tick[i] = tick.tick + 1
+            else:
+                memory.missed_tick[:] = tick.tick + 1
             continue
         if not isnan(x[_GAP, i]):
             memory.acceleration[i] = (tick.rate[i] - memory.rate_was[i]) / x[_DT, i]
-            memory.spacing_s[i] = 0.0 if unsure(tick, limits, memory, i) else x[_DT, i]
+            memory.spacing_s[i] = 0.0 if x[_STRAY, i] > 0.0 else x[_DT, i]
         else:
             memory.gaps[i] = memory.travel[i] = memory.excused[i] = 0.0
             memory.acceleration[i] = memory.spacing_s[i] = 0.0
@@ -310,8 +275,8 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
         return 0
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
-    x = np.zeros((14, 6))
-    swings(history, memory.newest, acting(tick, limits, memory), x[_SWING])
+    x = np.zeros((15, 6))
+    swings(tick, limits, memory, history, x[_SWING])
     delay = compare(tick, limits, memory, x)
     if tick.mode < _IDLE:
         forget_doubt(memory)
@@ -325,7 +290,6 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
         memory.stood[:] = 0
         memory.push[:] = 0
     remember_readings(tick, limits, memory, delay, x)
-    note_missed(tick, limits, memory)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
     return _ENCODER if memory.doubted != 0 else 0
@@ -349,5 +313,5 @@ def push_legs(tau: Array, limits: Any, memory: Any) -> None:
         most = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
         if limits.sticks != 0 and memory.push[i] != 0:
             most = max(most, 2.0 * limits.push_N[i] / (2 * rise - 1))
-        memory.pushed_N[i] = eased(memory.pushed_N[i], force, most)
+        memory.pushed_N[i] = min(max(force, memory.pushed_N[i] - most), memory.pushed_N[i] + most)
         tau[i] += memory.pushed_N[i]

@@ -35,16 +35,16 @@ class EncoderLimits(NamedTuple):
     """(6,) N, under which a free leg has moved visibly within `push_ticks`."""
     push_ticks: int
     sticks: int
-    """1: friction may hold a leg still, see `hil.safety.stillness`."""
+    """1: friction may hold a leg still, see `hil.safety.residuals`."""
     rise_ticks: int
     """Within so many a push of a leg that sticks rises to `push_N`; 1: at once."""
     open_ticks: int
     """The brakes get so many ticks to open."""
     period_s: float
     unnamed: int = 0
-    """1: no feedback says which SYNC or poll it answers, see `hil.safety.encoder_kernels.unsure`."""
+    """1: no feedback says which SYNC or poll it answers, see `hil.safety.encoder_kernels.compare`."""
     differences: int = 0
-    """1: rates are made of the last three lengths, see `hil.safety.differences`."""
+    """1: rates are made of the last three lengths, see `hil.safety.residuals`."""
     apart: int = 0
     """1: each drive latches by itself: that a leg was missed says nothing of the others."""
     unshared: float = UNSHARED
@@ -81,7 +81,7 @@ ENCODER_MEMORY = [
     ("stood", "<i8", (LEGS,)),  # 1: the reading's standstill is being watched
     ("anchor", "<f8", (LEGS,)),  # m, the reading then
     ("began", "<f8", (LEGS, LEGS)),  # m, deviations of all legs then
-    ("push", "<i8", (LEGS,)),  # ticks, see `hil.safety.stillness.pushed`
+    ("push", "<i8", (LEGS,)),  # ticks, see `hil.safety.encoder_kernels.judge_stillness`
     ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
     ("pushed_N", "<f8", (LEGS,)),  # what was added to the force in the last tick
 ]

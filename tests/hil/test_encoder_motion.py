@@ -9,7 +9,7 @@ import pytest
 
 from drivers.signals import Doubt, Mode
 from hil.safety import encoder_kernels
-from hil.safety.stillness import SETTLES_S
+from hil.safety.residuals import SETTLES_S
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
 
 # -- slips

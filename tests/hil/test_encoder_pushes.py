@@ -49,3 +49,17 @@ def test_a_leg_that_sticks_turns_round_as_steeply_as_its_own_push_rises(sign, le
     np.testing.assert_allclose(found[rise - 1 : ticks, leg], whole)
     np.testing.assert_allclose(np.diff(found[ticks - 1 : ticks + turns, leg]), -2.0 * whole / turns)
     np.testing.assert_allclose(found[ticks + turns - 1 :, leg], -whole)
+
+
+@BOTH_SIGNS
+@pytest.mark.parametrize(
+    ("last", "ticks", "now"),
+    [(6, 0, 4), (2.5, 0, 0.5), (2, 0, 0), (0, 3, 2), (4, 3, 5), (6, 3, 5), (1, -3, -1)],
+)
+def test_a_push_begins_turns_and_ends_by_no_more_than_allowed(sign, last, ticks, now):
+    """5 N over 5 ticks: 2 N a tick; in the third one the push is whole."""
+    limits = SimpleNamespace(push_ticks=5, push_N=six(5.0), sticks=0, rise_ticks=1)
+    memory, tau = SimpleNamespace(push=six(sign * ticks), pushed_N=six(sign * float(last))), six(7.0)
+    encoder_kernels.push_legs(tau, limits, memory)
+    np.testing.assert_allclose(memory.pushed_N, sign * now)
+    np.testing.assert_allclose(tau, 7.0 + sign * now)

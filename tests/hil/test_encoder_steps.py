@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Warn
-from hil.safety import differences, encoder_kernels
+from hil.safety import encoder_kernels, residuals
 from hil.safety.certificate import CONSTANTS, Watch
 from hil.safety.encoder_limits import NONE
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
@@ -23,7 +23,7 @@ STEPS = pytest.mark.parametrize(
 
 
 @STEPS
-def test_a_slope_lags_by_what_the_worst_acceleration_between_three_lengths_makes_of_it(T0, T1):
+def test_residuals_a_slope_lags_by_what_the_worst_acceleration_between_three_lengths_makes_of_it(T0, T1):
     """The slope of the parabola through them less the rate at their end, summed over short pulses of force."""
     pulse = (T0 + T1) * 1e-4
     at = np.arange(-T0 - T1, 0.0, pulse) + 0.5 * pulse
@@ -31,16 +31,16 @@ def test_a_slope_lags_by_what_the_worst_acceleration_between_three_lengths_makes
     last, before = (lengths[2] - lengths[1]) / T1, (lengths[1] - lengths[0]) / T0
     wrong = last + (last - before) * T1 / (T0 + T1) - pulse
     assert abs(wrong.sum()) < 1e-3, "a uniform acceleration leaves nothing"
-    assert differences.lag_of(T1, T0) == pytest.approx(np.clip(wrong, 0.0, None).sum(), rel=1e-3)
+    assert residuals.lag_of(T1, T0) == pytest.approx(np.clip(wrong, 0.0, None).sum(), rel=1e-3)
 
 
 @STEPS
-def test_a_leap_of_slopes_lags_by_its_three_rates_as_they_count_in_it(T0, T1):
+def test_residuals_a_leap_of_slopes_lags_by_its_three_rates_as_they_count_in_it(T0, T1):
     """Of rates r0, r1, r2 it is r2 - r1 - (r1 - r0) T1 / T0; r0 and r1 lag alike."""
     lags = 0.25, 0.125
     counts = 1.0, 1.0 + T1 / T0, T1 / T0
     expected = lags[0] * counts[0] + lags[1] * (counts[1] + counts[2])
-    assert differences.lag_of_leap(*lags, T1, T0) == pytest.approx(expected)
+    assert residuals.lag_of_leap(*lags, T1, T0) == pytest.approx(expected)
 
 
 LAG = {(1.0, 1.0): 1.0 / 3.0, (1.0, 1.5): 0.5 * 1.5 * 2.5 / 4.0, (1.5, 0.5): 0.5 * 0.5 * 2.0 / 2.5}
@@ -72,41 +72,41 @@ def slopes(lengths):
     return 1.5 * lengths[2:] - 2.0 * lengths[1:-1] + 0.5 * lengths[:-2]
 
 
-def test_one_late_latch_and_one_jump_show_in_slopes_and_their_leaps_by_the_shares_that_are_stated():
+def test_residuals_one_late_latch_and_one_jump_show_in_slopes_and_their_leaps_by_the_shares_that_are_stated():
     """Lengths at 1 m/s and 1 s apart; a leap is how far a slope is from where the last two lead."""
     even, delay, jump = np.arange(12.0), 0.01, 0.01
     late = even + delay * (np.arange(12) == 6)
     leaps = np.diff(slopes(late), n=2)
-    assert np.abs(leaps).max() == pytest.approx(differences.TIME_LEAPS * delay)
+    assert np.abs(leaps).max() == pytest.approx(residuals.TIME_LEAPS * delay)
     np.testing.assert_allclose(leaps[2:7] / delay, [1.5, -5.0, 6.0, -3.0, 0.5], atol=1e-9)
     jumped = even + jump * (np.arange(12) >= 6)
     leap = np.diff(slopes(jumped), n=2)[2]
-    assert leap == pytest.approx(differences.SHOWS_AS_LEAP * jump)
+    assert leap == pytest.approx(residuals.SHOWS_AS_LEAP * jump)
     gaps = np.diff(jumped)[2:] - 0.5 * (slopes(jumped)[1:] + slopes(jumped)[:-1])
-    assert gaps[3] == pytest.approx(differences.SHOWS_AS_GAP * jump)
+    assert gaps[3] == pytest.approx(residuals.SHOWS_AS_GAP * jump)
 
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_shorter(leg, sign):
+def test_residuals_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_shorter(leg, sign):
     """Of all legs that move the same delay; its largest leap is six times rate and delay."""
     rates, bounds = sign * RATES, six(1e-3)
     for share, is_time in ((0.99, True), (1.01, False)):
-        leaps = share * differences.TIME_LEAPS * 0.25 * rates
-        assert bool(differences.is_time(leg, leaps, rates, bounds, 0.25)) == is_time
+        leaps = share * residuals.TIME_LEAPS * 0.25 * rates
+        assert bool(residuals.is_time(leg, leaps, rates, bounds, 0.25)) == is_time
     alone = six(1.0, leg)
-    assert not differences.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
+    assert not residuals.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
 
 
-def test_a_slope_lags_by_half_of_its_step_where_the_one_before_is_not_known():
-    assert differences.lag_of(4.0, 0.0) == 2.0
+def test_residuals_a_slope_lags_by_half_of_its_step_where_the_one_before_is_not_known():
+    assert residuals.lag_of(4.0, 0.0) == 2.0
 
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_a_leap_is_time_within_the_bound_of_its_own_leg_and_where_it_is_known(leg, sign):
+def test_residuals_a_leap_is_time_within_the_bound_of_its_own_leg_and_where_it_is_known(leg, sign):
     """Six times 0.25 periods of each rate are explained, to the last bit, and what its own bound allows more."""
-    is_time = differences.is_time
+    is_time = residuals.is_time
     leaps = sign * 1.5 * RATES
     assert is_time(leg, leaps, RATES, six(0.0), 0.25)
     more = leaps + np.sign(leaps) * six(0.5, leg)
@@ -164,7 +164,7 @@ FASTEST = 5
 def test_the_leg_that_leaps_most_is_not_doubted_for_a_latch_that_was_late_for_all(leg, sign, unshared):
     """All slopes leap by the same share of their rates; of the fastest leg alone by more than forces explain."""
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
-    largest = bound + differences.TIME_LEAPS * unshared * 8.0
+    largest = bound + residuals.TIME_LEAPS * unshared * 8.0
     for leap, doubts in ((1.1 * bound, False), (1.9 * bound, False), (1.01 * largest, True)):
         rates = sign * np.roll(RATES, leg - FASTEST)
         bench = Bench(
@@ -233,7 +233,7 @@ def test_a_leg_whose_leap_is_not_known_contradicts_no_latch_that_was_late_for_al
 @BOTH_SIGNS
 def test_what_the_only_leg_that_moves_may_leap_for_a_late_latch_comes_to_what_forces_explain(leg, sign):
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
-    largest = bound + differences.TIME_LEAPS * 0.3 * 8.0
+    largest = bound + residuals.TIME_LEAPS * 0.3 * 8.0
     for share, doubts in ((0.99, False), (1.01, True)):
         bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
         bench.ticks(8, rate=six(sign * 8.0, leg))

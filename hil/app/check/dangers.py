@@ -14,8 +14,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits
 from hil.app.force_steps import force_steps_N, stepped_error_m
 from hil.app.reachability import Walk
-from hil.safety.increments import gap_bound
-from hil.safety.stillness import SUSPECT
+from hil.safety.residuals import SUSPECT, gap_bound
 
 UNSTATED = 3.0
 """A rated force that nobody stated and that is this many times above the limit is a mistake."""

@@ -5,10 +5,18 @@ import numpy as np
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import encoder_limits, friction_N, steps
-from hil.safety.differences import SHOWS_AS_GAP, SHOWS_AS_LEAP, lag_of, lag_of_leap
-from hil.safety.increments import WINDOW_S, gap_bound, slip_bound
-from hil.safety.leaps import acceleration_range, leap_bound
-from hil.safety.stillness import SUSPECT
+from hil.safety.residuals import (
+    SHOWS_AS_GAP,
+    SHOWS_AS_LEAP,
+    SUSPECT,
+    WINDOW_S,
+    acceleration_range,
+    gap_bound,
+    lag_of,
+    lag_of_leap,
+    leap_bound,
+    slip_bound,
+)
 
 NOT_OBSERVABLE = "not observable with these sensors"
 

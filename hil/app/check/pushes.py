@@ -9,7 +9,7 @@ from hil.app.encoder_limits import AWAY, efficiencies, friction_N
 from hil.app.reachability import Walk, window_swing
 from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.guard import WINDOW_S
-from hil.safety.stillness import MOVED
+from hil.safety.residuals import MOVED
 
 
 def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:

@@ -12,8 +12,8 @@ from hil.loop.modes import DRIVE_PATIENCE_S, drive_mode
 from hil.loop.obedience import FASTER_m_s
 from hil.loop.report import because
 from hil.loop.story.told import Moment, Seen
-from hil.safety.increments import WINDOW_S
 from hil.safety.motion import CREEP, REST_m_s
+from hil.safety.residuals import WINDOW_S
 from hil.safety.signals import DEAD_BUS, IN_A_ROW
 
 _REACHED = {
@@ -283,7 +283,7 @@ def speed(m: Moment) -> Iterator[Seen]:
 
 
 def _pushes(m: Moment) -> str:
-    """Say which legs were being pushed, as `hil.safety.stillness` does."""
+    """Say which legs were being pushed, as `hil.safety.residuals` does."""
     forces = m.cycle.parts.safety.memory["pushed_N"].tolist()
     pushed = [(leg, force) for leg, force in enumerate(forces) if force != 0.0]
     if not pushed:

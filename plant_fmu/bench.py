@@ -10,7 +10,7 @@ from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
-from plant_fmu.plant import Moved, Truth, whole_steps
+from plant_fmu.plant import Moved, Plant, whole_steps
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
@@ -101,7 +101,7 @@ def _applied(_b: Any, _force: int) -> int:
     return 0
 
 
-class Bench:
+class Bench(Plant):
     """Plant: m x'' + b x'|x'| + k0 x + k1 x^3 = f per leg, x = length - rest length, from rest at x = 0.
 
     Equation: the nonlinear mass-spring-damper of Slotine and Li, Applied Nonlinear Control (1991), chapter 3.
@@ -155,14 +155,3 @@ class Bench:
     def moved(self) -> Moved:
         """Return this plant by address."""
         return Moved(_move.address, _applied.address, data_at(self._record), self._refused, self)
-
-    def truth(self) -> Truth | None:
-        """None: there is no platform."""
-        return None
-
-    def applied_force(self) -> Array | None:
-        """None: there is no lag to know of."""
-        return None
-
-    def close(self) -> None:
-        """Nothing to free."""

@@ -64,7 +64,7 @@ class Moved(NamedTuple):
 
 
 class Plant(Protocol):
-    """Six legs that answer to six forces.
+    """Six legs that answer to six forces. A class that derives from it has no truth, and nothing to free.
 
     Mutable state: the physics. `reset` restores the initial one exactly.
     """
@@ -85,12 +85,15 @@ class Plant(Protocol):
 
     def truth(self) -> Truth | None:
         """Pose and forces now; None for a plant without a platform."""
+        return None
 
     def applied_force(self) -> Array | None:
         """Return `applied_force` of the truth alone; None where the plant does not know it.
 
         It may be the plant's own memory: good until its next step.
         """
+        return None
 
     def close(self) -> None:
         """Free what the plant holds."""
+        return

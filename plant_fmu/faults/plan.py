@@ -52,14 +52,14 @@ class Schedule:
         return self._start_ns[self._plan.faults.index(fault)]
 
     def _wait(self) -> None:
-        """Look again which faults wait."""
-        faults = zip(self._plan.faults, self._start_ns, strict=True)
-        self.waiting = tuple(fault for fault, at in faults if at == NEVER_NS)
+        """Look again which faults wait, and when the others begin."""
+        self._begins = tuple(zip(self._plan.faults, self._start_ns, strict=True))
+        self.waiting = tuple(fault for fault, at in self._begins if at == NEVER_NS)
         """Faults whose mode has not been reached."""
 
     def begun(self, t_ns: int) -> tuple[Fault, ...]:
         """Return the faults that have begun by an instant."""
-        return tuple(f for f, at in zip(self._plan.faults, self._start_ns, strict=True) if at <= t_ns)
+        return tuple(fault for fault, at in self._begins if at <= t_ns)
 
     def reached(self, mode: str, t_ns: int) -> bool:
         """Let the time of the faults count that wait for this mode; tell whether there are any."""
@@ -74,14 +74,13 @@ class Schedule:
 
     def edges_ns(self, since_ns: int) -> list[int]:
         """Return the instants from `since_ns` on at which a fault begins or ends, rising."""
-        faults = zip(self._plan.faults, self._start_ns, strict=True)
-        edges = {edge for fault, at in faults for edge in (at, at + fault.lasts_ns)}
+        edges = {edge for fault, at in self._begins for edge in (at, at + fault.lasts_ns)}
         return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
 
     def active(self, t_ns: int) -> tuple[tuple[int, Fault], ...]:
         """Return the faults that are present at an instant, each with its number."""
         if not self._from_ns <= t_ns < self._until_ns:
-            spans = [(at, at + f.lasts_ns) for f, at in zip(self._plan.faults, self._start_ns, strict=True)]
+            spans = [(at, at + fault.lasts_ns) for fault, at in self._begins]
             edges = [edge for span in spans for edge in span]
             self._from_ns = max((edge for edge in edges if edge <= t_ns), default=t_ns)
             self._until_ns = min((edge for edge in edges if edge > t_ns), default=NEVER_NS)

@@ -13,7 +13,7 @@ from drivers.compiled.compiler import INTEGER, MATRIX, OUT_MATRIX, REAL, VECTOR,
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.bench import advance_leg
-from plant_fmu.plant import Truth, whole_steps
+from plant_fmu.plant import Plant, whole_steps
 
 GAUGE_YIELD_M = 5e-5
 """How far a gauge gives way under `LegBench.gauge_N`."""
@@ -73,7 +73,7 @@ def _advance(
     return True
 
 
-class TrestleLegs:
+class TrestleLegs(Plant):
     """Plant: six uncoupled legs at rest.
 
     Mutable state: lengths and rates, the hand's force on each leg, the leg at the gauge and where that is.
@@ -140,14 +140,3 @@ class TrestleLegs:
         if not _advance(self._legs, self._state, force, brake, clamped, spring, gauge_m, n):
             raise PlantError(f"force {force}: a value is not finite")
         return self._x.copy(), self._v.copy()
-
-    def truth(self) -> Truth | None:
-        """None: there is no platform."""
-        return None
-
-    def applied_force(self) -> Array | None:
-        """None: there is no lag to know of."""
-        return None
-
-    def close(self) -> None:
-        """Nothing to free."""

@@ -259,12 +259,6 @@ def library(description: Any, members: Sequence[str], path: Path) -> str:
     )
 
 
-def refuse_no_simulation(description: Any, path: Path) -> None:
-    """Raise PlantError where an FMU has no co-simulation interface."""
-    if description.coSimulation is None:
-        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
-
-
 def _refuse_tool(description: Any, spec: FmuSpec) -> None:
     if description.coSimulation.needsExecutionTool and not spec.allow_execution_tool:
         tool = shown(description.generationTool or "the tool that made it")
@@ -272,14 +266,6 @@ def _refuse_tool(description: Any, spec: FmuSpec) -> None:
             f"{spec.path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone one, "
             "or, where that tool is on this machine, write plant.model.allow_execution_tool: true"
         )
-
-
-def refuse_version(xml: bytes, path: Path) -> None:
-    """Raise PlantError where modelDescription.xml states a version of FMI that cannot be hosted."""
-    found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
-    version = found[1].decode("ascii", "replace") if found else None
-    if version is not None and version != "2.0" and not version.startswith("3.0"):
-        raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
 
 
 def read_description(path: Path) -> Any:
@@ -294,6 +280,22 @@ def read_description(path: Path) -> Any:
         raise PlantError(f"{path}: modelDescription.xml cannot be read: {shown(str(error))}") from error
 
 
+def described(xml: bytes, path: Path) -> Any:
+    """Return the description of an FMU at a path, modelDescription.xml being `xml`.
+
+    Raises PlantError on a version of FMI that cannot be hosted, a description that cannot be read, and where
+    the FMU has no co-simulation interface.
+    """
+    found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
+    version = found[1].decode("ascii", "replace") if found else None
+    if version is not None and version != "2.0" and not version.startswith("3.0"):
+        raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
+    description = read_description(path)
+    if description.coSimulation is None:
+        raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
+    return description
+
+
 def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interface:
     """Check modelDescription.xml against `spec`.
 
@@ -301,9 +303,7 @@ def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interfa
     and what is needed: FMI version, co-simulation, a binary for this machine, existence, causality, type,
     unit and number of elements of each mapped variable, parameters.
     """
-    refuse_version(xml, spec.path)
-    description = read_description(spec.path)
-    refuse_no_simulation(description, spec.path)
+    description = described(xml, spec.path)
     binary = library(description, members, spec.path)
     _refuse_tool(description, spec)
     reader = _Reader(description, spec)

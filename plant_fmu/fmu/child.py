@@ -7,6 +7,7 @@ process (crash, hang, exit, change of directory or rounding mode), ours sees a P
 import contextlib
 import mmap
 import os
+import pickle
 import resource
 import select
 import shutil
@@ -59,8 +60,8 @@ class ChildHost:
         self._most_here_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         # The child unpacks in here; whichever of us two is left removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
-        text = spec.to_json().encode()
-        size = _LAYOUT.itemsize + len(text)
+        given_spec = pickle.dumps(spec)
+        size = _LAYOUT.itemsize + len(given_spec)
         memory_fd = os.memfd_create("fmu-board")
         command_r, self._command_w = os.pipe()
         self._reply_r, reply_w = os.pipe()
@@ -68,7 +69,7 @@ class ChildHost:
         try:
             os.ftruncate(memory_fd, size)
             memory = mmap.mmap(memory_fd, size)
-            memory[_LAYOUT.itemsize :] = text
+            memory[_LAYOUT.itemsize :] = given_spec
             self._board = _board_in(memory)
             given = (memory_fd, command_r, reply_w, life_r)
             # Standard output is ours (a summary may go there); Ctrl-C is for us to handle, hence the session.
@@ -251,7 +252,8 @@ def serve(memory_fd: int, command_fd: int, reply_fd: int, life_fd: int, parent: 
     """Run in the child: load the FMU, then answer commands until told to close or the parent is gone."""
     threading.Thread(target=_end_with_parent, args=(life_fd, parent, folder), daemon=True).start()
     memory = mmap.mmap(memory_fd, 0)
-    board, spec = _board_in(memory), FmuSpec.from_json(memory[_LAYOUT.itemsize :].decode())
+    board = _board_in(memory)
+    spec: FmuSpec = pickle.loads(memory[_LAYOUT.itemsize :])  # noqa: S301 - from who started us
     _bound_memory(spec.memory_GB)
     host: FmuHost | None = _attempt(board, lambda: FmuHost(spec))
     os.write(reply_fd, b"!")

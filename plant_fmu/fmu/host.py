@@ -213,6 +213,8 @@ class FmuHost:
         return y[:LEGS], y[LEGS:]
 
     def _failed(self, ended: int, status: int, what: str) -> PlantError:
+        if ended == fmu_call.CLOSED:
+            return PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
         if ended == fmu_call.OUTPUT_NOT_FINITE:
             y = self._outputs[: fmu_call.MEASURED]
             return PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{self._said()}")
@@ -230,7 +232,7 @@ class FmuHost:
         """
         steps = whole_steps(dt_s, self.internal_step_s)
         if not self._record["ready"]:
-            raise self._closed()
+            raise self._failed(fmu_call.CLOSED, 0, "")
         self._given[:] = force, brake, wrench
         record, given, measures = self._places
         ended = fmu_call.move(record, given, given + 8 * LEGS, given + 16 * LEGS, steps, measures)
@@ -241,8 +243,6 @@ class FmuHost:
         return y[:LEGS], y[LEGS:]
 
     def _did_not_step(self, ended: int, force: Array, brake: Array, wrench: Array, steps: int) -> PlantError:
-        if ended == fmu_call.CLOSED:
-            return self._closed()
         if ended == fmu_call.NOT_FINITE:
             return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
         step = self.internal_step_s
@@ -250,9 +250,6 @@ class FmuHost:
         return self._failed(
             ended, int(self._record["status"]), f"step from {begun:.9g} s by {steps * step:.9g} s"
         )
-
-    def _closed(self) -> PlantError:
-        return PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
 
     def moved(self) -> Moved:
         """Return this plant by address."""
@@ -266,7 +263,7 @@ class FmuHost:
         if not self.spec.truth:
             return None
         if not self._record["ready"]:
-            raise self._closed()
+            raise self._failed(fmu_call.CLOSED, 0, "")
         y = self._outputs[fmu_call.MEASURED :].copy()
         return _new(Truth, (y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:]))
 

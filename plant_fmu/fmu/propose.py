@@ -11,14 +11,7 @@ from typing import Any
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import checked_members, open_archive, read_member
-from plant_fmu.fmu.check import (
-    FLOATS,
-    library,
-    read_description,
-    refuse_no_simulation,
-    refuse_version,
-    stated_unit,
-)
+from plant_fmu.fmu.check import FLOATS, described, library, stated_unit
 
 _ROLES = {
     "brake": ("input", None, ("brake", "lock", "clamp", "hold")),
@@ -65,9 +58,8 @@ def propose(path: Path) -> Proposal:
     """Read an FMU's description and propose a map. Raises PlantError: none that can be hosted here."""
     with open_archive(path) as archive:
         members = [member.filename for member in checked_members(archive, path)]
-        refuse_version(read_member(archive, "modelDescription.xml", path), path)
-    description = read_description(path)
-    refuse_no_simulation(description, path)
+        xml = read_member(archive, "modelDescription.xml", path)
+    description = described(xml, path)
     variables = [v for v in description.modelVariables if v.type in FLOATS]
     groups = _sixes(variables)
     mapped: dict[str, tuple[str, ...]] = {}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 Parameter = float | int | bool | str | list[float]
@@ -30,14 +29,3 @@ class FmuSpec:
     """Take an FMU that needs the tool that made it."""
     memory_GB: float = 4.0
     """Most that a child process may have of its own."""
-
-    def to_json(self) -> str:
-        """Return the text that `from_json` reads back; floats survive to the bit."""
-        return json.dumps({**asdict(self), "path": str(self.path)})
-
-    @staticmethod
-    def from_json(text: str) -> FmuSpec:
-        """Inverse of `to_json`."""
-        d = json.loads(text)
-        lists = {k: tuple(d[k]) for k in ("force", "length", "rate", "brake", "wrench", "truth")}
-        return FmuSpec(**{**d, **lists, "path": Path(d["path"])})

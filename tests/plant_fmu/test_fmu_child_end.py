@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import select
 import subprocess
 from pathlib import Path
@@ -220,5 +221,5 @@ def test_what_to_host_crosses_to_a_process_to_the_bit():
         memory_GB=0.3,
     )
     for each in (spec, SPEC):
-        assert FmuSpec.from_json(each.to_json()) == each
+        assert pickle.loads(pickle.dumps(each)) == each
     assert FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3, (), (), {}, (), {}, False, 4.0) == SPEC

@@ -1,11 +1,7 @@
 """Arbitration: which of the waiting frames has the bus, and when."""
 
-from collections.abc import Sequence
-
-import numpy as np
-
 from drivers.arrays import Ints
-from drivers.compiled.compiler import INTEGER, OUT_INTEGER_MATRIX, helper, kernel
+from drivers.compiled.compiler import helper
 from drivers.protocol import ERROR, EXTENDED, REMOTE
 
 FOREVER = 1 << 62
@@ -27,10 +23,8 @@ def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Fr
     return 1 + (id << 21 | remote << 20)
 
 
-Queued = tuple[int, int, int, int]
-"""(queued at ns, priority, number in order of queueing, duration ns)."""
 QUEUED_NS, PRIORITY, NUMBER, DURATION_NS, WIRE = range(5)
-"""Columns of a transmit queue: those of `Queued`, and which of several buses; SENT: it is on it."""
+"""Columns of a transmit queue: ns, number in order of queueing, which of several buses; SENT: it is on it."""
 SENT = -1
 
 
@@ -58,30 +52,3 @@ def transmit(queue: Ints, count: int, wire: int, free_ns: int, until_ns: int) ->
             if before or (rank == queue[row, PRIORITY] and queue[k, NUMBER] < queue[row, NUMBER]):
                 row = k
     return row, start + queue[row, DURATION_NS]
-
-
-@kernel(OUT_INTEGER_MATRIX, INTEGER, INTEGER, OUT_INTEGER_MATRIX)
-def _arbitrate(queue: Ints, free_ns: int, until_ns: int, sent: Ints) -> tuple[int, int]:
-    """Fill in number and end of the frames that are sent; return how many, and when the bus falls free."""
-    count = 0
-    while True:
-        row, end_ns = transmit(queue, queue.shape[0], 0, free_ns, until_ns)
-        if row < 0:
-            return count, free_ns
-        sent[count, 0], sent[count, 1] = queue[row, NUMBER], end_ns
-        queue[row, WIRE] = SENT
-        free_ns = end_ns
-        count += 1
-
-
-def arbitrate(queued: Sequence[Queued], free_ns: int, until_ns: int) -> tuple[list[tuple[int, int]], int]:
-    """Return [(number, end ns)] of all that begin by `until_ns` on one bus, in the order of the wire.
-
-    And when the bus falls free after them. queued need not be sorted; numbers differ. See `transmit`.
-    """
-    queue = np.zeros((len(queued), WIRE + 1), np.int64)
-    if queued:
-        queue[:, :WIRE] = queued
-    sent = np.zeros((len(queued), 2), np.int64)
-    count, free_ns = _arbitrate(queue, free_ns, until_ns, sent)
-    return list(map(tuple, sent[:count].tolist())), free_ns

@@ -1,6 +1,7 @@
 """A CAN network interface as the kernel has it, and whether it is the one that the configuration means.
 
-Read by netlink: IFLA_LINKINFO of linux/if_link.h, and within it IFLA_CAN_* of linux/can/netlink.h.
+Read by netlink: IFLA_LINKINFO of linux/if_link.h, and within it IFLA_CAN_* of linux/can/netlink.h. Its error
+frames are those of linux/can/error.h: classes in the identifier, more of each in eight bytes.
 """
 
 import struct
@@ -10,8 +11,8 @@ from drivers.can.netlink import IFF_UP, attributes, split_link
 from drivers.config import BusSettings
 from drivers.signals import BusState
 
-_IFLA_MTU, _IFLA_TXQLEN, _IFLA_LINKINFO = 4, 13, 18
-_INFO_KIND, _INFO_DATA, _INFO_XSTATS = 1, 2, 3
+_IFLA_MTU, _IFLA_LINKINFO = 4, 18
+_INFO_KIND, _INFO_DATA = 1, 2
 _BITTIMING, _STATE, _CTRLMODE, _RESTART_MS, _BERR_COUNTER, _DATA_BITTIMING = 1, 4, 5, 6, 8, 9
 _LOOPBACK, _LISTEN_ONLY, _FD = 0x01, 0x02, 0x20
 _UNKNOWN_RATES = (0, 0xFFFFFFFF)
@@ -19,19 +20,12 @@ _UNKNOWN_RATES = (0, 0xFFFFFFFF)
 _STATES = (BusState.ACTIVE, BusState.WARNING, BusState.PASSIVE, BusState.OFF)
 """enum can_state; what comes after, stopped and sleeping, is a controller that is down."""
 FD_MTU = 72
+_CONTROLLER, _BUS_OFF, _RESTARTED = 0x004, 0x040, 0x100
+"""Classes of error frames: a state or an overflow, in byte 1; gone off; back again."""
+_OVERFLOW, _WARNS, _PASSIVE, _ACTIVE = 0x01, 0x0C, 0x30, 0x40
+"""Bits of byte 1: of reception and of transmission, and the return to error active."""
 RESTART_MS = "restart_ms"
 """The option that says what restart-ms has to be."""
-
-
-class Counts(NamedTuple):
-    """struct can_device_stats: how often, since the interface exists."""
-
-    bus_error: int
-    error_warning: int
-    error_passive: int
-    bus_off: int
-    arbitration_lost: int
-    restarts: int
 
 
 class Controller(NamedTuple):
@@ -49,7 +43,6 @@ class Controller(NamedTuple):
     """CAN_CTRLMODE_* bits."""
     errors: tuple[int, int] | None
     """Transmit and receive error counters, where it tells them."""
-    counts: Counts | None
 
 
 class CanInterface(NamedTuple):
@@ -60,7 +53,6 @@ class CanInterface(NamedTuple):
     """The kernel's, ifindex."""
     up: bool
     mtu: int
-    txqueuelen: int
     kind: str
     """can, vcan, vxcan; empty where the kernel says none."""
     controller: Controller | None
@@ -87,21 +79,19 @@ def parse(name: str, answer: bytes) -> CanInterface:
     info = attributes(link.get(_IFLA_LINKINFO, b""))
     kind = info.get(_INFO_KIND, b"").rstrip(b"\0").decode(errors="replace")
     data = attributes(info.get(_INFO_DATA, b""))
-    controller = _controller(data, info.get(_INFO_XSTATS, b"")) if _STATE in data else None
+    controller = _controller(data) if _STATE in data else None
     return CanInterface(
         name,
         index,
         bool(flags & IFF_UP),
         _word(link.get(_IFLA_MTU)),
-        _word(link.get(_IFLA_TXQLEN)),
         kind,
         controller,
     )
 
 
-def _controller(data: dict[int, bytes], statistics: bytes) -> Controller:
+def _controller(data: dict[int, bytes]) -> Controller:
     state = _word(data[_STATE])
-    counts = struct.Struct("=6I")
     return Controller(
         _rate(data.get(_BITTIMING)),
         _rate(data.get(_DATA_BITTIMING)),
@@ -109,7 +99,6 @@ def _controller(data: dict[int, bytes], statistics: bytes) -> Controller:
         _word(data.get(_RESTART_MS)),
         _word(data.get(_CTRLMODE, b"")[4:]),
         struct.unpack_from("=HH", data[_BERR_COUNTER]) if len(data.get(_BERR_COUNTER, b"")) >= 4 else None,
-        Counts(*counts.unpack_from(statistics)) if len(statistics) >= counts.size else None,
     )
 
 
@@ -121,6 +110,21 @@ def _rate(timing: bytes | None) -> int | None:
     """Return the first member of struct can_bittiming."""
     rate = _word(timing)
     return None if rate in _UNKNOWN_RATES else rate
+
+
+def read_error(identifier: int, data: bytes) -> tuple[BusState, bool]:
+    """Return the state that an error frame reports, UNKNOWN without one, and whether a frame was lost."""
+    detail = data[1] if identifier & _CONTROLLER and len(data) > 1 else 0
+    state = BusState.UNKNOWN
+    if identifier & _BUS_OFF:
+        state = BusState.OFF
+    elif detail & _PASSIVE:
+        state = BusState.PASSIVE
+    elif detail & _WARNS:
+        state = BusState.WARNING
+    elif detail & _ACTIVE or identifier & _RESTARTED:
+        state = BusState.ACTIVE
+    return state, bool(detail & _OVERFLOW)
 
 
 def refusal(found: CanInterface, settings: BusSettings) -> str:

@@ -7,7 +7,7 @@ from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
 
 def to_message(
-    frame: tuple[int, int, int, int, int, bytes], epoch_ns: int = 0, channel: str = ""
+    frame: tuple[int, int, int, int, int, bytes], epoch_ns: int = 0, channel: str | int = ""
 ) -> can.Message:
     """Return python-can's Message of one of `unpack_frames`; `epoch_ns` is Unix time minus the channel's."""
     t_ns, id_, _, size, flags, data = frame

@@ -16,14 +16,13 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can import netlink
-from drivers.can.can_interface import CanInterface, parse, refusal
-from drivers.can.error_frames import read_error
+from drivers.can.can_interface import CanInterface, parse, read_error, refusal
 from drivers.can.link import Link
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, RECEIVED, frame_bytes, unpack_frames
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 from drivers.signals import BusState
 
 _CLASSIC = struct.Struct("=IB3x8s")
@@ -258,7 +257,7 @@ class SocketCan(Link):
                     self._kernel_lost = lost
             identifier, data, flags = unpack(raw)
             if flags & ERROR:
-                self._note(Frame(identifier, data, flags))
+                self._note(identifier, data)
             else:
                 self._dropped = False
                 if t_ns > self._since_ns:
@@ -270,14 +269,12 @@ class SocketCan(Link):
             received += frame_bytes(t_ns + real_to_monotonic, identifier, RECEIVED, len(data), flags, data)
         return np.frombuffer(received, FRAME)
 
-    def _note(self, frame: Frame) -> None:
-        report = read_error(frame)
-        self.overflow += report.overflow
-        if report.state is BusState.UNKNOWN:
-            return
-        self._state = report.state
-        self._worst = max(self._worst, report.state)
-        self._bus_off = report.state is BusState.OFF
+    def _note(self, identifier: int, data: bytes) -> None:
+        state, lost = read_error(identifier, data)
+        self.overflow += lost
+        if state is not BusState.UNKNOWN:
+            self._state, self._worst = state, max(self._worst, state)
+            self._bus_off = state is BusState.OFF
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
         """Sleep until something can be received, or the deadline."""

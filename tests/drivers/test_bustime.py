@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.can.arbitration import arbitrate, priority
+from drivers.can.arbitration import priority
 from drivers.can.bus_time import (
     FD_LENGTHS,
     BitTiming,
@@ -22,6 +22,7 @@ from drivers.can.bus_time import (
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from tests.drivers.arbitrated import arbitrate
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
 FD_1M_5M = BitTiming(1_000_000, 5_000_000)

@@ -20,7 +20,7 @@ import time
 
 import pytest
 
-from drivers.can.arbitration import arbitrate, priority
+from drivers.can.arbitration import priority
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.link import OWN, collect
 from drivers.can.localcan import layout, participant
@@ -30,6 +30,7 @@ from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Frame, Received
+from tests.drivers.arbitrated import arbitrate
 from tests.drivers.frames_heard import got
 
 pytestmark = pytest.mark.usefixtures("runtime")

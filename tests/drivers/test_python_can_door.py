@@ -9,12 +9,13 @@ import can
 import pytest
 
 from drivers.can import python_can
-from drivers.can.arbitration import arbitrate, priority
+from drivers.can.arbitration import priority
 from drivers.can.python_can import PythonCan
 from drivers.can.socketcan import pack, unpack
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from tests.drivers.arbitrated import arbitrate
 from tests.drivers.frames_heard import got
 
 PAIR = (Frame(1, b"a"), Frame(2, b"b"))

@@ -23,8 +23,8 @@ from drivers.signals import BusState
 from tests.drivers.frames_heard import got
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0", layout="classic")
-CONTROLLER = Controller(1_000_000, None, BusState.ACTIVE, 0, 0, None, None)
-CAN0 = CanInterface("can0", 5, up=True, mtu=16, txqueuelen=10, kind="can", controller=CONTROLLER)
+CONTROLLER = Controller(1_000_000, None, BusState.ACTIVE, 0, 0, None)
+CAN0 = CanInterface("can0", 5, up=True, mtu=16, kind="can", controller=CONTROLLER)
 FRAME = Frame(0x80, b"\x01")
 BUS_OFF, CONTROLLER_PROBLEM = 0x20000040, 0x20000004
 TIMESTAMP, LOST = 35, 40

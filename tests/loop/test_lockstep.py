@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.can.arbitration import arbitrate, priority
+from drivers.can.arbitration import priority
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.frame_array import received_frames, sent_frames
 from drivers.protocol import Frame
@@ -16,6 +16,7 @@ from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
 from hil.signals import Operator
+from tests.drivers.arbitrated import arbitrate
 
 
 @pytest.fixture(scope="module")

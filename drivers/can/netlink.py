@@ -31,28 +31,25 @@ _ANSWER = 1 << 16
 _TIMEOUT_S = 1.0
 
 
+def _pieces(raw: bytes, header: struct.Struct) -> Iterator[tuple[int, bytes]]:
+    """Give kind and payload of what begins with its size and kind; a cut one ends them."""
+    at = 0
+    while at + header.size <= len(raw):
+        size, kind, *_ = header.unpack_from(raw, at)
+        if size < header.size or at + size > len(raw):
+            return
+        yield kind, raw[at + header.size : at + size]
+        at += size + -size % 4
+
+
 def attributes(raw: bytes) -> dict[int, bytes]:
     """Return the route attributes of a message or of a nest, by kind; a cut one ends them."""
-    found: dict[int, bytes] = {}
-    at = 0
-    while at + _ATTRIBUTE.size <= len(raw):
-        size, kind = _ATTRIBUTE.unpack_from(raw, at)
-        if size < _ATTRIBUTE.size or at + size > len(raw):
-            break
-        found[kind & _KIND] = raw[at + _ATTRIBUTE.size : at + size]
-        at += size + -size % 4
-    return found
+    return {kind & _KIND: payload for kind, payload in _pieces(raw, _ATTRIBUTE)}
 
 
 def messages(raw: bytes) -> Iterator[tuple[int, bytes]]:
-    """Return kind and payload of each message in what one read has given."""
-    at = 0
-    while at + _HEADER.size <= len(raw):
-        size, kind, *_ = _HEADER.unpack_from(raw, at)
-        if size < _HEADER.size or at + size > len(raw):
-            break
-        yield kind, raw[at + _HEADER.size : at + size]
-        at += size + -size % 4
+    """Give kind and payload of each message in what one read has given."""
+    return _pieces(raw, _HEADER)
 
 
 def request(kind: int, flags: int, body: bytes) -> list[bytes]:

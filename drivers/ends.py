@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
-from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python, record_at
 from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, received_frames, sent_array, sent_frames
@@ -50,9 +50,19 @@ READING = np.dtype(
     ]
 )
 """What six drives read, as `DrivesEnd.reply` takes it."""
+_MESSAGE = MESSAGE.itemsize
 frame_at: Any = record_at(record(FRAME))
 message_at: Any = record_at(record(MESSAGE))
 reading_at: Any = record_at(record(READING))
+
+
+@helper
+def put_message(messages: int, count: int, leg: int, kind: int, mode: int, counter: int, force: float) -> int:
+    """Put a message to one leg behind `count` elements of MESSAGE at an address; return their number."""
+    message = message_at(messages + count * _MESSAGE)
+    message.kind, message.mode, message.counter, message.count = kind, mode, counter, 1
+    message.legs[0], message.force[0] = leg, force
+    return count + 1
 
 
 class DrivesEnd(ABC):
@@ -171,10 +181,10 @@ class CompiledDrives(DrivesEnd):
             raise self.no_number(sync, length, rate, force)
         return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
 
-    def no_number(self, sync: Sync, length: Array, rate: Array, force: Array) -> ProtocolError:
+    def no_number(self, _sync: Sync, length: Array, rate: Array, force: Array) -> ProtocolError:
         """Return what of a reading is not a number."""
         unknown = np.isnan(length) | np.isnan(rate) | np.isnan(force)
-        leg = next((leg for leg in sync.legs if unknown[leg]), sync.legs[0])
+        leg = int(unknown.argmax())
         return ProtocolError(
             f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
         )

@@ -1,21 +1,21 @@
 """What the codecs of all families share: each frame goes on the bus of the leg that it is for."""
 
 import ctypes
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 from drivers.compiled.pointed import data_at
 from drivers.ends import Hearing
 from drivers.frame_array import received_array, sent_array
-from drivers.protocol import ALL_LEGS, BUS, Frame, Received
+from drivers.protocol import ALL_LEGS, BUS, DriveProtocol, Frame, Received
 from drivers.signals import LEGS
 
 _ASK = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
 _FRESH = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4)
 
 
-class Family(ABC):
+class Family(DriveProtocol):
     """Holds tables only. A drive's frame counts on its own bus alone."""
 
     def __init__(self, legs: Sequence[Sequence[int]] = (ALL_LEGS,)) -> None:
@@ -37,6 +37,10 @@ class Family(ABC):
     def to_leg(self, leg: int, frame: Frame) -> Frame:
         """Return a frame on the bus of a leg."""
         return frame._replace(flags=frame.flags % BUS + BUS * self.bus_of[leg])
+
+    def to_each(self, frames: Iterable[Frame]) -> tuple[Frame, ...]:
+        """Return frames for the drives, leg order, each on the bus of its leg."""
+        return tuple(self.to_leg(leg, frame) for leg, frame in enumerate(frames))
 
     def to_all(self, frame: Frame) -> tuple[Frame, ...]:
         """Return a frame that is for all drives, on each bus."""

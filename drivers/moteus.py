@@ -11,37 +11,23 @@ reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 """
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import nan
 
 import numpy as np
 
 from drivers import moteus_kernels as kernels
+from drivers import moteus_registers as registers
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import REVISION, SERIAL, Said
 from drivers.moteus_kernels import ALL_NODES, REPLY_WANTED
-from drivers.moteus_registers import (
-    FAULT,
-    FIRMWARE,
-    FLOAT,
-    MODE,
-    PLACE,
-    REPLY,
-    SERIAL_NUMBER,
-    SPEED,
-    TEMPERATURE,
-    TORQUE,
-    VOLTAGE,
-    pad,
-    registers,
-)
 from drivers.motor_drives import codes_of
-from drivers.motor_kernels import EAR, FALLS, OWN_CODE
+from drivers.motor_kernels import FALLS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-from drivers.motors import Exchange, MotorProtocol
-from drivers.protocol import ALL_LEGS, BRS, EXTENDED, FD, DriveSetup, Frame
-from drivers.signals import LEGS, DriveFault, Reaction
+from drivers.motors import MotorProtocol
+from drivers.protocol import ALL_LEGS, BRS, EXTENDED, FD, Frame
+from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
@@ -74,17 +60,17 @@ FAULTS = {
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
 _WORD = 0xFFFFFFFF
-_SERIAL = tuple(range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
+_SERIAL = tuple(range(registers.SERIAL_NUMBER, registers.SERIAL_NUMBER + 3))
 _MAX_TORQUE = 1e4
-
-
-def _who(leg: int, said: Mapping[int, float]) -> Said | None:
-    """Return what registers say of who a drive is."""
-    words = [said.get(each, nan) for each in ((FIRMWARE,) if FIRMWARE in said else _SERIAL)]
-    if not all(map(float.is_integer, words)):
-        return None
-    value = sum((int(word) & _WORD) << 32 * k for k, word in enumerate(words))
-    return Said(leg, REVISION if FIRMWARE in said else SERIAL, value)
+_BRAKES = (
+    "drives.protocol: a moteus has no brake output, and its aux pins keep their level when it faults "
+    "or its time is over, so none of them is used: a platform without power falls unless brakes of "
+    "your own close by themselves when a drive is stopped; the brake tests test those"
+)
+_TIME_IS_OVER = (
+    "drives.options: what a drive does when its time is over is its own servo.timeout_mode; set "
+    "it to {} with moteus_tool, as nothing here reads it back"
+)
 
 
 def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
@@ -95,11 +81,11 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
 
 TORQUE_AT = 14
 """Of its bytes the first one of the torque."""
-STOP = pad(b"\x01\0\0" + QUERY)
+STOP = registers.pad(b"\x01\0\0" + QUERY)
 _QUERIED = (
-    (MODE, 0),
-    *((register, FLOAT) for register in (PLACE, SPEED, TORQUE)),
-    *((register, 0) for register in (VOLTAGE, TEMPERATURE, FAULT)),
+    (registers.MODE, 0),
+    *((register, registers.FLOAT) for register in (registers.PLACE, registers.SPEED, registers.TORQUE)),
+    *((register, 0) for register in (registers.VOLTAGE, registers.TEMPERATURE, registers.FAULT)),
 )
 """Registers that it asks for, each with its width."""
 
@@ -110,8 +96,8 @@ class MoteusProtocol(MotorProtocol):
     ear, obey, encode, rule = kernels.hear, kernels.obey, kernels.encode, FALLS
     number_at, everyone, delivered_s = (0, ALL_NODES), ALL_NODES, DEFAULT_TIMEOUT_S
     rejections = "mode {0:g}", "position mode that is no torque command", "subframes that are not whole"
-    set_up_frames = 0
     shares_identifiers = False
+    fault_names = FAULTS
 
     def __init__(
         self,
@@ -126,8 +112,6 @@ class MoteusProtocol(MotorProtocol):
 
         Raises ConfigurationError for ids that a frame cannot carry.
         """
-        tables = np.zeros((), EAR)
-        super().__init__(transmission, tables, (TORQUE_AT, 32, 0.0), legs)
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 126 or node == host:
                 raise ConfigurationError(
@@ -138,81 +122,45 @@ class MoteusProtocol(MotorProtocol):
             raise ConfigurationError(
                 f"drives.options: host_id out of range, allowed: 0 to 126, given: {host}"
             )
-        self.reactions, self._most = (timeout_mode,), most
-        self._command_ids = tuple(REPLY_WANTED | host << 8 | node for node in nodes)
-        self._reply_ids = tuple(node << 8 | host for node in nodes)
-        self._nodes, self._host = tuple(nodes), host
-        tables["nodes"], tables["replies"] = nodes, self._reply_ids
-        tables["codes"] = codes_of(_CODES, 33)
-        self._answering_legs = {identifier: leg for leg, identifier in enumerate(self._reply_ids)}
-        self.feedback_by_leg = self._reply_ids
-
-    @property
-    def torque_limit(self) -> float:
-        """N m."""
-        return self._most
-
-    @property
-    def brake_danger(self) -> str:
-        """A pin that a register writes keeps its level when the controller falls silent."""
-        return (
-            "drives.protocol: a moteus has no brake output, and its aux pins keep their level when it faults "
-            "or its time is over, so none of them is used: a platform without power falls unless brakes of "
-            "your own close by themselves when a drive is stopped; the brake tests test those"
-        )
-
-    @property
-    def watchdog_danger(self) -> str:
-        """What it does is the drive's own setting."""
-        does = "0, stopped" if self.reactions == (Reaction.BRAKE,) else "12, zero velocity"
-        return (
-            f"drives.options: what a drive does when its time is over is its own servo.timeout_mode; set "
-            f"it to {does} with moteus_tool, as nothing here reads it back"
-        )
-
-    def fault_text(self, code: int) -> str:
-        """Return what a code of the column `drive_fault` means."""
-        return FAULTS.get(code - OWN_CODE, "")
+        answers = tuple(node << 8 | host for node in nodes)
+        super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), legs, answers)
+        self.reactions, self.torque_limit, self._host = (timeout_mode,), most, host
+        self.tables["replies"], self.tables["codes"] = answers, codes_of(_CODES, 33)
+        does = "0, stopped" if timeout_mode == Reaction.BRAKE else "12, zero velocity"
+        self.dangers = _BRAKES, _TIME_IS_OVER.format(does)
 
     # controller's end
 
-    def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Return nothing: every command carries what it needs."""
-        return ((),) * LEGS
-
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return a stop, whatever is asked for but torque, and torque; each with its query."""
-        torque = pad(torque_command(0.0, self._most, watchdog_s))
-        return tuple(self._to_each(data) for data in (STOP, STOP, STOP, torque))
+        torque = registers.pad(torque_command(0.0, self.torque_limit, watchdog_s))
+        return tuple(self._commands(data) for data in (STOP, STOP, STOP, torque))
 
-    def _to_each(self, data: bytes) -> tuple[Frame, ...]:
-        flags = EXTENDED | FD | BRS
-        return tuple(self.to_leg(leg, Frame(each, data, flags)) for leg, each in enumerate(self._command_ids))
+    def _commands(self, data: bytes) -> tuple[Frame, ...]:
+        first, flags = REPLY_WANTED | self._host << 8, EXTENDED | FD | BRS
+        return self.to_each(Frame(first | node, data, flags) for node in self.nodes)
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return the queries for the serial number, and for the version of the firmware."""
-        return tuple(self._to_each(pad(ask)) for ask in (WHO, WHICH))
+        return tuple(self._commands(registers.pad(ask)) for ask in (WHO, WHICH))
 
     def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number, 96 bits, or the version of the firmware as the revision."""
-        reply = self._reply_of(frame)
-        return None if reply is None else _who(*reply)
-
-    def _reply_of(self, frame: Frame) -> tuple[int, Mapping[int, float]] | None:
-        """Return leg and registers of a drive's reply to us, without any if it is not whole; else None."""
         identifier, data, flags = frame
-        leg = self._answering_legs.get(identifier)
-        if (
-            leg is None
-            or flags & (kernels.STRANGE | FD) != FD
-            or bool(flags & EXTENDED) != (identifier > 0x7FF)
-        ):
+        if identifier not in self.feedback_by_leg or flags & (kernels.STRANGE | FD) != FD:
             return None
-        return leg, registers(data, REPLY) or {}
+        values = np.full(1 + len(_SERIAL), nan)
+        has = kernels.read(data, len(data), registers.REPLY, (registers.FIRMWARE, *_SERIAL), values)
+        words = values.tolist()[:1] if has & 1 else values.tolist()[1:]
+        strays = has < 0 or bool(flags & EXTENDED) != (identifier > 0x7FF)
+        if strays or not all(map(float.is_integer, words)):
+            return None
+        number = sum((int(word) & _WORD) << 32 * k for k, word in enumerate(words))
+        return Said(self.feedback_by_leg.index(identifier), REVISION if has & 1 else SERIAL, number)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return a stop for each drive: it does not latch."""
-        return self._to_each(STOP)
+        return self._commands(STOP)
 
     # drives' end
 
@@ -221,12 +169,6 @@ class MoteusProtocol(MotorProtocol):
         n = len(_QUERIED)
         d["host"], d["asked"] = self._host, n
         d["wanted"][:, :n], d["widths"][:, :n] = np.array(_QUERIED).T[:, np.newaxis]
-
-    # bus time
-
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame of a tick: six torques, six replies."""
-        return (*self._to_each(pad(torque_command(0.0, 1.0, 1.0))), *self.example_feedbacks())
 
 
 _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}

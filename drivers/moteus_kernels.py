@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers import moteus_registers as r
 from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
 from drivers.arrays import Array
@@ -11,37 +12,6 @@ from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, signed, whole
-from drivers.moteus_registers import (
-    COMMAND,
-    ERRORS,
-    FAULT,
-    FIRMWARE,
-    FLOAT,
-    HOME_STATE,
-    LENGTHS,
-    MODE,
-    NO_REGISTER,
-    NOP,
-    NOT_WHOLE,
-    NOTHING,
-    PLACE,
-    READ,
-    READ_ERROR,
-    READABLE,
-    REPLY,
-    SERIAL_NUMBER,
-    SIZES,
-    SPEED,
-    TEMPERATURE,
-    TIMEOUT,
-    TORQUE,
-    TRAJECTORY_COMPLETE,
-    VOLTAGE,
-    WRITE,
-    group,
-    scale_of,
-    value,
-)
 from drivers.motor_kernels import OWN_CODE
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
@@ -51,12 +21,12 @@ ALL_NODES = 0x7F
 STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
 """Modes."""
 STRANGE = REMOTE | ERROR
-_REGISTERS = MODE, PLACE, SPEED, TORQUE, FAULT, FIRMWARE, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3)
+_REGISTERS = *range(r.MODE, r.TORQUE + 1), r.FAULT, r.FIRMWARE, *range(r.SERIAL_NUMBER, r.SERIAL_NUMBER + 3)
 """Those that are read."""
 _MODE, _PLACE, _SPEED, _TORQUE, _FAULT_CODE, _FIRMWARE, _SERIAL = range(7)
 _STATE = 0b11111
 """The first five of them."""
-_WRITTEN = MODE, COMMAND + 2, COMMAND + 3, COMMAND + 4, COMMAND + 5, TIMEOUT
+_WRITTEN = r.MODE, r.COMMAND + 2, r.COMMAND + 3, r.COMMAND + 4, r.COMMAND + 5, r.TIMEOUT
 """Those that are obeyed: mode, torque, scales of the gains, most torque, time."""
 REPLY_WANTED = 0x8000
 """Bit of an identifier."""
@@ -72,30 +42,30 @@ _WATCHDOG = int(DriveFault.WATCHDOG)
 @helper
 def _raw(data: Any, at: int, width: int) -> float:
     """Return a value as it is packed, signed."""
-    if width == FLOAT:
+    if width == r.FLOAT:
         return motors.single(data, at)
-    size = SIZES[width]
+    size = r.SIZES[width]
     return float(signed(whole(data, at, size), 8 * size))
 
 
 @helper
-def _read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -> int:
+def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -> int:
     """Read registers of subframes of a kind into `values`; return bits of those there, -1 if not whole."""
     has = at = 0
     while at < size:
-        kind, width, first, count, at = group(data, size, at)
-        if kind == ERRORS:
+        kind, width, first, count, at = r.group(data, size, at)
+        if kind == r.ERRORS:
             break
-        if kind in (NOTHING, READ):
+        if kind in (r.NOTHING, r.READ):
             continue
-        if kind != of or count > size or at + count * SIZES[width] > size:
+        if kind != of or count > size or at + count * r.SIZES[width] > size:
             return -1
         for k in range(len(names)):
             place = names[k] - first
             if 0 <= place < count:
-                values[k] = value(names[k], width, _raw(data, at + place * SIZES[width], width))
+                values[k] = r.value(names[k], width, _raw(data, at + place * r.SIZES[width], width))
                 has |= 1 << k
-        at += count * SIZES[width]
+        at += count * r.SIZES[width]
     return has
 
 
@@ -137,7 +107,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     if leg < 0:
         return 0
     values = np.zeros(len(_REGISTERS))
-    has = max(_read(frame.data, int(frame.length), REPLY, _REGISTERS, values), 0)
+    has = max(read(frame.data, int(frame.length), r.REPLY, _REGISTERS, values), 0)
     if has & _STATE != _STATE:
         return motors.says(heard, leg, 0 if _names_drive(has, values) else motors.BROKEN)
     place, speed, torque = values[_PLACE], values[_SPEED], values[_TORQUE]
@@ -167,15 +137,15 @@ def _ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
     """Remember who asks a drive for what, in its order, up to where it is not whole."""
     d.host[leg], at, found = source, 0, 0
     while at < size:
-        kind, width, first, count, at = group(data, size, at)
-        if kind in (ERRORS, NOT_WHOLE):
+        kind, width, first, count, at = r.group(data, size, at)
+        if kind in (r.ERRORS, r.NOT_WHOLE):
             break
-        if kind == READ:
+        if kind == r.READ:
             for k in range(min(count, drives.MOST_ASKED - found)):
                 d.wanted[leg, found], d.widths[leg, found] = first + k, width
                 found += 1
-        elif kind != NOTHING:
-            at += min(count, size) * SIZES[width]
+        elif kind != r.NOTHING:
+            at += min(count, size) * r.SIZES[width]
     d.asked[leg] = found
 
 
@@ -205,7 +175,7 @@ def obey(d: Any, frame: Any, order: Any) -> int:
     if identifier > (0xFFFF if frame.flags & EXTENDED else 0x7FF):
         return 0
     values = np.array((0.0, 0.0, 1.0, 1.0, np.nan, np.nan))
-    has = _read(data, size, WRITE, _WRITTEN, values)
+    has = read(data, size, r.WRITE, _WRITTEN, values)
     if has < 0:
         return 1 + drives.rejects(order, UNFINISHED, 0.0)
     order.answers = identifier & REPLY_WANTED != 0
@@ -224,7 +194,7 @@ def obey(d: Any, frame: Any, order: Any) -> int:
 @helper
 def _known(name: int) -> bool:
     """Tell whether a register is the firmware's version or the serial number."""
-    return name == FIRMWARE or SERIAL_NUMBER <= name < SERIAL_NUMBER + 3
+    return name == r.FIRMWARE or r.SERIAL_NUMBER <= name < r.SERIAL_NUMBER + 3
 
 
 @helper
@@ -232,28 +202,28 @@ def _held(d: Any, said: Any, name: int) -> float:
     """Return the value of a register of a drive, in its own unit; NaN: not known."""
     in_fault = said.state == _FAULT
     timed_out = in_fault and said.fault == _WATCHDOG
-    if name == MODE:
+    if name == r.MODE:
         mode = POSITION if said.state == _RUN else STOPPED
         return float(TIMED_OUT if timed_out else FAULTED if in_fault else mode)
-    if name == FAULT:
+    if name == r.FAULT:
         return float(drives.ear_at(d.ear).codes[said.fault]) if in_fault and not timed_out else 0.0
-    if name in (PLACE, SPEED):
-        return np.nan if said.lost else float(said.turns if name == PLACE else said.speed)
-    if name == TORQUE:
+    if name in (r.PLACE, r.SPEED):
+        return np.nan if said.lost else float(said.turns if name == r.PLACE else said.speed)
+    if name == r.TORQUE:
         return float(said.torque)
-    if name in (VOLTAGE, TEMPERATURE):
-        return 24.0 if name == VOLTAGE else 30.0
-    if name == SERIAL_NUMBER:
+    if name in (r.VOLTAGE, r.TEMPERATURE):
+        return 24.0 if name == r.VOLTAGE else 30.0
+    if name == r.SERIAL_NUMBER:
         return float(d.nodes[said.leg])
-    if name == FIRMWARE:
+    if name == r.FIRMWARE:
         return float(VERSION)
-    return 0.0 if name in (TRAJECTORY_COMPLETE, HOME_STATE) or _known(name) else np.nan
+    return 0.0 if name in (r.TRAJECTORY_COMPLETE, r.HOME_STATE) or _known(name) else np.nan
 
 
 @helper
 def _put(frame: Any, number: int) -> None:
     """Put a byte at the end of a frame, if there is room."""
-    if frame.length < LENGTHS[-1]:
+    if frame.length < r.LENGTHS[-1]:
         frame.data[frame.length] = number
         frame.length += 1
 
@@ -269,14 +239,14 @@ def _put_register(frame: Any, name: int) -> None:
 @helper
 def _put_value(frame: Any, number: float, name: int, width: int) -> None:
     """Put a value as a float, or as an integer of its scale, within the largest; the smallest for NaN."""
-    size, raw = SIZES[width], 0
-    if width == FLOAT:
+    size, raw = r.SIZES[width], 0
+    if width == r.FLOAT:
         word = np.empty(1, np.float32)
         word[0] = number
         raw = int(word.view(np.uint32)[0])
     else:
         most = (1 << (8 * size - 1)) - 1
-        scale = scale_of(name, width)
+        scale = r.scale_of(name, width)
         scaled = number / (scale if scale != 0.0 else 1.0)
         raw = int(min(max(scaled, -float(most)), float(most))) if np.isfinite(number) else -most - 1
     for k in range(size):
@@ -291,7 +261,7 @@ def _together(d: Any, leg: int, at: int) -> int:
         name = d.wanted[leg, at + count]
         if name != first + count or d.widths[leg, at + count] != width:
             break
-        if (first < READABLE <= name) or (name >= READABLE and not _known(name)):
+        if (first < r.READABLE <= name) or (name >= r.READABLE and not _known(name)):
             break
         count += 1
     return count
@@ -311,21 +281,21 @@ def encode(d: Any, said: Any, frame: Any) -> int:
     while at < d.asked[leg]:
         first, width, count = d.wanted[leg, at], d.widths[leg, at], _together(d, leg, at)
         if count == 0:
-            _put(frame, READ_ERROR)
+            _put(frame, r.READ_ERROR)
             _put_register(frame, first)
-            _put(frame, NO_REGISTER)
+            _put(frame, r.NO_REGISTER)
             at += 1
             continue
-        _put(frame, REPLY | width << 2 | (count if count < 4 else 0))
+        _put(frame, r.REPLY | width << 2 | (count if count < 4 else 0))
         if count > 3:
             _put(frame, count)
         _put_register(frame, first)
         for name in range(first, first + count):
             _put_value(frame, _held(d, said, name), name, width)
         at += count
-    for length in LENGTHS:
+    for length in r.LENGTHS:
         if length >= frame.length:
             break
     while frame.length < length:
-        _put(frame, NOP)
+        _put(frame, r.NOP)
     return 0

@@ -5,11 +5,8 @@ count, 0 for a count that follows; counts and registers are varuints, values lit
 integer of a width stands for "not known".
 """
 
-import struct
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
 from math import nan
-from types import MappingProxyType
 from typing import Any
 
 from drivers.compiled.compiler import helper
@@ -33,7 +30,6 @@ READABLE = 0x10
 FLOAT = 3
 SIZES = (1, 2, 4, 4)
 """Bytes of a value, by its width."""
-_FORMS = ("b", "h", "i", "f")
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -76,35 +72,6 @@ def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
             return NOTHING if at >= 0 else NOT_WHOLE, width, 0, 0, at
     first, at = _varuint(data, size, at)
     return kind if at >= 0 else NOT_WHOLE, width, first, count, at
-
-
-def registers(data: bytes, kind: int) -> Mapping[int, float] | None:
-    """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known.
-
-    Registers without a scale come as they are. Errors (0x30, 0x31) end the frame. None if it is not whole.
-    """
-    found: dict[int, float] = {}
-    for found_kind, width, first, count, at in _groups(data):
-        if found_kind in (ERRORS, READ):
-            continue
-        if found_kind != kind or at + count * SIZES[width] > len(data):
-            return None
-        for k, raw in enumerate(struct.unpack_from(f"<{count}{_FORMS[width]}", data, at)):
-            found[first + k] = value(first + k, width, raw)
-    return MappingProxyType(found)
-
-
-def _groups(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
-    """Give the groups of a frame, see `group`, up to the first that is not whole."""
-    at = 0
-    while at < len(data):
-        kind, width, first, count, at = group(data, len(data), at)
-        if kind != NOTHING:
-            yield kind, width, first, count, at
-        if kind in (ERRORS, NOT_WHOLE):
-            return
-        if kind not in (READ, NOTHING):
-            at += count * SIZES[width]
 
 
 @helper

@@ -9,22 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from drivers import ends
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, address_of, call, integers_at, pointed, record_at
-from drivers.ends import (
-    COMMAND,
-    CONFIGURE,
-    MESSAGE,
-    REJECTED,
-    SYNC,
-    frame_at,
-    message_at,
-    reading_at,
-)
 from drivers.frame_array import FRAME
 from drivers.motor_kernels import EAR, FEEDBACK, HEARD, heard_at
 from drivers.signals import INVALID, LEGS, DriveMode
-from drivers.transmission import loss_of
+from drivers.transmission import FIELDS, loss_of
 
 MOST_REGISTERS, MOST_ASKED = 8, 64
 """That a drive remembers; and that one frame asks for."""
@@ -65,9 +56,7 @@ DEVICES = np.dtype(
         ("buses", "<i8"),  # how many; 0: one
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
-        # transmission
-        *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "N_per_Nm", "driving", "back_driving")),
-        ("full_loss_m_s", "<f8"),
+        *FIELDS,
         # memory
         ("heard", "<i8", (LEGS,)),  # commands so far: none is a repetition
         ("enabled", "<i8", (LEGS,)),
@@ -87,7 +76,7 @@ _DEVICES = record(DEVICES)
 ear_at = record_at(record(EAR))
 _order_at = record_at(record(ORDER))
 _said_at = record_at(record(SAID))
-_FRAME, _MESSAGE = FRAME.itemsize, MESSAGE.itemsize
+_FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 OFF, READY, RUN, RESET = map(int, DriveMode)
 
 
@@ -142,9 +131,8 @@ def write(d: Any, leg: int, name: int, value: float) -> None:
 
 
 @helper
-def _put(message: Any, kind: int, leg: int, mode: int, counter: int, force: float) -> None:
-    message.kind, message.count, message.legs[0] = kind, 1, leg
-    message.mode, message.counter, message.force[0] = mode, counter, force
+def _configure(d: Any, order: Any, messages: int, count: int) -> int:
+    return ends.put_message(messages, count, order.leg, ends.CONFIGURE, d.reaction, order.watchdog_ns, 0.0)
 
 
 @helper
@@ -152,30 +140,23 @@ def _obey(d: Any, order: Any, messages: int) -> int:
     """Put what an order means to its drive into messages at an address; return how many they are."""
     leg, count = order.leg, 0
     if order.configures < 0:
-        _put(message_at(messages), CONFIGURE, leg, d.reaction, order.watchdog_ns, 0.0)
-        count += 1
+        count = _configure(d, order, messages, count)
     if order.rejected:
-        _put(message_at(messages + count * _MESSAGE), REJECTED, leg, order.rejected, 0, order.number)
-        count += 1
+        count = ends.put_message(messages, count, leg, ends.REJECTED, order.rejected, 0, order.number)
     for k in range(order.modes):
         d.heard[leg] += 1
         force = order.torque * d.N_per_Nm[leg]
-        _put(message_at(messages + count * _MESSAGE), COMMAND, leg, order.mode[k], d.heard[leg], force)
-        count += 1
+        count = ends.put_message(messages, count, leg, ends.COMMAND, order.mode[k], d.heard[leg], force)
     d.enabled[leg] = order.enabled
     if order.configures > 0:
-        _put(message_at(messages + count * _MESSAGE), CONFIGURE, leg, d.reaction, order.watchdog_ns, 0.0)
-        count += 1
-    if order.answers:
-        _put(message_at(messages + count * _MESSAGE), SYNC, leg, 0, 0, 0.0)
-        count += 1
-    return count
+        count = _configure(d, order, messages, count)
+    return ends.put_message(messages, count, leg, ends.SYNC, 0, 0, 0.0) if order.answers else count
 
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(d: Any, frame_address: int, messages: int) -> int:
     """Decode a frame at the drives of its bus, see `DriveProtocol.parse`."""
-    frame = frame_at(frame_address)
+    frame = ends.frame_at(frame_address)
     identifier = np.int64(frame.id)
     if frame.bus >= max(d.buses, 1):
         return 0
@@ -214,7 +195,7 @@ def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
     """Fill in what the drives of a SYNC answer, each on its own bus; FAILED for what is no number."""
-    sync, reading = message_at(sync_address), reading_at(reading_address)
+    sync, reading = ends.message_at(sync_address), ends.reading_at(reading_address)
     at = np.int64(d.scratch.ctypes.data)
     said, legs, count = _said_at(at), integers_at(senders, LEGS), 0
     for bus in range(max(d.buses, 1)):
@@ -241,7 +222,7 @@ def silent(
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER)
 def fresh(d: Any, frame_address: int, _tick: int, since_ns: int) -> int:
     """Return the leg, from 1 on, of a feedback to this tick's poll on its own bus; else 0: its time tells."""
-    frame = frame_at(frame_address)
+    frame = ends.frame_at(frame_address)
     at = np.int64(d.scratch.ctypes.data)
     if frame.t_ns < since_ns or frame.bus >= max(d.buses, 1) or not call(d.hear, (d.ear, frame_address, at)):
         return 0
@@ -252,7 +233,7 @@ def fresh(d: Any, frame_address: int, _tick: int, since_ns: int) -> int:
 @pointed(_DEVICES, INTEGER)
 def addressed(d: Any, frame_address: int) -> int:
     """Return which legs a frame of the controller's end is for, bit i: leg i."""
-    frame = frame_at(frame_address)
+    frame = ends.frame_at(frame_address)
     identifier = np.int64(frame.id)
     number = identifier >> d.shift & d.mask
     if identifier == d.requests:

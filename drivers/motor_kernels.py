@@ -18,7 +18,7 @@ from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, frames_at, whole
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
-from drivers.transmission import loss_of
+from drivers.transmission import FIELDS, loss_of
 
 OWN_CODE = 0x100
 """Added to a fault code of a family, so that none is taken for a DriveFault."""
@@ -82,13 +82,7 @@ MOTORS = np.dtype(
         ("reports", "<i8"),  # 1: drives say whether they are enabled
         ("buses", "<i8"),  # how many; 0: one, and frames of others are not ours
         ("bus_of", "<i8", (LEGS,)),
-        # transmission
-        ("offset", "<f8", (LEGS,)),
-        ("m_per_turn", "<f8", (LEGS,)),
-        ("N_per_Nm", "<f8", (LEGS,)),
-        ("driving", "<f8", (LEGS,)),
-        ("back_driving", "<f8", (LEGS,)),
-        ("full_loss_m_s", "<f8"),
+        *FIELDS,
         # start-up dialogue
         ("exchanges", "<i8", (LEGS,)),  # how many each drive has to confirm
         ("registers", "<i8", (LEGS, MOST_EXCHANGES)),
@@ -99,11 +93,7 @@ MOTORS = np.dtype(
         ("rate", "<f8", (LEGS,)),  # m/s, last read: it decides the losses
         ("power", "<i8", (LEGS,)),  # DriveState OFF, RUN or FAULT, as last heard; BOOT: not yet
         ("ran", "<i8", (LEGS,)),  # 1: enabled since RUN is asked for
-        (
-            "done",
-            "<i8",
-            (LEGS,),
-        ),  # 1 for a drive that is heard, 1 for each exchange that it has confirmed
+        ("done", "<i8", (LEGS,)),  # 1 of a drive that is heard, and 1 an exchange that it has confirmed
         ("asked", "<i8", (LEGS,)),  # tick of the last request
         ("said", "<i8", (LEGS,)),  # tick in which it last said whether it is enabled
         ("owed", "<i8", (LEGS,)),  # polls that a drive that is heard has not answered, RESTART_TICKS at most

@@ -1,6 +1,7 @@
 """What the rows of motor protocols check: options, frame layout, transmission, torque."""
 
 from collections.abc import Sequence
+from math import inf, isfinite
 
 import numpy as np
 
@@ -24,12 +25,19 @@ class Options:
                 f"given: {', '.join(unknown)}"
             )
 
-    def choice(self, key: str, allowed: tuple[str, ...]) -> str:
-        """Return one of some words; the only one where nothing is given."""
-        value = self._given.get(key, allowed[0] if len(allowed) == 1 else None)
+    def choice(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
+        """Return one of some words; the only one where nothing is given, or a default."""
+        value = self._given.get(key, allowed[0] if len(allowed) == 1 else default)
         if value not in allowed:
             raise self._wrong(key, f"one of {', '.join(allowed)}")
         return str(value)
+
+    def flag(self, key: str, *, default: bool) -> bool:
+        """Return true or false."""
+        value = self._given.get(key, default)
+        if not isinstance(value, bool):
+            raise self._wrong(key, "true, false")
+        return value
 
     def positive(self, key: str, default: float) -> float:
         """Return a number above 0."""
@@ -38,11 +46,18 @@ class Options:
             raise self._wrong(key, "a number greater than 0")
         return float(value)
 
-    def whole(self, key: str, default: int) -> int:
-        """Return a whole number."""
+    def within(self, key: str, least: float, most: float, what: str) -> float:
+        """Return a number of a range, which has no default."""
+        value = self._given.get(key)
+        if isinstance(value, bool | str | None) or not least <= value <= most:
+            raise self._wrong(key, f"{least:.12g} to {most:.12g}, {what}")
+        return float(value)
+
+    def whole(self, key: str, default: int, least: float = -inf, most: float = inf) -> int:
+        """Return a whole number of a range."""
         value = self._given.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self._wrong(key, "a whole number")
+        if type(value) is not int or not least <= value <= most:
+            raise self._wrong(key, "a whole number" + (f" of {least} to {most}" if isfinite(most) else ""))
         return value
 
     def _wrong(self, key: str, allowed: str) -> ConfigurationError:

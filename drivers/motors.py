@@ -9,7 +9,7 @@ anew, where it says so: a moteus may have obeyed the next command before it answ
 
 import struct
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,22 +17,23 @@ import numpy as np
 from drivers import motor_device_kernels as devices
 from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
+from drivers.codes import code, value
 from drivers.compiled.pointed import Pointed, data_at
 from drivers.controller_end import CompiledController
 from drivers.ends import Hearing
-from drivers.errors import ProtocolError
+from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.identity import Said
 from drivers.motor_drives import MotorDrivesEnd
-from drivers.motor_kernels import FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
-from drivers.protocol import ALL_LEGS, BUS, DeviceMessage, DriveSetup, Frame, PowerTold, Sync, off_bus
+from drivers.motor_kernels import EAR, FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
+from drivers.protocol import ALL_LEGS, BUS, DeviceMessage, DriveSetup, Frame, Sync, off_bus
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, NEVER, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
-_NO_BRAKE = (
+NO_BRAKE = (
     "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
     "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
 )
@@ -74,7 +75,7 @@ class MotorController(CompiledController):
         m["rule"], m["clears"] = family.rule, family.clears
         m["torque_at"], m["torque_bits"], m["torque_end"] = family.torque_field
         m["torque_limit"], m["unasked"] = family.torque_limit, family.unasked_s > 0.0
-        m["reports"] = family.reports_power
+        m["reports"] = family.power_told != "never"
         m["buses"], m["bus_of"] = family.buses, family.bus_of
         family.transmission.fill(m)
         for leg, exchanges in enumerate(self._exchanges):
@@ -182,40 +183,37 @@ class MotorProtocol(Family):
     rejections: tuple[str, ...]
     """Why a frame is rejected, by the number of its kernel: of the number that is wrong, size and kind."""
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
-    feedback_by_leg = tuple(range(LEGS))
-    """Legs, as answers of several drives may share an identifier or change it; else identifiers."""
-    database: tuple[str, str] | None = None
+    fault_names: Mapping[int, str] = {}
+    """What the family's fault codes mean, less OWN_CODE."""
+    fault_bits = False
+    """Whether a fault code is a sum of those."""
+    torque_limit: float
+    """N m, the largest that a command carries."""
     command_delay_ticks = 1
-    set_up_frames: int
-    reset_ticks = 3
-    stop_latches = False
-    force_on_brakes = False
-    reports_power = True
-    """Whether a drive says that it is enabled; else it is taken to be what it is asked for."""
+    set_up_frames, reset_ticks = 0, 3
+    stop_latches = force_on_brakes = latches_together = False
     shares_identifiers = True
-    answers_name_sync = False
-    latches_together = False
-    unasked_s = 0.0
-    has_watchdog = True
 
     def __init__(
         self,
         transmission: Transmission,
-        tables: Record,
+        nodes: Sequence[int],
         torque_field: tuple[int, int, float],
         legs: Sequence[Sequence[int]] = (ALL_LEGS,),
+        answers: Sequence[int] = ALL_LEGS,
     ) -> None:
-        """Take what `ear` works on, where a command has its torque, and the legs of each bus.
+        """Take the drives' numbers, where a command has its torque, the legs of each bus and their answers.
 
-        torque_field: first byte, bits, end in N m.
+        torque_field: first byte, bits, end in N m. answers: identifiers of the feedbacks; legs, where
+        several drives share an identifier or change it.
         """
         super().__init__(legs)
-        self.transmission, self.tables, self.torque_field = transmission, tables, torque_field
-
-    @property
-    def feedback_ids(self) -> frozenset[int]:
-        """See `feedback_by_leg`."""
-        return frozenset(self.feedback_by_leg)
+        self.transmission, self.nodes, self.torque_field = transmission, tuple(nodes), torque_field
+        self.legs_of = {node: leg for leg, node in enumerate(nodes)}
+        self.tables: Record = np.zeros((), EAR)
+        """What `ear` works on."""
+        self.tables["nodes"] = nodes
+        self.feedback_by_leg, self.feedback_ids = tuple(answers), frozenset(answers)
 
     # what a family gives
 
@@ -223,18 +221,9 @@ class MotorProtocol(Family):
     def requests(self, watchdog_s: float) -> Sequence[Sequence[Frame]]:
         """Return the frames to the six drives, by what they ask for: IDLE, CLEAR, ENABLE, DRIVE, PREPARE."""
 
-    @abstractmethod
-    def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
+    def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
         """Return the start-up dialogue of each leg. Raises ProtocolError if the set-up does not fit."""
-
-    @abstractmethod
-    def fault_text(self, code: int) -> str:
-        """Return what a code of the column `drive_fault` means, OWN_CODE and more; empty if not known."""
-
-    @property
-    @abstractmethod
-    def torque_limit(self) -> float:
-        """N m, the largest that a command carries."""
+        return ((),) * LEGS
 
     def patience_ticks(self, _rate_Hz: float) -> int:
         """Return after how many ticks a drive is unknown that does not say whether it is enabled."""
@@ -260,33 +249,32 @@ class MotorProtocol(Family):
         """Return that of singles."""
         return Resolution.of_singles()
 
-    @property
-    def power_told(self) -> PowerTold:
-        """Its feedback, where that says so."""
-        return "feedback" if self.reports_power else "never"
-
-    def reported_lengths(self) -> tuple[Array, Array] | None:
-        """Return None: positions are turns without an end."""
-        return None
+    def fault_text(self, code: int) -> str:
+        """Return what a code of the column `drive_fault` means, OWN_CODE and more; empty if not known."""
+        own, names = code - kernels.OWN_CODE, self.fault_names
+        if self.fault_bits:
+            return ", ".join(text for bit, text in names.items() if own > 0 and own & bit)
+        return names.get(own, "")
 
     def coded(self, torque: Array) -> Array:
-        """Return what the field carries of torques (6,) N m: as they are, where it is fine enough."""
-        return torque
+        """Return what the field, which is truncated, carries of torques (6,) N m; singles as they are."""
+        _, bits, end = self.torque_field
+        codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
+        return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
 
-    @property
-    def dangers(self) -> tuple[str, ...]:
-        """What the family says of its brakes and of its watchdog."""
-        return tuple(filter(None, (self.brake_danger, self.watchdog_danger)))
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """Return one example of every frame of a tick: polls that are no commands, torques, feedbacks."""
+        torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
+        return (*self.polls, *torques, *self._example_feedbacks())
 
-    @property
-    def brake_danger(self) -> str:
-        """What has to be there for a platform without power not to fall."""
-        return _NO_BRAKE
-
-    @property
-    @abstractmethod
-    def watchdog_danger(self) -> str:
-        """What is wrong with the drives' own watchdog; empty where `start` sets it and reads it back."""
+    def refuse_nodes(self, least: int, most: int, family: str, why: str = "") -> None:
+        """Raise ConfigurationError for a drive's number that is out of range."""
+        for leg, node in enumerate(self.nodes):
+            if not least <= node <= most:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed with {family}: {least} to {most}{why}, "
+                    f"given: {node}"
+                )
 
     def check(self, setup: DriveSetup) -> None:
         """Raise ProtocolError if the set-up does not fit."""
@@ -332,11 +320,11 @@ class MotorProtocol(Family):
         return self.feedback_by_leg[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1
 
     def identity(self, frame: Frame) -> Said | None:
-        """Return what a frame says of who sends it on its own bus; None for any other frame."""
+        """Return what a frame says of who sends it on its own bus."""
         said = self.said_by(off_bus(frame))
         return said if said is not None and self.bus_of[said.leg] == frame.bus else None
 
-    def example_feedbacks(self) -> list[Frame]:
+    def _example_feedbacks(self) -> list[Frame]:
         """Return the feedbacks of six running drives at rest at position zero."""
         zeros, running = np.zeros(LEGS), np.full(LEGS, _RUN, np.int64)
         frames = self.drives_end().reply(Sync(0), self.transmission.length(zeros), zeros, zeros, running)

@@ -18,39 +18,24 @@ import struct
 from collections.abc import Sequence
 from math import ceil
 
-import numpy as np
-
 from drivers import odrive_kernels as kernels
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import SERIAL, Said
 from drivers.motor_device_kernels import ANY
 from drivers.motor_drives import codes_of
-from drivers.motor_kernels import EAR, OWN_CODE, PREPARES
+from drivers.motor_kernels import PREPARES
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-from drivers.motors import Exchange, MotorProtocol
-from drivers.odrive_kernels import (
-    ADDRESS,
-    AXIS_STATE,
-    CLEAR,
-    CLOSED_LOOP,
-    ESTIMATES,
-    ESTOP,
-    IDLE,
-    MODES,
-    TORQUE,
-    TORQUE_CONTROL,
-)
+from drivers.motors import MotorProtocol
 from drivers.protocol import (
     ALL_LEGS,
     REMOTE,
     Answer,
     DeviceMessage,
-    DriveSetup,
     EmergencyStop,
     Frame,
 )
-from drivers.signals import LEGS, DriveFault
+from drivers.signals import DriveFault
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
@@ -96,6 +81,17 @@ _FAULTS = {
 }
 _MAX_TORQUE = 1e4
 """N m: more is a mistake, whatever a single can hold."""
+_BRAKES = (
+    "drives.protocol: an axis works its brake by itself, open in CLOSED_LOOP_CONTROL alone, and no "
+    "message of CAN Simple sets or reads that: give it the pin with odrivetool, "
+    "mechanical_brake.config.gpio_num and is_active_low, else a platform without power falls; the "
+    "brake tests test it"
+)
+_WATCHDOGS = (
+    "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off as delivered: "
+    "set config.watchdog_timeout and config.enable_watchdog with odrivetool, else an axis keeps its "
+    "last torque for ever when the controller stops"
+)
 
 
 class ODriveProtocol(MotorProtocol):
@@ -112,10 +108,12 @@ class ODriveProtocol(MotorProtocol):
         "torque that is no number",
     )
     command_delay_ticks = 0
-    set_up_frames = 0
     stop_latches = True
     shares_identifiers = False
     power_told = "heartbeat"
+    torque_limit = _MAX_TORQUE
+    dangers = _BRAKES, _WATCHDOGS
+    fault_names, fault_bits = ERRORS, True
 
     def __init__(
         self,
@@ -130,57 +128,17 @@ class ODriveProtocol(MotorProtocol):
 
         Raises ConfigurationError for a node over 62: 63 is "not set".
         """
-        tables = np.zeros((), EAR)
-        super().__init__(transmission, tables, (0, 32, 0.0), legs)
+        answers = tuple(node << 5 | kernels.ESTIMATES for node in nodes)
+        super().__init__(transmission, nodes, (0, 32, 0.0), legs, answers)
         self.delivered_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
-        for leg, node in enumerate(nodes):
-            if not 0 <= node <= 62:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: out of range, allowed with odrive: 0 to 62, given: {node}"
-                )
-        self._nodes, tables["nodes"] = tuple(nodes), nodes
-        self._legs = {node: leg for leg, node in enumerate(nodes)}
-        tables["codes"] = codes_of(_FAULTS, 0)
-        self.feedback_by_leg = tuple(node << 5 | ESTIMATES for node in nodes)
-        self.polls = tuple(self._to(leg, ESTIMATES, b"", REMOTE) for leg in range(LEGS))
+        self.refuse_nodes(0, 62, "odrive")
+        self.tables["codes"] = codes_of(_FAULTS, 0)
+        self.polls = self._to_each(kernels.ESTIMATES, b"", REMOTE)
 
-    def _to(self, leg: int, command: int, data: bytes, flags: int = 0) -> Frame:
-        return self.to_leg(leg, Frame(self._nodes[leg] << 5 | command, data, flags))
-
-    @property
-    def torque_limit(self) -> float:
-        """N m."""
-        return _MAX_TORQUE
-
-    @property
-    def brake_danger(self) -> str:
-        """The axis works it by a pin of its own; no message of CAN Simple does."""
-        return (
-            "drives.protocol: an axis works its brake by itself, open in CLOSED_LOOP_CONTROL alone, and no "
-            "message of CAN Simple sets or reads that: give it the pin with odrivetool, "
-            "mechanical_brake.config.gpio_num and is_active_low, else a platform without power falls; the "
-            "brake tests test it"
-        )
-
-    @property
-    def watchdog_danger(self) -> str:
-        """It is set with odrivetool."""
-        return (
-            "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off as delivered: "
-            "set config.watchdog_timeout and config.enable_watchdog with odrivetool, else an axis keeps its "
-            "last torque for ever when the controller stops"
-        )
-
-    def fault_text(self, code: int) -> str:
-        """Return what the bits of a code of the column `drive_fault` mean."""
-        bits = code - OWN_CODE
-        return ", ".join(text for bit, text in ERRORS.items() if bits > 0 and bits & bit)
+    def _to_each(self, command: int, data: bytes, flags: int = 0) -> tuple[Frame, ...]:
+        return self.to_each(Frame(node << 5 | command, data, flags) for node in self.nodes)
 
     # controller's end
-
-    def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Return nothing: an axis confirms no setting. Its control mode is sent with each enabling."""
-        return ((),) * LEGS
 
     def patience_ticks(self, rate_Hz: float) -> int:
         """Return the ticks of `MISSED_BEATS` heartbeats: these alone tell whether an axis is enabled."""
@@ -189,25 +147,25 @@ class ODriveProtocol(MotorProtocol):
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return what makes an axis idle, clears its errors, closes its loop, is its torque and its mode."""
         asked = (
-            (AXIS_STATE, struct.pack("<Ixxxx", IDLE)),
-            (CLEAR, b"\0"),
-            (AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP)),
-            (TORQUE, bytes(8)),
-            (MODES, struct.pack("<II", TORQUE_CONTROL, PASSTHROUGH)),
+            (kernels.AXIS_STATE, struct.pack("<Ixxxx", kernels.IDLE)),
+            (kernels.CLEAR, b"\0"),
+            (kernels.AXIS_STATE, struct.pack("<Ixxxx", kernels.CLOSED_LOOP)),
+            (kernels.TORQUE, bytes(8)),
+            (kernels.MODES, struct.pack("<II", kernels.TORQUE_CONTROL, PASSTHROUGH)),
         )
-        return tuple(tuple(self._to(leg, kind, data) for leg in range(LEGS)) for kind, data in asked)
+        return tuple(self._to_each(*each) for each in asked)
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return remote frames for the address of each axis."""
-        return (tuple(self._to(leg, ADDRESS, b"", REMOTE) for leg in range(LEGS)),)
+        return (self._to_each(kernels.ADDRESS, b"", REMOTE),)
 
     def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number of an address that names its own node: one that sets it names another."""
         identifier, data, flags = frame
-        leg = self._legs.get(identifier >> 5)
+        leg = self.legs_of.get(identifier >> 5)
         if (
             leg is None
-            or identifier & 0x1F != ADDRESS
+            or identifier & 0x1F != kernels.ADDRESS
             or flags & (kernels.STRANGE | REMOTE)
             or len(data) != 8
         ):
@@ -216,38 +174,27 @@ class ODriveProtocol(MotorProtocol):
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return Estop for each axis: it latches."""
-        return tuple(self._to(leg, ESTOP, b"") for leg in range(LEGS))
+        return self._to_each(kernels.ESTOP, b"")
 
     # drives' end
 
     def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Take Estop, or the question for the address."""
         assert leg is not None
-        node = self._nodes[leg]
-        if frame.id & 0x1F == ADDRESS:
+        node = self.nodes[leg]
+        if frame.id & 0x1F == kernels.ADDRESS:
             said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
-            return (Answer(leg, self._to(leg, ADDRESS, said)),)
+            return (Answer(leg, self.to_leg(leg, Frame(frame.id, said))),)
         d["enabled"][leg] = 0
         return (EmergencyStop((leg,)),)
-
-    # bus time
-
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame of a tick: six remote frames, estimates and torques."""
-        torques = (self._to(leg, TORQUE, bytes(8)) for leg in range(LEGS))
-        return (*self.polls, *torques, *self.example_feedbacks())
 
 
 def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
     """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
     refuse_layout(bus, "odrive", "classic")
     transmission = required(drives.transmission, "odrive")
-    unasked_ms = Options(drives.options, "odrive", (UNASKED,)).whole(UNASKED, DELIVERED_MS)
-    if not 0 <= unasked_ms <= MOST_UNASKED_MS:
-        raise ConfigurationError(
-            f"drives.options: {UNASKED} of protocol odrive: allowed: 0 (never) to {MOST_UNASKED_MS}, given: "
-            f"{unasked_ms}"
-        )
+    options = Options(drives.options, "odrive", (UNASKED,))
+    unasked_ms = options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
     if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
         raise ConfigurationError(
             f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat alone "

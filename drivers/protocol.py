@@ -6,6 +6,7 @@ A new drive family is one file that implements `DriveProtocol` and one row in `d
 from typing import Any, Literal, NamedTuple, Protocol
 
 from drivers.arrays import Array
+from drivers.identity import Said
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Reaction
 
@@ -140,80 +141,52 @@ PowerTold = Literal["feedback", "heartbeat", "never"]
 
 
 class DriveProtocol(Protocol):
-    """Codec of both ends. Implementations hold compiled tables only and are shared.
+    """Codec of both ends. Implementations inherit it, hold compiled tables only and are shared.
 
     What an end remembers is its owner's: the cycle has a `drivers.controller_end.ControllerEnd`, the emulated
     drives a `drivers.ends.DrivesEnd`. Only frames and ticks change them.
     """
 
-    @property
-    def database(self) -> tuple[str, str] | None:
-        """File name and text of the DBC that the log carries; None where there is none."""
+    database: tuple[str, str] | None = None
+    """File name and text of the DBC that the log carries; None where there is none."""
+    feedback_ids: frozenset[int]
+    """What `awaited` returns for all frames that make the six feedbacks of a tick.
 
-    @property
-    def feedback_ids(self) -> frozenset[int]:
-        """What `awaited` returns for all frames that make the six feedbacks of a tick.
-
-        The drain waits for these. They are identifiers, but where `shares_identifiers`.
-        """
-
-    @property
-    def shares_identifiers(self) -> bool:
-        """Whether feedbacks share an identifier, or change it: then no interface can wait for them."""
-
-    @property
-    def command_delay_ticks(self) -> int:
-        """Ticks from `command` to the frames that carry it: 0, or 1 where `begin` does."""
-
-    @property
-    def set_up_frames(self) -> int:
-        """At most so many frames of a tick come from `set_up`."""
-
-    @property
-    def reset_ticks(self) -> int:
-        """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
-
-    @property
-    def reactions(self) -> tuple[Reaction, ...]:
-        """What the drives can do by themselves after silence; `controller_end` refuses another."""
-
-    @property
-    def dangers(self) -> tuple[str, ...]:
-        """What the drives do not do for safety, one sentence each, for `hil check`."""
-
-    @property
-    def stop_latches(self) -> bool:
-        """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
-
-    @property
-    def force_on_brakes(self) -> bool:
-        """Whether a drive in READY gives force on its closed brake; else force and open brake go together."""
-
-    @property
-    def answers_name_sync(self) -> bool:
-        """Whether a feedback says which SYNC or poll it answers; else the tick in which it comes tells."""
-
-    @property
-    def latches_together(self) -> bool:
-        """Whether one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
-
-    @property
-    def unasked_s(self) -> float:
-        """How often each drive sends its reading by a timer, too, as it answers a poll; 0: it does not."""
+    The drain waits for these. They are identifiers, but where `shares_identifiers`.
+    """
+    shares_identifiers: bool = False
+    """Whether feedbacks share an identifier, or change it: then no interface can wait for them."""
+    command_delay_ticks: int = 0
+    """Ticks from `command` to the frames that carry it: 0, or 1 where `begin` does."""
+    set_up_frames: int
+    """At most so many frames of a tick come from `set_up`."""
+    reset_ticks: int
+    """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
+    reactions: tuple[Reaction, ...]
+    """What the drives can do by themselves after silence; `controller_end` refuses another."""
+    dangers: tuple[str, ...] = ()
+    """What the drives do not do for safety, one sentence each, for `hil check`."""
+    stop_latches: bool
+    """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
+    force_on_brakes: bool
+    """Whether a drive in READY gives force on its closed brake; else force and open brake go together."""
+    answers_name_sync: bool = False
+    """Whether a feedback says which SYNC or poll it answers; else the tick in which it comes tells."""
+    latches_together: bool
+    """Whether one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
+    unasked_s: float = 0.0
+    """How often each drive sends its reading by a timer, too, as it answers a poll; 0: it does not."""
+    has_watchdog: bool = True
+    """Whether `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
+    power_told: PowerTold = "feedback"
+    """What tells that a drive is no longer enabled."""
 
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return how far readings and commands are off by the steps of the frames, at a rate of the loop."""
 
-    @property
-    def has_watchdog(self) -> bool:
-        """Whether `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
-
-    @property
-    def power_told(self) -> PowerTold:
-        """What tells that a drive is no longer enabled."""
-
     def reported_lengths(self) -> tuple[Array, Array] | None:
         """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
+        return None
 
     # controller's end
     def controller_end(self, setup: DriveSetup) -> Any:
@@ -231,8 +204,9 @@ class DriveProtocol(Protocol):
     def awaited(self, frame: Frame) -> int:
         """Return which of `feedback_ids` a frame is; another number for what is no feedback."""
 
-    def fault_text(self, code: int) -> str:
+    def fault_text(self, _code: int) -> str:
         """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
+        return ""
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Frames that fault all drives at once."""
@@ -247,6 +221,18 @@ class DriveProtocol(Protocol):
 
     def sender(self, frame: Frame) -> int:
         """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
+
+    # what tells one drive from another of the same node number
+    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
+        """Return the requests, one frame a drive, in rounds: each is answered before the next is sent.
+
+        Empty where no drive can be asked.
+        """
+        return ()
+
+    def identity(self, _frame: Frame) -> Said | None:
+        """Return what a frame says of who sends it; None for any other frame."""
+        return None
 
     # bus time
     def cyclic_frames(self) -> tuple[Frame, ...]:

@@ -31,6 +31,13 @@ if TYPE_CHECKING:
     from drivers.config import TransmissionSettings
 
 
+FIELDS = [
+    *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "N_per_Nm", "driving", "back_driving")),
+    ("full_loss_m_s", "<f8"),
+]
+"""What a kernel's record has of it, see `Transmission.fill`."""
+
+
 def _row(values: float | list[float]) -> Array:
     row = np.broadcast_to(np.array(values, float), LEGS).copy()
     row.flags.writeable = False
@@ -161,10 +168,6 @@ class Transmission:
         """Return leg lengths (6,) m at encoder readings (6,) counts."""
         return self.length(counts / self.counts)
 
-    def counts_of_length(self, length: Array) -> Array:
-        """Return encoder readings (6,) counts, not rounded, at leg lengths (6,) m."""
-        return self.turns(length) * self.counts
-
     # force
 
     def torque(self, force: Array, rate: Array = ZERO6) -> Array:
@@ -174,10 +177,6 @@ class Transmission:
     def force(self, torque: Array, rate: Array = ZERO6) -> Array:
         """Return leg forces (6,) N that motor torques (6,) N m give at leg rates (6,) m/s."""
         lossless = self.N_per_Nm * torque
-        return lossless / self._loss(lossless, rate)
-
-    def delivered(self, lossless: Array, rate: Array) -> Array:
-        """Return what is left at the leg, (6,) N, of forces (6,) N without losses at leg rates (6,) m/s."""
         return lossless / self._loss(lossless, rate)
 
     def _loss(self, force: Array, rate: Array) -> Array:

@@ -14,7 +14,7 @@ from drivers.cia402.emergency import HEARTBEAT_LOST
 from drivers.cia402.kernels import STRANGE
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, record_at
-from drivers.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, frame_at, message_at, reading_at
+from drivers.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, frame_at, message_at, put_message, reading_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, signed, whole
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
@@ -92,15 +92,6 @@ def _following(d: Any, word: int) -> int:
 
 
 @helper
-def _put(messages: int, count: int, leg: int, kind: int, mode: int, counter: int, force: float) -> int:
-    """Put a message into elements of MESSAGE at an address; return how many there are."""
-    message = message_at(messages + count * _MESSAGE)
-    message.kind, message.mode, message.counter, message.count = kind, mode, counter, 1
-    message.legs[0], message.force[0] = leg, force
-    return count + 1
-
-
-@helper
 def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
     d = _device(c, leg)
     state, before, n, count = _following(d, word), d.state, d.commands, 0
@@ -108,15 +99,15 @@ def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
         most = d.values[_MOST] if d.values[_MODE] else 0
         force = min(max(torque, -most), most) * c.N_per_permille[leg]
         if before != s.ENABLED:
-            count = _put(messages, count, leg, UNWATCHED, _READY, n + 1, force)
-        count = _put(messages, count, leg, UNWATCHED, _RUN, n + 2, force)
+            count = put_message(messages, count, leg, UNWATCHED, _READY, n + 1, force)
+        count = put_message(messages, count, leg, UNWATCHED, _RUN, n + 2, force)
     elif state == s.QUICK_STOP:
         if before != s.QUICK_STOP:
-            count = _put(messages, count, leg, STOP, 0, 0, 0.0)
+            count = put_message(messages, count, leg, STOP, 0, 0, 0.0)
     elif before == s.ENABLED:
-        count = _put(messages, count, leg, UNWATCHED, _OFF, n + 1, 0.0)
+        count = put_message(messages, count, leg, UNWATCHED, _OFF, n + 1, 0.0)
     elif before in (s.IN_FAULT, s.DISABLED) and state != before:
-        count = _put(messages, count, leg, UNWATCHED, _RESET, n + 1, 0.0)
+        count = put_message(messages, count, leg, UNWATCHED, _RESET, n + 1, 0.0)
     d.stops = d.stops != 0 and state == s.QUICK_STOP
     d.values[_WORD], d.values[_TARGET], d.state, d.commands = word, torque, state, n + 2
     return count

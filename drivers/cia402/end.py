@@ -1,6 +1,13 @@
-"""The controller's end of CiA 402 drives: the kernels' record, and the start-up dialogue's part in Python."""
+"""The controller's end of CiA 402 drives: the kernels' record, and the start-up dialogue's part in Python.
+
+A dialogue asks first what the drive is; then come, in Pre-operational, the PDOs in the order of CiA 301,
+7.5.2.36 (COB-ID not valid, transmission type, no entries, entries, their number, COB-ID), its watchdog, its
+reactions and its mode; then all of that is read back; then Operational.
+"""
 
 from collections.abc import Sequence
+from math import ceil
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -8,15 +15,173 @@ from drivers.arrays import Array, Ints, Rows
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL
-from drivers.cia402.plan import Step
+from drivers.cia402.objects import Key
 from drivers.cia402.states import ENABLED, UNHEARD
 from drivers.controller_end import CompiledController
 from drivers.errors import ProtocolError
 from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import DriveSetup, Frame
-from drivers.signals import LEGS, Command, DriveMode, DriveState
+from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
+
+LEAST_TICKS = 4
+"""Of the drives' watchdog: a heartbeat goes out every second tick at most, and one may be lost."""
+_ALL_BITS = 0xFFFF_FFFF
+_NO_RTR = 1 << 30
+"""Bit of a COB-ID that a drive may set by itself: no remote frames."""
+_TPDO1 = ((o.STATUSWORD, 16), (o.POSITION, 32), (o.TORQUE, 16))
+_TPDO2 = ((o.VELOCITY, 32),)
+_RPDO1 = ((o.CONTROLWORD, 16), (o.TARGET_TORQUE, 16))
+FAULT_REACTIONS = {Reaction.BRAKE: 0, Reaction.DAMP: 2}
+"""Fault reaction option codes: disable at once; slow down on the quick stop ramp, then disable."""
+
+
+class Settings(NamedTuple):
+    """What all six drives are set to."""
+
+    rated_torque_mNm: int
+    max_torque_permille: int
+    heartbeat_ms: int
+    """Of the drives."""
+    controller_node: int
+    velocity: bool
+    """The velocity comes in a second TPDO."""
+
+
+class Step(NamedTuple):
+    """One of the plan."""
+
+    kind: Literal["read", "write", "nmt"]
+    key: Key
+    value: int
+    """What is written or expected, raw; of `nmt` the command."""
+    size: int = 4
+    """Bytes."""
+    optional: bool = False
+    """A drive may lack the object."""
+    mask: int = _ALL_BITS
+    """Bits that are compared."""
+
+    def request(self, node: int) -> bytes:
+        """Return the data of its frame."""
+        if self.kind == "nmt":
+            return bytes((self.value, node))
+        return o.download(self.key, self.value, self.size) if self.kind == "write" else o.upload(self.key)
+
+
+def watchdog_ms(setup: DriveSetup) -> int:
+    """Return the drives' consumer heartbeat time.
+
+    Raises ProtocolError if it does not fit into 0x1016 or is too short for the rate.
+    """
+    time_ms = 1e3 * setup.watchdog_s
+    if not 0.5 <= time_ms < 0xFFFF:
+        raise ProtocolError(
+            f"drive watchdog of {setup.watchdog_s} s does not fit into 0x1016: 0.001 to 65.535 s are allowed"
+        )
+    if setup.watchdog_s * setup.rate_Hz < LEAST_TICKS * (1 - 1e-9):
+        raise ProtocolError(
+            f"drive watchdog of {setup.watchdog_s} s is too short at {setup.rate_Hz:g} Hz: at least "
+            f"{LEAST_TICKS} periods are allowed, {LEAST_TICKS / setup.rate_Hz:.4g} s"
+        )
+    return round(time_ms)
+
+
+def _period(rate_Hz: float) -> tuple[int, int]:
+    """Return the period as mantissa 1..255 and power of ten, as exact as it fits."""
+    exponent = -5
+    while 10.0**-exponent / rate_Hz > 255:
+        exponent += 1
+    return max(round(10.0**-exponent / rate_Hz), 1), exponent & 0xFF
+
+
+def _pdo(index: int, n: int, cob: int, transmission: int, entries: tuple[tuple[Key, int], ...]) -> list[Step]:
+    parameters, mapping = index + n, index + 0x200 + n
+    steps = [
+        Step("write", (parameters, 1), o.NOT_VALID | cob),
+        Step("write", (parameters, 2), transmission, 1),
+        Step("write", (mapping, 0), 0, 1),
+    ]
+    for k, (key, bits) in enumerate(entries):
+        steps.append(Step("write", (mapping, k + 1), o.mapped(key, bits)))
+    steps.append(Step("write", (mapping, 0), len(entries), 1))
+    steps.append(Step("write", (parameters, 1), cob))
+    return steps
+
+
+def _drive(setup: DriveSetup, settings: Settings) -> list[Step]:
+    reaction = FAULT_REACTIONS.get(setup.reaction)
+    if reaction is None:
+        raise ProtocolError(
+            f"reactions.silence: CiA 402 drives with a brake of their own cannot "
+            f"{setup.reaction.name.lower()}, allowed with cia402: brake, damp"
+        )
+    consumer = settings.controller_node << 16 | watchdog_ms(setup)
+    mantissa, exponent = _period(setup.rate_Hz)
+    return [
+        Step("write", o.CONSUMER_HEARTBEAT, consumer),
+        Step("write", o.PRODUCER_HEARTBEAT, settings.heartbeat_ms, 2),
+        Step("write", o.COMMUNICATION_ERROR, 1, 1, optional=True),
+        Step("write", o.ABORT_CONNECTION, 1, 2),
+        Step("write", o.QUICK_STOP, 2, 2),
+        Step("write", o.FAULT_REACTION, reaction, 2),
+        Step("write", o.MODE, o.CYCLIC_TORQUE, 1),
+        Step("write", o.MAX_TORQUE, settings.max_torque_permille, 2),
+        Step("write", o.PERIOD_MANTISSA, mantissa, 1, optional=True),
+        Step("write", o.PERIOD_EXPONENT, exponent, 1, optional=True),
+    ]
+
+
+def _read_back(writes: list[Step]) -> list[Step]:
+    """Return the steps that read what holds after the writes; of the mode what the drive shows."""
+    last = {step.key: step for step in writes}
+    steps = []
+    for key, step in last.items():
+        is_cob = key[1] == 1 and (o.RPDO <= key[0] < o.RPDO_MAP or o.TPDO <= key[0] < o.TPDO_MAP)
+        mask = _ALL_BITS & ~_NO_RTR if is_cob else _ALL_BITS
+        if is_cob and step.value & o.NOT_VALID:
+            mask = o.NOT_VALID
+        shown = o.MODE_SHOWN if key == o.MODE else key
+        steps.append(step._replace(kind="read", key=shown, mask=mask))
+    return steps
+
+
+def plan(node: int, setup: DriveSetup, settings: Settings, increments: int = 0) -> tuple[Step, ...]:
+    """Return the steps for the drive of a node. Raises ProtocolError if the set-up does not fit.
+
+    increments: counts a turn that its own encoder has; 0: not checked.
+    """
+    first = [
+        Step("read", o.DEVICE_TYPE, o.PROFILE_402, mask=0xFFFF),
+        Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL),
+        Step(
+            "read",
+            o.SUPPORTED_MODES,
+            o.SUPPORTS_CYCLIC_TORQUE,
+            optional=True,
+            mask=o.SUPPORTS_CYCLIC_TORQUE,
+        ),
+        Step("read", o.RATED_TORQUE, settings.rated_torque_mNm),
+    ]
+    if increments:
+        first.append(Step("read", o.ENCODER_INCREMENTS, increments, optional=True))
+        first.append(Step("read", o.MOTOR_REVOLUTIONS, 1, optional=True))
+    writes = _pdo(o.RPDO, 0, o.RPDO_ID[0] + node, o.AT_ONCE, _RPDO1)
+    writes += _pdo(o.TPDO, 0, o.TPDO_ID[0] + node, o.AT_EVERY_SYNC, _TPDO1)
+    if settings.velocity:
+        writes += _pdo(o.TPDO, 1, o.TPDO_ID[1] + node, o.AT_EVERY_SYNC, _TPDO2)
+    for n in range(1 + settings.velocity, len(o.TPDO_ID)):
+        unused = o.NOT_VALID | o.TPDO_ID[n] + node
+        writes.append(Step("write", (o.TPDO + n, 1), unused, optional=True))
+    writes += _drive(setup, settings)
+    return (*first, *writes, *_read_back(writes), Step("nmt", o.DEVICE_TYPE, o.START))
+
+
+def max_torque(force_limit_N: float, N_per_permille: list[float]) -> int:
+    """Return the max torque, permille, that lets each drive give the rated force of its leg."""
+    return min(ceil(force_limit_N / min(map(abs, N_per_permille)) * (1 - 1e-12)), 0xFFFF)
+
 
 PATIENCE_S = 0.05
 """A request without an answer is repeated after this."""
@@ -85,7 +250,7 @@ class Cia402End(CompiledController):
         carried: Array = permille / self.state["permille_per_N"]
         return carried
 
-    # the start-up dialogue, see `drivers.cia402.plan`
+    # the start-up dialogue, see `plan`
 
     def set_up(self, tick: Record) -> Rows:
         """Return the requests of a tick; whose turn it is goes round.

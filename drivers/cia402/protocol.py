@@ -8,7 +8,6 @@ frame concerns the predefined connection set says by the node number. No clock.
 
 import struct
 from collections.abc import Sequence
-from math import isfinite
 
 import numpy as np
 
@@ -17,9 +16,17 @@ from drivers.cia402 import device_kernels, kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.drives_end import Cia402Drives
 from drivers.cia402.emergency import CODES, meaning
-from drivers.cia402.end import MOST_REQUESTS, Cia402End, begun
+from drivers.cia402.end import (
+    FAULT_REACTIONS,
+    MOST_REQUESTS,
+    Cia402End,
+    Settings,
+    Step,
+    begun,
+    max_torque,
+    plan,
+)
 from drivers.cia402.kernels import FROM_DRIVES, STRANGE
-from drivers.cia402.plan import FAULT_REACTIONS, Settings, Step, max_torque, plan
 from drivers.cia402.states import STOP_QUICKLY
 from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, DriveSettings
@@ -27,7 +34,8 @@ from drivers.ends import Hearing
 from drivers.errors import ConfigurationError
 from drivers.family import Family
 from drivers.identity import REVISION, SERIAL, Said
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame, PowerTold
+from drivers.motor_settings import Options, refuse_layout, required
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, DriveFault
 from drivers.transmission import Transmission
@@ -63,19 +71,10 @@ class Cia402Protocol(Family):
     ConfigurationError on node numbers that are not six different ones of 1..127 beside the controller's own.
     """
 
-    database = None
-    command_delay_ticks = 0
-    set_up_frames = MOST_REQUESTS
-    shares_identifiers = False
-    answers_name_sync = False
-    unasked_s = 0.0
-    latches_together = True
-    stop_latches = True
+    set_up_frames, reset_ticks = MOST_REQUESTS, 6
+    latches_together = stop_latches = True
     force_on_brakes = False
-    has_watchdog = True
-    power_told: PowerTold = "feedback"
     reactions = tuple(FAULT_REACTIONS)
-    reset_ticks = 6
 
     def __init__(
         self,
@@ -189,8 +188,7 @@ class Cia402Protocol(Family):
         return leg if frame.bus == self.bus_of[leg] else -1
 
     def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
-        """Return a frame for each drive, leg order."""
-        return tuple(self.to_leg(leg, Frame(base + node, data)) for leg, node in enumerate(self.node_ids))
+        return self.to_each(Frame(base + node, data) for node in self.node_ids)
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return SDO requests for the identity object, 0x1018."""
@@ -237,48 +235,17 @@ def cia402(bus: BusSettings, drives: DriveSettings) -> Cia402Protocol:
 
     Raises ConfigurationError, with the key, for what such drives do not have or what they need and lack.
     """
-    options = drives.options
-    if bus.layout != "classic":
-        raise ConfigurationError(
-            f"bus.layout: allowed with cia402: classic, frames of up to 8 bytes, given: {bus.layout}"
-        )
-    for name in options:
-        if name not in _ALLOWED:
-            raise ConfigurationError(
-                f"drives.options.{name}: unknown, allowed with cia402: {', '.join(_ALLOWED)}"
-            )
-    if drives.transmission is None:
-        raise ConfigurationError(
-            "drives.transmission: missing, cia402 drives speak of counts and torques: give lead_m or "
-            "pulley_radius_m, gear_ratio, sign, offset_m and counts_per_turn"
-        )
-    rated = options.get("rated_torque_Nm")
-    if isinstance(rated, bool | str | None) or not isfinite(rated) or not 1e-3 <= rated <= _MOST_Nm:
-        raise ConfigurationError(
-            "drives.options.rated_torque_Nm: the motors' rated torque, 0x6076, of which torques are "
-            f"thousandths, allowed: 0.001 to {_MOST_Nm:.0f}, given: {rated}"
-        )
-    velocity = options.get("velocity", "pdo")
-    if velocity not in _VELOCITY:
-        raise ConfigurationError(
-            f"drives.options.velocity: allowed: {', '.join(_VELOCITY)}, given: {velocity}"
-        )
-    node = options.get("controller_node", MAX_NODE)
-    if type(node) is not int or not 1 <= node <= MAX_NODE:
-        raise ConfigurationError(
-            f"drives.options.controller_node: allowed: a whole number of 1 to {MAX_NODE}, given: {node}"
-        )
-    check = options.get("check_encoder", True)
-    if not isinstance(check, bool):
-        raise ConfigurationError(f"drives.options.check_encoder: allowed: true, false, given: {check}")
+    refuse_layout(bus, "cia402", "classic")
+    transmission = required(drives.transmission, "cia402")
+    options = Options(drives.options, "cia402", _ALLOWED)
     return Cia402Protocol(
         drives.node_ids,
-        Transmission.of(drives.transmission),
-        float(rated),
+        transmission,
+        options.within("rated_torque_Nm", 1e-3, _MOST_Nm, "the motors' rated torque, 0x6076"),
         legs=bus.legs,
         force_limit_N=drives.force_limit_N,
         heartbeat_ms=drives.heartbeat_ms,
-        velocity=velocity == "pdo",
-        controller_node=node,
-        check_encoder=check,
+        velocity=options.choice("velocity", _VELOCITY, "pdo") == "pdo",
+        controller_node=options.whole("controller_node", MAX_NODE, 1, MAX_NODE),
+        check_encoder=options.flag("check_encoder", default=True),
     )

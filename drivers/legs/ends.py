@@ -23,7 +23,6 @@ from drivers.protocol import (
     Frame,
     Rejected,
     Status,
-    Sync,
 )
 from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record
@@ -127,10 +126,6 @@ class LegsController(CompiledController):
             f"{self._family.rated_force_N:g} N) or several values differ"
         )
 
-    def carried(self, force: Array) -> Array:
-        """Return the forces as they are: the field is fine enough."""
-        return force
-
     def unfit(self, force: Array) -> ProtocolError:
         """Return that a force does not fit, with the forces of the first bus on which that is so."""
         s, of, shown = self.state, self._family.messages.commands[0][0], force
@@ -178,15 +173,6 @@ class LegsDrives(CompiledDrives):
         if watchdog < 1 or reaction >= len(Reaction) or place != self.record["place"][leg]:
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {place}")
         return Configure(leg, watchdog * of.scale[0], Reaction(reaction))
-
-    def no_number(self, _sync: Sync, length: Array, rate: Array, force: Array) -> ProtocolError:
-        """Return what of a reading is not a number."""
-        has_force = self.record["bits"][-1] > 0
-        unknown = np.isnan(length) | np.isnan(rate) | (np.isnan(force) & has_force)
-        leg = int(np.flatnonzero(unknown)[0])
-        return ProtocolError(
-            f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
-        )
 
     def notify(self, status: Status) -> tuple[Frame, ...]:
         """Raise the ProtocolError of a watchdog that no CONFIG could have set."""

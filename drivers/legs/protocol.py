@@ -4,13 +4,15 @@ No state, no clock. `docs/guides/protocol.md` has the rules of both ends.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Rows
+from drivers.arrays import Rows
 from drivers.compiled.pointed import data_at
+from drivers.config import BusSettings, DriveSettings
 from drivers.ends import Hearing
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
@@ -20,7 +22,7 @@ from drivers.legs.device_kernels import NO_SYNC
 from drivers.legs.ends import LegsController, LegsDrives
 from drivers.legs.kernels import COMMAND, ENDS, EXACT, QUANTITIES
 from drivers.legs.messages import SHORT, read_messages
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame, PowerTold, Sync
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Sync
 from drivers.resolution import Resolution
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 
@@ -51,19 +53,10 @@ class LegsProtocol(Family):
     unknown layout or a rated force that does not fit.
     """
 
-    command_delay_ticks = 0
-    set_up_frames = 1
-    reset_ticks = 5
-    stop_latches = True
-    force_on_brakes = True
-    has_watchdog = True
-    power_told: PowerTold = "feedback"
-    dangers = ()
+    set_up_frames, reset_ticks = 1, 5
+    stop_latches = force_on_brakes = answers_name_sync = latches_together = True
     reactions = tuple(Reaction)
-    shares_identifiers = False
-    answers_name_sync = True
-    unasked_s = 0.0
-    latches_together = True
+    database: tuple[str, str]
 
     def __init__(
         self,
@@ -198,10 +191,19 @@ class LegsProtocol(Family):
         length, rate, *_ = (0.5 * each for each in self.messages.feedback.scale)
         return Resolution.of(length, rate, 0.5 * self.messages.commands[0][0].scale[0])
 
-    def reported_lengths(self) -> tuple[Array, Array] | None:
-        """Return None: the field is wider than any leg."""
-        return None
 
-    def fault_text(self, _code: int) -> str:
-        """Return nothing: all codes are DriveFault."""
-        return ""
+_made = cache(LegsProtocol)
+"""The codec of some drives: one is as good as another."""
+
+
+def legs(bus: BusSettings, drives: DriveSettings) -> LegsProtocol:
+    """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
+    if drives.options:
+        raise ConfigurationError(
+            f"drives.options: protocol legs has none, given: {', '.join(drives.options)}"
+        )
+    if drives.transmission is not None:
+        raise ConfigurationError(
+            "drives.transmission: protocol legs speaks of leg lengths and forces and has none; leave it out"
+        )
+    return _made(bus.layout, tuple(drives.node_ids), drives.force_limit_N, bus.legs)

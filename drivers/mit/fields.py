@@ -7,13 +7,8 @@ CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range is no code: it i
 from math import pi
 from typing import NamedTuple
 
-import numpy as np
-
 from drivers.codes import code, value
 from drivers.compiled.compiler import helper
-from drivers.resolution import Resolution
-from drivers.signals import LEGS
-from drivers.transmission import Transmission
 
 TURN = 2.0 * pi
 """rad."""
@@ -36,19 +31,6 @@ class Ranges(NamedTuple):
     """N m."""
 
 
-def resolution(r: Ranges, bits: int, transmission: Transmission) -> Resolution:
-    """Return a step of position, of velocity and torque on so many bits, at the leg: all are truncated."""
-    position, velocity, torque = (
-        2.0 * end / ((1 << n) - 1) for end, n in ((r.position, 16), (r.velocity, bits), (r.torque, bits))
-    )
-    t = transmission
-    return Resolution.of(
-        t.rate(np.full(LEGS, position / TURN)),
-        t.rate(np.full(LEGS, velocity / TURN)),
-        t.N_per_Nm * torque,
-    )
-
-
 def pack_command(position: float, velocity: float, kp: float, kd: float, torque: float, r: Ranges) -> bytes:
     """Return the eight bytes of a command: 16, 12, 12, 12 and 12 bits, most significant first."""
     number = code(position, -r.position, r.position, 16)
@@ -60,25 +42,6 @@ def pack_command(position: float, velocity: float, kp: float, kd: float, torque:
     ):
         number = number << 12 | code(x, low, high, 12)
     return number.to_bytes(8, "big")
-
-
-def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, float]:
-    """Return position rad, velocity rad/s, kp, kd and torque N m of the eight bytes of a command."""
-    number = int.from_bytes(data, "big")
-    p, v, kp, kd, t = (
-        number >> 48,
-        number >> 36 & 0xFFF,
-        number >> 24 & 0xFFF,
-        number >> 12 & 0xFFF,
-        number & 0xFFF,
-    )
-    return (
-        value(p, -r.position, r.position, 16),
-        value(v, -r.velocity, r.velocity, 12),
-        value(kp, 0.0, r.kp, 12),
-        value(kd, 0.0, r.kd, 12),
-        value(t, -r.torque, r.torque, 12),
-    )
 
 
 @helper

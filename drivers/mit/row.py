@@ -1,24 +1,17 @@
 """The codec of a configuration with `drives.protocol: mit`."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from drivers.config import BusSettings, DriveSettings
+from drivers.mit.family import MitFamily
 from drivers.mit.fields import Ranges
 from drivers.mit.variants import VARIANTS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
-
-if TYPE_CHECKING:  # each has compiled code of its own
-    from drivers.mit.protocol import MitProtocol
-    from drivers.mit.robstride import RobStrideProtocol
 
 _HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
 """Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's."""
 _FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
 
 
-def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol | RobStrideProtocol:
+def mit(bus: BusSettings, drives: DriveSettings) -> MitFamily:
     """Return the variant's codec. Raises ConfigurationError for settings that it does not have."""
     refuse_layout(bus, "mit", "classic")
     transmission = required(drives.transmission, "mit")
@@ -26,11 +19,10 @@ def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol | RobStrideProto
     variant = options.choice("variant", tuple(VARIANTS))
     models = VARIANTS[variant].models
     ranges: Ranges = models[options.choice("model", tuple(models))]
-    ranges = ranges._replace(
-        **{field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
-    )
+    given = {field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
+    ranges = ranges._replace(**given)
     host = options.whole("host_id", _HOSTS[variant])
-    protocol: MitProtocol | RobStrideProtocol
+    protocol: MitFamily
     if variant == "robstride":
         from drivers.mit.robstride import RobStrideProtocol  # noqa: PLC0415 - compiled code
 

@@ -13,7 +13,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.controller_end import controller_end
 from drivers.frame_array import received_array, sent_frames
-from drivers.identity import SERIAL, Identified, Said
+from drivers.identity import SERIAL, Said
 from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
@@ -204,7 +204,7 @@ class Drives:
         """
         answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
         self.serials = tuple(set() for _ in range(LEGS))
-        requests = self.protocol.identity_requests() if isinstance(self.protocol, Identified) else ()
+        requests = self.protocol.identity_requests()
         for asked in requests * ASKED_TIMES:
             lacking = {leg for leg in legs if len(answers[leg]) < len(requests)}
             if not lacking:
@@ -214,7 +214,6 @@ class Drives:
 
     def _ask(self, asked: tuple[Frame, ...], answers: tuple[dict[str, Said], ...], lacking: set[int]) -> None:
         """Ask once, and keep what is answered for ANSWER_S, or until a tick after all that lack it have."""
-        assert isinstance(self.protocol, Identified)
         self.step(asked=asked)
         waited = set(lacking)
         for _ in range(self.ticks(ANSWER_S)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers.moteus_kernels import read
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Sync
 from drivers.signals import DriveState, Reaction
 from tests.drivers.motor_families import MoteusProtocol
@@ -28,3 +29,11 @@ def replied(
     rate, states = np.full(6, speed) * UNIT.m_per_turn, np.full(6, state, np.int64)
     _, ((_, frame),) = P.answer(memory, Sync(0, (0,)), length + UNIT.offset_m, rate, force, states)
     return frame.data
+
+
+def registers(data: bytes, kind: int) -> dict[int, float] | None:
+    """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known; None: not whole."""
+    names = tuple(range(0x180))
+    values = np.full(len(names), np.nan)
+    has = read(data, len(data), kind, names, values)
+    return None if has < 0 else {name: values[name] for name in names if has >> name & 1}

@@ -8,12 +8,14 @@ import numpy as np
 
 from drivers import moteus, odrive
 from drivers import motor_kernels as kernels
+from drivers.codes import value
 from drivers.compiled.pointed import data_at
 from drivers.controller_end import ControllerEnd
 from drivers.ends import DrivesEnd
 from drivers.frame_array import FRAME, sent_frames
 from drivers.mit import protocol as mit
 from drivers.mit import robstride
+from drivers.mit.fields import Ranges
 from drivers.motor_drives import put_written, written
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
 from drivers.protocol import DriveSetup, Frame
@@ -83,8 +85,8 @@ class MotorMemory(Remembered):
         memory = MotorMemory(self.state.copy())
         for leg, held in enumerate(values.pop("registers", ())):
             put_written(memory.state, leg, dict(held))
-        for name, value in values.items():
-            memory.state[name] = value
+        for name, given in values.items():
+            memory.state[name] = given
         return memory
 
 
@@ -120,6 +122,25 @@ class Motors(ByValue):
         into = np.empty(LEGS, FRAME)
         kernels.begin(self._end(dialogue).state, 0, data_at(into))  # type: ignore[attr-defined]
         return sent_frames(into)[leg]
+
+
+def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, float]:
+    """Return position rad, velocity rad/s, kp, kd and torque N m of the eight bytes of a command."""
+    number = int.from_bytes(data, "big")
+    p, v, kp, kd, t = (
+        number >> 48,
+        number >> 36 & 0xFFF,
+        number >> 24 & 0xFFF,
+        number >> 12 & 0xFFF,
+        number & 0xFFF,
+    )
+    return (
+        value(p, -r.position, r.position, 16),
+        value(v, -r.velocity, r.velocity, 12),
+        value(kp, 0.0, r.kp, 12),
+        value(kd, 0.0, r.kd, 12),
+        value(t, -r.torque, r.torque, 12),
+    )
 
 
 class MitProtocol(Motors):

@@ -14,7 +14,7 @@ from drivers.config import TransmissionSettings
 from drivers.controller_end import array_at
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.motor_kernels import HEARD
-from drivers.motors import Exchange, MotorProtocol
+from drivers.motors import NO_BRAKE, Exchange, MotorProtocol
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
@@ -45,7 +45,7 @@ class SpokenProtocol(MotorProtocol):
     number_at = 0, 0
     set_up_frames = 1
     torque_limit = 2.0
-    watchdog_danger = "nobody watches"
+    dangers = NO_BRAKE, "nobody watches"
 
     def __init__(
         self,
@@ -55,11 +55,10 @@ class SpokenProtocol(MotorProtocol):
         unasked_s: float = 0.0,
         transmission: Any = UNLIKE,
     ) -> None:
-        tables = np.zeros((), np.dtype([("nodes", "<i8", (6,))]))
-        super().__init__(transmission, tables, (1, 32, 2.0))
+        super().__init__(transmission, (0,) * 6, (1, 32, 2.0))
         address, self._keeps = of_python(self._hear, INTEGER, INTEGER, INTEGER)
         self.ear: Any = SimpleNamespace(address=address)
-        self.reports_power, self.unasked_s = reports, unasked_s
+        self.power_told, self.unasked_s = "feedback" if reports else "never", unasked_s
         self.counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
         self.words: list[Heard | None] = []
 
@@ -86,6 +85,9 @@ class SpokenProtocol(MotorProtocol):
                 heard.leg, has, *motion, heard.torque or 0.0, heard.power or 0, heard.fault, *answer,
             )  # fmt: skip
         return int(heard is not None)
+
+    def emergency_stop(self) -> tuple[Frame, ...]:
+        return ()
 
     def requests(self, _watchdog_s: float) -> Any:
         """A number for each row: IDLE to DRIVE."""

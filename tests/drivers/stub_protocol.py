@@ -30,10 +30,10 @@ from drivers.protocol import (
     Configure,
     DeviceCommand,
     DeviceMessage,
+    DriveProtocol,
     DriveSetup,
     EmergencyStop,
     Frame,
-    PowerTold,
     Received,
     Rejected,
     Status,
@@ -99,7 +99,7 @@ def _put(values: tuple[int, ...], leg: int, value: int) -> tuple[int, ...]:
     return (*values[:leg], value, *values[leg + 1 :])
 
 
-class StubProtocol:
+class StubProtocol(DriveProtocol):
     """The stub's tables."""
 
     database = "stub.dbc", 'VERSION ""\n'
@@ -108,13 +108,7 @@ class StubProtocol:
     reset_ticks = 2
     stop_latches = True
     force_on_brakes = True
-    has_watchdog = True
-    power_told: PowerTold = "feedback"
-    unasked_s = 0.0
-    dangers = ()
     reactions = tuple(Reaction)
-    shares_identifiers = False
-    answers_name_sync = False
     latches_together = False
 
     def __init__(self, node_ids: list[int]) -> None:
@@ -174,9 +168,6 @@ class StubProtocol:
 
     def resolution(self, _rate_Hz: float) -> Resolution:
         return Resolution.of(_STEP_m, _STEP_m, SINGLE)
-
-    def reported_lengths(self) -> None:
-        return None
 
     def awaited(self, frame: Frame) -> int:
         return frame.id

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.cia402 import objects as o
-from drivers.cia402.plan import plan
+from drivers.cia402.end import plan
 from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array

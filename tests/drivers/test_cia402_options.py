@@ -87,19 +87,28 @@ def test_each_setting_of_the_drives_reaches_the_object_that_it_is_for():
     ("changes", "message"),
     [
         ({"layout": "fd"}, r"bus\.layout: allowed with cia402: classic.*given: fd"),
-        ({"rated_torque_Nm": 0.0}, r"drives\.options\.rated_torque_Nm: .*given: 0\.0"),
-        ({"rated_torque_Nm": 0.000999}, r"drives\.options\.rated_torque_Nm: .*given: 0\.000999"),
-        ({"rated_torque_Nm": 4_294_967.5}, r"rated_torque_Nm: .*0\.001 to 4294967, given: 4294967\.5"),
-        ({"rated_torque_Nm": True}, r"drives\.options\.rated_torque_Nm: .*given: True"),
-        ({"velocity": "both"}, r"drives\.options\.velocity: allowed: pdo, difference, given: both"),
-        ({"controller_node": 128}, r"drives\.options\.controller_node: .*given: 128"),
-        ({"controller_node": 0}, r"drives\.options\.controller_node: .*given: 0"),
-        ({"controller_node": True}, r"drives\.options\.controller_node: .*given: True"),
-        ({"controller_node": 9.0}, r"drives\.options\.controller_node: .*given: 9\.0"),
+        ({"rated_torque_Nm": 0.0}, r"drives\.options: rated_torque_Nm of protocol cia402: .*given: 0\.0"),
+        (
+            {"rated_torque_Nm": 0.000999},
+            r"drives\.options: rated_torque_Nm of protocol cia402: .*given: 0\.000999",
+        ),
+        ({"rated_torque_Nm": 4_294_967.5}, r"rated_torque_Nm of .*0\.001 to 4294967, .*given: 4294967\.5"),
+        ({"rated_torque_Nm": True}, r"drives\.options: rated_torque_Nm of protocol cia402: .*given: True"),
+        (
+            {"velocity": "both"},
+            r"drives\.options: velocity of protocol cia402: allowed: one of pdo, difference, given: both",
+        ),
+        ({"controller_node": 128}, r"drives\.options: controller_node of protocol cia402: .*given: 128"),
+        ({"controller_node": 0}, r"drives\.options: controller_node of protocol cia402: .*given: 0"),
+        ({"controller_node": True}, r"drives\.options: controller_node of protocol cia402: .*given: True"),
+        ({"controller_node": 9.0}, r"drives\.options: controller_node of protocol cia402: .*given: 9\.0"),
         ({"controller_node": 1}, r"drives\.node_ids\[0\]: .*given: 1"),
         ({"controller_node": 3}, r"drives\.node_ids\[2\]: .*given: 3"),
-        ({"check_encoder": 1}, r"drives\.options\.check_encoder: allowed: true, false, given: 1"),
-        ({"speed": 1}, r"drives\.options\.speed: unknown, allowed with cia402: rated_torque_Nm"),
+        (
+            {"check_encoder": 1},
+            r"drives\.options: check_encoder of protocol cia402: allowed: true, false, given: 1",
+        ),
+        ({"speed": 1}, r"drives\.options: protocol cia402 has rated_torque_Nm, .*given: speed"),
     ],
 )
 def test_a_key_that_does_not_fit_is_refused_by_name(changes, message):
@@ -120,9 +129,9 @@ def test_the_encoder_is_checked_unless_the_configuration_says_not_to():
 
 
 def test_it_needs_a_transmission_and_a_rated_torque():
-    with pytest.raises(ConfigurationError, match=r"drives\.transmission: missing"):
+    with pytest.raises(ConfigurationError, match=r"drives\.transmission: protocol cia402 speaks of motors"):
         PROTOCOLS["cia402"](BusSettings(layout="classic"), DriveSettings(protocol="cia402", options=OPTIONS))
-    with pytest.raises(ConfigurationError, match=r"rated_torque_Nm: .*given: None"):
+    with pytest.raises(ConfigurationError, match=r"rated_torque_Nm of .*given: nothing"):
         PROTOCOLS["cia402"](
             BusSettings(layout="classic"), DriveSettings(protocol="cia402", transmission=settings())
         )

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.cia402 import end as ends
 from drivers.cia402 import objects as o
-from drivers.cia402.plan import Step, max_torque, plan, watchdog_ms
+from drivers.cia402.end import Step, max_torque, plan, watchdog_ms
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveSetup, Frame, Received

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drivers.mit.fields import Ranges, pack_command, unpack_motion
-from drivers.moteus_registers import COMMAND, MODE, TIMEOUT, WRITE, registers
+from drivers.moteus_registers import COMMAND, MODE, TIMEOUT, WRITE
 from drivers.protocol import (
     BRS,
     EXTENDED,
@@ -29,7 +29,7 @@ from drivers.protocol import (
     Sync,
 )
 from drivers.signals import LEGS, DriveMode, Reaction
-from tests.drivers.moteus_ends import asked
+from tests.drivers.moteus_ends import asked, registers
 from tests.drivers.motor_families import (
     MitProtocol,
     MoteusProtocol,

@@ -21,8 +21,6 @@ from drivers.mit.fields import (
     Ranges,
     device_motion,
     pack_command,
-    resolution,
-    unpack_command,
     unpack_motion,
 )
 from drivers.mit.protocol import ENABLE
@@ -34,7 +32,7 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from tests.drivers.by_value import ByValue
 from tests.drivers.drives_end import answers
-from tests.drivers.motor_families import Heard, MitProtocol, RobStrideProtocol
+from tests.drivers.motor_families import Heard, MitProtocol, RobStrideProtocol, unpack_command
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, at_tick
 from tests.drivers.trouble_contract import TroubleContract
 
@@ -484,7 +482,7 @@ def test_an_answer_that_comes_with_the_next_poll_measures_at_its_age_where_its_d
 @given(st.integers(0, 2**32 - 1))
 def test_no_field_of_a_reply_or_command_is_off_by_more_than_the_resolution_and_some_by_most_of_it(seed):
     chance = np.random.default_rng(seed)
-    stated = resolution(WIDE, 12, GEAR)
+    stated = MitProtocol("cubemars", WIDE, NODES, 0, GEAR).protocol.resolution(250.0)
     off = []
     for _ in range(30):
         p, v, t = chance.uniform(-0.99, 0.99, 3) * (WIDE.position, WIDE.velocity, WIDE.torque)

@@ -168,7 +168,8 @@ def test_replies_that_come_on_a_drives_own_identifier_or_on_none_are_refused(nam
 def test_the_largest_torque_is_that_of_the_top_code(name):
     assert VARIANTS[name].torque_limit == pytest.approx(0xFFB * STEP_Nm - 144.0, rel=1e-12)
     polls, stops = VARIANTS[name].cyclic_frames()[:6], VARIANTS[name].emergency_stop()
-    assert polls == stops == tuple(Frame(node, DISABLE) for node in NODES)
+    assert stops == tuple(Frame(node, DISABLE) for node in NODES)
+    assert polls == tuple(Frame(node, pack_command(0.0, 0.0, 0.0, 0.0, -144.0, RANGES)) for node in NODES)
     assert len(VARIANTS[name].cyclic_frames()) == 12
 
 

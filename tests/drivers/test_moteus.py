@@ -19,7 +19,7 @@ from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.identity import Said
 from drivers.moteus import QUERY, STOP, torque_command
-from drivers.moteus_registers import pad, registers
+from drivers.moteus_registers import pad
 from drivers.protocol import (
     BRS,
     EXTENDED,
@@ -34,6 +34,7 @@ from drivers.protocol import (
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from tests.drivers import moteus_foreign as foreign
+from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
 from tests.drivers.trouble_contract import TroubleContract

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.moteus import STOP, torque_command
-from drivers.moteus_registers import pad, registers
+from drivers.moteus_registers import pad
 from drivers.protocol import (
     BRS,
     BUS,
@@ -28,7 +28,7 @@ from drivers.protocol import (
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
-from tests.drivers.moteus_ends import asked
+from tests.drivers.moteus_ends import asked, registers
 from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
@@ -348,13 +348,13 @@ def test_a_controller_has_an_identifier_of_0_to_126(host, taken):
 
 def test_what_a_drive_does_by_itself_is_named_with_the_number_of_its_setting():
     stops = MoteusProtocol(NODES, 1, Reaction.BRAKE, 2.0, UNLIKE)
-    assert "set it to 0, stopped with moteus_tool" in stops.watchdog_danger
-    assert "set it to 12, zero velocity with moteus_tool" in P.watchdog_danger
+    assert "set it to 0, stopped with moteus_tool" in stops.dangers[1]
+    assert "set it to 12, zero velocity with moteus_tool" in P.dangers[1]
 
 
 def test_a_tick_is_six_torques_with_their_queries_and_six_replies():
     commands, replies = P.cyclic_frames()[:6], P.cyclic_frames()[6:]
-    assert commands == tuple(to(leg, torque_command(0.0, 1.0, 1.0)) for leg in range(6))
+    assert commands == tuple(to(leg, torque_command(0.0, 2.0, 1.0)) for leg in range(6))
     assert [(frame.id, len(frame.data)) for frame in replies] == [(n << 8 | 1, 24) for n in NODES]
     assert [P.awaited(frame) for frame in P.cyclic_frames()] == [-1] * 6 + [n << 8 | 1 for n in NODES]
     assert P.emergency_stop() == tuple(to(leg, STOP) for leg in range(6))

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from drivers.moteus_registers import READ, REPLY, WRITE, pad, registers
+from drivers.moteus_registers import READ, REPLY, WRITE, pad
 from drivers.signals import INVALID, DriveState
-from tests.drivers.moteus_ends import asked, replied
+from tests.drivers.moteus_ends import asked, registers, replied
 
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Of CAN FD."""

@@ -138,7 +138,7 @@ def test_a_drive_with_mit_framing_is_made_with_its_variant_model_and_the_identif
     variant, model, host
 ):
     protocol = made("mit", "classic", options={"variant": variant, "model": model, "torque_N_m": 9.0})
-    assert (protocol.name, protocol.ranges.torque, protocol.ranges.position) == (variant, 9.0, 12.5)
+    assert (protocol.ranges.torque, protocol.ranges.position) == (9.0, 12.5)
     replies = protocol.cyclic_frames()[6:]
     assert [frame.id for frame in replies] == [host + node * (host > 0) for node in (7, 2, 3, 4, 5, 6)]
     other = made("mit", "classic", options={"variant": variant, "model": model, "host_id": 64})

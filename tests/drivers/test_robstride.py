@@ -251,7 +251,8 @@ def test_each_drive_is_told_by_its_own_state_and_history():
                 expected = to(1, half, code, leg) if leg in (1, 3, 5) else to(3, leg=leg)
             assert frame == expected
     assert P.emergency_stop() == tuple(to(4, leg=leg) for leg in range(6))
-    assert P.cyclic_frames()[:6] == P.emergency_stop()
+    half = struct.pack(">HHHH", 0x7FFF, 0x7FFF, 0, 0)
+    assert P.cyclic_frames()[:6] == tuple(to(1, half, 0, leg) for leg in range(6))
     assert [P.awaited(each) for each in P.cyclic_frames()[6:]] == list(range(6))
     assert [P.addressed(each) for each in P.emergency_stop()] == [(leg,) for leg in range(6)]
     assert P.torque_limit == 144.0

@@ -21,13 +21,6 @@ LIMITS = {"column": 2, "law": 2, "safety rule": 3, "protocol": 2, "plant fault":
 """Source files that an extension may touch."""
 NEW = None
 """Stands for the anchor of a file that is new."""
-ROW_FUNCTION = """def _stub(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
-    from drivers.stub import stub  # noqa: PLC0415
-
-    return stub(bus, drives)
-
-
-"""
 STEPS: dict[str, list[tuple[str, str | None, str]]] = {
     "column": [
         (
@@ -63,12 +56,7 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
     ],
     "protocol": [
         ("drivers/stub.py", NEW, (ROOT / "tests/drivers/stub_protocol.py").read_text()),
-        (
-            "drivers/__init__.py",
-            "PROTOCOLS: dict",
-            ROW_FUNCTION,
-        ),
-        ("drivers/__init__.py", '    "legs": _legs,\n', '    "stub": _stub,\n'),
+        ("drivers/__init__.py", '    "legs": _row(', '    "stub": _row("stub", "stub"),\n'),
     ],
     "plant fault": [
         ("plant_fmu/faults/derated.py", NEW, (PARTS / "fault.py").read_text()),

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.cia402 import objects
 from drivers.cia402.dictionary import PLACE, defaults
-from drivers.identity import Identified, Said
+from drivers.identity import Said
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
@@ -77,7 +77,7 @@ def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_n
 
 def requests_of(name):
     protocol = build_protocol(family(name))
-    return protocol.identity_requests() if isinstance(protocol, Identified) else ()
+    return protocol.identity_requests()
 
 
 def test_each_family_that_can_be_asked_says_who_its_drives_are_and_the_others_are_not_asked():

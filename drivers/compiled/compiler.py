@@ -79,7 +79,6 @@ def records(dtype: np.dtype[np.void]) -> Any:
     return types.Array(BorrowedRecord(dtype, dtype.names or ()), 1, "C", readonly=True)
 
 
-_njit: Any = numba.njit
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "pipeline_class": KernelPipeline}
 
@@ -119,8 +118,8 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         with compiling(function) as kept:
-            options = {"nogil": unlocked, "cache": kept, "no_cfunc_wrapper": True}
-            compiled = _njit(arguments, **options, **OPTIONS)(function)
+            options = OPTIONS | {"no_cfunc_wrapper": True}
+            compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **options)(function)
         if hasattr(compiled, "stats"):
             count(function, kept=kept, misses=len(compiled.stats.cache_misses))
         return cast("F", compiled)

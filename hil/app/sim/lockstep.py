@@ -6,6 +6,7 @@ A frame takes its worst-case bit time and the lowest identifier wins.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
+from time import perf_counter
 from typing import Any
 
 from drivers.arrays import Rows
@@ -41,6 +42,8 @@ TICK, NODES, EARLY, REPLIES, REPLIED, BUS_OFF, BUS_STATE = (
 """Places of integers in the kernel's record."""
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
+LONGEST_S = 0.1
+"""Ctrl-C waits for about so long, of a machine's time: until a call for many ticks returns."""
 REST_S = 0.1
 """A reference that has stood still for so long in TRACKING is at rest: HOLD, as faults call it."""
 
@@ -199,7 +202,7 @@ class Lockstep:
         """
         stays = self.cycle.parts.operator.stays
         course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=stays)
-        ending, held = None, False
+        ending, held, most = None, False, 1
         while ending is None:
             tick = self.tick + 1
             said = commands(tick)
@@ -217,8 +220,11 @@ class Lockstep:
                 if observe is not None:
                     observe(*self.step(given.operator, given.setpoints, given.orders))
                 else:
-                    count = 1 if alone else int(min(course.quiet(tick), silent(tick), CAPACITY))
+                    count = 1 if alone else int(min(course.quiet(tick), silent(tick), most))
+                    begun_s = perf_counter()
                     self._give(take, count, given)
+                    soon = perf_counter() - begun_s < LONGEST_S
+                    most = min(2 * most, CAPACITY) if soon else max(most // 2, 1)
             except PlantError as error:
                 return course.failed(str(error), self.tick)
             if any(said):

@@ -22,9 +22,11 @@ from tools.drive_families import FAMILIES, Changes, merged
 
 CONFIGS = Path(str(configs.__path__[0]))
 ROOTS = tuple(str(CONFIGS.parent / name) for name in ("drivers", "hil", "plant_fmu"))
-SHELL = {"Lockstep.advance", "Lockstep._look_at_nodes", "Nodes.address", "Cycle.pass_on", "Ticks.record"}
+SHELL = {
+    "Lockstep.advance", "Lockstep._look_at_nodes", "Nodes.address", "TickRow.go", "Cycle.pass_on", "Ticks.record",
+}  # fmt: skip
 """What a call for many ticks enters."""
-MEMORY = {"Lockstep._turn_over", "Lockstep._reserve", "Ticks.__init__", "Ticks.reserve", "data_at"}
+MEMORY = {"TickRow._turn_over", "TickRow._hold", "Ticks.__init__", "data_at"}
 """What it enters besides where memory is used up."""
 DECISIONS = {"Cycle.decide", "Cycle.end_tick"}
 CHANGES = 9

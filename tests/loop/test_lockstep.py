@@ -106,6 +106,7 @@ def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monk
         answers[:] = received_frames(sent)
         return sent
 
+    monkeypatch.setattr(type(nodes), "address", 0)  # they live by `advance`
     monkeypatch.setattr(nodes, "advance", advance)
     operator: tuple[Operator, ...] = ()
     for _ in range(300):

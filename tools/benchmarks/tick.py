@@ -6,10 +6,9 @@ from hil.app.compose import build_cycle
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
-from hil.loop.replay import replay
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, spread
-from tools.benchmarks.timed_cycle import TimedCycle, compute_figure, quietest_figure
+from tools.benchmarks.timed_cycle import TimedCycle, compute_figure, feed, quietest_figure
 
 SLEEP_S = 1e-5
 """As short as a sleep can be: it is not its length that counts."""
@@ -40,4 +39,4 @@ def _feed(benchmark: Benchmark, cycle: Cycle) -> int:
     """Return how many of the ticks came out differently."""
     gc.collect()
     with collector_paused():
-        return replay(benchmark.held, cycle).different_ticks
+        return feed(benchmark.held.entries, cycle)

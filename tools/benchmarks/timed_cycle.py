@@ -2,13 +2,17 @@
 
 import time
 from array import array
+from collections.abc import Iterable
 
 import numpy as np
 
 from drivers.arrays import Ints
+from drivers.frame_array import joined, sent_frames
 from drivers.signals import Mode
 from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
+from hil.loop.replay import recorded_input
+from hil.record.log import Tick
 from hil.signals import TickInput, TickOutput
 from tools.benchmarks.figures import Figure, Mark, spread
 
@@ -45,6 +49,18 @@ class TimedCycle(Cycle):
         table = np.array(self.stamps, np.int64).reshape(-1, 3)
         taken: Ints = (table[:, 1] - table[:, 0])[table[:, 2] == mode]
         return taken
+
+
+def feed(entries: Iterable[Tick], cycle: Cycle) -> int:
+    """Give a cycle the recorded inputs of ticks, one by one; return how many came out differently."""
+    different = 0
+    for entry in entries:
+        inp = recorded_input(entry)
+        opening = cycle.begin(inp.tick)
+        out = cycle.step(inp)
+        same = sent_frames(joined((opening, out.frames))) == entry.sent
+        different += not (same and out.row.tobytes() == entry.row.tobytes())
+    return different
 
 
 def compute_figure(ns: Ints) -> Figure:

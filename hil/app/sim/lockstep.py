@@ -215,11 +215,11 @@ class Lockstep:
             elif over() and not said.orders:
                 taken = course.left_alone()
             given = said._replace(operator=course.commands(tick, taken))
-            alone = any(given) or self.nodes.waiting
             try:
                 if observe is not None:
                     observe(*self.step(given.operator, given.setpoints, given.orders))
                 else:
+                    alone = any(given) or self.nodes.waiting
                     count = 1 if alone else int(min(course.quiet(tick), silent(tick), most))
                     begun_s = perf_counter()
                     self._give(take, count, given)

@@ -231,20 +231,21 @@ def test_only_what_comes_of_an_interrupt_is_taken_for_one():
 
 def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    row, ticks = Recording.tick_of_items, []
+    record, ticks = Recording.ticks_of_items, []
 
-    def tick(self, *given):
-        row(self, *given)
-        ticks.append(True)
-        if len(ticks) == 150:
+    def several(self, rows, *given):
+        record(self, rows, *given)
+        ticks[:] = [int(rows["tick"][-1]) + 1]
+        if ticks[0] >= 150:
             press()
 
-    monkeypatch.setattr(Recording, "tick_of_items", tick)
+    monkeypatch.setattr(Recording, "ticks_of_items", several)
     code, said = process("sim", "--duration", "0.3", "--log", path)
     assert code == 130
-    assert said == f"hil: interrupted at 0.149 s of simulated time; the log until then: {path}\n"
+    last_s = 1e-3 * (ticks[0] - 1)
+    assert said == f"hil: interrupted at {last_s:.3f} s of simulated time; the log until then: {path}\n"
     log = Log.open(path)
-    assert len(log.rows()) == 150
+    assert len(log.rows()) == ticks[0]
     assert log.metadata["summary"]["reason"] == "interrupted"
 
 

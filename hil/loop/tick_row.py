@@ -104,11 +104,10 @@ class TickRow:
         """Which of the ticks the last `go` has done."""
         self._turn_over()
 
-    def go(self, count: int, given: Given = NOTHING, *, attends: bool = False) -> slice:
+    def go(self, count: int, given: Given = NOTHING) -> slice:
         """Go through at most `count` ticks: to the end of `ticks`, or of one that decides.
 
-        given: in the first one; attends: Python attends to that in any case. Returns which ticks are done;
-        where this raises, `new` has them.
+        given: in the first one. Returns which ticks are done; where this raises, `new` has them.
         """
         words, cycle = self.words, self._cycle
         if words[DONE] == CAPACITY:
@@ -117,7 +116,7 @@ class TickRow:
         if before is not self._latest:
             words[LAST] = data_at(before)
         self._given, self._decided = given, False
-        words[ATTENDS] = attends or any(given) or cycle.control.probes
+        words[ATTENDS] = any(given) or cycle.control.probes
         words[COUNT] = min(first + count, CAPACITY)
         try:
             while stopped := self._kernel(self.record):

@@ -99,7 +99,7 @@ class TickRow:
         s["control"] = data_at(cycle.control.record)
         s["opening"], s["opener"] = cycle.end.opening, cycle.end.opener
         s["begun"], s["starts"] = data_at(self._begun), data_at(self._starts)
-        self._given, self._decided, self._latest = NOTHING, False, self._begun
+        self._given, self._decided = NOTHING, False
         self.new: slice[int, int, None] = slice(0, 0)
         """Which of the ticks the last `go` has done."""
         self._turn_over()
@@ -113,8 +113,8 @@ class TickRow:
         if words[DONE] == CAPACITY:
             self._turn_over()
         before, first = cycle.tick, words[DONE]
-        if before is not self._latest:
-            words[LAST] = data_at(before)
+        self.new = slice(first, first)
+        words[LAST] = data_at(before)
         self._given, self._decided = given, False
         words[ATTENDS] = any(given) or cycle.control.probes
         words[COUNT] = min(first + count, CAPACITY)
@@ -127,12 +127,11 @@ class TickRow:
             if done > first and not self._decided:
                 last = self.ticks.record(done - 2) if done > first + 1 else before
                 cycle.pass_on(last, self.ticks.record(done - 1))
-            self._latest = cycle.tick
         return self.new
 
     def _turn_over(self) -> None:
         """Begin new memory for ticks: who has the old one keeps it."""
-        s, self.ticks = self.record, Ticks()
+        s, self.ticks, self.new = self.record, Ticks(), slice(0, 0)
         s["ticks"], s["ends"] = data_at(self.ticks.records), data_at(self.ticks.ends)
         s["done"] = s["used"] = 0
         self._hold(self.ticks.frames)
@@ -145,7 +144,7 @@ class TickRow:
     def _stop(self, stage: int, stopped: int) -> None:
         """Do what a stage has stopped for."""
         if stage == START:
-            self._cycle.end.refuse(ZERO6, DriveMode.OFF, self.words[DONE])
+            self._cycle.end.refuse(ZERO6, DriveMode.OFF, int(self._cycle.tick["tick"]) + 1)
         elif stage == OBSERVE and stopped == NO_ROOM:
             frames = self.ticks.frames
             self._hold(np.concatenate((frames, np.empty(self.words[HEARD] + len(frames), FRAME))))
@@ -160,7 +159,7 @@ class TickRow:
         words, ticks, cycle, given = self.words, self.ticks, self._cycle, self._given
         k, used = words[DONE], words[USED]
         tick = ticks.record(k)
-        cycle.pass_on(ticks.record(k - 1) if k else cycle.tick, tick)
+        cycle.pass_on(ticks.record(k - 1) if k > self.new.start else cycle.tick, tick)
         self._decided, words[COUNT] = True, k + 1
         heard = ticks.frames[used - words[BEGINS] - words[HEARD] : used - words[BEGINS]]
         inp = input_of(ticks.row(k), heard, given.operator, given.setpoints, given.orders)

@@ -252,7 +252,7 @@ class Recording:
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
         """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
         ring, count = self._ring, len(rows)
-        if count > 1 and (count > ring.capacity or len(items) > ring.item_capacity):
+        if count > 1 and (2 * count > ring.capacity or 2 * len(items) > ring.item_capacity):
             half = count // 2
             middle = int(ends[half - 1])
             self.ticks_of_items(rows[:half], items[:middle], ends[:half])

@@ -15,6 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import LogError
+from drivers.frame_array import received_array
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.signals import DriveFault, DriveState, Fault, Mode
 from drivers.tick_columns import PER_LEG, RECORDED, ROW, XYZ, Column
@@ -176,6 +177,25 @@ def test_lockstep_does_not_stall_when_frames_fill_the_ring_before_rows_do(tmp_pa
     log = Log.open(path)
     assert all(tick.received == burst for tick in log.ticks())
     assert (log.summary.ticks, len(log.events())) == (60, 5000)
+
+
+@pytest.mark.parametrize("frames", [0, 1, 31, 33, 60, 700])
+def test_many_ticks_at_once_pass_through_the_smallest_ring_as_one_by_one(tmp_path, frames):
+    rows = random_rows(512)
+    burst = received_array([Received(k, Frame(k, bytes([k % 256]))) for k in range(frames)])
+    logs = [tmp_path / f"{name}.mcap" for name in "ab"]
+    with Recording.start(logs[0], configuration="", lockstep=True, ring_ticks=256) as recording:
+        for first in range(0, len(rows), 64):
+            ends = frames * np.arange(1, 65)
+            recording.ticks_of_items(np.array(rows[first : first + 64]), np.tile(burst, 64), ends)
+    with Recording.start(logs[1], configuration="", lockstep=True, ring_ticks=256) as recording:
+        for row in rows:
+            recording.tick_of_items(row, burst, burst[:0])
+    together, alone = (
+        [(each.row.tobytes(), each.received) for each in Log.open(log).ticks()] for log in logs
+    )
+    assert len(together) == len(rows)
+    assert together == alone
 
 
 def test_real_time_drops_and_counts_when_the_recorder_does_not_keep_up(tmp_path):

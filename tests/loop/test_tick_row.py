@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import PlantError
+from drivers.tick_columns import ROW
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.sim.build import build_lockstep
@@ -113,3 +114,26 @@ def test_ticks_before_a_plant_fails_are_given_and_the_run_ends_in_the_tick_that_
     assert ending.reason.startswith("the model is gone")
     assert lockstep.cycle.tick["tick"] == failing - 1
     assert lockstep.cycle.last["tick"] == failing - 2
+
+
+@pytest.mark.parametrize("place", ["_look_at_nodes", "row._turn_over"])
+def test_a_run_that_is_interrupted_gives_no_tick_twice_and_none_that_was_not_made(place, monkeypatch):
+    lockstep, plant = bench(load("virtual"))
+    kept = Kept()
+    owner, name = (lockstep.row, "_turn_over") if "." in place else (lockstep, place)
+    before = getattr(owner, name)
+
+    def interrupted() -> None:
+        before()
+        if lockstep.tick > 600:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(owner, name, interrupted)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            lockstep.run(2.0, None, take=kept.take)
+    finally:
+        plant.close()
+    ticks = [int(np.frombuffer(row, ROW)["tick"][0]) for row in kept.rows]
+    assert ticks == list(range(len(ticks)))
+    assert len(ticks) > 600

@@ -236,6 +236,7 @@ class Lockstep:
     def _give(self, take: Taker | None, count: int, given: Given) -> None:
         """Advance, and give what was done."""
         row = self.row
+        row.new = slice(0, 0)
         try:
             self.advance(count, given)
         finally:

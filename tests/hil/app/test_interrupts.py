@@ -231,7 +231,7 @@ def test_only_what_comes_of_an_interrupt_is_taken_for_one():
 
 def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    record, ticks = Recording.ticks_of_items, []
+    record, ticks = Recording.ticks_of_items, [0]
 
     def several(self, rows, *given):
         record(self, rows, *given)

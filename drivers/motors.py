@@ -250,14 +250,14 @@ class MotorProtocol(Family):
         return Resolution.of_singles()
 
     def fault_text(self, code: int) -> str:
-        """Return what a code of the column `drive_fault` means, OWN_CODE and more; empty if not known."""
+        """Return the meaning of a code of the column `drive_fault`, at least OWN_CODE; empty: unknown."""
         own, names = code - kernels.OWN_CODE, self.fault_names
         if self.fault_bits:
             return ", ".join(text for bit, text in names.items() if own > 0 and own & bit)
         return names.get(own, "")
 
     def coded(self, torque: Array) -> Array:
-        """Return what the field, which is truncated, carries of torques (6,) N m; singles as they are."""
+        """Return torques (6,) N m as the field carries them: truncated to its steps; singles unchanged."""
         _, bits, end = self.torque_field
         codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
@@ -320,7 +320,7 @@ class MotorProtocol(Family):
         return self.feedback_by_leg[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1
 
     def identity(self, frame: Frame) -> Said | None:
-        """Return what a frame says of who sends it on its own bus."""
+        """Return the serial number or revision that a drive on the frame's bus reports."""
         said = self.said_by(off_bus(frame))
         return said if said is not None and self.bus_of[said.leg] == frame.bus else None
 

@@ -148,7 +148,7 @@ class DriveProtocol(Protocol):
     """
 
     database: tuple[str, str] | None = None
-    """File name and text of the DBC that the log carries; None where there is none."""
+    """Name and text of the DBC file that goes into the log; None: the family has none."""
     feedback_ids: frozenset[int]
     """What `awaited` returns for all frames that make the six feedbacks of a tick.
 
@@ -231,7 +231,7 @@ class DriveProtocol(Protocol):
         return ()
 
     def identity(self, _frame: Frame) -> Said | None:
-        """Return what a frame says of who sends it; None for any other frame."""
+        """Return the serial number or revision that a frame reports; None for any other frame."""
         return None
 
     # bus time

@@ -36,7 +36,7 @@ class _CallerFlags(Flags):
     """Flags of a kernel or helper."""
 
     def copy(self) -> Flags:
-        """Return what Numba hands on to callees: one object, as long as it says the same."""
+        """Return the flags for callees: one object for all callers whose flags are equal but for _OWN."""
         shared: Any = _CalleeFlags(self)  # type: ignore[no-untyped-call]
         for name in _OWN:
             shared.discard(name)

@@ -127,9 +127,9 @@ class Cycle:
         self.last, self.tick, self.looked = last, tick, False
 
     def decide(self, inp: TickInput, into: Rows, look: int = 0) -> Rows:
-        """Return what to send in a tick that has been observed, and was passed on: `into`, or more.
+        """Decide and act in a tick that has been observed; return its frames, elements of FRAME.
 
-        look: what `compiled_pass.observe` returned.
+        into: room for MOST_FRAMES of them; look: the value that `compiled_pass.observe` returned.
         """
         looked = look or inp.orders or inp.operator or inp.setpoints
         if looked:
@@ -139,7 +139,7 @@ class Cycle:
         return self.end_tick(inp, into, ended, looked=bool(looked or self.control.probes))
 
     def end_tick(self, inp: TickInput, into: Rows, ended: int, *, looked: bool = False) -> Rows:
-        """Return what to send in a tick behind `compiled_pass.act`, which returned `ended`."""
+        """Return the frames of a tick for which `compiled_pass.act` returned `ended`."""
         self.looked = looked or bool(ended)
         frames = self._finish(inp, self.tick, into, ended) if ended else into[: self.control.record["sent"]]
         if self.control.error is not None:

@@ -22,25 +22,11 @@ from drivers.errors import LogError
 from drivers.frame_array import FRAME, joined, sent_frames
 from drivers.signals import BusState
 from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_ELEMENTS, RECORDED, ROW, Column
+from hil.loop import tick_kernels as part
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
 from hil.loop.tick_input import input_of
-from hil.loop.tick_kernels import (
-    ACT,
-    BYTES,
-    COMMAND,
-    NO_ROOM,
-    OBSERVE,
-    ROW_OF_TICKS,
-    START,
-    act,
-    begin_tick,
-    end_tick,
-    has_room,
-    observe,
-    start,
-)
 from hil.loop.tick_row import CAPACITY, NOTHING, Given, TickRow, Ticks
 from hil.record.log import Tick
 from hil.signals import Operator, TickInput
@@ -154,7 +140,7 @@ class Block(NamedTuple):
         return tuple(map(Operator, self.entries[-1].operator))
 
     def sent(self, k: int) -> Rows:
-        """Return what the cycle sends in a tick of the block."""
+        """Return the frames that the cycle sends in tick k of the block, elements of FRAME."""
         _, opened, command = self.ticks.spans(self.span.start + k)
         return self.ticks.frames[opened.start : command.stop]
 
@@ -204,7 +190,7 @@ def _compare_frames(own: Any, ends: Any, recorded: Any, bounds: Any, differs: An
                 differs[k] = differs[k] or a[word] != b[word]
 
 
-REPLAY = np.dtype([*ROW_OF_TICKS, *((name, "<i8") for name in ("entry", "rows", "items", "bounds"))])
+REPLAY = np.dtype([*part.ROW_OF_TICKS, *((name, "<i8") for name in ("entry", "rows", "items", "bounds"))])
 """A row of ticks, and the recorded ones: the next of these; addresses of their rows, of the frames that they
 heard, and of where these begin and end, (n + 1,)."""
 _ROW_BYTES, _ROW_WORDS = ROW.itemsize, ROW.itemsize // 8
@@ -214,13 +200,13 @@ _ROW_BYTES, _ROW_WORDS = ROW.itemsize, ROW.itemsize // 8
 def _begins(s: Any) -> int:
     """Let the controller hear what it heard in the recorded tick."""
     bounds = integers_at(s.bounds + 8 * s.entry, 2)
-    s.heard_at, s.heard = s.items + bounds[0] * BYTES, bounds[1] - bounds[0]
-    if not has_room(s):
-        return NO_ROOM
-    tick = begin_tick(s)
+    s.heard_at, s.heard = s.items + bounds[0] * part.BYTES, bounds[1] - bounds[0]
+    if not part.has_room(s):
+        return part.NO_ROOM
+    tick = part.begin_tick(s)
     given = integers_at(s.rows + s.entry * _ROW_BYTES, INPUT_ELEMENTS)
     integers_at(address_of(tick), INPUT_ELEMENTS)[:] = given
-    return observe(s, tick)
+    return part.observe(s, tick)
 
 
 @direct(record(REPLAY), unlocked=True)
@@ -228,19 +214,19 @@ def again(s: Any) -> int:
     """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
     while s.done < s.count:
         status = 0
-        if s.stage == START:
-            status = start(s, integers_at(s.rows + s.entry * _ROW_BYTES, 1)[0])
-            following = OBSERVE
-        elif s.stage == OBSERVE:
+        if s.stage == part.START:
+            status = part.start(s, integers_at(s.rows + s.entry * _ROW_BYTES, 1)[0])
+            following = part.OBSERVE
+        elif s.stage == part.OBSERVE:
             status = _begins(s)
-            following = ACT
-        elif s.stage == ACT:
-            status = act(s)
-            following = COMMAND
+            following = part.ACT
+        elif s.stage == part.ACT:
+            status = part.act(s)
+            following = part.COMMAND
         else:
-            end_tick(s)
+            part.end_tick(s)
             s.entry += 1
-            following = START
+            following = part.START
         if status != 0:
             return status
         s.stage = following

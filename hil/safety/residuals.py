@@ -113,7 +113,7 @@ def explained(i: int, gap: Array, rate: Array, tolerance: Array, say: Array) -> 
 
 @helper
 def beside(gap: float, leap: float, T: float) -> float:
-    """Return what is left of a gap, m, beside what a rate that leaps (m/s) makes of T s, whenever it does."""
+    """Return a gap, m, less the largest share of it that a leap of the rate, m/s, within T s explains."""
     return copysign(max(abs(gap) - 0.5 * T * abs(leap), 0.0), gap)
 
 
@@ -141,7 +141,7 @@ def slip_bound(
 
 @helper
 def excused(left: float, total: float, calm: float, T: float, period: float) -> float:
-    """Return what of a sum of gaps, m, is not held against the encoder from the next tick on.
+    """Return the part of a sum of gaps, m, that does not count against the encoder from the next tick on.
 
     A stall makes a tick of T s long, and what its length explains stays in the sum: `total`, m, as far as
     that is beyond `calm`, the bound of a tick of no length, for the next one may be short. left: of what was
@@ -174,7 +174,7 @@ def leap_bound(rate_noise: float, acceleration: float, T: float, T_was: float) -
 
 @helper
 def sole(excess: Array) -> int:
-    """Return the one leg whose share of its bound is above 1; -1 where there is none, or more than one."""
+    """Return the only leg whose share of its bound is above 1; -1 for no leg or several."""
     found = -1
     for i in range(6):
         if excess[i] > 1.0:

@@ -10,30 +10,16 @@ from drivers.compiled.pointed import record_at
 from drivers.frame_pointers import frames_at
 from hil.app.sim import wire_kernels
 from hil.app.sim.wire_kernels import WIRES
-from hil.loop.tick_kernels import (
-    ACT,
-    BYTES,
-    COMMAND,
-    NO_ROOM,
-    OBSERVE,
-    ROW_OF_TICKS,
-    START,
-    act,
-    begin_tick,
-    end_tick,
-    has_room,
-    observe,
-    start,
-)
+from hil.loop import tick_kernels as part
 from plant_fmu.drives.live import NODES_RECORD, live
 
-HEAR, PASS, SYNC, LIVE, ANSWER = range(START + 1, OBSERVE)
+HEAR, PASS, SYNC, LIVE, ANSWER = range(part.START + 1, part.OBSERVE)
 """Stages of a tick: drives that send unasked hear what has come before it; what they send is queued; SYNC or
 polls are sent; the drives hear them and the plant moves; their answers arrive. Each stops with what its
 kernel returns, HEAR and LIVE also where Python moves the drives."""
 LOCKSTEP = np.dtype(
     [
-        *ROW_OF_TICKS,
+        *part.ROW_OF_TICKS,
         *((name, "<i8") for name in ("wires", "nodes", "period_ns", "window_ns", "compute_ns", "unasked")),
         *((name, "<i8") for name in ("tick", "replies", "replied", "early", "bus_off", "bus_state")),
     ]
@@ -64,22 +50,22 @@ def _lives(s: Any, until_ns: int, heard: int) -> int:
 def _observes(s: Any, wires: Any, t_ns: int) -> int:
     """Let the controller hear what has come."""
     s.heard_at, s.heard = wires.late_at, wires.taken
-    if not has_room(s):
-        return NO_ROOM
-    tick = begin_tick(s)
+    if not part.has_room(s):
+        return part.NO_ROOM
+    tick = part.begin_tick(s)
     tick.tick, tick.t_ns, tick.sync_skew_ns = s.tick, t_ns, wires.skew_ns
     tick.bus_off, tick.bus_state = s.bus_off, s.bus_state
     tick.latch_ns[:] = wires.latch_ns
-    return observe(s, tick)
+    return part.observe(s, tick)
 
 
 @helper
 def _commands(s: Any, wires: Any, t_ns: int) -> int:
     """Queue the controller's command, and end the tick."""
-    frames = frames_at(s.frames + s.used * BYTES, s.sent)
+    frames = frames_at(s.frames + s.used * part.BYTES, s.sent)
     status = int(_command(wires, frames, wires.step_ns + s.compute_ns, t_ns + s.period_ns - 1))
     if status == 0:
-        end_tick(s)
+        part.end_tick(s)
         s.tick += 1
     return status
 
@@ -89,8 +75,8 @@ def _go_through(s: Any) -> int:
     """Go through a stage of the tick; return 0, or why it stops."""
     t_ns, stage, wires = s.tick * s.period_ns, s.stage, _wires_at(s.wires)
     deadline_ns = t_ns + s.window_ns
-    if stage == START:
-        return start(s, s.tick)
+    if stage == part.START:
+        return part.start(s, s.tick)
     if stage in (HEAR, PASS) and not s.unasked:
         return 0
     if stage == HEAR:
@@ -104,9 +90,9 @@ def _go_through(s: Any) -> int:
         return _lives(s, wires.synced_ns, wires.commands)
     if stage == ANSWER:
         return int(_answer(wires, frames_at(s.replies, s.replied), s.tick, t_ns, deadline_ns))
-    if stage == OBSERVE:
+    if stage == part.OBSERVE:
         return _observes(s, wires, t_ns)
-    return act(s) if stage == ACT else _commands(s, wires, t_ns)
+    return part.act(s) if stage == part.ACT else _commands(s, wires, t_ns)
 
 
 @direct(record(LOCKSTEP), unlocked=True)
@@ -116,5 +102,5 @@ def advance(s: Any) -> int:
         status = _go_through(s)
         if status != 0:
             return status
-        s.stage = (s.stage + 1) % (COMMAND + 1)
+        s.stage = (s.stage + 1) % (part.COMMAND + 1)
     return 0

@@ -139,6 +139,11 @@ class Block(NamedTuple):
         """What the operator said in the last tick."""
         return tuple(map(Operator, self.entries[-1].operator))
 
+    @property
+    def rows(self) -> Rows:
+        """What the cycle records of them."""
+        return self.ticks.recorded(self.span)[0]
+
     def sent(self, k: int) -> Rows:
         """Return the frames that the cycle sends in tick k of the block, elements of FRAME."""
         _, opened, command = self.ticks.spans(self.span.start + k)
@@ -153,28 +158,6 @@ class Block(NamedTuple):
         wire = np.zeros(count, np.bool_)
         _compare_frames(self.ticks.frames, ends, joined(sent), np.cumsum([0, *map(len, sent)]), wire)
         return wire, columns
-
-
-class Stepped(NamedTuple):
-    """One recorded tick, and what a cycle makes of its inputs."""
-
-    entry: Tick
-    """What was recorded."""
-    inp: TickInput
-    """What the cycle was given: the recorded inputs."""
-    sent: Rows
-    """What it sends in all."""
-    row: Rows
-    """What it records, one element of ROW."""
-    now: bool = True
-    """Whether the cycle is in this tick: it has gone on if the tick is one of several at once."""
-
-    @property
-    def same_frames(self) -> bool:
-        """Whether it sends what was recorded, whatever the times."""
-        own, recorded = (self.sent.copy(), self.entry.sent_items.copy())
-        own["t_ns"] = recorded["t_ns"] = 0
-        return own.tobytes() == recorded.tobytes()
 
 
 @direct(records(FRAME), MATRIX_OF_INTEGERS, records(FRAME), INTEGERS, OUT_FLAGS)
@@ -301,17 +284,6 @@ def blocks(
             first = end
 
 
-def stepped(
-    log: Recorded, cycle: Cycle, gaps: list[tuple[int, int]], progress: Callable[[int], None] | None = None
-) -> Iterator[Stepped]:
-    """Yield the ticks of `blocks` one by one."""
-    for block in blocks(log, cycle, gaps, progress):
-        last = len(block.entries) - 1
-        for k, entry in enumerate(block.entries):
-            row = block.ticks.row(block.span.start + k)
-            yield Stepped(entry, recorded_input(entry), block.sent(k), row, now=k == last)
-
-
 def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Comparison:
     """Run `cycle` from its initial state over all ticks of a log and compare what it sends and computes.
 
@@ -322,9 +294,8 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
     for block in blocks(log, cycle, comparison.gaps, progress):
         if cycle.looked or cycle.faults:
             narrator.look(block.operator)
-        rows = block.ticks.recorded(block.span)[0]
-        comparison.ticks += len(rows)
-        comparison.end = int(rows["tick"][-1]) + 1
+        comparison.ticks += len(block.entries)
+        comparison.end = int(block.rows["tick"][-1]) + 1
         wire, columns = block.differs()
         ends = block.ticks.ends[block.span]
         comparison.frames += int((ends[:, 2] - ends[:, 0]).sum())
@@ -336,7 +307,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
 
 def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> None:
     """Take in a tick that differs."""
-    row, entry = block.ticks.row(block.span.start + k), block.entries[k]
+    row, entry = block.rows[k], block.entries[k]
     comparison.different_ticks += 1
     comparison.wire_different_ticks += wire
     comparison.largest = max(comparison.largest, _largest(row, entry.row))

@@ -4,24 +4,24 @@ The measurements did not follow its forces: past the first difference the loop i
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Rows
+from drivers.arrays import Array, Flags, Rows
 from drivers.errors import LogError
 from drivers.frame_array import sent_frames
 from drivers.protocol import Frame
 from drivers.signals import LEGS, Fault, Warn
-from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS, ROW
+from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS
 from hil.loop.cycle import Cycle
-from hil.loop.replay import Recorded, Stepped, stepped
+from hil.loop.replay import Block, Recorded, blocks
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
 from hil.record.divergence import Divergence, named
-from hil.signals import TickInput
 
 BLOCK = 1024
 """Ticks whose rows are compared at once."""
@@ -128,37 +128,39 @@ class Answer:
 
 
 class _Blocks:
-    """Rows of both sides, compared a block at a time.
+    """Rows of both sides, compared many at a time.
 
-    Mutable state: the rows that wait, the faults of the last row, when the log began.
+    Mutable state: what waits, the faults of the last row, when the log began.
     """
 
     def __init__(self, answer: Answer, keep: Callable[[Rows, Rows], None] | None) -> None:
         self._answer, self._keep = answer, keep
-        self._recorded, self._answered = np.zeros(BLOCK, ROW), np.zeros(BLOCK, ROW)
-        self._wire = np.zeros(BLOCK, bool)
+        self._waiting: list[tuple[Rows, Rows, Flags]] = []
         self._count, self._faults = 0, 0
-        self.origin_ns: int | None = None
+        self._origin_ns: int | None = None
 
-    def add(self, step: Stepped) -> None:
-        """Take in one tick."""
-        if self.origin_ns is None:
-            self.origin_ns = step.inp.t_ns
-        self._recorded[self._count], self._answered[self._count] = step.entry.row, step.row
-        self._wire[self._count] = not step.same_frames
-        self._count += 1
-        if self._count == BLOCK:
+    def add(self, block: Block, addressed: Callable[[Frame], tuple[int, ...]]) -> None:
+        """Take in the ticks of a block; addressed: tells the legs that a frame is for."""
+        if self._origin_ns is None:
+            self._origin_ns = int(block.recorded["t_ns"][0])
+        wire = block.differs()[0]
+        if self._answer.first_frames is None and wire.any():
+            k = int(wire.argmax())
+            time_s = (int(block.recorded["t_ns"][k]) - self._origin_ns) * 1e-9
+            self._answer.first_frames = _first_frames(block, k, time_s, addressed)
+        self._waiting.append((block.recorded, block.rows, wire))
+        self._count += len(wire)
+        if self._count >= BLOCK:
             self.flush()
 
     def flush(self) -> None:
         """Compare what waits."""
-        recorded, answered = self._recorded[: self._count], self._answered[: self._count]
-        wire = self._wire[: self._count]
-        self._count = 0
-        if not len(recorded):
+        if not self._waiting:
             return
+        recorded, answered, wire = map(np.concatenate, zip(*self._waiting, strict=True))
+        self._waiting, self._count = [], 0
         answer = self._answer
-        time_s = (recorded["t_ns"] - (self.origin_ns or 0)) * 1e-9
+        time_s = (recorded["t_ns"] - (self._origin_ns or 0)) * 1e-9
         different = answer.columns.take(answered, recorded, time_s)
         answer.different_ticks += int((different | wire).sum())
         answer.wire_different_ticks += int(wire.sum())
@@ -205,42 +207,33 @@ def what_if(
     log: Recorded,
     cycle: Cycle,
     *,
-    observe: Callable[[TickInput, Rows, Rows], None] | None = None,
+    observe: Callable[[Block], None] | None = None,
     keep: Callable[[Rows, Rows], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Answer:
     """Give `cycle` the recorded inputs of a log from its initial state on, and say what it answers.
 
-    observe : called with the input, the sent frames and the row of each tick; keep : with the recorded and
-    the answered rows of a block, which are its own no longer than the call; progress : with the ticks done,
-    every thousand. Where the log is damaged on the way, the answer ends there and says so.
+    observe : called with some ticks and what is answered to them; keep : with the recorded and the answered
+    rows of many, which are its own no longer than the call; progress : with the ticks done, every thousand.
+    Where the log is damaged on the way, the answer ends there and says so.
     """
     cycle.reset()
     answer = Answer()
     narrator = Narrator(cycle, lambda _, level, text: _find(answer, level, text))
-    blocks = _Blocks(answer, keep)
-    for step in _readable(stepped(log, cycle, answer.gaps, progress), answer):
-        if step.now:
-            narrator.look(step.inp.operator)
-        blocks.add(step)
-        answer.ticks += 1
-        answer.setpoints += len(step.inp.setpoints)
-        if answer.first_frames is None and not step.same_frames:
-            time_s = (step.inp.t_ns - (blocks.origin_ns or 0)) * 1e-9
-            answer.first_frames = _first_frames(cycle, step, time_s)
-        if observe is not None:
-            observe(step.inp, step.sent, step.row)
-    blocks.flush()
-    answer.story = narrator.story()
-    return answer
-
-
-def _readable(steps: Iterator[Stepped], answer: Answer) -> Iterator[Stepped]:
-    """Yield the steps as far as the log can be read."""
+    sides = _Blocks(answer, keep)
     try:
-        yield from steps
+        for block in blocks(log, cycle, answer.gaps, progress):
+            narrator.look(block.operator)
+            sides.add(block, cycle.parts.protocol.addressed)
+            answer.ticks += len(block.entries)
+            answer.setpoints += sum(len(entry.setpoints) for entry in block.entries)
+            if observe is not None:
+                observe(block)
     except LogError as error:
         answer.damage = str(error)
+    sides.flush()
+    answer.story = narrator.story()
+    return answer
 
 
 def _find(answer: Answer, level: str, text: str) -> None:
@@ -249,12 +242,12 @@ def _find(answer: Answer, level: str, text: str) -> None:
     answer.answered_faults.append(json.loads(text.partition("\n")[2]))
 
 
-def _first_frames(cycle: Cycle, step: Stepped, time_s: float) -> OtherFrames:
-    """Return the first frame of a tick that differs."""
-    there, here = step.entry.sent, sent_frames(step.sent)
-    n = next((n for n, pair in enumerate(zip(there, here, strict=False)) if pair[0] != pair[1]), None)
-    n = min(len(there), len(here)) if n is None else n
-    recorded, answered = (frames[n] if n < len(frames) else None for frames in (there, here))
+def _first_frames(
+    block: Block, k: int, time_s: float, addressed: Callable[[Frame], tuple[int, ...]]
+) -> OtherFrames:
+    """Return the first frame of tick k of a block that differs."""
+    there, here = block.entries[k].sent, sent_frames(block.sent(k))
+    recorded, answered = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
     either = answered or recorded
     assert either is not None  # the frames differ
-    return OtherFrames(step.inp.tick, time_s, recorded, answered, cycle.parts.protocol.addressed(either))
+    return OtherFrames(int(block.recorded["tick"][k]), time_s, recorded, answered, addressed(either))

@@ -15,7 +15,8 @@ from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.what_if.allowed import refuse_other_inputs
 from hil.loop import what_if as kernel
-from hil.loop.replay import Stepped
+from hil.loop.replay import Block
+from hil.loop.tick_row import Ticks
 from hil.record.entries import Tick
 
 FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Fault.STALE}
@@ -23,20 +24,51 @@ FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Faul
 EXPECTED = [(3, "STALE"), (9, "SPEED"), (14, "STALE")]
 
 
+def row_of(**columns):
+    """Return a row with the values of some columns."""
+    row: Any = np.zeros((), ROW)
+    for name, value in columns.items():
+        row[name] = value
+    return row
+
+
+def block_of(sides, frames=(), setpoints=()):
+    """Return a block of ticks with (recorded, answered) rows, and where given frames and set-points."""
+    ticks = Ticks()
+    answered = [sent_array(here) for _, here in frames] or [NO_FRAMES] * len(sides)
+    ends = np.cumsum([len(each) for each in answered])
+    ticks.frames[: ends[-1]] = np.concatenate(answered)
+    ticks.ends[: len(sides)] = np.stack([ends - [len(each) for each in answered]] * 2 + [ends], axis=1)
+    for k, (_, here) in enumerate(sides):
+        ticks.row(k)[...] = here
+    recorded = np.stack([there for there, _ in sides])
+    sent = [there for there, _ in frames] or [()] * len(sides)
+    poses = setpoints or [()] * len(sides)
+    entries = [Tick(recorded[k], (), sent[k], (), poses[k]) for k in range(len(sides))]
+    return Block(entries, recorded, ticks, slice(0, len(sides)))
+
+
+def compared(sides, size):
+    """Return the answer that rows of both sides give, a block of some ticks after the other."""
+    answer = kernel.Answer()
+    both = kernel._Blocks(answer, None)
+    for first in range(0, len(sides), size):
+        both.add(block_of(sides[first : first + size]), lambda frame: (frame.id,))
+    both.flush()
+    return answer
+
+
 @pytest.mark.parametrize("begun_ns", [0, 7_000_000])
 @pytest.mark.parametrize("block", [1, 2, 3, 4, 5, 7, 9, 14, 20, 1024])
 def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, begun_ns, monkeypatch):
     monkeypatch.setattr(kernel, "BLOCK", block)
-    answer = kernel.Answer()
-    blocks, latched = kernel._Blocks(answer, None), Fault.NONE
+    latched, sides = Fault.NONE, []
     for tick in range(20):
         latched = FAULTS.get(tick, latched)
-        row: Any = np.zeros((), ROW)
-        row["tick"], row["t_ns"], row["faults"] = 100 + tick, begun_ns + 2_000_000 * tick, latched
-        row["mode"] = Mode.FAULT if latched else Mode.IDLE
-        inp: Any = SimpleNamespace(t_ns=int(row["t_ns"]))
-        blocks.add(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, row))
-    blocks.flush()
+        mode, t_ns = Mode.FAULT if latched else Mode.IDLE, begun_ns + 2_000_000 * tick
+        row = row_of(tick=100 + tick, t_ns=t_ns, faults=latched, mode=mode)
+        sides.append((row, row))
+    answer = compared(sides, min(block, 3))
     assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
     assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
         [2e-3 * tick for tick, _ in EXPECTED], abs=1e-12
@@ -49,22 +81,24 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
     block, monkeypatch
 ):
     monkeypatch.setattr(kernel, "BLOCK", block)
-    answer = kernel.Answer()
-    blocks = kernel._Blocks(answer, None)
-    for tick in range(20):
-        there: Any = np.zeros((), ROW)
-        here = np.zeros((), ROW)
-        there["tick"] = here["tick"] = 100 + tick
-        there["faults"] = Fault.SPEED if 6 <= tick < 12 else Fault.NONE
-        here["tau"] = 1.0 if tick < 6 else 50.0
-        inp: Any = SimpleNamespace(t_ns=0)
-        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, here))
-    blocks.flush()
+    sides = [
+        (
+            row_of(tick=100 + tick, faults=Fault.SPEED if 6 <= tick < 12 else Fault.NONE),
+            row_of(tick=100 + tick, tau=1.0 if tick < 6 else 50.0),
+        )
+        for tick in range(20)
+    ]
+    answer = compared(sides, min(block, 4))
     assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
     assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
 
 
 VIRTUAL = load("virtual")
+CYCLE: Any = SimpleNamespace(
+    reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
+    parts=SimpleNamespace(protocol=SimpleNamespace(addressed=lambda frame: (frame.id,))),
+)  # fmt: skip
+"""One that decides nothing; a frame is for the leg that its identifier names."""
 KINDS = ["tracker", "imu", "wrench"]
 
 
@@ -99,32 +133,17 @@ def test_a_sensor_may_be_left_out_and_may_not_be_added(kind):
 
 @pytest.mark.parametrize("counts", [[2], [0, 2, 1, 0, 3, 0], [1] * 5, [0, 0]])
 def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts, monkeypatch):
-    steps = []
-    for tick, count in enumerate(counts):
-        row: Any = np.zeros((), ROW)
-        inp: Any = SimpleNamespace(tick=tick, t_ns=0, operator=(), setpoints=("a pose",) * count)
-        steps.append(Stepped(Tick(row[()], (), (), ()), inp, NO_FRAMES, row))
-    monkeypatch.setattr(kernel, "stepped", lambda *_: iter(steps))
-    idle = SimpleNamespace(
-        reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None
-    )
-    answer = kernel.what_if(None, idle)  # type: ignore[arg-type]
+    sides = [(row_of(tick=tick), row_of(tick=tick)) for tick in range(len(counts))]
+    block = block_of(sides, setpoints=[("a pose",) * count for count in counts])
+    monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
+    answer = kernel.what_if(None, CYCLE)  # type: ignore[arg-type]
     assert (answer.ticks, answer.setpoints) == (len(counts), sum(counts))
 
 
-def steps(pairs, begun_ns=0):
-    """Return ticks 2 ms apart with (recorded, answered) frames; a cycle that speaks for no leg but one."""
-    found = []
-    for tick, (there, here) in enumerate(pairs):
-        row: Any = np.zeros((), ROW)
-        row["tick"], row["t_ns"] = tick, begun_ns + 2_000_000 * tick
-        inp: Any = SimpleNamespace(tick=tick, t_ns=int(row["t_ns"]), operator=(), setpoints=())
-        found.append(Stepped(Tick(row[()], (), there, ()), inp, sent_array(here), row))
-    protocol = SimpleNamespace(addressed=lambda frame: (frame.id,))
-    return iter(found), SimpleNamespace(
-        reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
-        parts=SimpleNamespace(protocol=protocol),
-    )  # fmt: skip
+def ticks_with(pairs, begun_ns=0):
+    """Return a block of ticks 2 ms apart with (recorded, answered) frames."""
+    rows = [row_of(tick=tick, t_ns=begun_ns + 2_000_000 * tick) for tick in range(len(pairs))]
+    return block_of([(row, row) for row in rows], pairs)
 
 
 A, B, C = (Frame(leg, bytes((leg,))) for leg in (1, 2, 3))
@@ -132,9 +151,9 @@ A, B, C = (Frame(leg, bytes((leg,))) for leg in (1, 2, 3))
 
 @pytest.mark.parametrize("begun_ns", [0, 1, 3 * 86_400 * 10**9])
 def test_the_time_of_the_first_other_frames_counts_from_the_first_tick_of_the_log(begun_ns, monkeypatch):
-    ticks, cycle = steps([((A,), (A,))] * 3 + [((A,), (B,)), ((A,), (C,))], begun_ns)
-    monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
-    answer = kernel.what_if(None, cycle)  # type: ignore[arg-type]
+    block = ticks_with([((A,), (A,))] * 3 + [((A,), (B,)), ((A,), (C,))], begun_ns)
+    monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
+    answer = kernel.what_if(None, CYCLE)  # type: ignore[arg-type]
     assert answer.first_frames is not None
     assert (answer.first_frames.tick, answer.first_frames.answered) == (3, B)
     assert answer.first_frames.time_s == pytest.approx(6e-3, abs=1e-12)
@@ -155,9 +174,9 @@ def test_the_time_of_the_first_other_frames_counts_from_the_first_tick_of_the_lo
 def test_the_first_frame_in_its_place_that_differs_is_named_with_its_leg(
     there, here, recorded, answered, leg, monkeypatch
 ):
-    ticks, cycle = steps([(there, here)])
-    monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
-    found = kernel.what_if(None, cycle).first_frames  # type: ignore[arg-type]
+    block = ticks_with([(there, here)])
+    monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
+    found = kernel.what_if(None, CYCLE).first_frames  # type: ignore[arg-type]
     assert found is not None
     assert (found.recorded, found.answered, found.legs) == (recorded, answered, (leg,))
 
@@ -201,27 +220,26 @@ def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the
     block, monkeypatch
 ):
     monkeypatch.setattr(kernel, "BLOCK", block)
-    answer = kernel.Answer()
-    blocks = kernel._Blocks(answer, None)
-    for tick in range(12):
-        there: Any = np.zeros((), ROW)
-        here = np.zeros((), ROW)
-        there["tick"] = here["tick"] = 100 + tick
-        there["warnings"] = Warn.FORCE_STEP if tick in {1, 2, 5} else Warn.NONE
-        here["warnings"] = Warn.FORCE_STEP | Warn.LATE if tick in {2, 4, 5, 6, 11} else Warn.NONE
-        inp: Any = SimpleNamespace(t_ns=0)
-        blocks.add(Stepped(Tick(there, (), (), ()), inp, NO_FRAMES, here))
-    blocks.flush()
+    step, late = Warn.FORCE_STEP, Warn.FORCE_STEP | Warn.LATE
+    sides = [
+        (
+            row_of(tick=100 + tick, warnings=step if tick in {1, 2, 5} else Warn.NONE),
+            row_of(tick=100 + tick, warnings=late if tick in {2, 4, 5, 6, 11} else Warn.NONE),
+        )
+        for tick in range(12)
+    ]
+    answer = compared(sides, min(block, 3))
     assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
 
 
 def test_who_observes_a_what_if_is_told_what_is_answered_and_not_what_was_recorded(monkeypatch):
-    ticks, cycle = steps([((A,), (B,)), ((A, B), (C,)), ((A,), ())])
-    monkeypatch.setattr(kernel, "stepped", lambda *_: ticks)
+    block = ticks_with([((A,), (B,)), ((A, B), (C,)), ((A,), ())])
+    monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
     told = []
 
-    def observe(inp, sent, row):
-        told.append((inp.tick, sent_frames(sent), int(row["tick"])))
+    def observe(block):
+        rows, frames, ends = block.ticks.recorded(block.span)
+        told.append((rows["tick"].tolist(), sent_frames(frames), ends.tolist()))
 
-    kernel.what_if(None, cycle, observe=observe)  # type: ignore[arg-type]
-    assert told == [(0, (B,), 0), (1, (C,), 1), (2, (), 2)]
+    kernel.what_if(None, CYCLE, observe=observe)  # type: ignore[arg-type]
+    assert told == [([0, 1, 2], (B, C), [1, 2, 2])]

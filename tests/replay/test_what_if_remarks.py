@@ -7,14 +7,15 @@ from typing import Any
 
 import pytest
 
-from drivers.frame_array import received_frames, sent_array
-from drivers.protocol import Frame, Received
+from drivers.frame_array import NO_FRAMES
+from drivers.protocol import Frame
 from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.what_if import command
 from hil.app.what_if.picture import Forces
 from hil.config.reference import HoldReference, LiveReference
 from hil.loop.what_if import Answer, OtherFrames
+from hil.signals import Operator
 
 VIRTUAL = load("virtual")
 ENVIRONMENT = {"version": "0.2.0", "git": "7dfb941", "cpu": "x86 of one maker"}
@@ -102,26 +103,30 @@ def test_no_remark_hides_another(remarks):
     assert [each[: len(begin)] for each, begin in zip(found, begins, strict=True)] == begins
 
 
-def test_the_log_of_an_answer_gets_the_inputs_of_each_tick_with_what_is_answered(monkeypatch):
-    inp: Any = SimpleNamespace(t_ns=7, frames="received", operator="keys", setpoints="poses", orders="orders")
+@pytest.mark.parametrize("given", [((), (), ()), ((Operator.STOP,), (), ())])
+def test_the_log_of_an_answer_gets_the_inputs_of_each_tick_with_what_is_answered(given, monkeypatch):
     called: list[Any] = []
-    sent = sent_array([Frame(1, b"\1")])
+    entry: Any = SimpleNamespace(operator=given[0], setpoints=given[1], orders=given[2])
+    recorded = (["row"], "frames", "ends")
+    block: Any = SimpleNamespace(ticks=SimpleNamespace(recorded=lambda _: recorded), span=0, entries=[entry])
 
     def what_if(log, cycle, *, observe, keep, progress):
         called.append((log, cycle, keep, progress))
         if observe is not None:
-            observe(inp, sent, "row")
+            observe(block)
         return Answer(ticks=1)
 
     monkeypatch.setattr(command, "what_if", what_if)
     ticks: list[Any] = []
-    recording: Any = SimpleNamespace(tick_of_items=lambda *given: ticks.append(given))
+
+    def take(*what):
+        ticks.append(what)
+
+    recording: Any = SimpleNamespace(tick_of_items=take, ticks_of_items=take)
     forces = Forces()
-    given: tuple[Any, Any] = ("log", "cycle")
-    assert command._answer(*given, recording, forces, print).ticks == 1
-    ((row, received, answered, *others),) = ticks
-    assert (row, received, *others) == ("row", "received", "keys", "poses", "orders")
-    assert received_frames(answered) == (Received(7, Frame(1, b"\1")),)
-    assert command._answer(*given, None, None, None).ticks == 1
-    assert called == [(*given, forces.keep, print), (*given, None, None)]
+    these: tuple[Any, Any] = ("log", "cycle")
+    assert command._answer(*these, recording, forces, print).ticks == 1
+    assert ticks == [("row", "frames", NO_FRAMES, *given) if any(given) else recorded]
+    assert command._answer(*these, None, None, None).ticks == 1
+    assert called == [(*these, forces.keep, print), (*these, None, None)]
     assert len(ticks) == 1

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
-from drivers.frame_array import sent_at
+from drivers.frame_array import NO_FRAMES
 from hil.app.compose import (
     CONTROLLER_FILE,
     FEEDFORWARD_CSV,
@@ -40,11 +39,11 @@ from hil.config.reference import LiveReference, SampledReference
 from hil.control.state_space import StateSpaceSettings
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
+from hil.loop.replay import Block
 from hil.loop.what_if import Answer, what_if
 from hil.record import LogSummary, Recording, environment
 from hil.record.log import Log
 from hil.record.schema import ENVIRONMENT
-from hil.signals import TickInput
 
 
 def what_if_log(
@@ -125,10 +124,15 @@ def _answer(
     forces: Forces | None,
     progress: Callable[[int], None] | None,
 ) -> Answer:
-    def observe(inp: TickInput, sent: Rows, row: Rows) -> None:
+    def observe(block: Block) -> None:
         assert recording is not None
-        answered = sent_at(inp.t_ns, sent)
-        recording.tick_of_items(row, inp.frames, answered, inp.operator, inp.setpoints, inp.orders)
+        rows, frames, ends = block.ticks.recorded(block.span)
+        entry = block.entries[0]
+        given = entry.operator, entry.setpoints, entry.orders
+        if any(given):
+            recording.tick_of_items(rows[0], frames, NO_FRAMES, *given)
+        else:
+            recording.ticks_of_items(rows, frames, ends)
 
     keep = None if forces is None else forces.keep
     try:

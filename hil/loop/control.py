@@ -16,7 +16,7 @@ from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import Record, new_record
 from hil.estimation.external_wrench import hear_sensors
 from hil.loop.compiled_pass import ALL, COMMAND, CONTROL, EFFORT, JUDGE, NEVER, WHOLE, act
-from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NO_PROOF, NOT_MEASURED, STEERED, STOPPABLE, drive_mode
+from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NOT_MEASURED, STEERED, STOPPABLE, drive_mode
 from hil.trajectory.path import SAMPLE
 
 _ANY = (1 << len(DriveState)) - 1
@@ -95,7 +95,7 @@ class Control:
         cycle, c = self._cycle, self.record
         mode, operating, motion, effort = cycle.mode, cycle.operating, cycle.motion, cycle.effort
         period_s = cycle.period_s
-        self.probes = cycle.probes
+        self.probes = cycle.watches or cycle.obedience.refused is not None
         cycle.homing.record["braked"] = cycle.proven
         c["mode"], c["mode_tick"], c["faults"] = mode, cycle.mode_tick, cycle.faults
         c["command_mode"], c["located"] = drive_mode(mode), cycle.sight.located
@@ -154,8 +154,7 @@ class Control:
         """Watch the legs while a force holds them; one that does not obey gets none."""
         cycle, watch = self._cycle, self._cycle.obedience
         last_tau = cycle.effort.last_tau
-        shuts = cycle.mode is Mode.HELD and not cycle.faults & NO_PROOF
-        if (cycle.yields or shuts) and watch.watch(tick, last_tau):
+        if cycle.watches and watch.watch(tick, last_tau):
             cycle.faults |= Fault.DRIVE
             self.record["faults"] = cycle.faults
             held = last_tau.copy()

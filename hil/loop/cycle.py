@@ -106,10 +106,6 @@ class Cycle:
                 part.reset()
         self.control.reset()
 
-    def settle(self) -> None:
-        """Let the compiled pass know what was changed from outside, as a mode."""
-        self.control.settle()
-
     def begin(self, tick: int) -> Rows:
         """Return the frames that start a tick, elements of FRAME: the drives answer with their encoders."""
         return self.end.begin(tick)
@@ -348,10 +344,10 @@ class Cycle:
         return self.mode is Mode.PARKING and self._yields
 
     @property
-    def probes(self) -> bool:
-        """Whether each leg is watched that does not obey, or one is refused already."""
+    def watches(self) -> bool:
+        """Whether each leg is watched for one that does not obey."""
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
-        return self.yields or shuts or self.obedience.refused is not None
+        return self.yields or shuts
 
     # -- safety, command -----------------------------------------------------------------------------
 

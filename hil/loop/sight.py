@@ -56,11 +56,16 @@ class Sight:
     def locate(self, tick: Record) -> None:
         """Look for the first pose from home, and fill the estimate of a tick before which none was found.
 
+        It takes all six lengths of one tick, and is looked for once in SEARCH_S at most.
         Until all legs have been heard and it has been found, the pose is home's. After a RESET it is looked
         for from the last one that all six lengths agreed on.
         """
-        estimator = self.estimator
-        self._look(int(tick["tick"]), tick["age"].tolist(), tick["q"])
+        estimator, number, age = self.estimator, int(tick["tick"]), tick["age"].tolist()
+        self.in_time = [number if old == 0 else last for old, last in zip(age, self.in_time, strict=True)]
+        self._due = self._due or number % self._search_interval == 0
+        if self._due and not any(age):
+            self._due, self.sought = False, True
+            self.located = estimator.acquire(tick["q"])
         if self.located:
             self.update(tick)
             return
@@ -75,11 +80,3 @@ class Sight:
         if self.parts.fusion is not None:
             self.parts.fusion.begin(tick)
             self.fusing = True
-
-    def _look(self, number: int, age: list[int], q: Array) -> None:
-        """Look for the first pose in a tick with all six lengths, once in SEARCH_S at most."""
-        self.in_time = [number if old == 0 else last for old, last in zip(age, self.in_time, strict=True)]
-        self._due = self._due or number % self._search_interval == 0
-        if self._due and not any(age):
-            self._due, self.sought = False, True
-            self.located = self.estimator.acquire(q)

@@ -312,7 +312,7 @@ def stepped(bench: Bench, mode: Mode, *operator: Operator, faults: Fault = Fault
     """Return the record of the next tick, which is in a mode."""
     cycle = bench.cycle
     cycle.mode, cycle.faults = mode, faults
-    cycle.settle()
+    cycle.control.settle()
     bench.step(operator)
     return cycle.tick
 
@@ -386,7 +386,7 @@ def test_drives_are_set_up_while_they_are_waited_for_and_after_a_fault(bench, mo
     frame, cycle = Frame(0x7A5, b"\1"), bench.cycle
     monkeypatch.setattr(cycle.end, "set_up", lambda tick: sent_array([frame]))
     cycle.mode = mode
-    cycle.settle()
+    cycle.control.settle()
     frames = sent_frames(bench.step().frames)
     assert (frames[-1] == frame) == (mode in {Mode.WAITING, Mode.FAULT})
 

@@ -50,7 +50,7 @@ def test_the_way_back_to_the_first_pose_ends_where_safety_asks_for_a_stop(cause)
     cycle.motion.start(GeodesicMove(home.p, home.R, home.p, home.R, 1.0), bench.tick)
     cycle.operating.go = cycle.operating.parks = True
     cycle.mode = Mode.STOPPING
-    cycle.settle()
+    cycle.control.settle()
     for _ in range(3):
         bench.step()
     assert cycle.operating.parks, "it is on its way"

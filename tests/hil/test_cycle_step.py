@@ -68,7 +68,7 @@ def bench() -> Bench:
 def step(bench: Bench, mode: Mode, operator: tuple[Operator, ...] = (), **changes: Any) -> Any:
     """Return the row of the next tick, which is in a mode."""
     bench.cycle.mode = mode
-    bench.cycle.settle()
+    bench.cycle.control.settle()
     return bench.step(operator, **changes).row
 
 
@@ -264,7 +264,7 @@ def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone
     cycle.faults = Fault.SECOND_CONTROLLER if "rivals" in what else Fault.DRIVE
     cycle.tick["command_mode"] = told_last
     cycle.mode = Mode.FAULT
-    cycle.settle()
+    cycle.control.settle()
     frames = bench.step((Operator.STOP, Operator.ESTOP) if "said" in what else ()).frames
     assert sent_frames(frames) == (*(STOP,) * sent, COMMAND, SET_UP)
     assert told == [(stops, DriveMode.OFF, 50)]
@@ -277,7 +277,7 @@ def test_the_stop_of_another_node_or_a_second_controller_is_answered_in_the_tick
 ):
     bench, told = spoken
     bench.cycle.mode = Mode.TRACKING
-    bench.cycle.settle()
+    bench.cycle.control.settle()
     assert sent_frames(bench.step().frames) == (COMMAND,)
     heard = (*bench.drives.feedback(51), Received(51_300_000, Frame(identifier, b"\1\2")))
     assert sent_frames(bench.step(frames=heard).frames)[:2] == (STOP, COMMAND)

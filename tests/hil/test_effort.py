@@ -73,7 +73,7 @@ def filled(
     """Return a tick with what is asked for in it, in a mode entered at a tick."""
     tick = record_of(tick=number, drive_state=int(DriveState.RUN if free else DriveState.OFF), **columns)
     cycle.tick, cycle.mode, cycle.mode_tick = tick, mode, since
-    cycle.settle()
+    cycle.control.settle()
     record = cycle.control.record
     record["tick"] = data_at(tick)
     act(record, tick, np.empty(1, FRAME), EFFORT)

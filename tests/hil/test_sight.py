@@ -53,7 +53,7 @@ def observed(parts: Any, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -
 def observe_in(cycle: Cycle, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -> None:
     cycle.sight.located = True
     cycle.sight.fusing = cycle.parts.fusion is not None
-    cycle.settle()
+    cycle.control.settle()
     observe(cycle.control.record, tick, record_of() if last is None else last, frames)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from drivers.signals import LEGS, DriveMode, DriveState, Fault, Mode
 from drivers.tick_columns import Record
 from hil.loop.cycle import Cycle
-from hil.loop.drives_say import confirmed, unconfirmed
+from hil.loop.drives_say import any_powered, confirmed, unconfirmed
 from hil.loop.modes import drive_mode
 from hil.loop.report import moving_text, not_confirmed, not_told
 from hil.loop.story.faults import findings
@@ -52,10 +52,6 @@ class Narrator:
         self._estops: list[tuple[int, int]] = []
         """Of each emergency stop: when it was first sent, and in how many ticks until all confirmed it."""
         self._estop_done = False
-        self._states = b""
-        """States and reasons of all drives, as the last tick that was waited with has them."""
-        self._powered = True
-        """Whether a drive among them is."""
 
     def look(self, operator: Sequence[Operator] = ()) -> None:
         """Take in the tick that was just stepped, and the operator's commands in it."""
@@ -74,18 +70,14 @@ class Narrator:
     def _wait(self, cycle: Cycle) -> None:
         """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
         tick, done = cycle.tick, self._estop_done
-        states = tick["drive_state"].tobytes() + tick["drive_fault"].tobytes()
-        if states != self._states:
-            self._states = states
-            self._powered = any(each.powered for each in said(cycle))
-            self._estop_done = confirmed(tick, cycle.parts.protocol.stop_latches)
+        self._estop_done = confirmed(tick, cycle.parts.protocol.stop_latches)
         if cycle.estop and not self._estop_done:
             again = done or not self._estops
             first, ticks = (int(tick["tick"]), 0) if again else self._estops.pop()
             self._estops.append((first, ticks + 1))
         if self._off_tick is not None and self._all_off is None:
             self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
-            if self._told and not self._powered and self._heard(tick):
+            if self._told and not any_powered(tick) and self._heard(tick):
                 self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(cycle)}))
 
     def _heard(self, tick: Record) -> bool:

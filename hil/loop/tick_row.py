@@ -13,18 +13,12 @@ from drivers.signals import DriveMode
 from drivers.tick_columns import ROW, TICK, Record, new_record
 from hil.loop.cycle import Cycle
 from hil.loop.tick_input import input_of, put_input
-from hil.loop.tick_kernels import ACT, COMMAND, NO_ROOM, OBSERVE, ROW_OF_TICKS, START
+from hil.loop.tick_kernels import ACT, COMMAND, NO_ROOM, OBSERVE, START
 from hil.signals import Operator, Order, SetPoint, TickInput
 
 CAPACITY = 64
 """Ticks that have memory at once."""
 _FRAMES_A_TICK = 24
-
-
-_AT = {name: k for k, (name, _) in enumerate(ROW_OF_TICKS)}
-BEGINS, LAST, USED, COUNT, DONE = (_AT[name] for name in ("begins", "last", "used", "count", "done"))
-STAGE, ATTENDS, HEARD, SENT = (_AT[name] for name in ("stage", "attends", "heard", "sent"))
-"""Places of integers in the record of a kernel."""
 
 
 class Given(NamedTuple):
@@ -92,8 +86,6 @@ class TickRow:
         """
         self._cycle, self._kernel, self._attend = cycle, kernel, attend
         self.record = s = np.zeros((), dtype)
-        self.words = s.reshape(1).view(np.int64).data
-        """The same as integers, quick to get at."""
         self._begun, self._starts = new_record(), np.zeros(MOST_FRAMES, FRAME)
         put_input(self._begun, TickInput(0, 0))
         s["control"] = data_at(cycle.control.record)
@@ -109,20 +101,20 @@ class TickRow:
 
         given: in the first one. Returns which ticks are done; where this raises, `new` has them.
         """
-        words, cycle = self.words, self._cycle
-        if words[DONE] == CAPACITY:
+        s, cycle = self.record, self._cycle
+        if s["done"] == CAPACITY:
             self._turn_over()
-        before, first = cycle.tick, words[DONE]
+        before, first = cycle.tick, int(s["done"])
         self.new = slice(first, first)
-        words[LAST] = data_at(before)
+        s["last"] = data_at(before)
         self._given, self._decided = given, False
-        words[ATTENDS] = any(given) or cycle.control.probes
-        words[COUNT] = min(first + count, CAPACITY)
+        s["attends"] = any(given) or cycle.control.probes
+        s["count"] = min(first + count, CAPACITY)
         try:
             while stopped := self._kernel(self.record):
-                self._stop(words[STAGE], stopped)
+                self._stop(int(s["stage"]), stopped)
         finally:
-            done = words[DONE]
+            done = int(s["done"])
             self.new = slice(first, done)
             if done > first and not self._decided:
                 last = self.ticks.record(done - 2) if done > first + 1 else before
@@ -147,7 +139,7 @@ class TickRow:
             self._cycle.end.refuse(ZERO6, DriveMode.OFF, int(self._cycle.tick["tick"]) + 1)
         elif stage == OBSERVE and stopped == NO_ROOM:
             frames = self.ticks.frames
-            self._hold(np.concatenate((frames, np.empty(self.words[HEARD] + len(frames), FRAME))))
+            self._hold(np.concatenate((frames, np.empty(self.record["heard"] + len(frames), FRAME))))
         elif stage in (OBSERVE, ACT):
             self._decide(stopped, observed=stage == OBSERVE)
         else:
@@ -156,14 +148,14 @@ class TickRow:
 
     def _decide(self, stopped: int, *, observed: bool) -> None:
         """Let the cycle decide in a tick; it is the last one of `go`."""
-        words, ticks, cycle, given = self.words, self.ticks, self._cycle, self._given
-        k, used = words[DONE], words[USED]
+        s, ticks, cycle, given = self.record, self.ticks, self._cycle, self._given
+        k, used = int(s["done"]), int(s["used"])
         tick = ticks.record(k)
         cycle.pass_on(ticks.record(k - 1) if k > self.new.start else cycle.tick, tick)
-        self._decided, words[COUNT] = True, k + 1
-        heard = ticks.frames[used - words[BEGINS] - words[HEARD] : used - words[BEGINS]]
+        self._decided, s["count"] = True, k + 1
+        heard = ticks.frames[used - s["begins"] - s["heard"] : used - s["begins"]]
         inp = input_of(ticks.row(k), heard, given.operator, given.setpoints, given.orders)
         into = ticks.frames[used : used + MOST_FRAMES]
         frames = cycle.decide(inp, into, max(stopped, 0)) if observed else cycle.end_tick(inp, into, stopped)
         into[: len(frames)] = frames
-        words[SENT], words[STAGE] = len(frames), COMMAND
+        s["sent"], s["stage"] = len(frames), COMMAND

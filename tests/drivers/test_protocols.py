@@ -24,7 +24,6 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
-from hil.app.sim.wires import STEP
 from hil.loop.clock import Deadlines
 from hil.loop.daemon import switch_off
 from hil.loop.report import waiting_text
@@ -197,10 +196,10 @@ def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_
     try:
         wanted, wires = lockstep.cycle.parts.protocol.feedback_ids, lockstep.wires
         assert set(lockstep.step()[0].frames["id"]) >= wanted
-        assert wires.words[STEP] < 4_000_000
+        assert wires.record["step_ns"] < 4_000_000
         wires.record["fresh"], _keeps = of_python(lambda *_: 0, *[INTEGER] * 4)
         assert set(lockstep.step()[0].frames["id"]) >= wanted
-        assert wires.words[STEP] == 30_000_000
+        assert wires.record["step_ns"] == 30_000_000
     finally:
         plant.close()
 

@@ -2,14 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from drivers.arrays import Rows
-from drivers.frame_array import FRAME
-from drivers.signals import LEGS
 from hil.app.sim.lockstep import Lockstep
 from hil.app.sim.wire_kernels import answer, begin, command, heard_by, pass_on
-from hil.app.sim.wires import COMMANDS, LATCH, SKEW, STEP, SYNCED, TAKEN
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 
 
@@ -30,25 +25,25 @@ class ByHand(Lockstep):
     ) -> tuple[TickInput, Rows, TickOutput]:
         """Advance both ends by one tick."""
         self.tick = tick = self.tick + 1
-        t_ns, words, opening = tick * self.period_ns, self.wires.words, self.cycle.begin(tick)
+        t_ns, w, opening = tick * self.period_ns, self.wires.record, self.cycle.begin(tick)
         heard = self.exchange(t_ns, opening)
         inp = TickInput(
             tick,
             t_ns,
-            sync_skew_ns=words[SKEW],
+            sync_skew_ns=int(w["skew_ns"]),
             frames=heard,
-            latch_ns=tuple(words[LATCH : LATCH + LEGS]),
+            latch_ns=tuple(w["latch_ns"].tolist()),
             operator=operator,
             setpoints=setpoints,
             orders=orders,
         )
         out = self.cycle.step(inp)
-        self.send(out.frames, words[STEP] + self.compute_ns, t_ns + self.period_ns - 1)
+        self.send(out.frames, int(w["step_ns"]) + self.compute_ns, t_ns + self.period_ns - 1)
         return inp, opening, out
 
     def exchange(self, t_ns: int, opening: Rows) -> Rows:
         """Let SYNC reach the drives and their answers the controller; return what it hears."""
-        wires, words, nodes = self.wires, self.wires.words, self.nodes
+        wires, w, nodes = self.wires, self.wires.record, self.nodes
         deadline_ns = t_ns + self.window_ns
         if self.cycle.parts.protocol.unasked_s > 0.0:
             heard = heard_by(wires.record, t_ns)
@@ -57,10 +52,11 @@ class ByHand(Lockstep):
                 wires.settle(status, replies)
         while status := begin(wires.record, opening, t_ns, deadline_ns):
             wires.settle(status, opening)
-        replies = nodes.advance(words[SYNCED], wires.commands[: words[COMMANDS]])
+        replies = nodes.advance(int(w["synced_ns"]), wires.commands[: w["commands"]])
         while status := answer(wires.record, replies, self.tick, t_ns, deadline_ns):
             wires.settle(status, replies)
-        return np.frombuffer(wires.late[: FRAME.itemsize * words[TAKEN]].tobytes(), FRAME)
+        heard_frames: Rows = wires.late[: w["taken"]].copy()
+        return heard_frames
 
     def send(self, frames: Rows, t_ns: int, until_ns: int) -> None:
         """Queue the controller's command."""

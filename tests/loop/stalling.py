@@ -9,9 +9,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
-from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
-from hil.app.sim.wires import LATCH, SKEW, STEP
 from hil.loop.cycle import Cycle
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
@@ -52,7 +50,7 @@ class Stalling(ByHand):
         t_ns, next_ns = tick * self.period_ns, (tick + 1) * self.period_ns
         skipped, lateness_ns = self._skipped, self._lateness_ns
         asleep_ns, unseen_ns, held_ns, apart_ns = self._stall()
-        opening, words = self.cycle.begin(tick), self.wires.words
+        opening, w = self.cycle.begin(tick), self.wires.record
         sent_ns = max(t_ns + lateness_ns + unseen_ns, self.nodes.now_ns)
         given = opening.copy()
         given["t_ns"] = np.where(given["bus"] > 0, sent_ns + apart_ns, sent_ns)
@@ -65,15 +63,15 @@ class Stalling(ByHand):
             t_ns,
             lateness_ns,
             skipped,
-            sync_skew_ns=words[SKEW],
+            sync_skew_ns=int(w["skew_ns"]),
             frames=heard,
-            latch_ns=tuple([each + behind_ns for each in words[LATCH : LATCH + LEGS]]),
+            latch_ns=tuple([each + behind_ns for each in w["latch_ns"].tolist()]),
             operator=operator,
             setpoints=setpoints,
             orders=orders,
         )
         out = self.cycle.step(inp)
-        done_ns = max(words[STEP], sent_ns + apart_ns) + self.compute_ns + held_ns
+        done_ns = max(int(w["step_ns"]), sent_ns + apart_ns) + self.compute_ns + held_ns
         self.send(out.frames, done_ns, next_ns - 1)
         awake_ns = max(done_ns, next_ns + asleep_ns)
         self._skipped = (awake_ns - next_ns) // self.period_ns

@@ -14,7 +14,6 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Fault, Mode, Reaction
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
-from hil.app.sim.wires import COMMANDS, STEP
 from hil.signals import Operator
 from tests.drivers.legs_frames import command_frames, opening
 from tests.loop.by_hand import ByHand
@@ -33,11 +32,11 @@ class Attacked(ByHand):
     """Whether the controller hears it: behind a gateway it does not."""
 
     def exchange(self, t_ns, opening):
-        feedback, words = super().exchange(t_ns, opening), self.wires.words
-        forged = received_array([Received(words[STEP], frame) for frame in self.attack(self.tick)])
-        before = words[COMMANDS]
-        words[COMMANDS] += len(forged)
-        self.wires.commands[before : words[COMMANDS]] = forged
+        feedback, w = super().exchange(t_ns, opening), self.wires.record
+        forged = received_array([Received(int(w["step_ns"]), frame) for frame in self.attack(self.tick)])
+        before = int(w["commands"])
+        w["commands"] += len(forged)
+        self.wires.commands[before : w["commands"]] = forged
         return np.concatenate([feedback, forged]) if self.audible else feedback
 
 

@@ -19,13 +19,13 @@ from drivers.frame_array import FRAME, NO_FRAMES
 from drivers.signals import BusState, Mode
 from hil.app.sim import tick_kernels as at
 from hil.app.sim.tick_kernels import LOCKSTEP, advance
-from hil.app.sim.wires import COMMANDS, SYNCED, Wires
+from hil.app.sim.wires import Wires
 from hil.loop.console import refusal, setpoint_refusals
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course, Ending
 from hil.loop.story.narrator import EventSink, no_event
 from hil.loop.tick_input import input_of
-from hil.loop.tick_row import CAPACITY, NOTHING, STAGE, Given, TickRow, Ticks
+from hil.loop.tick_row import CAPACITY, NOTHING, Given, TickRow, Ticks
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
 
@@ -35,11 +35,6 @@ Taker = Callable[[Ticks, slice, "Given"], None]
 """Called with ticks that are done, which of them are new, and what the operator gave in the first of these.
 """
 
-_PLACES: Any = LOCKSTEP.fields
-TICK, NODES, EARLY, REPLIES, REPLIED, BUS_OFF, BUS_STATE = (
-    _PLACES[name][1] // 8 for name in ("tick", "nodes", "early", "replies", "replied", "bus_off", "bus_state")
-)
-"""Places of integers in the kernel's record."""
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
 LONGEST_S = 0.1
@@ -121,23 +116,23 @@ class Lockstep:
 
         given: in the first one. Returns which of the ticks are new; where this raises, `row.new` has them.
         """
-        row, words = self.row, self.row.words
+        row = self.row
         self._look_at_nodes()
         try:
             new = row.go(count, given)
         except BaseException:
-            self.tick = words[TICK]
+            self.tick = int(row.record["tick"])
             raise
-        self.tick = words[TICK] - 1
+        self.tick = int(row.record["tick"]) - 1
         if self.nodes.waiting:
             self._report_mode()
         return new
 
     def _look_at_nodes(self) -> None:
         """Take from the plant's end what faults may change."""
-        words, off = self.row.words, self.nodes.bus_off & self._all_buses
-        words[NODES] = self.nodes.address
-        words[BUS_OFF], words[BUS_STATE] = off, BusState.OFF if off else BusState.UNKNOWN
+        s, off = self.row.record, self.nodes.bus_off & self._all_buses
+        s["nodes"] = self.nodes.address
+        s["bus_off"], s["bus_state"] = off, BusState.OFF if off else BusState.UNKNOWN
 
     def _attend(self, stage: int, stopped: int) -> None:
         """Do what a stage of the buses has stopped for."""
@@ -154,17 +149,17 @@ class Lockstep:
 
     def _live(self, stopped: int, *, first: bool) -> None:
         """Let the drives live: those of HEAR to the tick's begin, else to the end of its SYNC or polls."""
-        words, wires = self.row.words, self.wires
-        until_ns = words[TICK] * self.period_ns if first else wires.words[SYNCED]
-        received = wires.commands[: words[EARLY] if first else wires.words[COMMANDS]]
-        if words[NODES]:
+        s, wires = self.row.record, self.wires
+        until_ns = int(s["tick"]) * self.period_ns if first else int(wires.record["synced_ns"])
+        received = wires.commands[: s["early"] if first else wires.record["commands"]]
+        if s["nodes"]:
             replies = self.nodes.go_on(received, stopped)
         else:
             replies = self.nodes.advance(until_ns, received)
         self._replies = replies
-        words[REPLIES], words[REPLIED] = data_at(replies), len(replies)
+        s["replies"], s["replied"] = data_at(replies), len(replies)
         self._look_at_nodes()
-        words[STAGE] += 1
+        s["stage"] += 1
 
     def _report_mode(self) -> None:
         """Let the time of the faults count that wait for the controller's mode."""

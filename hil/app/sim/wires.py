@@ -15,10 +15,6 @@ from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import ALWAYS
 from hil.app.sim.wire_kernels import FLAGS, FULL, LENGTHS, ROW, WIRES
 
-_FIELDS: dict[str, int] = {name: WIRES.fields[name][1] // 8 for name in WIRES.names or ()}  # type: ignore[index]
-COMMANDS, LATE, TAKEN = (_FIELDS[name] for name in ("commands", "late", "taken"))
-STEP, SYNCED, SKEW, LATCH = (_FIELDS[name] for name in ("step_ns", "synced_ns", "skew_ns", "latch_ns"))
-"""Places of integers in `Wires.words`; LATCH is the first of six."""
 _ROOM = 128
 FRAME_WORDS = FRAME.itemsize // 8
 
@@ -49,8 +45,6 @@ class Wires:
         self._wanted = np.array(hearing.wanted, np.int64)
         self._missing = np.zeros_like(self._wanted)
         self.record = w = np.zeros((), WIRES)
-        self.words = w.reshape(1).view(np.int64).data
-        """The same as integers, quick to get at."""
         w["buses"], w["free"], w["times"] = len(timings), data_at(self._free), data_at(self.times_ns)
         w["fresh"], w["addressed"], w["hearing"] = hearing.fresh, hearing.addressed, hearing.context
         w["wanted_at"], w["wanted"], w["missing_at"] = (
@@ -69,9 +63,9 @@ class Wires:
         self._queue, self._commands, self._late = new
         w["queue"], w["commands_at"], w["late_at"], w["room"] = *map(data_at, new), room
         self.commands: Rows = self._commands.view(FRAME)
-        """Frames for the drives: the first `words[COMMANDS]`."""
-        self.late = self._late.view(np.uint8).data
-        """Frames for the controller, as bytes."""
+        """Frames for the drives: the first `record["commands"]`."""
+        self.late: Rows = self._late.view(FRAME)
+        """Frames for the controller: the first `record["taken"]`, then those that come later."""
 
     def settle(self, status: int, frames: Rows) -> None:
         """Make a kernel that returned a status able to do its work; it is to be called again.

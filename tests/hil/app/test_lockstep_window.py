@@ -8,10 +8,10 @@ import pytest
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
 from drivers.ends import Hearing, frames_at
-from drivers.frame_array import FRAME, NO_FRAMES, timed_array
+from drivers.frame_array import NO_FRAMES, timed_array
 from drivers.protocol import Frame
 from hil.app.sim.wire_kernels import DONE, answer, begin
-from hil.app.sim.wires import LATE, STEP, TAKEN, Wires
+from hil.app.sim.wires import Wires
 
 BEGUN_NS, WINDOW_NS = 1_000_000, 500
 FRAMES = {name: Frame(0x100 + n, b"", 0) for n, name in enumerate("abc")}
@@ -38,11 +38,10 @@ def exchanged(wanted: str, replies: dict[str, int], stale: str = "") -> tuple[li
     deadline_ns = BEGUN_NS + WINDOW_NS
     assert begin(wires.record, NO_FRAMES, BEGUN_NS, deadline_ns) == DONE
     assert answer(wires.record, sent, 7, BEGUN_NS, deadline_ns) == DONE
-    frames = np.frombuffer(wires.late, FRAME)
-    heard, late = frames[: wires.words[TAKEN]], frames[wires.words[TAKEN] : wires.words[LATE]]
+    heard, late = np.split(wires.late[: wires.record["late"]], [int(wires.record["taken"])])
     names = {number: name for name, number in ids.items()}
     answers, rest = ([names[number] for number in each["id"].tolist()] for each in (heard, late))
-    return answers, rest, wires.words[STEP] - BEGUN_NS
+    return answers, rest, int(wires.record["step_ns"]) - BEGUN_NS
 
 
 @pytest.mark.parametrize(

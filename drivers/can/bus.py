@@ -129,17 +129,26 @@ class Bus:
         return len(frames) - taken
 
     def _spread(self, frames: Rows) -> int:
-        """Send frames, each on its bus; return how many the buses took, each from its first on."""
+        """Send frames, each on its bus; return how many the buses took, each from its first on.
+
+        Where a link raises, the others still get theirs: they may be an emergency stop.
+        """
         self._order = frames["bus"].tolist()
         taken = 0
+        failed: Exception | None = None
         for bus, link in enumerate(self._links):
             if bus in self._order:
                 own = frames[frames["bus"] == bus]
-                own["bus"] = 0
-                took = link.send(own)
+                own["bus"] = took = 0
+                try:
+                    took = link.send(own)
+                except Exception as error:  # noqa: BLE001 - raised when all have theirs
+                    failed = failed or error
                 taken += took
                 self._taken_ns[bus] = now = self.clock.now()
                 self._refused_since[bus] = 0 if took else self._refused_since[bus] or now
+        if failed is not None:
+            raise failed
         return taken
 
     def receive(self) -> Rows:

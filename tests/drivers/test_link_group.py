@@ -216,3 +216,18 @@ def test_of_several_buses_that_cannot_be_cleared_the_first_is_told_and_each_is_t
     with pytest.raises(BusError, match="bus 1 cannot be cleared"):
         group(*links).flush_tx()
     assert tried == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("refusing", [(0,), (1,), (2,), (0, 2)])
+def test_frames_of_the_other_buses_are_sent_where_a_bus_cannot_carry_its_own(refusing):
+    links = fakes(3)
+
+    def refused(bus: int) -> int:
+        raise BusError(f"bus {bus} cannot carry frame 0x1")
+
+    for bus in refusing:
+        links[bus].send = lambda _, bus=bus: refused(bus)
+    with pytest.raises(BusError, match=f"bus {refusing[0]} cannot carry"):
+        group(*links).send(sent_array([Frame(1, b"stop", BUS * bus) for bus in range(3)]))
+    for bus in set(range(3)) - set(refusing):
+        assert [frame.data for frame in links[bus].sent] == [b"stop"]

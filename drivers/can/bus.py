@@ -6,23 +6,23 @@ Frames go out and come in as they are, elements of FRAME; what they mean is the 
 from __future__ import annotations
 
 import select
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import RESTART_MS
-from drivers.can.link import Link, collect
+from drivers.can.link import Link, Source, collect
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.participant import Participant
 from drivers.can.python_can import open_python_can
 from drivers.can.runtime_folder import RoleLock
 from drivers.can.socketcan import SocketCan
-from drivers.clock import MONOTONIC, Clock
+from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import joined
@@ -55,10 +55,13 @@ class BusEvents(NamedTuple):
     """The worst state of the CAN controller since the last call."""
 
 
-class Bus:
+class Bus(Source):
     """An open bus, or several as one: then each frame says by its flags on which it is.
 
     `clock` is that of its frames' times and of all deadlines: of the links, where all have the same.
+
+    `knows_ends`: whether `sent_ns` says when frames ended on each wire. `virtual`: whether frames of a bus
+    are there as soon as they are sent: no wire takes its time.
 
     Mutable state: the links, in the order of their buses; the error count since the last `events`, which
     buses were off then, and the worst state of each; since when all refuse frames, and each; on which each
@@ -68,7 +71,9 @@ class Bus:
     def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
         self._links = tuple(links)
         clocks = {id(link.clock) for link in self._links}
-        self.clock: Clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
+        self.clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
+        self.knows_ends = all(link.knows_ends for link in self._links)
+        self.virtual = any(link.virtual for link in self._links)
         self._single = self._links[0] if len(self._links) == 1 else None
         self._role = role
         self._errors = self._overflow_seen = self._all_refuse_since = self._was_off = 0
@@ -100,13 +105,10 @@ class Bus:
             for each in settings.buses:
                 if role in EXCLUSIVE_ROLES:
                     roles.callback(RoleLock(each.interface, each.channel, role).close)
-                if each.interface == "localcan":
-                    participant = _open_localcan(each, clock)
-                    clock = participant.clock
-                    links.append(participant)
-                else:
-                    links.append(_LINKS.get(each.interface, open_python_can)(each))
-                opened.callback(links[-1].close)
+                link = _open(each, clock)
+                opened.callback(link.close)
+                links.append(link)
+                clock = link.clock if isinstance(link, Participant) else clock
             opened.pop_all()
             return cls(links, roles.pop_all())
 
@@ -188,7 +190,7 @@ class Bus:
             clock.sleep_until(min(deadline_ns, clock.now() + _FIRST_LOOK_NS))
             return
         clock.waiting(deadline_ns)
-        quiet = [link.arm(idle=False) for link in self._links]
+        quiet = [link.arm() for link in self._links]
         left_s = (deadline_ns - clock.now()) * 1e-9
         if all(quiet) and left_s > 0:
             stands = self._off_bits() != 0 or clock.stands()
@@ -250,16 +252,6 @@ class Bus:
             bits |= (dead or link.off or self._states[bus] is BusState.OFF) << bus
         return bits
 
-    @property
-    def knows_ends(self) -> bool:
-        """Whether `sent_ns` says when frames ended on each wire."""
-        return all(link.knows_ends for link in self._links)
-
-    @property
-    def virtual(self) -> bool:
-        """Whether frames of a bus are there as soon as they are sent: no wire takes its time."""
-        return any(link.virtual for link in self._links)
-
     def skew_ns(self) -> int:
         """Return the time between the first frames of the last `send` on the buses; 0 of a single bus.
 
@@ -309,45 +301,25 @@ class Bus:
         self.close()
 
 
-def _open_localcan(settings: BusSettings, clock: BenchClock | None = None) -> Participant:
-    spin_us = _number(settings, "spin_us", 50.0)
-    tx_limit = int(_number(settings, "tx_limit", 64))
-    _refuse_options(settings, {"spin_us", "tx_limit"})
-    fd = settings.layout == "fd"
-    return Participant(
-        settings.channel, BitTiming.of(settings), fd=fd, spin_us=spin_us, tx_limit=tx_limit, clock=clock
-    )
-
-
-def _open_socketcan(settings: BusSettings) -> Link:
-    _refuse_options(settings, {RESTART_MS})
-    return SocketCan(settings)
-
-
-def _refuse_virtual(settings: BusSettings) -> Link:
-    raise BusError(
-        f"bus.interface: virtual ({settings.channel}) lives inside one process, "
-        "and controller and drives are two; use localcan, or hil sim for both in one process"
-    )
-
-
-def _number(settings: BusSettings, key: str, default: float) -> float:
-    value = settings.options.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 10_000:
-        raise BusError(f"bus.options.{key}: a number from 0 to 10000 is allowed, not {value!r}")
-    return float(value)
-
-
-def _refuse_options(settings: BusSettings, known: set[str]) -> None:
-    unknown = sorted(set(settings.options) - known)
-    if unknown:
-        allowed = ", ".join(sorted(known)) or "none"
+def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
+    """Open one interface; clock: that of another localcan channel, which this one is to go by."""
+    interface = settings.interface
+    options: dict[str, Any] = settings.options
+    if interface == "virtual":
         raise BusError(
-            f"bus.options: {', '.join(unknown)} unknown for {settings.interface}; allowed: {allowed}"
+            f"bus.interface: virtual ({settings.channel}) lives inside one process, "
+            "and controller and drives are two; use localcan, or hil sim for both in one process"
         )
-
-
-_LINKS: dict[str, Callable[[BusSettings], Link]] = {
-    "socketcan": _open_socketcan,
-    "virtual": _refuse_virtual,
-}
+    known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS,)}.get(interface)
+    if known is None:
+        return open_python_can(settings)
+    if unknown := sorted(set(options) - set(known)):
+        allowed = ", ".join(known)
+        raise BusError(f"bus.options: {', '.join(unknown)} unknown for {interface}; allowed: {allowed}")
+    if interface == "socketcan":
+        return SocketCan(settings)
+    for key, value in options.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 10_000:
+            raise BusError(f"bus.options.{key}: a number from 0 to 10000 is allowed, not {value!r}")
+    timing, fd = BitTiming.of(settings), settings.layout == "fd"
+    return Participant(settings.channel, timing, fd=fd, clock=clock, **options)

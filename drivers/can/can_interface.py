@@ -59,6 +59,11 @@ class CanInterface(NamedTuple):
     """None of a virtual interface."""
 
     @property
+    def state(self) -> BusState:
+        """How its controller fares; UNKNOWN where there is none, or it is down."""
+        return BusState.UNKNOWN if self.controller is None else self.controller.state
+
+    @property
     def facts(self) -> str:
         """What was read, in one line."""
         c = self.controller
@@ -79,27 +84,18 @@ def parse(name: str, answer: bytes) -> CanInterface:
     info = attributes(link.get(_IFLA_LINKINFO, b""))
     kind = info.get(_INFO_KIND, b"").rstrip(b"\0").decode(errors="replace")
     data = attributes(info.get(_INFO_DATA, b""))
-    controller = _controller(data) if _STATE in data else None
-    return CanInterface(
-        name,
-        index,
-        bool(flags & IFF_UP),
-        _word(link.get(_IFLA_MTU)),
-        kind,
-        controller,
-    )
-
-
-def _controller(data: dict[int, bytes]) -> Controller:
-    state = _word(data[_STATE])
-    return Controller(
-        _rate(data.get(_BITTIMING)),
-        _rate(data.get(_DATA_BITTIMING)),
-        _STATES[state] if state < len(_STATES) else BusState.UNKNOWN,
-        _word(data.get(_RESTART_MS)),
-        _word(data.get(_CTRLMODE, b"")[4:]),
-        struct.unpack_from("=HH", data[_BERR_COUNTER]) if len(data.get(_BERR_COUNTER, b"")) >= 4 else None,
-    )
+    controller = None
+    if _STATE in data:
+        state, errors = _word(data[_STATE]), data.get(_BERR_COUNTER, b"")
+        controller = Controller(
+            _rate(data.get(_BITTIMING)),
+            _rate(data.get(_DATA_BITTIMING)),
+            _STATES[state] if state < len(_STATES) else BusState.UNKNOWN,
+            _word(data.get(_RESTART_MS)),
+            _word(data.get(_CTRLMODE, b"")[4:]),
+            struct.unpack_from("=HH", errors) if len(errors) >= 4 else None,
+        )
+    return CanInterface(name, index, bool(flags & IFF_UP), _word(link.get(_IFLA_MTU)), kind, controller)
 
 
 def _word(raw: bytes | None) -> int:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from typing import Protocol
 
 from drivers.arrays import Rows
 from drivers.clock import Clock
@@ -14,30 +13,36 @@ OWN = 1 << 6
 """Flag of a received frame that its reader has sent itself."""
 
 
-class Source(Protocol):
-    """Where frames come from."""
+class Source:
+    """Where frames come from; `clock` is that of their times."""
 
-    @property
-    def clock(self) -> Clock:
-        """The clock of their times."""
+    clock: Clock
 
     def receive(self) -> Rows:
         """Return the frames that have arrived: elements of FRAME in memory of their own."""
+        raise NotImplementedError
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
         """Sleep until there may be more, at most until the deadline.
 
         missing: the identifiers that are awaited; empty where anything is.
         """
+        raise NotImplementedError
 
 
-class Link:
-    """One interface, a Source; received frames may be error frames.
+class Link(Source):
+    """One interface; received frames may be error frames.
 
     What stands here is that of an interface which knows neither a controller nor its wire.
     """
 
-    clock: Clock
+    knows_ends = False
+    """Whether it knows when a frame ended on the wire."""
+    virtual = False
+    """Whether frames are there as soon as they are sent."""
+    overflow = 0
+    """Frames lost so far."""
+    _taken_ns: list[int]
 
     @property
     def facts(self) -> str:
@@ -45,24 +50,9 @@ class Link:
         return ""
 
     @property
-    def knows_ends(self) -> bool:
-        """Whether it knows when a frame ended on the wire."""
-        return False
-
-    @property
-    def virtual(self) -> bool:
-        """Whether frames are there as soon as they are sent."""
-        return False
-
-    @property
     def off(self) -> bool:
         """Whether the interface says that the bus is off or down."""
         return False
-
-    @property
-    def overflow(self) -> int:
-        """Frames lost so far."""
-        return 0
 
     def send(self, frames: Rows) -> int:
         """Return how many elements of FRAME were taken, from the first on; their bus is 0."""
@@ -74,15 +64,7 @@ class Link:
 
     def sent_ns(self) -> Sequence[int]:
         """Return when each frame that the last `send` took ended on the wire, else when it was taken."""
-        raise NotImplementedError
-
-    def receive(self) -> Rows:
-        """As Source.receive."""
-        raise NotImplementedError
-
-    def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
-        """As Source.block."""
-        raise NotImplementedError
+        return self._taken_ns
 
     def fileno(self) -> int:
         """Return a descriptor that is readable when something has come; -1 where there is none."""
@@ -92,9 +74,8 @@ class Link:
         """Return when the next foreign frame that is under way will have ended; None where none is known."""
         return None
 
-    def arm(self, *, idle: bool = True) -> bool:
+    def arm(self) -> bool:
         """Ask for a word by `fileno`, unless something has come; return whether nothing has."""
-        del idle
         return True
 
     def worst_state(self) -> BusState:

@@ -47,11 +47,6 @@ def attributes(raw: bytes) -> dict[int, bytes]:
     return {kind & _KIND: payload for kind, payload in _pieces(raw, _ATTRIBUTE)}
 
 
-def messages(raw: bytes) -> Iterator[tuple[int, bytes]]:
-    """Give kind and payload of each message in what one read has given."""
-    return _pieces(raw, _HEADER)
-
-
 def request(kind: int, flags: int, body: bytes) -> list[bytes]:
     """Send one request to the kernel and return the payloads of its answers.
 
@@ -63,7 +58,7 @@ def request(kind: int, flags: int, body: bytes) -> list[bytes]:
         sock.settimeout(_TIMEOUT_S)
         sock.send(header + body)
         while True:
-            for answer, payload in messages(sock.recv(_ANSWER)):
+            for answer, payload in _pieces(sock.recv(_ANSWER), _HEADER):
                 if answer == _NLMSG_ERROR:
                     code = -int(_ERROR.unpack_from(payload)[0])
                     if code:

@@ -45,8 +45,7 @@ class PythonCan(Link):
     """
 
     clock = MONOTONIC
-    off = virtual = False
-    overflow = 0
+    off = False
 
     def __init__(self, bus: can.BusABC, interface: str = "") -> None:
         self._failures = 0
@@ -54,7 +53,7 @@ class PythonCan(Link):
         self._stamps = interface in _STAMPING
         self._bus = bus
         self._held = bytearray()
-        self._taken_ns: list[int] = []
+        self._taken_ns = []
         try:
             self._selectable = bus.fileno() >= 0
         except (NotImplementedError, can.CanError, OSError):
@@ -63,21 +62,17 @@ class PythonCan(Link):
     def send(self, frames: Rows) -> int:
         """Send until the interface refuses one."""
         self._taken_ns.clear()
-        for i, frame in enumerate(unpack_frames(frames.tobytes())):
+        for frame in unpack_frames(frames.tobytes()):
             try:
                 self._bus.send(to_message(frame), timeout=0)
             except ValueError as error:
                 raise BusError(f"bus: frame 0x{frame[1]:X} cannot be sent: {error}") from error
             except (can.CanError, OSError):
-                return i
+                return len(self._taken_ns)
             self._taken_ns.append(time.monotonic_ns())
         self.off = False
         self._failures = 0
         return len(frames)
-
-    def sent_ns(self) -> list[int]:
-        """Return when the interface had taken each frame of the last `send`."""
-        return self._taken_ns
 
     def fileno(self) -> int:
         """Return the interface's descriptor, readable when something has come; -1 where it has none."""

@@ -62,53 +62,51 @@ class SocketCan(Link):
     """
 
     clock = MONOTONIC
-    overflow = 0
 
     def __init__(self, settings: BusSettings) -> None:
         self.channel = settings.channel
         self._settings = settings
         self._down = self._gone = self._refused = self._bus_off = self._stuck = self._dropped = False
         self._since_ns = self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
-        self._state = self._worst = BusState.UNKNOWN
-        self._taken_ns: list[int] = []
-        try:
-            self._socket, self._interface = self._open()
-        except AttributeError as error:
-            raise self._no_can(error) from error
-        state = BusState.UNKNOWN if self._interface.controller is None else self._interface.controller.state
-        self._state = self._worst = state
+        self._taken_ns = []
+        self._socket, self._interface = self._open()
+        self._state = self._worst = self._interface.state
+        self.virtual = self._interface.kind in _NO_WIRE
 
     @property
     def facts(self) -> str:
         """What was read of the interface, in one line."""
-        stale = (
-            ""
-            if netlink.administers()
-            else ("; without the right CAP_NET_ADMIN frames that wait on a dead bus stay in its queue")
-        )
-        return f"bus socketcan:{self._interface.facts}{stale}"
-
-    @property
-    def virtual(self) -> bool:
-        """Whether the interface has no wire: frames are there as soon as they are sent."""
-        return self._interface.kind in _NO_WIRE
-
-    def _no_can(self, error: Exception) -> BusError:
-        return BusError(
-            f"bus socketcan:{self.channel}: this kernel has no CAN sockets ({error}); load them with "
-            "'modprobe can can_raw' where the kernel has them, or use bus.interface: localcan"
-        )
+        stale = "; without the right CAP_NET_ADMIN frames that wait on a dead bus stay in its queue"
+        return f"bus socketcan:{self._interface.facts}{'' if netlink.administers() else stale}"
 
     def _open(self) -> tuple[socket.socket, CanInterface]:
+        channel = self.channel
         try:
             sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        except OSError as error:
-            raise self._no_can(error) from error
+        except (AttributeError, OSError) as error:
+            raise BusError(
+                f"bus socketcan:{channel}: this kernel has no CAN sockets ({error}); load them with "
+                "'modprobe can can_raw' where the kernel has them, or use bus.interface: localcan"
+            ) from error
         try:
-            return sock, self._set_up(sock)
-        except BaseException:
+            sock.setblocking(False)
+            interface = self._look()
+            if self._settings.layout == "fd":
+                sock.setsockopt(_SOL_CAN_RAW, _RAW_FD_FRAMES, 1)
+            sock.setsockopt(_SOL_CAN_RAW, _RAW_ERR_FILTER, _ERR_MASK)
+            # the kernel grants what net.core.rmem_max allows
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
+                sock.setsockopt(socket.SOL_SOCKET, option, 1)
+            sock.bind((channel,))
+        except BaseException as error:
             sock.close()
-            raise
+            if not isinstance(error, OSError):
+                raise
+            raise BusError(
+                f"bus socketcan:{channel} does not open: {error.strerror}; is it a CAN interface?"
+            ) from error
+        return sock, interface
 
     def _look(self) -> CanInterface:
         """Read the interface. Raises BusError where it is not the one of the configuration."""
@@ -123,24 +121,6 @@ class SocketCan(Link):
         why = refusal(interface, self._settings)
         if why:
             raise BusError(f"bus socketcan:{channel} {why}")
-        return interface
-
-    def _set_up(self, sock: socket.socket) -> CanInterface:
-        sock.setblocking(False)
-        interface = self._look()
-        try:
-            if self._settings.layout == "fd":
-                sock.setsockopt(_SOL_CAN_RAW, _RAW_FD_FRAMES, 1)
-            sock.setsockopt(_SOL_CAN_RAW, _RAW_ERR_FILTER, _ERR_MASK)
-            sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-            sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-            # the kernel grants what net.core.rmem_max allows
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            sock.bind((self.channel,))
-        except OSError as error:
-            raise BusError(
-                f"bus socketcan:{self.channel} does not open: {error.strerror}; is it a CAN interface?"
-            ) from error
         return interface
 
     @property
@@ -177,11 +157,9 @@ class SocketCan(Link):
         """
         self._taken_ns.clear()
         self._look_at_queue()
-        if self._refused or self._bus_off or self._stuck:
+        if self._refused or self._bus_off or self._stuck or (self._down and not self._is_back()):
             return 0
-        if self._down and not self._is_back():
-            return 0
-        for i, (_, identifier, _, size, flags, data) in enumerate(unpack_frames(frames.tobytes())):
+        for _, identifier, _, size, flags, data in unpack_frames(frames.tobytes()):
             try:
                 self._socket.send(pack(identifier, data[:size], flags))
             except OSError as error:
@@ -193,13 +171,9 @@ class SocketCan(Link):
                 # no buffer: the bus is busy, or nobody acknowledges
                 if error.errno == errno.ENETDOWN or error.errno in _GONE:
                     self._set_down(error)
-                return i
+                break
             self._taken_ns.append(time.monotonic_ns())
-        return len(frames)
-
-    def sent_ns(self) -> list[int]:
-        """Return when the kernel had taken each frame of the last `send`."""
-        return self._taken_ns
+        return len(self._taken_ns)
 
     def fileno(self) -> int:
         """Return the socket's descriptor, readable when something has come."""
@@ -231,8 +205,7 @@ class SocketCan(Link):
             self._socket = sock
             self._waited = self._kernel_lost = 0
         self._down = self._gone = self._bus_off = False
-        controller = self._interface.controller
-        self._state = BusState.UNKNOWN if controller is None else controller.state
+        self._state = self._interface.state
 
     def receive(self) -> Rows:
         """Return the frames that are there, error frames included."""
@@ -329,7 +302,7 @@ class SocketCan(Link):
         interface = parse(self.channel, netlink.get_link(self.channel))
         if not interface.up:
             return False
-        if interface.controller is not None and interface.controller.state is BusState.OFF:
+        if interface.state is BusState.OFF:
             return True
         end = time.monotonic() + _FLUSH_S
         while netlink.queued(interface.number):

@@ -275,18 +275,17 @@ def test_what_is_missing_is_awaited_on_the_first_bus_where_some_of_it_was_heard_
     ("value", "taken"),
     [(0, True), (10_000, True), (2.5, True)] + [(v, False) for v in (-1, 10_001, "9", True, None)],
 )
-def test_a_number_of_the_options_is_0_to_10000(value, taken):
+def test_a_number_of_the_options_is_0_to_10000(runtime, value, taken):
     settings = BusSettings(interface="localcan", channel="t").model_copy(
         update={"options": {"spin_us": value}}
     )
     if taken:
-        assert door._number(settings, "spin_us", 50.0) == value
-        assert door._number(settings, "tx_limit", 64) == 64.0
+        Bus.open(settings, "listener").close()
         return
     with pytest.raises(
         BusError, match=rf"bus.options.spin_us: a number from 0 to 10000 is allowed, not {value!r}"
     ):
-        door._number(settings, "spin_us", 50.0)
+        Bus.open(settings, "listener")
 
 
 def test_options_that_an_interface_does_not_have_are_named_with_those_that_it_has():
@@ -295,23 +294,22 @@ def test_options_that_an_interface_does_not_have_are_named_with_those_that_it_ha
         BusError, match=r"bus.options: b, spin unknown for localcan; allowed: spin_us, tx_limit$"
     ):
         Bus.open(settings, "listener")
-    with pytest.raises(
-        BusError, match=r"bus.options: b, spin, tx_limit unknown for localcan; allowed: none$"
-    ):
-        door._refuse_options(settings, set())
 
 
-def test_a_bus_of_this_machine_is_opened_with_what_is_set_else_with_50_us_and_64_frames(monkeypatch):
+def test_a_bus_of_this_machine_is_opened_with_what_is_set(monkeypatch):
     opened: list[Any] = []
-    monkeypatch.setattr(door, "Participant", lambda *given, **named: opened.append((given, named)))
+
+    class Opened(Scripted):
+        def __init__(self, *given: Any, **named: Any) -> None:
+            super().__init__(Standing())
+            opened.append((given, named))
+
+    monkeypatch.setattr(door, "Participant", Opened)
     settings = BusSettings(interface="localcan", channel="t", layout="classic")
-    for options, known in (
-        ({}, {"spin_us": 50.0, "tx_limit": 64}),
-        ({"spin_us": 7, "tx_limit": 3}, {"spin_us": 7.0, "tx_limit": 3}),
-    ):
-        door._open_localcan(settings.model_copy(update={"options": options}))
+    for options in ({}, {"spin_us": 7, "tx_limit": 3}):
+        Bus.open(settings.model_copy(update={"options": options}), "listener")
         timing = BitTiming(settings.bitrate_bit_s, settings.data_bitrate_bit_s)
-        assert opened.pop() == (("t", timing), {"fd": False, "clock": None, **known})
+        assert opened.pop() == (("t", timing), {"fd": False, "clock": None, **options})
 
 
 def test_a_bus_of_the_kernel_has_one_option():

@@ -15,6 +15,7 @@ import pytest
 from can.interfaces.slcan import slcanBus
 
 from drivers.can.bus import Bus
+from drivers.can.link import Link
 from drivers.can.python_can import PythonCan
 from drivers.errors import BusError
 from drivers.protocol import Frame
@@ -149,7 +150,9 @@ def test_where_one_bus_does_not_close_the_others_are_closed_and_the_role_is_give
         if k == bad:
             raise OSError
 
-    links: Any = [SimpleNamespace(clock=None, close=lambda k=k: close(k)) for k in range(3)]
+    links: Any = [Link() for _ in range(3)]
+    for k, link in enumerate(links):
+        link.clock, link.close = None, lambda k=k: close(k)
     role = ExitStack()
     role.callback(closed.append, "role")
     with pytest.raises(OSError):

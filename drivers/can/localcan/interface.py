@@ -71,10 +71,8 @@ class LocalCanBus(can.BusABC):
             inbox.extend(unpack_frames(collect(self._node, deadline).tobytes()))
         message = to_message(inbox.popleft(), self._epoch_ns, self._channel) if inbox else None
         # select() on fileno() has to return as long as there is something to take
-        if inbox:
+        if inbox or not self._node.arm():
             self._node.ring()
-        else:
-            self._node.arm()
         return message, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:

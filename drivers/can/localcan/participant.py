@@ -78,17 +78,17 @@ class Participant(Link):
         fd: bool | None = None,
         own: bool = False,
         spin_us: float = 50.0,
-        tx_limit: int = TX_LIMIT,
+        tx_limit: float = TX_LIMIT,
         clock: BenchClock | None = None,
     ) -> None:
         self._own = own
         self._spin_ns = int(spin_us * 1000)
-        self._tx_limit = min(tx_limit, at.OUTBOX // 2)
+        self._tx_limit = min(int(tx_limit), at.OUTBOX // 2)
         self._fixed: BitTiming | None = None
         self._inbox = bytearray()
         self._sent = range(0)
         """Numbers of the frames that the last `send` took."""
-        self._taken_ns = 0
+        self._queued_ns = 0
         self._thread = threading.RLock()
         """Users of python-can send and receive in several threads."""
         self.channel = channel
@@ -206,7 +206,7 @@ class Participant(Link):
                 QUEUE_LIMIT,
             )
             self._sent = range(number, number + taken)
-        self._taken_ns = self.clock.now()
+        self._queued_ns = self.clock.now()
         if taken:
             self.clock.sends()
             # an unanswered ring is repeated: the one who should have rung may have been killed
@@ -237,14 +237,9 @@ class Participant(Link):
 
         Else when it was taken.
         """
-        return [self._ended_ns(number) or self._taken_ns for number in self._sent]
+        return [self._ended_ns(number) or self._queued_ns for number in self._sent]
 
     # receiving
-    @property
-    def overflow(self) -> int:
-        """Frames lost so far to slow reading."""
-        return int(self._state[log.LOST])
-
     def receive(self) -> Rows:
         """Return what has ended since the last call, in the order of the wire. Does not block."""
         with self._thread:
@@ -258,6 +253,7 @@ class Participant(Link):
         while taken == BATCH:
             taken = log.look(words, self._state, self._queue, now, self._own, self._frames)
             self._inbox += self._frames[:taken].tobytes()
+        self.overflow = int(self._state[log.LOST])
 
     # waiting
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
@@ -298,16 +294,10 @@ class Participant(Link):
         place = at.slot_at(self.serial) + at.SLOT_RUNG
         log.change(self._wire.words, place, int(self._wire.words[place]), 0)
 
-    def arm(self, *, idle: bool = True) -> bool:
-        """Ask for the next ring, unless something has come or is under way; return whether nothing is.
-
-        idle: where something is, the doorbell is left ringing, so that select() on `fileno` returns at once.
-        """
+    def arm(self) -> bool:
+        """Ask for the next ring, unless something has come or is under way; return whether nothing is."""
         self._ask_for_ring()
-        quiet = not self._inbox and self.foresee() is None
-        if idle and not quiet:
-            self._bell.ring(self.serial)
-        return quiet
+        return not self._inbox and self.foresee() is None
 
     def fileno(self) -> int:
         """Return the doorbell's descriptor, readable when it has rung."""

@@ -167,24 +167,35 @@ class ControllerEnd(ABC):
 class CompiledController(ControllerEnd):
     """A `ControllerEnd` that is compiled. Mutable state: its record, which has the dialogue.
 
-    A family gives `start`, `set_up`, `legs_set_up`, `lacks` and `unfit`.
+    A family gives `set_up`, `legs_set_up`, `lack` and `unfit`.
     """
 
     first: str
     """The first field of the record that is the dialogue's, as are all behind it."""
 
-    def __init__(self, state: Rows, decode: Pointed, command: Pointed, openings: Rows) -> None:
-        """Take the record, () of its dtype, and the family's two functions that work on it.
+    def __init__(self, begun: Rows, decode: Pointed, command: Pointed, openings: Rows) -> None:
+        """Take the record before any drive was heard, () of its dtype, and the two functions that work on it.
 
         openings: elements of FRAME that start a tick (kinds, frames), one kind after the other.
         """
-        self.state, self._decoding, self._commanding = state, decode, command
+        self._begun, self.state, self._decoding, self._commanding = begun, begun.copy(), decode, command
         self.decode, self.command = decode.address, command.address
-        self.codec = data_at(state)
+        self.codec = data_at(self.state)
         self._openings, self._table = openings, np.zeros((), OPENINGS)
         self._table["at"], (self._table["kinds"], self._table["frames"]) = data_at(openings), openings.shape
         self.opening, self.opener = put_opening.address, data_at(self._table)
-        self.start()
+
+    def start(self) -> None:
+        """Begin the dialogue: no drive has been set up."""
+        self.state[...] = self._begun
+
+    @abstractmethod
+    def lack(self, leg: int) -> str:
+        """Return what of its set-up a drive has not confirmed, in words; empty: nothing."""
+
+    def lacks(self) -> tuple[str, ...]:
+        """Return what of its set-up each drive has not confirmed, in words; empty: nothing."""
+        return tuple(map(self.lack, range(LEGS)))
 
     def begin(self, number: int) -> Rows:
         """Return the frames that start a tick."""

@@ -1,12 +1,13 @@
 """Both ends of a drive family by address: what compiled passes call, and the records that go between.
 
-A protocol returns a `DrivesEnd` from `drives_end()`, where it is compiled a `CompiledDrives`, and then a
-`Hearing` from `hearing()`.
+A protocol returns a `DrivesEnd` from `drives_end()`. A `Family` has both ends compiled, and returns a
+`CompiledDrives`.
 """
 
 import ctypes
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -15,8 +16,10 @@ from drivers.arrays import Array, Ints, Rows
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python, record_at
 from drivers.errors import ProtocolError
-from drivers.frame_array import FRAME, received_frames, sent_array, sent_frames
+from drivers.frame_array import FRAME, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import (
+    ALL_LEGS,
+    BUS,
     Alive,
     Configure,
     DeviceCommand,
@@ -24,6 +27,7 @@ from drivers.protocol import (
     DriveProtocol,
     EmergencyStop,
     Frame,
+    Received,
     Rejected,
     Status,
     Sync,
@@ -151,10 +155,6 @@ class CompiledDrives(DrivesEnd):
         """Decode what is not compiled: what sets drives up, asks who they are or stops them."""
         raise NotImplementedError
 
-    def notify(self, status: Status) -> tuple[Frame, ...]:
-        """Encode what is not compiled of a drive's report."""
-        raise NotImplementedError
-
     def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Return what a frame says to the drives; no messages when it is not for them."""
         count = self._parse(self.record, sent_array([frame]), self._messages)
@@ -178,24 +178,18 @@ class CompiledDrives(DrivesEnd):
         put_messages([sync], self._messages)
         count = self._answer(self.record, self._messages, self._reading, self._frames, self._legs)
         if count == FAILED:
-            raise self.no_number(sync, length, rate, force)
+            leg = int((~np.isfinite(length + rate + force)).argmax())
+            raise ProtocolError(
+                f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
+            )
         return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
-
-    def no_number(self, _sync: Sync, length: Array, rate: Array, force: Array) -> ProtocolError:
-        """Return what of a reading is not a number."""
-        unknown = np.isnan(length) | np.isnan(rate) | np.isnan(force)
-        leg = int(unknown.argmax())
-        return ProtocolError(
-            f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
-        )
 
     def announce(self, status: Status) -> tuple[Frame, ...]:
         """Return what a drive sends of what it is in, at its heartbeat and at each change."""
         leg, state, fault, holds, due = status
         watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
         given = (leg, state, fault, watchdog_ns, int(reaction), int(due))
-        count = self._report(self.record, *given, self._frames)
-        return self.notify(status) if count == FAILED else sent_frames(self._frames[:count])
+        return sent_frames(self._frames[: self._report(self.record, *given, self._frames)])
 
     def restart(self, legs: Sequence[int]) -> None:
         """Forget nothing: the state of a drive tells."""
@@ -221,6 +215,65 @@ class Hearing(NamedTuple):
     wanted: tuple[int, ...]
     """`DriveProtocol.feedback_ids`."""
     keeps: Any
+
+
+class Family(DriveProtocol):
+    """What the codecs of all families share: each frame goes on the bus of the leg that it is for.
+
+    Holds tables only. A drive's frame counts on its own bus alone.
+    """
+
+    fresh_by: Pointed
+    """`Hearing.fresh`, of the record of the drives' end."""
+    addressed_by: Pointed
+    """`Hearing.addressed`, of the same."""
+    wanted: tuple[int, ...]
+    """`feedback_ids`, in an order."""
+    senders: Mapping[int, int]
+    """Identifier -> the leg whose drive sends it."""
+
+    def __init__(self, legs: Sequence[Sequence[int]] = (ALL_LEGS,)) -> None:
+        """Take the legs of each bus, which together are all legs, each once."""
+        self.legs = tuple(map(tuple, legs))
+        self.buses = len(legs) if len(legs) > 1 else 0
+        """How many there are; 0: one, and frames of others are nobody's."""
+        self.bus_of = tuple(next(bus for bus, own in enumerate(legs) if leg in own) for leg in range(LEGS))
+        """Index of each leg's bus."""
+
+    @cached_property
+    def _hears(self) -> Rows:
+        return cast("CompiledDrives", drives_end(self)).record
+
+    def hearing(self) -> Hearing:
+        """Return the controller's end by address, as far as it hears."""
+        by = self.fresh_by.address, self.addressed_by.address
+        return Hearing(*by, data_at(self._hears), self.wanted, self)
+
+    def to_leg(self, leg: int, frame: Frame) -> Frame:
+        """Return a frame on the bus of a leg."""
+        return frame._replace(flags=frame.flags % BUS + BUS * self.bus_of[leg])
+
+    def to_each(self, frames: Iterable[Frame]) -> tuple[Frame, ...]:
+        """Return frames for the drives, leg order, each on the bus of its leg."""
+        return tuple(self.to_leg(leg, frame) for leg, frame in enumerate(frames))
+
+    def to_all(self, frame: Frame) -> tuple[Frame, ...]:
+        """Return a frame that is for all drives, on each bus."""
+        return tuple(frame._replace(flags=frame.flags + BUS * bus) for bus in sorted(set(self.bus_of)))
+
+    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
+        """Tell whether a frame is feedback of this tick that can be trusted."""
+        return self.fresh_by(self._hears, received_array([received]), tick, since_ns) > 0
+
+    def addressed(self, frame: Frame) -> tuple[int, ...]:
+        """Return the legs that a frame of the controller's end is for."""
+        legs = self.addressed_by(self._hears, sent_array([frame]))
+        return tuple(leg for leg in range(LEGS) if legs >> leg & 1)
+
+    def sender(self, frame: Frame) -> int:
+        """Return the leg whose drive sends a frame on its own bus, -1 for any other frame."""
+        leg = self.senders.get(frame.id, -1)
+        return leg if leg >= 0 and self.bus_of[leg] == frame.bus else -1
 
 
 def hearing(protocol: DriveProtocol) -> Hearing:

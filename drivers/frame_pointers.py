@@ -55,6 +55,19 @@ def signed(number: int, bits: int) -> int:
 
 
 @helper
+def code(value: float, low: float, high: float, bits: int) -> int:
+    """Return the code of a value, saturated at the ends."""
+    x = min(max(value, low), high)
+    return int((x - low) * ((1 << bits) - 1) / (high - low))
+
+
+@helper
+def value(number: int, low: float, high: float, bits: int) -> float:
+    """Return the value of a code."""
+    return number * (high - low) / ((1 << bits) - 1) + low
+
+
+@helper
 def begin_measurement(last: Any, tick: Any) -> None:
     """Let the measurement of a tick begin as that of the last one, a little older, with nothing found."""
     tick.length[:] = last.length

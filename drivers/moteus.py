@@ -1,7 +1,7 @@
 """moteus: registers over CAN FD, the query in the frame of the command, both ends.
 
 Identifier: source << 8 | destination, bit 15 where a reply is wanted; extended where it is over 0x7FF, so
-commands are, and replies of the ids from 8 on. What a frame holds is in `moteus_registers`. Torque goes as
+commands are, and replies of the ids from 8 on. What a frame holds is in `moteus_kernels`. Torque goes as
 feed-forward of position mode without position and gains. Every such command carries the time after which the
 drive gives up (mode 11, until a stop), and a stop clears faults: outside RUN the polls are stops. A drive
 that restarts obeys the next command, and may answer it as enabled: then nobody sees the restart. One that
@@ -17,16 +17,14 @@ from math import nan
 import numpy as np
 
 from drivers import moteus_kernels as kernels
-from drivers import moteus_registers as registers
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.identity import REVISION, SERIAL, Said
 from drivers.moteus_kernels import ALL_NODES, REPLY_WANTED
-from drivers.motor_drives import codes_of
+from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import FALLS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import MotorProtocol
-from drivers.protocol import ALL_LEGS, BRS, EXTENDED, FD, Frame
+from drivers.protocol import ALL_LEGS, BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said
 from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
@@ -60,7 +58,7 @@ FAULTS = {
 }
 _CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
 _WORD = 0xFFFFFFFF
-_SERIAL = tuple(range(registers.SERIAL_NUMBER, registers.SERIAL_NUMBER + 3))
+_SERIAL = tuple(range(kernels.SERIAL_NUMBER, kernels.SERIAL_NUMBER + 3))
 _MAX_TORQUE = 1e4
 _BRAKES = (
     "drives.protocol: a moteus has no brake output, and its aux pins keep their level when it faults "
@@ -81,11 +79,11 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
 
 TORQUE_AT = 14
 """Of its bytes the first one of the torque."""
-STOP = registers.pad(b"\x01\0\0" + QUERY)
+STOP = kernels.pad(b"\x01\0\0" + QUERY)
 _QUERIED = (
-    (registers.MODE, 0),
-    *((register, registers.FLOAT) for register in (registers.PLACE, registers.SPEED, registers.TORQUE)),
-    *((register, 0) for register in (registers.VOLTAGE, registers.TEMPERATURE, registers.FAULT)),
+    (kernels.MODE, 0),
+    *((register, kernels.FLOAT) for register in (kernels.PLACE, kernels.SPEED, kernels.TORQUE)),
+    *((register, 0) for register in (kernels.VOLTAGE, kernels.TEMPERATURE, kernels.FAULT)),
 )
 """Registers that it asks for, each with its width."""
 
@@ -133,7 +131,7 @@ class MoteusProtocol(MotorProtocol):
 
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return a stop, whatever is asked for but torque, and torque; each with its query."""
-        torque = registers.pad(torque_command(0.0, self.torque_limit, watchdog_s))
+        torque = kernels.pad(torque_command(0.0, self.torque_limit, watchdog_s))
         return tuple(self._commands(data) for data in (STOP, STOP, STOP, torque))
 
     def _commands(self, data: bytes) -> tuple[Frame, ...]:
@@ -142,21 +140,21 @@ class MoteusProtocol(MotorProtocol):
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return the queries for the serial number, and for the version of the firmware."""
-        return tuple(self._commands(registers.pad(ask)) for ask in (WHO, WHICH))
+        return tuple(self._commands(kernels.pad(ask)) for ask in (WHO, WHICH))
 
     def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number, 96 bits, or the version of the firmware as the revision."""
         identifier, data, flags = frame
-        if identifier not in self.feedback_by_leg or flags & (kernels.STRANGE | FD) != FD:
+        if identifier not in self.wanted or flags & (kernels.STRANGE | FD) != FD:
             return None
         values = np.full(1 + len(_SERIAL), nan)
-        has = kernels.read(data, len(data), registers.REPLY, (registers.FIRMWARE, *_SERIAL), values)
+        has = kernels.read(data, len(data), kernels.REPLY, (kernels.FIRMWARE, *_SERIAL), values)
         words = values.tolist()[:1] if has & 1 else values.tolist()[1:]
         strays = has < 0 or bool(flags & EXTENDED) != (identifier > 0x7FF)
         if strays or not all(map(float.is_integer, words)):
             return None
         number = sum((int(word) & _WORD) << 32 * k for k, word in enumerate(words))
-        return Said(self.feedback_by_leg.index(identifier), REVISION if has & 1 else SERIAL, number)
+        return Said(self.wanted.index(identifier), REVISION if has & 1 else SERIAL, number)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return a stop for each drive: it does not latch."""

@@ -1,10 +1,16 @@
-"""What a command and a reply of a moteus say, compiled."""
+"""The subframes of moteus, and what a command and a reply say, compiled.
 
+mjlib multiplex, as the package moteus 1.1.1 has it: a head says kind, width (int8, int16, int32, float) and
+count, 0 for a count that follows; counts and registers are varuints, values little-endian. The smallest
+integer of a width stands for "not known".
+"""
+
+from bisect import bisect_left
+from math import nan
 from typing import Any
 
 import numpy as np
 
-from drivers import moteus_registers as r
 from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
 from drivers.arrays import Array
@@ -16,17 +22,107 @@ from drivers.motor_kernels import OWN_CODE
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
 
+NOP = 0x50
+WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
+"""Kinds of subframes."""
+NOT_WHOLE, NOTHING = -1, -2
+"""Instead of a kind: the data end within a group, or there is none."""
+_MOST_BITS = 63
+"""Of a number; no register and no count is as large."""
+MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
+TRAJECTORY_COMPLETE, HOME_STATE, VOLTAGE, TEMPERATURE, FAULT = 0x00B, 0x00C, 0x00D, 0x00E, 0x00F
+COMMAND, TIMEOUT = 0x020, 0x027
+"""COMMAND begins position, velocity, feed-forward torque, scales of kp and kd, most torque."""
+FIRMWARE, SERIAL_NUMBER = 0x101, 0x120
+"""SERIAL_NUMBER begins three registers of 32 bits, the lowest first."""
+READ_ERROR, NO_REGISTER = 0x31, 1
+READABLE = 0x10
+"""Registers below are states of the drive."""
+FLOAT = 3
+SIZES = (1, 2, 4, 4)
+"""Bytes of a value, by its width."""
+LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+
+
+def pad(data: bytes) -> bytes:
+    """Return the data filled up to the next length of CAN FD."""
+    return data + bytes((NOP,)) * (LENGTHS[bisect_left(LENGTHS, len(data))] - len(data))
+
+
+@helper
+def _varuint(data: Any, size: int, at: int) -> tuple[int, int]:
+    """Return a number of seven bits a byte, and where it ends; NOT_WHOLE if the data end before."""
+    number = shift = 0
+    while at < size:
+        byte = int(data[at])
+        at += 1
+        if shift < _MOST_BITS:
+            number |= (byte & 0x7F) << shift
+        elif byte & 0x7F:
+            number |= 1 << (_MOST_BITS - 1)
+        shift += 7
+        if byte < 0x80:
+            return number, at
+    return 0, NOT_WHOLE
+
+
+@helper
+def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
+    """Return kind, width, first register and count of the group at a place, and where its values begin.
+
+    Kind NOTHING: it has none; ERRORS: it ends the frame; NOT_WHOLE.
+    """
+    head = int(data[at])
+    at += 1
+    kind, width, count = head & 0xF0, head >> 2 & 3, head & 3
+    if head == NOP or kind == ERRORS:
+        return NOTHING if head == NOP else kind, width, 0, 0, at
+    if count == 0:
+        count, at = _varuint(data, size, at)
+        if count == 0:
+            return NOTHING if at >= 0 else NOT_WHOLE, width, 0, 0, at
+    first, at = _varuint(data, size, at)
+    return kind if at >= 0 else NOT_WHOLE, width, first, count, at
+
+
+@helper
+def scale_of(register: int, width: int) -> float:
+    """Return the scale of a register, 0 where it comes as it is."""
+    if width == FLOAT:
+        return 0.0
+    if register in (PLACE, COMMAND):
+        return (0.01, 0.0001, 0.00001)[width]
+    if register in (SPEED, COMMAND + 1):
+        return (0.1, 0.00025, 0.00001)[width]
+    if register in (TORQUE, COMMAND + 2, COMMAND + 5):
+        return (0.5, 0.01, 0.001)[width]
+    if register == VOLTAGE:
+        return (0.5, 0.1, 0.001)[width]
+    if register == TEMPERATURE:
+        return (1.0, 0.1, 0.001)[width]
+    return (0.01, 0.001, 0.000001)[width] if register == TIMEOUT else 0.0
+
+
+@helper
+def value(register: int, width: int, raw: float) -> float:
+    """Return what a register of a width holds, NaN for what is not known."""
+    scale = scale_of(register, width)
+    if scale == 0.0:
+        return float(raw)
+    return nan if raw == -(1 << (8 * SIZES[width] - 1)) else raw * scale
+
+
 ALL_NODES = 0x7F
 """As destination: all drives."""
 STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
 """Modes."""
 STRANGE = REMOTE | ERROR
-_REGISTERS = *range(r.MODE, r.TORQUE + 1), r.FAULT, r.FIRMWARE, *range(r.SERIAL_NUMBER, r.SERIAL_NUMBER + 3)
+_REGISTERS = *range(MODE, TORQUE + 1), FAULT, FIRMWARE, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3)
 """Those that are read."""
 _MODE, _PLACE, _SPEED, _TORQUE, _FAULT_CODE, _FIRMWARE, _SERIAL = range(7)
 _STATE = 0b11111
 """The first five of them."""
-_WRITTEN = r.MODE, r.COMMAND + 2, r.COMMAND + 3, r.COMMAND + 4, r.COMMAND + 5, r.TIMEOUT
+_WRITTEN = MODE, COMMAND + 2, COMMAND + 3, COMMAND + 4, COMMAND + 5, TIMEOUT
 """Those that are obeyed: mode, torque, scales of the gains, most torque, time."""
 REPLY_WANTED = 0x8000
 """Bit of an identifier."""
@@ -42,9 +138,9 @@ _WATCHDOG = int(DriveFault.WATCHDOG)
 @helper
 def _raw(data: Any, at: int, width: int) -> float:
     """Return a value as it is packed, signed."""
-    if width == r.FLOAT:
+    if width == FLOAT:
         return motors.single(data, at)
-    size = r.SIZES[width]
+    size = SIZES[width]
     return float(signed(whole(data, at, size), 8 * size))
 
 
@@ -53,19 +149,19 @@ def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -
     """Read registers of subframes of a kind into `values`; return bits of those there, -1 if not whole."""
     has = at = 0
     while at < size:
-        kind, width, first, count, at = r.group(data, size, at)
-        if kind == r.ERRORS:
+        kind, width, first, count, at = group(data, size, at)
+        if kind == ERRORS:
             break
-        if kind in (r.NOTHING, r.READ):
+        if kind in (NOTHING, READ):
             continue
-        if kind != of or count > size or at + count * r.SIZES[width] > size:
+        if kind != of or count > size or at + count * SIZES[width] > size:
             return -1
         for k in range(len(names)):
             place = names[k] - first
             if 0 <= place < count:
-                values[k] = r.value(names[k], width, _raw(data, at + place * r.SIZES[width], width))
+                values[k] = value(names[k], width, _raw(data, at + place * SIZES[width], width))
                 has |= 1 << k
-        at += count * r.SIZES[width]
+        at += count * SIZES[width]
     return has
 
 
@@ -107,7 +203,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     if leg < 0:
         return 0
     values = np.zeros(len(_REGISTERS))
-    has = max(read(frame.data, int(frame.length), r.REPLY, _REGISTERS, values), 0)
+    has = max(read(frame.data, int(frame.length), REPLY, _REGISTERS, values), 0)
     if has & _STATE != _STATE:
         return motors.says(heard, leg, 0 if _names_drive(has, values) else motors.BROKEN)
     place, speed, torque = values[_PLACE], values[_SPEED], values[_TORQUE]
@@ -137,15 +233,15 @@ def _ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
     """Remember who asks a drive for what, in its order, up to where it is not whole."""
     d.host[leg], at, found = source, 0, 0
     while at < size:
-        kind, width, first, count, at = r.group(data, size, at)
-        if kind in (r.ERRORS, r.NOT_WHOLE):
+        kind, width, first, count, at = group(data, size, at)
+        if kind in (ERRORS, NOT_WHOLE):
             break
-        if kind == r.READ:
+        if kind == READ:
             for k in range(min(count, drives.MOST_ASKED - found)):
                 d.wanted[leg, found], d.widths[leg, found] = first + k, width
                 found += 1
-        elif kind != r.NOTHING:
-            at += min(count, size) * r.SIZES[width]
+        elif kind != NOTHING:
+            at += min(count, size) * SIZES[width]
     d.asked[leg] = found
 
 
@@ -175,7 +271,7 @@ def obey(d: Any, frame: Any, order: Any) -> int:
     if identifier > (0xFFFF if frame.flags & EXTENDED else 0x7FF):
         return 0
     values = np.array((0.0, 0.0, 1.0, 1.0, np.nan, np.nan))
-    has = read(data, size, r.WRITE, _WRITTEN, values)
+    has = read(data, size, WRITE, _WRITTEN, values)
     if has < 0:
         return 1 + drives.rejects(order, UNFINISHED, 0.0)
     order.answers = identifier & REPLY_WANTED != 0
@@ -194,7 +290,7 @@ def obey(d: Any, frame: Any, order: Any) -> int:
 @helper
 def _known(name: int) -> bool:
     """Tell whether a register is the firmware's version or the serial number."""
-    return name == r.FIRMWARE or r.SERIAL_NUMBER <= name < r.SERIAL_NUMBER + 3
+    return name == FIRMWARE or SERIAL_NUMBER <= name < SERIAL_NUMBER + 3
 
 
 @helper
@@ -202,28 +298,28 @@ def _held(d: Any, said: Any, name: int) -> float:
     """Return the value of a register of a drive, in its own unit; NaN: not known."""
     in_fault = said.state == _FAULT
     timed_out = in_fault and said.fault == _WATCHDOG
-    if name == r.MODE:
+    if name == MODE:
         mode = POSITION if said.state == _RUN else STOPPED
         return float(TIMED_OUT if timed_out else FAULTED if in_fault else mode)
-    if name == r.FAULT:
+    if name == FAULT:
         return float(drives.ear_at(d.ear).codes[said.fault]) if in_fault and not timed_out else 0.0
-    if name in (r.PLACE, r.SPEED):
-        return np.nan if said.lost else float(said.turns if name == r.PLACE else said.speed)
-    if name == r.TORQUE:
+    if name in (PLACE, SPEED):
+        return np.nan if said.lost else float(said.turns if name == PLACE else said.speed)
+    if name == TORQUE:
         return float(said.torque)
-    if name in (r.VOLTAGE, r.TEMPERATURE):
-        return 24.0 if name == r.VOLTAGE else 30.0
-    if name == r.SERIAL_NUMBER:
+    if name in (VOLTAGE, TEMPERATURE):
+        return 24.0 if name == VOLTAGE else 30.0
+    if name == SERIAL_NUMBER:
         return float(d.nodes[said.leg])
-    if name == r.FIRMWARE:
+    if name == FIRMWARE:
         return float(VERSION)
-    return 0.0 if name in (r.TRAJECTORY_COMPLETE, r.HOME_STATE) or _known(name) else np.nan
+    return 0.0 if name in (TRAJECTORY_COMPLETE, HOME_STATE) or _known(name) else np.nan
 
 
 @helper
 def _put(frame: Any, number: int) -> None:
     """Put a byte at the end of a frame, if there is room."""
-    if frame.length < r.LENGTHS[-1]:
+    if frame.length < LENGTHS[-1]:
         frame.data[frame.length] = number
         frame.length += 1
 
@@ -239,14 +335,14 @@ def _put_register(frame: Any, name: int) -> None:
 @helper
 def _put_value(frame: Any, number: float, name: int, width: int) -> None:
     """Put a value as a float, or as an integer of its scale, within the largest; the smallest for NaN."""
-    size, raw = r.SIZES[width], 0
-    if width == r.FLOAT:
+    size, raw = SIZES[width], 0
+    if width == FLOAT:
         word = np.empty(1, np.float32)
         word[0] = number
         raw = int(word.view(np.uint32)[0])
     else:
         most = (1 << (8 * size - 1)) - 1
-        scale = r.scale_of(name, width)
+        scale = scale_of(name, width)
         scaled = number / (scale if scale != 0.0 else 1.0)
         raw = int(min(max(scaled, -float(most)), float(most))) if np.isfinite(number) else -most - 1
     for k in range(size):
@@ -261,7 +357,7 @@ def _together(d: Any, leg: int, at: int) -> int:
         name = d.wanted[leg, at + count]
         if name != first + count or d.widths[leg, at + count] != width:
             break
-        if (first < r.READABLE <= name) or (name >= r.READABLE and not _known(name)):
+        if (first < READABLE <= name) or (name >= READABLE and not _known(name)):
             break
         count += 1
     return count
@@ -281,21 +377,21 @@ def encode(d: Any, said: Any, frame: Any) -> int:
     while at < d.asked[leg]:
         first, width, count = d.wanted[leg, at], d.widths[leg, at], _together(d, leg, at)
         if count == 0:
-            _put(frame, r.READ_ERROR)
+            _put(frame, READ_ERROR)
             _put_register(frame, first)
-            _put(frame, r.NO_REGISTER)
+            _put(frame, NO_REGISTER)
             at += 1
             continue
-        _put(frame, r.REPLY | width << 2 | (count if count < 4 else 0))
+        _put(frame, REPLY | width << 2 | (count if count < 4 else 0))
         if count > 3:
             _put(frame, count)
         _put_register(frame, first)
         for name in range(first, first + count):
             _put_value(frame, _held(d, said, name), name, width)
         at += count
-    for length in r.LENGTHS:
+    for length in LENGTHS:
         if length >= frame.length:
             break
     while frame.length < length:
-        _put(frame, r.NOP)
+        _put(frame, NOP)
     return 0

@@ -1,20 +1,23 @@
-"""The drives' end of single-motor drives, compiled: one record, which every family shares.
+"""The drives' end of single-motor drives: one record and one compiled end, which every family shares.
 
 A family gives `obey(d, frame, order)`, which fills ORDER with what a frame tells one drive and returns 1; 2
 where no other drive looks at it, 0 for nothing, FAILED to leave it to the protocol; and `encode(d, said,
 frame)`, which fills in its feedback.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from drivers import ends
 from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import FAILED, address_of, call, integers_at, pointed, record_at
+from drivers.compiled.pointed import FAILED, address_of, call, data_at, integers_at, pointed, record_at
 from drivers.frame_array import FRAME
 from drivers.motor_kernels import EAR, FEEDBACK, HEARD, heard_at
-from drivers.signals import INVALID, LEGS, DriveMode
+from drivers.protocol import DeviceMessage, Frame, off_bus
+from drivers.signals import INVALID, LEGS, DriveFault, DriveMode
+from drivers.tick_columns import Record
 from drivers.transmission import FIELDS, loss_of
 
 MOST_REGISTERS, MOST_ASKED = 8, 64
@@ -246,3 +249,62 @@ def addressed(d: Any, frame_address: int) -> int:
 
 
 assert max(HEARD.itemsize, ORDER.itemsize, SAID.itemsize) <= DEVICES["scratch"].itemsize
+
+
+_MEMORY = ("heard", "enabled", "written", "registers", "values", "host", "asked", "wanted", "widths")
+
+
+def codes_of(codes: Mapping[DriveFault, int], otherwise: int) -> list[int]:
+    """Return what a drive sends for each fault of its own."""
+    return [codes.get(fault, otherwise) for fault in DriveFault]
+
+
+def written(d: Record, leg: int) -> dict[int, float]:
+    """Return the registers of a leg's drive that have been written."""
+    n = int(d["written"][leg])
+    return dict(zip(d["registers"][leg, :n].tolist(), d["values"][leg, :n].tolist(), strict=True))
+
+
+def put_written(d: Record, leg: int, registers: Mapping[int, float]) -> None:
+    """Put the registers of a leg's drive that have been written."""
+    d["written"][leg] = len(registers)
+    for k, (register, value) in enumerate(registers.items()):
+        d["registers"][leg, k], d["values"][leg, k] = register, value
+
+
+class MotorDrivesEnd(ends.CompiledDrives):
+    """Six drives. Mutable state: the record."""
+
+    def __init__(self, family: Any) -> None:
+        """Power the drives of a `drivers.motors.MotorProtocol` up."""
+        d: Any = np.zeros((), DEVICES)
+        super().__init__(d, parse, answer, family.reporting)
+        self._family = family
+        d["obey"], d["encode"] = family.obey.address, family.encode.address
+        d["hear"], d["ear"] = family.ear.address, data_at(family.tables)
+        d["nodes"], (d["shift"], d["mask"]) = family.tables["nodes"], family.number_at
+        d["everyone"], d["requests"] = family.everyone, family.requests_id
+        d["watchdog_ns"], d["reaction"] = round(family.delivered_s * 1e9), family.reactions[0]
+        d["buses"], d["bus_of"] = family.buses, family.bus_of
+        family.transmission.fill(d)
+        family.power_up(d)
+
+    def reason(self, why: int, _counter: int, number: float, frame: Frame) -> str:
+        """Return why a frame is rejected, in the family's words."""
+        identifier, data, _ = frame
+        reason: str = self._family.rejections[why - 1]
+        return reason.format(number, size=len(data), kind=identifier & 0x1F)
+
+    def converse(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Let the family decode what sets drives up, asks who they are or stops them."""
+        legs: tuple[int, ...] = self._family.addressed(frame)
+        leg = legs[0] if legs else None
+        messages: tuple[DeviceMessage, ...] = self._family.converse(self.record, leg, off_bus(frame))
+        return messages
+
+    def restart(self, legs: Sequence[int]) -> None:
+        """Disable drives that were switched off and on, with nothing written in them."""
+        fresh = np.zeros((), DEVICES)
+        self._family.power_up(fresh)
+        for name in _MEMORY:
+            self.record[name][list(legs)] = fresh[name][list(legs)]

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Bytes
-from drivers.codes import code
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, records_at
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_measurement, frames_at, whole
+from drivers.frame_pointers import begin_measurement, code, frames_at, whole
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of

@@ -7,7 +7,6 @@ back by itself while RUN is asked for has restarted: BOOT. It is not enabled aga
 anew, where it says so: a moteus may have obeyed the next command before it answers.
 """
 
-import struct
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,18 +16,15 @@ import numpy as np
 from drivers import motor_device_kernels as devices
 from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
-from drivers.codes import code, value
 from drivers.compiled.pointed import Pointed, data_at
 from drivers.controller_end import CompiledController
-from drivers.ends import Hearing
+from drivers.ends import Family
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
-from drivers.identity import Said
-from drivers.motor_drives import MotorDrivesEnd
+from drivers.frame_pointers import code, value
+from drivers.motor_device_kernels import MotorDrivesEnd
 from drivers.motor_kernels import EAR, FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
-from drivers.protocol import ALL_LEGS, BUS, DeviceMessage, DriveSetup, Frame, Sync, off_bus
-from drivers.resolution import Resolution
+from drivers.protocol import ALL_LEGS, DeviceMessage, DriveSetup, Frame, Resolution, Said, Sync, off_bus
 from drivers.signals import LEGS, NEVER, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
@@ -38,8 +34,6 @@ NO_BRAKE = (
     "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
 )
 _RUN = DriveState.RUN
-_pack = struct.Struct("<qI4B64s").pack
-"""Makes an element of FRAME."""
 
 
 class Exchange(NamedTuple):
@@ -70,7 +64,7 @@ class MotorController(CompiledController):
         family.check(setup)
         self._family, self._exchanges = family, family.exchanges(setup)
         self._frames = sent_array([frame for row in family.requests(setup.watchdog_s) for frame in row])
-        m = self._begun = np.zeros((), MOTORS)
+        m = np.zeros((), MOTORS)
         m["hear"], m["ear"], m["frames"] = family.ear.address, data_at(family.tables), data_at(self._frames)
         m["rule"], m["clears"] = family.rule, family.clears
         m["torque_at"], m["torque_bits"], m["torque_end"] = family.torque_field
@@ -85,14 +79,10 @@ class MotorController(CompiledController):
         m["power"], m["asked"] = DriveState.BOOT, -RETRY_TICKS
         m["patience_ticks"] = family.patience_ticks(setup.rate_Hz)
         polls = sent_array(family.polls)[np.newaxis]
-        super().__init__(m.copy(), kernels.decode, family.commanding, polls)
+        super().__init__(m, kernels.decode, family.commanding, polls)
         self._polls_by_command = not polls.size
         if self._polls_by_command:
             self.opening, self.opener = kernels.begin.address, self.codec
-
-    def start(self) -> None:
-        """Begin the dialogue: no drive has been heard."""
-        self.state[...] = self._begun
 
     def begin(self, number: int) -> Rows:
         """Return one poll a drive: it carries the command of the tick before, where `polls` are none."""
@@ -119,11 +109,8 @@ class MotorController(CompiledController):
         m: Any = self.state
         return tuple(((m["done"] > m["exchanges"]) & (m["power"] != DriveState.BOOT)).tolist())
 
-    def lacks(self) -> tuple[str, ...]:
+    def lack(self, leg: int) -> str:
         """Return what is missing: the drive itself, or the register that is not confirmed."""
-        return tuple(self._lack(leg) for leg in range(LEGS))
-
-    def _lack(self, leg: int) -> str:
         m: Any = self.state
         done, exchanges = int(m["done"][leg]), self._exchanges[leg]
         if done == 0:
@@ -165,7 +152,7 @@ class MotorProtocol(Family):
     obey: Pointed
     encode: Pointed
     """The family's functions: see `drivers.motor_kernels` and `drivers.motor_device_kernels`."""
-    reporting = devices.silent
+    reporting, fresh_by, addressed_by = devices.silent, devices.fresh, devices.addressed
     rule = KEEPS
     """What a drive is sent, see `drivers.motor_kernels`."""
     clears = False
@@ -213,7 +200,7 @@ class MotorProtocol(Family):
         self.tables: Record = np.zeros((), EAR)
         """What `ear` works on."""
         self.tables["nodes"] = nodes
-        self.feedback_by_leg, self.feedback_ids = tuple(answers), frozenset(answers)
+        self.wanted, self.feedback_ids = tuple(answers), frozenset(answers)
 
     # what a family gives
 
@@ -297,16 +284,10 @@ class MotorProtocol(Family):
         """Return the drives' end, powered up."""
         return MotorDrivesEnd(self)
 
-    def hearing(self) -> Hearing:
-        """Return the controller's end by address, as far as it hears."""
-        return self.drives_end().hearing()
-
     def _heard(self, frame: Frame) -> Any:
         """Return what a drive's frame says, an element of HEARD; None for a frame that is nobody's."""
-        identifier, data, flags = frame
         heard = np.zeros((), HEARD)
-        row = _pack(0, identifier, 0, len(data), flags % BUS, 0, data)
-        said = self.ear(self.tables, row, heard)
+        said = self.ear(self.tables, sent_array([frame]), heard)
         return heard if said and self.bus_of[heard["leg"]] == frame.bus else None
 
     def sender(self, frame: Frame) -> int:
@@ -315,9 +296,9 @@ class MotorProtocol(Family):
         return -1 if heard is None or heard["has"] & FOREIGN else int(heard["leg"])
 
     def awaited(self, frame: Frame) -> int:
-        """Return whose feedback a frame is, see `feedback_by_leg`; -1 for none."""
+        """Return whose feedback a frame is, see `wanted`; -1 for none."""
         heard = self._heard(frame)
-        return self.feedback_by_leg[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1
+        return self.wanted[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1
 
     def identity(self, frame: Frame) -> Said | None:
         """Return the serial number or revision that a drive on the frame's bus reports."""

@@ -17,27 +17,216 @@ message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set wi
 import struct
 from collections.abc import Sequence
 from math import ceil
+from typing import Any
 
-from drivers import odrive_kernels as kernels
+import numpy as np
+
+from drivers import motor_device_kernels as drives_end
+from drivers import motor_kernels as motors
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import FAILED, pointed
 from drivers.config import BusSettings, DriveSettings
+from drivers.ends import frame_at
 from drivers.errors import ConfigurationError
-from drivers.identity import SERIAL, Said
-from drivers.motor_device_kernels import ANY
-from drivers.motor_drives import codes_of
-from drivers.motor_kernels import PREPARES
+from drivers.frame_array import FRAME
+from drivers.frame_pointers import begin_sent, place_of, whole
+from drivers.motor_device_kernels import ANY, codes_of
+from drivers.motor_kernels import OWN_CODE, PREPARES, RETRY_TICKS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import MotorProtocol
 from drivers.protocol import (
     ALL_LEGS,
+    ERROR,
+    EXTENDED,
+    FD,
     REMOTE,
+    SERIAL,
     Answer,
     DeviceMessage,
     EmergencyStop,
     Frame,
+    Said,
 )
-from drivers.signals import DriveFault
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
+
+ADDRESS = 0x06
+"""Asked for by a remote frame it is answered with node number, serial number and connection."""
+HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
+IDLE, CLOSED_LOOP = 1, 8
+"""Axis states."""
+TORQUE_CONTROL = 1
+"""Control mode."""
+STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
+"""Why a frame is rejected."""
+COMMANDS = sum(
+    1 << kind
+    for kind in {
+        ESTOP, AXIS_STATE, MODES, TORQUE, CLEAR,
+        0x04, ADDRESS, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F,
+    }
+)  # fmt: skip
+"""Bits of what a controller sends with data; the emulated axis has the first five."""
+WATCHDOG_EXPIRED, STOP_REQUESTED = 0x1000000, 0x2000000
+"""Errors of an axis that have a DriveFault of their own."""
+STRANGE = EXTENDED | FD | ERROR
+_UNHEARD = STRANGE | REMOTE
+_OFF, _RUN, _FAULT = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
+_WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
+_ASKS_RUN, _ASKS_RESET = int(DriveMode.RUN), int(DriveMode.RESET)
+_FRAME_BYTES = FRAME.itemsize
+
+
+@pointed(record(motors.EAR), record(FRAME), record(motors.HEARD))
+def hear(ear: Any, frame: Any, heard: Any) -> int:
+    """Take estimates or a heartbeat."""
+    identifier, data = int(frame.id), frame.data
+    node, kind = identifier >> 5, identifier & 0x1F
+    leg = place_of(node, ear.nodes)
+    if frame.flags & _UNHEARD or identifier > 0x7FF or leg < 0:
+        return 0
+    if COMMANDS >> kind & 1:
+        # an address that is set names another node
+        own_address = kind == ADDRESS and frame.length == 8 and data[0] == node
+        return 0 if own_address else motors.says(heard, leg, motors.FOREIGN)
+    if kind not in (HEARTBEAT, ESTIMATES):
+        return 0
+    if frame.length != 8:
+        return motors.says(heard, leg, motors.BROKEN)
+    if kind == HEARTBEAT:
+        motors.says(heard, leg, motors.POWER)
+        error = whole(data, 0)
+        heard.power = _FAULT if error else _RUN if data[4] == CLOSED_LOOP else _OFF
+        if error == WATCHDOG_EXPIRED:
+            heard.fault = _WATCHDOG
+        elif error == STOP_REQUESTED:
+            heard.fault = _ESTOP
+        elif error:
+            heard.fault = OWN_CODE + error
+        return 1
+    turns, speed = motors.single(data, 0), motors.single(data, 4)
+    if not (np.isfinite(turns) and np.isfinite(speed)):
+        return motors.says(heard, leg, motors.FEEDBACK)
+    motors.says(heard, leg, motors.FEEDBACK | motors.MOTION)
+    heard.turns, heard.speed = turns, speed
+    return 1
+
+
+@pointed(record(motors.MOTORS), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
+    """Put one frame an axis at an address, and one more where its loop is to be closed or errors cleared.
+
+    Returns how many they are, or FAILED: a force does not fit.
+    """
+    before = m.mode
+    if not motors.remember(m, mode, force_at):
+        return FAILED
+    begins = mode == _ASKS_RUN and before != _ASKS_RUN
+    sent = 0
+    for leg in range(LEGS):
+        # a heartbeat of before RUN ended may have said that it was off
+        if before == _ASKS_RUN and mode != _ASKS_RUN and m.power[leg] == _OFF:
+            m.power[leg] = _RUN
+        has_had_time = m.said[leg] - m.asked[leg] >= RETRY_TICKS
+        idle = has_had_time and m.power[leg] == _OFF and not m.ran[leg]
+        if begins or (mode == _ASKS_RUN and idle):
+            m.asked[leg] = number
+            motors.send(m, motors.ENABLE, leg, into + sent * _FRAME_BYTES)
+            sent += 1
+        motors.send_next(m, leg, into + sent * _FRAME_BYTES)
+        sent += 1
+        if mode == _ASKS_RESET:
+            motors.send(m, motors.CLEAR, leg, into + sent * _FRAME_BYTES)
+            sent += 1
+    return sent
+
+
+@helper
+def _fits(kind: int, size: int) -> bool:
+    """Tell whether an axis takes so many bytes of what it hears."""
+    if kind == CLEAR:
+        return size <= 1
+    return size == 8 or (size == 4 and kind != MODES)
+
+
+@helper
+def _ask_state(d: Any, data: Any, order: Any) -> int:
+    """Take an axis state that is asked for."""
+    leg, state, ready = order.leg, whole(data, 0), order.enabled != 0
+    if state not in (IDLE, CLOSED_LOOP):
+        return drives_end.rejects(order, NO_STATE, state)
+    first = drives_end.register(d, leg, AXIS_STATE, -1.0) < 0.0
+    if state == IDLE:
+        drives_end.tells(order, drives_end.OFF, False)
+        drives_end.configures(d, order, 1)
+    else:
+        if drives_end.register(d, leg, MODES, -1.0) != TORQUE_CONTROL:
+            return drives_end.rejects(order, NO_TORQUE_CONTROL, 0.0)
+        if not ready:
+            drives_end.enables(order)
+        if first:
+            drives_end.configures(d, order, -1)
+    if state == IDLE or first:
+        drives_end.write(d, leg, AXIS_STATE, state)
+    return 1
+
+
+@pointed(record(drives_end.DEVICES), record(FRAME), record(drives_end.ORDER))
+def obey(d: Any, frame: Any, order: Any) -> int:
+    """Take a command, or the question for estimates."""
+    kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
+    if frame.flags & STRANGE:
+        return 0
+    if frame.flags & REMOTE:
+        order.answers = kind == ESTIMATES and size == 0
+        return FAILED if kind == ADDRESS and size == 0 else order.answers
+    if kind == ESTOP:
+        return FAILED
+    if not COMMANDS >> kind & 1:
+        return 0
+    if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
+        return drives_end.rejects(order, NO_COMMAND, 0.0)
+    if not _fits(kind, size):
+        return drives_end.rejects(order, STRANGE_SIZE, 0.0)
+    if kind == AXIS_STATE:
+        return _ask_state(d, data, order)
+    if kind == MODES:
+        drives_end.write(d, order.leg, MODES, whole(data, 0))
+    elif kind == CLEAR:
+        drives_end.tells(order, drives_end.RESET, False)
+    elif order.enabled:
+        drives_end.tells(order, drives_end.RUN, True)
+        order.torque = motors.single(data, 0)
+        if not np.isfinite(order.torque):
+            return drives_end.rejects(order, NO_TORQUE, 0.0)
+    return 1
+
+
+@pointed(record(drives_end.DEVICES), record(drives_end.SAID), record(FRAME))
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in estimates; a lost encoder has none: they are NaN."""
+    begin_sent(frame, d.nodes[said.leg] << 5 | ESTIMATES, 8, 0, d.bus_of[said.leg])
+    motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
+    motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
+    return 0
+
+
+@pointed(record(drives_end.DEVICES), *[INTEGER] * 7)
+def beat(
+    d: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, due: int, into: int
+) -> int:
+    """Fill in a heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
+    if not due:
+        return 0
+    frame = frame_at(into)
+    begin_sent(frame, d.nodes[leg] << 5 | HEARTBEAT, 8, 0, d.bus_of[leg])
+    error = drives_end.ear_at(d.ear).codes[fault]
+    for k in range(4):
+        frame.data[k] = error >> 8 * k & 0xFF
+    frame.data[4] = CLOSED_LOOP if state == _RUN else IDLE
+    return 1
+
 
 PASSTHROUGH = 1
 """Input mode."""
@@ -73,8 +262,8 @@ ERRORS = {
     0x40000000: "calibration error",
 }
 _FAULTS = {
-    DriveFault.WATCHDOG: kernels.WATCHDOG_EXPIRED,
-    DriveFault.ESTOP: kernels.STOP_REQUESTED,
+    DriveFault.WATCHDOG: WATCHDOG_EXPIRED,
+    DriveFault.ESTOP: STOP_REQUESTED,
     DriveFault.OVERFORCE: 0x1000,
     DriveFault.SENSOR: 0x8,
     DriveFault.STROKE: 0x10000,
@@ -97,8 +286,8 @@ _WATCHDOGS = (
 class ODriveProtocol(MotorProtocol):
     """The tables of six axes."""
 
-    ear, commanding, rule = kernels.hear, kernels.push, PREPARES
-    obey, encode, reporting = kernels.obey, kernels.encode, kernels.beat
+    ear, commanding, rule = hear, push, PREPARES
+    obey, encode, reporting = obey, encode, beat
     number_at = 5, ANY
     rejections = (
         "command {kind:#x} of {size} bytes",
@@ -128,12 +317,12 @@ class ODriveProtocol(MotorProtocol):
 
         Raises ConfigurationError for a node over 62: 63 is "not set".
         """
-        answers = tuple(node << 5 | kernels.ESTIMATES for node in nodes)
+        answers = tuple(node << 5 | ESTIMATES for node in nodes)
         super().__init__(transmission, nodes, (0, 32, 0.0), legs, answers)
         self.delivered_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
         self.refuse_nodes(0, 62, "odrive")
         self.tables["codes"] = codes_of(_FAULTS, 0)
-        self.polls = self._to_each(kernels.ESTIMATES, b"", REMOTE)
+        self.polls = self._to_each(ESTIMATES, b"", REMOTE)
 
     def _to_each(self, command: int, data: bytes, flags: int = 0) -> tuple[Frame, ...]:
         return self.to_each(Frame(node << 5 | command, data, flags) for node in self.nodes)
@@ -147,34 +336,29 @@ class ODriveProtocol(MotorProtocol):
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return what makes an axis idle, clears its errors, closes its loop, is its torque and its mode."""
         asked = (
-            (kernels.AXIS_STATE, struct.pack("<Ixxxx", kernels.IDLE)),
-            (kernels.CLEAR, b"\0"),
-            (kernels.AXIS_STATE, struct.pack("<Ixxxx", kernels.CLOSED_LOOP)),
-            (kernels.TORQUE, bytes(8)),
-            (kernels.MODES, struct.pack("<II", kernels.TORQUE_CONTROL, PASSTHROUGH)),
+            (AXIS_STATE, struct.pack("<Ixxxx", IDLE)),
+            (CLEAR, b"\0"),
+            (AXIS_STATE, struct.pack("<Ixxxx", CLOSED_LOOP)),
+            (TORQUE, bytes(8)),
+            (MODES, struct.pack("<II", TORQUE_CONTROL, PASSTHROUGH)),
         )
         return tuple(self._to_each(*each) for each in asked)
 
     def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
         """Return remote frames for the address of each axis."""
-        return (self._to_each(kernels.ADDRESS, b"", REMOTE),)
+        return (self._to_each(ADDRESS, b"", REMOTE),)
 
     def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number of an address that names its own node: one that sets it names another."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 5)
-        if (
-            leg is None
-            or identifier & 0x1F != kernels.ADDRESS
-            or flags & (kernels.STRANGE | REMOTE)
-            or len(data) != 8
-        ):
+        if leg is None or identifier & 0x1F != ADDRESS or flags & (STRANGE | REMOTE) or len(data) != 8:
             return None
         return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return Estop for each axis: it latches."""
-        return self._to_each(kernels.ESTOP, b"")
+        return self._to_each(ESTOP, b"")
 
     # drives' end
 
@@ -182,7 +366,7 @@ class ODriveProtocol(MotorProtocol):
         """Take Estop, or the question for the address."""
         assert leg is not None
         node = self.nodes[leg]
-        if frame.id & 0x1F == kernels.ADDRESS:
+        if frame.id & 0x1F == ADDRESS:
             said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
             return (Answer(leg, self.to_leg(leg, Frame(frame.id, said))),)
         d["enabled"][leg] = 0

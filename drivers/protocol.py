@@ -3,11 +3,11 @@
 A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 """
 
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, Self
+
+import numpy as np
 
 from drivers.arrays import Array
-from drivers.identity import Said
-from drivers.resolution import Resolution
 from drivers.signals import LEGS, Reaction
 
 EXTENDED = 1
@@ -18,8 +18,6 @@ REMOTE = 16
 ERROR = 32
 BUS = 256
 """One step of the bus index."""
-OTHER_BUSES = 0xFF00
-"""Flags of frames that are not on bus 0."""
 
 ALWAYS = -(1 << 62)
 """Before any time, ns."""
@@ -137,6 +135,63 @@ class Status(NamedTuple):
     """The heartbeat's period is over; else something has changed, which some drives do not send at once."""
 
 
+SERIAL, REVISION = "serial number", "revision"
+"""What a drive may say of itself, by which one is told from another of the same node number."""
+
+
+class Said(NamedTuple):
+    """One figure that a drive has said of itself."""
+
+    leg: int
+    what: str
+    """SERIAL or REVISION."""
+    value: int
+
+    @property
+    def tells(self) -> bool:
+        """Whether it tells one drive from another: a serial number of 0 or all ones was never written."""
+        return self.what != SERIAL or self.value not in _UNWRITTEN
+
+
+_UNWRITTEN = frozenset({0, *((1 << bits) - 1 for bits in (32, 48, 64, 96))})
+"""The widths of serial numbers."""
+
+
+SINGLE = 2.0**-24
+"""Share by which a number is off as a single, rounded to nearest."""
+FARTHEST_m = 2.0
+"""No leg is farther from where its drive reads zero."""
+
+
+class Resolution(NamedTuple):
+    """Largest deviations by the steps of the frames; every array is (6,), leg order.
+
+    A field that is rounded is off by half a step; one that may be truncated, at either end, by a whole one.
+    """
+
+    length: Array
+    """m, of a length that is read."""
+    rate: Array
+    """m/s, of a rate that is read."""
+    force: Array
+    """N at the leg, without losses, of a force that is commanded."""
+    differences: bool = False
+    """Whether a rate is no reading, but the slope at the end of the parabola through three lengths."""
+
+    @classmethod
+    def of(
+        cls, length: Array | float, rate: Array | float, force: Array | float, *, differences: bool = False
+    ) -> Self:
+        """Return the deviations; their signs do not count, a value for all legs is repeated."""
+        q, dq, f = (np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force))
+        return cls(q, dq, f, differences)
+
+    @classmethod
+    def of_singles(cls) -> Self:
+        """Return what singles leave of a length; of rate and force it is less than anything else."""
+        return cls.of(SINGLE * FARTHEST_m, 0.0, 0.0)
+
+
 PowerTold = Literal["feedback", "heartbeat", "never"]
 
 
@@ -203,6 +258,7 @@ class DriveProtocol(Protocol):
 
     def awaited(self, frame: Frame) -> int:
         """Return which of `feedback_ids` a frame is; another number for what is no feedback."""
+        return frame.id
 
     def fault_text(self, _code: int) -> str:
         """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""

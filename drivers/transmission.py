@@ -160,10 +160,6 @@ class Transmission:
         """Return leg rates (6,) m/s at motor speeds (6,) turns/s."""
         return self.m_per_turn * turns_per_s
 
-    def turns_per_s(self, rate: Array) -> Array:
-        """Return motor speeds (6,) turns/s at leg rates (6,) m/s."""
-        return rate / self.m_per_turn
-
     def length_of_counts(self, counts: Array) -> Array:
         """Return leg lengths (6,) m at encoder readings (6,) counts."""
         return self.length(counts / self.counts)

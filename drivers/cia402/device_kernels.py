@@ -10,8 +10,8 @@ import numpy as np
 from drivers.cia402 import objects as o
 from drivers.cia402 import states as s
 from drivers.cia402.dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
-from drivers.cia402.emergency import HEARTBEAT_LOST
 from drivers.cia402.kernels import STRANGE
+from drivers.cia402.states import HEARTBEAT_LOST
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, record_at
 from drivers.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, frame_at, message_at, put_message, reading_at

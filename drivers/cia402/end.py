@@ -18,8 +18,8 @@ from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL
 from drivers.cia402.objects import Key
 from drivers.cia402.states import ENABLED, UNHEARD
 from drivers.controller_end import CompiledController
+from drivers.ends import Family
 from drivers.errors import ProtocolError
-from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
@@ -217,13 +217,9 @@ class Cia402End(CompiledController):
 
     def __init__(self, family: Family, begun: Rows) -> None:
         """Take the family, and the record of the dialogue before its first request."""
-        self._family, self._begun = family, begun
+        self._family = family
         sync = sent_array(family.to_all(Frame(o.SYNC_ID, b"")))  # without counter
-        super().__init__(begun.copy(), kernels.decode, kernels.command, sync[np.newaxis])
-
-    def start(self) -> None:
-        """Begin the dialogue: no drive has been set up."""
-        self.state[...] = self._begun
+        super().__init__(begun, kernels.decode, kernels.command, sync[np.newaxis])
 
     def presume_running(self) -> None:
         """Take all drives for enabled."""
@@ -297,13 +293,10 @@ class Cia402End(CompiledController):
         """Return which drives hold on their own word what was set, and answer the SYNC."""
         return tuple((self.state["at"] == self.state["steps"]).tolist())
 
-    def lacks(self) -> tuple[str, ...]:
+    def lack(self, leg: int) -> str:
         """Return the object that a drive refused, reads otherwise or does not answer for."""
-        return tuple(map(self._lack, range(LEGS), self.legs_set_up()))
-
-    def _lack(self, leg: int, done: bool) -> str:
         c, refused = self.state, int(self.state["refused"][leg])
-        if done:
+        if self.legs_set_up()[leg]:
             return ""
         step = refused - 1 if refused else int(c["at"][leg])
         request, value, mask = (int(c[name][leg, step]) for name in ("requests", "values", "masks"))

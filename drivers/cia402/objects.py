@@ -1,8 +1,14 @@
 """Objects of CiA 301 and CiA 402 that a run uses, and the expedited SDO frames that read and write them.
 
 Identifiers and services: CiA 301 (EN 50325-4), 7.2 and 7.3. Drive objects: CiA 402-2 (IEC 61800-7-201).
-Integers are little-endian. No state, no clock.
+Integers are little-endian. No state, no clock. A drive's electronic data sheet is checked before a run; it is
+read with the package canopen, an extra.
 """
+
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConfigurationError
 
 NMT_ID, SYNC_ID, EMCY_ID = 0x000, 0x080, 0x080
 TPDO_ID = 0x180, 0x280, 0x380, 0x480
@@ -156,3 +162,73 @@ def read_value(data: bytes) -> tuple[Key, int] | None:
 def mapped(key: Key, bits: int) -> int:
     """Return the entry of a PDO mapping."""
     return key[0] << 16 | key[1] << 8 | bits
+
+
+_WRITTEN: tuple[Key, ...] = (
+    CONSUMER_HEARTBEAT,
+    PRODUCER_HEARTBEAT,
+    (RPDO, 1),
+    (RPDO, 2),
+    (RPDO_MAP, 0),
+    (TPDO, 1),
+    (TPDO, 2),
+    (TPDO_MAP, 0),
+    ABORT_CONNECTION,
+    QUICK_STOP,
+    FAULT_REACTION,
+    MODE,
+    MAX_TORQUE,
+)
+_READ: tuple[Key, ...] = (DEVICE_TYPE, MODE_SHOWN, RATED_TORQUE)
+_MAPPED: tuple[Key, ...] = (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TORQUE)
+
+
+def check_eds(path: str, *, velocity: bool) -> None:
+    """Read a data sheet. velocity: whether 0x606C has to fit into a second TPDO.
+
+    Raises ConfigurationError if the package canopen is not there, if the sheet cannot be read, and with all
+    that the drive lacks.
+    """
+    try:
+        import canopen  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise ConfigurationError(
+            "drives.options.eds: a data sheet is read with the package canopen: pip install "
+            "'hexapod-hil[canopen]', or leave the key out"
+        ) from None
+    if not Path(path).is_file():
+        raise ConfigurationError(f"drives.options.eds: no such file: {path}")
+    try:
+        found = canopen.import_od(path)
+    except Exception as error:  # the reader raises whatever its parser meets
+        raise ConfigurationError(f"drives.options.eds: {path} cannot be read: {error!r}") from error
+    lacks = _lacks(found, velocity=velocity)
+    if lacks:
+        raise ConfigurationError(
+            f"drives.options.eds: by {path} the drive lacks what cia402 needs: {'; '.join(lacks)}"
+        )
+
+
+def _lacks(found: Any, *, velocity: bool) -> list[str]:
+    second = ((TPDO + 1, 1), (TPDO_MAP + 1, 0)) if velocity else ()
+    mapped = (*_MAPPED, VELOCITY) if velocity else _MAPPED
+    lacks = []
+    for key in (*_READ, *_WRITTEN, *second, *mapped):
+        variable = _variable(found, key)
+        if variable is None:
+            lacks.append(f"{place(key)} is not there")
+        elif key in (*_WRITTEN, *second) and not variable.writable:
+            lacks.append(f"{place(key)} cannot be written")
+        elif key in mapped and not variable.pdo_mappable:
+            lacks.append(f"{place(key)} cannot be mapped")
+    return lacks
+
+
+def _variable(found: Any, key: Key) -> Any:
+    index, sub = key
+    if index not in found:
+        return None
+    entry = found[index]
+    if not hasattr(entry, "subindices"):
+        return entry if sub == 0 else None
+    return entry[sub] if sub in entry.subindices else None

@@ -15,7 +15,6 @@ from drivers.arrays import Array
 from drivers.cia402 import device_kernels, kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.drives_end import Cia402Drives
-from drivers.cia402.emergency import CODES, meaning
 from drivers.cia402.end import (
     FAULT_REACTIONS,
     MOST_REQUESTS,
@@ -27,16 +26,12 @@ from drivers.cia402.end import (
     plan,
 )
 from drivers.cia402.kernels import FROM_DRIVES, STRANGE
-from drivers.cia402.states import STOP_QUICKLY
-from drivers.compiled.pointed import data_at
+from drivers.cia402.states import CODES, STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
-from drivers.ends import Hearing
+from drivers.ends import Family
 from drivers.errors import ConfigurationError
-from drivers.family import Family
-from drivers.identity import REVISION, SERIAL, Said
 from drivers.motor_settings import Options, refuse_layout, required
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame
-from drivers.resolution import Resolution
+from drivers.protocol import ALL_LEGS, REVISION, SERIAL, DriveSetup, Frame, Resolution, Said
 from drivers.signals import LEGS, DriveFault
 from drivers.transmission import Transmission
 
@@ -71,6 +66,7 @@ class Cia402Protocol(Family):
     ConfigurationError on node numbers that are not six different ones of 1..127 beside the controller's own.
     """
 
+    fresh_by, addressed_by = device_kernels.fresh, device_kernels.addressed
     set_up_frames, reset_ticks = MOST_REQUESTS, 6
     latches_together = stop_latches = True
     force_on_brakes = False
@@ -124,8 +120,10 @@ class Cia402Protocol(Family):
         c["lossless"] = (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
         d["rated_mNm"] = self._settings.rated_torque_mNm
         d["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
-        self._wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
-        self.feedback_ids = frozenset(self._wanted)
+        self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
+        self.feedback_ids = frozenset(self.wanted)
+        own = tuple(enumerate(self.node_ids))
+        self.senders = {base + node: leg for base in FROM_DRIVES for leg, node in own}
 
     def resolution(self, rate_Hz: float) -> Resolution:
         """Return a count of length, and of rate what TPDO2 or the difference of lengths leaves.
@@ -167,25 +165,7 @@ class Cia402Protocol(Family):
         """Return the drives' end, powered up."""
         return Cia402Drives(self._devices)
 
-    def hearing(self) -> Hearing:
-        """Return the controller's end by address, as far as it hears."""
-        d = self._devices
-        fresh, addressed = device_kernels.fresh.address, device_kernels.addressed.address
-        return Hearing(fresh, addressed, data_at(d), self._wanted, d)
-
     # which drive a frame concerns
-
-    def awaited(self, frame: Frame) -> int:
-        """Return its identifier."""
-        return frame.id
-
-    def sender(self, frame: Frame) -> int:
-        """Return the leg of a PDO, SDO, EMCY or heartbeat of one of the drives on its own bus."""
-        node = frame.id & _NODE
-        if frame.id & ~_NODE not in FROM_DRIVES or node not in self.node_ids:
-            return -1
-        leg = self.node_ids.index(node)
-        return leg if frame.bus == self.bus_of[leg] else -1
 
     def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
         return self.to_each(Frame(base + node, data) for node in self.node_ids)

@@ -1,18 +1,23 @@
-"""Both ends of the own protocol; they are compiled in `drivers.legs.kernels` and `device_kernels`."""
+"""Both ends of the own protocol; the controller's is compiled in `drivers.legs.kernels`, the drives' here.
 
-from __future__ import annotations
+Fields and checks as there. CONFIG and E-stop are left to Python.
+"""
 
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array, Rows
+from drivers.compiled.compiler import INTEGER, helper
+from drivers.compiled.pointed import FAILED, integers_at, pointed
 from drivers.controller_end import CompiledController
-from drivers.ends import CompiledDrives
+from drivers.ends import COMMAND, REJECTED, SYNC, CompiledDrives, frame_at, message_at, reading_at
 from drivers.errors import ProtocolError
-from drivers.frame_array import NO_FRAMES, sent_array
-from drivers.legs import device_kernels, kernels
-from drivers.legs.crc import seals
+from drivers.frame_array import FRAME, NO_FRAMES, sent_array
+from drivers.frame_pointers import begin_sent, place_of, whole
+from drivers.legs import kernels
+from drivers.legs.crc import check_of, intact, seals
+from drivers.legs.kernels import EXACT, QUANTITIES, STRANGE, commands_at, ends, natural, read, write
 from drivers.legs.messages import set_up_checksum
 from drivers.protocol import (
     ALL_LEGS,
@@ -22,9 +27,8 @@ from drivers.protocol import (
     EmergencyStop,
     Frame,
     Rejected,
-    Status,
 )
-from drivers.signals import LEGS, DriveState, Reaction
+from drivers.signals import LEGS, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 
 TRIES = 10
@@ -33,8 +37,6 @@ SETUP_S = 0.02
 """From one CONFIG of a drive to its next."""
 NOT_HEARD = -1
 """Said by a drive whose status has not been heard."""
-_NEWEST = 8
-"""Versions of the protocol that are tried."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 _REASONS = (
     "length or CRC of SYNC",
@@ -45,7 +47,165 @@ _REASONS = (
     "force not finite or out of range",
     "command {counter} while the present SYNC is {present}",
 )
-"""By the numbers of `drivers.legs.device_kernels`."""
+"""By the numbers of SYNC_BROKEN and what follows."""
+NO_SYNC = -1
+"""Of drives that have heard no SYNC yet."""
+SYNC_BROKEN, SYNC_REPEATED, LENGTH, BROKEN, UNKNOWN_MODE, UNFIT, NOT_PRESENT = range(7)
+"""Why a frame cannot be trusted: `mode` of a message REJECTED; of the last one `counter` is the command's."""
+_MODES = len(DriveMode)
+_FRAME = FRAME.itemsize
+
+
+@helper
+def _reject(message: Any, why: int) -> int:
+    message.kind, message.mode, message.count = REJECTED, why, 0
+    return 1
+
+
+@helper
+def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
+    if frame.length != e.sync_length or not intact(frame):
+        return _reject(message, SYNC_BROKEN)
+    counter = np.int64(frame.data[0])
+    if counter == e.present[bus]:
+        return _reject(message, SYNC_REPEATED)
+    e.present[bus] = counter
+    message.kind, message.counter, message.count = SYNC, counter, 0
+    for leg in range(LEGS):
+        if e.home[leg] == bus:
+            message.legs[message.count] = leg
+            message.count += 1
+    return 1
+
+
+@helper
+def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
+    """Take a command; bytes behind the check, which it does not cover, are 0 or the frame is BROKEN."""
+    data, at, width = frame.data, of.check[0] >> 3, of.check[1] >> 3
+    if frame.length != of.length:
+        return _reject(message, LENGTH)
+    if check_of(of.id, data, at, width) != whole(data, at, width):
+        return _reject(message, BROKEN)
+    for k in range(at + width, of.length):
+        if data[k]:
+            return _reject(message, BROKEN)
+    mode = natural(data, of.mode[0], of.mode[1])
+    if mode >= _MODES:
+        return _reject(message, UNKNOWN_MODE)
+    word = np.empty(1, np.int64)
+    for k in range(of.forces):
+        value = read(data, of.first + k * of.bits, of.bits, word)
+        if not e.least <= value <= e.most:
+            return _reject(message, UNFIT)
+        message.force[k] = value if of.bits == EXACT else value * e.step
+    present, counter = e.present[of.bus], natural(data, of.counter[0], of.counter[1])
+    message.counter = counter
+    if present == NO_SYNC or counter != present & ((1 << of.counter[1]) - 1):
+        return _reject(message, NOT_PRESENT)
+    message.kind, message.mode, message.count = COMMAND, mode, of.legs
+    message.legs[:] = of.leg
+    return 1
+
+
+@pointed(ends, INTEGER, INTEGER)
+def parse(e: Any, frame_address: int, message_address: int) -> int:
+    """Decode a SYNC or a command; FAILED for a CONFIG or an E-stop.
+
+    Rejected: wrong length or check, an unknown mode, a force that is not finite, a command that is not for
+    the present SYNC, a SYNC that repeats the present one.
+    """
+    frame, message = frame_at(frame_address), message_at(message_address)
+    identifier: Any = np.int64(frame.id)
+    bus: Any = np.int64(frame.bus)
+    if frame.flags & STRANGE or bus >= e.buses:
+        return 0
+    if identifier == e.sync:
+        return _parse_sync(e, frame, bus, message)
+    commands = commands_at(e.commands, e.frames)
+    for n in range(e.frames):
+        if identifier == commands[n].id and bus == commands[n].bus:
+            return _parse_command(e, commands[n], frame, message)
+    return FAILED if identifier == e.estop or place_of(identifier, e.config) >= 0 else 0
+
+
+@pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER)
+def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
+    """Fill in the feedbacks to a SYNC and the leg of each, leg order on each bus; FAILED for a NaN.
+
+    What exceeds its field saturates.
+    """
+    sync, reading = message_at(sync_address), reading_at(reading_address)
+    values = (reading.length, reading.rate, reading.force)
+    asked, count, last = 0, 0, e.feedback_length - 1
+    for k in range(sync.count):
+        asked |= 1 << sync.legs[k]
+    for k in range(QUANTITIES):
+        for leg in range(LEGS):
+            if e.bits[k] > 0 and np.isnan(values[k][leg]):
+                return FAILED
+    legs, word = integers_at(senders, LEGS), np.empty(1, np.int64)
+    for bus in range(e.buses):
+        for leg in range(LEGS):
+            if e.home[leg] != bus or not asked >> leg & 1:
+                continue
+            frame = frame_at(into + count * _FRAME)
+            begin_sent(frame, e.feedback[leg], e.feedback_length, e.feedback_flags, bus)
+            data = frame.data
+            for k in range(QUANTITIES):
+                if e.bits[k] > 0:
+                    value = min(max(values[k][leg], e.low[k]), e.high[k])
+                    steps = value if e.bits[k] == EXACT else np.rint(value / e.scale[k])
+                    write(steps, data, e.start[k], e.bits[k], word)
+            data[e.counter_at] = reading.state[leg] << 4 | sync.counter & 0xF
+            data[last] = check_of(e.feedback[leg], data, last, 1)
+            legs[count] = leg
+            count += 1
+    return count
+
+
+@pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def report(
+    e: Any, leg: int, state: int, fault: int, watchdog_ns: int, reaction: int, _due: int, into: int
+) -> int:
+    """Fill in one drive's status."""
+    checksum, last = 0, e.status_length - 1
+    if watchdog_ns >= 0:
+        watchdog = np.int64(np.rint(watchdog_ns * 1e-9 / e.watchdog_s))
+        said = np.empty(11, np.uint8)
+        said[4], said[5], said[6] = reaction, e.place[leg], e.version
+        for k in range(4):
+            said[k], said[7 + k] = watchdog >> 8 * k & 0xFF, e.rated_mN >> 8 * k & 0xFF
+        checksum = check_of(e.config[leg], said, 11, 2)
+    frame = frame_at(into)
+    begin_sent(frame, e.status[leg], e.status_length, e.status_flags, e.home[leg])
+    data = frame.data
+    data[0], data[1], data[2], data[3] = state, fault, checksum & 0xFF, checksum >> 8
+    data[last] = check_of(e.status[leg], data, last, 1)
+    return 1
+
+
+@pointed(ends, INTEGER, INTEGER, INTEGER)
+def fresh(e: Any, frame_address: int, tick: int, since_ns: int) -> int:
+    """Return the leg, from 1 on, of an intact feedback to this tick's SYNC on its own bus; else 0."""
+    frame = frame_at(frame_address)
+    identifier: Any = np.int64(frame.id)
+    leg = place_of(identifier, e.feedback)
+    good = leg >= 0 and frame.bus == e.home[leg] and not frame.flags & STRANGE
+    good = good and frame.length == e.feedback_length and frame.t_ns >= since_ns
+    good = good and (tick - np.int64(frame.data[e.counter_at])) & 0xF == 0
+    return leg + 1 if good and intact(frame) else 0
+
+
+@pointed(ends, INTEGER)
+def addressed(e: Any, frame_address: int) -> int:
+    """Return which legs on its bus a frame is for, bit i: leg i. Only a CONFIG is for one."""
+    frame = frame_at(frame_address)
+    identifier: Any = np.int64(frame.id)
+    only, legs = place_of(identifier, e.config), 0
+    for leg in range(LEGS):
+        if frame.bus == e.home[leg] and only in (-1, leg):
+            legs |= 1 << leg
+    return legs
 
 
 class LegsController(CompiledController):
@@ -55,26 +215,11 @@ class LegsController(CompiledController):
 
     def __init__(self, family: Any, setup: DriveSetup) -> None:
         """Begin the dialogue. Raises ProtocolError if the watchdog does not fit."""
-        self._family, self._setup = family, setup
-        super().__init__(family.tables.copy(), kernels.decode, kernels.command, family.syncs)
-
-    def start(self) -> None:
-        """Begin the dialogue: no drive has been set up."""
-        s, (watchdog_s, reaction, rate_Hz) = self.state, self._setup
-        s["watchdog"], s["reaction"] = self._family.watchdog(watchdog_s), reaction
-        s["expected"] = [self._checksum(leg, *self._sent(leg)) for leg in ALL_LEGS]
-        s["interval"] = max(LEGS, round(SETUP_S * rate_Hz))
-        s["sent"], s["confirmed"], s["said"] = 0, 0, NOT_HEARD
-
-    def _sent(self, leg: int) -> tuple[int, ...]:
-        """Return the fields of a drive's CONFIG."""
-        s = self.state
-        return int(s["watchdog"]), int(s["reaction"]), int(s["place"][leg]), int(s["version"])
-
-    def _checksum(self, leg: int, *values: int) -> int:
-        """Return what a drive says of its set-up whose CONFIG has these fields."""
-        body = self._family.messages.config.pack(*values)[:-1]
-        return set_up_checksum(int(self.state["config"][leg]), body, self._family.rated_force_N)
+        configs, begun = family.configure(setup.watchdog_s, setup.reaction), family.tables.copy()
+        self._family, self._configs = family, sent_array(configs)
+        begun["expected"] = [set_up_checksum(n, data[:-1], family.rated_force_N) for n, data, _ in configs]
+        begun["interval"], begun["said"] = max(LEGS, round(SETUP_S * setup.rate_Hz)), NOT_HEARD
+        super().__init__(begun, kernels.decode, kernels.command, family.syncs)
 
     def set_up(self, tick: Record) -> Rows:
         """Return the CONFIG of a drive that is heard and has none from us or does not confirm it, one a tick.
@@ -89,41 +234,27 @@ class LegsController(CompiledController):
         if state != DriveState.BOOT and (enough or state in _POWERED):
             return NO_FRAMES
         s["sent"][leg] += 1
-        return sent_array([self._family.config(leg, *self._sent(leg))])
+        return self._configs[leg : leg + 1]
 
     def legs_set_up(self) -> tuple[bool, ...]:
         """Tell which drives have been sent their CONFIG and have confirmed it."""
         confirmed, sent = int(self.state["confirmed"]), self.state["sent"].tolist()
         return tuple([sent[leg] > 0 and confirmed >> leg & 1 == 1 for leg in ALL_LEGS])
 
-    def lacks(self) -> tuple[str, ...]:
-        """Return which value of its CONFIG each drive has not confirmed; empty: it has confirmed all.
-
-        A status has a checksum of the set-up. A watchdog and a rated force can have so many values that it
-        names none.
-        """
-        return tuple("" if done else self._lack(leg) for leg, done in enumerate(self.legs_set_up()))
-
-    def _lack(self, leg: int) -> str:
+    def lack(self, leg: int) -> str:
+        """Return why a drive is not taken for set up; a status has a checksum of the set-up alone."""
         times, said, expected = (int(self.state[name][leg]) for name in ("sent", "said", "expected"))
+        if self.legs_set_up()[leg]:
+            return ""
         if not times:
             return "it was sent no CONFIG"
         if said in (NOT_HEARD, expected):
             return f"no status of it was heard that confirms one of {times} CONFIG"
         if said == 0:
             return "it reports no set-up: it has accepted no CONFIG"
-        sent = self._sent(leg)
-        names = "reaction", "leg", "version of the protocol"
-        for k, values in enumerate((range(len(Reaction)), range(1, LEGS + 1), range(_NEWEST)), 1):
-            for value in values:
-                if value != sent[k] and self._checksum(leg, *sent[:k], value, *sent[k + 1 :]) == said:
-                    shown, known = ((Reaction(v).name.lower() if k == 1 else v) for v in (value, sent[k]))
-                    return f"its checksum is that of {names[k - 1]} {shown}, sent was {known}"
-        watchdog_ms = 1e3 * sent[0] * self.state["watchdog_s"]
         return (
-            f"its checksum is 0x{said:04X}, not 0x{expected:04X}, and fits no other reaction, leg or version "
-            f"alone: watchdog (sent: {watchdog_ms:g} ms), rated force (drives.force_limit_N: "
-            f"{self._family.rated_force_N:g} N) or several values differ"
+            f"its set-up has checksum 0x{said:04X}, not 0x{expected:04X}: it holds another than the CONFIG "
+            f"sent, or its rated force is not drives.force_limit_N, {self._family.rated_force_N:g} N"
         )
 
     def unfit(self, force: Array) -> ProtocolError:
@@ -146,8 +277,7 @@ class LegsDrives(CompiledDrives):
 
     def __init__(self, family: Any) -> None:
         self._family = family
-        k = device_kernels
-        super().__init__(family.tables.copy(), k.parse, k.answer, k.report)
+        super().__init__(family.tables.copy(), parse, answer, report)
 
     def reason(self, why: int, counter: int, _number: float, frame: Frame) -> str:
         """Return why a SYNC or a command is rejected."""
@@ -173,9 +303,3 @@ class LegsDrives(CompiledDrives):
         if watchdog < 1 or reaction >= len(Reaction) or place != self.record["place"][leg]:
             return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {place}")
         return Configure(leg, watchdog * of.scale[0], Reaction(reaction))
-
-    def notify(self, status: Status) -> tuple[Frame, ...]:
-        """Raise the ProtocolError of a watchdog that no CONFIG could have set."""
-        assert status.set_up is not None
-        self._family.watchdog(status.set_up.watchdog_s)
-        return ()

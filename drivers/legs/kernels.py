@@ -47,7 +47,7 @@ ENDS = np.dtype(
         *((name, "<f8", (QUANTITIES,)) for name in ("scale", "low", "high")),
         *((name, "<f8") for name in ("step", "least", "most", "watchdog_s")),
         *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent")),
-        *((name, "<i8") for name in ("confirmed", "watchdog", "reaction", "interval")),
+        *((name, "<i8") for name in ("confirmed", "interval")),
         ("present", "<i8", (LEGS,)),
     ]
 )
@@ -57,9 +57,8 @@ COMMAND; identifiers of the commands of all layouts; of each quantity first bit,
 scale and range, SI; of a force step and range, in steps where it is rounded, else N; step of the watchdog, s.
 
 What the controller remembers: the checksum of each leg's set-up, what its last status has said of it, how
-often it was sent its CONFIG; bit i: the last status of drive i has confirmed it; the watchdog in steps, the
-reaction, and the ticks from one CONFIG of a drive to its next. What the drives remember: Cycle of the present
-SYNC of each bus."""
+often it was sent its CONFIG; bit i: the last status of drive i has confirmed it; the ticks from one CONFIG of
+a drive to its next. What the drives remember: Cycle of the present SYNC of each bus."""
 CHANGED = 1
 """Status of `decode`: not all drives have confirmed their set-up, or one has just done so."""
 ends: Any = record(ENDS)

@@ -13,17 +13,13 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, DriveSettings
-from drivers.ends import Hearing
+from drivers.ends import Family
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.family import Family
 from drivers.frame_array import sent_array, sent_frames
-from drivers.legs import device_kernels
-from drivers.legs.device_kernels import NO_SYNC
-from drivers.legs.ends import LegsController, LegsDrives
+from drivers.legs.ends import NO_SYNC, LegsController, LegsDrives, addressed, fresh
 from drivers.legs.kernels import COMMAND, ENDS, EXACT, QUANTITIES
 from drivers.legs.messages import SHORT, read_messages
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Sync
-from drivers.resolution import Resolution
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Sync
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 
 MAX_NODE = 127
@@ -53,6 +49,7 @@ class LegsProtocol(Family):
     unknown layout or a rated force that does not fit.
     """
 
+    fresh_by, addressed_by = fresh, addressed
     set_up_frames, reset_ticks = 1, 5
     stop_latches = force_on_brakes = answers_name_sync = latches_together = True
     reactions = tuple(Reaction)
@@ -74,11 +71,10 @@ class LegsProtocol(Family):
         self.tables: Any = np.zeros((), ENDS)
         """What each end begins with; see `drivers.legs.kernels.ENDS`."""
         self._tabulate()
-        self.feedback_by_leg = tuple(self.tables["feedback"].tolist())
-        """Identifiers of the feedbacks, leg order."""
-        self.feedback_ids = frozenset(self.feedback_by_leg)
-        both = self.feedback_by_leg, self.tables["status"].tolist()
-        self._senders = {identifier: leg for ids in both for leg, identifier in enumerate(ids)}
+        self.wanted = tuple(self.tables["feedback"].tolist())
+        self.feedback_ids = frozenset(self.wanted)
+        both = self.wanted, self.tables["status"].tolist()
+        self.senders = {identifier: leg for ids in both for leg, identifier in enumerate(ids)}
         syncs = [sent_array(self.to_all(m.sync.frame(m.sync.id, cycle))) for cycle in range(256)]
         self.syncs: Rows = np.array(syncs)
         """SYNC of each Cycle on all buses, elements of FRAME."""
@@ -133,41 +129,20 @@ class LegsProtocol(Family):
         """Return the drives' end, powered up."""
         return LegsDrives(self)
 
-    def hearing(self) -> Hearing:
-        """Return the controller's end by address, as far as it hears."""
-        k = device_kernels
-        return Hearing(k.fresh.address, k.addressed.address, data_at(self.tables), self.feedback_by_leg, self)
-
-    def sender(self, frame: Frame) -> int:
-        """Return the leg of a feedback or status on its own bus, else -1."""
-        leg = self._senders.get(frame.id, -1)
-        return leg if leg >= 0 and self.bus_of[leg] == frame.bus else -1
-
-    def awaited(self, frame: Frame) -> int:
-        """Return the identifier."""
-        return frame.id
-
     # frames
 
-    def watchdog(self, watchdog_s: float) -> int:
-        """Return a watchdog in steps of CONFIG. Raises ProtocolError if it is not 1 us .. 4294 s."""
-        steps = watchdog_s / self.messages.config.scale[0]
+    def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
+        """Return the six CONFIG frames. Raises ProtocolError if the watchdog is not 1 us .. 4294 s."""
+        of, t = self.messages.config, self.tables
+        steps = watchdog_s / of.scale[0]
         if not isfinite(steps) or not 1 <= round(steps) < 1 << 32:
             raise ProtocolError(
                 f"drive watchdog of {watchdog_s} s does not fit into CONFIG: "
                 "0.000001 to 4294.967295 s are allowed"
             )
-        return round(steps)
-
-    def config(self, leg: int, *values: int) -> Frame:
-        """Return the CONFIG of a drive: watchdog in steps, reaction, place in the command, version."""
-        return self.to_leg(leg, self.messages.config.frame(int(self.tables["config"][leg]), *values))
-
-    def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
-        """Return the six CONFIG frames. Raises ProtocolError as `watchdog` does."""
-        watchdog, version = self.watchdog(watchdog_s), self.messages.version
-        places = enumerate(self.tables["place"].tolist())
-        return tuple(self.config(leg, watchdog, reaction, place, version) for leg, place in places)
+        each = zip(t["config"].tolist(), t["place"].tolist(), strict=True)
+        same = round(steps), int(reaction)
+        return self.to_each(of.frame(number, *same, place, int(t["version"])) for number, place in each)
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return the frame that faults all drives at once, on each bus."""

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.mit.fields import TURN, Ranges
 from drivers.motors import MotorProtocol
-from drivers.resolution import Resolution
+from drivers.protocol import Resolution
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 

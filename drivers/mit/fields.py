@@ -1,4 +1,4 @@
-"""The fields of MIT framing: numbers of n bits over a range. Pure.
+"""The fields of MIT framing, numbers of n bits over a range, and a table of those that took it over. Pure.
 
 The reference is B. Katz's motor firmware (github.com/bgkatz/motorcontrol at 3586419, math_ops.c and
 CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range is no code: it is sent as half a step less.
@@ -7,8 +7,9 @@ CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range is no code: it i
 from math import pi
 from typing import NamedTuple
 
-from drivers.codes import code, value
 from drivers.compiled.compiler import helper
+from drivers.frame_pointers import code, value
+from drivers.signals import DriveFault
 
 TURN = 2.0 * pi
 """rad."""
@@ -77,3 +78,103 @@ def device_motion(
     v = scaled(velocity, r.velocity, 12, clamps)
     t = scaled(torque, r.torque, 12, clamps)
     return p >> 8 & 0xFF, p & 0xFF, v >> 4 & 0xFF, ((v & 0xF) << 4) + (t >> 8) & 0xFF, t & 0xFF
+
+
+P = 12.5
+FOUR_PI = 12.566370614359172
+
+
+class Variant(NamedTuple):
+    """One family."""
+
+    models: dict[str, Ranges]
+    """Ranges by name, as the drives leave the factory."""
+    reply_bytes: tuple[int, ...]
+    """Lengths of a reply that are accepted; an emulated drive sends the last."""
+    clamps: bool
+    """Its replies saturate; else they wrap."""
+    faults: dict[int, str]
+    """Fault codes, or bits."""
+    silence: int | None
+    """Fault code of its own watchdog; None: it has none that a controller can set, or does not report it."""
+
+
+CUBEMARS_FAULTS = {
+    1: "motor over temperature",
+    2: "over current",
+    3: "over voltage",
+    4: "under voltage",
+    5: "encoder fault",
+    6: "phase current unbalance",
+}
+DAMIAO_FAULTS = {
+    8: "over voltage",
+    9: "under voltage",
+    10: "over current",
+    11: "MOSFET over temperature",
+    12: "rotor over temperature",
+    13: "lost communication",
+    14: "overload",
+}
+ROBSTRIDE_FAULTS = {
+    1: "under voltage",
+    2: "over current",
+    4: "over temperature",
+    8: "magnetic encoder fault",
+    16: "stall overload, or Hall encoder",
+    32: "not calibrated",
+}
+VARIANTS = {
+    "mini_cheetah": Variant(
+        {"mini_cheetah": Ranges(P, 65.0, 500.0, 5.0, 18.0)}, (6, 7), clamps=False, faults={}, silence=None
+    ),
+    "cubemars": Variant(
+        {
+            "AK80-9": Ranges(P, 50.0, 500.0, 5.0, 18.0),
+            "AK10-9": Ranges(P, 50.0, 500.0, 5.0, 65.0),
+            "AK80-6": Ranges(P, 76.0, 500.0, 5.0, 12.0),
+            "AK80-64": Ranges(P, 8.0, 500.0, 5.0, 144.0),
+        },
+        (8,),
+        clamps=True,
+        faults=CUBEMARS_FAULTS,
+        silence=None,
+    ),
+    "damiao": Variant(
+        {
+            "DM4310": Ranges(P, 30.0, 500.0, 5.0, 10.0),
+            "DM4310_48V": Ranges(P, 50.0, 500.0, 5.0, 10.0),
+            "DM4340": Ranges(P, 10.0, 500.0, 5.0, 28.0),
+            "DM6006": Ranges(P, 45.0, 500.0, 5.0, 20.0),
+            "DM8009": Ranges(P, 45.0, 500.0, 5.0, 54.0),
+            "DM3507": Ranges(P, 50.0, 500.0, 5.0, 5.0),
+        },
+        (8,),
+        clamps=True,
+        faults=DAMIAO_FAULTS,
+        silence=13,
+    ),
+    "robstride": Variant(
+        {
+            "rs-02": Ranges(FOUR_PI, 44.0, 500.0, 5.0, 17.0),
+            "rs-03": Ranges(FOUR_PI, 50.0, 5000.0, 100.0, 60.0),
+        },
+        (8,),
+        clamps=True,
+        faults=ROBSTRIDE_FAULTS,
+        silence=None,
+    ),
+}
+"""`drives.options.variant`."""
+
+DRIVE_FAULT_CODES = {
+    "cubemars": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 5},
+    "damiao": {
+        DriveFault.WATCHDOG: 13,
+        DriveFault.OVERFORCE: 10,
+        DriveFault.SENSOR: 8,
+        DriveFault.STROKE: 14,
+    },
+    "robstride": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 8, DriveFault.STROKE: 16},
+}
+"""What an emulated drive sends for a fault of its own."""

@@ -10,23 +10,23 @@ import struct
 from collections.abc import Sequence
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.identity import REVISION, SERIAL, Said
 from drivers.mit import kernels as k
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import TOP_COMMAND, Ranges, pack_command
-from drivers.mit.variants import DRIVE_FAULT_CODES, VARIANTS
-from drivers.motor_device_kernels import ANY
-from drivers.motor_drives import codes_of, put_written, written
+from drivers.mit.fields import DRIVE_FAULT_CODES, TOP_COMMAND, VARIANTS, Ranges, pack_command
+from drivers.motor_device_kernels import ANY, codes_of, put_written, written
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
     ALL_LEGS,
+    REVISION,
+    SERIAL,
     Answer,
     Configure,
     DeviceMessage,
     DriveSetup,
     Frame,
     Rejected,
+    Said,
     Sync,
 )
 from drivers.signals import Reaction

@@ -9,26 +9,26 @@ host. Positions and torques are big-endian, registers and that number little-end
 import struct
 from collections.abc import Sequence
 
-from drivers.codes import code
 from drivers.errors import ConfigurationError
-from drivers.identity import SERIAL, Said
+from drivers.frame_pointers import code
 from drivers.mit import robstride_kernels as k
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import Ranges
-from drivers.mit.variants import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
-from drivers.motor_drives import codes_of, put_written, written
+from drivers.mit.fields import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS, Ranges
+from drivers.motor_device_kernels import codes_of, put_written, written
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
     ALL_LEGS,
     EXTENDED,
+    SERIAL,
     Answer,
     Configure,
     DeviceMessage,
     DriveSetup,
     Frame,
     Rejected,
+    Said,
     Sync,
 )
 from drivers.signals import Reaction

@@ -4,11 +4,10 @@ from typing import Any
 
 from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
-from drivers.codes import value
 from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import FAILED, pointed
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_sent, place_of, whole
+from drivers.frame_pointers import begin_sent, place_of, value, whole
 from drivers.mit.fields import TURN, scaled
 from drivers.motor_kernels import OWN_CODE
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE

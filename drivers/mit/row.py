@@ -2,8 +2,7 @@
 
 from drivers.config import BusSettings, DriveSettings
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import Ranges
-from drivers.mit.variants import VARIANTS
+from drivers.mit.fields import VARIANTS, Ranges
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 
 _HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}

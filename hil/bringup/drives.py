@@ -13,8 +13,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.controller_end import controller_end
 from drivers.frame_array import received_array, sent_frames
-from drivers.identity import SERIAL, Said
-from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
+from drivers.protocol import SERIAL, DriveProtocol, DriveSetup, Frame, Received, Said
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from hil.bringup.line import Line

@@ -10,7 +10,7 @@ import yaml
 from click.testing import CliRunner
 
 from drivers import PROTOCOLS
-from drivers.mit.variants import VARIANTS
+from drivers.mit.fields import VARIANTS
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import loads
 from hil.app.sim.command import simulate

@@ -8,15 +8,15 @@ import numpy as np
 
 from drivers import moteus, odrive
 from drivers import motor_kernels as kernels
-from drivers.codes import value
 from drivers.compiled.pointed import data_at
 from drivers.controller_end import ControllerEnd
 from drivers.ends import DrivesEnd
 from drivers.frame_array import FRAME, sent_frames
+from drivers.frame_pointers import value
 from drivers.mit import protocol as mit
 from drivers.mit import robstride
 from drivers.mit.fields import Ranges
-from drivers.motor_drives import put_written, written
+from drivers.motor_device_kernels import put_written, written
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import LEGS

@@ -24,8 +24,8 @@ from drivers.protocol import (
     ALWAYS,
     ERROR,
     EXTENDED,
-    OTHER_BUSES,
     REMOTE,
+    SINGLE,
     Answer,
     Configure,
     DeviceCommand,
@@ -36,10 +36,10 @@ from drivers.protocol import (
     Frame,
     Received,
     Rejected,
+    Resolution,
     Status,
     Sync,
 )
-from drivers.resolution import SINGLE, Resolution
 from drivers.signals import (
     INVALID,
     LEGS,
@@ -134,7 +134,7 @@ class StubProtocol(DriveProtocol):
 
     def _read(self, frame: Frame) -> tuple[int, int, tuple[float, ...] | None] | None:
         """Return kind, leg and fields; no fields for a wrong length, None for a foreign frame."""
-        if not frame.flags & EXTENDED or frame.flags & (REMOTE | ERROR | OTHER_BUSES):
+        if not frame.flags & EXTENDED or frame.flags & (REMOTE | ERROR | 0xFF00):
             return None
         if frame.id not in self._meaning:
             return None

@@ -10,8 +10,7 @@ import pytest
 
 from drivers.cia402 import dictionary
 from drivers.cia402 import objects as o
-from drivers.cia402.emergency import meaning
-from drivers.cia402.states import State, commanded
+from drivers.cia402.states import State, commanded, meaning
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.protocol import (

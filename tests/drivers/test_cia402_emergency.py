@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.cia402.emergency import meaning
+from drivers.cia402.states import meaning
 
 OWN = (
     *(0x2310, 0x2320, 0x3110, 0x3120, 0x3210, 0x3220, 0x4210, 0x4310, 0x5441, 0x7121, 0x7305, 0x7310, 0x7380),

@@ -11,7 +11,7 @@ import pytest
 
 from drivers import PROTOCOLS
 from drivers.can.bus_time import BitTiming, budget
-from drivers.cia402.eds import check_eds
+from drivers.cia402.objects import check_eds
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.protocol import BUS, DriveSetup

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.identity import REVISION, SERIAL, Said
-from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, REVISION, SERIAL, Frame, Said
 from tests.drivers.cia402_drives import drives
 
 NODES = (21, 3, 126, 40, 5, 64)

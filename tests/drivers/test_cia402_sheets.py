@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from drivers.cia402.eds import check_eds
+from drivers.cia402.objects import check_eds
 from drivers.errors import ConfigurationError
 from tests.drivers.cia402_sheet import sheet
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.emergency import meaning
 from drivers.cia402.objects import NAMES
-from drivers.mit.variants import CUBEMARS_FAULTS, DAMIAO_FAULTS, ROBSTRIDE_FAULTS
+from drivers.cia402.states import meaning
+from drivers.mit.fields import CUBEMARS_FAULTS, DAMIAO_FAULTS, ROBSTRIDE_FAULTS
 from drivers.moteus import FAULTS
 from drivers.odrive import ERRORS
 

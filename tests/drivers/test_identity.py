@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.identity import REVISION, SERIAL, Said
+from drivers.protocol import REVISION, SERIAL, Said
 
 
 @pytest.mark.parametrize("bits", [32, 48, 64, 96])

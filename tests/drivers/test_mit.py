@@ -18,13 +18,13 @@ from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array
 from drivers.mit.fields import (
     TURN,
+    VARIANTS,
     Ranges,
     device_motion,
     pack_command,
     unpack_motion,
 )
 from drivers.mit.protocol import ENABLE
-from drivers.mit.variants import VARIANTS
 from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission

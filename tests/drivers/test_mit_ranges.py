@@ -10,8 +10,7 @@ import pytest
 
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
-from drivers.mit.fields import Ranges
-from drivers.mit.variants import VARIANTS
+from drivers.mit.fields import VARIANTS, Ranges
 from drivers.transmission import Transmission
 from tests.drivers.motor_families import MitProtocol
 

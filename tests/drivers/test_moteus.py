@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.identity import Said
 from drivers.moteus import QUERY, STOP, torque_command
-from drivers.moteus_registers import pad
+from drivers.moteus_kernels import pad
 from drivers.protocol import (
     BRS,
     EXTENDED,
@@ -29,6 +28,7 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
+    Said,
     Sync,
 )
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.moteus import STOP, torque_command
-from drivers.moteus_registers import pad
+from drivers.moteus_kernels import pad
 from drivers.protocol import (
     BRS,
     BUS,

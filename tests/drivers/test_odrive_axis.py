@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.identity import Said
 from drivers.protocol import (
     BUS,
     ERROR,
@@ -23,6 +22,7 @@ from drivers.protocol import (
     EmergencyStop,
     Frame,
     Rejected,
+    Said,
     Status,
     Sync,
 )

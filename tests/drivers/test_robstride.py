@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.identity import Said
 from drivers.mit.fields import Ranges
 from drivers.protocol import (
     BUS,
@@ -22,6 +21,7 @@ from drivers.protocol import (
     DriveSetup,
     Frame,
     Rejected,
+    Said,
     Sync,
 )
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction

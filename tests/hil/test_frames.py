@@ -180,9 +180,9 @@ def test_a_drive_that_reports_another_set_up_is_a_fault_once_it_was_ours(mode):
     ("wrong", "lacks"),
     [
         ("none", "it reports no set-up: it has accepted no CONFIG"),
-        ("watchdog", "watchdog (sent: 10 ms), rated force"),
-        ("reaction", "its checksum is that of reaction hold, sent was brake"),
-        ("rated force", "rated force (drives.force_limit_N: 30000 N)"),
+        ("watchdog", "it holds another than the CONFIG sent"),
+        ("reaction", "it holds another than the CONFIG sent"),
+        ("rated force", "its rated force is not drives.force_limit_N, 30000 N"),
         ("silent", "no status of it was heard that confirms one of 10 CONFIG"),
     ],
 )

@@ -45,7 +45,7 @@ def data_sheet(drives: DriveSettings, folder: Folder | None) -> Iterator[tuple[P
     """
     if folder is None or drives.protocol != "cia402" or "eds" not in drives.options:
         return
-    from drivers.cia402.eds import check_eds  # noqa: PLC0415 - with an extra
+    from drivers.cia402.objects import check_eds  # noqa: PLC0415 - with an extra
 
     name = str(drives.options["eds"])
     here = Folder(name)

@@ -9,8 +9,7 @@ from __future__ import annotations
 from math import ceil
 from typing import Any, NamedTuple
 
-from drivers.mit.fields import TURN, Ranges
-from drivers.mit.variants import VARIANTS
+from drivers.mit.fields import TURN, VARIANTS, Ranges
 
 Answers = dict[str, Any]
 LEGS_PROTOCOL = "legs"

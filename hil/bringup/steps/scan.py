@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection
 from typing import NamedTuple
 
-from drivers.identity import SERIAL, Said
+from drivers.protocol import SERIAL, Said
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.bringup.context import Context, Finding
 from hil.bringup.facts import forget_legs

@@ -13,11 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.identity import REVISION, SERIAL, Said
 from drivers.moteus import MoteusProtocol
-from drivers.moteus_registers import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, pad
+from drivers.moteus_kernels import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, pad
 from drivers.motors import MotorProtocol
-from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, REVISION, SERIAL, Frame, Said
 from hil.app.compose import build_protocol
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
@@ -275,7 +274,7 @@ def reply(values):
         place = bytes((register,)) if register < 128 else bytes((register & 0x7F | 0x80, register >> 7))
         data += bytes((0x20 | 3 << 2 | 1, *place)) + struct.pack("<f", value)
     return Frame(
-        MOTEUS.feedback_by_leg[0], pad(data), FD | BRS | EXTENDED * (MOTEUS.feedback_by_leg[0] > 0x7FF)
+        MOTEUS.wanted[0], pad(data), FD | BRS | EXTENDED * (MOTEUS.wanted[0] > 0x7FF)
     )
 
 

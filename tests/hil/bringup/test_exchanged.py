@@ -8,11 +8,10 @@ import pytest
 
 from drivers.cia402 import objects
 from drivers.cia402.dictionary import PLACE, defaults
-from drivers.identity import Said
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Frame, Rejected
+from drivers.protocol import EXTENDED, REMOTE, Frame, Rejected, Said
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.store import refuse_malformed
 from hil.app.compose import build_protocol

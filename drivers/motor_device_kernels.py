@@ -17,7 +17,6 @@ from drivers.frame_array import FRAME
 from drivers.motor_kernels import EAR, FEEDBACK, HEARD, heard_at
 from drivers.protocol import DeviceMessage, Frame, off_bus
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode
-from drivers.tick_columns import Record
 from drivers.transmission import FIELDS, loss_of
 
 MOST_REGISTERS, MOST_ASKED = 8, 64
@@ -63,9 +62,7 @@ DEVICES = np.dtype(
         # memory
         ("heard", "<i8", (LEGS,)),  # commands so far: none is a repetition
         ("enabled", "<i8", (LEGS,)),
-        ("written", "<i8", (LEGS,)),  # how many registers
-        ("registers", "<i8", (LEGS, MOST_REGISTERS)),
-        ("values", "<f8", (LEGS, MOST_REGISTERS)),
+        ("registers", "<f8", (LEGS, MOST_REGISTERS)),  # what they hold, each family's in an order of its own
         ("host", "<i8", (LEGS,)),  # who wants what of each drive, in families where a query says so
         ("asked", "<i8", (LEGS,)),  # how many registers
         ("wanted", "<i8", (LEGS, MOST_ASKED)),
@@ -109,25 +106,6 @@ def rejects(order: Any, why: int, number: float) -> int:
     """Reject a frame, from which nothing else follows but an answer; return 1."""
     order.modes, order.configures, order.rejected, order.number = 0, 0, why, number
     return 1
-
-
-@helper
-def register(d: Any, leg: int, name: int, otherwise: float) -> float:
-    """Return the value last written to a register of a leg's drive, else `otherwise`."""
-    for k in range(d.written[leg]):
-        if d.registers[leg, k] == name:
-            return float(d.values[leg, k])
-    return otherwise
-
-
-@helper
-def write(d: Any, leg: int, name: int, value: float) -> None:
-    """Write a register."""
-    k = 0
-    while k < d.written[leg] and d.registers[leg, k] != name:
-        k += 1
-    d.registers[leg, k], d.values[leg, k] = name, value
-    d.written[leg] = max(d.written[leg], k + 1)
 
 
 # both ends
@@ -251,25 +229,12 @@ def addressed(d: Any, frame_address: int) -> int:
 assert max(HEARD.itemsize, ORDER.itemsize, SAID.itemsize) <= DEVICES["scratch"].itemsize
 
 
-_MEMORY = ("heard", "enabled", "written", "registers", "values", "host", "asked", "wanted", "widths")
+_MEMORY = ("heard", "enabled", "registers", "host", "asked", "wanted", "widths")
 
 
 def codes_of(codes: Mapping[DriveFault, int], otherwise: int) -> list[int]:
     """Return what a drive sends for each fault of its own."""
     return [codes.get(fault, otherwise) for fault in DriveFault]
-
-
-def written(d: Record, leg: int) -> dict[int, float]:
-    """Return the registers of a leg's drive that have been written."""
-    n = int(d["written"][leg])
-    return dict(zip(d["registers"][leg, :n].tolist(), d["values"][leg, :n].tolist(), strict=True))
-
-
-def put_written(d: Record, leg: int, registers: Mapping[int, float]) -> None:
-    """Put the registers of a leg's drive that have been written."""
-    d["written"][leg] = len(registers)
-    for k, (register, value) in enumerate(registers.items()):
-        d["registers"][leg, k], d["values"][leg, k] = register, value
 
 
 class MotorDrivesEnd(ends.CompiledDrives):

@@ -58,6 +58,8 @@ IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
 TORQUE_CONTROL = 1
 """Control mode."""
+_STATE, _CONTROL_MODE = 0, 1
+"""Of the registers of an emulated axis: the state last asked for, and the control mode; 0: none yet."""
 STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
 """Why a frame is rejected."""
 COMMANDS = sum(
@@ -156,19 +158,20 @@ def _ask_state(d: Any, data: Any, order: Any) -> int:
     leg, state, ready = order.leg, whole(data, 0), order.enabled != 0
     if state not in (IDLE, CLOSED_LOOP):
         return drives_end.rejects(order, NO_STATE, state)
-    first = drives_end.register(d, leg, AXIS_STATE, -1.0) < 0.0
+    held = d.registers[leg]
+    first = held[_STATE] == 0.0
     if state == IDLE:
         drives_end.tells(order, drives_end.OFF, False)
         drives_end.configures(d, order, 1)
     else:
-        if drives_end.register(d, leg, MODES, -1.0) != TORQUE_CONTROL:
+        if held[_CONTROL_MODE] != TORQUE_CONTROL:
             return drives_end.rejects(order, NO_TORQUE_CONTROL, 0.0)
         if not ready:
             drives_end.enables(order)
         if first:
             drives_end.configures(d, order, -1)
     if state == IDLE or first:
-        drives_end.write(d, leg, AXIS_STATE, state)
+        held[_STATE] = state
     return 1
 
 
@@ -192,7 +195,7 @@ def obey(d: Any, frame: Any, order: Any) -> int:
     if kind == AXIS_STATE:
         return _ask_state(d, data, order)
     if kind == MODES:
-        drives_end.write(d, order.leg, MODES, whole(data, 0))
+        d.registers[order.leg, _CONTROL_MODE] = whole(data, 0)
     elif kind == CLEAR:
         drives_end.tells(order, drives_end.RESET, False)
     elif order.enabled:

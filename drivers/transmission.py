@@ -129,17 +129,9 @@ class Transmission:
 
     def fill(self, record: Rows) -> None:
         """Fill in what a record of a kernel has of this, by the names of its fields."""
-        values = {
-            "offset": self.offset_m,
-            "m_per_turn": self.m_per_turn,
-            "N_per_Nm": self.N_per_Nm,
-            "driving": self.driving,
-            "back_driving": self.back_driving,
-            "counts": self.counts,
-            "full_loss_m_s": self.full_loss_m_s,
-        }
-        for name in values.keys() & set(record.dtype.names or ()):
-            record[name] = values[name]
+        record["offset"], fields = self.offset_m, set(record.dtype.names or ())
+        for name in fields & {"m_per_turn", "N_per_Nm", "driving", "back_driving", "counts", "full_loss_m_s"}:
+            record[name] = getattr(self, name)
 
     # motion
 

@@ -7,7 +7,7 @@ reactions and its mode; then all of that is read back; then Operational.
 
 from collections.abc import Sequence
 from math import ceil
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL
 from drivers.cia402.objects import Key
 from drivers.cia402.states import ENABLED, UNHEARD
 from drivers.controller_end import CompiledController
-from drivers.ends import Family
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import DriveSetup, Frame
@@ -35,18 +34,6 @@ _TPDO2 = ((o.VELOCITY, 32),)
 _RPDO1 = ((o.CONTROLWORD, 16), (o.TARGET_TORQUE, 16))
 FAULT_REACTIONS = {Reaction.BRAKE: 0, Reaction.DAMP: 2}
 """Fault reaction option codes: disable at once; slow down on the quick stop ramp, then disable."""
-
-
-class Settings(NamedTuple):
-    """What all six drives are set to."""
-
-    rated_torque_mNm: int
-    max_torque_permille: int
-    heartbeat_ms: int
-    """Of the drives."""
-    controller_node: int
-    velocity: bool
-    """The velocity comes in a second TPDO."""
 
 
 class Step(NamedTuple):
@@ -110,24 +97,24 @@ def _pdo(index: int, n: int, cob: int, transmission: int, entries: tuple[tuple[K
     return steps
 
 
-def _drive(setup: DriveSetup, settings: Settings) -> list[Step]:
+def _drive(setup: DriveSetup, family: Any) -> list[Step]:
     reaction = FAULT_REACTIONS.get(setup.reaction)
     if reaction is None:
         raise ProtocolError(
             f"reactions.silence: CiA 402 drives with a brake of their own cannot "
             f"{setup.reaction.name.lower()}, allowed with cia402: brake, damp"
         )
-    consumer = settings.controller_node << 16 | watchdog_ms(setup)
+    consumer = family.controller_node << 16 | watchdog_ms(setup)
     mantissa, exponent = _period(setup.rate_Hz)
     return [
         Step("write", o.CONSUMER_HEARTBEAT, consumer),
-        Step("write", o.PRODUCER_HEARTBEAT, settings.heartbeat_ms, 2),
+        Step("write", o.PRODUCER_HEARTBEAT, family.heartbeat_ms, 2),
         Step("write", o.COMMUNICATION_ERROR, 1, 1, optional=True),
         Step("write", o.ABORT_CONNECTION, 1, 2),
         Step("write", o.QUICK_STOP, 2, 2),
         Step("write", o.FAULT_REACTION, reaction, 2),
         Step("write", o.MODE, o.CYCLIC_TORQUE, 1),
-        Step("write", o.MAX_TORQUE, settings.max_torque_permille, 2),
+        Step("write", o.MAX_TORQUE, family.max_torque_permille, 2),
         Step("write", o.PERIOD_MANTISSA, mantissa, 1, optional=True),
         Step("write", o.PERIOD_EXPONENT, exponent, 1, optional=True),
     ]
@@ -147,10 +134,10 @@ def _read_back(writes: list[Step]) -> list[Step]:
     return steps
 
 
-def plan(node: int, setup: DriveSetup, settings: Settings, increments: int = 0) -> tuple[Step, ...]:
+def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tuple[Step, ...]:
     """Return the steps for the drive of a node. Raises ProtocolError if the set-up does not fit.
 
-    increments: counts a turn that its own encoder has; 0: not checked.
+    family: the `Cia402Protocol`; increments: counts a turn that its own encoder has, 0: not checked.
     """
     first = [
         Step("read", o.DEVICE_TYPE, o.PROFILE_402, mask=0xFFFF),
@@ -162,19 +149,19 @@ def plan(node: int, setup: DriveSetup, settings: Settings, increments: int = 0) 
             optional=True,
             mask=o.SUPPORTS_CYCLIC_TORQUE,
         ),
-        Step("read", o.RATED_TORQUE, settings.rated_torque_mNm),
+        Step("read", o.RATED_TORQUE, family.rated_torque_mNm),
     ]
     if increments:
         first.append(Step("read", o.ENCODER_INCREMENTS, increments, optional=True))
         first.append(Step("read", o.MOTOR_REVOLUTIONS, 1, optional=True))
     writes = _pdo(o.RPDO, 0, o.RPDO_ID[0] + node, o.AT_ONCE, _RPDO1)
     writes += _pdo(o.TPDO, 0, o.TPDO_ID[0] + node, o.AT_EVERY_SYNC, _TPDO1)
-    if settings.velocity:
+    if family.velocity:
         writes += _pdo(o.TPDO, 1, o.TPDO_ID[1] + node, o.AT_EVERY_SYNC, _TPDO2)
-    for n in range(1 + settings.velocity, len(o.TPDO_ID)):
+    for n in range(1 + family.velocity, len(o.TPDO_ID)):
         unused = o.NOT_VALID | o.TPDO_ID[n] + node
         writes.append(Step("write", (o.TPDO + n, 1), unused, optional=True))
-    writes += _drive(setup, settings)
+    writes += _drive(setup, family)
     return (*first, *writes, *_read_back(writes), Step("nmt", o.DEVICE_TYPE, o.START))
 
 
@@ -196,30 +183,24 @@ _BEATS = 4
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
-def begun(tables: Rows, setup: DriveSetup, plans: Sequence[Sequence[Step]]) -> Rows:
-    """Return the record of a dialogue before its first request."""
-    c, rate_Hz = tables.copy(), setup.rate_Hz
-    c["period_s"], c["beat"] = 1.0 / rate_Hz, max(2, int(setup.watchdog_s * rate_Hz) // _BEATS)
-    c["patience"] = max(LEAST_PATIENCE, round(PATIENCE_S * rate_Hz))
-    for leg, (node, plan) in enumerate(zip(c["nodes"].tolist(), plans, strict=True)):
-        c["steps"][leg] = len(plan)
-        for k, step in enumerate(plan):
-            c["requests"][leg, k] = int.from_bytes(step.request(node), "little", signed=True)
-            c["values"][leg, k], c["masks"][leg, k] = step.value, step.mask | OPTIONAL * step.optional
-    c["asked"], c["states"], c["owed"] = NOT_ASKED, UNHEARD, 1
-    return c
-
-
 class Cia402End(CompiledController):
     """The controller's end. Mutable state: the record, which has the dialogue."""
 
     first = "patience"
 
-    def __init__(self, family: Family, begun: Rows) -> None:
-        """Take the family, and the record of the dialogue before its first request."""
-        self._family = family
+    def __init__(self, family: Any, setup: DriveSetup, plans: Sequence[Sequence[Step]]) -> None:
+        """Take the `Cia402Protocol`, the set-up, and the steps of each drive's dialogue."""
+        self._family, rate_Hz, c = family, setup.rate_Hz, family.tables.copy()
+        c["period_s"], c["beat"] = 1.0 / rate_Hz, max(2, int(setup.watchdog_s * rate_Hz) // _BEATS)
+        c["patience"] = max(LEAST_PATIENCE, round(PATIENCE_S * rate_Hz))
+        for leg, (node, steps) in enumerate(zip(c["nodes"].tolist(), plans, strict=True)):
+            c["steps"][leg] = len(steps)
+            for k, step in enumerate(steps):
+                c["requests"][leg, k] = int.from_bytes(step.request(node), "little", signed=True)
+                c["values"][leg, k], c["masks"][leg, k] = step.value, step.mask | OPTIONAL * step.optional
+        c["asked"], c["states"], c["owed"] = NOT_ASKED, UNHEARD, 1
         sync = sent_array(family.to_all(Frame(o.SYNC_ID, b"")))  # without counter
-        super().__init__(begun, kernels.decode, kernels.command, sync[np.newaxis])
+        super().__init__(c, kernels.decode, kernels.command, sync[np.newaxis])
 
     def presume_running(self) -> None:
         """Take all drives for enabled."""

@@ -93,30 +93,26 @@ _TPDO1, _TPDO2, _RPDO = o.TPDO_ID[0], o.TPDO_ID[1], o.RPDO_ID[0]
 
 
 @helper
-def difference(
-    length: float,
-    latched_ns: int,
-    before: tuple[float, float, int, float],
-    has_length: bool,
-    rate: float,
-    period_s: float,
-) -> tuple[float, tuple[float, float, int, float]]:
-    """Return the rate at the end of a step from the last two mean rates, and what the next one needs.
+def difference(c: Any, leg: int, length: float, latched_ns: int, rate: float) -> float:
+    """Return the rate, m/s, at the end of a step from the last two mean rates; keep what the next one needs.
 
     dq = d1 + (d1 - d0) T1 / (T1 + T0), the slope at the end of the parabola through the last three lengths:
     the mean rate d1 of the step alone is that of T1 / 2 ago. T from SYNC to SYNC as the bus carried them: at
     400 Hz one that is 25 us late moves a leg by 1 % of its step. A step shorter than SHORTEST periods leaves
     the rate as it was read last, m/s, and is part of the next one; after OLDEST periods the rate begins at 0.
-    before: mean rate, m/s, and T, s, of the step before, and when the last length, m, was latched.
+    length: m; latched_ns: when it was.
     """
-    d0, T0, was_ns, was = before
-    T1 = 1e-9 * (latched_ns - was_ns)
-    if not has_length or OLDEST * period_s < T1:
-        return 0.0, (0.0, 0.0, latched_ns, length)
-    if SHORTEST * period_s > T1:
-        return rate, before
-    d1 = (length - was) / T1
-    return d1 + ((d1 - d0) * T1 / (T1 + T0) if T0 != 0.0 else 0.0), (d1, T1, latched_ns, length)
+    T1 = 1e-9 * (latched_ns - c.latched_ns[leg])
+    goes_on = c.has_length[leg] != 0 and OLDEST * c.period_s >= T1
+    if goes_on and SHORTEST * c.period_s > T1:
+        return rate
+    d0, T0, d1, found = c.mean[leg], c.T[leg], 0.0, 0.0
+    if goes_on:
+        d1 = (length - c.length[leg]) / T1
+        found = d1 + ((d1 - d0) * T1 / (T1 + T0) if T0 != 0.0 else 0.0)
+    c.mean[leg], c.T[leg], c.has_length[leg] = d1, T1 if goes_on else 0.0, 1
+    c.latched_ns[leg], c.length[leg] = latched_ns, length
+    return found
 
 
 @helper
@@ -258,12 +254,7 @@ def _measure(c: Any, leg: int, last: Any, tick: Any) -> None:
     else:
         of = last if late else tick
         latched_ns = of.t_ns + of.lateness_ns + of.latch_ns[leg]
-        before = c.mean[leg], c.T[leg], c.latched_ns[leg], c.length[leg]
-        tick.rate[leg], then = difference(
-            here, latched_ns, before, c.has_length[leg] != 0, tick.rate[leg], c.period_s
-        )
-        c.mean[leg], c.T[leg], c.latched_ns[leg], c.length[leg] = then
-        c.has_length[leg] = 1
+        tick.rate[leg] = difference(c, leg, here, latched_ns, tick.rate[leg])
     tick.length[leg], tick.age[leg] = here, late
     at = c.at[leg]
     if not late and c.asked[leg] >= 0 and at < c.steps[leg] and c.requests[leg, at] >> 16 == 0:

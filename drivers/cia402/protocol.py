@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.cia402 import device_kernels, kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.drives_end import Cia402Drives
@@ -19,9 +19,7 @@ from drivers.cia402.end import (
     FAULT_REACTIONS,
     MOST_REQUESTS,
     Cia402End,
-    Settings,
     Step,
-    begun,
     max_torque,
     plan,
 )
@@ -86,39 +84,28 @@ class Cia402Protocol(Family):
         check_encoder: bool = True,
     ) -> None:
         super().__init__(legs)
-        self.node_ids, self.transmission, self.velocity = (
-            _nodes(node_ids, controller_node),
-            transmission,
-            velocity,
-        )
+        self.node_ids, self.transmission = _nodes(node_ids, controller_node), transmission
+        self.velocity, self.controller_node = velocity, controller_node
         self.dangers = (_BRAKES,) if velocity else (_BRAKES, _DIFFERENCE)
         self._permille_Nm = 1e-3 * rated_torque_Nm
         N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
-        self._settings = Settings(
-            rated_torque_mNm=round(1e3 * rated_torque_Nm),
-            max_torque_permille=max_torque(force_limit_N / float(transmission.driving.min()), N_per_permille),
-            heartbeat_ms=min(max(round(heartbeat_ms), 1), 0xFFFF),
-            controller_node=controller_node,
-            velocity=velocity,
-        )
-        c, d = self._tables, self._devices = (
-            np.zeros((), kernels.DRIVES),
-            np.zeros((), device_kernels.DEVICES),
-        )
-        for tables in (c, d):
-            tables["nodes"], tables["velocity"], tables["N_per_permille"] = (
-                self.node_ids,
-                velocity,
-                N_per_permille,
-            )
-            tables["buses"], tables["bus_of"] = self.buses, self.bus_of
-            transmission.fill(tables)
+        self.rated_torque_mNm = round(1e3 * rated_torque_Nm)
+        force_N = force_limit_N / float(transmission.driving.min())
+        self.max_torque_permille = max_torque(force_N, N_per_permille)
+        self.heartbeat_ms = min(max(round(heartbeat_ms), 1), 0xFFFF)
+        self.tables: Rows = np.zeros((), kernels.DRIVES)
+        self._devices: Rows = np.zeros((), device_kernels.DEVICES)
+        c, d = self.tables, self._devices
+        for each in (c, d):
+            each["nodes"], each["velocity"] = self.node_ids, velocity
+            each["N_per_permille"], each["buses"], each["bus_of"] = N_per_permille, self.buses, self.bus_of
+            transmission.fill(each)
         c["controller"], c["permille_Nm"] = controller_node, self._permille_Nm
         c["permille_per_N"] = [1.0 / scale for scale in N_per_permille]
         c["m_per_count"] = transmission.m_per_turn / transmission.counts
         c["lossless"] = (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
-        d["rated_mNm"] = self._settings.rated_torque_mNm
+        d["rated_mNm"] = self.rated_torque_mNm
         d["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
         self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
         self.feedback_ids = frozenset(self.wanted)
@@ -155,11 +142,11 @@ class Cia402Protocol(Family):
         that such drives do not have.
         """
         own = zip(self.node_ids, self._increments, strict=True)
-        return tuple(plan(node, setup, self._settings, increments) for node, increments in own)
+        return tuple(plan(node, setup, self, increments) for node, increments in own)
 
     def controller_end(self, setup: DriveSetup) -> Cia402End:
         """Return the controller's end, compiled; see `plans`."""
-        return Cia402End(self, begun(self._tables, setup, self.plans(setup)))
+        return Cia402End(self, setup, self.plans(setup))
 
     def drives_end(self) -> Cia402Drives:
         """Return the drives' end, powered up."""

@@ -59,8 +59,3 @@ def intact(frame: Any) -> bool:
 def check(identifier: int, data: Any, width: int) -> int:
     """Return the check of bytes, from Python; see `check_of`."""
     return check_of(identifier, data, len(data), width)
-
-
-def seals(identifier: int, data: bytes) -> bool:
-    """Tell whether bytes end in their CRC-8, from Python."""
-    return len(data) > 0 and check(identifier, data[:-1], 1) == data[-1]

@@ -16,7 +16,7 @@ from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.frame_pointers import begin_sent, place_of, whole
 from drivers.legs import kernels
-from drivers.legs.crc import check_of, intact, seals
+from drivers.legs.crc import check, check_of, intact
 from drivers.legs.kernels import EXACT, QUANTITIES, STRANGE, commands_at, ends, natural, read, write
 from drivers.legs.messages import set_up_checksum
 from drivers.protocol import (
@@ -259,7 +259,7 @@ class LegsController(CompiledController):
 
     def unfit(self, force: Array) -> ProtocolError:
         """Return that a force does not fit, with the forces of the first bus on which that is so."""
-        s, of, shown = self.state, self._family.messages.commands[0][0], force
+        s, of, shown = self.state, self._family.commands[0][0], force
         for legs in self._family.legs if force.shape == (LEGS,) else ():
             shown = np.zeros(LEGS)
             shown[: len(legs)] = force[list(legs)]
@@ -294,8 +294,9 @@ class LegsDrives(CompiledDrives):
         return (said,) if leg in there or isinstance(said, Rejected) else ()
 
     def _configured(self, leg: int, frame: Frame) -> DeviceMessage:
-        of, version = self._family.messages.config, self.record["version"]
-        if len(frame.data) != of.length or not seals(frame.id, frame.data):
+        of, version = self._family.config, self.record["version"]
+        data = frame.data
+        if len(data) != of.length or check(frame.id, data[:-1], 1) != data[-1]:
             return Rejected("length or CRC of CONFIG")
         watchdog, reaction, place, given, _ = of.unpack(frame.data)
         if given != version:

@@ -64,24 +64,6 @@ class Layout(NamedTuple):
         return Frame(identifier, data + bytes([check(identifier, data, 1)]), self.flags)
 
 
-class Messages(NamedTuple):
-    """The messages of one layout."""
-
-    text: str
-    """legs.dbc with these forces in N."""
-    version: int
-    """Of the protocol."""
-    estop: Layout
-    sync: Layout
-    config: Layout
-    status: Layout
-    feedback: Layout
-    commands: tuple[tuple[Layout, ...], tuple[Layout, ...]]
-    """The short ones behind the others."""
-    command_ids: tuple[int, ...]
-    """Of the commands of all layouts."""
-
-
 def read_dbc(package: str, name: str) -> str:
     """Return the text of a DBC of ours, for the log and for other tools."""
     return resources.files(package).joinpath(name).read_text(encoding="ascii")
@@ -122,8 +104,8 @@ def layout_of(message: Any, rated_N: float = 100.0) -> Layout:
     )
 
 
-def read_messages(layout: str, rated_force_N: float) -> Messages:
-    """Return the messages of a layout for drives of a rated force.
+def read_messages(layout: str, rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
+    """Return legs.dbc with the forces in N, the version of the protocol, and the messages by their names.
 
     Raises ConfigurationError for an unknown layout, or a force that the checksum of a set-up cannot carry.
     """
@@ -137,26 +119,13 @@ def read_messages(layout: str, rated_force_N: float) -> Messages:
     text = read_dbc("drivers.legs", "legs.dbc")
     database = parsed(text)
 
-    def get(name: str) -> Layout:
-        return layout_of(database.get_message_by_name(name), rated_force_N)
-
     def newtons(found: re.Match[str]) -> str:
         scale, low, high = (float(number) * (rated_force_N / 100.0) for number in found.groups())
         return f'({scale!r},0) [{low!r}|{high!r}] "N"'
 
-    long, short = (tuple(map(get, names)) for names in COMMANDS[layout])
-    every = [name for both in COMMANDS.values() for names in both for name in names]
-    return Messages(
-        text=_SHARE.sub(newtons, text),
-        version=int((database.version or "").partition(".")[0]),
-        estop=get("ESTOP"),
-        sync=get("SYNC"),
-        config=get("CONFIG_1"),
-        status=get("STATUS_1"),
-        feedback=get(f"FEEDBACK_{layout.upper()}_1"),
-        commands=(long, short),
-        command_ids=tuple(dict.fromkeys(get(name).id for name in every)),
-    )
+    version = int((database.version or "").partition(".")[0])
+    messages = {message.name: layout_of(message, rated_force_N) for message in database.messages}
+    return _SHARE.sub(newtons, text), version, messages
 
 
 def set_up_checksum(identifier: int, config: bytes, rated_force_N: float) -> int:

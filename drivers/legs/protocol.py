@@ -18,7 +18,7 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import sent_array, sent_frames
 from drivers.legs.ends import NO_SYNC, LegsController, LegsDrives, addressed, fresh
 from drivers.legs.kernels import COMMAND, ENDS, EXACT, QUANTITIES
-from drivers.legs.messages import SHORT, read_messages
+from drivers.legs.messages import COMMANDS, SHORT, read_messages
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Sync
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 
@@ -64,41 +64,42 @@ class LegsProtocol(Family):
     ) -> None:
         super().__init__(legs)
         self.layout, self.node_ids, self.rated_force_N = layout, checked_nodes(node_ids), rated_force_N
-        self.messages = m = read_messages(layout, rated_force_N)
-        self.database = "legs.dbc", m.text
-        self.exact = m.feedback.places[0][1] == EXACT
+        text, version, m = read_messages(layout, rated_force_N)
+        self.database = "legs.dbc", text
+        self.sync, self.estop, self.config = m["SYNC"], m["ESTOP"], m["CONFIG_1"]
+        self.status, self.feedback = m["STATUS_1"], m[f"FEEDBACK_{layout.upper()}_1"]
+        self.commands = tuple([m[name] for name in names] for names in COMMANDS[layout])
+        """The short ones behind the others."""
+        self.exact = self.feedback.places[0][1] == EXACT
         """Whether the quantities are float64."""
         self.tables: Any = np.zeros((), ENDS)
         """What each end begins with; see `drivers.legs.kernels.ENDS`."""
+        commands = {m[name].id: 0 for both in COMMANDS.values() for names in both for name in names}
+        self.tables["version"], self.tables["command_ids"] = version, [*commands]
         self._tabulate()
         self.wanted = tuple(self.tables["feedback"].tolist())
         self.feedback_ids = frozenset(self.wanted)
         both = self.wanted, self.tables["status"].tolist()
         self.senders = {identifier: leg for ids in both for leg, identifier in enumerate(ids)}
-        syncs = [sent_array(self.to_all(m.sync.frame(m.sync.id, cycle))) for cycle in range(256)]
+        syncs = [sent_array(self.to_all(self.sync.frame(self.sync.id, cycle))) for cycle in range(256)]
         self.syncs: Rows = np.array(syncs)
         """SYNC of each Cycle on all buses, elements of FRAME."""
 
     def _tabulate(self) -> None:
-        t, m, force = self.tables, self.messages, self.messages.commands[0][0]
+        t, of, force = self.tables, self.feedback, self.commands[0][0]
         for name in ("feedback", "status", "config"):
-            t[name] = getattr(m, name).id - 1 + np.array(self.node_ids)
+            t[name] = getattr(self, name).id - 1 + np.array(self.node_ids)
         for name in ("feedback", "status", "sync"):
-            t[f"{name}_length"] = getattr(m, name).length
-        t["feedback_flags"], t["status_flags"] = m.feedback.flags, m.status.flags
-        t["sync"], t["estop"], t["command_ids"], t["version"] = (
-            m.sync.id,
-            m.estop.id,
-            m.command_ids,
-            m.version,
-        )
-        t["rated_mN"], t["watchdog_s"] = round(self.rated_force_N * 1e3), m.config.scale[0]
+            t[f"{name}_length"] = getattr(self, name).length
+        t["feedback_flags"], t["status_flags"] = of.flags, self.status.flags
+        t["sync"], t["estop"], t["watchdog_s"] = self.sync.id, self.estop.id, self.config.scale[0]
+        t["rated_mN"] = round(self.rated_force_N * 1e3)
         t["place"] = [self.legs[bus].index(leg) + 1 for leg, bus in enumerate(self.bus_of)]
         t["home"], t["buses"], t["present"] = self.bus_of, len(self.legs), NO_SYNC
-        start, bits = zip(*m.feedback.places, strict=True)
-        t["counter_at"] = start[m.feedback.signals.index("Counter")] // 8
-        n = QUANTITIES if "Force" in m.feedback.signals else QUANTITIES - 1
-        columns = start, bits, m.feedback.scale, m.feedback.low, m.feedback.high
+        start, bits = zip(*of.places, strict=True)
+        t["counter_at"] = of.place("Counter")[0] // 8
+        n = QUANTITIES if "Force" in of.signals else QUANTITIES - 1
+        columns = start, bits, of.scale, of.low, of.high
         for name, values in zip(("start", "bits", "scale", "low", "high"), columns, strict=True):
             t[name][:n] = values[:n]
         steps = 1 << force.places[0][1] - 1
@@ -111,7 +112,7 @@ class LegsProtocol(Family):
     def _command_rows(self, bus: int) -> list[tuple[Any, ...]]:
         """Return the command frames of a bus as elements of COMMAND."""
         rest, rows = [*self.legs[bus]], []
-        for of in self.messages.commands[len(rest) <= SHORT]:
+        for of in self.commands[len(rest) <= SHORT]:
             forces = sum(name.startswith("Force") for name in of.signals)
             own, rest = rest[:forces], rest[forces:]
             leg = [*own, *[-1] * LEGS][:LEGS]
@@ -133,7 +134,7 @@ class LegsProtocol(Family):
 
     def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
         """Return the six CONFIG frames. Raises ProtocolError if the watchdog is not 1 us .. 4294 s."""
-        of, t = self.messages.config, self.tables
+        of, t = self.config, self.tables
         steps = watchdog_s / of.scale[0]
         if not isfinite(steps) or not 1 <= round(steps) < 1 << 32:
             raise ProtocolError(
@@ -146,7 +147,7 @@ class LegsProtocol(Family):
 
     def emergency_stop(self) -> tuple[Frame, ...]:
         """Return the frame that faults all drives at once, on each bus."""
-        of = self.messages.estop
+        of = self.estop
         return self.to_all(Frame(of.id, of.pack(0), of.flags))
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
@@ -163,8 +164,8 @@ class LegsProtocol(Family):
         """Return half a step of each: they are rounded."""
         if self.exact:
             return Resolution.of(0.0, 0.0, 0.0)
-        length, rate, *_ = (0.5 * each for each in self.messages.feedback.scale)
-        return Resolution.of(length, rate, 0.5 * self.messages.commands[0][0].scale[0])
+        length, rate, *_ = (0.5 * each for each in self.feedback.scale)
+        return Resolution.of(length, rate, 0.5 * self.commands[0][0].scale[0])
 
 
 _made = cache(LegsProtocol)

@@ -20,6 +20,9 @@ REGISTERS = 0x7FF
 """Identifier of Damiao's requests."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
+HELD = CTRL_MODE, TIMEOUT, PMAX, VMAX, TMAX, SN, SW_VER
+"""The registers of an emulated drive, in the order of its record."""
+_TIMEOUT_AT = HELD.index(TIMEOUT)
 ENABLE, DISABLE, CLEAR, ZERO = 0xFC, 0xFD, 0xFB, 0xFE
 """After seven FF."""
 TICKS_PER_S = 20_000
@@ -106,7 +109,7 @@ def _enables(d: Any, ear: Any, order: Any) -> None:
     """Enable a drive, set to what it was delivered with where no controller has set it up."""
     drives.enables(order)
     drives.configures(d, order, -1)
-    ticks = drives.register(d, order.leg, TIMEOUT, 0.0) if ear.registers else 0.0
+    ticks = d.registers[order.leg, _TIMEOUT_AT] if ear.registers else 0.0
     if ticks > 0.0:
         order.watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9))
 

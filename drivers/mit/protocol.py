@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.mit import kernels as k
 from drivers.mit.family import MitFamily
 from drivers.mit.fields import DRIVE_FAULT_CODES, TOP_COMMAND, VARIANTS, Ranges, pack_command
-from drivers.motor_device_kernels import ANY, codes_of, put_written, written
+from drivers.motor_device_kernels import ANY, codes_of
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
@@ -133,6 +133,12 @@ class MitProtocol(MitFamily):
 
     # drives' end
 
+    def power_up(self, d: Record) -> None:
+        """Let the registers hold what a drive was delivered with."""
+        r = self.ranges
+        for leg, node in enumerate(self.nodes):
+            d["registers"][leg, : len(k.HELD)] = 0, 0, r.position, r.velocity, r.torque, node, 1
+
     def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Take the request of a Damiao's register."""
         data = frame.data
@@ -149,17 +155,12 @@ class MitProtocol(MitFamily):
             return (Rejected("register request"),)
         if leg is None:
             return ()
-        r, register = self.ranges, data[3]
-        held = {k.CTRL_MODE: 0.0, k.TIMEOUT: 0.0, k.PMAX: r.position, k.VMAX: r.velocity, k.TMAX: r.torque}
-        held |= {k.SN: float(self.nodes[leg]), k.SW_VER: 1.0}
-        held |= written(d, leg)
+        register, kind, held = k.HELD.index(data[3]), _KIND[data[3]], d["registers"][leg]
         messages: tuple[DeviceMessage, ...] = ()
         if data[2] == k.WRITE:
-            (held[register],) = struct.unpack(_KIND[register], data[4:])
-            if register == k.TIMEOUT and held[k.TIMEOUT] > 0:
-                messages = (Configure(leg, held[k.TIMEOUT] / k.TICKS_PER_S, Reaction.BRAKE),)
-            put_written(d, leg, held)
-        kind = _KIND[register]
+            (held[register],) = struct.unpack(kind, data[4:])
+            if data[3] == k.TIMEOUT and held[register] > 0:
+                messages = (Configure(leg, held[register] / k.TICKS_PER_S, Reaction.BRAKE),)
         body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
         reply = self.to_leg(leg, Frame(self._replies[leg], data[:4] + body))
         return (*messages, Answer(leg, reply))

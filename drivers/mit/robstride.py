@@ -14,7 +14,7 @@ from drivers.frame_pointers import code
 from drivers.mit import robstride_kernels as k
 from drivers.mit.family import MitFamily
 from drivers.mit.fields import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS, Ranges
-from drivers.motor_device_kernels import codes_of, put_written, written
+from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
@@ -39,7 +39,7 @@ ASKED_WHO = 0xFE
 """Whom the answer to the request for the processor's number is for."""
 RUN_MODE = 0x7005
 OPERATION = 0
-"""Of RUN_MODE: MIT's five numbers."""
+"""Of RUN_MODE: MIT's five numbers. A drive leaves the factory in it, and says so."""
 _ZEROS = bytes(8)
 
 
@@ -130,10 +130,9 @@ class RobStrideProtocol(MitFamily):
         if register != RUN_MODE:
             return (Rejected(f"register {register:#x}"),)
         if kind == k.WRITE:
-            put_written(d, leg, {register: float(number)})
+            d["registers"][leg, 0] = number
             return (Configure(leg, self.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
-        # A drive leaves the factory in mode 0, and says so.
-        said = struct.pack("<HxxI", register, int(written(d, leg).get(register, OPERATION)))
+        said = struct.pack("<HxxI", register, int(d["registers"][leg, 0]))
         return (Answer(leg, self._from(k.READ, leg, said, self._host)),)
 
     def _from(self, kind: int, leg: int, data: bytes, to: int) -> Frame:

@@ -2,6 +2,8 @@
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.dictionary import PLACE, fill_pdos
@@ -57,10 +59,11 @@ def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, legs=(ALL_LEGS,)
 
 def difference(length: float, t_ns: int, before: Slope, rate: float, period_s: float) -> tuple[float, Slope]:
     """Return the rate at the end of a step and what the next one needs, see `kernels.difference`."""
-    has_length = before.length is not None
-    given: Any = before
-    found, after = kernels.difference(length, t_ns, given, has_length, rate, period_s)
-    return found, Slope(*after)
+    c: Any = np.zeros((), kernels.DRIVES).view(np.recarray)
+    c.period_s[()], c.mean[0], c.T[0], c.latched_ns[0] = period_s, before.rate, before.T, before.latched_ns
+    c.length[0], c.has_length[0] = before.length or 0.0, before.length is not None
+    found = kernels.difference(c, 0, length, t_ns, rate)
+    return float(found), Slope(*(c[name][0].item() for name in ("mean", "T", "latched_ns", "length")))
 
 
 DEVICE_STATES = {

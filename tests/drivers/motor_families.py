@@ -16,7 +16,6 @@ from drivers.frame_pointers import value
 from drivers.mit import protocol as mit
 from drivers.mit import robstride
 from drivers.mit.fields import Ranges
-from drivers.motor_device_kernels import put_written, written
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import LEGS
@@ -68,11 +67,6 @@ class MotorMemory(Remembered):
     """What six drives remember."""
 
     @property
-    def registers(self) -> tuple[tuple[tuple[int, float], ...], ...]:
-        """What has been written, by leg."""
-        return tuple(tuple(written(self.state, leg).items()) for leg in range(LEGS))
-
-    @property
     def asked(self) -> tuple[tuple[int, tuple[tuple[int, int], ...]], ...]:
         """Who wants which registers of each drive, with their widths."""
         d = self.state
@@ -80,14 +74,6 @@ class MotorMemory(Remembered):
             (host, tuple(zip(d["wanted"][leg, :n].tolist(), d["widths"][leg, :n].tolist(), strict=True)))
             for leg, (host, n) in enumerate(zip(d["host"].tolist(), d["asked"].tolist(), strict=True))
         )
-
-    def _replace(self, **values: Any) -> MotorMemory:
-        memory = MotorMemory(self.state.copy())
-        for leg, held in enumerate(values.pop("registers", ())):
-            put_written(memory.state, leg, dict(held))
-        for name, given in values.items():
-            memory.state[name] = given
-        return memory
 
 
 class Motors(ByValue):

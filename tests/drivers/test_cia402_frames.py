@@ -52,7 +52,7 @@ def decoded(frames, protocol=P, *, since_ns=0, t_ns=1):
 
 
 def test_the_set_up_maps_the_pdos_in_the_order_and_with_the_bytes_of_canopen():
-    steps = [step for step in plan(5, SETUP, P._settings) if step.kind == "write"]
+    steps = [step for step in plan(5, SETUP, P) if step.kind == "write"]
     sent = [Frame(0x605, step.request(5)) for step in steps]
     for pdo in ("remap RPDO1", "remap TPDO1"):
         expected = [frame(v) for v in vectors(pdo)]
@@ -61,7 +61,7 @@ def test_the_set_up_maps_the_pdos_in_the_order_and_with_the_bytes_of_canopen():
 
 
 def test_nmt_commands_have_the_bytes_of_canopen():
-    steps = [Frame(0x000, step.request(5)) for step in plan(5, SETUP, P._settings) if step.kind == "nmt"]
+    steps = [Frame(0x000, step.request(5)) for step in plan(5, SETUP, P) if step.kind == "nmt"]
     expected = [
         frame(v)
         for v in VECTORS

@@ -118,7 +118,7 @@ def test_a_key_that_does_not_fit_is_refused_by_name(changes, message):
 
 @pytest.mark.parametrize("rated_Nm", [1e-3, 4_294_967.0])
 def test_a_rated_torque_is_a_thousandth_of_a_newton_metre_to_what_its_object_can_say(rated_Nm):
-    assert made(rated_torque_Nm=rated_Nm)._settings.rated_torque_mNm == round(1e3 * rated_Nm)
+    assert made(rated_torque_Nm=rated_Nm).rated_torque_mNm == round(1e3 * rated_Nm)
 
 
 def test_the_encoder_is_checked_unless_the_configuration_says_not_to():

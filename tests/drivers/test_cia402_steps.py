@@ -34,7 +34,7 @@ READ_BACK = """
 
 
 def test_a_drive_is_asked_what_it_is_mapped_set_read_back_and_started_in_this_order():
-    steps = plan(5, SETUP, drives()._settings)
+    steps = plan(5, SETUP, drives())
 
     def read(index: int, sub: int) -> bytes:
         return bytes((0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0))
@@ -47,7 +47,7 @@ def test_a_drive_is_asked_what_it_is_mapped_set_read_back_and_started_in_this_or
 
 
 def test_what_is_read_is_compared_with_what_was_written_in_the_bits_that_count():
-    found = {step.key: step for step in plan(5, SETUP, drives()._settings, 4096) if step.kind == "read"}
+    found = {step.key: step for step in plan(5, SETUP, drives(), 4096) if step.kind == "read"}
     expected = {
         0x10000: (0x0192, 0xFFFF, False),
         0x65020: (0x200, 0x200, True),
@@ -101,7 +101,7 @@ def test_a_watchdog_is_a_consumer_heartbeat_time_of_16_bits(watchdog_s, ms):
 def test_a_reaction_is_the_fault_reaction_option_code_of_the_drive(reaction, code):
     (step,) = [
         s
-        for s in plan(5, SETUP._replace(reaction=reaction), drives()._settings)
+        for s in plan(5, SETUP._replace(reaction=reaction), drives())
         if s.key == o.FAULT_REACTION and s.kind == "write"
     ]
     assert (step.value, step.size) == (code, 2)
@@ -148,7 +148,7 @@ DONE = 3
 
 def begun(plans: Any = (A,) * 6, setup: DriveSetup = SETUP, **fields: Any) -> ends.Cia402End:
     """Return the controller's end of six drives with these plans, at these steps."""
-    end = ends.Cia402End(P, ends.begun(P._tables, setup, plans))
+    end = ends.Cia402End(P, setup, plans)
     for name, value in fields.items():
         end.state[name] = value
     return end

@@ -56,7 +56,7 @@ def obeyed(protocol: Any, v: Vector, *, enabled: bool = True) -> str:
     """Return what the emulated drives make of a frame, in words."""
     memory = protocol.power_up()._replace(enabled=(enabled,) * LEGS)
     if isinstance(protocol, ODriveProtocol):
-        memory = memory._replace(registers=(((0x0B, 1.0),),) * LEGS)
+        memory = memory._replace(registers=[0.0, 1.0, *[0.0] * 6])
     words = []
     for message in protocol.parse(memory, frame(v))[1]:
         match message:

@@ -163,8 +163,8 @@ def test_a_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once_a
         (reply(0x55, 21, struct.pack("<f", 7.5)),),
         (reply(0x33, 21, struct.pack("<f", 7.5)),),
     ]
-    assert dict(memory.registers[3])[9] == 0
-    assert [bool(each) for each in memory.registers] == [leg == 3 for leg in range(6)]
+    assert memory.registers[3][:3] == [1.0, 0.0, 7.5]
+    assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
 
 
 def test_a_request_for_feedback_is_answered_by_it_and_one_that_is_none_is_refused():

@@ -162,8 +162,8 @@ def test_an_axis_closes_its_loop_under_torque_control_alone_and_counts_its_comma
     ]
     assert memory.heard == (0, 0, 0, 0, 8, 0)
     assert memory.enabled == (False,) * 6
-    assert dict(memory.registers[4]) == {0x0B: 1.0, 0x07: 1.0}
-    assert memory.registers[:4] == ((),) * 4
+    assert memory.registers[4][:2] == [1.0, 1.0]
+    assert memory.registers[:4] == ([0.0] * 8,) * 4
 
 
 @pytest.mark.parametrize("number", [0, 2, 3, 7, 9])
@@ -181,7 +181,7 @@ def test_axes_that_were_switched_off_and_on_remember_nothing_and_the_others_all(
     memory, _ = told(to(0x0B, TORQUE_CONTROLLED), state(8))
     both, _ = P.parse(memory, to(0x0B, TORQUE_CONTROLLED, leg=0))
     after = P.restarted(both, (4,))
-    assert after == P.power_up()._replace(registers=both.registers[:1] + ((),) * 5)
+    assert after == P.power_up()._replace(registers=[both.registers[0], *[[0.0] * 8] * 5])
     assert P.restarted(both, ()) == both
 
 

@@ -108,7 +108,7 @@ def test_the_run_mode_is_written_and_read_back_and_another_register_is_refused()
 
     refused = (Rejected("register 0x7006"),)
     assert found == [answer(0), (DELIVERED, SYNC), answer(2), refused, refused]
-    assert memory.registers == ((), (), (), ((0x7005, 2.0),), (), ())
+    assert [each[0] for each in memory.registers] == [0, 0, 0, 2, 0, 0]
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -14,7 +14,7 @@ import numpy as np
 from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
 from drivers.arrays import Array
-from drivers.compiled.compiler import helper, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, signed, whole
@@ -246,26 +246,25 @@ def _ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
 
 
 @helper
-def _take_torque(d: Any, values: Array, order: Any) -> int:
+def _take_torque(d: Any, leg: int, values: Array, messages: int) -> int:
     """Take a command of position mode."""
     torque, most, timeout_s = values[1], values[4], values[5]
     if np.isnan(torque) or most <= 0.0 or values[2] != 0.0 or values[3] != 0.0:
-        return drives.rejects(order, NO_TORQUE_COMMAND, 0.0)
-    if order.enabled:
-        drives.tells(order, drives.RUN, True)
-    else:
-        drives.enables(order)
-        drives.configures(d, order, -1)
-        if timeout_s > 0.0:
-            order.watchdog_ns = np.int64(np.rint(min(timeout_s * 1e9, _LONGEST_NS)))
-    order.torque = min(max(torque, -most), most) if most > 0.0 else torque
-    return 1
+        return drives.rejects(leg, NO_TORQUE_COMMAND, 0.0, messages)
+    torque = min(max(torque, -most), most) if most > 0.0 else torque
+    if d.enabled[leg]:
+        return drives.commands(d, leg, drives.RUN, torque, messages, 0)
+    watchdog_ns = d.watchdog_ns
+    if timeout_s > 0.0:
+        watchdog_ns = np.int64(np.rint(min(timeout_s * 1e9, _LONGEST_NS)))
+    count = drives.configures(d, leg, watchdog_ns, messages, 0)
+    return drives.enables(d, leg, torque, messages, count)
 
 
-@pointed(record(drives.DEVICES), record(FRAME), record(drives.ORDER))
-def obey(d: Any, frame: Any, order: Any) -> int:
+@pointed(record(drives.DEVICES), INTEGER, record(FRAME), INTEGER)
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command of any controller; obey, then answer."""
-    identifier, size, data = int(frame.id), int(frame.length), frame.data
+    identifier, size, data, count = int(frame.id), int(frame.length), frame.data, 0
     if frame.flags & STRANGE or not frame.flags & FD:
         return 0
     if identifier > (0xFFFF if frame.flags & EXTENDED else 0x7FF):
@@ -273,18 +272,18 @@ def obey(d: Any, frame: Any, order: Any) -> int:
     values = np.array((0.0, 0.0, 1.0, 1.0, np.nan, np.nan))
     has = read(data, size, WRITE, _WRITTEN, values)
     if has < 0:
-        return 1 + drives.rejects(order, UNFINISHED, 0.0)
-    order.answers = identifier & REPLY_WANTED != 0
-    if order.answers:
-        _ask(d, order.leg, identifier >> 8 & 0x7F, data, size)
+        return drives.ALONE | drives.rejects(leg, UNFINISHED, 0.0, messages)
     if has & 1 and values[0] == STOPPED:
-        drives.tells(order, drives.RESET, False)
-        drives.configures(d, order, 1)
+        count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
+        count = drives.configures(d, leg, d.watchdog_ns, messages, count)
     elif has & 1 and values[0] == POSITION:
-        return _take_torque(d, values, order)
+        count = _take_torque(d, leg, values, messages)
     elif has & 1:
-        return drives.rejects(order, UNKNOWN_MODE, values[0])
-    return 1
+        count = drives.rejects(leg, UNKNOWN_MODE, values[0], messages)
+    if not identifier & REPLY_WANTED:
+        return count
+    _ask(d, leg, identifier >> 8 & 0x7F, data, size)
+    return drives.answers(leg, messages, count)
 
 
 @helper

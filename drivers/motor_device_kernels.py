@@ -1,8 +1,8 @@
 """The drives' end of single-motor drives: one record and one compiled end, which every family shares.
 
-A family gives `obey(d, frame, order)`, which fills ORDER with what a frame tells one drive and returns 1; 2
-where no other drive looks at it, 0 for nothing, FAILED to leave it to the protocol; and `encode(d, said,
-frame)`, which fills in its feedback.
+A family gives `obey(d, leg, frame, messages)`, which puts what a frame tells one drive into MESSAGEs at an
+address and returns how many they are, plus ALONE where no other drive looks at it, or FAILED to leave it to
+the protocol; and `encode(d, said, frame)`, which fills in its feedback.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,21 +23,7 @@ MOST_REGISTERS, MOST_ASKED = 8, 64
 """That a drive remembers; and that one frame asks for."""
 ANY = 0x1FFFFFFF
 """Bits of an identifier."""
-ORDER = np.dtype(
-    [
-        ("leg", "<i8"),
-        ("modes", "<i8"),  # how many commands it is
-        ("mode", "<i8", (2,)),
-        ("torque", "<f8"),  # N m
-        ("enabled", "<i8"),  # whether the drive is so afterwards
-        ("configures", "<i8"),  # -1, 1: it sets the drive up, before or after the commands
-        ("watchdog_ns", "<i8"),
-        ("answers", "<i8"),
-        ("rejected", "<i8"),  # why it cannot be trusted, from 1 on
-        ("number", "<f8"),  # what is wrong
-    ]
-)
-"""What one frame tells one drive."""
+ALONE = 1 << 8
 SAID = np.dtype(
     [
         *((name, "<i8") for name in ("leg", "state", "lost", "fault")),
@@ -67,14 +53,13 @@ DEVICES = np.dtype(
         ("asked", "<i8", (LEGS,)),  # how many registers
         ("wanted", "<i8", (LEGS, MOST_ASKED)),
         ("widths", "<i8", (LEGS, MOST_ASKED)),
-        # scratch: an element of HEARD, of ORDER or of SAID
+        # scratch: an element of HEARD or of SAID
         ("scratch", "<f8", (16,)),
     ]
 )
 """Six emulated drives."""
 _DEVICES = record(DEVICES)
 ear_at = record_at(record(EAR))
-_order_at = record_at(record(ORDER))
 _said_at = record_at(record(SAID))
 _FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 OFF, READY, RUN, RESET = map(int, DriveMode)
@@ -84,54 +69,40 @@ OFF, READY, RUN, RESET = map(int, DriveMode)
 
 
 @helper
-def tells(order: Any, mode: int, enabled: bool) -> None:
-    """Give one command."""
-    order.modes, order.mode[0], order.enabled = 1, mode, enabled
+def commands(d: Any, leg: int, mode: int, torque: float, messages: int, count: int) -> int:
+    """Put a command, torque N m, behind `count` messages; return their number, as all of these do."""
+    d.heard[leg] += 1
+    d.enabled[leg] = mode == RUN
+    force = torque * d.N_per_Nm[leg]
+    return ends.put_message(messages, count, leg, ends.COMMAND, mode, d.heard[leg], force)
 
 
 @helper
-def enables(order: Any) -> None:
+def enables(d: Any, leg: int, torque: float, messages: int, count: int) -> int:
     """Enable a drive, by two commands."""
-    order.modes, order.mode[0], order.mode[1], order.enabled = 2, READY, RUN, 1
+    count = commands(d, leg, READY, torque, messages, count)
+    return commands(d, leg, RUN, torque, messages, count)
 
 
 @helper
-def configures(d: Any, order: Any, when: int) -> None:
-    """Set a drive up as it is delivered, before (-1) or after (1) the commands."""
-    order.configures, order.watchdog_ns = when, d.watchdog_ns
+def configures(d: Any, leg: int, watchdog_ns: int, messages: int, count: int) -> int:
+    """Set a drive up."""
+    return ends.put_message(messages, count, leg, ends.CONFIGURE, d.reaction, watchdog_ns, 0.0)
 
 
 @helper
-def rejects(order: Any, why: int, number: float) -> int:
-    """Reject a frame, from which nothing else follows but an answer; return 1."""
-    order.modes, order.configures, order.rejected, order.number = 0, 0, why, number
-    return 1
+def rejects(leg: int, why: int, number: float, messages: int) -> int:
+    """Reject a frame: why, from 1 on, and the number that is wrong."""
+    return ends.put_message(messages, 0, leg, ends.REJECTED, why, 0, number)
+
+
+@helper
+def answers(leg: int, messages: int, count: int) -> int:
+    """Let a drive answer."""
+    return ends.put_message(messages, count, leg, ends.SYNC, 0, 0, 0.0)
 
 
 # both ends
-
-
-@helper
-def _configure(d: Any, order: Any, messages: int, count: int) -> int:
-    return ends.put_message(messages, count, order.leg, ends.CONFIGURE, d.reaction, order.watchdog_ns, 0.0)
-
-
-@helper
-def _obey(d: Any, order: Any, messages: int) -> int:
-    """Put what an order means to its drive into messages at an address; return how many they are."""
-    leg, count = order.leg, 0
-    if order.configures < 0:
-        count = _configure(d, order, messages, count)
-    if order.rejected:
-        count = ends.put_message(messages, count, leg, ends.REJECTED, order.rejected, 0, order.number)
-    for k in range(order.modes):
-        d.heard[leg] += 1
-        force = order.torque * d.N_per_Nm[leg]
-        count = ends.put_message(messages, count, leg, ends.COMMAND, order.mode[k], d.heard[leg], force)
-    d.enabled[leg] = order.enabled
-    if order.configures > 0:
-        count = _configure(d, order, messages, count)
-    return ends.put_message(messages, count, leg, ends.SYNC, 0, 0, 0.0) if order.answers else count
 
 
 @pointed(_DEVICES, INTEGER, INTEGER)
@@ -144,19 +115,14 @@ def parse(d: Any, frame_address: int, messages: int) -> int:
     if identifier == d.requests:
         return FAILED
     number, count = identifier >> d.shift & d.mask, 0
-    at = np.int64(d.scratch.ctypes.data)
-    order = _order_at(at)
     for leg in range(LEGS):
         if (number != d.nodes[leg] and number != d.everyone) or frame.bus != d.bus_of[leg]:
             continue
-        d.scratch[:] = 0.0
-        order.leg, order.enabled = leg, d.enabled[leg]
-        status = call(d.obey, (address_of(d), frame_address, at))
-        if status < 0:
+        put = call(d.obey, (address_of(d), leg, frame_address, messages + count * _MESSAGE))
+        if put < 0:
             return FAILED
-        if status > 0:
-            count += _obey(d, order, messages + count * _MESSAGE)
-        if status > 1:
+        count += put & ~ALONE
+        if put & ALONE:
             break
     return count
 
@@ -226,7 +192,7 @@ def addressed(d: Any, frame_address: int) -> int:
     return legs
 
 
-assert max(HEARD.itemsize, ORDER.itemsize, SAID.itemsize) <= DEVICES["scratch"].itemsize
+assert max(HEARD.itemsize, SAID.itemsize) <= DEVICES["scratch"].itemsize
 
 
 _MEMORY = ("heard", "enabled", "registers", "host", "asked", "wanted", "widths")

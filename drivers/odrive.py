@@ -153,57 +153,57 @@ def _fits(kind: int, size: int) -> bool:
 
 
 @helper
-def _ask_state(d: Any, data: Any, order: Any) -> int:
+def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
     """Take an axis state that is asked for."""
-    leg, state, ready = order.leg, whole(data, 0), order.enabled != 0
+    state, held, count = whole(data, 0), d.registers[leg], 0
     if state not in (IDLE, CLOSED_LOOP):
-        return drives_end.rejects(order, NO_STATE, state)
-    held = d.registers[leg]
+        return drives_end.rejects(leg, NO_STATE, state, messages)
     first = held[_STATE] == 0.0
     if state == IDLE:
-        drives_end.tells(order, drives_end.OFF, False)
-        drives_end.configures(d, order, 1)
+        count = drives_end.commands(d, leg, drives_end.OFF, 0.0, messages, 0)
+        count = drives_end.configures(d, leg, d.watchdog_ns, messages, count)
     else:
         if held[_CONTROL_MODE] != TORQUE_CONTROL:
-            return drives_end.rejects(order, NO_TORQUE_CONTROL, 0.0)
-        if not ready:
-            drives_end.enables(order)
+            return drives_end.rejects(leg, NO_TORQUE_CONTROL, 0.0, messages)
         if first:
-            drives_end.configures(d, order, -1)
+            count = drives_end.configures(d, leg, d.watchdog_ns, messages, 0)
+        if not d.enabled[leg]:
+            count = drives_end.enables(d, leg, 0.0, messages, count)
     if state == IDLE or first:
         held[_STATE] = state
-    return 1
+    return count
 
 
-@pointed(record(drives_end.DEVICES), record(FRAME), record(drives_end.ORDER))
-def obey(d: Any, frame: Any, order: Any) -> int:
+@pointed(record(drives_end.DEVICES), INTEGER, record(FRAME), INTEGER)
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command, or the question for estimates."""
     kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
     if frame.flags & STRANGE:
         return 0
     if frame.flags & REMOTE:
-        order.answers = kind == ESTIMATES and size == 0
-        return FAILED if kind == ADDRESS and size == 0 else order.answers
+        if kind == ADDRESS and size == 0:
+            return FAILED
+        return drives_end.answers(leg, messages, 0) if kind == ESTIMATES and size == 0 else 0
     if kind == ESTOP:
         return FAILED
     if not COMMANDS >> kind & 1:
         return 0
     if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
-        return drives_end.rejects(order, NO_COMMAND, 0.0)
+        return drives_end.rejects(leg, NO_COMMAND, 0.0, messages)
     if not _fits(kind, size):
-        return drives_end.rejects(order, STRANGE_SIZE, 0.0)
+        return drives_end.rejects(leg, STRANGE_SIZE, 0.0, messages)
     if kind == AXIS_STATE:
-        return _ask_state(d, data, order)
+        return _ask_state(d, leg, data, messages)
+    if kind == CLEAR:
+        return drives_end.commands(d, leg, drives_end.RESET, 0.0, messages, 0)
     if kind == MODES:
-        d.registers[order.leg, _CONTROL_MODE] = whole(data, 0)
-    elif kind == CLEAR:
-        drives_end.tells(order, drives_end.RESET, False)
-    elif order.enabled:
-        drives_end.tells(order, drives_end.RUN, True)
-        order.torque = motors.single(data, 0)
-        if not np.isfinite(order.torque):
-            return drives_end.rejects(order, NO_TORQUE, 0.0)
-    return 1
+        d.registers[leg, _CONTROL_MODE] = whole(data, 0)
+    elif d.enabled[leg]:
+        torque = motors.single(data, 0)
+        if not np.isfinite(torque):
+            return drives_end.rejects(leg, NO_TORQUE, 0.0, messages)
+        return drives_end.commands(d, leg, drives_end.RUN, torque, messages, 0)
+    return 0
 
 
 @pointed(record(drives_end.DEVICES), record(drives_end.SAID), record(FRAME))

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import helper, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, value, whole
@@ -104,41 +104,35 @@ def _special(data: Any) -> int:
     return int(data[7])
 
 
-@helper
-def _enables(d: Any, ear: Any, order: Any) -> None:
-    """Enable a drive, set to what it was delivered with where no controller has set it up."""
-    drives.enables(order)
-    drives.configures(d, order, -1)
-    ticks = d.registers[order.leg, _TIMEOUT_AT] if ear.registers else 0.0
-    if ticks > 0.0:
-        order.watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9))
-
-
-@pointed(record(drives.DEVICES), record(FRAME), record(drives.ORDER))
-def obey(d: Any, frame: Any, order: Any) -> int:
+@pointed(record(drives.DEVICES), INTEGER, record(FRAME), INTEGER)
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command. Every frame to a drive is answered by its feedback."""
     if frame.flags & STRANGE:
         return 0
     if frame.length != 8:
-        return drives.rejects(order, CUT, 0.0)
-    ear, data = drives.ear_at(d.ear), frame.data
-    special, order.answers = _special(data), 1
+        return drives.rejects(leg, CUT, 0.0, messages)
+    ear, data, count = drives.ear_at(d.ear), frame.data, 0
+    special = _special(data)
     if special == ZERO:
-        return drives.rejects(order, ZEROES, 0.0)
-    if special == ENABLE:
-        if not order.enabled:
-            _enables(d, ear, order)
+        count = drives.rejects(leg, ZEROES, 0.0, messages)
+    elif special == ENABLE:
+        if not d.enabled[leg]:
+            # set to what it was delivered with where no controller has set it up
+            ticks = d.registers[leg, _TIMEOUT_AT] if ear.registers else 0.0
+            watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9)) if ticks > 0.0 else d.watchdog_ns
+            count = drives.configures(d, leg, watchdog_ns, messages, 0)
+            count = drives.enables(d, leg, 0.0, messages, count)
     elif special == DISABLE:
-        drives.tells(order, drives.OFF, False)
+        count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
         if not ear.registers:
-            drives.configures(d, order, 1)
+            count = drives.configures(d, leg, d.watchdog_ns, messages, count)
     elif special == CLEAR and ear.registers:
-        drives.tells(order, drives.RESET, False)
-    elif order.enabled:
-        drives.tells(order, drives.RUN, True)
+        count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
+    elif d.enabled[leg]:
         number = (int(data[6]) & 0xF) << 8 | int(data[7])
-        order.torque = value(number, -ear.torque, ear.torque, 12)
-    return 1
+        torque = value(number, -ear.torque, ear.torque, 12)
+        count = drives.commands(d, leg, drives.RUN, torque, messages, 0)
+    return drives.answers(leg, messages, count)
 
 
 @pointed(record(drives.DEVICES), record(drives.SAID), record(FRAME))

@@ -4,7 +4,7 @@ from typing import Any
 
 from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import helper, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, value, whole
@@ -59,31 +59,31 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     return _feedback(ear, data, leg, middle >> 14, middle >> 8 & 0x3F, heard)
 
 
-@pointed(record(drives.DEVICES), record(FRAME), record(drives.ORDER))
-def obey(d: Any, frame: Any, order: Any) -> int:
+@pointed(record(drives.DEVICES), INTEGER, record(FRAME), INTEGER)
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command, which is answered by feedback."""
     identifier = int(frame.id)
-    kind = identifier >> 24
+    kind, count = identifier >> 24, 0
     if not frame.flags & EXTENDED or frame.flags & STRANGE:
         return 0
     if kind not in (WHO, CONTROL, ENABLE, STOP, READ, WRITE):
         return 0
     if kind != WHO and frame.length != 8:
-        return drives.rejects(order, 1, 0.0)
+        return drives.rejects(leg, 1, 0.0, messages)
     if kind in (WHO, READ, WRITE):
         return FAILED
-    order.answers = 1
     if kind == ENABLE:
-        if not order.enabled:
-            drives.enables(order)
-            drives.configures(d, order, -1)
+        if not d.enabled[leg]:
+            count = drives.configures(d, leg, d.watchdog_ns, messages, 0)
+            count = drives.enables(d, leg, 0.0, messages, count)
     elif kind == STOP:
-        drives.tells(order, drives.RESET if frame.data[0] == 1 else drives.OFF, False)
-    elif order.enabled:
-        drives.tells(order, drives.RUN, True)
+        mode = drives.RESET if frame.data[0] == 1 else drives.OFF
+        count = drives.commands(d, leg, mode, 0.0, messages, 0)
+    elif d.enabled[leg]:
         end = drives.ear_at(d.ear).torque
-        order.torque = (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
-    return 1
+        torque = (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
+        count = drives.commands(d, leg, drives.RUN, torque, messages, 0)
+    return drives.answers(leg, messages, count)
 
 
 @helper

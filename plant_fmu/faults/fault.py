@@ -71,17 +71,28 @@ class Present:
         self.not_finite = self.hangs = self.crashes = False
 
 
+FAULTS: dict[str, type[Fault]] = {}
+"""`kind` of a fault -> its class, in the order in which they are defined."""
+
+
 class Fault(Section):
-    """A fault that begins at an instant. Each kind has its name as `kind`, a Literal.
+    """A fault that begins at an instant. Each kind states its name as `kind` in the head of its class.
 
     Raises ValidationError on senseless values.
     """
 
-    kind: Any
+    kind: Any = None
     at_s: Annotated[float, Field(ge=0)] = 0.0
     """When it begins: after the drives' power-up, or after `mode` is reached."""
     mode: Moment | None = None
     """The mode of the controller that `at_s` counts from."""
+
+    def __init_subclass__(cls, kind: str | None = None, **settings: Any) -> None:
+        """Make a kind of the class: a row of `FAULTS`, and the one value that its field `kind` takes."""
+        super().__init_subclass__(**settings)
+        if kind is not None:
+            cls.__annotations__["kind"], cls.kind = Literal[kind], kind
+            FAULTS[kind] = cls
 
     @property
     def lasts_ns(self) -> int:
@@ -162,6 +173,8 @@ class Passage(LastingFault):
 class FrameFault(Passage):
     """A fault of the frames of one identifier, or of all, in both directions."""
 
+    copies: ClassVar[int] = 1
+    """How many of a frame that is struck arrive."""
     probability: Annotated[float, Field(ge=0, le=1)] = 1.0
     """Of a frame to be struck."""
     identifier: Annotated[int, Field(ge=0)] | None = None
@@ -181,5 +194,6 @@ class FrameFault(Passage):
         return [(t_ns, frame)]
 
     def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Return what becomes of a frame that is struck. Draws from `generator`."""
-        raise NotImplementedError
+        """Return what becomes of a frame that is struck. May draw from `generator`."""
+        del generator
+        return [(t_ns, frame)] * self.copies

@@ -5,7 +5,7 @@ from operator import itemgetter
 
 from drivers.ends import drives_end
 from drivers.protocol import DriveProtocol, Frame, Received, Sync
-from plant_fmu.faults.frames import FramesForgedCommand
+from plant_fmu.faults.kinds import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
 from plant_fmu.faults.stranger import forged
 

@@ -1,106 +1,50 @@
-"""Faults of brakes, drives, encoders and plant, of the plant's process, and loads on the platform."""
+"""The kinds of faults: of encoders, drives and brakes, of frames and buses, of the process, of the plant."""
 
 from operator import add, mul
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
 
+from drivers.config import MAX_BUSES
+from drivers.protocol import BUS, DriveProtocol, Frame
 from drivers.signals import LEGS
-from plant_fmu.faults.fault import Fault, LastingFault, LegFault, Present, joins, last, later
+from plant_fmu.faults.fault import (
+    Fault,
+    FrameFault,
+    LastingFault,
+    LegFault,
+    Passage,
+    Passed,
+    Place,
+    Present,
+    joins,
+    last,
+    later,
+)
+
+BusIndex = Annotated[int, Field(ge=0, lt=MAX_BUSES)]
+_DATA = bytes(8)
+EVERY_BUS = (1 << MAX_BUSES) - 1
+Vector = tuple[float, float, float]
 
 
-class BrakeStuckOpen(LegFault):
-    """The brake is released, whatever the drive wants."""
-
-    kind: Literal["brake_stuck_open"] = "brake_stuck_open"
-    act = joins("stuck", last, False)
-
-
-class BrakeStuckClosed(LegFault):
-    """The brake is engaged, whatever the drive wants."""
-
-    kind: Literal["brake_stuck_closed"] = "brake_stuck_closed"
-    act = joins("stuck", last, True)
-
-
-class BrakeSlow(LegFault):
-    """The brake opens and closes this much later than its drive counts."""
-
-    kind: Literal["brake_slow"] = "brake_slow"
-    by_ms: Annotated[float, Field(gt=0, le=10_000)]
-    act = joins("slow_ns", later, "by_ms")
-
-
-class BrakeSlipping(LegFault):
-    """The engaged brake holds only this share of its force."""
-
-    kind: Literal["brake_slipping"] = "brake_slipping"
-    share: Annotated[float, Field(ge=0, le=1)]
-    act = joins("share", mul, "share")
-
-
-BRAKES = (BrakeStuckOpen, BrakeStuckClosed, BrakeSlipping)
-"""What is of the plant's brake alone."""
-
-
-class DriveSilence(LegFault):
-    """The drive sends nothing. It still hears."""
-
-    kind: Literal["drive_silence"] = "drive_silence"
-    act = joins("silent", last, True)
-
-
-class DriveReset(Fault):
-    """The drive starts anew at this instant: it is in BOOT, its brake closes, its set-up is forgotten."""
-
-    kind: Literal["drive_reset"] = "drive_reset"
-    leg: Annotated[int, Field(ge=0, lt=LEGS)]
-    act = joins("reset", last, True)
-
-
-class DriveGain(LegFault):
-    """The leg's force is this multiple of what its drive means to apply."""
-
-    kind: Literal["drive_gain"] = "drive_gain"
-    factor: float
-    act = joins("gain", mul, "factor")
-
-
-class DriveSign(LegFault):
-    """The leg's force has the wrong sign, as with swapped wires."""
-
-    kind: Literal["drive_sign"] = "drive_sign"
-    act = joins("gain", mul, -1.0)
-
-
-class DriveSaturation(LegFault):
-    """The drive gives no more force than this."""
-
-    kind: Literal["drive_saturation"] = "drive_saturation"
-    limit_N: Annotated[float, Field(ge=0)]
-    act = joins("saturation_N", min, "limit_N")
-
-
-class EncoderJump(LegFault):
+class EncoderJump(LegFault, kind="encoder_jump"):
     """The encoder slips: from now on it reads this much more than the length."""
 
-    kind: Literal["encoder_jump"] = "encoder_jump"
     by_m: float
     act = joins("offset_m", add, "by_m")
 
 
-class EncoderFreeze(LegFault):
+class EncoderFreeze(LegFault, kind="encoder_freeze"):
     """The encoder keeps the length of the moment the fault begins, at rate zero."""
 
-    kind: Literal["encoder_freeze"] = "encoder_freeze"
     act = joins("frozen", last, True)
 
 
-class EncoderDrift(LegFault):
+class EncoderDrift(LegFault, kind="encoder_drift"):
     """The encoder creeps away: its length at this rate, which its rate contains."""
 
-    kind: Literal["encoder_drift"] = "encoder_drift"
     by_m_s: float
 
     def act(self, present: Present) -> None:
@@ -108,10 +52,9 @@ class EncoderDrift(LegFault):
         present.drifts.append((self.leg, self.by_m_s, present.since_ns))
 
 
-class EncoderNoise(LegFault):
+class EncoderNoise(LegFault, kind="encoder_noise"):
     """White noise on the length that is sent."""
 
-    kind: Literal["encoder_noise"] = "encoder_noise"
     sigma_m: Annotated[float, Field(ge=0)]
     """Standard deviation."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -121,18 +64,16 @@ class EncoderNoise(LegFault):
         present.noise.append((self.leg, self.sigma_m, present.generator))
 
 
-class EncoderLate(LegFault):
+class EncoderLate(LegFault, kind="encoder_late"):
     """What is sent is the length and rate of so long ago; at first it stands still for as long."""
 
-    kind: Literal["encoder_late"] = "encoder_late"
     by_ms: Annotated[float, Field(gt=0, le=1000)] = 1.0
     act = joins("late_ns", later, "by_ms")
 
 
-class EncoderScale(LegFault):
+class EncoderScale(LegFault, kind="encoder_scale"):
     """The encoder counts this multiple of the motion since the fault began; its rate is scaled as well."""
 
-    kind: Literal["encoder_scale"] = "encoder_scale"
     factor: float
 
     def act(self, present: Present) -> None:
@@ -140,71 +81,234 @@ class EncoderScale(LegFault):
         present.scales.append((self.leg, self.factor, present.since_ns))
 
 
-class EncoderSign(LegFault):
+class EncoderSign(LegFault, kind="encoder_sign"):
     """The encoder counts backwards from where it is when the fault begins."""
-
-    kind: Literal["encoder_sign"] = "encoder_sign"
 
     def act(self, present: Present) -> None:
         """Turn it round."""
         present.scales.append((self.leg, -1.0, present.since_ns))
 
 
-class EncoderLost(LegFault):
+class EncoderLost(LegFault, kind="encoder_lost"):
     """The drive knows that its encoder is lost: it says so in its feedback, and still obeys."""
 
-    kind: Literal["encoder_lost"] = "encoder_lost"
     act = joins("lost", last, True)
 
 
-class PlantNaN(LastingFault):
-    """The plant's lengths are not numbers."""
+class DriveSilence(LegFault, kind="drive_silence"):
+    """The drive sends nothing. It still hears."""
 
-    kind: Literal["plant_nan"] = "plant_nan"
+    act = joins("silent", last, True)
+
+
+class DriveReset(Fault, kind="drive_reset"):
+    """The drive starts anew at this instant: it is in BOOT, its brake closes, its set-up is forgotten."""
+
+    leg: Annotated[int, Field(ge=0, lt=LEGS)]
+    act = joins("reset", last, True)
+
+
+class DriveGain(LegFault, kind="drive_gain"):
+    """The leg's force is this multiple of what its drive means to apply."""
+
+    factor: float
+    act = joins("gain", mul, "factor")
+
+
+class DriveSign(LegFault, kind="drive_sign"):
+    """The leg's force has the wrong sign, as with swapped wires."""
+
+    act = joins("gain", mul, -1.0)
+
+
+class DriveSaturation(LegFault, kind="drive_saturation"):
+    """The drive gives no more force than this."""
+
+    limit_N: Annotated[float, Field(ge=0)]
+    act = joins("saturation_N", min, "limit_N")
+
+
+class BrakeStuckOpen(LegFault, kind="brake_stuck_open"):
+    """The brake is released, whatever the drive wants."""
+
+    act = joins("stuck", last, False)
+
+
+class BrakeStuckClosed(LegFault, kind="brake_stuck_closed"):
+    """The brake is engaged, whatever the drive wants."""
+
+    act = joins("stuck", last, True)
+
+
+class BrakeSlow(LegFault, kind="brake_slow"):
+    """The brake opens and closes this much later than its drive counts."""
+
+    by_ms: Annotated[float, Field(gt=0, le=10_000)]
+    act = joins("slow_ns", later, "by_ms")
+
+
+class BrakeSlipping(LegFault, kind="brake_slipping"):
+    """The engaged brake holds only this share of its force."""
+
+    share: Annotated[float, Field(ge=0, le=1)]
+    act = joins("share", mul, "share")
+
+
+BRAKES = (BrakeStuckOpen, BrakeStuckClosed, BrakeSlipping)
+"""What is of the plant's brake alone."""
+
+
+class FramesLoss(FrameFault, kind="frames_loss"):
+    """The frame never arrives."""
+
+    copies: ClassVar[int] = 0
+
+
+class FramesDuplicate(FrameFault, kind="frames_duplicate"):
+    """The frame arrives twice."""
+
+    copies: ClassVar[int] = 2
+
+
+class FramesDelay(FrameFault, kind="frames_delay"):
+    """The frame arrives later."""
+
+    by_ms: Annotated[float, Field(gt=0, le=1000)]
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Delay it."""
+        return super().strike(t_ns + round(self.by_ms * 1e6), frame, generator)
+
+
+class FramesReorder(FrameFault, kind="frames_reorder"):
+    """The frame arrives after the next one of its identifier on its bus."""
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Hold a frame back that is struck, until the next one has passed."""
+        held = passed.frames.pop(place, [])
+        if not held and passed.generator.random() < self.probability:
+            passed.frames[place] = [frame]
+            return []
+        return [(t_ns, each) for each in (frame, *held)]
+
+
+class FramesCorrupt(FrameFault, kind="frames_corrupt"):
+    """One bit of the data is flipped behind the back of the bus' own check, as a bad gateway does."""
+
+    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Flip one bit of any; an empty frame passes."""
+        if not frame.data:
+            return [(t_ns, frame)]
+        bit = int(generator.integers(8 * len(frame.data)))
+        data = bytearray(frame.data)
+        data[bit // 8] ^= 1 << bit % 8
+        return [(t_ns, frame._replace(data=bytes(data)))]
+
+
+class FramesForgedCommand(LastingFault, kind="frames_forged_command"):
+    """A third node answers every SYNC with a command of its own: RUN, this force in each leg, valid checks.
+
+    Both ends hear it; it is there before the controller's.
+    """
+
+    force_N: float = 0.0
+
+
+class FramesForgedFeedback(LegFault, kind="frames_forged_feedback"):
+    """A second node of the leg's number answers every SYNC: the leg is this much longer, valid checks."""
+
+    by_m: float
+    act = joins("forged_m", last, "by_m")
+
+
+class FramesOld(FrameFault, kind="frames_old"):
+    """A third node sends an older frame of the same identifier and bus after the frame. Both ends hear it."""
+
+    adds: ClassVar[bool] = True
+    back: Annotated[int, Field(ge=1, le=1000)] = 2
+    """How many frames of this identifier ago, on its bus."""
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Remember the frame, and repeat an older one at random."""
+        seen = passed.frames.setdefault(place, [])
+        seen.append(frame)
+        if len(seen) <= self.back:
+            return [(t_ns, frame)]
+        old = seen.pop(0)
+        struck = passed.generator.random() < self.probability
+        return [(t_ns, frame), (t_ns, old)] if struck else [(t_ns, frame)]
+
+
+class BusOff(Passage, kind="bus_off"):
+    """No frame passes in either direction; in lockstep the controller's interface reports bus off."""
+
+    bus: BusIndex | None = None
+    """Place in `bus.channels`, from 0; default: every bus."""
 
     def act(self, present: Present) -> None:
-        """Spoil the lengths."""
-        present.not_finite = True
+        """Cut the bus."""
+        present.bus_off |= EVERY_BUS if self.bus is None else 1 << self.bus
+
+    def concerns(self, frame: Frame) -> bool:
+        """Tell whether a frame is on the bus that is cut."""
+        return self.bus in (None, frame.bus)
+
+    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+        """Lose every frame."""
+        del t_ns, frame, place, passed
+        return []
 
 
-class PlantHang(LastingFault):
-    """The plant does not come back from a step: no drive answers; what it has missed it catches up with."""
+class SenderFault(LastingFault):
+    """A node that should not be there sends at its own rate. Both ends hear it."""
 
-    kind: Literal["plant_hang"] = "plant_hang"
+    rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 1000.0
+    bus: BusIndex = 0
+    """Place in `bus.channels` of the bus that it is on, from 0."""
 
-    def act(self, present: Present) -> None:
-        """Let it hang."""
-        present.hangs = True
-
-
-class PlantCrash(Fault):
-    """The plant fails at this instant, and its drives with it."""
-
-    kind: Literal["plant_crash"] = "plant_crash"
-
-    def act(self, present: Present) -> None:
-        """Let it fail."""
-        present.crashes = True
+    def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
+        """Return what it sends the n-th time."""
+        raise NotImplementedError
 
 
-class ProcessKill(Fault):
+class BusFlood(SenderFault, kind="bus_flood"):
+    """Frames of 8 bytes under an identifier that wins against all others."""
+
+    rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 8000.0
+    identifier: Annotated[int, Field(ge=0, le=0x7FF)] = 0
+
+    def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
+        """Return one frame."""
+        del protocol, number
+        return (Frame(self.identifier, _DATA, BUS * self.bus),)
+
+
+class BusSecondController(SenderFault, kind="bus_second_controller"):
+    """A second controller: SYNC, then a command of RUN with this force in each leg."""
+
+    force_N: float = 0.0
+
+    def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
+        """Return what starts its tick, and its command; where the poll is the command, that alone."""
+        from plant_fmu.faults.stranger import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
+
+        return tuple(frame for frame in opened(protocol, self.force_N, number) if frame.bus == self.bus)
+
+
+class ProcessKill(Fault, kind="process_kill"):
     """The process is killed (SIGKILL): its drives fall silent and its log is cut."""
 
-    kind: Literal["process_kill"] = "process_kill"
 
-
-class ProcessStop(Fault):
+class ProcessStop(Fault, kind="process_stop"):
     """The process is stopped (SIGSTOP) and continued after `for_s`."""
 
-    kind: Literal["process_stop"] = "process_stop"
     for_s: Annotated[float, Field(gt=0, le=3600)]
     """How long it is stopped."""
 
 
-class ProcessSlow(LastingFault):
+class ProcessSlow(LastingFault, kind="process_slow"):
     """The process takes this much longer for every round of its loop."""
 
-    kind: Literal["process_slow"] = "process_slow"
     by_ms: Annotated[float, Field(gt=0, le=1000)]
 
 
@@ -212,13 +316,33 @@ PROCESS = (ProcessKill, ProcessStop, ProcessSlow)
 """What a simulated plant does not have."""
 
 
-Vector = tuple[float, float, float]
+class PlantNaN(LastingFault, kind="plant_nan"):
+    """The plant's lengths are not numbers."""
+
+    def act(self, present: Present) -> None:
+        """Spoil the lengths."""
+        present.not_finite = True
 
 
-class WrenchStep(LastingFault):
+class PlantHang(LastingFault, kind="plant_hang"):
+    """The plant does not come back from a step: no drive answers; what it has missed it catches up with."""
+
+    def act(self, present: Present) -> None:
+        """Let it hang."""
+        present.hangs = True
+
+
+class PlantCrash(Fault, kind="plant_crash"):
+    """The plant fails at this instant, and its drives with it."""
+
+    def act(self, present: Present) -> None:
+        """Let it fail."""
+        present.crashes = True
+
+
+class WrenchStep(LastingFault, kind="wrench_step"):
     """A wrench on the platform at its origin, base frame."""
 
-    kind: Literal["wrench_step"] = "wrench_step"
     force_N: Vector = (0.0, 0.0, 0.0)
     moment_N_m: Vector = (0.0, 0.0, 0.0)
 
@@ -227,10 +351,9 @@ class WrenchStep(LastingFault):
         present.wrench += (*self.force_N, *self.moment_N_m)
 
 
-class PayloadStep(LastingFault):
+class PayloadStep(LastingFault, kind="payload_step"):
     """The weight of a mass on the platform; its inertia is not emulated."""
 
-    kind: Literal["payload_step"] = "payload_step"
     mass_kg: Annotated[float, Field(gt=0)]
     position_m: Vector = (0.0, 0.0, 0.0)
     """Where the mass lies, platform frame."""

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.protocol import Frame
 from plant_fmu.faults.fault import NEVER_NS, Fault, Passage, Passed, Place, Present
-from plant_fmu.faults.frames import FramesForgedCommand, SenderFault
+from plant_fmu.faults.kinds import FramesForgedCommand, SenderFault
 from plant_fmu.plant import Truth
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

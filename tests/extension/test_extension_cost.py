@@ -63,12 +63,7 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
         (
             "plant_fmu/faults/__init__.py",
             "from plant_fmu.faults.fault import",
-            "from plant_fmu.faults.derated import Derated\n",
-        ),
-        (
-            "plant_fmu/faults/__init__.py",
-            "    kinds.EncoderJump,\n",
-            "    Derated,\n",
+            "from plant_fmu.faults import derated as derated\n",
         ),
     ],
     "command": [

@@ -19,7 +19,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.sim.command import simulate
 from hil.loop.report import waiting_text
 from hil.record.log import Log
-from plant_fmu.faults.frames import BusOff
+from plant_fmu.faults.kinds import BusOff
 from tests.broad import broad
 from tests.loop.test_held import run
 

@@ -31,8 +31,7 @@ from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.stability.disturbance import Load
 from hil.stability.sampled import Sampled, disturbed_axis
-from plant_fmu.faults.frames import FramesDelay
-from plant_fmu.faults.kinds import WrenchStep
+from plant_fmu.faults.kinds import FramesDelay, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded
 

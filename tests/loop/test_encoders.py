@@ -18,8 +18,7 @@ from hil.loop.run_end import Ending
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from plant_fmu.faults.fault import Fault as PlantFault
-from plant_fmu.faults.frames import FramesLoss
-from plant_fmu.faults.kinds import BrakeStuckClosed, EncoderFreeze, EncoderJump, WrenchStep
+from plant_fmu.faults.kinds import BrakeStuckClosed, EncoderFreeze, EncoderJump, FramesLoss, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 

@@ -10,13 +10,13 @@ from drivers.signals import DriveState, Fault, Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.kinematics import jacobian
-from plant_fmu.faults.frames import FramesForgedCommand
 from plant_fmu.faults.kinds import (
     BrakeStuckOpen,
     DriveSilence,
     EncoderDrift,
     EncoderJump,
     EncoderLost,
+    FramesForgedCommand,
     WrenchStep,
 )
 from tests.broad import broad

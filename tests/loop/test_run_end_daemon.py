@@ -15,8 +15,7 @@ from hil.app.sim.lockstep import Lockstep
 from hil.loop.daemon import Shell, run
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
-from plant_fmu.faults.frames import FramesLoss
-from plant_fmu.faults.kinds import DriveSilence, EncoderJump
+from plant_fmu.faults.kinds import DriveSilence, EncoderJump, FramesLoss
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 

@@ -32,7 +32,7 @@ from hil.app.sim.lockstep import Lockstep
 from hil.cli import main
 from hil.loop.run_end import Course
 from hil.record.log import Log
-from plant_fmu.faults.frames import BusOff
+from plant_fmu.faults.kinds import BusOff
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop.test_desktop_drives import FAMILIES
 from tests.loop.test_desktop_drives import TEXT as DESKTOP

@@ -21,13 +21,13 @@ from hil.loop.motion import Motion
 from hil.loop.run_end import Course
 from hil.loop.story.told import Story
 from hil.record.log import Log
-from plant_fmu.faults.frames import FramesLoss
 from plant_fmu.faults.kinds import (
     BrakeStuckOpen,
     DriveSign,
     DriveSilence,
     EncoderJump,
     EncoderLost,
+    FramesLoss,
     PlantCrash,
     PlantNaN,
 )

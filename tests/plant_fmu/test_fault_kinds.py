@@ -15,20 +15,13 @@ from drivers.signals import Command, DriveMode, DriveState
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.frames import (
-    BusFlood,
-    BusOff,
-    BusSecondController,
-    FramesDelay,
-    FramesDuplicate,
-    FramesForgedCommand,
-    FramesForgedFeedback,
-    FramesOld,
-)
 from plant_fmu.faults.kinds import (
     BrakeSlipping,
     BrakeSlow,
     BrakeStuckClosed,
+    BusFlood,
+    BusOff,
+    BusSecondController,
     DriveGain,
     DriveReset,
     DriveSaturation,
@@ -40,6 +33,11 @@ from plant_fmu.faults.kinds import (
     EncoderNoise,
     EncoderScale,
     EncoderSign,
+    FramesDelay,
+    FramesDuplicate,
+    FramesForgedCommand,
+    FramesForgedFeedback,
+    FramesOld,
     PayloadStep,
     PlantCrash,
     PlantHang,

@@ -11,9 +11,14 @@ import pytest
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
-from plant_fmu.faults.fault import NEVER_NS, FrameFault, Passage, Passed
-from plant_fmu.faults.frames import (
+from plant_fmu.faults.fault import NEVER_NS, Passage, Passed
+from plant_fmu.faults.gateway import Gateway
+from plant_fmu.faults.kinds import (
     BusFlood,
+    DriveReset,
+    DriveSilence,
+    EncoderJump,
+    EncoderNoise,
     FramesDelay,
     FramesDuplicate,
     FramesLoss,
@@ -21,8 +26,6 @@ from plant_fmu.faults.frames import (
     FramesReorder,
     SenderFault,
 )
-from plant_fmu.faults.gateway import Gateway
-from plant_fmu.faults.kinds import DriveReset, DriveSilence, EncoderJump, EncoderNoise
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
 MS = 1_000_000
@@ -160,7 +163,6 @@ def test_a_kind_of_fault_that_does_not_say_what_it_does_to_frames_concerns_all_a
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
     for use in (
         lambda: Passage(kind="x").carry(0, frame, place, passed),
-        lambda: FrameFault(kind="x").carry(0, frame, place, passed),
         lambda: SenderFault(kind="x").frames(protocol, 0),
     ):
         with pytest.raises(NotImplementedError):

@@ -14,24 +14,14 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, Frame
 from plant_fmu.faults import FAULTS, KINDS
 from plant_fmu.faults.fault import NEVER_NS, Fault
-from plant_fmu.faults.frames import (
-    BusFlood,
-    BusOff,
-    BusSecondController,
-    FramesCorrupt,
-    FramesDelay,
-    FramesDuplicate,
-    FramesForgedCommand,
-    FramesForgedFeedback,
-    FramesLoss,
-    FramesOld,
-    FramesReorder,
-)
 from plant_fmu.faults.kinds import (
     BrakeSlipping,
     BrakeSlow,
     BrakeStuckClosed,
     BrakeStuckOpen,
+    BusFlood,
+    BusOff,
+    BusSecondController,
     DriveGain,
     DriveReset,
     DriveSaturation,
@@ -44,6 +34,14 @@ from plant_fmu.faults.kinds import (
     EncoderNoise,
     EncoderScale,
     EncoderSign,
+    FramesCorrupt,
+    FramesDelay,
+    FramesDuplicate,
+    FramesForgedCommand,
+    FramesForgedFeedback,
+    FramesLoss,
+    FramesOld,
+    FramesReorder,
     PayloadStep,
     ProcessStop,
     WrenchStep,

@@ -9,7 +9,7 @@ from drivers.config import MAX_BUSES
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, Frame
 from plant_fmu.faults.fault import Fault, LastingFault, Passed
-from plant_fmu.faults.frames import (
+from plant_fmu.faults.kinds import (
     BusFlood,
     BusOff,
     BusSecondController,

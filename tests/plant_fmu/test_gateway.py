@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from drivers.legs.protocol import LegsProtocol
-from plant_fmu.faults.frames import BusFlood
 from plant_fmu.faults.gateway import Gateway
+from plant_fmu.faults.kinds import BusFlood
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from plant_fmu import config
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.frames import FramesOld
+from plant_fmu.faults.kinds import FramesOld
 from tests.plant_fmu.test_faults import example
 
 FMU: dict[str, Any] = {"type": "fmu", "path": "a.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}

@@ -21,8 +21,7 @@ from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
-from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
-from plant_fmu.faults.kinds import PlantHang, WrenchStep
+from plant_fmu.faults.kinds import FramesCorrupt, FramesLoss, PlantHang, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import opening

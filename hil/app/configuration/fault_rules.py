@@ -10,8 +10,15 @@ from hil.app.configuration.yaml_positions import Path
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.frames import BusSecondController, FramesForgedCommand
-from plant_fmu.faults.kinds import BRAKES, LOADS, PROCESS, PayloadStep, WrenchStep
+from plant_fmu.faults.kinds import (
+    BRAKES,
+    LOADS,
+    PROCESS,
+    BusSecondController,
+    FramesForgedCommand,
+    PayloadStep,
+    WrenchStep,
+)
 
 
 def not_brought_about(plant: PlantSettings, kind: str) -> str:

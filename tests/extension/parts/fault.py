@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from plant_fmu.faults.fault import LegFault, Present
 
 
-class Derated(LegFault):
+class Derated(LegFault, kind="derated"):
     """The leg's force is this share of what its drive means to apply."""
 
-    kind: Literal["derated"] = "derated"
     share: float = 0.5
 
     def act(self, present: Present) -> None:

@@ -12,11 +12,11 @@ from hil.app.configuration.fault_words import read_fault, short_keys, show_fault
 from hil.app.configuration.problems import split_unit
 from hil.cli import main
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.frames import FramesLoss
 from plant_fmu.faults.kinds import (
     BrakeSlow,
     BrakeStuckOpen,
     EncoderJump,
+    FramesLoss,
     PayloadStep,
     ProcessKill,
     WrenchStep,

@@ -7,7 +7,7 @@ from typing import Any
 from drivers.section import Section
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, StewartPlant
-from plant_fmu.fmu.plant import fmu_plant
+from plant_fmu.fmu.child import fmu_plant
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.stewart.plant import stewart_plant
 

@@ -5,8 +5,8 @@ Each refusal says what the FMU offers.
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import fmpy
 from fmpy.model_description import read_model_description
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.spec import FmuSpec, Parameter
+from plant_fmu.config import FmuPlant
 
 FLOATS = {"Real", "Float64"}
 MAX_REFERENCE = 2**32 - 1
@@ -26,6 +26,38 @@ _INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64
 _SI = {"N": (1, 1, -2), "N.m": (1, 2, -2), "m": (0, 1, 0), "m/s": (0, 1, -1)}
 """Unit -> exponents of kg, m, s."""
 _SPELLINGS = {"N.m": {"N.m", "Nm", "N*m", "N m"}, "m/s": {"m/s", "m.s-1", "m*s-1"}}
+
+
+Parameter = float | int | bool | str | list[float]
+
+
+@dataclass(frozen=True)
+class FmuSpec:
+    """An FMU, six legs' variables, parameters and the step that all communication steps are multiples of."""
+
+    path: Path
+    force: tuple[str, ...]
+    length: tuple[str, ...]
+    rate: tuple[str, ...]
+    step_s: float
+    brake: tuple[str, ...] = ()
+    wrench: tuple[str, ...] = ()
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    truth: tuple[str, ...] = ()
+    """Outputs that hold position, rotation, twist and applied forces; empty where they are not known."""
+    assume_unit: Mapping[str, str] = field(default_factory=dict)
+    """Variable, or one of force, length, rate, wrench -> its unit where the description states none."""
+    allow_execution_tool: bool = False
+    """Take an FMU that needs the tool that made it."""
+    memory_GB: float = 4.0
+    """Most that a child process may have of its own."""
+
+
+def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
+    """Return what to host; a relative path starts at `folder`, the configuration's."""
+    given = settings.model_dump(exclude={"type", "path", "isolation", "step_us"})
+    legs = {key: tuple(given[key]) for key in ("force", "length", "rate", "brake", "wrench")}
+    return FmuSpec(**given | legs, path=folder / settings.path, step_s=settings.step_us / 1e6)
 
 
 @dataclass(frozen=True)

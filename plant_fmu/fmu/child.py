@@ -25,9 +25,10 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.child_process import start
 from drivers.errors import HilError, PlantError
+from plant_fmu.config import FmuPlant
+from plant_fmu.fmu.check import FmuSpec, fmu_spec
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.fmu.spec import FmuSpec
-from plant_fmu.plant import Truth
+from plant_fmu.plant import Plant, Truth
 
 START_TIMEOUT_S = 60.0
 STEP_TIMEOUT_S = 5.0
@@ -57,7 +58,6 @@ class ChildHost:
         self.spec = spec
         self.internal_step_s = spec.step_s
         self._ended: str | None = None
-        self._most_here_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         # The child unpacks in here; whichever of us two is left removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         given_spec = pickle.dumps(spec)
@@ -111,33 +111,15 @@ class ChildHost:
                 f"{self.spec.path}: the FMU did not {what} within {timeout_s:g} s; its process was stopped"
             )
         if not os.read(self._reply_r, 1):
-            code, most_kB = self._died()
-            how = (
-                f"died of {signal.Signals(-code).name}" if code < 0 else f"ended itself with exit code {code}"
+            code = self._process.wait()
+            ended = f"ended itself with exit code {code}"
+            how = f"died of {signal.Signals(-code).name}" if code < 0 else ended
+            raise self._end(
+                f"{self.spec.path}: the FMU's process {how} when it was to {what}; "
+                f"it may have {self.spec.memory_GB:g} GB of memory (plant.model.memory_GB)"
             )
-            text = f"{self.spec.path}: the FMU's process {how} when it was to {what}"
-            raise self._end(f"{text}{self._full(most_kB)}")
         if self._board["status"] != _OK:
-            text = bytes(self._board["text"]).decode("utf-8", "replace")
-            status = Path(f"/proc/{self._process.pid}/status").read_text()
-            data = next((line.split()[1] for line in status.splitlines() if line.startswith("VmData")), "0")
-            raise PlantError(f"{text}{self._full(int(data))}")
-
-    def _died(self) -> tuple[int, int]:
-        """Return the exit code of the process that has ended, and its most memory, kB; 0: unknown.
-
-        The kernel counts what this process had when it began the other one.
-        """
-        _, status, usage = os.wait4(self._process.pid, 0)
-        self._process.returncode = os.waitstatus_to_exitcode(status)
-        return self._process.returncode, usage.ru_maxrss if usage.ru_maxrss > self._most_here_kB else 0
-
-    def _full(self, kB: int) -> str:
-        """Say so where that is most of the memory that the FMU's process may have."""
-        used_GB, limit = kB * 1024 / 1e9, self.spec.memory_GB
-        return (
-            f": it had {used_GB:.2g} GB, plant.model.memory_GB is {limit:g}" if used_GB > 0.8 * limit else ""
-        )
+            raise PlantError(bytes(self._board["text"]).decode("utf-8", "replace"))
 
     def _ask(self, command: int, timeout_s: float, what: str) -> None:
         if self._ended is not None:
@@ -202,6 +184,16 @@ class ChildHost:
         self._folder.cleanup()
 
 
+def host(spec: FmuSpec, isolation: str) -> Plant:
+    """Load an FMU `in_process` or in a `child_process`. Raises PlantError."""
+    return FmuHost(spec) if isolation == "in_process" else ChildHost(spec)
+
+
+def fmu_plant(settings: FmuPlant, folder: Path) -> Plant:
+    """Host a configured FMU; a relative path starts at `folder`, the configuration's. Raises PlantError."""
+    return host(fmu_spec(settings, folder), settings.isolation)
+
+
 def _follow(child: int) -> None:
     """Give the child our SCHED_FIFO, one priority below ours: who waits for it can stop it when it hangs.
 
@@ -241,8 +233,8 @@ def _attempt(board: Any, work: Callable[[], Any]) -> Any:
         result = work()
     except (HilError, MemoryError) as error:
         board["status"] = _REFUSED
-        text = "no memory is left for the FMU's process" if isinstance(error, MemoryError) else str(error)
-        board["text"] = text.encode()
+        full = "no memory is left for the FMU's process: plant.model.memory_GB bounds it"
+        board["text"] = (full if isinstance(error, MemoryError) else str(error)).encode()
         return None
     board["status"] = _OK
     return result

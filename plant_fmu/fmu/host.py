@@ -23,8 +23,7 @@ from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members, extract, open_archive, read_member
-from plant_fmu.fmu.check import Interface, read_interface
-from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.fmu.check import FmuSpec, Interface, read_interface
 from plant_fmu.plant import Moved, Truth, whole_steps
 
 _MESSAGES = 20

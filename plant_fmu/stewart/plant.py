@@ -6,8 +6,8 @@ import numpy as np
 
 from drivers.errors import PlantError
 from plant_fmu.config import StewartPlant
-from plant_fmu.fmu.plant import host
-from plant_fmu.fmu.spec import FmuSpec, Parameter
+from plant_fmu.fmu.check import FmuSpec, Parameter
+from plant_fmu.fmu.child import host
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.stewart.build import build
 

@@ -15,9 +15,9 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.fmu import archive as limits
 from plant_fmu.fmu.archive import checked_members, open_archive
+from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.propose import propose
-from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.stewart.build import build
 
 ENTRY = b"PK\1\2"

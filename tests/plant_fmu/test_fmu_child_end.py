@@ -15,8 +15,8 @@ import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.fmu import child
+from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.child import ChildHost
-from plant_fmu.fmu.spec import FmuSpec
 
 SPEC = FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3)
 

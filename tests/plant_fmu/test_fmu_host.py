@@ -4,7 +4,6 @@ import ctypes as ct
 import io
 import os
 import re
-import stat
 import sys
 import zipfile
 from pathlib import Path
@@ -20,8 +19,8 @@ from drivers.compiled.pointed import of_python
 from drivers.errors import PlantError
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members
+from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.stewart.build import build
 
 FORCE = np.array([3700.0, 3600.0, 3650.0, 3500.0, 3620.0, 3610.0])
@@ -221,21 +220,9 @@ def test_a_missing_file_and_a_file_that_is_no_archive_are_refused(tmp_path):
         FmuHost(spec(tmp_path / "text.fmu"))
 
 
-def link(name):
-    info = zipfile.ZipInfo(name)
-    info.external_attr = (stat.S_IFLNK | 0o777) << 16
-    return info
-
-
 @pytest.mark.parametrize(
     ("extra", "word"),
     [
-        ([("../evil", b"x")], "leaves the archive"),
-        ([("resources/../../evil", b"x")], "leaves the archive"),
-        ([("/tmp/evil", b"x")], "leaves the archive"),
-        ([("resources\\evil", b"x")], "backslash"),
-        ([("C:evil", b"x")], "colon"),
-        ([(link("resources/link"), b"/etc/passwd")], "link"),
         ([("resources/a", b"x"), ("resources/A", b"y")], "occurs twice"),
         ([("resources/a", b"x"), ("resources/A", b"x")], "occurs twice"),
         ([("resources/a", b""), ("resources/a/", b"")], "occurs twice"),

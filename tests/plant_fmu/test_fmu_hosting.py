@@ -16,9 +16,8 @@ import pytest
 from drivers.errors import HilError, PlantError
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import child
-from plant_fmu.fmu.check import Start
+from plant_fmu.fmu.check import FmuSpec, Start
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.fmu.spec import FmuSpec
 
 FMU = Path("a.fmu")
 FIFO, OTHER = os.SCHED_FIFO, os.SCHED_OTHER
@@ -90,7 +89,6 @@ def attempted(work: Callable[[], Any]) -> tuple[Any, Any]:
     host: Any = SimpleNamespace(_board=board, _poll=SimpleNamespace(poll=lambda _: True))
     host._reply_r, reply_w = os.pipe()
     os.write(reply_w, b"!")
-    host._process, host._full = SimpleNamespace(pid=os.getpid()), lambda kB: f" ({kB > 1000})"
     try:
         child.ChildHost._wait(host, 1.0, "step")
     except PlantError as error:
@@ -108,25 +106,16 @@ def failing(error: Exception) -> Callable[[], Any]:
     return work
 
 
-def test_what_a_child_did_or_why_it_refused_crosses_to_the_parent_with_its_memory():
+def test_what_a_child_did_or_why_it_refused_crosses_to_the_parent():
     assert attempted(lambda: 7) == (7, None)
-    assert attempted(failing(PlantError("a.fmu: höher"))) == (None, "a.fmu: höher (True)")
-    assert attempted(failing(HilError("no"))) == (None, "no (True)")
-    assert attempted(failing(MemoryError())) == (None, "no memory is left for the FMU's process (True)")
+    assert attempted(failing(PlantError("a.fmu: höher"))) == (None, "a.fmu: höher")
+    assert attempted(failing(HilError("no"))) == (None, "no")
+    assert attempted(failing(MemoryError())) == (
+        None,
+        "no memory is left for the FMU's process: plant.model.memory_GB bounds it",
+    )
     with pytest.raises(ZeroDivisionError):
         attempted(failing(ZeroDivisionError()))
-
-
-@pytest.mark.parametrize(("most_kB", "told_kB"), [(1001, 1001), (1000, 0), (999, 0)])
-def test_the_memory_of_a_process_that_died_is_known_where_it_exceeds_what_it_began_with(
-    monkeypatch, most_kB, told_kB
-):
-    for status, code in ((7 << 8, 7), (9, -9), (0, 0)):
-        ended = (321, status, SimpleNamespace(ru_maxrss=most_kB))
-        monkeypatch.setattr(os, "wait4", lambda *asked, ended=ended: ended if asked == (321, 0) else None)
-        host: Any = SimpleNamespace(_process=SimpleNamespace(pid=321), _most_here_kB=1000)
-        assert child.ChildHost._died(host) == (code, told_kB)
-        assert host._process.returncode == code
 
 
 def test_a_process_that_cannot_be_started_leaves_nothing_open_and_would_not_have_written_to_our_output(

@@ -13,8 +13,14 @@ import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.fmu import check
-from plant_fmu.fmu.check import Channel, Interface, library_candidates, read_description, read_interface
-from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.fmu.check import (
+    Channel,
+    FmuSpec,
+    Interface,
+    library_candidates,
+    read_description,
+    read_interface,
+)
 from plant_fmu.stewart.build import build
 
 PATH = Path("a.fmu")

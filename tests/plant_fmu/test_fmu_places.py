@@ -19,9 +19,8 @@ from drivers.errors import PlantError
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import child
 from plant_fmu.fmu import host as hosting
-from plant_fmu.fmu.check import Channel
+from plant_fmu.fmu.check import Channel, FmuSpec
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.stewart.build import build
 
 ADDRESSES = {

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from plant_fmu.config import FmuPlant
-from plant_fmu.fmu import plant
-from plant_fmu.fmu.plant import fmu_plant, fmu_spec
-from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.fmu import child
+from plant_fmu.fmu.check import FmuSpec, fmu_spec
+from plant_fmu.fmu.child import fmu_plant
 
 SIX = ("1", "2", "3", "4", "5", "6")
 SECTION: dict[str, Any] = {
@@ -45,8 +45,8 @@ def test_a_whole_path_stays_where_it_is():
 
 @pytest.mark.parametrize(("isolation", "where"), [("in_process", "here"), ("child_process", "apart")])
 def test_an_fmu_runs_in_the_process_that_is_asked_for(monkeypatch, isolation, where):
-    monkeypatch.setattr(plant, "FmuHost", lambda spec: ("here", spec))
-    monkeypatch.setattr(plant, "ChildHost", lambda spec: ("apart", spec))
+    monkeypatch.setattr(child, "FmuHost", lambda spec: ("here", spec))
+    monkeypatch.setattr(child, "ChildHost", lambda spec: ("apart", spec))
     settings = FmuPlant.model_validate({**SECTION, "isolation": isolation, "allow_execution_tool": False})
     folder = Path("/etc")
     found: Any = fmu_plant(settings, folder)

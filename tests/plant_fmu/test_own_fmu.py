@@ -19,11 +19,10 @@ from hil.app.fmu import plant_section
 from hil.cli import main
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant
-from plant_fmu.fmu.check import shown, stated_unit
+from plant_fmu.fmu.check import FmuSpec, shown, stated_unit
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.probe import probe
 from plant_fmu.fmu.propose import propose
-from plant_fmu.fmu.spec import FmuSpec
 from plant_fmu.stewart.build import build
 
 VERSIONS = ["2.0", "3.0"]

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.check import Start, _Reader
-from plant_fmu.fmu.spec import FmuSpec, Parameter
+from plant_fmu.fmu.check import FmuSpec, Parameter, Start, _Reader
 
 SPEC = FmuSpec(Path("a.fmu"), ("force",), ("length",), ("rate",), 1e-3)
 INTEGERS = ["Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"]

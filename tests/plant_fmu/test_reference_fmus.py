@@ -16,9 +16,8 @@ from hil.app.fmu import show_fmu
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import host
 from plant_fmu.fmu.archive import checked_members, open_archive
-from plant_fmu.fmu.check import Channel, Interface, library_candidates
+from plant_fmu.fmu.check import Channel, FmuSpec, Interface, library_candidates
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.fmu.spec import FmuSpec
 
 FOLDER = os.environ.get("HIL_REFERENCE_FMUS", "")
 PATHS = sorted(Path(FOLDER).rglob("*.fmu")) if FOLDER else []

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.check import _Reader
-from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.fmu.check import FmuSpec, _Reader
 
 SPEC = FmuSpec(Path("a.fmu"), ("force",), ("length",), ("rate",), 1e-3)
 EXPONENTS = {"N": (1, 1, -2), "N.m": (1, 2, -2), "m": (0, 1, 0), "m/s": (0, 1, -1)}

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.config import StewartPlant
-from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.plant import Robot
 from plant_fmu.stewart import plant
 from plant_fmu.stewart.plant import stewart_parameters

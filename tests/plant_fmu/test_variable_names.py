@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.check import _Reader
-from plant_fmu.fmu.spec import FmuSpec
+from plant_fmu.fmu.check import FmuSpec, _Reader
 
 SPEC = FmuSpec(Path("a.fmu"), ("force",), ("length",), ("rate",), 1e-3)
 ELEMENTS = [f"leg.force[{k}]" for k in (1, 2, 3, 4, 5, 6)]

@@ -12,8 +12,7 @@ from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
 from plant_fmu.config import FmuPlant
 from plant_fmu.fmu.archive import checked_members, open_archive, read_member
-from plant_fmu.fmu.check import read_interface, shown
-from plant_fmu.fmu.plant import fmu_spec
+from plant_fmu.fmu.check import fmu_spec, read_interface, shown
 from plant_fmu.fmu.probe import Probe, probe
 
 PUSH = 0.01

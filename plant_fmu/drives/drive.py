@@ -1,22 +1,22 @@
-"""Six emulated drives: what they remember, how modes move them, what they do by themselves.
+"""Six emulated drives: what they remember, what faults make of them and their encoders. `Nodes` owns them."""
 
-`Nodes` owns the drives.
-"""
-
-from functools import partial
+from collections import deque
+from collections.abc import Sequence
 from math import exp, inf, nan, pi
 from operator import itemgetter
+from typing import Any, cast
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
-from drivers.config import DriveSettings
+from drivers.arrays import Array
+from drivers.config import DriveSettings, HomingSettings
 from drivers.protocol import Configure, Status
 from drivers.signals import INVALID, LEGS, DriveFault, Reaction
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives import kernels
-from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS
+from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
+from plant_fmu.drives.record import NODES
 from plant_fmu.faults.fault import Present
 
 _NO_COUNTER = -1
@@ -31,90 +31,57 @@ def at_motor(settings: DriveSettings, transmission: Transmission | None) -> Driv
 
 
 class Drives:
-    """Six drives that have just been powered up. Every array has one element a drive.
+    """Six drives that have just been powered up.
 
-    `enter` is the kernel of this name, on these drives.
-
-    Mutable state: two matrices, whose rows are the attributes; `kernels` says what they are; where legs stood
-    when a fault began that scales what their encoders count.
+    Mutable state: their part of the record; where legs stood when a fault began that scales what their
+    encoders count.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
         """Power up; `step_s` is the plant's internal step, over which the force lag is exact."""
-        self._integers = integers = np.zeros((kernels.FOLLOWED + 1, LEGS), np.int64)
-        self._reals = reals = np.zeros((kernels.TRUE + 1, LEGS))
+        self.record: Record = np.zeros((), NODES)
+        self.seen = cast("Any", self.record.view(np.recarray))
+        """The same for the functions of `kernels` in plain Python: each field is an attribute."""
         self._origins: dict[tuple[int, int], float] = {}
         """m, by leg and the fault's beginning in ns."""
-        self.state = integers[kernels.STATE]
-        self.fault = integers[kernels.REASON]
-        self.configured = integers[kernels.CONFIGURED]
-        self.watchdog_ns = integers[kernels.WATCHDOG]
-        self.deadline_ns = integers[kernels.DEADLINE]
-        self.reaction = integers[kernels.REACTION]
-        self.acting = integers[kernels.ACTING]
-        self.moved_ns = integers[kernels.MOVED :]
-        """(2, 6), see `kernels`."""
-        self.command = reals[kernels.COMMAND]
-        self.held_m = reals[kernels.HELD]
-        self.force = reals[kernels.FORCE]
-        """N, what the drives put on the plant."""
-        self.brake = reals[kernels.BRAKES]
-        """1 engaged, 0 released."""
-        self.state[:] = BOOT
-        integers[kernels.COUNTER] = _NO_COUNTER
-        self.watchdog_ns[:] = round(settings.watchdog_ms * 1e6)
-        self.deadline_ns[:] = NEVER_NS
-        self.reaction[:] = Reaction.BRAKE
-        self.acting[:] = BRAKE
-        integers[kernels.STUCK] = WORKS
-        self.moved_ns[:] = NEVER_NS
-        reals[kernels.FROZEN] = nan
-        reals[kernels.MOST] = inf
-        for row in (kernels.SHUT, kernels.TRUE, kernels.SHARE, kernels.GAIN, kernels.SCALE):
-            reals[row] = 1.0
+        n = self.seen
+        n.state, n.reaction, n.acting = BOOT, Reaction.BRAKE, BRAKE
+        n.counter, n.stuck, n.frozen, n.most = _NO_COUNTER, WORKS, nan, inf
+        n.watchdog_ns = round(settings.watchdog_ms * 1e6)
+        n.deadline_ns = n.moved_ns = n.followed_ns = NEVER_NS
+        n.shut = n.truly_shut = n.share = n.gain = n.scale = 1.0
+        n.limit_N = settings.force_limit_N
+        n.damping, n.stiffness = emulation.damping_N_s_m, emulation.hold_stiffness_N_m
+        n.opening_ns, n.closing_ns = 1e6 * emulation.brake_open_ms, 1e6 * emulation.brake_close_ms
         # First-order lag over one step: its end value and its mean, both 1 without a lag.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
-        self.lags = x > 0.0
-        end = exp(-x)
-        common = np.array([
-            settings.force_limit_N,
-            emulation.damping_N_s_m,
-            emulation.hold_stiffness_N_m,
-            float(self.lags),
-            end,
-            (1.0 - end) / x if self.lags else end,
-            1e6 * emulation.brake_open_ms,
-            1e6 * emulation.brake_close_ms,
-        ])  # fmt: skip
-        self.enter = partial(kernels.enter, integers, reals)
-        self.matrices = integers, reals, common
-        """What the pass works on."""
+        n.lags, n.lag_end = x > 0.0, exp(-x)
+        n.lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else exp(-x)
 
     def status(self, leg: int, *, due: bool) -> Status:
         """Return what a drive is in."""
-        set_up = Configure(leg, int(self.watchdog_ns[leg]) * 1e-9, Reaction(int(self.reaction[leg])))
-        holds = set_up if self.configured[leg] else None
-        return Status(leg, int(self.state[leg]), int(self.fault[leg]), holds, due)
+        n = self.seen
+        set_up = Configure(leg, int(n.watchdog_ns[leg]) * 1e-9, Reaction(int(n.reaction[leg])))
+        return Status(leg, int(n.state[leg]), int(n.fault[leg]), set_up if n.configured[leg] else None, due)
 
-    def disturb(self, present: Present, length: Array, rate: Array, t_ns: int) -> None:
+    def disturb(self, present: Present, t_ns: int) -> None:
         """Let the faults of this instant act, the plant being there.
 
         An encoder freezes at what it reads, and scales what it moves from there on.
         """
-        reals, integers = self._reals, self._integers
+        n = self.seen
         self.drift(present, t_ns)
-        self._scale(present, length)
-        integers[kernels.LOST] = 0  # one that is lost freezes at what it would read
-        reads, _, _ = self.encoders(length, rate)
-        integers[kernels.LOST] = [INVALID if lost else 0 for lost in present.lost]
-        frozen = reals[kernels.FROZEN]
-        frozen[:] = np.where(present.frozen, np.where(np.isnan(frozen), reads, frozen), nan)
-        reals[kernels.GAIN], reals[kernels.MOST] = present.gain, present.saturation_N
-        integers[kernels.STUCK] = [WORKS if stuck is None else stuck for stuck in present.stuck]
-        integers[kernels.SLOW], reals[kernels.SHARE] = present.slow_ns, present.share
+        self._scale(present, n.length)
+        n.lost = 0  # one that is lost freezes at what it would read
+        reads = [encoder(n, leg)[0] for leg in range(LEGS)]
+        n.lost = [INVALID if lost else 0 for lost in present.lost]
+        n.frozen = np.where(present.frozen, np.where(np.isnan(n.frozen), reads, n.frozen), nan)
+        n.gain, n.most = present.gain, present.saturation_N
+        n.stuck = [WORKS if stuck is None else stuck for stuck in present.stuck]
+        n.slow_ns, n.share = present.slow_ns, present.share
         for leg in np.flatnonzero(present.reset).tolist():
-            self.enter(leg, BOOT, DriveFault.NONE)
-            self.configured[leg], integers[kernels.COUNTER, leg] = False, _NO_COUNTER
+            enter(n, leg, BOOT, int(DriveFault.NONE))
+            n.configured[leg], n.counter[leg] = False, _NO_COUNTER
 
     def _scale(self, present: Present, length: Array) -> None:
         """Let encoders count a multiple of what their legs move from where each of their faults began.
@@ -126,19 +93,73 @@ class Drives:
             origin = self._origins.setdefault((leg, since_ns), float(length[leg]))
             shift[leg] += scale[leg] * (1.0 - factor) * origin
             scale[leg] *= factor
-        self._reals[kernels.SCALE], self._reals[kernels.SHIFT] = scale, shift
+        self.seen.scale, self.seen.shift = scale, shift
 
     def drift(self, present: Present, t_ns: int) -> None:
         """Let encoders that drift be off by as much as they are by now."""
-        self._reals[kernels.OFFSET], self._reals[kernels.DRIFT] = present.offset_m, 0.0
+        n = self.seen
+        n.offset, n.drift = present.offset_m, 0.0
         for leg, by_m_s, since_ns in present.drifts:
-            self._reals[kernels.OFFSET, leg] += by_m_s * (t_ns - since_ns) * 1e-9
-            self._reals[kernels.DRIFT, leg] += by_m_s
+            n.offset[leg] += by_m_s * (t_ns - since_ns) * 1e-9
+            n.drift[leg] += by_m_s
 
-    def encoders(
-        self, length: Array, rate: Array, dt_s: float = 0.0, quantum_m: float = 0.0
-    ) -> tuple[Array, Array, Ints]:
-        """Return what feedback carries: length m, rate m/s, state; see `kernels.read_encoders`."""
-        l, dl, state = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS, np.int64)
-        kernels.read_encoders(self._integers, self._reals, length, rate, dt_s, quantum_m, l, dl, state)
-        return l, dl, state
+
+class Turns:
+    """Six encoders that count turns only while they are powered.
+
+    Each begins within half of `forgotten_turns` of zero, whatever the motor has done before.
+
+    Mutable state: the leg lengths that are not counted.
+    """
+
+    def __init__(
+        self, settings: HomingSettings | None, transmission: Transmission | None, length: Array
+    ) -> None:
+        """Switch on at lengths (6,) m; encoders without settings forget nothing."""
+        self.uncounted_m = np.zeros(LEGS)
+        """(6,) m that the drives do not report."""
+        self._transmission = None if settings is None else transmission
+        self._forgets = np.broadcast_to(1.0 if settings is None else settings.forgotten_turns, LEGS)
+        self.switch_on([True] * LEGS, length)
+
+    def switch_on(self, which: Sequence[bool], length: Array) -> None:
+        """Switch six drives on, or those of them that are, the legs having lengths (6,) m."""
+        if self._transmission is not None and any(which):
+            whole = np.round(self._transmission.turns(length) / self._forgets) * self._forgets
+            uncounted_m = self._transmission.m_per_turn * whole
+            self.uncounted_m = np.where(which, uncounted_m, self.uncounted_m)
+
+
+class Reading:
+    """Spoils the readings of six encoders on their way into the feedback.
+
+    Mutable state: the readings since the first late encoder, as long as they are needed.
+    """
+
+    def __init__(self) -> None:
+        self._read: deque[tuple[int, Array, Array]] = deque()
+
+    def begin(self, present: Present) -> None:
+        """Begin with other faults: where no encoder is late any more, no reading is needed."""
+        if not any(present.late_ns):
+            self._read.clear()
+
+    def spoil(self, present: Present, t_ns: int, length: Array, rate: Array) -> None:
+        """Change lengths (6,) m and rates (6,) m/s that were read at `t_ns`."""
+        longest = max(present.late_ns)
+        if longest:
+            self._read.append((t_ns, length.copy(), rate.copy()))
+            while len(self._read) > 1 and self._read[1][0] <= t_ns - longest:
+                self._read.popleft()
+            for leg, late_ns in enumerate(present.late_ns):
+                if late_ns:
+                    length[leg], rate[leg] = self._at(t_ns - late_ns, leg)
+        for leg, sigma_m, generator in present.noise:
+            length[leg] += sigma_m * generator.standard_normal()
+
+    def _at(self, t_ns: int, leg: int) -> tuple[float, float]:
+        """Return length and rate at an instant, carried on from the reading before it; else the first."""
+        before = [read for read in self._read if read[0] <= t_ns]
+        at_ns, length, rate = before[-1] if before else self._read[0]
+        dt = max(0, t_ns - at_ns) * 1e-9
+        return float(length[leg] + rate[leg] * dt), float(rate[leg])

@@ -1,25 +1,12 @@
-"""What happens to all six emulated drives in one tick, compiled.
-
-A row of the two matrices is one quantity of six drives.
-"""
+"""What happens to all six emulated drives in one tick, compiled: n is a record of `record.NODES`."""
 
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import (
-    INTEGER,
-    OUT_INTEGER_MATRIX,
-    OUT_INTEGERS,
-    OUT_MATRIX,
-    OUT_VECTOR,
-    REAL,
-    VECTOR,
-    direct,
-    helper,
-    kernel,
-)
+from drivers.compiled.compiler import helper
+from drivers.ends import COMMAND
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Reaction
 
 BOOT, OFF, READY, RUN, FAULT = map(int, DriveState)
@@ -27,52 +14,6 @@ BRAKE, DAMP, HOLD, ZERO = map(int, Reaction)
 NEVER_NS = 1 << 62
 WORKS = -1
 """A brake that is not stuck."""
-
-(
-    STATE,
-    REASON,
-    CONFIGURED,
-    COUNTER,
-    WATCHDOG,
-    DEADLINE,
-    REACTION,
-    ACTING,
-    STUCK,
-    LOST,
-    SLOW,
-    MOVED,
-    FOLLOWED,
-) = range(13)
-"""Rows of `integers`: DriveState, DriveFault, 1 if set up, counter of the last command, ns, ns, Reaction of a
-fault in RUN, Reaction of the latched fault, where a stuck brake stays, INVALID for a lost encoder, ns that a
-slow brake is later than its drive counts, ns when a brake that moves has moved, as its drive counts and in
-truth."""
-(
-    COMMAND,
-    HELD,
-    LAGGED,
-    FROZEN,
-    OFFSET,
-    SCALE,
-    SHIFT,
-    DRIFT,
-    GAIN,
-    MOST,
-    FORCE,
-    BRAKES,
-    SHARE,
-    KEPT,
-    SHUT,
-    TRUE,
-) = range(16)
-"""Rows of `reals`: N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the
-lag; m, what a frozen encoder reads, NaN for one that works; m, slip of the encoder; how it scales length, and
-m, what it adds then; m/s, its drift; gain of the wiring; N, most that the drive gives; what the plant has: N,
-and 1 for an engaged brake; share of its force that a brake has; N, the drive's last force; 1 for a brake that
-has closed, 0 for one that has opened, as its drive counts and in truth."""
-LIMIT, DAMPING, STIFFNESS, LAGS, LAG_END, LAG_MEAN, OPENING, CLOSING = range(8)
-"""Places of `stage`, what the drives have in common: rated force N, gains of the reactions N s/m and N/m, 1
-if the force lags; end value and mean of that lag over one step of the plant; ns that a brake takes."""
 
 TRANSITIONS: dict[DriveMode, dict[int, int]] = {
     DriveMode.OFF: {READY: OFF, RUN: OFF},
@@ -89,203 +30,159 @@ _MODE_OFF = int(DriveMode.OFF)
 _NO_FAULT = int(DriveFault.NONE)
 
 
-@kernel(OUT_INTEGER_MATRIX, OUT_MATRIX, INTEGER, INTEGER, INTEGER)
-def enter(integers: Ints, reals: Array, leg: int, state: int, reason: int) -> None:
+@helper
+def enter(n: Any, leg: int, state: int, reason: int) -> None:
     """Move one drive to a state."""
-    integers[STATE, leg] = state
-    integers[REASON, leg] = reason
+    n.state[leg], n.fault[leg] = state, reason
     if state not in (READY, RUN):
-        reals[COMMAND, leg] = 0.0
-        integers[DEADLINE, leg] = NEVER_NS
+        n.command[leg], n.deadline_ns[leg] = 0.0, NEVER_NS
 
 
 @helper
-def configure(integers: Ints, reals: Array, message: Any) -> bool:
+def configure(n: Any, message: Any) -> bool:
     """Set the drive of a message CONFIGURE up, unless it is powered; tell whether it was."""
     leg = message.legs[0]
-    state = integers[STATE, leg]
+    state = n.state[leg]
     if state in (READY, RUN):
         return False
-    integers[WATCHDOG, leg], integers[REACTION, leg] = message.counter, message.mode
-    integers[CONFIGURED, leg] = 1
+    n.watchdog_ns[leg], n.reaction[leg] = message.counter, message.mode
+    n.configured[leg] = 1
     if state == BOOT:
-        enter(integers, reals, leg, OFF, _NO_FAULT)
+        enter(n, leg, OFF, _NO_FAULT)
     return True
 
 
 @helper
-def _encoder(integers: Ints, reals: Array, length: Array, rate: Array, leg: int) -> tuple[float, float]:
+def encoder(n: Any, leg: int) -> tuple[float, float]:
     """Return what an encoder reads before quantisation, m and m/s; 0 when lost."""
-    if integers[LOST, leg]:
+    if n.lost[leg]:
         return 0.0, 0.0
-    if np.isnan(reals[FROZEN, leg]):
-        scale = reals[SCALE, leg]
-        moved = scale * length[leg] + reals[SHIFT, leg]
-        return moved + reals[OFFSET, leg], scale * rate[leg] + reals[DRIFT, leg]
-    return reals[FROZEN, leg], 0.0
+    if np.isnan(n.frozen[leg]):
+        scale = n.scale[leg]
+        moved = scale * n.length[leg] + n.shift[leg]
+        return moved + n.offset[leg], scale * n.rate[leg] + n.drift[leg]
+    return n.frozen[leg], 0.0
 
 
 @helper
-def _move_brake(integers: Ints, reals: Array, stage: Array, leg: int, opens: bool, t_ns: int) -> None:
+def _move_brake(n: Any, leg: int, opens: bool, t_ns: int) -> None:
     """Begin or end the opening or closing of a brake; one that is called back has not moved."""
     wanted = 0.0 if opens else 1.0
-    if reals[SHUT, leg] == wanted:
-        integers[MOVED, leg] = NEVER_NS
+    if n.shut[leg] == wanted:
+        n.moved_ns[leg] = NEVER_NS
         return
-    if integers[MOVED, leg] == NEVER_NS:
-        integers[MOVED, leg] = t_ns + np.int64(stage[OPENING] if opens else stage[CLOSING])
-    if integers[MOVED, leg] <= t_ns:
-        reals[SHUT, leg] = wanted
-        integers[MOVED, leg] = NEVER_NS
+    if n.moved_ns[leg] == NEVER_NS:
+        n.moved_ns[leg] = t_ns + (n.opening_ns if opens else n.closing_ns)
+    if n.moved_ns[leg] <= t_ns:
+        n.shut[leg], n.moved_ns[leg] = wanted, NEVER_NS
 
 
 @helper
-def _follow(integers: Ints, reals: Array, leg: int, t_ns: int) -> None:
+def _follow(n: Any, leg: int, t_ns: int) -> None:
     """Let a brake do what its drive counts, later by what it is slow."""
-    if reals[TRUE, leg] == reals[SHUT, leg]:
-        integers[FOLLOWED, leg] = NEVER_NS
+    if n.truly_shut[leg] == n.shut[leg]:
+        n.followed_ns[leg] = NEVER_NS
         return
-    if integers[FOLLOWED, leg] == NEVER_NS:
-        integers[FOLLOWED, leg] = t_ns + integers[SLOW, leg]
-    if integers[FOLLOWED, leg] <= t_ns:
-        reals[TRUE, leg] = reals[SHUT, leg]
-        integers[FOLLOWED, leg] = NEVER_NS
+    if n.followed_ns[leg] == NEVER_NS:
+        n.followed_ns[leg] = t_ns + n.slow_ns[leg]
+    if n.followed_ns[leg] <= t_ns:
+        n.truly_shut[leg], n.followed_ns[leg] = n.shut[leg], NEVER_NS
 
 
 @helper
-def actuate(
-    integers: Ints, reals: Array, stage: Array, length: Array, rate: Array, lag: bool, t_ns: int
-) -> bool:
-    """Set FORCE and BRAKES from the drives' states at `t_ns`; with `lag` over the next grid step.
+def actuate(n: Any, lag: bool, t_ns: int) -> None:
+    """Set force and brake of the plant from the drives' states at `t_ns`; with `lag` over the next grid step.
 
-    length m and rate m/s are the plant's. A drive that shuts its brake keeps its last force until that has
-    closed. Returns whether a drive follows its encoder by itself.
+    A drive that shuts its brake keeps its last force until that has closed. Notes whether a drive follows its
+    encoder by itself.
     """
     controls = False
     for leg in range(LEGS):
-        f = reals[COMMAND, leg]
-        state = integers[STATE, leg]
-        acting = integers[ACTING, leg] if state == FAULT else BRAKE
+        f = n.command[leg]
+        state = n.state[leg]
+        acting = n.acting[leg] if state == FAULT else BRAKE
         opens = state == RUN or acting != BRAKE
-        _move_brake(integers, reals, stage, leg, opens, t_ns)
-        _follow(integers, reals, leg, t_ns)
-        if not opens and state != READY and reals[SHUT, leg] == 0.0:
-            f = reals[KEPT, leg]
+        _move_brake(n, leg, opens, t_ns)
+        _follow(n, leg, t_ns)
+        if not opens and state != READY and n.shut[leg] == 0.0:
+            f = n.kept[leg]
         if acting in (DAMP, HOLD):
             controls = True
-            l, dl = _encoder(integers, reals, length, rate, leg)
-            f = -stage[DAMPING] * dl
+            l, dl = encoder(n, leg)
+            f = -n.damping * dl
             if acting == HOLD:
-                f -= stage[STIFFNESS] * (l - reals[HELD, leg])
-        if not -stage[LIMIT] <= f <= stage[LIMIT]:
-            f = stage[LIMIT] if f > 0.0 else -stage[LIMIT]
-        reals[KEPT, leg] = f
-        f = min(max(f, -reals[MOST, leg]), reals[MOST, leg])
+                f -= n.stiffness * (l - n.held_m[leg])
+        if not -n.limit_N <= f <= n.limit_N:
+            f = n.limit_N if f > 0.0 else -n.limit_N
+        n.kept[leg] = f
+        f = min(max(f, -n.most[leg]), n.most[leg])
         if lag:
-            gap = reals[LAGGED, leg] - f
-            reals[LAGGED, leg] = f + gap * stage[LAG_END]
-            f += gap * stage[LAG_MEAN]
-        elif stage[LAGS] > 0.0:
-            f = reals[LAGGED, leg]
-        reals[FORCE, leg] = f * reals[GAIN, leg]
-        stuck = integers[STUCK, leg]
-        reals[BRAKES, leg] = reals[SHARE, leg] * (reals[TRUE, leg] if stuck == WORKS else float(stuck))
-    return controls
+            gap = n.lagged[leg] - f
+            n.lagged[leg] = f + gap * n.lag_end
+            f += gap * n.lag_mean
+        elif n.lags:
+            f = n.lagged[leg]
+        n.force[leg] = f * n.gain[leg]
+        stuck = n.stuck[leg]
+        n.brake[leg] = n.share[leg] * (n.truly_shut[leg] if stuck == WORKS else float(stuck))
+    n.controls = controls
 
 
 @helper
-def next_move_ns(integers: Ints) -> int:
+def next_move_ns(n: Any) -> int:
     """Return when the next brake will have opened or closed, ns."""
-    return int(min(integers[MOVED].min(), integers[FOLLOWED].min()))
+    return int(min(n.moved_ns.min(), n.followed_ns.min()))
 
 
 @helper
-def obey(
-    integers: Ints,
-    reals: Array,
-    stage: Array,
-    length: Array,
-    rate: Array,
-    legs: Ints,
-    command: Array,
-    mode: int,
-    counter: int,
-    feeds: bool,
-    t_ns: int,
-) -> tuple[bool, bool, int, int]:
-    """Give the drives `legs` a command of so many N each at `t_ns`, the plant being there, and actuate.
+def obey(n: Any, command: Any, t_ns: int) -> int:
+    """Give drives a command, of MESSAGE, at `t_ns`, the plant being there, and actuate if it is new to one.
 
     A command that does not feed the watchdogs feeds that of a drive alone that is powered just now. Returns
-    whether the counter was new to one of them; if so, whether a drive follows its encoder by itself, see
-    `actuate`; the legs that entered a state (bit i: leg i); and the earliest instant at which a watchdog ends
-    or a brake has moved.
+    the legs that entered a state (bit i: leg i).
     """
     fresh, entered = False, 0
-    for k in range(legs.shape[0]):
-        leg = legs[k]
-        if integers[COUNTER, leg] == counter:
+    for k in range(command.count):
+        leg = command.legs[k]
+        if n.counter[leg] == command.counter:
             continue
         fresh = True
-        integers[COUNTER, leg] = counter
-        before = state = integers[STATE, leg]
-        following = _NEXT[mode, state]
+        n.counter[leg] = command.counter
+        before = state = n.state[leg]
+        following = _NEXT[command.mode, state]
         if following != _STAYS:
-            state = following if integers[CONFIGURED, leg] else BOOT
-            enter(integers, reals, leg, state, _NO_FAULT)
+            state = following if n.configured[leg] else BOOT
+            enter(n, leg, state, _NO_FAULT)
             entered |= 1 << leg
-        elif state == FAULT and mode == _MODE_OFF:
-            integers[ACTING, leg] = BRAKE
+        elif state == FAULT and command.mode == _MODE_OFF:
+            n.acting[leg] = BRAKE
         if state in (READY, RUN):
-            reals[COMMAND, leg] = command[k]
-            if feeds or before not in (READY, RUN):
-                integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
-    controls = fresh and actuate(integers, reals, stage, length, rate, False, t_ns)
-    return fresh, controls, entered, min(integers[DEADLINE].min(), next_move_ns(integers))
+            n.command[leg] = command.force[k]
+            if command.kind == COMMAND or before not in (READY, RUN):
+                n.deadline_ns[leg] = t_ns + n.watchdog_ns[leg]
+    if fresh:
+        actuate(n, False, t_ns)
+        n.calm_ns = min(n.calm_ns, n.deadline_ns.min(), next_move_ns(n))
+        n.commands += 1
+    else:
+        n.repeated += 1
+    return entered
 
 
 @helper
-def feed(integers: Ints, legs: Ints, t_ns: int) -> None:
+def feed(n: Any, legs: Ints, t_ns: int) -> None:
     """Feed the watchdogs of drives that are powered."""
     for k in range(legs.shape[0]):
         leg = legs[k]
-        if integers[STATE, leg] in (READY, RUN):
-            integers[DEADLINE, leg] = t_ns + integers[WATCHDOG, leg]
+        if n.state[leg] in (READY, RUN):
+            n.deadline_ns[leg] = t_ns + n.watchdog_ns[leg]
 
 
 @helper
-def encoders(
-    integers: Ints,
-    reals: Array,
-    length: Array,
-    rate: Array,
-    dt_s: float,
-    quantum_m: float,
-    l: Array,
-    dl: Array,
-    state: Ints,
-) -> None:
-    """Fill in what is read `dt_s` after the plant was at `length`, `rate`, in steps of `quantum_m` if > 0.
-
-    state: DriveState, with INVALID for a lost encoder.
-    """
+def encoders(n: Any, dt_s: float, l: Array, dl: Array, state: Ints) -> None:
+    """Fill in what is read `dt_s` after the plant's last step: m in whole quanta, m/s, state or INVALID."""
     for leg in range(LEGS):
-        state[leg] = integers[STATE, leg] | integers[LOST, leg]
-        at, dl[leg] = _encoder(integers, reals, length, rate, leg)
+        state[leg] = n.state[leg] | n.lost[leg]
+        at, dl[leg] = encoder(n, leg)
         at += dl[leg] * dt_s
-        l[leg] = np.rint(at / quantum_m) * quantum_m if quantum_m > 0.0 else at
-
-
-@direct(OUT_INTEGER_MATRIX, OUT_MATRIX, VECTOR, VECTOR, REAL, REAL, OUT_VECTOR, OUT_VECTOR, OUT_INTEGERS)
-def read_encoders(
-    integers: Ints,
-    reals: Array,
-    length: Array,
-    rate: Array,
-    dt_s: float,
-    quantum_m: float,
-    l: Array,
-    dl: Array,
-    state: Ints,
-) -> None:
-    """Fill in what is read; see `encoders`."""
-    encoders(integers, reals, length, rate, dt_s, quantum_m, l, dl, state)
+        l[leg] = np.rint(at / n.quantum_m) * n.quantum_m if n.quantum_m > 0.0 else at

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
 from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
-from drivers.compiled.pointed import call, integers_at, reals_at
+from drivers.compiled.pointed import call, integers_at, pointed
 from drivers.ends import (
     ALIVE,
     COMMAND,
@@ -27,26 +27,7 @@ from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import in_order
 from drivers.signals import LEGS
 from drivers.transmission import fill_loss
-from plant_fmu.drives.kernels import (
-    BRAKES,
-    CLOSING,
-    CONFIGURED,
-    DEADLINE,
-    FOLLOWED,
-    FORCE,
-    NEVER_NS,
-    REACTION,
-    REASON,
-    STATE,
-    TRUE,
-    configure,
-    encoders,
-    feed,
-    next_move_ns,
-    obey,
-)
-from plant_fmu.drives.kernels import WATCHDOG as WATCHDOG_NS
-from plant_fmu.drives.kernels import actuate as actuate_drives
+from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, feed, next_move_ns, obey
 from plant_fmu.drives.record import (
     AFTER_READING,
     ANSWER,
@@ -78,21 +59,6 @@ _FRAME_WORDS, _MESSAGE_WORDS = _FRAME // 8, _MESSAGE // 8
 
 
 @helper
-def _integers(n: Any) -> Ints:
-    return integers_at(n.integers, (FOLLOWED + 1) * LEGS).reshape((FOLLOWED + 1, LEGS))
-
-
-@helper
-def _reals(n: Any) -> Array:
-    return reals_at(n.reals, (TRUE + 1) * LEGS).reshape((TRUE + 1, LEGS))
-
-
-@helper
-def _stage(n: Any) -> Array:
-    return reals_at(n.stage, CLOSING + 1)
-
-
-@helper
 def _grid_ns(n: Any) -> int:
     return int(n.t0_ns + np.int64(np.rint(n.k * n.h_ns)))
 
@@ -109,23 +75,20 @@ def due_ns(t0_ns: int, number: int, share: float) -> int:
 @helper
 def _at_leg(n: Any, into: Array) -> None:
     """Fill in what the losses between motors and legs leave of the drives' forces."""
-    force = _reals(n)[FORCE]
     if n.geared:
-        fill_loss(force, n.rate, n.driving, n.back_driving, n.full_loss_m_s, into)
+        fill_loss(n.force, n.rate, n.driving, n.back_driving, n.full_loss_m_s, into)
         for leg in range(LEGS):
-            into[leg] = force[leg] / into[leg]
+            into[leg] = n.force[leg] / into[leg]
     else:
-        into[:] = force
+        into[:] = n.force
 
 
 @helper
 def _move(n: Any, steps: int) -> int:
     _at_leg(n, n.at_leg)
-    brake = n.reals + BRAKES * 8 * LEGS
-    measured = n.measured
-    given = (n.plant, n.at_leg.ctypes.data, brake, n.wrench.ctypes.data, steps, measured.ctypes.data)
-    n.steps = steps
-    n.refusal = call(n.move, given)
+    measured, n.steps = n.measured, steps
+    force, brake, wrench = n.at_leg.ctypes.data, n.brake.ctypes.data, n.wrench.ctypes.data
+    n.refusal = call(n.move, (n.plant, force, brake, wrench, steps, measured.ctypes.data))
     if n.refusal != 0:
         return PLANT
     n.length[:] = measured[:LEGS]
@@ -137,12 +100,6 @@ def _move(n: Any, steps: int) -> int:
 
 
 @helper
-def drive(n: Any, t_ns: int, lag: bool) -> None:
-    """Set force and brake of the plant from the drives' states; with `lag` over the next grid step."""
-    n.controls = actuate_drives(_integers(n), _reals(n), _stage(n), n.length, n.rate, lag, t_ns)
-
-
-@helper
 def move_to(n: Any, t_ns: int) -> int:
     """Bring the plant to the grid point nearest to `t_ns`."""
     steps = np.int64(np.floor((t_ns - n.t0_ns) / n.h_ns + 0.5)) - n.k
@@ -151,11 +108,17 @@ def move_to(n: Any, t_ns: int) -> int:
     if not n.lags and not n.controls:
         return _move(n, steps)
     for _ in range(steps):
-        drive(n, _grid_ns(n), n.lags != 0)
+        actuate(n, n.lags != 0, _grid_ns(n))
         status = _move(n, 1)
         if status != DONE:
             return status
     return DONE
+
+
+@pointed(NODES_RECORD, INTEGER)
+def advance(n: Any, t_ns: int) -> int:
+    """Bring the plant to the grid point nearest to an instant, for Python; return DONE or PLANT."""
+    return move_to(n, t_ns)
 
 
 # time
@@ -169,8 +132,7 @@ def _begin_latch(n: Any, t_ns: int) -> None:
 @helper
 def _happen(n: Any, t_ns: int) -> int:
     """Let the next thing happen that is due by `t_ns`; if nothing is, note until when."""
-    watchdog = _integers(n)[DEADLINE].min()
-    moved = next_move_ns(_integers(n))
+    watchdog, moved = n.deadline_ns.min(), next_move_ns(n)
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
         n.at_ns = watchdog
@@ -181,7 +143,7 @@ def _happen(n: Any, t_ns: int) -> int:
         status = move_to(n, moved)
         if status != DONE:
             return status
-        drive(n, moved, False)
+        actuate(n, False, moved)
     elif n.edge_ns == other:
         n.at_ns = other
         return EDGE
@@ -249,9 +211,9 @@ def _report(n: Any) -> int:
         return FULL
     if n.report == 0:
         return REPORT
-    integers, leg = _integers(n), n.reports[n.reported]
-    watchdog = integers[WATCHDOG_NS, leg] if integers[CONFIGURED, leg] else -1
-    state, fault, reaction = integers[STATE, leg], integers[REASON, leg], integers[REACTION, leg]
+    leg = n.reports[n.reported]
+    watchdog = n.watchdog_ns[leg] if n.configured[leg] else -1
+    state, fault, reaction = n.state[leg], n.fault[leg], n.reaction[leg]
     into = n.out + n.sent * _FRAME
     count = call(n.report, (n.end, leg, state, fault, watchdog, reaction, n.due, into))
     if count < 0:
@@ -265,7 +227,6 @@ def _report(n: Any) -> int:
 def _read(n: Any) -> int:
     """Read the encoders, as late as the plant's grid point lies back, and the forces."""
     reading = reading_at(n.reading)
-    integers = _integers(n)
     known = call(n.applied, (n.plant, reading.force.ctypes.data))
     if known < 0:
         n.refusal = known
@@ -273,9 +234,8 @@ def _read(n: Any) -> int:
     if known == 0:
         _at_leg(n, reading.force)
     dt_s = (n.t_ns - _grid_ns(n)) * 1e-9
-    given = (n.length, n.rate, dt_s, n.quantum_m)
-    encoders(integers, _reals(n), *given, reading.length, reading.rate, reading.state)
-    reading.fault[:] = integers[REASON]
+    encoders(n, dt_s, reading.length, reading.rate, reading.state)
+    reading.fault[:] = n.fault
     return DONE
 
 
@@ -315,21 +275,12 @@ def _obey(n: Any, command: Any) -> int:
     status = move_to(n, n.t_ns)
     if status != DONE:
         return status
-    legs = command.legs[: command.count]
-    given = (command.force, command.mode, command.counter, command.kind == COMMAND, n.t_ns)
-    matrices = (_integers(n), _reals(n), _stage(n))
-    fresh, controls, entered, earliest = obey(*matrices, n.length, n.rate, legs, *given)
+    entered = obey(n, command, n.t_ns)
     n.pending = n.reported = n.due = 0
     for k in range(command.count):
-        if entered >> legs[k] & 1:
-            n.reports[n.pending] = legs[k]
+        if entered >> command.legs[k] & 1:
+            n.reports[n.pending] = command.legs[k]
             n.pending += 1
-    if fresh:
-        n.calm_ns = min(n.calm_ns, earliest)
-        n.commands += 1
-        n.controls = controls
-    else:
-        n.repeated += 1
     return DONE
 
 
@@ -353,8 +304,8 @@ def _hear(n: Any) -> int:
         if status != DONE:
             return status
     elif kind == ALIVE:
-        feed(_integers(n), message.legs[: message.count], n.t_ns)
-    elif kind == CONFIGURE and configure(_integers(n), _reals(n), message):
+        feed(n, message.legs[: message.count], n.t_ns)
+    elif kind == CONFIGURE and configure(n, message):
         n.reports[0], n.reported, n.pending, n.due = message.legs[0], 0, 1, 0
     elif kind in (CONFIGURE, REJECTED):
         n.rejected += 1

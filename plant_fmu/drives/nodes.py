@@ -9,6 +9,7 @@ between two instants that matter, and once per grid point while a drive controls
 
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -29,16 +30,25 @@ from drivers.protocol import (
 from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives import moves, record
-from plant_fmu.drives.drive import Drives, at_motor
-from plant_fmu.drives.kernels import BRAKE, DAMP, FAULT, HOLD, NEVER_NS, RUN
-from plant_fmu.drives.live import live
+from plant_fmu.drives import record
+from plant_fmu.drives.drive import Drives, Reading, Turns, at_motor
+from plant_fmu.drives.kernels import (
+    BRAKE,
+    DAMP,
+    FAULT,
+    HOLD,
+    NEVER_NS,
+    RUN,
+    actuate,
+    encoder,
+    enter,
+    next_move_ns,
+)
+from plant_fmu.drives.live import advance, live
 from plant_fmu.drives.python_plant import moved
-from plant_fmu.drives.reading import Reading
 from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
 from plant_fmu.drives.snapshot import Snapshot
 from plant_fmu.drives.state import MESSAGE_AT, NOW, SENT, SYNCS, State
-from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
@@ -86,12 +96,12 @@ class Nodes:
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._turns = Turns(self._settings.homing, transmission, length)
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
-        self._state = State(t0_ns, self._drives.matrices, self._end, self._moved)
+        self._state = State(t0_ns, self._drives.record, self._end, self._moved)
         self._state.speak(1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s)
         if transmission is not None:
             self._state.drive_by(transmission)
         self._record = n = self._state.record
-        n["length"], n["rate"], n["lags"] = length, rate, self._drives.lags
+        n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._heard: Sequence[DeviceMessage] = ()
         self._schedule = Schedule(self._faults, t0_ns)
@@ -181,8 +191,8 @@ class Nodes:
                 n["reported"] += 1
 
     def _refuse(self) -> None:
-        n, drives = self._record, self._drives
-        force, brake, wrench = n["at_leg"].copy(), drives.brake.copy(), n["wrench"].copy()
+        n = self._record
+        force, brake, wrench = (n[name].copy() for name in ("at_leg", "brake", "wrench"))
         raise self._moved.refused(int(n["refusal"]), force, brake, wrench, int(n["steps"]))
 
     def reached(self, mode: str) -> None:
@@ -223,22 +233,14 @@ class Nodes:
         truth, n = None, self._record
         with suppress(PlantError):  # the next step says so
             truth = self._know()
+        copied = ("length", "rate", "command", "force", "state", "fault", "brake", "wrench")
+        counts = ("syncs", "commands", "repeated", "rejected")
+        seen: Any = {name: n[name].copy() for name in copied} | {name: int(n[name]) for name in counts}
         return Snapshot(
             t_ns=self._grid_ns(),
-            length=n["length"].copy(),
-            rate=n["rate"].copy(),
-            command=self._drives.command.copy(),
-            force=self._drives.force.copy(),
-            applied=self._drives.force.copy() if truth is None else truth.applied_force,
-            state=self._drives.state.copy(),
-            fault=self._drives.fault.copy(),
-            brake=self._drives.brake.copy(),
-            wrench=n["wrench"].copy(),
+            applied=n["force"].copy() if truth is None else truth.applied_force,
             truth=truth,
-            syncs=self.syncs,
-            commands=int(n["commands"]),
-            repeated=int(n["repeated"]),
-            rejected=int(n["rejected"]),
+            **seen,
         )
 
     # time
@@ -251,7 +253,7 @@ class Nodes:
         """Let the watchdogs end that do at `t`."""
         n = self._record
         n["now_ns"] = max(int(n["now_ns"]), t)
-        for leg, deadline_ns in enumerate(self._drives.deadline_ns.tolist()):
+        for leg, deadline_ns in enumerate(n["deadline_ns"].tolist()):
             if deadline_ns <= t:
                 self._fail(leg, DriveFault.WATCHDOG, t)
 
@@ -269,7 +271,7 @@ class Nodes:
 
     def _advance(self, t: int) -> None:
         """Bring the plant to the grid point nearest to t."""
-        if moves.advance(self._record, t) != record.DONE:
+        if advance(self._record, t) != record.DONE:
             self._refuse()
 
     def _weigh(self) -> None:
@@ -302,34 +304,33 @@ class Nodes:
         before = LOOKS_BEFORE * bool(present.masses or present.drifts)
         after = LOOKS_AFTER * bool(present.noise or any(present.late_ns))
         n["look"] = before | after | FORGES * any(by_m is not None for by_m in present.forged_m)
-        self._drives.disturb(present, n["length"], n["rate"], t)
+        self._drives.disturb(present, t)
         self._spoiled.begin(present)
         self._turns.switch_on(present.reset, n["length"])
         n["uncounted"] = self._turns.uncounted_m
         self._end.restart(np.flatnonzero(present.reset).tolist())
         self._weigh()
-        moves.actuate(n, t)
+        actuate(self._drives.seen, False, t)
 
     def _fail(self, leg: int, fault: DriveFault, t: int) -> None:
         """Latch a fault; the first one stays, but for an emergency stop."""
-        drives, n = self._drives, self._record
+        n = self._drives.seen
         self._advance(t)
-        brakes = fault is DriveFault.ESTOP or drives.state[leg] != RUN or self._present.lost[leg]
-        if drives.state[leg] != FAULT:
-            drives.acting[leg] = BRAKE if brakes else drives.reaction[leg]
-            drives.held_m[leg] = drives.encoders(n["length"], n["rate"])[0][leg]
-            drives.enter(leg, FAULT, fault)
-            if drives.acting[leg] in (DAMP, HOLD):
-                drives.deadline_ns[leg] = t + self._brake_after_ns
+        brakes = fault is DriveFault.ESTOP or n.state[leg] != RUN or self._present.lost[leg]
+        if n.state[leg] != FAULT:
+            n.acting[leg] = BRAKE if brakes else n.reaction[leg]
+            n.held_m[leg] = encoder(n, leg)[0]
+            enter(n, leg, FAULT, fault)
+            if n.acting[leg] in (DAMP, HOLD):
+                n.deadline_ns[leg] = t + self._brake_after_ns
             self._send_status(leg, t)
         elif brakes:
-            drives.acting[leg] = BRAKE
-            drives.deadline_ns[leg] = NEVER_NS
-            if fault is DriveFault.ESTOP and drives.fault[leg] != fault:
-                drives.fault[leg] = fault
+            n.acting[leg], n.deadline_ns[leg] = BRAKE, NEVER_NS
+            if fault is DriveFault.ESTOP and n.fault[leg] != fault:
+                n.fault[leg] = fault
                 self._send_status(leg, t)
-        moves.actuate(n, t)
-        n["calm_ns"] = min(int(n["calm_ns"]), int(drives.moved_ns.min()))
+        actuate(n, False, t)
+        n.calm_ns = min(int(n.calm_ns), next_move_ns(n))
 
     # frames
 
@@ -359,7 +360,7 @@ class Nodes:
         """Return what the drives answer that read lengths (6,) m."""
         asked, reading = self._state.asked, self._state.reading
         sync = Sync(int(asked["counter"]), tuple(asked["legs"][: asked["count"]].tolist()))
-        read = (reading["rate"], reading["force"], reading["state"], self._drives.fault)
+        read = (reading["rate"], reading["force"], reading["state"], self._record["fault"])
         return self._end.reply(sync, length, *read)
 
     def _answer(self, t: int) -> None:

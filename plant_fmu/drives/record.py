@@ -30,10 +30,18 @@ ROOM = 64
 """Room that is there before frames are filled in."""
 TIME, HEAR, MESSAGES = range(3)
 """Values of `place`: time passes until the frame; it is heard; its messages are obeyed."""
+_WHOLE = ("state", "fault", "configured", "counter", "watchdog_ns", "deadline_ns", "reaction", "acting")
+_BRAKE = ("stuck", "slow_ns", "moved_ns", "followed_ns")
+_REAL = ("command", "held_m", "lagged", "frozen", "offset", "scale", "shift", "drift", "gain", "most")
+_PLANT = ("force", "brake", "share", "kept", "shut", "truly_shut")
 _LEGS_AT = ("length", "rate", "wrench", "at_leg", "uncounted", "driving", "back_driving")
 NODES = np.dtype(
     [
-        *((name, "<i8") for name in ("integers", "reals", "stage", "move", "applied", "plant")),
+        *((name, "<i8", (LEGS,)) for name in (*_WHOLE, "lost", *_BRAKE)),
+        *((name, "<f8", (LEGS,)) for name in (*_REAL, *_PLANT)),
+        *((name, "<i8") for name in ("opening_ns", "closing_ns")),
+        *((name, "<f8") for name in ("limit_N", "damping", "stiffness", "lag_end", "lag_mean")),
+        *((name, "<i8") for name in ("move", "applied", "plant")),
         *((name, "<i8") for name in ("parse", "answer", "report", "end", "messages", "asked", "reading")),
         *((name, "<i8") for name in ("out", "room", "sent", "senders")),
         *((name, "<i8") for name in ("frame", "place", "heard", "message", "latching", "part")),
@@ -51,7 +59,18 @@ NODES = np.dtype(
 )
 """State of six drives, of their time and of the pass.
 
-Addresses: of the matrices and `stage` of `kernels`; functions and context of plant (`Moved`) and drives' end
+Of each drive: DriveState, DriveFault, 1 if set up, counter of the last command, ns, ns, Reaction of a fault
+in RUN, Reaction of the latched fault, INVALID for a lost encoder. Of its brake: where a stuck one stays, ns
+that a slow one is later than its drive counts, ns when one that moves has moved, as its drive counts and in
+truth. N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the lag; m, what
+a frozen encoder reads, NaN for one that works; m, slip of the encoder; how it scales length, and m, what it
+adds then; m/s, its drift; gain of the wiring; N, most that the drive gives. What the plant has: N, and 1
+for an engaged brake; share of its force that a brake has; N, the drive's last force; 1 for a brake that has
+closed, 0 for one that has opened, as its drive counts and in truth. Of all drives: ns that a brake takes;
+rated force N, gains of the reactions N s/m and N/m; end value and mean of the force lag over one step of
+the plant.
+
+Addresses: functions and context of plant (`Moved`) and drives' end
 (`DrivesEnd`); what else listens to each frame; MESSAGE elements heard, the one that is answered, its READING;
 FRAME elements to send, how many there may be and are, and the leg of each answer.
 

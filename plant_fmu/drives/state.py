@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
 from drivers.compiled.pointed import data_at
 from drivers.ends import MESSAGE, READING, DrivesEnd, put_messages
 from drivers.frame_array import FRAME, timed_array
 from drivers.protocol import DeviceMessage, Frame
 from drivers.signals import LEGS
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.live import due_ns
@@ -28,10 +28,10 @@ class State:
     Mutable state: the record, frames to send, messages heard, and the reading that is answered.
     """
 
-    def __init__(self, t0_ns: int, matrices: tuple[Ints, Array, Array], end: DrivesEnd, plant: Moved) -> None:
-        """Power up at `t0_ns` with the arrays of the drives, their end and the plant behind them."""
-        self._keeps = matrices, end, plant
-        self.record = n = np.zeros((), NODES)
+    def __init__(self, t0_ns: int, n: Record, end: DrivesEnd, plant: Moved) -> None:
+        """Power up at `t0_ns` with the record of the drives, their end and the plant behind them."""
+        self._keeps = end, plant
+        self.record = n
         self.address = data_at(n)
         self.words = n.reshape(1).view(np.int64).data
         """The same as integers, quick to get at."""
@@ -39,8 +39,6 @@ class State:
         """Frames to send: the first `words[SENT]`."""
         self.messages, self.asked = np.zeros(ROOM, MESSAGE), np.zeros((), MESSAGE)
         self.reading, self._senders = np.zeros((), READING), np.zeros(ROOM, np.int64)
-        for name, array in zip(("integers", "reals", "stage"), matrices, strict=True):
-            n[name] = data_at(array)
         n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
         n["parse"], n["answer"], n["report"], n["end"] = end.parse, end.answer, end.report, end.context
         n["messages"], n["asked"] = data_at(self.messages), data_at(self.asked)

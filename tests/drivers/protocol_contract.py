@@ -36,8 +36,7 @@ from drivers.tick_columns import Record, copy_of, new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.frames import FramesLoss
-from plant_fmu.faults.kinds import DriveSilence
+from plant_fmu.faults.kinds import DriveSilence, FramesLoss
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import answers
@@ -232,8 +231,8 @@ class ProtocolContract:
         assert protocol.set_up_lacks(ends.dialogue) == ("",) * LEGS
         drives = ends.nodes._drives
         if self.SETS_WATCHDOG:
-            assert drives.watchdog_ns.tolist() == [50_000_000] * LEGS
-        assert drives.reaction.tolist() == [reaction_of(protocol)] * LEGS
+            assert drives.seen.watchdog_ns.tolist() == [50_000_000] * LEGS
+        assert drives.seen.reaction.tolist() == [reaction_of(protocol)] * LEGS
         assert [ends.step() for _ in range(60)] == [()] * 60
 
     def test_a_drive_that_is_ready_gives_force_on_its_closed_brake_or_the_protocol_says_that_it_does_not(
@@ -273,7 +272,7 @@ class ProtocolContract:
     def test_a_dialogue_that_loses_frames_comes_to_its_end_all_the_same(self, protocol):
         ends = Ends(protocol, FramesLoss(probability=0.3, for_s=0.2))
         ends.until_set_up()
-        assert ends.nodes._drives.configured.tolist() == [True] * LEGS
+        assert ends.nodes._drives.seen.configured.tolist() == [True] * LEGS
 
     def test_a_dialogue_begun_anew_sets_up_drives_that_stayed_powered(self, protocol):
         ends = Ends(protocol)
@@ -282,7 +281,7 @@ class ProtocolContract:
         assert not any(protocol.legs_set_up(ends.dialogue))
         ends.until_set_up()
         if self.SETS_WATCHDOG:
-            assert ends.nodes._drives.watchdog_ns.tolist() == [80_000_000] * LEGS
+            assert ends.nodes._drives.seen.watchdog_ns.tolist() == [80_000_000] * LEGS
 
     def test_a_drive_that_has_lost_its_set_up_is_set_up_again(self, protocol):
         ends = Ends(protocol)
@@ -295,11 +294,11 @@ class ProtocolContract:
             dialogue = protocol.decode(ends.dialogue, NO_FRAMES, ends.measurement, m)
             assert not any(protocol.legs_set_up(dialogue))
             return
-        drives.state[2], drives.configured[2] = DriveState.BOOT, False
+        drives.seen.state[2], drives.seen.configured[2] = DriveState.BOOT, False
         for _ in range(2 * LEGS + 2):
             ends.step()
         ends.until_set_up()
-        assert drives.configured.tolist() == [True] * LEGS
+        assert drives.seen.configured.tolist() == [True] * LEGS
 
     def test_the_dialogue_leaves_powered_drives_alone(self, protocol):
         ends = Ends(protocol)

@@ -115,7 +115,7 @@ def test_drives_are_set_up_in_whatever_order_they_power_up(order):
         ends.step()
     assert states(ends) == [DriveState.OFF] * LEGS
     assert ends.protocol.set_up_lacks(ends.dialogue) == ("",) * LEGS
-    assert ends.nodes._drives.watchdog_ns.tolist() == [50_000_000] * LEGS
+    assert ends.nodes._drives.seen.watchdog_ns.tolist() == [50_000_000] * LEGS
 
 
 def test_drives_that_were_there_before_the_controller_are_found_without_their_boot_up():

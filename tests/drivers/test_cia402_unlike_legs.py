@@ -66,7 +66,7 @@ def test_each_drive_is_asked_for_the_counts_of_its_own_leg(leg):
 def test_drives_whose_encoders_are_unlike_are_all_set_up():
     ends = Ends(drives(counts_per_turn=[10_000, 10_000, 10_000, 4096, 4096, 4096]))
     ends.until_set_up()
-    assert ends.nodes._drives.configured.tolist() == [True] * LEGS
+    assert ends.nodes._drives.seen.configured.tolist() == [True] * LEGS
 
 
 @pytest.mark.parametrize("force_limit_N", [500.0, 60_000.0])

@@ -416,7 +416,7 @@ def test_a_drive_that_restarts_in_motion_is_lost_and_is_not_enabled_again(make, 
     ends = Ends(make())
     ends.running()
     drives = ends.nodes._drives
-    drives.state[3], drives.configured[3] = DriveState.BOOT, False
+    drives.seen.state[3], drives.seen.configured[3] = DriveState.BOOT, False
     end: Any = ends.nodes._end
     end.record["enabled"] = (1, 1, 1, 0, 1, 1)
     states = []
@@ -617,5 +617,5 @@ def test_what_friction_takes_the_command_has_added_and_the_drive_reports_the_for
     ends.step(Command(DriveMode.RUN, force), set_up=False)
     np.testing.assert_allclose(plant.force, force, rtol=0, atol=STEP_N)
     np.testing.assert_allclose(ends.measurement["drive_force"], force, rtol=0, atol=2 * STEP_N)
-    torque = ends.nodes._drives.command[0] / NEWTONS
+    torque = ends.nodes._drives.seen.command[0] / NEWTONS
     assert torque == pytest.approx(1000.0 / 0.9 / NEWTONS, rel=0.01)

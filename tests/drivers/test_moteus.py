@@ -38,6 +38,7 @@ from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
 from tests.drivers.trouble_contract import TroubleContract
+from tests.plant_fmu.by_hand import enter
 
 DATA = Path(__file__).parents[1] / "data/drives"
 VECTORS = json.loads((DATA / "moteus.json").read_text("utf-8"))["vectors"]
@@ -172,7 +173,7 @@ def test_a_torque_comes_out_as_the_single_that_went_in_and_saturates_at_the_limi
 def test_a_drive_that_is_left_enabled_damps_when_the_time_of_its_last_command_is_over_until_a_stop():
     ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
     ends.running()
-    waits_ns = ends.nodes._drives.watchdog_ns
+    waits_ns = ends.nodes._drives.seen.watchdog_ns
     np.testing.assert_allclose(waits_ns, 50e6, rtol=1e-7, err_msg="of the command, not the drive's own 0.1 s")
     for _ in range(20):
         ends.tick += 1
@@ -193,7 +194,7 @@ def test_a_drive_that_is_left_enabled_damps_when_the_time_of_its_last_command_is
 def test_a_drive_that_restarts_in_motion_obeys_again_from_the_next_command_on():
     ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
     ends.running()
-    ends.nodes._drives.state[3], ends.nodes._drives.configured[3] = DriveState.BOOT, False
+    ends.nodes._drives.seen.state[3], ends.nodes._drives.seen.configured[3] = DriveState.BOOT, False
     end: Any = ends.nodes._end
     end.record["enabled"] = (1, 1, 1, 0, 1, 1)
     states = []
@@ -208,7 +209,7 @@ def test_a_drive_that_restarts_in_motion_obeys_again_from_the_next_command_on():
 def test_a_drive_that_has_reported_a_stop_in_motion_is_not_enabled_again_until_run_is_asked_for_anew(leg):
     ends = Ends(MoteusProtocol(NODES, 0, Reaction.DAMP, 1000.0, GEAR))
     ends.running()
-    ends.nodes._drives.enter(leg, DriveState.OFF, DriveFault.NONE)
+    enter(ends.nodes._drives, leg, DriveState.OFF, DriveFault.NONE)
     for _ in range(2):
         ends.step(Command(DriveMode.RUN, np.zeros(6)))
         assert ends.measurement["drive_state"][leg] == DriveState.BOOT

@@ -16,11 +16,9 @@ from drivers.protocol import Received
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.drive import Drives
-from plant_fmu.drives.reading import Reading
+from plant_fmu.drives.drive import Drives, Reading
 from plant_fmu.faults.fault import Present
-from plant_fmu.faults.frames import FramesForgedFeedback
-from plant_fmu.faults.kinds import DriveReset, EncoderJump, PlantCrash, PlantHang
+from plant_fmu.faults.kinds import DriveReset, EncoderJump, FramesForgedFeedback, PlantCrash, PlantHang
 from tests.drivers.legs_frames import decode, opening
 from tests.plant_fmu.test_fault_kinds import accelerating
 from tests.plant_fmu.test_nodes import MS, REST, Rig, starve
@@ -158,7 +156,7 @@ def test_late_legs_that_move_unlike_have_each_its_own_reading_carried_on_by_its_
 
 def test_a_drive_that_was_just_powered_up_has_the_configured_watchdog():
     drives = Drives(DriveSettings(watchdog_ms=7.0), DriveEmulation(), 1e-4)
-    assert drives.watchdog_ns.tolist() == [7 * MS] * 6
+    assert drives.seen.watchdog_ns.tolist() == [7 * MS] * 6
 
 
 def test_a_plant_that_fails_as_a_watchdog_ends_has_come_to_that_instant(monkeypatch):

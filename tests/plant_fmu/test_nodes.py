@@ -28,7 +28,6 @@ from plant_fmu.drives.drive import Drives, at_motor
 from plant_fmu.drives.kernels import NEVER_NS, feed
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.frames import FramesCorrupt, FramesLoss
 from plant_fmu.faults.kinds import (
     BrakeStuckClosed,
     BrakeStuckOpen,
@@ -37,12 +36,14 @@ from plant_fmu.faults.kinds import (
     EncoderFreeze,
     EncoderJump,
     EncoderLost,
+    FramesCorrupt,
+    FramesLoss,
     WrenchStep,
 )
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import command_frames, decode, opening
-from tests.plant_fmu.by_hand import obey
+from tests.plant_fmu.by_hand import enter, obey
 
 MS = 1_000_000
 US = 1_000
@@ -461,10 +462,10 @@ def test_a_heartbeat_feeds_the_watchdog_of_each_powered_drive_for_its_own_time()
         DriveState.READY,
     )
     for leg, state in enumerate(states):
-        drives.enter(leg, int(state), int(DriveFault.NONE))
-    drives.watchdog_ns[:] = np.arange(1, 7) * MS
-    feed(drives.matrices[0], np.arange(1, 6), 100)
-    assert drives.deadline_ns.tolist() == [
+        enter(drives, leg, int(state), int(DriveFault.NONE))
+    drives.seen.watchdog_ns[:] = np.arange(1, 7) * MS
+    feed(drives.seen, np.arange(1, 6), 100)
+    assert drives.seen.deadline_ns.tolist() == [
         NEVER_NS,
         100 + 2 * MS,
         100 + 3 * MS,
@@ -477,13 +478,13 @@ def test_a_heartbeat_feeds_the_watchdog_of_each_powered_drive_for_its_own_time()
 def test_a_command_that_feeds_no_watchdog_starts_that_of_a_drive_which_it_powers():
     drives = Drives(DriveSettings(), DriveEmulation(), 1e-4)
     for leg in range(6):
-        drives.enter(leg, int(DriveState.READY if leg % 2 else DriveState.OFF), int(DriveFault.NONE))
-    drives.watchdog_ns[:], drives.configured[:] = 5 * MS, True
-    drives.deadline_ns[1::2] = 3 * MS
+        enter(drives, leg, int(DriveState.READY if leg % 2 else DriveState.OFF), int(DriveFault.NONE))
+    drives.seen.watchdog_ns[:], drives.seen.configured[:] = 5 * MS, True
+    drives.seen.deadline_ns[1::2] = 3 * MS
     zero = np.zeros(6)
     obey(drives, zero, zero, np.arange(6), zero, int(DriveMode.READY), 0, MS, feeds=False)
-    assert (drives.state == DriveState.READY).all()
-    assert drives.deadline_ns.tolist() == [6 * MS, 3 * MS] * 3
+    assert (drives.seen.state == DriveState.READY).all()
+    assert drives.seen.deadline_ns.tolist() == [6 * MS, 3 * MS] * 3
 
 
 def test_a_command_at_the_last_instant_is_in_time():

@@ -16,7 +16,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Present
 from plant_fmu.faults.kinds import EncoderFreeze, EncoderJump
 from tests.drivers.legs_frames import command_frames, opening
-from tests.plant_fmu.by_hand import actuate, next_move_ns, obey
+from tests.plant_fmu.by_hand import actuate, encoders, enter, next_move_ns, obey
 from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig
 from tests.plant_fmu.test_sensor_nodes import Mover, position
 
@@ -31,24 +31,24 @@ def powered_up() -> Drives:
 def test_drives_that_were_just_powered_up_hold_their_brakes_read_their_legs_and_have_nothing_to_come():
     drives = powered_up()
     assert next_move_ns(drives) == NEVER_NS
-    length, rate, state = drives.encoders(REST, RATE)
+    length, rate, state = encoders(drives, REST, RATE)
     np.testing.assert_array_equal(length, REST)
     np.testing.assert_array_equal(rate, RATE)
     assert state.tolist() == [DriveState.BOOT] * 6
-    np.testing.assert_allclose(drives.encoders(REST, RATE, 1e-3)[0], REST + 1e-3 * RATE, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(encoders(drives, REST, RATE, 1e-3)[0], REST + 1e-3 * RATE, rtol=0, atol=1e-15)
     assert actuate(drives, REST, RATE, False, 0) is False
-    assert drives.brake.tolist() == [1.0] * 6
-    assert drives.force.tolist() == [0.0] * 6
+    assert drives.seen.brake.tolist() == [1.0] * 6
+    assert drives.seen.force.tolist() == [0.0] * 6
     assert next_move_ns(drives) == NEVER_NS
 
 
 def test_drives_that_were_just_powered_up_give_all_the_force_that_they_are_told():
     drives = powered_up()
     for leg in range(6):
-        drives.enter(leg, int(DriveState.RUN), int(DriveFault.NONE))
+        enter(drives, leg, int(DriveState.RUN), int(DriveFault.NONE))
     obey(drives, REST, RATE, np.arange(6), FORCE, int(DriveMode.RUN), 0, MS)
-    np.testing.assert_array_equal(drives.force, FORCE)
-    assert drives.brake.tolist() == [0.0] * 6
+    np.testing.assert_array_equal(drives.seen.force, FORCE)
+    assert drives.seen.brake.tolist() == [0.0] * 6
     assert next_move_ns(drives) == NEVER_NS, "of brakes that have opened nothing is to come"
 
 
@@ -62,10 +62,10 @@ def test_a_command_tells_when_the_first_watchdog_ends_or_brake_has_moved(
     drives = Drives(DriveSettings(watchdog_ms=watchdog_ms), DriveEmulation(brake_open_ms=open_ms), 1e-4)
     slow = Present()
     slow.slow_ns[3] = slow_ms * MS
-    drives.disturb(slow, REST, RATE, 0)
-    drives.configured[:] = True
+    drives.disturb(slow, 0)
+    drives.seen.configured[:] = True
     for leg in range(6):
-        drives.enter(leg, int(DriveState.READY), int(DriveFault.NONE))
+        enter(drives, leg, int(DriveState.READY), int(DriveFault.NONE))
     told = obey(drives, REST, RATE, np.arange(2, 6), FORCE[2:], int(DriveMode.RUN), 0, 7 * MS)
     assert told == (True, False, 0b111100, round((7 + earliest_ms) * MS))
 
@@ -74,13 +74,13 @@ def test_a_command_tells_when_the_first_watchdog_ends_or_brake_has_moved(
 def test_a_drive_that_damps_goes_by_its_own_rate_when_others_are_told_something(feeds):
     drives = Drives(DriveSettings(), DriveEmulation(damping_N_s_m=1000.0), 1e-4)
     for leg in range(6):
-        drives.enter(leg, int(DriveState.FAULT if leg == 4 else DriveState.RUN), int(DriveFault.NONE))
-    drives.acting[4] = int(Reaction.DAMP)
+        enter(drives, leg, int(DriveState.FAULT if leg == 4 else DriveState.RUN), int(DriveFault.NONE))
+    drives.seen.acting[4] = int(Reaction.DAMP)
     others = np.array([0, 1, 2, 3, 5])
     told = obey(drives, REST, RATE, others, FORCE[others], int(DriveMode.RUN), 0, MS, feeds=feeds)
     fresh, controls, *_ = told
     assert (fresh, controls) == (True, True)
-    np.testing.assert_allclose(drives.force, [*FORCE[:4], -1000.0 * 0.5, FORCE[5]], rtol=1e-12)
+    np.testing.assert_allclose(drives.seen.force, [*FORCE[:4], -1000.0 * 0.5, FORCE[5]], rtol=1e-12)
 
 
 def test_an_encoder_that_is_frozen_from_power_up_on_reads_the_first_length():
@@ -146,9 +146,9 @@ def test_two_frames_are_heard_in_the_order_of_their_times():
 def test_a_drive_that_a_command_switches_off_has_no_watchdog_any_more(feeds, mode, state):
     drives = Drives(DriveSettings(), DriveEmulation(), 1e-4)
     for leg in range(6):
-        drives.enter(leg, int(state), int(DriveFault.NONE))
-    drives.configured[:], drives.deadline_ns[:] = True, 3_000_000
+        enter(drives, leg, int(state), int(DriveFault.NONE))
+    drives.seen.configured[:], drives.seen.deadline_ns[:] = True, 3_000_000
     zero = np.zeros(6)
     obey(drives, zero, zero, np.arange(3), zero, int(mode), 0, 1_000_000, feeds=feeds)
-    assert drives.state.tolist() == [DriveState.OFF] * 3 + [state] * 3
-    assert drives.deadline_ns.tolist() == [NEVER_NS] * 3 + [3_000_000] * 3
+    assert drives.seen.state.tolist() == [DriveState.OFF] * 3 + [state] * 3
+    assert drives.seen.deadline_ns.tolist() == [NEVER_NS] * 3 + [3_000_000] * 3

@@ -11,8 +11,8 @@ from drivers.protocol import Received
 from drivers.tick_columns import new_record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.drive import Turns
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.drives.turns import Turns
 from plant_fmu.faults.kinds import DriveReset
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.legs_frames import decode, opening

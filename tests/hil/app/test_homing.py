@@ -24,7 +24,7 @@ from hil.app.sim.command import simulate
 from hil.loop.cycle import Cycle
 from hil.mathematics.rotations import rotation_vector
 from hil.record.log import Log
-from plant_fmu.drives.turns import Turns
+from plant_fmu.drives.drive import Turns
 
 STEP_M = 0.1 * 2.0 * np.pi * 0.02
 """What a drive forgets: its encoder sits in front of the gear of 10 : 1, its pinion has a radius of 20 mm."""

@@ -295,7 +295,7 @@ class TroubleContract(ProtocolContract):
         line.until_set_up()
         assert protocol.set_up_lacks(line.dialogue) == ("",) * LEGS
         if self.SETS_WATCHDOG:
-            assert line.nodes._drives.watchdog_ns.tolist() == [50_000_000] * LEGS
+            assert line.nodes._drives.seen.watchdog_ns.tolist() == [50_000_000] * LEGS
         line.restart()
 
     @pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (5, 3, 1, 0, 2, 4)])
@@ -324,7 +324,7 @@ class TroubleContract(ProtocolContract):
         line.until_set_up()
         line.restart()
         if self.SETS_WATCHDOG:
-            assert line.nodes._drives.watchdog_ns.tolist() == [50_000_000] * LEGS
+            assert line.nodes._drives.seen.watchdog_ns.tolist() == [50_000_000] * LEGS
 
     def test_a_drive_that_restarts_in_motion_shows_it_and_the_others_run_on(self, protocol):
         line = Line(protocol, DriveReset(leg=2, at_s=0.9))

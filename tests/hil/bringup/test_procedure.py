@@ -115,7 +115,7 @@ def test_at_the_end_all_drives_are_off_with_their_own_watchdogs(good):
     rehearsal, _ = good
     nodes = rehearsal.bench.nodes
     assert [DriveState(int(s)) for s in nodes.snapshot().state] == [DriveState.OFF] * 6
-    assert nodes._drives.watchdog_ns.tolist() == [10_000_000] * 6
+    assert nodes._drives.seen.watchdog_ns.tolist() == [10_000_000] * 6
 
 
 def test_three_rotated_drives_are_named_with_the_order_that_mends_it():

@@ -29,7 +29,7 @@ from plant_fmu.stewart.description import (
 from plant_fmu.stewart.variables import header, tables
 
 SOURCES = Path(__file__).parent / "sources"
-_COMMON = ("mechanics", "contact", "plant", "instance")
+_COMMON = ("mechanics.c", "contact.c", "plant.c", "plant.h", "face.h")
 FLAGS = (
     "-O2",
     "-funroll-loops",
@@ -119,9 +119,8 @@ def find_compiler(*, zig: bool = False) -> Compiler:
 
 
 def _source_files(version: FmiVersion) -> dict[str, bytes]:
-    names = [*(f"{n}.{x}" for n in _COMMON for x in ("c", "h")), "access.h", f"fmi{version[0]}.c"]
     try:
-        files = {name: (SOURCES / name).read_bytes() for name in names}
+        files = {name: (SOURCES / name).read_bytes() for name in (*_COMMON, f"fmi{version[0]}.c")}
     except OSError as error:
         raise PlantError(
             f"the plant's C source {error.filename} is not installed; reinstall hexapod-hil"

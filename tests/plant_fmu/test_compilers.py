@@ -226,7 +226,7 @@ def test_the_token_follows_the_description_of_its_own_version_alone(monkeypatch,
 
     monkeypatch.setattr(builder, described, describe)
     assert builder.token(version) != before[version]
-    units = [*(f"{name}.c" for name in ("contact", "instance", "mechanics", "plant")), "fmi2.c", "model.c"]
+    units = [*(f"{name}.c" for name in ("contact", "mechanics", "plant")), "fmi2.c", "model.c"]
     assert [(given[0], *map(sorted, given[1:])) for given in asked] == [
         ("", sorted(units)) if version == "2.0" else ("",)
     ]

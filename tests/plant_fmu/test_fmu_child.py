@@ -156,7 +156,7 @@ def test_an_fmu_that_lacks_a_function_is_named(tmp_path, kind):
 
 
 def test_an_fmu_that_dies_while_loading_is_reported(tmp_path):
-    line = "Instance *instance = instance_new(name, token"
+    line = "return instance_new(name, token"
     path = altered(tmp_path, f"_exit(7); {line}", line)
     with pytest.raises(PlantError, match="exit code 7 when it was to load"):
         ChildHost(spec(path))

@@ -16,15 +16,18 @@ MUTATIONS = {
     "cylinder mass dropped": ("m1 = body->cylinder_mass, m2", "m1 = 0.0 * body->cylinder_mass, m2"),
     "rod mass dropped": ("m2 = body->rod_mass;", "m2 = 0.0 * body->rod_mass;"),
     "inertia not rotated": (
-        "rotated_inertia(e->R, body->inertia, I);",
+        "rotated_inertia(R, body->inertia, I);",
         "for (int k = 0; k < 9; k++) I[k] = body->inertia[k];",
     ),
     "parallel axis twice": ("const double rr = m * dot(rc, rc);", "const double rr = 2.0 * m * dot(rc, rc);"),
-    "no centrifugal force of the platform": ("force[k] = m * (g[k] - cc[k]);", "force[k] = m * g[k];"),
+    "no centrifugal force of the platform": (
+        "force = times(m, minus(vec(body->gravity), cross(w, cross(w, rc))));",
+        "force = times(m, vec(body->gravity));",
+    ),
     "no Coriolis force of the leg": ("along = 2.0 * dl *", "along = 0.0 * dl *"),
-    "wrench with the wrong sign": ("e->rhs[k] = wrench[k] + force[k];", "e->rhs[k] = force[k] - wrench[k];"),
-    "axial and transverse swapped": ("I0 = body->cylinder_transverse +", "I0 = body->cylinder_axial +"),
-    "spin without its reaction": ("(drift * y[k] - spin * sxds[k])", "(drift * y[k])"),
+    "wrench with the wrong sign": ("e->rhs[2] = wrench[2] + force.z", "e->rhs[2] = force.z - wrench[2]"),
+    "axial and transverse swapped": ("I0 = body->cylinder_inertia[1] +", "I0 = body->cylinder_inertia[0] +"),
+    "spin without its reaction": ("minus(times(drift, y), times(spin, cross(s, ds)))", "times(drift, y)"),
 }
 
 

@@ -167,6 +167,15 @@ def test_each_leg_has_its_own_end_stops(direct, leg):
         assert beyond.sum() >= 3
 
 
+def test_legs_that_cross_their_whole_stroke_in_one_step_meet_both_stops_and_friction(direct):
+    plant, home = direct(), 1.592450434036
+    plant.set(length_min=np.full(6, home - 1e-5), length_max=np.full(6, home + 1e-5))
+    plant.set(coulomb_friction=np.full(6, 10.0), initial_twist=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    plant.start()
+    plant.step(1e-3)
+    assert np.abs(plant.get("length") - home).max() < 1e-3
+
+
 def test_upper_stops_pull_back_and_never_stick(direct):
     plant = direct()
     plant.set(length_max=np.full(6, 1.6))

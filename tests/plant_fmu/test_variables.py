@@ -14,6 +14,7 @@ from plant_fmu.stewart.variables import (
     element_name,
     header,
     limits,
+    offsets,
     tables,
     type_of,
 )
@@ -117,24 +118,24 @@ def test_the_c_tables_have_each_variable_at_its_place_with_its_range_and_first_v
     for k, row in enumerate(TABLE.values()):
         starts[k] = at
         at += count(row[1])
-    first_output = starts[list(TABLE).index("length")]
     assert re.findall(r"#define (\w+) (\d+)", head) == [
         ("N_VARIABLES", str(len(TABLE))),
         ("N_VALUES", str(at)),
-        ("FIRST_OUTPUT", str(first_output)),
     ]
-    places = re.findall(r"V_(\w+) = (\d+),", head)
-    assert places == [(name, str(place)) for name, place in zip(TABLE, starts, strict=True)]
-    rows = re.findall(r'\{"(\w+)", (\d+), (\d+), (\d+), (\w+), (\w+), ([^,]+), ([^,}]+)\}', body)
+    members = re.findall(r"^    double (\w+)(?:\[(\d+)\])?;$", head, re.MULTILINE)
+    assert members == [(name, str(count(row[1])) if row[1] else "") for name, row in TABLE.items()]
+    rows = re.findall(r"\{(\d+), (\d+), (\w+), (\w+), ([^,]+), ([^,}]+)\}", body)
     for (name, row), place, found in zip(TABLE.items(), starts, rows, strict=True):
-        columns = 3 if len(row[1]) == 2 else 0
         kind = "ENUMERATION" if name == "leg_spin" else "FLOAT64"
-        assert found[:6] == (name, str(place), str(count(row[1])), str(columns), row[0].upper(), kind)
-        ends = [float(x) for x in found[6:]]
+        assert found[:4] == (str(place), str(count(row[1])), row[0].upper(), kind), name
+        ends = [float(x) for x in found[4:]]
         assert ends == [-1e308 if row[3][0] is None else row[3][0], 1e308 if row[3][1] is None else row[3][1]]
     (values,) = re.findall(r"START\[N_VALUES\] = \{(.*)\};", body)
     expected = [x for _, shape, start, _ in TABLE.values() for x in start or [0.0] * count(shape)]
     assert [float(x) for x in values.split(", ")] == expected
+    (names,) = re.findall(r"NAMES\[N_VALUES\] = \{(.*)\};", body)
+    elements = [f'"{element_name(v, k)}"' for v in VARIABLES for k in range(v.size)]
+    assert re.findall(r'"[^"]*"', names) == elements
     (owners,) = re.findall(r"OWNER\[N_VALUES\] = \{(.*)\};", body)
     belongs = [k for k, row in enumerate(TABLE.values()) for _ in range(count(row[1]))]
     assert [int(x) for x in owners.split(", ")] == belongs
@@ -144,8 +145,8 @@ def test_the_c_tables_have_each_variable_at_its_place_with_its_range_and_first_v
 @pytest.mark.parametrize("name", ["initial_position", "initial_rotation", "base_joints"])
 def test_every_text_of_a_first_value_is_read_back_to_the_bit(name):
     (values,) = re.findall(r"START\[N_VALUES\] = \{(.*)\};", tables(""))
-    place = dict(re.findall(r"V_(\w+) = (\d+),", header()))[name]
+    place = offsets()[name]
     start = TABLE[name][2]
     assert start is not None
-    found = values.split(", ")[int(place) : int(place) + len(start)]
+    found = values.split(", ")[place : place + len(start)]
     assert [float(x).hex() for x in found] == [x.hex() for x in start]

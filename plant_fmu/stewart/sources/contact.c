@@ -1,15 +1,21 @@
-/* Brakes, dry friction and end stops as one small quadratic programme. See contact.h for the laws.
+/* Brakes, dry friction and end stops as one small quadratic programme.
  *
- * With w = c + h A f the rates at the end of the step (A = J M^-1 J^T, c the rates without f), stick-slip is
+ * The forces solve, for the leg rates dl + h (J^T dtwist + bias) at the end of the step,
+ *   stick     rate = 0          while |force| < friction, of brake and dry friction together,
+ *   slip      force = -friction sign(rate) otherwise,
+ *   stops     force = -k (overrun at the end of the step) - d rate, never pulling.
+ * All coupled through A = J^T M^-1 J, so that the step is stable for any stiffness.
+ *
+ * With w = c + h A f the rates at the end of the step (c the rates without f), stick-slip is
  *   minimise f.(h A f)/2 + c.f  subject to |f| <= friction,
  * and a stop adds a row with the compliance 1/(h k + d) and one open bound. The matrix is symmetric and positive
  * definite, so the solution is unique: nothing has to be remembered from the step before.
  */
-#include "contact.h"
+#include "plant.h"
 
 #include <math.h>
 
-#define ROWS (2 * LEGS)
+#define ROWS (3 * LEGS) /* of a leg: friction and both stops, where it crosses its whole stroke in one step */
 
 enum { FREE, AT_LOW, AT_HIGH };
 
@@ -78,34 +84,35 @@ static void add_row(Programme *q, int leg, double c, double compliance, double l
     q->leg[i] = leg, q->c[i] = c, q->low[i] = low, q->high[i] = high, q->H[i][i] = compliance;
 }
 
-int contact_forces(const Stops *stops, const Equations *e, const double friction[LEGS], const double free[6], double h,
-                   double tau[LEGS], double dtwist[6])
+void contact_forces(const Values *v, const Equations *e, double h, double tau[LEGS], double dtwist[6])
 {
     Programme q;
-    double Y[LEGS][6];
+    double Y[LEGS][6], rates[LEGS];
     int state[ROWS], have[LEGS] = {0};
-    const double stiff = h * stops->stop_stiffness + stops->stop_damping;
+    const double stiff = h * v->stop_stiffness + v->stop_damping;
+    for (int i = 0; i < LEGS; i++) rates[i] = e->dl[i] + h * e->bias[i], tau[i] = 0.0;
+    for (int k = 0; k < 6; k++)
+        for (int i = 0; i < LEGS; i++) rates[i] += h * e->J[k][i] * dtwist[k];
     q.n = 0;
     for (int i = 0; i < LEGS; i++) {
-        double rate = e->dl[i] + h * e->bias[i];
-        for (int k = 0; k < 6; k++) rate += h * e->J[i][k] * free[k];
-        if (friction[i] > 0.0) add_row(&q, i, rate, 0.0, -friction[i], friction[i]);
-        const double under = e->l[i] - stops->length_min[i], over = e->l[i] - stops->length_max[i];
+        const double rate = rates[i], friction = v->coulomb_friction[i] + v->brake[i] * v->brake_force[i];
+        if (friction > 0.0) add_row(&q, i, rate, 0.0, -friction, friction);
+        const double under = e->l[i] - v->length_min[i], over = e->l[i] - v->length_max[i];
         const double reach = h * (fabs(rate) + fabs(e->dl[i]));
-        if (under < reach) add_row(&q, i, rate + stops->stop_stiffness * under / stiff, 1.0 / stiff, 0.0, HUGE_VAL);
-        if (over > -reach) add_row(&q, i, rate + stops->stop_stiffness * over / stiff, 1.0 / stiff, -HUGE_VAL, 0.0);
+        if (under < reach) add_row(&q, i, rate + v->stop_stiffness * under / stiff, 1.0 / stiff, 0.0, HUGE_VAL);
+        if (over > -reach) add_row(&q, i, rate + v->stop_stiffness * over / stiff, 1.0 / stiff, -HUGE_VAL, 0.0);
     }
-    if (q.n == 0) return 0;
     for (int i = 0; i < q.n; i++) {
         const int leg = q.leg[i];
         if (!have[leg]) {
-            solve_mass(e, e->J[leg], Y[leg]);
+            for (int r = 0; r < 6; r++) Y[leg][r] = e->J[r][leg];
+            solve_mass(e, Y[leg]);
             have[leg] = 1;
         }
         const double compliance = q.H[i][i];
         for (int k = 0; k <= i; k++) {
             double A = 0.0;
-            for (int r = 0; r < 6; r++) A += e->J[q.leg[k]][r] * Y[leg][r];
+            for (int r = 0; r < 6; r++) A += e->J[r][q.leg[k]] * Y[leg][r];
             q.H[i][k] = q.H[k][i] = h * A;
         }
         /* The last term keeps the matrix regular at a singular pose: a creep of 1e-12 of the free rate. */
@@ -114,16 +121,11 @@ int contact_forces(const Stops *stops, const Equations *e, const double friction
     /* Block pivoting ends in two or three rounds; least-index pivoting, which always ends, is the reserve.
      * A stop starts open. */
     for (int i = 0; i < q.n; i++) state[i] = q.low[i] == 0.0 ? AT_LOW : q.high[i] == 0.0 ? AT_HIGH : FREE;
-    for (int round = 0; round < 200; round++) {
-        if (solve_free(&q, state) != 0) break;
-        if (pivot(&q, state, round > 12) == 0) break;
-    }
+    for (int round = 0; round < 200; round++)
+        if (solve_free(&q, state) != 0 || pivot(&q, state, round > 12) == 0) break;
     for (int i = 0; i < q.n; i++) {
-        double f = q.f[i];
-        if (f < q.low[i]) f = q.low[i];
-        if (f > q.high[i]) f = q.high[i];
+        const double f = q.f[i] < q.low[i] ? q.low[i] : q.f[i] > q.high[i] ? q.high[i] : q.f[i];
         tau[q.leg[i]] += f;
         for (int k = 0; k < 6; k++) dtwist[k] += Y[q.leg[i]][k] * f;
     }
-    return q.n;
 }

@@ -1,82 +1,65 @@
-/* FMI 3.0 face: every function of the standard, co-simulation. Value reference = row of VARIABLES.
- */
+/* FMI 3.0 face: every function of the standard, co-simulation. Value reference = row of VARIABLES. */
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "model.h"
-
-#ifdef FMI3_FUNCTION_PREFIX
-#define FMI(name) JOIN(FMI3_FUNCTION_PREFIX, name)
-#else
-#define FMI(name) name
+#ifndef FMI3_FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX
 #endif
+#define FMI(name) JOIN(FMI3_FUNCTION_PREFIX, name)
+#define STANDARD(name) JOIN(fmi3, name)
+#define STATE(before, after) before##FMUState##after
+#define DESERIALISE DeserializeFMUState
 
-/* The standard fixes the signatures: a parameter without use is no mistake. */
-#pragma GCC diagnostic ignored "-Wunused-parameter"
+typedef const char *String;
+typedef void (*Logger)(void *environment, int status, String category, String message);
+typedef void (*Callback)(void);
+#define LOG(i, message) (i)->logger((i)->environment, ERROR, "logStatusError", message)
 
 typedef uint32_t Ref;
-#define STANDARD(name) fmi3##name
 #define TYPE_OF(ref) ((ref) >= N_VARIABLES ? -1 : VARIABLES[ref].type)
 #define OFFSET(ref) VARIABLES[ref].offset
 #define COUNT(ref) VARIABLES[ref].count
 #define VALUES(T) T values[], size_t n_values
 #define N_GIVEN n_values
-#include "access.h"
-
-typedef const char *String;
-typedef void (*Logger)(void *environment, int status, String category, String message);
-typedef void (*Callback)(void);
-
-static void report(const Instance *instance, Status status, const char *message)
-{
-    const Logger logger = (Logger)instance->logger;
-    if (logger) logger(instance->environment, status, "logStatusError", message);
-}
+#include "face.h"
 
 EXPORT String FMI(fmi3GetVersion)(void) { return "3.0"; }
-
-API FMI(fmi3SetDebugLogging)(void *c, bool on, size_t n, const String categories[])
-{
-    return instance_set_logging(c, on, n, categories);
-}
 
 EXPORT void *FMI(fmi3InstantiateCoSimulation)(String name, String token, String resources, bool visible, bool logging,
                                               bool event_mode, bool early_return, const Ref intermediate[],
                                               size_t n_intermediate, void *environment, Logger logger,
                                               Callback intermediate_update)
 {
-    Instance *instance = instance_new(name, token, logging, report, environment, (Function)logger);
-    if (instance && n_intermediate > 0) {
-        instance_unsupported(instance, "intermediate update");
-        instance_free(instance);
-        return NULL;
+    return instance_new(name, token, environment, logger, n_intermediate > 0 ? "intermediate update" : NULL);
+}
+
+#define NO_INSTANCE(function, what)                                                                                \
+    EXPORT void *FMI(function)(String name, String token, String resources, bool visible, bool logging,            \
+                               void *environment, Logger logger)                                                   \
+    {                                                                                                              \
+        if (logger) logger(environment, ERROR, "logStatusError", what " is not supported by this FMU");            \
+        return NULL;                                                                                               \
     }
-    return instance;
-}
+NO_INSTANCE(fmi3InstantiateModelExchange, "model exchange")
+NO_INSTANCE(fmi3InstantiateScheduledExecution, "scheduled execution")
 
-EXPORT void *FMI(fmi3InstantiateModelExchange)(String name, String token, String resources, bool visible, bool logging,
-                                               void *environment, Logger logger)
-{
-    if (logger) logger(environment, ERROR, "logStatusError", "model exchange is not supported by this FMU");
-    return NULL;
-}
-
-EXPORT void *FMI(fmi3InstantiateScheduledExecution)(String name, String token, String resources, bool visible,
-                                                    bool logging, void *environment, Logger logger, Callback update,
-                                                    Callback lock, Callback unlock)
-{
-    if (logger) logger(environment, ERROR, "logStatusError", "scheduled execution is not supported by this FMU");
-    return NULL;
-}
-
-API FMI(fmi3EnterInitializationMode)(void *c, bool tolerance_defined, double tolerance, double start,
+API FMI(fmi3EnterInitializationMode)(Instance *instance, bool tolerance_defined, double tolerance, double start,
                                      bool stop_defined, double stop)
 {
-    return instance_enter_initialisation(c, start);
+    return instance_enter_initialisation(instance, start);
 }
 
 ACCESS(GetFloat64, SetFloat64, double, FLOAT64)
 ACCESS(GetInt64, SetInt64, int64_t, ENUMERATION)
+
+API FMI(fmi3DoStep)(Instance *instance, double time, double dt, bool no_set_state_before, bool *event_needed,
+                    bool *terminate, bool *early_return, double *last_time)
+{
+    const Status status = instance_step(instance, time, dt);
+    *event_needed = *terminate = *early_return = false;
+    if (instance) *last_time = instance->plant.v.time;
+    return status;
+}
 
 /* There are no variables of these types. */
 WITHOUT(Float32)
@@ -89,21 +72,15 @@ WITHOUT(UInt32)
 WITHOUT(UInt64)
 
 /* The rest of the standard that this FMU has no use for. */
-UNSUPPORTED(GetBinary)
-UNSUPPORTED(SetBinary)
-UNSUPPORTED(GetClock)
-UNSUPPORTED(SetClock)
+BOTH_UNSUPPORTED(Binary)
+BOTH_UNSUPPORTED(Clock)
+BOTH_UNSUPPORTED(IntervalDecimal)
+BOTH_UNSUPPORTED(IntervalFraction)
+BOTH_UNSUPPORTED(ShiftDecimal)
+BOTH_UNSUPPORTED(ShiftFraction)
 UNSUPPORTED(GetNumberOfVariableDependencies)
 UNSUPPORTED(GetVariableDependencies)
 UNSUPPORTED(GetAdjointDerivative)
-UNSUPPORTED(GetIntervalDecimal)
-UNSUPPORTED(GetIntervalFraction)
-UNSUPPORTED(GetShiftDecimal)
-UNSUPPORTED(GetShiftFraction)
-UNSUPPORTED(SetIntervalDecimal)
-UNSUPPORTED(SetIntervalFraction)
-UNSUPPORTED(SetShiftDecimal)
-UNSUPPORTED(SetShiftFraction)
 UNSUPPORTED(UpdateDiscreteStates)
 UNSUPPORTED(GetContinuousStateDerivatives)
 UNSUPPORTED(GetNumberOfEventIndicators)
@@ -114,29 +91,3 @@ UNSUPPORTED(EnterConfigurationMode)
 UNSUPPORTED(ExitConfigurationMode)
 UNSUPPORTED(EvaluateDiscreteStates)
 UNSUPPORTED(EnterStepMode)
-
-API FMI(fmi3GetFMUState)(void *c, void **state) { return instance_save(c, state); }
-API FMI(fmi3SetFMUState)(void *c, void *state) { return instance_restore(c, state); }
-API FMI(fmi3FreeFMUState)(void *c, void **state) { return c ? instance_discard(state) : ERROR; }
-API FMI(fmi3SerializedFMUStateSize)(void *c, void *state, size_t *size) { return instance_saved_size(c, state, size); }
-API FMI(fmi3SerializeFMUState)(void *c, void *state, uint8_t bytes[], size_t size)
-{
-    return instance_serialise(c, state, bytes, size);
-}
-API FMI(fmi3DeserializeFMUState)(void *c, const uint8_t bytes[], size_t size, void **state)
-{
-    return instance_deserialise(c, bytes, size, state);
-}
-
-API FMI(fmi3DoStep)(void *c, double time, double dt, bool no_set_state_before, bool *event_needed, bool *terminate,
-                    bool *early_return, double *last_time)
-{
-    Instance *instance = c;
-    const Status status = instance_step(instance, time, dt);
-    *event_needed = *terminate = *early_return = false;
-    if (instance) {
-        const Plant *plant = &instance->plant;
-        *last_time = plant->start_time + (double)plant->steps * plant->v[V_internal_step];
-    }
-    return status;
-}

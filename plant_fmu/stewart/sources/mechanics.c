@@ -17,26 +17,29 @@
  * drives that spin and reacts on the swing:
  *   l F_perp += Ia (domega_s y - omega_s s x ds),   Ia the axial inertia of cylinder and rod together.
  */
-#include "mechanics.h"
+#include "plant.h"
 
 #include <math.h>
-#include <stddef.h>
 
-static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+typedef struct {
+    double x, y, z;
+} Vec;
 
-static void cross(const double a[3], const double b[3], double c[3])
+static inline Vec vec(const double a[3]) { return (Vec){a[0], a[1], a[2]}; }
+static inline Vec plus(Vec a, Vec b) { return (Vec){a.x + b.x, a.y + b.y, a.z + b.z}; }
+static inline Vec minus(Vec a, Vec b) { return (Vec){a.x - b.x, a.y - b.y, a.z - b.z}; }
+static inline Vec times(double k, Vec a) { return (Vec){k * a.x, k * a.y, k * a.z}; }
+static inline Vec over(Vec a, double k) { return (Vec){a.x / k, a.y / k, a.z / k}; }
+static inline double dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+static inline Vec cross(Vec a, Vec b)
 {
-    c[0] = a[1] * b[2] - a[2] * b[1];
-    c[1] = a[2] * b[0] - a[0] * b[2];
-    c[2] = a[0] * b[1] - a[1] * b[0];
+    return (Vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
+static inline Vec rotate(const double R[9], Vec a) { return (Vec){dot(vec(R), a), dot(vec(R + 3), a), dot(vec(R + 6), a)}; }
 
-static void rotate(const double R[9], const double x[3], double y[3])
-{
-    y[0] = R[0] * x[0] + R[1] * x[1] + R[2] * x[2];
-    y[1] = R[3] * x[0] + R[4] * x[1] + R[5] * x[2];
-    y[2] = R[6] * x[0] + R[7] * x[1] + R[8] * x[2];
-}
+/* Of leg i, from and to an array that has all legs component by component. */
+static inline Vec leg(double (*a)[LEGS], int i) { return (Vec){a[0][i], a[1][i], a[2][i]}; }
+static inline void put(double (*a)[LEGS], int i, Vec b) { a[0][i] = b.x, a[1][i] = b.y, a[2][i] = b.z; }
 
 void rotation_of(const double q[4], double R[9])
 {
@@ -52,69 +55,38 @@ void rotation_of(const double q[4], double R[9])
 
 void quaternion_of(const double R[9], double q[4])
 {
-    /* From the largest of the four components, so that no small number is divided by. */
+    /* q times each of its components; taken from the largest, so that no small number is divided by. */
     const double trace = R[0] + R[4] + R[8];
+    const double products[4][4] = {{1.0 + trace, R[7] - R[5], R[2] - R[6], R[3] - R[1]},
+                                   {R[7] - R[5], 1.0 + R[0] - R[4] - R[8], R[1] + R[3], R[2] + R[6]},
+                                   {R[2] - R[6], R[1] + R[3], 1.0 + R[4] - R[0] - R[8], R[5] + R[7]},
+                                   {R[3] - R[1], R[2] + R[6], R[5] + R[7], 1.0 + R[8] - R[0] - R[4]}};
+    const double size[4] = {trace, R[0], R[4], R[8]};
     int k = 0;
-    double largest = trace;
-    for (int i = 0; i < 3; i++) {
-        if (R[4 * i] > largest) {
-            largest = R[4 * i];
-            k = i + 1;
-        }
-    }
-    if (k == 0) {
-        q[0] = 1.0 + trace, q[1] = R[7] - R[5], q[2] = R[2] - R[6], q[3] = R[3] - R[1];
-    } else if (k == 1) {
-        q[0] = R[7] - R[5], q[1] = 1.0 + R[0] - R[4] - R[8], q[2] = R[1] + R[3], q[3] = R[2] + R[6];
-    } else if (k == 2) {
-        q[0] = R[2] - R[6], q[1] = R[1] + R[3], q[2] = 1.0 + R[4] - R[0] - R[8], q[3] = R[5] + R[7];
-    } else {
-        q[0] = R[3] - R[1], q[1] = R[2] + R[6], q[2] = R[5] + R[7], q[3] = 1.0 + R[8] - R[0] - R[4];
-    }
-    const double n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    for (int i = 0; i < 4; i++) q[i] *= n;
+    for (int i = 1; i < 4; i++)
+        if (size[i] > size[k]) k = i;
+    const double *a = products[k], n = 1.0 / sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + a[3] * a[3]);
+    for (int i = 0; i < 4; i++) q[i] = a[i] * n;
 }
 
-/* All six legs, component by component: a loop over them is six independent chains, which the processor overlaps. */
-typedef struct {
-    /* filled by geometry: arm = R b, velocity u of the platform joint; of J, the direction s */
-    double arm[3][LEGS], u[3][LEGS], J[6][LEGS], l[LEGS], dl[LEGS];
-    /* filled by leg_forces: w x (w x arm), force on the leg without dtwist, ddl without dtwist, qt, qa - qt; J */
-    double ds[3][LEGS], cc[3][LEGS], f[6][LEGS], bias[LEGS], qt[LEGS], q[LEGS];
-    /* filled by leg_products: qt arm, qt (arm^2 1 - arm arm^T), (qa - qt) J; of f, the moment */
-    double h[3][LEGS], turning[3][3][LEGS], qJ[6][LEGS];
-} Legs;
-
-static void geometry(const Body *restrict body, const Motion *restrict x, const double R[restrict 9],
-                     Legs *restrict legs)
+static void geometry(const Values *restrict body, const Motion *restrict x, const double R[restrict 9],
+                     Equations *restrict e)
 {
     for (int i = 0; i < LEGS; i++) {
-        const double b0 = body->b[0][i], b1 = body->b[1][i], b2 = body->b[2][i];
-        const double r0 = R[0] * b0 + R[1] * b1 + R[2] * b2;
-        const double r1 = R[3] * b0 + R[4] * b1 + R[5] * b2;
-        const double r2 = R[6] * b0 + R[7] * b1 + R[8] * b2;
-        double s0 = x->p[0] + r0 - body->a[0][i];
-        double s1 = x->p[1] + r1 - body->a[1][i];
-        double s2 = x->p[2] + r2 - body->a[2][i];
-        const double l = sqrt(s0 * s0 + s1 * s1 + s2 * s2), inverse = 1.0 / l;
-        s0 *= inverse, s1 *= inverse, s2 *= inverse;
-        const double u0 = x->v[0] + (x->w[1] * r2 - x->w[2] * r1);
-        const double u1 = x->v[1] + (x->w[2] * r0 - x->w[0] * r2);
-        const double u2 = x->v[2] + (x->w[0] * r1 - x->w[1] * r0);
-        legs->arm[0][i] = r0, legs->arm[1][i] = r1, legs->arm[2][i] = r2;
-        legs->J[0][i] = s0, legs->J[1][i] = s1, legs->J[2][i] = s2;
-        legs->u[0][i] = u0, legs->u[1][i] = u1, legs->u[2][i] = u2;
-        legs->l[i] = l, legs->dl[i] = s0 * u0 + s1 * u1 + s2 * u2;
+        const Vec arm = rotate(R, vec(body->platform_joints + 3 * i));
+        const Vec along = minus(plus(vec(x->p), arm), vec(body->base_joints + 3 * i));
+        const double l = sqrt(dot(along, along));
+        const Vec s = times(1.0 / l, along), u = plus(vec(x->twist), cross(vec(x->twist + 3), arm));
+        put(e->arm, i, arm), put(e->J, i, s), put(e->u, i, u);
+        e->l[i] = l, e->dl[i] = dot(s, u);
     }
 }
 
-void leg_kinematics(const Body *body, const Motion *x, double l[LEGS], double dl[LEGS])
+void leg_kinematics(const Plant *plant, const Motion *x, Equations *e)
 {
     double R[9];
-    Legs legs;
     rotation_of(x->q, R);
-    geometry(body, x, R, &legs);
-    for (int i = 0; i < LEGS; i++) l[i] = legs.l[i], dl[i] = legs.dl[i];
+    geometry(&plant->v, x, R, e);
 }
 
 /* R I R^T, symmetric. */
@@ -151,98 +123,65 @@ static int factorise(double L[6][6], double d[6])
     return 0;
 }
 
-void solve_mass(const Equations *e, const double r[6], double y[6])
+void solve_mass(const Equations *e, double y[6])
 {
-    for (int i = 0; i < 6; i++) {
-        double sum = r[i];
-        for (int k = 0; k < i; k++) sum -= e->L[i][k] * y[k];
-        y[i] = sum;
-    }
+    for (int i = 0; i < 6; i++)
+        for (int k = 0; k < i; k++) y[i] -= e->L[i][k] * y[k];
     for (int i = 0; i < 6; i++) y[i] *= e->d[i];
-    for (int i = 5; i >= 0; i--) {
-        double sum = y[i];
-        for (int k = i + 1; k < 6; k++) sum -= e->L[k][i] * y[k];
-        y[i] = sum;
-    }
+    for (int i = 5; i >= 0; i--)
+        for (int k = i + 1; k < 6; k++) y[i] -= e->L[k][i] * y[k];
 }
 
 /* Adds Q += Ia y y^T / l^2 and its force for one spinning leg. */
-static void add_spin(const Body *body, int i, Legs *legs, double M[6][6])
+static void add_spin(const Plant *plant, int i, Equations *eq)
 {
-    const double s[3] = {legs->J[0][i], legs->J[1][i], legs->J[2][i]};
-    const double arm[3] = {legs->arm[0][i], legs->arm[1][i], legs->arm[2][i]};
-    const double ds[3] = {legs->ds[0][i], legs->ds[1][i], legs->ds[2][i]};
-    const double cc[3] = {legs->cc[0][i], legs->cc[1][i], legs->cc[2][i]};
-    const double l = legs->l[i], dl = legs->dl[i];
-    const double Ia = body->cylinder_axial + body->rod_axial;
-    const double *e = body->hinge[i];
+    const Vec e = vec(plant->hinge[i]), s = leg(eq->J, i), ds = leg(eq->ds, i), exs = cross(e, s);
+    const double l = eq->l[i], Ia = plant->v.cylinder_inertia[0] + plant->v.rod_inertia[0];
     const double c = dot(e, s), dc = dot(e, ds), D = 1.0 - c * c, kappa = c / D;
-    double exs[3], y[3], n[6], sxds[3];
-    cross(e, s, exs);
-    cross(s, ds, sxds);
-    for (int k = 0; k < 3; k++) y[k] = kappa * exs[k];
-    const double spin = dot(y, ds);
+    const Vec y = times(kappa, exs), n = over(y, l), moment = cross(leg(eq->arm, i), n);
+    const double spin = dot(y, ds), N[6] = {n.x, n.y, n.z, moment.x, moment.y, moment.z};
     /* domega_s without the part that w brings: y.dds = (y.w - 2 dl y.ds)/l and dy.ds = dkappa (e x s).ds */
-    const double drift = dc * (1.0 + c * c) / (D * D) * dot(exs, ds) - 2.0 * dl * spin / l + dot(y, cc) / l;
-    for (int k = 0; k < 3; k++) legs->f[k][i] += Ia / l * (drift * y[k] - spin * sxds[k]);
-    for (int k = 0; k < 3; k++) n[k] = y[k] / l;
-    cross(arm, n, n + 3);
+    const double drift =
+        dc * (1.0 + c * c) / (D * D) * dot(exs, ds) - 2.0 * eq->dl[i] * spin / l + dot(y, leg(eq->cc, i)) / l;
+    put(eq->f, i, plus(leg(eq->f, i), times(Ia / l, minus(times(drift, y), times(spin, cross(s, ds))))));
     for (int r = 0; r < 6; r++)
-        for (int k = 0; k <= r; k++) M[r][k] += Ia * n[r] * n[k];
+        for (int k = 0; k <= r; k++) eq->L[r][k] += Ia * N[r] * N[k];
 }
 
 /* What the legs are at rest and in motion, without the platform's acceleration. */
-static void leg_forces(const Body *restrict body, const Motion *restrict x, Legs *restrict legs)
+static void leg_forces(const Values *restrict body, const Motion *restrict x, Equations *restrict e)
 {
     const double m1 = body->cylinder_mass, m2 = body->rod_mass;
     const double c1 = body->cylinder_com, c2 = body->rod_com;
-    const double I0 = body->cylinder_transverse + m1 * c1 * c1 + body->rod_transverse;
-    const double g0 = body->gravity[0], g1 = body->gravity[1], g2 = body->gravity[2];
-    const double w0 = x->w[0], w1 = x->w[1], w2 = x->w[2];
+    const double I0 = body->cylinder_inertia[1] + m1 * c1 * c1 + body->rod_inertia[1];
+    const Vec g = vec(body->gravity), v = vec(x->twist), w = vec(x->twist + 3);
     for (int i = 0; i < LEGS; i++) {
-        const double r0 = legs->arm[0][i], r1 = legs->arm[1][i], r2 = legs->arm[2][i];
-        const double s0 = legs->J[0][i], s1 = legs->J[1][i], s2 = legs->J[2][i];
-        const double u0 = legs->u[0][i], u1 = legs->u[1][i], u2 = legs->u[2][i], l = legs->l[i], dl = legs->dl[i];
-        const double t0 = u0 - x->v[0], t1 = u1 - x->v[1], t2 = u2 - x->v[2];
-        const double cc0 = w1 * t2 - w2 * t1, cc1 = w2 * t0 - w0 * t2, cc2 = w0 * t1 - w1 * t0;
-        const double inverse = 1.0 / l;
-        const double ds0 = (u0 - s0 * dl) * inverse, ds1 = (u1 - s1 * dl) * inverse, ds2 = (u2 - s2 * dl) * inverse;
-        const double dsds = ds0 * ds0 + ds1 * ds1 + ds2 * ds2;
-        const double cs = cc0 * s0 + cc1 * s1 + cc2 * s2, gs = g0 * s0 + g1 * s1 + g2 * s2;
+        const Vec s = leg(e->J, i), u = leg(e->u, i);
+        const double l = e->l[i], dl = e->dl[i], inverse = 1.0 / l;
+        const Vec cc = cross(w, minus(u, v)), ds = times(inverse, minus(u, times(dl, s)));
+        const double dsds = dot(ds, ds), cs = dot(cc, s), gs = dot(g, s);
         const double out = l - c2, m2out = m2 * out;
         const double qa = m2 + body->reflected_mass[i], qt = (I0 + m2out * out) * inverse * inverse;
         const double weight = (m1 * c1 + m2out) * inverse; /* gravity's share at B, normal to the leg */
         const double bias = cs + l * dsds;
         const double axial = qa * bias - m2out * dsds - m2 * gs - qt * cs + weight * gs;
         const double along = 2.0 * dl * (m2out * inverse - qt);
-        legs->ds[0][i] = ds0, legs->ds[1][i] = ds1, legs->ds[2][i] = ds2;
-        legs->cc[0][i] = cc0, legs->cc[1][i] = cc1, legs->cc[2][i] = cc2;
-        legs->f[0][i] = s0 * axial + qt * cc0 + ds0 * along - weight * g0;
-        legs->f[1][i] = s1 * axial + qt * cc1 + ds1 * along - weight * g1;
-        legs->f[2][i] = s2 * axial + qt * cc2 + ds2 * along - weight * g2;
-        legs->J[3][i] = r1 * s2 - r2 * s1;
-        legs->J[4][i] = r2 * s0 - r0 * s2;
-        legs->J[5][i] = r0 * s1 - r1 * s0;
-        legs->bias[i] = bias, legs->qt[i] = qt, legs->q[i] = qa - qt;
+        put(e->ds, i, ds), put(e->cc, i, cc), put(e->J + 3, i, cross(leg(e->arm, i), s));
+        put(e->f, i, minus(plus(plus(times(axial, s), times(qt, cc)), times(along, ds)), times(weight, g)));
+        e->bias[i] = bias, e->qt[i] = qt, e->q[i] = qa - qt;
     }
 }
 
 /* What the legs add to the platform's equations. */
-static void leg_products(Legs *restrict legs)
+static void leg_products(Equations *restrict e)
 {
     for (int i = 0; i < LEGS; i++) {
-        const double r0 = legs->arm[0][i], r1 = legs->arm[1][i], r2 = legs->arm[2][i], qt = legs->qt[i], q = legs->q[i];
-        const double f0 = legs->f[0][i], f1 = legs->f[1][i], f2 = legs->f[2][i];
-        const double h0 = qt * r0, h1 = qt * r1, h2 = qt * r2, aa = h0 * r0 + h1 * r1 + h2 * r2;
-        legs->f[3][i] = r1 * f2 - r2 * f1;
-        legs->f[4][i] = r2 * f0 - r0 * f2;
-        legs->f[5][i] = r0 * f1 - r1 * f0;
-        legs->h[0][i] = h0, legs->h[1][i] = h1, legs->h[2][i] = h2;
-        legs->turning[0][0][i] = aa - h0 * r0;
-        legs->turning[1][0][i] = -(h1 * r0), legs->turning[1][1][i] = aa - h1 * r1;
-        legs->turning[2][0][i] = -(h2 * r0), legs->turning[2][1][i] = -(h2 * r1), legs->turning[2][2][i] = aa - h2 * r2;
-        legs->qJ[0][i] = q * legs->J[0][i], legs->qJ[1][i] = q * legs->J[1][i], legs->qJ[2][i] = q * legs->J[2][i];
-        legs->qJ[3][i] = q * legs->J[3][i], legs->qJ[4][i] = q * legs->J[4][i], legs->qJ[5][i] = q * legs->J[5][i];
+        const Vec r = leg(e->arm, i), h = times(e->qt[i], r);
+        const double hr = dot(h, r);
+        put(e->f + 3, i, cross(r, leg(e->f, i))), put(e->h, i, h);
+        put(e->turning[0], i, (Vec){hr - h.x * r.x, -(h.y * r.x), -(h.z * r.x)});
+        e->turning[1][1][i] = hr - h.y * r.y, e->turning[1][2][i] = -(h.z * r.y), e->turning[2][2][i] = hr - h.z * r.z;
+        put(e->qJ, i, times(e->q[i], leg(e->J, i))), put(e->qJ + 3, i, times(e->q[i], leg(e->J + 3, i)));
     }
 }
 
@@ -256,100 +195,82 @@ static inline double summed(double sum, const double *part, const double a[LEGS]
     return sum;
 }
 
-int equations_of_motion(const Body *body, const Motion *x, const double wrench[6], Equations *e)
+int equations_of_motion(const Plant *plant, const Motion *x, Equations *e)
 {
-    const double m = body->mass, *g = body->gravity;
-    double rc[3], t[3], cc[3], I[9], force[3], moment[3];
-    double(*M)[6] = e->L;
-    Legs legs;
+    const Values *body = &plant->v;
+    const double m = body->mass, *wrench = body->wrench;
+    double R[9], I[9], (*M)[6] = e->L;
 
     /* Platform alone, about its origin: m (dv + dw x rc + w x (w x rc)) = m g + F;
      * rc x m(...) + I dw + w x I w = rc x m g + moment. */
-    rotation_of(x->q, e->R);
-    rotate(e->R, body->com, rc);
-    rotated_inertia(e->R, body->inertia, I);
-    cross(x->w, rc, t);
-    cross(x->w, t, cc);
-    for (int k = 0; k < 3; k++) force[k] = m * (g[k] - cc[k]);
-    cross(rc, force, moment);
-    rotate(I, x->w, t);
-    cross(x->w, t, cc);
-    for (int k = 0; k < 3; k++) {
-        e->rhs[k] = wrench[k] + force[k];
-        e->rhs[k + 3] = wrench[k + 3] + moment[k] - cc[k];
-    }
+    rotation_of(x->q, R);
+    rotated_inertia(R, body->inertia, I);
+    const Vec w = vec(x->twist + 3), rc = rotate(R, vec(body->com));
+    const Vec force = times(m, minus(vec(body->gravity), cross(w, cross(w, rc))));
+    const Vec moment = cross(rc, force), gyro = cross(w, rotate(I, w));
+    e->rhs[0] = wrench[0] + force.x, e->rhs[3] = wrench[3] + moment.x - gyro.x;
+    e->rhs[1] = wrench[1] + force.y, e->rhs[4] = wrench[4] + moment.y - gyro.y;
+    e->rhs[2] = wrench[2] + force.z, e->rhs[5] = wrench[5] + moment.z - gyro.z;
     const double rr = m * dot(rc, rc);
-    double h[3] = {m * rc[0], m * rc[1], m * rc[2]};
-    M[3][3] = I[0] + rr - h[0] * rc[0];
-    M[4][3] = I[3] - h[1] * rc[0], M[4][4] = I[4] + rr - h[1] * rc[1];
-    M[5][3] = I[6] - h[2] * rc[0], M[5][4] = I[7] - h[2] * rc[1], M[5][5] = I[8] + rr - h[2] * rc[2];
+    Vec h = times(m, rc);
+    M[3][3] = I[0] + rr - h.x * rc.x;
+    M[4][3] = I[3] - h.y * rc.x, M[4][4] = I[4] + rr - h.y * rc.y;
+    M[5][3] = I[6] - h.z * rc.x, M[5][4] = I[7] - h.z * rc.y, M[5][5] = I[8] + rr - h.z * rc.z;
     M[0][0] = M[1][1] = M[2][2] = m;
     M[1][0] = M[2][0] = M[2][1] = 0.0;
     for (int r = 3; r < 6; r++)
         for (int k = 0; k < 3; k++) M[r][k] = 0.0;
 
-    geometry(body, x, e->R, &legs);
-    leg_forces(body, x, &legs);
+    geometry(body, x, R, e);
+    leg_forces(body, x, e);
     for (int i = 0; i < LEGS; i++) {
-        if (!(legs.l[i] > 1e-9)) return -1;
-        if (body->universal) add_spin(body, i, &legs, M);
-        e->l[i] = legs.l[i], e->dl[i] = legs.dl[i], e->bias[i] = legs.bias[i];
-        for (int k = 0; k < 6; k++) e->J[i][k] = legs.J[k][i];
+        if (!(e->l[i] > 1e-9)) return -1;
+        if (body->leg_spin > 1.5) add_spin(plant, i, e);
     }
     /* A^T Q A with A = [1, -[arm]x]: the isotropic part, then qa - qt times J J^T. */
-    leg_products(&legs);
+    leg_products(e);
     for (int i = 0; i < LEGS; i++) {
-        for (int k = 0; k < 6; k++) e->rhs[k] -= legs.f[k][i];
-        for (int k = 0; k < 3; k++) h[k] += legs.h[k][i];
+        for (int k = 0; k < 6; k++) e->rhs[k] -= e->f[k][i];
+        h = plus(h, leg(e->h, i));
     }
     for (int k = 0; k < 3; k++) {
-        M[k][k] = summed(M[k][k], legs.qt, legs.qJ[k], legs.J[k]);
-        for (int r = k + 1; r < 6; r++) M[r][k] = summed(M[r][k], NULL, legs.qJ[r], legs.J[k]);
+        M[k][k] = summed(M[k][k], e->qt, e->qJ[k], e->J[k]);
+        for (int r = k + 1; r < 6; r++) M[r][k] = summed(M[r][k], NULL, e->qJ[r], e->J[k]);
         for (int r = k; r < 3; r++)
-            M[r + 3][k + 3] = summed(M[r + 3][k + 3], legs.turning[r][k], legs.qJ[r + 3], legs.J[k + 3]);
+            M[r + 3][k + 3] = summed(M[r + 3][k + 3], e->turning[k][r], e->qJ[r + 3], e->J[k + 3]);
     }
     /* [h]x: coupling of rotation and translation by the mass-weighted arms. */
-    M[3][1] -= h[2], M[3][2] += h[1];
-    M[4][0] += h[2], M[4][2] -= h[0];
-    M[5][0] -= h[1], M[5][1] += h[0];
+    M[3][1] -= h.z, M[3][2] += h.y;
+    M[4][0] += h.z, M[4][2] -= h.x;
+    M[5][0] -= h.y, M[5][1] += h.x;
     return factorise(M, e->d);
 }
 
-void energies(const Body *body, const Motion *x, double *kinetic, double *potential)
+void energies(Plant *plant)
 {
-    const double m = body->mass, m1 = body->cylinder_mass, m2 = body->rod_mass;
-    const double c1 = body->cylinder_com, c2 = body->rod_com;
-    double R[9], rc[3], t[3], I[9], Iw[3];
-    Legs legs;
+    const Motion *x = &plant->x;
+    Values *body = &plant->v;
+    const double m1 = body->cylinder_mass, m2 = body->rod_mass, c1 = body->cylinder_com;
+    double R[9], I[9];
+    Equations e;
     rotation_of(x->q, R);
-    rotate(R, body->com, rc);
-    cross(x->w, rc, t);
-    for (int k = 0; k < 3; k++) t[k] += x->v[k];
     rotated_inertia(R, body->inertia, I);
-    rotate(I, x->w, Iw);
-    double T = m * dot(t, t) + dot(x->w, Iw);
-    for (int k = 0; k < 3; k++) t[k] = x->p[k] + rc[k];
-    double V = -m * dot(body->gravity, t);
-    geometry(body, x, R, &legs);
+    const Vec g = vec(body->gravity), w = vec(x->twist + 3), rc = rotate(R, vec(body->com)), v = plus(vec(x->twist), cross(w, rc));
+    double T = body->mass * dot(v, v) + dot(w, rotate(I, w));
+    double V = -body->mass * dot(g, plus(vec(x->p), rc));
+    geometry(body, x, R, &e);
     for (int i = 0; i < LEGS; i++) {
-        const double s[3] = {legs.J[0][i], legs.J[1][i], legs.J[2][i]}, l = legs.l[i], dl = legs.dl[i];
-        double ds[3], exs[3], at1[3], at2[3];
-        for (int k = 0; k < 3; k++) ds[k] = (legs.u[k][i] - s[k] * dl) / l;
-        const double out = l - c2;
-        const double swing = body->cylinder_transverse + m1 * c1 * c1 + body->rod_transverse + m2 * out * out;
+        const Vec s = leg(e.J, i), a = vec(body->base_joints + 3 * i), hinge = vec(plant->hinge[i]);
+        const double dl = e.dl[i], out = e.l[i] - body->rod_com;
+        const Vec ds = over(minus(leg(e.u, i), times(dl, s)), e.l[i]);
+        const double swing = body->cylinder_inertia[1] + m1 * c1 * c1 + body->rod_inertia[1] + m2 * out * out;
         T += swing * dot(ds, ds) + (m2 + body->reflected_mass[i]) * dl * dl;
-        if (body->universal) {
-            const double c = dot(body->hinge[i], s);
-            cross(body->hinge[i], s, exs);
-            const double spin = c / (1.0 - c * c) * dot(exs, ds);
-            T += (body->cylinder_axial + body->rod_axial) * spin * spin;
+        if (body->leg_spin > 1.5) {
+            const double c = dot(hinge, s), spin = c / (1.0 - c * c) * dot(cross(hinge, s), ds);
+            T += (body->cylinder_inertia[0] + body->rod_inertia[0]) * spin * spin;
         }
-        for (int k = 0; k < 3; k++) {
-            at1[k] = body->a[k][i] + c1 * s[k];
-            at2[k] = body->a[k][i] + out * s[k];
-        }
-        V -= m1 * dot(body->gravity, at1) + m2 * dot(body->gravity, at2);
+        V -= m1 * dot(g, plus(a, times(c1, s))) + m2 * dot(g, plus(a, times(out, s)));
     }
-    *kinetic = 0.5 * T;
-    *potential = V;
+    body->kinetic_energy = 0.5 * T;
+    body->potential_energy = V;
 }

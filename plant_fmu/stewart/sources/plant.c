@@ -6,6 +6,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#define STATES ((int)(sizeof(Motion) / sizeof(double)))
+
 static int refuse(char *why, const char *format, ...)
 {
     va_list arguments;
@@ -36,41 +38,22 @@ static double decay_of(double x)
 void plant_reset(Plant *plant)
 {
     memset(plant, 0, sizeof *plant);
-    memcpy(plant->v, START, sizeof plant->v);
-    plant->mode = INSTANTIATED;
+    memcpy(&plant->v, START, sizeof plant->v);
 }
 
-static void name_of(int offset, char text[64])
+int plant_check(const Plant *plant, int place, double value, char *why)
 {
-    const int i = OWNER[offset];
-    const int k = offset - VARIABLES[i].offset, columns = VARIABLES[i].columns;
-    if (VARIABLES[i].count == 1) snprintf(text, 64, "%s", VARIABLES[i].name);
-    else if (columns) snprintf(text, 64, "%s[%d,%d]", VARIABLES[i].name, k / columns + 1, k % columns + 1);
-    else snprintf(text, 64, "%s[%d]", VARIABLES[i].name, k + 1);
-}
-
-int plant_check(const Plant *plant, int offset, double value, char *why)
-{
-    char name[64];
-    const Variable *variable = &VARIABLES[OWNER[offset]];
-    const int settable = variable->causality == INPUT || variable->causality == PARAMETER;
-    if (settable && (plant->mode < STEPPING || (plant->mode == STEPPING && variable->causality == INPUT)) &&
-        isfinite(value) && value >= variable->min && value <= variable->max)
-        return 0;
-    name_of(offset, name);
-    if (!settable) return refuse(why, "%s is neither an input nor a parameter: it cannot be set", name);
+    const Variable *of = &VARIABLES[OWNER[place]];
+    const char *name = NAMES[place];
+    if (of->causality != INPUT && of->causality != PARAMETER)
+        return refuse(why, "%s is neither an input nor a parameter: it cannot be set", name);
     if (plant->mode >= TERMINATED)
         return refuse(why, "%s cannot be set after termination: reset the instance first", name);
-    if (plant->mode == STEPPING && variable->causality == PARAMETER)
+    if (plant->mode == STEPPING && of->causality == PARAMETER)
         return refuse(why, "parameter %s is fixed: set it before initialisation ends", name);
     if (!isfinite(value)) return refuse(why, "%s was given a value that is not finite", name);
-    return refuse(why, "%s = %g lies outside %g to %g", name, value, variable->min, variable->max);
-}
-
-void plant_store(Plant *plant, int offset, double value)
-{
-    plant->v[offset] = value;
-    plant->fresh = 0;
+    if (value >= of->min && value <= of->max) return 0;
+    return refuse(why, "%s = %g lies outside %g to %g", name, value, of->min, of->max);
 }
 
 /* Symmetric, and a mass distribution that can exist: trace/2 - I positive semidefinite (triangle inequality). */
@@ -90,46 +73,26 @@ static int physical(const double I[9])
 
 static int take_parameters(Plant *plant, char *why)
 {
-    const double *v = plant->v;
-    Body *body = &plant->body;
-    for (int i = 0; i < LEGS; i++)
-        for (int k = 0; k < 3; k++) {
-            body->a[k][i] = v[V_base_joints + 3 * i + k];
-            body->b[k][i] = v[V_platform_joints + 3 * i + k];
-        }
-    body->mass = v[V_mass];
-    memcpy(body->com, v + V_com, sizeof body->com);
-    memcpy(body->inertia, v + V_inertia, sizeof body->inertia);
-    body->cylinder_mass = v[V_cylinder_mass], body->cylinder_com = v[V_cylinder_com];
-    body->cylinder_axial = v[V_cylinder_inertia], body->cylinder_transverse = v[V_cylinder_inertia + 1];
-    body->rod_mass = v[V_rod_mass], body->rod_com = v[V_rod_com];
-    body->rod_axial = v[V_rod_inertia], body->rod_transverse = v[V_rod_inertia + 1];
-    memcpy(body->gravity, v + V_gravity, sizeof body->gravity);
-    memcpy(body->reflected_mass, v + V_reflected_mass, sizeof body->reflected_mass);
-    body->universal = v[V_leg_spin] > 1.5;
-    memcpy(plant->stops.length_min, v + V_length_min, sizeof plant->stops.length_min);
-    memcpy(plant->stops.length_max, v + V_length_max, sizeof plant->stops.length_max);
-    plant->stops.stop_stiffness = v[V_stop_stiffness], plant->stops.stop_damping = v[V_stop_damping];
-
-    if (!(body->mass > 0.0)) return refuse(why, "mass = %g kg: it must be positive", body->mass);
-    if (!physical(body->inertia))
+    const Values *v = &plant->v;
+    if (!(v->mass > 0.0)) return refuse(why, "mass = %g kg: it must be positive", v->mass);
+    if (!physical(v->inertia))
         return refuse(why, "inertia is no inertia of a body: it must be symmetric, positive and obey the triangle "
                            "inequality of its principal moments");
-    if (body->cylinder_axial > 2.0 * body->cylinder_transverse * (1.0 + 1e-9) ||
-        body->rod_axial > 2.0 * body->rod_transverse * (1.0 + 1e-9))
+    if (v->cylinder_inertia[0] > 2.0 * v->cylinder_inertia[1] * (1.0 + 1e-9) ||
+        v->rod_inertia[0] > 2.0 * v->rod_inertia[1] * (1.0 + 1e-9))
         return refuse(why, "cylinder_inertia, rod_inertia (axial, transverse): axial is at most twice transverse");
     for (int i = 0; i < LEGS; i++) {
-        const double *e = v + V_universal_joint_base_axes + 3 * i;
+        const double *e = v->universal_joint_base_axes + 3 * i;
         const double n = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
         if (!(n > 1e-9))
             return refuse(why, "universal_joint_base_axes, leg %d: the axis has no direction", i + 1);
-        for (int k = 0; k < 3; k++) body->hinge[i][k] = e[k] / n;
-        if (!(plant->stops.length_min[i] < plant->stops.length_max[i]))
-            return refuse(why, "leg %d: length_min = %g m must be below length_max = %g m", i + 1,
-                          plant->stops.length_min[i], plant->stops.length_max[i]);
+        for (int k = 0; k < 3; k++) plant->hinge[i][k] = e[k] / n;
+        if (!(v->length_min[i] < v->length_max[i]))
+            return refuse(why, "leg %d: length_min = %g m must be below length_max = %g m", i + 1, v->length_min[i],
+                          v->length_max[i]);
     }
-    if (!(v[V_internal_step] > 0.0)) return refuse(why, "internal_step = %g s: it must be positive", v[V_internal_step]);
-    const double x = 6.283185307179586 * v[V_force_bandwidth] * v[V_internal_step];
+    if (!(v->internal_step > 0.0)) return refuse(why, "internal_step = %g s: it must be positive", v->internal_step);
+    const double x = 6.283185307179586 * v->force_bandwidth * v->internal_step;
     plant->decay = x > 0.0 ? decay_of(x) : 0.0;
     plant->decay_half = x > 0.0 ? decay_of(0.5 * x) : 0.0;
     return 0;
@@ -137,8 +100,9 @@ static int take_parameters(Plant *plant, char *why)
 
 static int take_initial_state(Plant *plant, char *why)
 {
-    const double *R = plant->v + V_initial_rotation;
-    double l[LEGS], dl[LEGS];
+    const Values *v = &plant->v;
+    const double *R = v->initial_rotation;
+    Equations e;
     for (int i = 0; i < 3; i++)
         for (int j = 0; j <= i; j++) {
             const double product = R[3 * i] * R[3 * j] + R[3 * i + 1] * R[3 * j + 1] + R[3 * i + 2] * R[3 * j + 2];
@@ -147,18 +111,17 @@ static int take_initial_state(Plant *plant, char *why)
         }
     if (R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]) < 0)
         return refuse(why, "initial_rotation is a reflection: its determinant is -1");
-    memcpy(plant->x.p, plant->v + V_initial_position, sizeof plant->x.p);
+    memcpy(plant->x.p, v->initial_position, sizeof v->initial_position);
     quaternion_of(R, plant->x.q);
-    memcpy(plant->x.v, plant->v + V_initial_twist, sizeof plant->x.v);
-    memcpy(plant->x.w, plant->v + V_initial_twist + 3, sizeof plant->x.w);
+    memcpy(plant->x.twist, v->initial_twist, sizeof v->initial_twist);
     memset(plant->applied, 0, sizeof plant->applied);
     plant->steps = 0;
-    leg_kinematics(&plant->body, &plant->x, l, dl);
+    leg_kinematics(plant, &plant->x, &e);
     for (int i = 0; i < LEGS; i++) {
-        if (!(l[i] > 1e-6)) return refuse(why, "leg %d has no length at the initial pose", i + 1);
-        if (l[i] < plant->stops.length_min[i] - 1e-6 || l[i] > plant->stops.length_max[i] + 1e-6)
+        if (!(e.l[i] > 1e-6)) return refuse(why, "leg %d has no length at the initial pose", i + 1);
+        if (e.l[i] < v->length_min[i] - 1e-6 || e.l[i] > v->length_max[i] + 1e-6)
             return refuse(why, "leg %d is %.6f m long at the initial pose, outside its stroke %.6f to %.6f m", i + 1,
-                          l[i], plant->stops.length_min[i], plant->stops.length_max[i]);
+                          e.l[i], v->length_min[i], v->length_max[i]);
     }
     return 0;
 }
@@ -168,62 +131,48 @@ int plant_initialise(Plant *plant, char *why)
     Equations e;
     plant->fresh = 0;
     if (take_parameters(plant, why) != 0 || take_initial_state(plant, why) != 0) return -1;
-    if (equations_of_motion(&plant->body, &plant->x, plant->v + V_wrench, &e) != 0)
+    if (equations_of_motion(plant, &plant->x, &e) != 0)
         return refuse(why, "the mass matrix at the initial pose is not positive definite");
     return 0;
 }
 
 /* dtwist under the drives' forces, viscous friction and, where `h` > 0, the contact forces, which are left in tau. */
 static int accelerate(const Plant *plant, const Motion *x, const double force[LEGS], double h, double contact[LEGS],
-                      double dtwist[6], Equations *e)
+                      double dtwist[6])
 {
-    double r[6];
-    if (equations_of_motion(&plant->body, x, plant->v + V_wrench, e) != 0) return -1;
-    memcpy(r, e->rhs, sizeof r);
+    double tau[LEGS];
+    Equations e;
+    if (equations_of_motion(plant, x, &e) != 0) return -1;
+    memcpy(dtwist, e.rhs, sizeof e.rhs);
     for (int i = 0; i < LEGS; i++) {
-        double tau = force[i] - plant->v[V_viscous_friction + i] * e->dl[i];
-        if (h == 0.0) tau += contact[i];
-        for (int k = 0; k < 6; k++) r[k] += e->J[i][k] * tau;
+        tau[i] = force[i] - plant->v.viscous_friction[i] * e.dl[i];
+        if (h == 0.0) tau[i] += contact[i];
     }
-    solve_mass(e, r, dtwist);
-    if (h > 0.0) {
-        double free[6];
-        memcpy(free, dtwist, sizeof free);
-        memset(contact, 0, LEGS * sizeof *contact);
-        contact_forces(&plant->stops, e, plant->friction, free, h, contact, dtwist);
-    }
+    for (int i = 0; i < LEGS; i++)
+        for (int k = 0; k < 6; k++) dtwist[k] += e.J[k][i] * tau[i];
+    solve_mass(&e, dtwist);
+    if (h > 0.0) contact_forces(&plant->v, &e, h, contact, dtwist);
     return 0;
 }
 
-/* d/dt of p, q, v, w; q' = (0, w) q / 2 with w in the base frame. */
+/* d/dt of p, q, twist; q' = (0, w) q / 2 with w in the base frame. */
 static void derivative(const Motion *x, const double dtwist[6], Motion *dx)
 {
-    const double *q = x->q, *w = x->w;
-    for (int k = 0; k < 3; k++) dx->p[k] = x->v[k];
+    const double *q = x->q, *w = x->twist + 3;
+    memcpy(dx->p, x->twist, sizeof dx->p);
     dx->q[0] = -0.5 * (w[0] * q[1] + w[1] * q[2] + w[2] * q[3]);
     dx->q[1] = 0.5 * (w[0] * q[0] + w[1] * q[3] - w[2] * q[2]);
     dx->q[2] = 0.5 * (w[1] * q[0] + w[2] * q[1] - w[0] * q[3]);
     dx->q[3] = 0.5 * (w[2] * q[0] + w[0] * q[2] - w[1] * q[1]);
-    for (int k = 0; k < 3; k++) dx->v[k] = dtwist[k];
-    for (int k = 0; k < 3; k++) dx->w[k] = dtwist[k + 3];
-}
-
-#define STATES ((int)(sizeof(Motion) / sizeof(double)))
-
-static void advance(const Motion *x, const Motion *dx, double h, Motion *y)
-{
-    const double *a = (const double *)x, *b = (const double *)dx;
-    double *c = (double *)y;
-    for (int k = 0; k < STATES; k++) c[k] = a[k] + h * b[k];
+    memcpy(dx->twist, dtwist, sizeof dx->twist);
 }
 
 /* One internal step: Runge-Kutta 4; the force lag exactly; contact forces held over the step. */
 static int internal_step(Plant *plant)
 {
-    const double h = plant->v[V_internal_step], *command = plant->v + V_force;
+    const double h = plant->v.internal_step, *command = plant->v.force;
     double middle[LEGS], end[LEGS], contact[LEGS], dtwist[6];
     Motion k[4], y = plant->x;
-    Equations e;
     if (plant->decay == 0.0) memcpy(plant->applied, command, sizeof plant->applied);
     for (int i = 0; i < LEGS; i++) {
         const double gap = plant->applied[i] - command[i];
@@ -231,32 +180,27 @@ static int internal_step(Plant *plant)
         end[i] = command[i] + gap * plant->decay;
     }
     const double *force[4] = {plant->applied, middle, middle, end}, at[4] = {0.0, 0.5, 0.5, 1.0};
+    double *x = (double *)&plant->x, *q = plant->x.q, sum = 0.0;
     for (int s = 0; s < 4; s++) {
-        if (s > 0) advance(&plant->x, &k[s - 1], at[s] * h, &y);
-        if (accelerate(plant, &y, force[s], s == 0 ? h : 0.0, contact, dtwist, &e) != 0) return -1;
+        for (int i = 0; s > 0 && i < STATES; i++)
+            ((double *)&y)[i] = x[i] + at[s] * h * ((double *)&k[s - 1])[i];
+        if (accelerate(plant, &y, force[s], s == 0 ? h : 0.0, contact, dtwist) != 0) return -1;
         derivative(&y, dtwist, &k[s]);
     }
 
-    double *x = (double *)&plant->x, *q = plant->x.q;
     const double *a = (double *)&k[0], *b = (double *)&k[1], *c = (double *)&k[2], *d = (double *)&k[3];
     for (int i = 0; i < STATES; i++) x[i] += h / 6.0 * (a[i] + 2.0 * (b[i] + c[i]) + d[i]);
     const double n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     for (int i = 0; i < 4; i++) q[i] *= n;
     memcpy(plant->applied, end, sizeof end);
     plant->steps++;
-    return 0;
-}
-
-static void take_friction(Plant *plant)
-{
-    for (int i = 0; i < LEGS; i++)
-        plant->friction[i] = plant->v[V_coulomb_friction + i] + plant->v[V_brake + i] * plant->v[V_brake_force + i];
+    for (int i = 0; i < STATES; i++) sum += 0.0 * x[i];
+    return sum == 0.0 ? 0 : -1; /* not where any is infinite or no number */
 }
 
 int plant_step(Plant *plant, double time, double dt, char *why)
 {
-    const double h = plant->v[V_internal_step];
-    const double now = plant->start_time + (double)plant->steps * h;
+    const double h = plant->v.internal_step, now = plant->v.time;
     const double rounding = 1e-15 * (fabs(time) + fabs(now) + dt); /* a few units in the last place of the times */
     if (!isfinite(time) || !isfinite(dt) || dt < 0.0)
         return refuse(why, "a step of %g s from %g s: both must be finite and the step not negative", dt, time);
@@ -269,58 +213,42 @@ int plant_step(Plant *plant, double time, double dt, char *why)
     const long long steps = plant->steps;
     double applied[LEGS];
     memcpy(applied, plant->applied, sizeof applied);
-    take_friction(plant);
     plant->fresh = 0;
-    for (long long k = 0; k < (long long)count; k++) {
-        double sum = 0.0;
-        int failed = internal_step(plant);
-        for (int j = 0; j < STATES; j++) sum += 0.0 * ((const double *)&plant->x)[j];
-        if (failed || sum != 0.0) {
+    for (long long k = 0; k < (long long)count; k++)
+        if (internal_step(plant) != 0) {
             plant->x = x, plant->steps = steps;
             memcpy(plant->applied, applied, sizeof applied);
             return refuse(why, "the motion diverged within the step from %.12g s: force, friction or stiffness is too "
                                "large for internal_step = %g s, or a leg ran to length zero", now, h);
         }
-    }
+    plant->v.time = plant->start_time + (double)plant->steps * h;
     return 0;
 }
 
-static int refresh_accelerations(Plant *plant, char *why)
+int plant_refresh(Plant *plant, int place, char *why)
 {
-    double contact[LEGS], force[LEGS];
+    Values *v = &plant->v;
+    double contact[LEGS];
     Equations e;
-    take_friction(plant);
-    memcpy(force, plant->v + V_applied_force, sizeof force);
-    if (accelerate(plant, &plant->x, force, plant->v[V_internal_step], contact, plant->v + V_acceleration, &e) != 0)
-        return refuse(why, "the mass matrix is not positive definite at this pose");
-    energies(&plant->body, &plant->x, plant->v + V_kinetic_energy, plant->v + V_potential_energy);
-    return 0;
-}
-
-int plant_refresh(Plant *plant, int offset, char *why)
-{
-    double *v = plant->v;
-    if (offset == V_time) {
-        v[V_time] = plant->start_time + (double)plant->steps * v[V_internal_step];
-        return 0;
-    }
-    if (offset < FIRST_OUTPUT) return 0;
-    if (plant->mode == INSTANTIATED)
-        return refuse(why, "outputs have no value before initialisation");
+    if (place < PLACE(length)) return 0;
+    if (plant->mode == INSTANTIATED) return refuse(why, "outputs have no value before initialisation");
     if (plant->mode == BROKEN) return refuse(why, "initialisation failed: reset the instance first");
     if (plant->mode == INITIALISING && !plant->fresh && plant_initialise(plant, why) != 0) return -1;
     if (plant->fresh == 0) {
-        leg_kinematics(&plant->body, &plant->x, v + V_length, v + V_rate);
+        leg_kinematics(plant, &plant->x, &e);
+        memcpy(v->length, e.l, sizeof e.l);
+        memcpy(v->rate, e.dl, sizeof e.dl);
         /* An ideal drive applies its command at once. */
-        memcpy(v + V_applied_force, plant->decay == 0.0 ? v + V_force : plant->applied, sizeof plant->applied);
-        memcpy(v + V_position, plant->x.p, sizeof plant->x.p);
-        rotation_of(plant->x.q, v + V_rotation);
-        memcpy(v + V_twist, plant->x.v, sizeof plant->x.v);
-        memcpy(v + V_twist + 3, plant->x.w, sizeof plant->x.w);
+        memcpy(v->applied_force, plant->decay == 0.0 ? v->force : plant->applied, sizeof plant->applied);
+        memcpy(v->position, plant->x.p, sizeof plant->x.p);
+        rotation_of(plant->x.q, v->rotation);
+        memcpy(v->twist, plant->x.twist, sizeof v->twist);
         plant->fresh = 1;
     }
-    if (plant->fresh == 1 && offset >= V_acceleration) {
-        if (refresh_accelerations(plant, why) != 0) return -1;
+    if (plant->fresh == 1 && place >= PLACE(acceleration)) {
+        if (accelerate(plant, &plant->x, v->applied_force, v->internal_step, contact, v->acceleration) != 0)
+            return refuse(why, "the mass matrix is not positive definite at this pose");
+        energies(plant);
         plant->fresh = 2;
     }
     return 0;

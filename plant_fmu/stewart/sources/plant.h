@@ -1,22 +1,31 @@
-/* The plant: parameters, state, fixed-step integration, outputs. Both FMI faces stand on this.
+/* The plant: parameters, state, equations of motion, fixed-step integration, outputs. Both FMI faces stand on this.
  *
- * A Plant is plain data: copying it copies the state.
+ * Notation: x_base = p + R x_platform; twist = [v of the platform origin; omega], base frame;
+ * leg i runs from base joint a_i to platform joint B_i = p + R b_i, l its length, s its direction, tau > 0 extends.
  */
 #ifndef STEWART_PLANT_H
 #define STEWART_PLANT_H
 
 #include <stddef.h>
 
-#include "contact.h"
-#include "mechanics.h"
 #include "model.h"
 
+#define LEGS 6
 #define REASON_SIZE 256
+/* Of a variable: place of its first element among all values. Of a plant: the value at a place. */
+#define PLACE(name) ((int)(offsetof(Values, name) / sizeof(double)))
+#define VALUE(plant, place) (((double *)&(plant)->v)[place])
 
 typedef enum { INSTANTIATED, INITIALISING, STEPPING, TERMINATED, BROKEN } Mode;
 
+/* Pose as position and unit quaternion (scalar first), and twist. */
 typedef struct {
-    double v[N_VALUES]; /* every variable of the model description, see model.h */
+    double p[3], q[4], twist[6];
+} Motion;
+
+/* Plain data: copying it copies the state. */
+typedef struct {
+    Values v; /* every variable of the model description, see model.h */
     Motion x;
     double applied[LEGS]; /* N, behind the force lag */
     long long steps;      /* internal steps since the start */
@@ -24,11 +33,23 @@ typedef struct {
     Mode mode;
     int fresh; /* outputs: 0 stale, 1 kinematic ones valid, 2 all valid */
     /* Derived from the parameters when initialisation begins. */
-    Body body;
-    Stops stops;
-    double friction[LEGS];
+    double hinge[LEGS][3];    /* unit vectors: base-side hinge of each universal joint */
     double decay, decay_half; /* of the force lag over one and one half internal step */
 } Plant;
+
+/* The equations of motion at one state: M dtwist = rhs + J^T tau, and ddl = J^T dtwist + bias.
+ * All six legs, component by component: a loop over them is six independent chains, which the processor overlaps. */
+typedef struct {
+    /* from geometry: arm = R b, velocity u of the platform joint; of J, the direction s */
+    double arm[3][LEGS], u[3][LEGS], l[LEGS], dl[LEGS];
+    double J[6][LEGS]; /* column i: [s, arm x s] */
+    /* from leg_forces: w x (w x arm), force on the leg without dtwist, ddl without dtwist, qt, qa - qt; J */
+    double ds[3][LEGS], cc[3][LEGS], f[6][LEGS], bias[LEGS], qt[LEGS], q[LEGS];
+    /* from leg_products: qt arm, qt (arm^2 1 - arm arm^T), (qa - qt) J; of f, the moment */
+    double h[3][LEGS], turning[3][3][LEGS], qJ[6][LEGS];
+    double rhs[6];
+    double L[6][6], d[6]; /* M = L diag(1/d) L^T, L unit lower triangular */
+} Equations;
 
 /* All functions that can refuse return 0, or -1 with the reason written to why[REASON_SIZE]. */
 
@@ -37,14 +58,33 @@ void plant_reset(Plant *plant);
 /* Take over parameters and the initial state. */
 int plant_initialise(Plant *plant, char *why);
 
-/* One value into the variable at `offset`: checked for mode, finiteness and range before it is stored. */
-int plant_check(const Plant *plant, int offset, double value, char *why);
-void plant_store(Plant *plant, int offset, double value);
+/* Whether the variable at `place` can have this value: checked for mode, finiteness and range. */
+int plant_check(const Plant *plant, int place, double value, char *why);
 
-/* Bring the output at `offset` up to date. */
-int plant_refresh(Plant *plant, int offset, char *why);
+/* Bring the output at `place` up to date. */
+int plant_refresh(Plant *plant, int place, char *why);
 
 /* From `time` by `dt` seconds with the inputs held. A refused step leaves the plant as it was. */
 int plant_step(Plant *plant, double time, double dt, char *why);
+
+/* mechanics.c: mathematics only. No FMI, no allocation, no library beyond sqrt. */
+void rotation_of(const double q[4], double R[9]);
+void quaternion_of(const double R[9], double q[4]);
+
+/* Of `e`, lengths and rates only. */
+void leg_kinematics(const Plant *plant, const Motion *x, Equations *e);
+
+/* Fill `e`. Returns 0, or -1 where the mass matrix is not positive definite or a leg has no length. */
+int equations_of_motion(const Plant *plant, const Motion *x, Equations *e);
+
+/* y = M^-1 y. */
+void solve_mass(const Equations *e, double y[6]);
+
+/* Kinetic energy, and potential energy with its zero level through the origin of the base frame. */
+void energies(Plant *plant);
+
+/* contact.c: leg forces, constant over one step of h seconds, from brakes, dry friction and end stops. Writes them to
+ * tau[] and adds their effect to dtwist[], the acceleration without them. */
+void contact_forces(const Values *v, const Equations *e, double h, double tau[LEGS], double dtwist[6]);
 
 #endif

@@ -67,6 +67,15 @@ class Callee(NamedTuple):
     keeps: Any
 
 
+def context_of(dtype: np.dtype[np.void], **values: Any) -> np.ndarray[Any, np.dtype[np.void]]:
+    """Return a record of a dtype with these values; an array that does not fit in goes by its address."""
+    context = np.zeros((), dtype)
+    for name, value in values.items():
+        by_address = isinstance(value, np.ndarray) and not dtype[name].shape
+        context[name] = data_at(value) if by_address else value
+    return context
+
+
 def of_python(function: Callable[..., int], *kinds: Any) -> tuple[int, Any]:
     """Return the address of a Python function of INTEGER and REAL, and what keeps it alive.
 

@@ -26,15 +26,13 @@ from math import ceil, inf
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.pointed import Callee, data_at
+from drivers.compiled.pointed import Callee, context_of, data_at
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
-from hil.estimation import fusion_layout as k
-from hil.estimation.fusion_layout import LegErrors, pack_noise
-from hil.estimation.fusion_predict import forces_at
-from hil.estimation.fusion_tick import FUSION, fuse, latched_at
+from hil.estimation.fusion_layout import FUSION, STEP, LegErrors
+from hil.estimation.fusion_tick import fuse, latched_at
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 
@@ -71,42 +69,54 @@ class FusedEstimator:
         period_s: float,
     ) -> None:
         self._model = model
-        self._noise = pack_noise(settings, legs, tracker, imu, platform.gravity)
-        biased = imu is not None and settings.imu_biases
-        n = 12 + 6 * int(biased) + 6 * int(legs.force_std_N > 0.0)
+        n = 12 + 6 * int(imu is not None and settings.imu_biases)
+        errors = n + 6 * int(legs.force_std_N > 0.0)
         oldest_s = max(tracker.latency_max_ms * 1e-3 if tracker else 0.0, 2.0 / imu.rate_Hz if imu else 0.0)
         size = ceil(oldest_s / period_s) + 3
-        self._states = np.zeros((size, k.STATE))
-        self._covariances = np.zeros((size, n, n))
-        self._intervals = np.zeros((size, k.INTERVAL))
-        self._ticks, self._latched = np.zeros(size, np.int64), np.zeros(size, np.int64)
-        self.record = np.zeros((), FUSION)
-        for name, value in {
-            "base_joints": platform.base_joints,
-            "platform_joints": platform.platform_joints,
-            "radius": platform.radius,
-            "period_s": period_s,
-            "slip_m": settings.encoder_slip_m,
-            "patience": [
-                inf if sensor is None else SILENT_SAMPLES / sensor.rate_Hz / period_s
-                for sensor in (tracker, imu)
+        self._steps, self._covariances = np.zeros(size, STEP), np.zeros((size, errors, errors))
+        seen = {}
+        if tracker is not None:
+            seen["r_position"] = tracker.position_std_m**2
+            seen["r_rotation"] = np.deg2rad(tracker.orientation_std_deg) ** 2
+        if imu is not None:
+            seen["r_gyro"] = imu.angular_rate_std_rad_s**2
+            seen["r_force"] = imu.specific_force_std_m_s2**2
+            seen["q_gyro_bias"] = settings.gyro_bias_walk_rad_s_sqrts**2
+            seen["q_force_bias"] = settings.accelerometer_bias_walk_m_s2_sqrts**2
+        self.record = context_of(
+            FUSION,
+            base_joints=platform.base_joints,
+            platform_joints=platform.platform_joints,
+            radius=platform.radius,
+            constants=model.constants,
+            code=model.code,
+            period_s=period_s,
+            slip_m=settings.encoder_slip_m,
+            patience=[
+                inf if each is None else SILENT_SAMPLES / each.rate_Hz / period_s for each in (tracker, imu)
             ],
-            "constants": data_at(model.constants),
-            "code": model.code,
-            "noise": data_at(self._noise),
-            "states": data_at(self._states),
-            "covariances": data_at(self._covariances),
-            "intervals": data_at(self._intervals),
-            "ticks": data_at(self._ticks),
-            "latched": data_at(self._latched),
-            "size": size,
-            "errors": n,
-            "may_lose": [leg in settings.may_lose_legs for leg in range(LEGS)],
-            "at_once": settings.lost_at_once,
-            "gap_max_s": settings.tracker_gap_max_ms * 1e-3,
-            "std_max_m": settings.position_std_max_m,
-        }.items():
-            self.record[name] = value
+            q_v=settings.acceleration_noise_m_s2_sqrtHz**2,
+            q_w=settings.angular_acceleration_noise_rad_s2_sqrtHz**2,
+            r_length=legs.length_std_m**2,
+            r_rate=legs.rate_std_m_s**2,
+            latch=(settings.latch_std_us * 1e-6) ** 2,
+            rate_skew=legs.rate_skew_std_s**2,
+            rate_scale=legs.rate_scale_std**2,
+            leg_force=legs.force_std_N**2,
+            leg_force_s=legs.force_time_s,
+            gate=settings.gate_std**2,
+            gravity=platform.gravity,
+            may_lose=[leg in settings.may_lose_legs for leg in range(LEGS)],
+            at_once=settings.lost_at_once,
+            gap_max_s=settings.tracker_gap_max_ms * 1e-3,
+            std_max_m=settings.position_std_max_m,
+            steps=self._steps,
+            covariances=self._covariances,
+            size=size,
+            errors=errors,
+            forces=n,
+            **seen,
+        )
         self.fuse = Callee(fuse.address, data_at(self.record), self)
         """(filter, sensors, command, wrench, tick): fills estimate and fusion of a tick at its latching. The
         tick is after that of the last call, `start` or this. innovation_q counts whether a leg was used or
@@ -127,18 +137,11 @@ class FusedEstimator:
         for name in ("newest", "driven", "left_out", "against", "slipped"):
             self.record[name] = 0
         self.record["count"], self.record["heard"], self.record["R"] = 1, tick, R
-        self._ticks[:], self._latched[:] = 0, t_ns
-        self._ticks[0] = tick
-        x, P = self._states[0], self._covariances[0]
+        self._steps["tick"], self._steps["latched_ns"] = 0, t_ns
+        self._steps[0]["tick"], forces = tick, int(self.record["forces"])
+        x, P = self._steps[0]["x"], self._covariances[0]
         x[:] = 0.0
-        x[0:3] = p
-        x[3:12] = np.reshape(R, 9)
+        x[0:3], x[3:12] = p, np.reshape(R, 9)
+        std = np.repeat((*_START_STD, *_BIAS_STD), 3)[:forces]
         P[:] = 0.0
-        for block, std in enumerate(_START_STD):
-            for i in range(3):
-                P[3 * block + i, 3 * block + i] = std * std
-        forces = forces_at(len(P), self._noise) or len(P)
-        for i in range(12, forces):
-            P[i, i] = _BIAS_STD[(i - 12) // 3] ** 2
-        for i in range(forces, len(P)):
-            P[i, i] = self._noise[k.LEG_FORCE_VARIANCE]
+        np.fill_diagonal(P, [*(std * std), *[self.record["leg_force"]] * (len(P) - forces)])

@@ -1,61 +1,72 @@
-"""Where the state, an interval and the noise of the filter of `hil.estimation.fusion` keep what they hold."""
+"""What the filter of `hil.estimation.fusion` works on: its record, and the steps that it keeps."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
-from drivers.config import ImuSettings, TrackerSettings
-from hil.config.estimation import FusionSettings
-
-STATE = 30
 TWIST, GYRO_BIAS, FORCE_BIAS, LEG_FORCE = 12, 18, 21, 24
+"""In a state (30,), behind p and R."""
+KEPT, UNDECIDED = 2, 2
+"""`used` of a leg that is used whatever it reports; `tracker` of a sample that no run has seen yet."""
 
-# One interval, from the tick before to this one: what was measured, and what was decided about it.
-T = 0
-"""s."""
-DTWIST = 1
-"""6: acceleration of the model, mean over the interval."""
-LENGTH, RATE = 7, 13
-"""6 each: leg lengths m and rates m/s at its end."""
-USED = 19
-"""6: 0 the leg is not used, 1 unless it alone contradicts the prediction, KEPT whatever it says."""
-KEPT = 2.0
-FADE = 25
-"""Factor on the process noise that the decision found necessary."""
-DECIDED = 26
-"""1 once legs and noise are decided."""
-UNDECIDED = 2.0
-"""TRACKER of a sample that no run has seen yet."""
-TRACKER, TRACKER_AT, TRACKER_P, TRACKER_R = 27, 28, 29, 32
-"""0 none, 1 used, -1 refused; instant as a share of the interval; (3,) m; (3, 3)."""
-IMU, IMU_AT, GYRO, FORCE = 41, 42, 43, 46
-"""0 or 1; instant as a share of the interval; (3,) rad/s; (3,) m/s^2, both in the platform frame."""
-INNOVATION = 49
-"""6: measured less predicted length, m."""
-TRACKER_INNOVATION = 55
-"""6: measured less predicted pose, m and rad."""
-GRADIENT = 61
-"""(6, 6): how the model's acceleration changes with dp, dtheta."""
-INFLUENCE = 97
-"""(6, 6): M^-1 J^T, how forces along the legs accelerate the platform; 0 on brakes."""
-INTERVAL = 133
-
-# Noise: variances of one sample, densities of what is white in time.
-(
-    Q_V, Q_W, R_LENGTH, R_RATE, R_POSITION, R_ROTATION, GATE, R_GYRO, R_FORCE, Q_GYRO_BIAS, Q_FORCE_BIAS,
-    LATCH, RATE_SKEW, RATE_SCALE, LEG_FORCE_VARIANCE, LEG_FORCE_TIME, BIASED, GRAVITY,
-) = range(18)  # fmt: skip
-"""GATE is the square of the allowed number of standard deviations; LATCH and RATE_SKEW variances of the
-instants of latching a length and of a rate beside it, s^2; RATE_SCALE that of the share of a rate that is
-wrong; LEG_FORCE_VARIANCE N^2, 0 without these states; LEG_FORCE_TIME s; BIASED 1 with the biases of an IMU;
-GRAVITY the first of three, m/s^2."""
-NOISE = 21
-
-DIFFERENCE = 1e-6
-"""m or rad: step of the gradient."""
-FADES = 6
-"""Process noise is raised by 100 up to so often, before the measurements are taken as they are."""
+STEP = np.dtype(
+    [
+        ("tick", "<i8"), ("latched_ns", "<i8"),
+        ("x", "<f8", (30,)),  # the state at its latching, see `hil.estimation.fusion_kernels`
+        # the interval that ends with it
+        ("T", "<f8"),  # s
+        ("dtwist", "<f8", (6,)),  # acceleration of the model, mean over the interval
+        ("gradient", "<f8", (6, 6)),  # how that changes with dp, dtheta
+        ("influence", "<f8", (6, 6)),  # M^-1 J^T, how forces along the legs change it; 0 on brakes
+        ("length", "<f8", (6,)), ("rate", "<f8", (6,)),  # m, m/s
+        ("used", "<i8", (6,)),  # 0 the leg is not used, 1 unless it alone contradicts the prediction, KEPT
+        ("fade", "<f8"),  # factor on the process noise that the decision found necessary
+        ("decided", "<i8"),  # 1 once legs and noise are decided
+        ("tracker", "<i8"), ("tracker_at", "<f8"),  # 0 none, 1 used, -1 refused; instant as a share of T
+        ("tracker_p", "<f8", (3,)), ("tracker_R", "<f8", (3, 3)),
+        ("imu", "<i8"), ("imu_at", "<f8"),  # 0 or 1; instant as a share of T
+        ("gyro", "<f8", (3,)), ("force", "<f8", (3,)),  # rad/s, m/s^2 in the platform frame
+        ("innovation", "<f8", (6,)),  # measured less predicted length, m
+        ("tracker_innovation", "<f8", (6,)),  # measured less predicted pose, m and rad
+    ]
+)  # fmt: skip
+"""One tick: its state, what was measured since the tick before, and what was decided about it."""
+FUSION = np.dtype(
+    [
+        ("base_joints", "<f8", (6, 3)), ("platform_joints", "<f8", (6, 3)), ("radius", "<f8"),  # m
+        ("constants", "<i8"), ("code", "<i8"),  # of the model
+        ("period_s", "<f8"), ("slip_m", "<f8"),
+        ("patience", "<f8", (2,)),  # ticks in which tracker and IMU may be silent
+        # variances of one sample, densities of what is white in time
+        ("q_v", "<f8"), ("q_w", "<f8"), ("q_gyro_bias", "<f8"), ("q_force_bias", "<f8"),
+        ("r_length", "<f8"), ("r_rate", "<f8"), ("r_position", "<f8"), ("r_rotation", "<f8"),
+        ("r_gyro", "<f8"), ("r_force", "<f8"),
+        ("latch", "<f8"), ("rate_skew", "<f8"),  # s^2, of the instants of a length and of a rate beside it
+        ("rate_scale", "<f8"),  # of the share of a rate that is wrong
+        ("leg_force", "<f8"), ("leg_force_s", "<f8"),  # N^2, and its correlation time
+        ("gate", "<f8"),  # square of the allowed number of standard deviations
+        ("gravity", "<f8", (3,)),
+        # limits
+        ("may_lose", "<i8", (6,)), ("at_once", "<i8"),  # legs that may be lost, and how many
+        ("gap_max_s", "<f8"), ("std_max_m", "<f8"),
+        # rings: addresses of the steps and of their covariances (n, n), how many there are
+        ("steps", "<i8"), ("covariances", "<i8"), ("size", "<i8"),
+        ("errors", "<i8"), ("forces", "<i8"),  # n; where the leg forces are in an error: n without
+        ("newest", "<i8"), ("count", "<i8"),  # place of the newest step; how many are filled
+        # state
+        ("driven", "<i8"), ("tau", "<f8", (6,)),  # 1: tau are the last forces
+        ("left_out", "<i8", (6,)), ("against", "<i8", (6,)),  # ticks; contradictions in a row
+        ("slipped", "<i8", (6,)),  # 1: the encoder has slipped
+        ("heard", "<i8", (2,)),  # ticks in which tracker and IMU were last of use
+        ("R", "<f8", (3, 3)),  # of the last estimate
+        # what the last tick was judged by
+        ("lost", "<i8"), ("contradicting", "<i8"),  # bits: legs that do not count; slipped, and may not
+        ("missed", "<i8"),  # 1: a sensor is missed
+        ("position_std_m", "<f8"),  # over all directions
+        ("gap_s", "<f8"), ("alone_s", "<f8"),  # since the tracker was of use; while a leg is lost, else 0
+    ]
+)  # fmt: skip
+"""The robot, what is believed of legs, sensors and motion, and what the filter remembers."""
 
 
 class LegErrors(NamedTuple):
@@ -71,35 +82,3 @@ class LegErrors(NamedTuple):
     """Of the force along a leg that model and drives do not know; 0: there is none."""
     force_time_s: float = 0.1
     """Its correlation time."""
-
-
-def pack_noise(
-    s: FusionSettings,
-    legs: LegErrors,
-    tracker: TrackerSettings | None,
-    imu: ImuSettings | None,
-    gravity: Array,
-) -> Array:
-    """Return the constants (NOISE,) of the kernels: variances, densities, gate, gravity (3,) m/s^2."""
-    c = np.zeros(NOISE)
-    c[Q_V] = s.acceleration_noise_m_s2_sqrtHz**2
-    c[Q_W] = s.angular_acceleration_noise_rad_s2_sqrtHz**2
-    c[R_LENGTH] = legs.length_std_m**2
-    c[R_RATE] = legs.rate_std_m_s**2
-    c[RATE_SKEW] = legs.rate_skew_std_s**2
-    c[RATE_SCALE] = legs.rate_scale_std**2
-    c[LEG_FORCE_VARIANCE] = legs.force_std_N**2
-    c[LEG_FORCE_TIME] = legs.force_time_s
-    if tracker is not None:
-        c[R_POSITION] = tracker.position_std_m**2
-        c[R_ROTATION] = np.deg2rad(tracker.orientation_std_deg) ** 2
-    c[LATCH] = (s.latch_std_us * 1e-6) ** 2
-    c[GATE] = s.gate_std**2
-    if imu is not None:
-        c[BIASED] = float(s.imu_biases)
-        c[R_GYRO] = imu.angular_rate_std_rad_s**2
-        c[R_FORCE] = imu.specific_force_std_m_s2**2
-        c[Q_GYRO_BIAS] = s.gyro_bias_walk_rad_s_sqrts**2
-        c[Q_FORCE_BIAS] = s.accelerometer_bias_walk_m_s2_sqrts**2
-    c[GRAVITY : GRAVITY + 3] = gravity
-    return c

@@ -13,9 +13,8 @@ the solution of dr/dt = K (w - r) over the period. No derivative of M is needed,
 beyond the difference of P, and no sum grows: nothing drifts.
 
 tau is what the drives apply, taken from the commands through `hil.robot.force_path`: transport delay and
-lag. The
-feedback carries a force, too, but not in every layout, as one sample where the mean over the period is
-needed, in steps of 2 N, and from another sensor on every drive.
+lag. The feedback carries a force, too, but not in every layout, as one sample where the mean over the period
+is needed, in steps of 2 N, and from another sensor on every drive.
 """
 
 from math import pi
@@ -26,9 +25,9 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
-from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed, reals_at
 from drivers.signals import DriveState
-from drivers.tick_columns import TICK, Record
+from drivers.tick_columns import TICK
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, add_friction, fill_jacobian, model_force
 from hil.robot.force_path import ForcePath, advance, decay, path_at
@@ -37,13 +36,10 @@ _READY, _RUN = int(DriveState.READY), int(DriveState.RUN)
 OBSERVER = np.dtype(
     [
         *((name, "<i8") for name in ("path", "constants", "code", "begun", "tick", "follows")),
-        ("left", "<f8"),
-        ("residual", "<f8", 6),
-        ("p", "<f8", 3),
-        ("R", "<f8", (3, 3)),
-        ("twist", "<f8", 6),
+        ("left", "<f8"), ("residual", "<f8", 6),
+        ("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6),
     ]
-)
+)  # fmt: skip
 """Where the record of the force path is; the model; whether a tick has been seen, the last one, and whether
 its p, R and twist count; what is left of r - w after a period; and r."""
 
@@ -86,8 +82,15 @@ _unexplained = apart(unexplained)
 
 
 @pointed(record(OBSERVER), INTEGER, record(TICK, "tick", "drive_state", "p", "R", "twist"))
-def _observe(k: Any, seen: int, tick: Any) -> int:
-    """Take the residual on to a tick, as `WrenchObserver.observe`."""
+def observe(k: Any, seen: int, tick: Any) -> int:
+    """Take the residual on to a tick's measurement; call it once a tick.
+
+    While a brake is shut it carries what it carries: the estimate stays as it is, so that the force does
+    not change while brakes shut one after the other, and goes on from the momentum of the first tick with
+    all brakes open. A drive without force makes it zero.
+    seen: 1, the motion is measured in all directions. Where it is not, a model that is given this estimate
+    carries the state on, and would confirm whatever it says: the estimate stays as it is, too.
+    """
     path, tau = path_at(k.path), np.empty(6)
     periods = tick.tick - k.tick if k.begun else 1
     advance(path, periods, tau)
@@ -97,8 +100,7 @@ def _observe(k: Any, seen: int, tick: Any) -> int:
         runs = runs and tick.drive_state[i] == _RUN
         powered = powered and (tick.drive_state[i] == _RUN or tick.drive_state[i] == _READY)
     if not powered:
-        for i in range(6):
-            k.residual[i] = 0.0
+        k.residual[:] = 0.0
     if not runs or not seen:
         k.follows = 0
         return 0
@@ -109,12 +111,9 @@ def _observe(k: Any, seen: int, tick: Any) -> int:
         for i in range(6):
             k.residual[i] = w[i] + (k.residual[i] - w[i]) * left
     k.follows = 1
-    for i in range(3):
-        k.p[i] = tick.p[i]
-        for j in range(3):
-            k.R[i, j] = tick.R[i, j]
-    for i in range(6):
-        k.twist[i] = tick.twist[i]
+    k.p[:] = tick.p
+    k.R[:] = tick.R
+    k.twist[:] = tick.twist
     return 0
 
 
@@ -131,42 +130,21 @@ class WrenchObserver:
         """path: how commands become forces."""
         self.model = model
         self.path = path
-        self._record = np.zeros((), OBSERVER)
-        for name, value in {
-            "path": data_at(path.record),
-            "constants": data_at(model.constants),
-            "code": model.code,
-            "left": decay(2.0 * pi * bandwidth_Hz * path.period_s),
-        }.items():
-            self._record[name] = value
-        self.look = Callee(_observe.address, data_at(self._record), self)
-        """(observer, seen, tick): what `observe` calls."""
+        left = decay(2.0 * pi * bandwidth_Hz * path.period_s)
+        model_at = {"constants": model.constants, "code": model.code}
+        self.record = context_of(OBSERVER, path=path.record, left=left, **model_at)
+        self.look = Callee(observe.address, data_at(self.record), self)
+        """(observer, seen, tick): `observe`."""
         self.reset()
 
     def reset(self) -> None:
         """No load, no force under way."""
         self.path.reset()
         for name in ("residual", "begun", "follows"):
-            self._record[name] = 0
+            self.record[name] = 0
 
     @property
     def residual(self) -> Array:
         """(6,) N, N m: r, the estimate; a view of what the next tick changes."""
-        r: Array = self._record["residual"]
+        r: Array = self.record["residual"]
         return r
-
-    def sent(self, command: Array) -> None:
-        """Take note of the command (6,) N that answers the last measurement."""
-        self.path.send(command)
-
-    def observe(self, tick: Record, *, seen: bool = True) -> Array:
-        """Return the estimate (6,) N, N m at this tick's measurement; call it once a tick.
-
-        While a brake is shut it carries what it carries: the estimate stays as it is, so that the force does
-        not change while brakes shut one after the other, and goes on from the momentum of the first tick with
-        all brakes open. A drive without force makes it zero.
-        seen: the motion is measured in all directions. Where it is not, a model that is given this estimate
-        carries the state on, and would confirm whatever it says: the estimate stays as it is, too.
-        """
-        _observe(self._record, int(seen), tick)
-        return self.residual.copy()

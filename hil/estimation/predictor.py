@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
-from drivers.tick_columns import TICK, Record, part
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed, reals_at
+from drivers.tick_columns import TICK, part
 from hil.mathematics.rotations import cayley_step
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
@@ -29,8 +28,11 @@ _SEGMENT_BYTES = SEGMENT.itemsize
 
 
 @pointed(record(PREDICTOR), INTEGER, record(TICK, "tick", *part("estimate")))
-def _ahead(k: Any, free: int, tick: Any) -> int:
-    """Move q, dq, p, R, twist, J on by the steps of the horizon, if `free`."""
+def ahead(k: Any, free: int, tick: Any) -> int:
+    """Move the state of a tick on by the horizon, q, dq, p, R, twist, J; call it once a tick.
+
+    free: 1, all brakes are open. Where they are not, the platform stays where it is.
+    """
     path = path_at(k.path)
     force, mean = np.empty(6), np.empty(6)
     if k.begun:
@@ -78,31 +80,13 @@ class Predictor:
         self.horizon_s = path.transport_s + path.lag_s + hold_s
         self.path = path
         self._segments = as_records(path.segments(self.horizon_s))
-        self._record = np.zeros((), PREDICTOR)
-        for name, value in {
-            "path": data_at(path.record),
-            "segments": data_at(self._segments),
-            "count": len(self._segments),
-            "constants": data_at(model.constants),
-            "code": model.code,
-        }.items():
-            self._record[name] = value
-        self.look = Callee(_ahead.address, data_at(self._record), self)
-        """(predictor, free, tick): what `ahead` calls."""
+        places = {"path": path.record, "segments": self._segments, "constants": model.constants}
+        self.record = context_of(PREDICTOR, count=len(self._segments), code=model.code, **places)
+        self.look = Callee(ahead.address, data_at(self.record), self)
+        """(predictor, free, tick): `ahead`."""
         self.reset()
 
     def reset(self) -> None:
         """No force under way."""
         self.path.reset()
-        self._record["begun"] = 0
-
-    def sent(self, command: Array) -> None:
-        """Take note of the command (6,) N that answers the last measurement."""
-        self.path.send(command)
-
-    def ahead(self, tick: Record, *, free: bool) -> None:
-        """Move the state of a tick on by `horizon_s`; call it once a tick.
-
-        free: all brakes are open. Where they are not, the platform stays where it is.
-        """
-        _ahead(self._record, int(free), tick)
+        self.record["begun"] = 0

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, REAL, VECTOR, kernel, record
-from drivers.compiled.pointed import Callee, data_at, pointed
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed
 from drivers.signals import Refusal
 from hil.config.operator import OperatorSettings
 from hil.loop.motion import Motion
@@ -28,7 +28,7 @@ from hil.robot.kinematics_kernels import (
     lengths_and_jacobian,
 )
 from hil.signals import JOG_NAMES, Order, explain
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, PoseSample, context_of
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, PoseSample
 
 AXIS = np.dtype([("p0", "<f8", 3), ("R0", "<f8", (3, 3)), ("rate", "<f8", 6)])
 TOLERANCE_M = 1e-12

@@ -1,8 +1,8 @@
 """A trajectory that stays at one pose."""
 
 from drivers.arrays import ZERO6, Array
-from drivers.compiled.pointed import Callee, data_at
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, kept
+from drivers.compiled.pointed import Callee, context_of, data_at
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, kept
 
 
 class HoldTrajectory(CompiledTrajectory):

@@ -15,9 +15,9 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, reals_at
+from drivers.compiled.pointed import Callee, address_of, call, context_of, data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, kept, lift, sample_at
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, kept, lift, sample_at
 
 LIVE = np.dtype(
     [

@@ -7,10 +7,10 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import REAL, record
-from drivers.compiled.pointed import Callee, data_at, pointed
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed
 from hil.mathematics.rotations import relative_rotation, rotation_motion
 from hil.mathematics.vectors import at, scale
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, quintic
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, quintic
 
 MOVE = np.dtype(
     [("p0", "<f8", 3), ("R0", "<f8", (3, 3)), ("dp", "<f8", 3), ("phi", "<f8", 3), ("duration", "<f8")]

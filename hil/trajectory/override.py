@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import INTEGER, REAL, direct, helper, kernel, record
+from drivers.compiled.pointed import context_of
 from hil.trajectory.live import next_speed
-from hil.trajectory.path import context_of
 
 OVERRIDE = np.dtype(
     [

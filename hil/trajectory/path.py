@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, REAL, direct, helper, record
-from drivers.compiled.pointed import FAILED, Callee, address_of, call, data_at, of_python, pointed, record_at
+from drivers.compiled.pointed import FAILED, Callee, address_of, call, of_python, pointed, record_at
 from drivers.errors import ConfigurationError
 from drivers.tick_columns import Record
 from hil.config.reference import AxisLimits, Waypoint
@@ -148,15 +148,6 @@ def require(status: int, callee: Callee) -> None:
 def _by_address(function: int, context: int, t: float, into: Any) -> int:
     status: int = call(function, (context, t, address_of(into)))
     return status
-
-
-def context_of(dtype: np.dtype[np.void], **values: Any) -> Record:
-    """Return a record of a dtype with these values; an array that does not fit in goes by its address."""
-    context: Record = np.zeros((), dtype)
-    for name, value in values.items():
-        by_address = isinstance(value, np.ndarray) and not dtype[name].shape
-        context[name] = data_at(value) if by_address else value
-    return context
 
 
 @helper

@@ -6,8 +6,8 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import REAL, record
-from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, context_of, lift
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed, reals_at
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, lift
 
 DEGREE = 5
 PIECES = np.dtype([("knots", "<i8"), ("coefficients", "<i8"), ("segments", "<i8"), ("periods", "<i8")])

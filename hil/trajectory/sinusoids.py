@@ -7,20 +7,12 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import REAL, helper, record
-from drivers.compiled.pointed import Callee, data_at, integers_at, pointed, reals_at
+from drivers.compiled.pointed import Callee, context_of, data_at, integers_at, pointed, reals_at
 from drivers.errors import ConfigurationError
 from hil.config.reference import SinusoidReference
 from hil.config.values import AXES, Pose
 from hil.mathematics.trigonometry import sincos
-from hil.trajectory.path import (
-    SAMPLE,
-    CompiledTrajectory,
-    context_of,
-    lift,
-    quintic,
-    require_half_turn,
-    six_words,
-)
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, lift, quintic, require_half_turn, six_words
 
 WAVES = np.dtype(
     [

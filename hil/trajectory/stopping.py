@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import REAL, helper, record
-from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, Trajectory, callee_of, context_of
+from drivers.compiled.pointed import Callee, address_of, call, context_of, data_at, pointed
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, Trajectory, callee_of
 
 STOP = np.dtype([("function", "<i8"), ("context", "<i8"), ("t_stop", "<f8"), ("slowing", "<f8")])
 

@@ -5,17 +5,9 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import REAL, record
-from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed
+from drivers.compiled.pointed import Callee, address_of, call, context_of, data_at, pointed
 from drivers.errors import ConfigurationError
-from hil.trajectory.path import (
-    SAMPLE,
-    CompiledTrajectory,
-    Trajectory,
-    callee_of,
-    context_of,
-    copy_sample,
-    sample_at,
-)
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, Trajectory, callee_of, copy_sample, sample_at
 
 BYTES_PER_TICK = SAMPLE.itemsize
 LARGEST_MB = 256

@@ -81,7 +81,7 @@ def test_what_the_observer_believes_of_the_force_and_how_fast_it_is_come_from_it
     assert observer is not None
     path = observer.path
     assert (path.period_s, path.transport_s, path.lag_s) == pytest.approx((0.002, 0.4e-3, 0.9e-3))
-    assert observer._record["left"] == pytest.approx(exp(-2.0 * pi * 5.0 * 0.002))
+    assert observer.record["left"] == pytest.approx(exp(-2.0 * pi * 5.0 * 0.002))
 
 
 def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(monkeypatch):

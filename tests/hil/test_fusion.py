@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import DriveState
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
-from hil.estimation import fusion_layout as layout
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_kernels import bend
 from hil.estimation.fusion_layout import LegErrors
@@ -450,7 +450,7 @@ def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
         f += imu.specific_force_std_m_s2 * truth.chance.standard_normal(3)
         sample = Sample(tick - 1, 0.999e-3, (*w, *f))
         fused = Fused(found, tick, truth.measure(), Readings(imu=(sample,)))
-    x, P = found._states[found.record["newest"]], found._covariances[found.record["newest"]]
+    x, P = found._steps[found.record["newest"]]["x"], found._covariances[found.record["newest"]]
     std = np.sqrt(P.diagonal())
     assert np.abs(x[18:21] - gyro_bias).max() < 5 * std[12:15].max() < 2e-3
     assert np.abs(x[21:24] - force_bias).max() < 5 * std[15:18].max() < 0.1
@@ -501,7 +501,7 @@ def test_a_force_along_a_leg_that_nobody_reports_is_found():
         truth.step(truth.hold)
         fused = update(found, tick, truth.measure(truth.hold))
         assert all(fused.used)
-    x, P = found._states[found.record["newest"]], found._covariances[found.record["newest"]]
+    x, P = found._steps[found.record["newest"]]["x"], found._covariances[found.record["newest"]]
     std = np.sqrt(P.diagonal()[12:])
     assert std.max() < 200.0, "of 500 N before anything was measured"
     assert np.abs((x[24:] - truth.unknown) / std).max() < 3
@@ -521,7 +521,7 @@ def test_unknown_forces_and_the_biases_of_an_imu_are_told_apart():
         f = truth.R.inv().apply(truth.dtwist[:3] - PLATFORM.gravity)
         sample = Sample(tick - 1, 0.999e-3, (*w, *f))
         Fused(found, tick, altered(truth.measure(truth.hold)), Readings(imu=(sample,)))
-    x, P = found._states[found.record["newest"]], found._covariances[found.record["newest"]]
+    x, P = found._steps[found.record["newest"]]["x"], found._covariances[found.record["newest"]]
     std = np.sqrt(P.diagonal())
     assert np.abs(x[18:21] - gyro_bias).max() < 3 * std[12:15].max() < 3e-3
     assert np.abs((x[24:] - truth.unknown) / std[18:]).max() < 3
@@ -560,10 +560,9 @@ def test_the_bend_of_a_length_is_that_of_drawn_poses():
     chance = np.random.default_rng(2)
     L = 5e-4 * chance.uniform(-1, 1, (6, 6))
     d = chance.standard_normal((400_000, 6)) @ L.T
-    x, P, h = np.zeros(layout.STATE), np.zeros((12, 12)), np.zeros(12)
+    x, P, h = np.zeros(30), np.zeros((12, 12)), np.zeros(12)
     x[:3], x[3:12], P[:6, :6] = truth.p, truth.R.as_matrix().ravel(), L @ L.T
-    c = np.zeros(layout.NOISE)
-    c[layout.R_LENGTH] = 1e-14
+    f = SimpleNamespace(r_length=1e-14)
     r = truth.R.apply(B)
     for leg in range(6):
         arm = truth.p + r[leg] - A[leg]
@@ -571,14 +570,12 @@ def test_the_bend_of_a_length_is_that_of_drawn_poses():
         h[:3], h[3:6] = arm / l, np.cross(r[leg], arm / l)
         moved = truth.p + d[:, :3] + Rotation.from_rotvec(d[:, 3:]).apply(r[leg]) - A[leg]
         bent = np.linalg.norm(moved, axis=1) - l - d @ h[:6]
-        mean, variance = bend(tuple(B[leg]), x, P, c, h, l, np.empty((12, 12)), np.empty((12, 12)))
+        mean, variance = bend(f, tuple(B[leg]), x, P, h, l)
         assert mean == pytest.approx(bent.mean(), abs=0.02 * bent.std())
         assert variance == pytest.approx(bent.var(), rel=0.03)
 
 
 def test_the_bend_of_a_length_that_is_well_known_is_nothing():
-    x, P, c = np.zeros(layout.STATE), 1e-14 * np.eye(12), np.zeros(layout.NOISE)
+    x, P, f = np.zeros(30), 1e-14 * np.eye(12), SimpleNamespace(r_length=1e-14)
     x[:3], x[3:12] = (0.0, 0.0, 1.0), np.eye(3).ravel()
-    c[layout.R_LENGTH] = 1e-14
-    h, scratch = np.zeros(12), np.empty((12, 12))
-    assert bend((0.5, 0.0, 0.0), x, P, c, h, 1.0, scratch, scratch.copy()) == (0.0, 0.0)
+    assert bend(f, (0.5, 0.0, 0.0), x, P, np.zeros(12), 1.0) == (0.0, 0.0)

@@ -142,7 +142,7 @@ def test_a_late_sample_counts_beside_newer_ones_that_come_in_the_same_tick(late)
         if due:
             waiting = []
     assert pairs > 3
-    assert np.array_equal(prompt._states[prompt.record["newest"]], tardy._states[tardy.record["newest"]])
+    assert np.array_equal(*(each._steps[each.record["newest"]]["x"] for each in (prompt, tardy)))
     assert np.array_equal(
         prompt._covariances[prompt.record["newest"]], tardy._covariances[tardy.record["newest"]]
     )

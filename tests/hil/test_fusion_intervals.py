@@ -7,52 +7,54 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Array
+from drivers.compiled.compiler import entry
+from drivers.compiled.pointed import context_of, data_at
 from drivers.config import ImuSettings, TrackerSettings
+from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
-from hil.estimation import fusion_layout as k
+from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_kernels import rerun_kernel
-from hil.estimation.fusion_layout import LegErrors, pack_noise
-from tests.hil.test_fusion import A, B, T
+from hil.estimation.fusion_layout import FUSION, STEP, LegErrors
+from hil.robot.dynamics import Model
+from tests.hil.test_fusion import PLATFORM, A, B, T
 
 TILT = Rotation.from_rotvec([0.3, -0.4, 0.5])
 TWIST = np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.8])
 TURN = np.array([20.0, -10.0, 15.0])
+rerun = entry(rerun_kernel)
 SURE, UNSURE = 1e-9, 1e12
 """Variances of what counts alone, and of what does not count."""
 
 
-def noise(*, force: float, gyro: float) -> Array:
-    """Return constants with the variances of an IMU; legs count for nothing."""
-    c = np.zeros(k.NOISE)
-    c[[k.Q_V, k.Q_W, k.R_LENGTH, k.R_RATE, k.GATE, k.BIASED]] = 1e-6, 1e-9, 1.0, 1.0, 1e6, 1.0
-    c[k.R_FORCE], c[k.R_GYRO] = force, gyro
-    c[k.GRAVITY : k.GRAVITY + 3] = 0.0, 0.0, -9.81
-    return c
+def noise(*, force: float, gyro: float) -> Record:
+    """Return a filter of two steps with the variances of an IMU and its biases; legs count for nothing."""
+    robot = {"base_joints": A, "platform_joints": B, "gravity": (0.0, 0.0, -9.81)}
+    variances = {"q_v": 1e-6, "q_w": 1e-9, "r_length": 1.0, "r_rate": 1.0, "gate": 1e6}
+    rings = {"size": 2, "newest": 1, "errors": 18, "forces": 18}
+    return context_of(FUSION, r_force=force, r_gyro=gyro, **robot, **variances, **rings)
 
 
 def begun() -> Array:
-    x = np.zeros(k.STATE)
+    x = np.zeros(30)
     x[:3], x[3:12], x[12:18] = (0.05, -0.1, 1.1), TILT.as_matrix().ravel(), TWIST
     x[18:24] = 0.01, -0.02, 0.03, 0.1, -0.2, 0.3
     return x
 
 
-def ended(c: Array, u: Array, x0: Array, P0: Array) -> tuple[Array, Array]:
+def ended(c: Record, u: Record, x0: Array, P0: Array) -> tuple[Array, Array]:
     """Return state and covariance after the interval u."""
-    intervals, states = np.zeros((2, k.INTERVAL)), np.zeros((2, k.STATE))
-    covariances = np.zeros((2, *P0.shape))
-    intervals[1], states[0], covariances[0] = u, x0, P0
-    rerun_kernel(A, B, c, intervals, states, covariances, 1, 1)
-    return states[1], covariances[1]
+    steps, covariances = np.zeros(2, STEP), np.zeros((2, *P0.shape))
+    steps[1], covariances[0] = u, P0
+    steps[0]["x"] = x0
+    c["steps"], c["covariances"] = data_at(steps), data_at(covariances)
+    rerun(c, 1)
+    return steps[1]["x"], covariances[1]
 
 
-def sampled(share: float, gyro: Array, force: Array) -> Array:
+def sampled(share: float, gyro: Array, force: Array) -> Record:
     """Return an interval in which the platform turns faster and faster, with a sample of an IMU."""
-    u = np.zeros(k.INTERVAL)
-    u[k.T], u[k.FADE], u[k.IMU], u[k.IMU_AT] = T, 1.0, 1.0, share
-    u[k.DTWIST : k.DTWIST + 6] = 1.0, 2.0, -3.0, *TURN
-    u[k.GYRO : k.GYRO + 3], u[k.FORCE : k.FORCE + 3] = gyro, force
-    return u
+    dtwist = (1.0, 2.0, -3.0, *TURN)
+    return context_of(STEP, T=T, fade=1.0, imu=1, imu_at=share, dtwist=dtwist, gyro=gyro, force=force)
 
 
 def off(x: Array, error: Array) -> Array:
@@ -109,12 +111,13 @@ def test_each_setting_makes_its_own_constant():
     legs = LegErrors(17.0, 19.0, 23.0, 29.0, 31.0, 37.0)
     tracker = TrackerSettings(position_std_m=0.041, orientation_std_deg=0.43)
     imu = ImuSettings(rate_Hz=500.0, angular_rate_std_rad_s=0.047, specific_force_std_m_s2=0.53)
-    c = pack_noise(settings, legs, tracker, imu, np.array([59.0, 61.0, 67.0]))
+    c = FusedEstimator(PLATFORM, Model(PLATFORM), settings, legs, tracker, imu, T).record
     expected = {
-        k.Q_V: 4.0, k.Q_W: 9.0, k.Q_GYRO_BIAS: 25.0, k.Q_FORCE_BIAS: 49.0, k.LATCH: 121e-12, k.GATE: 169.0,
-        k.R_LENGTH: 289.0, k.R_RATE: 361.0, k.RATE_SKEW: 529.0, k.RATE_SCALE: 841.0,
-        k.LEG_FORCE_VARIANCE: 961.0, k.LEG_FORCE_TIME: 37.0, k.R_POSITION: 0.001681,
-        k.R_ROTATION: (0.43 * np.pi / 180.0) ** 2, k.R_GYRO: 0.002209, k.R_FORCE: 0.2809, k.BIASED: 1.0,
-        k.GRAVITY: 59.0, k.GRAVITY + 1: 61.0, k.GRAVITY + 2: 67.0,
+        "q_v": 4.0, "q_w": 9.0, "q_gyro_bias": 25.0, "q_force_bias": 49.0, "latch": 121e-12, "gate": 169.0,
+        "r_length": 289.0, "r_rate": 361.0, "rate_skew": 529.0, "rate_scale": 841.0,
+        "leg_force": 961.0, "leg_force_s": 37.0, "r_position": 0.001681,
+        "r_rotation": (0.43 * np.pi / 180.0) ** 2, "r_gyro": 0.002209, "r_force": 0.2809,
+        "forces": 18, "errors": 24,
     }  # fmt: skip
-    assert {at: c[at] for at in expected} == pytest.approx(expected)
+    assert {name: float(c[name]) for name in expected} == pytest.approx(expected)
+    assert c["gravity"].tolist() == PLATFORM.gravity.tolist()

@@ -12,10 +12,10 @@ from drivers.config import ImuSettings
 from drivers.signals import DriveState, Fault, Warn
 from drivers.tick_columns import TICK
 from hil.config.estimation import FusionSettings
-from hil.estimation import fusion_layout as k
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
-from hil.estimation.fusion_tick import FUSION, judge
+from hil.estimation.fusion_layout import FUSION, KEPT
+from hil.estimation.fusion_tick import judge
 from hil.robot.dynamics import Model
 from tests import sensed
 from tests.hil.test_fusion import (
@@ -116,12 +116,11 @@ def test_sensors_that_are_heard_are_not_missed():
 def force(found: FusedEstimator) -> Any:
     """Return the forces (6,) N from which the acceleration of the last interval was found; None: it was not."""
     now = int(found.record["newest"])
-    u, x = found._intervals[now], found._states[now - 1]
-    influence = u[k.INFLUENCE : k.INFLUENCE + 36].reshape(6, 6)
-    if not influence.any():
+    u, x = found._steps[now], found._steps[now - 1]["x"]
+    if not u["influence"].any():
         return None
     at_rest = Model(PLATFORM).forward_dynamics(x[0:3], x[3:12].reshape(3, 3), x[12:18], ZERO)
-    return np.linalg.solve(influence, u[k.DTWIST : k.DTWIST + 6] - at_rest)
+    return np.linalg.solve(u["influence"], u["dtwist"] - at_rest)
 
 
 def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
@@ -164,10 +163,10 @@ def test_with_one_brake_that_is_not_open_no_force_carries_the_pose_on_and_every_
     for number, drives in enumerate(([DriveState.RUN] * 6, states, [DriveState.RUN] * 6), 1):
         tick = altered(driven(np.full(6, 10.0 * number)), tick=number, drive_state=drives)
         sensed.update(found, tick, number * MS, Readings(), ZERO, ZERO)
-        interval = found._intervals[found.record["newest"]]
+        interval = found._steps[found.record["newest"]]
         shut = drives is states
-        assert (interval[k.USED : k.USED + 6] == (k.KEPT if shut else 1.0)).all()
-        assert not (shut and interval[k.DTWIST : k.DTWIST + 6].any())
+        assert (interval["used"] == (KEPT if shut else 1)).all()
+        assert not (shut and interval["dtwist"].any())
         forces.append(force(found))
     assert forces[1] is None
     np.testing.assert_allclose(forces[::2], [[10.0] * 6, [30.0] * 6], rtol=0.0, atol=1e-6)
@@ -179,13 +178,13 @@ def test_what_stands_on_shut_brakes_has_lost_its_speed_within_the_interval(odd, 
     """5 mm/s of one leg that is heard is a motion; what was read last of a silent one is none."""
     found, at = estimator(), np.arange(6) == leg
     twist = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
-    found._states[found.record["newest"], 12:18] = twist
+    found._steps[found.record["newest"]]["x"][12:18] = twist
     states = np.where(at & (odd == "brake"), int(DriveState.RUN), int(DriveState.READY))
     rates, ages = 5e-3 * (at & ("leg" in odd)), 1 * (at & ("silent" in odd))
     tick = altered(driven(np.zeros(6)), tick=1, drive_state=states, rate=rates, age=ages)
     sensed.update(found, tick, MS, Readings(), ZERO, ZERO)
     stands = odd in {"", "leg that is silent"}
-    lost = found._intervals[found.record["newest"]][k.DTWIST : k.DTWIST + 6] * T
+    lost = found._steps[found.record["newest"]]["dtwist"] * T
     np.testing.assert_allclose(lost, -twist if stands else np.zeros(6), rtol=1e-12)
     assert force(found) is None
 
@@ -201,8 +200,9 @@ def test_a_filter_that_begins_anew_knows_of_no_slip_no_contradiction_and_no_forc
     assert not found.record["slipped"].any()
     for name in ("newest", "count", "driven", "left_out", "against", "heard"):
         np.testing.assert_array_equal(found.record[name], fresh.record[name], name)
-    for name in ("_ticks", "_latched", "_states", "_covariances"):
-        np.testing.assert_array_equal(getattr(found, name)[0], getattr(fresh, name)[0])
+    for name in ("tick", "latched_ns", "x"):
+        np.testing.assert_array_equal(found._steps[0][name], fresh._steps[0][name])
+    np.testing.assert_array_equal(found._covariances[0], fresh._covariances[0])
 
 
 def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():

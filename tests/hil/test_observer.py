@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from drivers.signals import DriveState
 from hil.estimation.observer import WrenchObserver
+from hil.estimation.observer import observe as take_on
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
@@ -54,8 +55,9 @@ def observer(model=None):
     return WrenchObserver(model or Model(PLATFORM), ForcePath(T, 0.0, 0.0), BANDWIDTH)
 
 
-def observe(observer, tick, state, drive_state=RUN):
-    return observer.observe(altered(state, tick=tick, drive_state=drive_state))
+def observe(observer, tick, state, drive_state=RUN, *, seen=True):
+    take_on(observer.record, int(seen), altered(state, tick=tick, drive_state=drive_state))
+    return observer.residual.copy()
 
 
 def follow(observer, states, forces, drive_state=RUN):
@@ -63,7 +65,7 @@ def follow(observer, states, forces, drive_state=RUN):
     for k, state in enumerate(states):
         found.append(observe(observer, k, state, drive_state))
         if k < len(forces):
-            observer.sent(forces[k])
+            observer.path.send(forces[k])
     return np.array(found)
 
 
@@ -99,10 +101,10 @@ def test_a_skipped_tick_is_bridged():
     for k in range(10):
         for each in (one, other):
             observe(each, k, still)
-            each.sent(HOLDING + 100.0)
+            each.path.send(HOLDING + 100.0)
     for k in range(10, 15):
         observe(one, k, still)
-        one.sent(HOLDING + 100.0)
+        one.path.send(HOLDING + 100.0)
     np.testing.assert_allclose(observe(other, 15, still), observe(one, 15, still), rtol=1e-9)
 
 
@@ -137,12 +139,12 @@ def test_what_happens_while_a_direction_is_not_seen_does_not_count_afterwards(pu
     each, kept, seen_again = observer(), np.zeros(6), 20 + unseen
     for k, state in enumerate(states):
         seen = not 20 <= k < seen_again
-        found = each.observe(altered(state, tick=k, drive_state=RUN), seen=seen)
+        found = observe(each, k, state, seen=seen)
         if k == 19:
             kept = found
         if 20 <= k <= seen_again:
             np.testing.assert_array_equal(found, kept)
-        each.sent(forces[min(k, len(forces) - 1)])
+        each.path.send(forces[min(k, len(forces) - 1)])
     left = exp(-2 * pi * BANDWIDTH * T * (len(states) - 1 - seen_again))
     np.testing.assert_allclose(found, WRENCH + (kept - WRENCH) * left, atol=0.05)
 

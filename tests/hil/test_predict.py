@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from hil.estimation.predictor import Predictor
+from hil.estimation.predictor import Predictor, ahead
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
@@ -39,14 +39,14 @@ def predictor_at(state, force, change):
     predictor = Predictor(MODEL, ForcePath(T, BUS, LAG), HOLD)
     for tick in range(30):
         moved(predictor, tick, state, free=False)
-        predictor.sent(force if tick < 29 else force + change)
+        predictor.path.send(force if tick < 29 else force + change)
     return predictor
 
 
 def moved(predictor, tick, state, *, free=True):
     """The record of a tick with the state as the predictor moves it on."""
     record = altered(state, tick=tick)
-    predictor.ahead(record, free=free)
+    ahead(predictor.record, int(free), record)
     return record
 
 
@@ -94,7 +94,7 @@ def test_over_skipped_periods_the_commands_under_way_get_as_old_as_in_periods_th
     bridged, told = (predictor_at(state, force, CHANGE) for _ in range(2))
     for tick in range(30, 30 + skipped):
         moved(told, tick, state)
-        told.sent(force + CHANGE)
+        told.path.send(force + CHANGE)
     found, expected = (moved(each, 30 + skipped, state) for each in (bridged, told))
     np.testing.assert_allclose(found["twist"], expected["twist"], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found["p"], expected["p"], rtol=0, atol=1e-12)
@@ -116,5 +116,5 @@ def test_reset_repeats_to_the_bit():
     for tick in range(5):
         a, b = (moved(each, tick, state) for each in (predictor, fresh))
         assert a.tobytes() == b.tobytes()
-        predictor.sent(force)
-        fresh.sent(force)
+        predictor.path.send(force)
+        fresh.path.send(force)

@@ -32,7 +32,7 @@ from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_layout import LegErrors
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.pose import Estimator
-from hil.estimation.predictor import Predictor
+from hil.estimation.predictor import Predictor, ahead
 from hil.loop import cycle as loop
 from hil.loop.reference import fill_reference
 from hil.robot.dynamics import Model
@@ -228,8 +228,8 @@ def test_the_predictor_moves_the_state_on_and_reads_nothing_else_but_the_load():
         predictor = Predictor(Model(PLATFORM), ForcePath(1e-3, 0.5e-3, 0.8e-3), 0.5e-3)
 
         def run(tick):
-            predictor.ahead(tick, free=True)
-            predictor.sent(np.full(6, 3000.0))
+            ahead(predictor.record, 1, tick)
+            predictor.path.send(np.full(6, 3000.0))
 
         return run
 
@@ -244,7 +244,7 @@ def test_the_observer_fills_the_load_from_pose_twist_and_the_drives(fusing):
 
         def run(tick):
             wrench.fill(tick, fusing=fusing)
-            observer.sent(np.full(6, 3000.0))
+            observer.path.send(np.full(6, 3000.0))
 
         return run
 

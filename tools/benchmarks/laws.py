@@ -16,7 +16,9 @@ from hil.config.wrench import WrenchSettings
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.law import LawContext
 from hil.control.state_space import StateSpaceSettings
+from hil.estimation.observer import observe as take_on
 from hil.estimation.pose import Estimator
+from hil.estimation.predictor import ahead
 from hil.loop.parts import Parts
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
@@ -66,12 +68,12 @@ def laws(benchmark: Benchmark) -> list[Figure]:
     assert observer is not None
 
     def look_ahead(tick: Record) -> None:
-        predictor.ahead(tick, free=True)
-        predictor.sent(tick["q_d"])
+        ahead(predictor.record, 1, tick)
+        predictor.path.send(tick["q_d"])
 
     def observe(tick: Record) -> None:
-        observer.observe(tick)
-        observer.sent(tick["q_d"])
+        take_on(observer.record, 1, tick)
+        observer.path.send(tick["q_d"])
 
     for name, work in {
         "no law, delay compensation": look_ahead,

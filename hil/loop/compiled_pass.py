@@ -40,8 +40,7 @@ CONTROL = np.dtype(
         # records of the parts
         ("estimator", "<i8"), ("motion", "<i8"), ("override", "<i8"), ("sample", "<i8"), ("ahead", "<i8"),
         ("limits", "<i8"), ("memory", "<i8"),
-        ("history", "<i8"), ("rows", "<i8"), ("lows", "<i8"), ("highs", "<i8"), ("blocks", "<i8"),
-        ("watched", "<i8"), ("watched_rows", "<i8"),
+        ("window", "<i8"), ("window_rows", "<i8"), ("watched", "<i8"), ("watched_rows", "<i8"),
         # constants
         ("base_joints", "<f8", (6, 3)), ("platform_joints", "<f8", (6, 3)),
         ("period_s", "<f8"), ("load_s", "<f8"), ("blend_s", "<f8"), ("reach_N", "<f8"),
@@ -298,13 +297,9 @@ def within(value: float, low: float, high: float) -> float:
 def judge_pass(c: Any, tick: Any) -> None:
     """Let safety judge a tick: its verdict, and tau."""
     tick.mode = c.mode
-    history = matrix_at(c.history, c.rows, 6)
-    lows, highs = matrix_at(c.lows, c.blocks, 6), matrix_at(c.highs, c.blocks, 6)
-    watched = matrix_at(c.watched, c.watched_rows, 6)
+    window, watched = matrix_at(c.window, c.window_rows, 6), matrix_at(c.watched, c.watched_rows, 6)
     limits, memory = _limits_at(c.limits), _memory_at(c.memory)
-    c.verdict[0], c.verdict[1], c.verdict[2] = _judge(
-        _seen_at(c.tick), limits, memory, history, lows, highs, watched
-    )
+    c.verdict[0], c.verdict[1], c.verdict[2] = _judge(_seen_at(c.tick), limits, memory, window, watched)
     c.verdict[1] |= c.sensor_late
 
 

@@ -13,7 +13,7 @@ its certificate where W - noise > bound.
 """
 
 from math import nan, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,6 @@ LEVEL, COUNT, PAST, REFERENCE, ASKED = 0, 1, 2, 3, 6
 ASKED on the accelerations that the law asked for, the newest first."""
 LAST_V, UNREST = range(2)
 """PAST: V of the last tick, nan without one; ticks until the forces are the law's, the lengths measured."""
-V, DV, BOUND, SHARE, FIGURES = range(5)
-"""What is recorded: V, its rate, the largest V that is allowed, the largest W / (bound + noise)."""
 
 
 class Watch(NamedTuple):
@@ -149,9 +147,11 @@ def unsettle(memory: Array) -> None:
 @helper
 def watch(
     constants: Array, memory: Array, e: Array, de: Array, rate: Array, feed: Array,
-    whole: bool, late_s: float, periods: float, figures: Array,
+    whole: bool, late_s: float, periods: float, tick: Any,
 ) -> bool:  # fmt: skip
-    """Fill the figures; tell whether an axis has broken its certificate for as long as is asked.
+    """Fill V, its rate, the largest V that is allowed and the largest W / (bound + noise) of a tick.
+
+    Return whether an axis has broken its certificate for as long as is asked.
 
     e, de, and rate and acceleration of the reference as of `hil.control.error_axes`. whole: since the last
     tick nothing happened that the certificate knows nothing of; where it is false the watch starts anew.
@@ -183,9 +183,9 @@ def watch(
         if memory[COUNT, i] >= constants[SCALARS, CONFIRM]:
             broken = True
     remember_asked(memory, asked, fresh)
-    figures[V] = total
-    figures[DV] = (total - memory[PAST, LAST_V]) / (constants[SCALARS, PERIOD] * periods)
-    figures[BOUND] = nan if begins else bounds
-    figures[SHARE] = nan if begins else share
+    tick.lyapunov = total
+    tick.lyapunov_rate = (total - memory[PAST, LAST_V]) / (constants[SCALARS, PERIOD] * periods)
+    tick.lyapunov_bound = nan if begins else bounds
+    tick.lyapunov_share = nan if begins else share
     memory[PAST, LAST_V] = total
     return broken

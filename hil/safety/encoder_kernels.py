@@ -73,12 +73,12 @@ def forget_doubt(memory: Any) -> None:
 
 
 @helper
-def swings(tick: Any, limits: Any, memory: Any, history: Array, swing: Array) -> None:
+def swings(tick: Any, limits: Any, memory: Any, window: Array, swing: Array) -> None:
     """Fill swing (6,) N: largest less smallest of the forces that act between the readings to be compared.
 
-    history (n, 6) N: ring of the forces sent.
+    window: its first rows are the ring of the forces sent, (n, 6) N.
     """
-    n, newest, rows = history.shape[0], memory.newest, limits.acting_ticks
+    n, newest, rows = limits.window_ticks, memory.newest, limits.acting_ticks
     for i in range(6):
         if tick.age[i] == 0:
             since = min(tick.tick + 1 - memory.heard[i], LONGEST_GAP)
@@ -86,7 +86,7 @@ def swings(tick: Any, limits: Any, memory: Any, history: Array, swing: Array) ->
     for j in range(6):
         low, high = inf, -inf
         for k in range(min(rows + 1, n)):
-            force = history[(newest - k) % n, j]
+            force = window[(newest - k) % n, j]
             low, high = min(low, force), max(high, force)
         swing[j] = high - low
 
@@ -263,11 +263,11 @@ def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Arra
 
 
 @helper
-def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open: bool) -> int:
+def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: bool) -> int:
     """Fill the doubted legs; return fault bits.
 
-    history (n, 6) N: ring of the forces sent, its newest row `memory.newest`. is_open: all drives are in RUN
-    and the law moves the platform; rates and standstill count once the brakes have had their time to open.
+    window: see `hil.safety.force_limits`, its newest row `memory.newest`. is_open: all drives are in RUN and
+    the law moves the platform; rates and standstill count once the brakes have had their time to open.
     """
     tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, _NO_DOUBT, 0.0, 0.0
     tick.encoder_share[:] = np.nan
@@ -276,7 +276,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, history: Array, is_open:
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
     x = np.zeros((15, 6))
-    swings(tick, limits, memory, history, x[_SWING])
+    swings(tick, limits, memory, window, x[_SWING])
     delay = compare(tick, limits, memory, x)
     if tick.mode < _IDLE:
         forget_doubt(memory)

@@ -1,7 +1,6 @@
 """Limits on the forces: size, change per tick, change within 250 ms.
 
-Each limit works in place on tau (6,) N and tells whether it acted. All three allow the last force sent, so
-that any order of them leaves something to send.
+All three allow the last force sent, so that any order of them leaves something to send.
 """
 
 from drivers.arrays import Array
@@ -20,24 +19,6 @@ def clamp(tau: Array, i: int, low: float, high: float) -> bool:
     return False
 
 
-@helper
-def limit_force(tau: Array, force: float) -> bool:
-    """Keep every |tau| <= force (N)."""
-    acted = False
-    for i in range(6):
-        acted |= clamp(tau, i, -force, force)
-    return acted
-
-
-@helper
-def limit_step(tau: Array, last: Array, step: float) -> bool:
-    """Keep every tau within `step` (N) of the last one sent, last (6,) N."""
-    acted = False
-    for i in range(6):
-        acted |= clamp(tau, i, last[i] - step, last[i] + step)
-    return acted
-
-
 BLOCK = 16
 """Rows of the window whose extremes are kept together: a new force then costs 16 rows and not the window."""
 
@@ -52,29 +33,22 @@ def widen(rows: Array, low: Array, high: Array) -> None:
 
 
 @helper
-def remember(tau: Array, row: int, history: Array, lows: Array, highs: Array) -> None:
-    """Put tau (6,) N into a row of history (n, 6) and mend the extremes of its block, (ceil(n/BLOCK), 6)."""
-    history[row] = tau
-    block = row // BLOCK
-    lows[block] = tau
-    highs[block] = tau
-    first = block * BLOCK
-    widen(history[first : first + BLOCK], lows[block], highs[block])
+def remember(tau: Array, row: int, window: Array, rows: int) -> None:
+    """Put tau (6,) N into a row of the window and mend the extremes of its block.
+
+    window: the forces sent, (rows, 6) N, then the smallest and then the largest of each block of BLOCK rows.
+    """
+    window[row] = tau
+    low = rows + row // BLOCK
+    high = low + (window.shape[0] - rows) // 2
+    window[low] = window[high] = tau
+    first = row // BLOCK * BLOCK
+    widen(window[first : min(first + BLOCK, rows)], window[low], window[high])
 
 
 @helper
-def window_extremes(lows: Array, highs: Array) -> tuple[Array, Array]:
+def window_extremes(window: Array, rows: int) -> tuple[Array, Array]:
     """Smallest and largest force (6,) N of each leg in the window, from those of its blocks."""
-    low, high = lows[0].copy(), highs[0].copy()
-    widen(lows, low, high)
-    widen(highs, low, high)
+    low, high = window[rows].copy(), window[rows].copy()
+    widen(window[rows:], low, high)
     return low, high
-
-
-@helper
-def limit_window(tau: Array, low: Array, high: Array, window: float) -> bool:
-    """Keep every tau within `window` (N) of all forces between low and high (6,) N, those of the window."""
-    acted = False
-    for i in range(6):
-        acted |= clamp(tau, i, high[i] - window, low[i] + window)
-    return acted

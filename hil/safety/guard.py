@@ -90,12 +90,12 @@ class Safety:
         self.limits["sync_skew_ns"] = period_ns // 10 if apart_us is None else round(1e3 * apart_us)
         self.limits["settle_ticks"] = round(SETTLE_S * rate_Hz)
         self.limits["stop_on_recorder_loss"] = on_recorder_loss == "stop"
+        ticks = max(1, round(WINDOW_S * rate_Hz))
+        self.limits["window_ticks"] = ticks
         for name, value in encoders._asdict().items():
             self.limits[name] = value
         self._memory = np.zeros((), MEMORY)
-        self._history = np.zeros((max(1, round(WINDOW_S * rate_Hz)), LEGS))
-        self._lows = np.zeros((math.ceil(len(self._history) / BLOCK), LEGS))
-        self._highs = np.zeros_like(self._lows)
+        self._window = np.zeros((ticks + 2 * math.ceil(ticks / BLOCK), LEGS))
         self.reset()
 
     @property
@@ -105,7 +105,7 @@ class Safety:
 
     def reset(self) -> None:
         """Back to the state before the first tick: no force, no late tick, no failure."""
-        for array in (self._memory, self._history, self._lows, self._highs, self._watch_memory):
+        for array in (self._memory, self._window, self._watch_memory):
             array.fill(0)
         self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
         self._memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
@@ -116,18 +116,15 @@ class Safety:
         A larger one than `limits.force_N` comes back as that.
         """
         most = float(self.limits["force_N"])
-        for forces in (self._history, self._lows, self._highs):
-            forces[:] = np.clip(tau, -most, most)
+        self._window[:] = np.clip(tau, -most, most)
 
     def places(self) -> dict[str, int]:
         """Return addresses of the records and matrices, and how many rows these have."""
-        matrices = {"history": self._history, "lows": self._lows, "highs": self._highs}
         return {
-            **{name: data_at(matrix) for name, matrix in matrices.items()},
             "limits": data_at(self.limits),
             "memory": data_at(self._memory),
-            "rows": len(self._history),
-            "blocks": len(self._lows),
+            "window": data_at(self._window),
+            "window_rows": len(self._window),
             "watched": data_at(self._watched),
             "watched_rows": len(self._watched),
         }
@@ -159,7 +156,5 @@ class Safety:
 
         Mutates the state named in the class.
         """
-        faults, warnings, stop = judge_tick(
-            tick, self.limits, self._memory, self._history, self._lows, self._highs, self._watched
-        )
+        faults, warnings, stop = judge_tick(tick, self.limits, self._memory, self._window, self._watched)
         return Verdict(Warn(warnings), Fault(faults), Stop(stop))

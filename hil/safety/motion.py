@@ -1,11 +1,10 @@
 """Rules on the motion: ends of the stroke, speed, tracking, the estimate, and legs that have to stand still.
 
-The rules on the estimate are written so that a value that is not a number faults. A leg that is not heard in
-a tick is not judged in it; that it is heard is for the rule on stale legs.
+A leg that is not heard in a tick is not judged in it; that it is heard is for the rule on stale legs.
 """
 
 import math
-from math import isnan, nan
+from math import isnan
 
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import helper
@@ -18,15 +17,6 @@ CREEP = 1e-3
 def speed_cap(distance: float, deceleration: float) -> float:
     """Fastest approach, m/s, from which `deceleration` (m/s^2) stops within `distance` (m): sqrt(2 a d)."""
     return max(math.sqrt(2.0 * deceleration * max(distance, 0.0)), CREEP)
-
-
-@helper
-def beyond_hard_end(q: Array, length_min: float, length_max: float) -> bool:
-    """Tell whether some leg length q (6,) m is outside the hard ends."""
-    for length in q:  # noqa: SIM110 - compiled
-        if length < length_min or length > length_max:
-            return True
-    return False
 
 
 @helper
@@ -63,26 +53,6 @@ def lagging(q: Array, q_d: Array, dq_d: Array, at_rest: float, per_speed: float)
 
 HOP = 1.0
 """Measure of a hop from which a pose cannot be told from another assembly's; see `hil.estimation.pose`."""
-
-
-@helper
-def inconsistent(residual: float, limit: float) -> bool:
-    """Tell whether the largest leg residual of forward kinematics (m) is above its limit."""
-    return not residual <= limit
-
-
-@helper
-def hopped(hop: float) -> bool:
-    """Tell whether the pose may belong to another assembly."""
-    return not hop < HOP
-
-
-@helper
-def ill_conditioned(condition: float, limit: float) -> bool:
-    """Tell whether the condition number of J is above its limit."""
-    return not condition <= limit
-
-
 REST_m_s = 0.02
 """A measured leg that is not faster is at rest: brakes do not close on a moving platform."""
 
@@ -94,12 +64,6 @@ def at_rest(rate: Array, age: Ints, limit: float) -> bool:
         if age[i] == 0 and abs(rate[i]) >= limit:
             return False
     return True
-
-
-@helper
-def forget_place(still: Array) -> None:
-    """Let every leg stand where it is heard next."""
-    still[:] = nan
 
 
 @helper

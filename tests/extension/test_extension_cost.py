@@ -46,11 +46,15 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
     "safety rule": [
         ("drivers/signals.py", "\n\nclass Doubt(IntEnum)", "    CEILING = 1048576\n"),
         ("hil/safety/ceiling.py", NEW, (PARTS / "rule.py").read_text()),
-        ("hil/safety/kernels.py", "from hil.safety.certificate", "from hil.safety.ceiling import too_high\n"),
+        (
+            "hil/safety/kernels.py",
+            "from hil.safety.encoder_kernels",
+            "from hil.safety.ceiling import too_high\n",
+        ),
         ("hil/safety/kernels.py", "\n\nLIMITS = np.dtype", "_CEILING = int(Fault.CEILING)\n"),
         (
             "hil/safety/kernels.py",
-            "    if hopped(tick.hop):\n",
+            "    if not tick.hop < HOP:\n",
             "    if too_high(tick.p[2]):\n        faults |= _CEILING\n",
         ),
     ],

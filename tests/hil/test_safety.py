@@ -100,10 +100,13 @@ ALWAYS_FAULTS = {
     "drive fault": (Fault.DRIVE, {"drive_state": leg(DriveState.FAULT, DriveState.RUN, np.int64)}),
     "drive rebooted": (Fault.DRIVE, {"drive_state": leg(DriveState.BOOT, DriveState.RUN, np.int64)}),
     "bus off": (Fault.BUS, {"bus_off": True}),
-    "residual": (Fault.KINEMATICS, {"fk_residual": 1.1e-4}),
+    "residual": (Fault.KINEMATICS, {"fk_residual": np.nextafter(1e-4, 1.0)}),
     "not converged": (Fault.KINEMATICS, {"fk_residual": np.inf}),
+    "residual that is no number": (Fault.KINEMATICS, {"fk_residual": np.nan}),
     "hop": (Fault.ASSEMBLY, {"hop": 1.0}),
-    "condition": (Fault.CONDITION, {"condition": 50.1}),
+    "hop that is no number": (Fault.ASSEMBLY, {"hop": np.nan}),
+    "condition": (Fault.CONDITION, {"condition": 50.001}),
+    "condition that is no number": (Fault.CONDITION, {"condition": np.nan}),
     "speed": (Fault.SPEED, {"dq": leg(-3.1)}),
     "length": (Fault.NOT_FINITE, {"length": leg(np.nan)}),
     "rate": (Fault.NOT_FINITE, {"rate": leg(np.inf)}),
@@ -145,7 +148,7 @@ def test_guard_faults_for_this_reason_alone_while_powered_and_never_else(reason)
 NEARLY = {
     "stale": {"age": leg(4, 0, np.int64)},
     "residual": {"fk_residual": 1e-4},
-    "hop": {"hop": 0.9},
+    "hop": {"hop": 0.99},
     "condition": {"condition": 50.0},
     "speed": {"dq": leg(-2.5)},
     "stroke": {"q": leg(9.0, 5.0), "q_d": leg(9.0, 5.0)},
@@ -385,8 +388,10 @@ def test_guard_warns_of_a_noisy_bus():
 
 def test_guard_warns_of_late_ticks_and_of_eight_in_32():
     bench = Bench()
-    late, on_time = PERIOD_NS // 5 + 1, PERIOD_NS // 5
+    late, on_time, apart = PERIOD_NS // 5 + 1, PERIOD_NS // 5, PERIOD_NS // 10
     assert bench.tick(lateness_ns=on_time).warnings == Warn.NONE
+    assert bench.tick(lateness_ns=-PERIOD_NS, sync_skew_ns=apart).warnings == Warn.NONE
+    assert Bench().tick(sync_skew_ns=apart + 1).warnings == Warn.LATE
     for _ in range(7):
         assert bench.tick(lateness_ns=late).warnings == Warn.LATE
     assert bench.tick(lateness_ns=late).warnings == Warn.LATE | Warn.DEGRADED
@@ -397,6 +402,16 @@ def test_guard_warns_of_late_ticks_and_of_eight_in_32():
         bench.tick(lateness_ns=late)
     bench.safety.reset()
     assert bench.tick().warnings == Warn.NONE
+
+
+@pytest.mark.parametrize(("skipped", "degraded"), [(7, 0), (8, 24), (31, 24), (10**9, 24)])
+def test_guard_counts_skipped_periods_as_late_ticks_until_32_later_ones(skipped, degraded):
+    bench = Bench()
+    bench.tick(skipped=31)
+    for _ in range(32):
+        bench.tick()
+    found = [bench.tick(skipped=skipped).warnings, *(bench.tick().warnings for _ in range(30))]
+    assert found == [Warn.DEGRADED] * degraded + [Warn.NONE] * (31 - degraded)
 
 
 def test_guard_asks_for_a_stop_after_five_periods_missed_in_a_row():

@@ -20,21 +20,19 @@ SENSOR_PATIENCE = 3.0
 """Sample periods of the wrench sensor without a sample that warn."""
 WRENCH = np.dtype(
     [
-        *((name, "<i8") for name in ("observe", "observer", "sensed", "read_at", "late")),
-        ("residual", "<i8"),
-        ("period_s", "<f8"),
-        ("rate_Hz", "<f8"),
-        ("last", "<f8", 6),
-        ("reading", "<f8", 6),
+        *((name, "<i8") for name in ("observe", "observer", "residual", "sensed", "read_at")),
+        *((name, "<f8") for name in ("period_s", "rate_Hz")),
+        *((name, "<f8", 6) for name in ("last", "reading")),
     ]
 )
-"""The observer's function and record, 0 where it is not the source; whether the sensor is, when it was read
-and whether that is too long ago; where the observer's estimate is."""
+"""The observer's function, its record and where its estimate is, 0 where it is not the source; whether the
+sensor is, and when it was read."""
 
 
 @pointed(record(WRENCH), INTEGER, record(TICK, "tick", "legs_used", "wrench", "wrench_sensor"))
 def _fill(k: Any, fusing: int, tick: Any) -> int:
     """Fill wrench and wrench_sensor, as `ExternalWrench.fill`; return 1 where the sensor is late."""
+    late = False
     if k.observe:
         seen = 1 if fusing == 0 or tick.legs_used == _ALL_LEGS else 0
         call(k.observe, (k.observer, seen, address_of(tick)))
@@ -43,9 +41,9 @@ def _fill(k: Any, fusing: int, tick: Any) -> int:
     elif k.sensed:
         k.last[:] = k.reading
         tick.wrench[:] = k.last
-        k.late = (tick.tick - k.read_at) * k.period_s * k.rate_Hz > SENSOR_PATIENCE
+        late = (tick.tick - k.read_at) * k.period_s * k.rate_Hz > SENSOR_PATIENCE
     tick.wrench_sensor[:] = k.reading
-    return int(k.late)
+    return int(late)
 
 
 @pointed(
@@ -78,8 +76,8 @@ def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: An
 class ExternalWrench:
     """The wrench of the configured source, (6,) N, N m on the platform at its origin, base frame.
 
-    Mutable state: the wrench of the last tick, the last reading of the sensor and when it came, whether it
-    is late, and the observer's own. `reset` restores the initial one.
+    Mutable state: the wrench of the last tick, the last reading of the sensor and when it came, and the
+    observer's own. `reset` restores the initial one.
     """
 
     def __init__(
@@ -100,7 +98,7 @@ class ExternalWrench:
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
-        for name in ("last", "reading", "read_at", "late"):
+        for name in ("last", "reading", "read_at"):
             self._record[name] = 0
         if self.observer is not None:
             self.observer.reset()
@@ -111,11 +109,6 @@ class ExternalWrench:
         last: Array = self._record["last"]
         return last
 
-    @property
-    def late(self) -> bool:
-        """Whether the sensor is the source and has left out samples: its last one is held."""
-        return bool(self._record["late"])
-
     def forget(self) -> None:
         """Forget the reading: a sensor that is there gives another before the brakes open."""
         self._record["reading"] = 0.0
@@ -125,6 +118,9 @@ class ExternalWrench:
         """Whether anything gives the wrench; it is zero where nothing does."""
         return bool(self._record["observe"] or self._record["sensed"])
 
-    def fill(self, tick: Record, *, fusing: bool) -> None:
-        """Fill the wrench of a tick, zero without a source, and what the sensor last read; call it once."""
-        _fill(self._record, int(fusing), tick)
+    def fill(self, tick: Record, *, fusing: bool) -> bool:
+        """Fill the wrench of a tick, zero without a source, and what the sensor last read; call it once.
+
+        Return whether the sensor is the source and has left out samples: its last one is held.
+        """
+        return bool(_fill(self._record, int(fusing), tick))

@@ -211,5 +211,5 @@ class Control:
     def load(self, tick: Record) -> None:
         """Fill the external wrench of a tick."""
         cycle = self._cycle
-        cycle.parts.wrench.fill(tick, fusing=cycle.sight.fusing)
-        self.record["sensor_late"] = Warn.SENSOR if cycle.parts.wrench.late else 0
+        late = cycle.parts.wrench.fill(tick, fusing=cycle.sight.fusing)
+        self.record["sensor_late"] = Warn.SENSOR if late else 0

@@ -8,31 +8,8 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.signals import Doubt, Fault, Mode
-from hil.safety.residuals import (
-    SETTLES_S,
-    SUSPECT,
-    WINDOW_S,
-    acceleration_range,
-    beside,
-    excused,
-    explained,
-    gap_bound,
-    is_time,
-    lag_of,
-    lag_of_leap,
-    leap_bound,
-    push_of,
-    shared_delay,
-    slip_bound,
-    sole,
-    stands,
-    strayed,
-)  # fmt: skip
+from hil.safety import residuals
 
-_ENCODER = int(Fault.ENCODER)
-_JUMP, _SLIP, _LEAP, _STILL = int(Doubt.JUMP), int(Doubt.SLIP), int(Doubt.LEAP), int(Doubt.STILL)
-_NO_DOUBT, _IDLE, _FAULT = int(Doubt.NONE), int(Mode.IDLE), int(Mode.FAULT)
-_LOADING, _UNLOADING, _PARKED = int(Mode.LOADING), int(Mode.UNLOADING), int(Mode.PARKED)
 LONGEST_GAP = 8
 """Ticks without a leg after which its last reading says nothing of the next."""
 STRAYS = 1.0
@@ -58,7 +35,7 @@ def doubt_leg(tick: Any, limits: Any, memory: Any, leg: int, why: int, value: fl
         return
     memory.doubted |= 1 << leg
     memory.still[leg] = tick.length[leg]
-    if memory.doubt == _NO_DOUBT:
+    if memory.doubt == Doubt.NONE.value:
         memory.doubt, memory.doubt_value, memory.doubt_limit = why, value, limit
 
 
@@ -112,7 +89,7 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
             continue
         T = 1e-9 * (latched(tick, i) - memory.latched_ns[i])
         x[_DT, i] = T
-        x[_RANGE, i] = acceleration_range(limits.mobility, x[_SWING], limits.disturbance_m_s2, i)
+        x[_RANGE, i] = residuals.acceleration_range(limits.mobility, x[_SWING], limits.disturbance_m_s2, i)
         lively = x[_RANGE, i] + abs(memory.acceleration[i])
         x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
         rates = tick.rate[i] + memory.rate_was[i]
@@ -125,13 +102,14 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
         # then has been heard: each drive was late by itself.
         unsure = limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick[i] <= LONGEST_GAP
         x[_STRAY, i] = STRAYS * limits.period_s if unsure else 0.0
-        x[_BOUND, i] = gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], T + x[_STRAY, i])
+        longest = T + x[_STRAY, i]
+        x[_BOUND, i] = residuals.gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], longest)
         if limits.differences != 0:
-            x[_LAG, i] = lag_of(T, memory.spacing_s[i])
+            x[_LAG, i] = residuals.lag_of(T, memory.spacing_s[i])
             x[_BOUND, i] += 0.5 * T * (x[_LAG, i] + memory.lag_s[i]) * x[_RANGE, i]
         if memory.heard[i] == memory.heard_tick:
             x[_SAY, i] = x[_GAP, i]
-    delay, shared = shared_delay(x[_SAY], x[_RATE], x[_BOUND])
+    delay, shared = residuals.shared_delay(x[_SAY], x[_RATE], x[_BOUND])
     for i in range(6):
         if not isnan(x[_GAP, i]):
             late = memory.delay_s + delay - memory.latched_delay_s[i]
@@ -141,7 +119,7 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
         period = limits.period_s * abs(x[_RATE, i])
         x[_LATE, i] = max(limits.unshared * limits.period_s, x[_STRAY, i]) * abs(x[_RATE, i])
         beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
-        if beyond and explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
+        if beyond and residuals.explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
             x[_LATE, i] = period
     for i in range(6):
         if not shared or x[_STRAY, i] > 0.0 or isnan(x[_SAY, i]):
@@ -156,9 +134,9 @@ def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     for i in range(6):
         if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0 and x[_STRAY, i] == 0.0:
             leap = tick.rate[i] - memory.rate_was[i] - x[_DT, i] * memory.acceleration[i]
-            bound = leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
+            bound = residuals.leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
             if limits.differences != 0:
-                lag = lag_of_leap(x[_LAG, i], memory.lag_s[i], x[_DT, i], memory.spacing_s[i])
+                lag = residuals.lag_of_leap(x[_LAG, i], memory.lag_s[i], x[_DT, i], memory.spacing_s[i])
                 bound += lag * x[_RANGE, i]
             x[_LEAPS, i] = max(bound, LEAST_m_s)
             x[_LEAPED, i], x[_EXCESS, i] = leap, abs(leap) / x[_LEAPS, i]
@@ -167,26 +145,26 @@ def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 @helper
 def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     """Doubt legs whose length and rate contradict each other: at once, or within a while."""
-    closed = tick.mode in (_IDLE, _LOADING, _UNLOADING, _PARKED)
+    closed = tick.mode in (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
     for i in range(6):
         gap, T = x[_GAP, i], x[_DT, i]
         if isnan(gap):
             continue
         if x[_EXCESS, i] > 1.0 and not closed:
-            gap = beside(gap, x[_LEAPED, i], T)
+            gap = residuals.beside(gap, x[_LEAPED, i], T)
         if abs(gap) > x[_BOUND, i]:
-            doubt_leg(tick, limits, memory, i, _JUMP, gap, x[_BOUND, i])
-        keep = max(1.0 - T / WINDOW_S, 0.0)
+            doubt_leg(tick, limits, memory, i, Doubt.JUMP.value, gap, x[_BOUND, i])
+        keep = max(1.0 - T / residuals.WINDOW_S, 0.0)
         memory.gaps[i] = keep * memory.gaps[i] + gap
         memory.travel[i] = keep * memory.travel[i] + abs(x[_RATE, i]) * T
         noise, share = limits.length_noise_m, limits.rate_error
-        bound = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], T, share, memory.travel[i])
+        bound = residuals.slip_bound(noise, x[_NOISE, i], x[_RANGE, i], T, share, memory.travel[i])
         left, period = keep * memory.excused[i], limits.period_s
         bound += x[_LATE, i] + left
-        calm = slip_bound(noise, x[_NOISE, i], x[_RANGE, i], 0.0, share, memory.travel[i])
-        memory.excused[i] = excused(left, memory.gaps[i], calm, T, period)
+        calm = residuals.slip_bound(noise, x[_NOISE, i], x[_RANGE, i], 0.0, share, memory.travel[i])
+        memory.excused[i] = residuals.excused(left, memory.gaps[i], calm, T, period)
         if abs(memory.gaps[i]) > bound:
-            doubt_leg(tick, limits, memory, i, _SLIP, memory.gaps[i], bound)
+            doubt_leg(tick, limits, memory, i, Doubt.SLIP.value, memory.gaps[i], bound)
         if limits.watched_legs >> i & 1:
             tick.encoder_share[i] = max(abs(gap) / x[_BOUND, i], abs(memory.gaps[i]) / bound)
 
@@ -194,12 +172,12 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 @helper
 def judge_rates(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     """Doubt the one leg whose rate leaps; not where a late latch makes a difference of lengths leap."""
-    leg = sole(x[_EXCESS])
+    leg = residuals.sole(x[_EXCESS])
     if leg < 0:
         return
-    if limits.differences != 0 and is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS], limits.unshared):
+    if limits.differences != 0 and residuals.is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS], limits.unshared):
         return
-    doubt_leg(tick, limits, memory, leg, _LEAP, x[_LEAPED, leg], x[_LEAPS, leg])
+    doubt_leg(tick, limits, memory, leg, Doubt.LEAP.value, x[_LEAPED, leg], x[_LEAPS, leg])
 
 
 @helper
@@ -207,7 +185,7 @@ def let_settle(memory: Any, deviation: Array, period_s: float) -> None:
     """Let no leg be suspected for what another one does that was pushed a moment ago."""
     for i in range(6):
         if memory.push[i] != 0:
-            memory.unsettled_s[i] = SETTLES_S
+            memory.unsettled_s[i] = residuals.SETTLES_S
         if memory.unsettled_s[i] > 0.0:
             memory.unsettled_s[i] -= period_s
             own = memory.began[i, i]
@@ -226,17 +204,17 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
     for i in range(6):
         if tick.age[i] != 0 or not limits.watched_legs >> i & 1:
             continue
-        still = memory.stood[i] != 0 and stands(tick.length[i], tick.rate[i], memory.anchor[i], noise, moves)
-        if not still:
-            memory.stood[i], memory.anchor[i], memory.push[i] = 1, tick.length[i], 0
+        length, rate = tick.length[i], tick.rate[i]
+        if memory.stood[i] == 0 or not residuals.stands(length, rate, memory.anchor[i], noise, moves):
+            memory.stood[i], memory.anchor[i], memory.push[i] = 1, length, 0
             memory.began[i, :] = deviation
             continue
-        moved = strayed(deviation, memory.began[i], tick.age)
-        if memory.push[i] != 0 or moved > SUSPECT * noise:
+        moved = residuals.strayed(deviation, memory.began[i], tick.age)
+        if memory.push[i] != 0 or moved > residuals.SUSPECT * noise:
             towards = memory.push[i] < 0 if memory.push[i] != 0 else deviation[i] > 0.0
             memory.push[i] += -1 if towards else 1  # ticks; < 0 retracts the leg, first towards its reference
         if abs(memory.push[i]) > 2 * limits.push_ticks:
-            doubt_leg(tick, limits, memory, i, _STILL, moved, SUSPECT * noise)
+            doubt_leg(tick, limits, memory, i, Doubt.STILL.value, moved, residuals.SUSPECT * noise)
 
 
 @helper
@@ -269,7 +247,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     window: see `hil.safety.force_limits`, its newest row `memory.newest`. is_open: all drives are in RUN and
     the law moves the platform; rates and standstill count once the brakes have had their time to open.
     """
-    tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, _NO_DOUBT, 0.0, 0.0
+    tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, Doubt.NONE.value, 0.0, 0.0
     tick.encoder_share[:] = np.nan
     if limits.watched_legs == 0:
         return 0
@@ -278,9 +256,9 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     x = np.zeros((15, 6))
     swings(tick, limits, memory, window, x[_SWING])
     delay = compare(tick, limits, memory, x)
-    if tick.mode < _IDLE:
+    if tick.mode < Mode.IDLE:
         forget_doubt(memory)
-    elif memory.doubted == 0 and tick.mode != _FAULT:
+    elif memory.doubted == 0 and tick.mode != Mode.FAULT:
         fill_leaps(tick, limits, memory, x)
         judge_lengths(tick, limits, memory, x)
         if settled:
@@ -292,7 +270,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     remember_readings(tick, limits, memory, delay, x)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
-    return _ENCODER if memory.doubted != 0 else 0
+    return Fault.ENCODER.value if memory.doubted != 0 else 0
 
 
 @helper
@@ -309,7 +287,7 @@ def push_legs(tau: Array, limits: Any, memory: Any) -> None:
     """Add the pushes to tau (6,) N."""
     for i in range(6):
         rise, ticks = limits.rise_ticks, limits.push_ticks
-        force = push_of(memory.push[i], ticks, limits.push_N[i], limits.sticks != 0, rise)
+        force = residuals.push_of(memory.push[i], ticks, limits.push_N[i], limits.sticks != 0, rise)
         most = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
         if limits.sticks != 0 and memory.push[i] != 0:
             most = max(most, 2.0 * limits.push_N[i] / (2 * rise - 1))

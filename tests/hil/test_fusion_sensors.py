@@ -251,7 +251,6 @@ def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(ra
     wrench._record["read_at"] = 10
     late = []
     for tick in range(10, 60):
-        wrench.fill(record_of(tick=tick), fusing=False)
-        late.append(wrench.late)
+        late.append(wrench.fill(record_of(tick=tick), fusing=False))
     patience = SENSOR_PATIENCE / rate_Hz / period_s
     assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]

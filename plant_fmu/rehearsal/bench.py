@@ -3,7 +3,7 @@
 What it answers is the plant's truth. It knows no configuration but the figures that it is built from.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant
 from plant_fmu.rehearsal.legs import LegBench, TrestleLegs
-from plant_fmu.rehearsal.wired_drives import WiredDrives
+from plant_fmu.rehearsal.wired_drives import wired_drives
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
 
@@ -88,7 +88,7 @@ class RehearsalBench:
                 gauge_N=0.02 * self._rated_N,
             )
         )
-        self.drives_end = drives_end(protocol, wiring, settings)
+        self.drives_end = wired_drives(protocol, wiring, settings.node_ids)
         self.cables = self.behind_cables(self._legs)
         self.nodes = Nodes(self.cables, self.drives_end, emulation, settings, faults)
         self._chance = np.random.default_rng(seed)
@@ -184,8 +184,3 @@ def joints_of(wiring: Wiring, base: Array, platform: Array) -> tuple[Array, Arra
     outwards = base / np.where(radius > 0.0, radius, np.inf) * (1.0, 1.0, 0.0)
     moved = base + np.array(wiring.joint_off_m)[:, None] * outwards
     return moved[list(wiring.base_joint)], platform[list(wiring.platform_joint)]
-
-
-def drives_end(protocol: DriveProtocol, wiring: Wiring, settings: DriveSettings) -> DriveProtocol:
-    """Return the drives' end of a protocol for drives that are set up as a wiring says."""
-    return cast("DriveProtocol", cast("Any", WiredDrives(protocol, wiring, settings.node_ids)))

@@ -1,22 +1,22 @@
 """The drives' end of a protocol with drives that are set up wrongly: node numbers, watchdogs, presence."""
 
 from collections.abc import Sequence
+from copy import copy
 from math import isinf
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.ends import DrivesEnd, drives_end
 from drivers.protocol import (
-    Alive,
     Answer,
     Configure,
     DeviceCommand,
     DeviceMessage,
     DriveProtocol,
-    EmergencyStop,
     Frame,
+    Rejected,
     Status,
     Sync,
 )
@@ -30,16 +30,11 @@ HEARTBEAT = 0x700
 PRE_OPERATIONAL = b"\x7f"
 
 
-class WiredDrives:
-    """A drive protocol whose drives' end is that of a wiring. It has no controller's end."""
-
-    def __init__(self, protocol: DriveProtocol, wiring: Wiring, node_ids: Sequence[int]) -> None:
-        self._given = protocol, wiring, node_ids
-        self.unasked_s = protocol.unasked_s
-
-    def drives_end(self) -> "WiredEnd":
-        """Return the drives' end, powered up."""
-        return WiredEnd(*self._given)
+def wired_drives(protocol: DriveProtocol, wiring: Wiring, node_ids: Sequence[int]) -> DriveProtocol:
+    """Return a drive protocol whose drives' end, powered up, is that of a wiring."""
+    wired = copy(protocol)
+    cast("Any", wired).drives_end = lambda: WiredEnd(protocol, wiring, node_ids)
+    return wired
 
 
 class WiredEnd(DrivesEnd):
@@ -54,37 +49,28 @@ class WiredEnd(DrivesEnd):
         self._node_ids = tuple(node_ids)
         self._plain = wiring.answers_as == OWN and all(wiring.present) and not any(wiring.other_protocol)
         """Each drive answers, and under its own number."""
-        self._right = self._plain and set(wiring.watchdog) == {1.0}
-        """Each drive hears what it is told, as it is told."""
         self._mute = {k for k in range(LEGS) if not wiring.present[k] or wiring.other_protocol[k]}
 
     def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Return what a frame says to the drives that believe it to be theirs."""
-        messages = self._end.hear(frame)
-        return messages if self._right else tuple(each for one in messages for each in self._heard(one))
+        return tuple(each for one in self._end.hear(frame) for each in self._heard(one))
 
     def _heard(self, message: DeviceMessage) -> list[DeviceMessage]:
+        if isinstance(message, Rejected):
+            return [message]
+        legs = (message.leg,) if isinstance(message, Configure | Answer) else message.legs
+        named = self._wiring.answers_as
+        takes = tuple(k for k in range(LEGS) if named[k] in legs and k not in self._mute)
         match message:
-            case DeviceCommand(legs=legs, force=force):
-                takes = self._takers(legs)
-                forces = np.array([force[legs.index(self._wiring.answers_as[k])] for k in takes], float)
-                return [message._replace(legs=tuple(takes), force=forces)] if takes else []
-            case Configure(leg=leg):
-                return [
-                    Configure(k, self._waits(k, message.watchdog_s), message.reaction)
-                    for k in self._takers((leg,))
-                ]
-            case Sync(legs=legs) | Alive(legs=legs) | EmergencyStop(legs=legs):
-                takes = self._takers(legs)
-                return [message._replace(legs=tuple(takes))] if takes else []
-            case Answer(leg=leg):
-                return [message] if leg in self._takers((leg,)) else []
+            case Configure():
+                return [message._replace(leg=k, watchdog_s=self._waits(k, message.watchdog_s)) for k in takes]
+            case Answer():
+                return [message] if message.leg in takes else []
+            case DeviceCommand() if takes:
+                forces = np.array([message.force[legs.index(named[k])] for k in takes], float)
+                return [message._replace(legs=takes, force=forces)]
             case _:
-                return [message]
-
-    def _takers(self, legs: Sequence[int]) -> list[int]:
-        """Return the drives that take a frame to `legs` for theirs."""
-        return [k for k in range(LEGS) if self._wiring.answers_as[k] in legs and k not in self._mute]
+                return [message._replace(legs=takes)] if takes else []
 
     def _waits(self, drive: int, watchdog_s: float) -> float:
         factor = self._wiring.watchdog[drive]
@@ -106,12 +92,12 @@ class WiredEnd(DrivesEnd):
             if drive in self._mute:
                 continue
             as_leg = self._wiring.answers_as[drive]
-            length_, rate_, force_, state_ = (
-                _moved(each, as_leg, drive) for each in (length, rate, force, state)
-            )
-            code = None if fault is None else _moved(fault, as_leg, drive)
-            said = sync._replace(legs=(as_leg,))
-            answers = self._end.reply(said, length_, rate_, force_, state_, code)
+            measured = (length, rate, force, state, fault)
+            given: list[Any] = [None if each is None else each.copy() for each in measured]
+            for values in given:
+                if values is not None:
+                    values[as_leg] = values[drive]
+            answers = self._end.reply(sync._replace(legs=(as_leg,)), *given)
             frames += [(drive, frame) for leg, frame in answers if leg == as_leg]
         return frames
 
@@ -138,9 +124,3 @@ class WiredEnd(DrivesEnd):
     def remember(self, memory: Any) -> None:
         """Go back to what was `remembered`."""
         self._end.remember(memory)
-
-
-def _moved(values: Any, to: int, drive: int) -> Any:
-    moved = values.copy()
-    moved[to] = values[drive]
-    return moved

@@ -31,7 +31,7 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
-from plant_fmu.rehearsal.wired_drives import WiredDrives, WiredEnd
+from plant_fmu.rehearsal.wired_drives import WiredEnd, wired_drives
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import drives
@@ -68,7 +68,7 @@ def wirings(mute: int) -> list[Wiring]:
 def answering(name: str, wiring: Wiring) -> list[int]:
     """Return the drives that answer a request to each, once they have booted."""
     protocol, frames = asked(name)
-    wired = ByValue(WiredDrives(protocol.protocol, wiring, NODES))
+    wired = ByValue(wired_drives(protocol.protocol, wiring, NODES))
     memory = protocol.power_up()
     for leg in range(LEGS):
         memory, _ = protocol.report(memory, Status(leg, DriveState.BOOT, 0))
@@ -97,7 +97,7 @@ def test_a_drive_without_power_says_nothing_of_its_state_either():
     memory = protocol.power_up()
     zeros = np.zeros(LEGS)
     for mute in range(LEGS):
-        wired = ByValue(WiredDrives(protocol.protocol, wirings(mute)[0], NODES))
+        wired = ByValue(wired_drives(protocol.protocol, wirings(mute)[0], NODES))
         reports = [wired.report(memory, Status(leg, DriveState.OFF, 0))[1] for leg in range(LEGS)]
         assert [leg for leg, frames in enumerate(reports) if not frames] == [mute]
         sync = wired.parse(memory, Frame(NODES[mute] << 5 | 0x09, b"", REMOTE))[1]
@@ -114,7 +114,7 @@ def test_two_drives_of_one_number_say_each_its_own(first, second):
     """`second` was given the number of `first`: both answer under it, with what each measures."""
     number = tuple(first if drive == second else drive for drive in range(LEGS))
     protocol = ByValue(LegsProtocol("fd", NODES))
-    wired = ByValue(WiredDrives(protocol.protocol, Wiring(answers_as=number), NODES))
+    wired = ByValue(wired_drives(protocol.protocol, Wiring(answers_as=number), NODES))
     sync: Any = protocol.parse(protocol.power_up(), opening(protocol.protocol, 1)[0])[1][0]
     length, rate = np.linspace(1.0, 1.5, LEGS), np.linspace(0.0, 0.05, LEGS)
     force, state = np.linspace(0.0, 500.0, LEGS), np.array([DriveState.OFF] * LEGS)
@@ -137,7 +137,7 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
     """inf: it never ends, in a million seconds."""
     factors = (1.0, 8.0, 0.3, inf, 2.5, 0.5)
     protocol = ByValue(LegsProtocol("fd", NODES))
-    given = WiredDrives(protocol.protocol, Wiring(answers_as=number, watchdog=factors), NODES)
+    given = wired_drives(protocol.protocol, Wiring(answers_as=number, watchdog=factors), NODES)
     wired, wired_end = ByValue(given), given.drives_end()
     memory = protocol.power_up()
     for frame in protocol.configure(0.01, Reaction.DAMP):
@@ -158,7 +158,7 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
 def test_a_drive_as_delivered_says_that_it_is_pre_operational_under_its_number_and_nothing_else(mute):
     """CiA 301: heartbeat 0x7F."""
     protocol, numbers = ByValue(LegsProtocol("fd", NODES)), (11, 12, 13, 14, 15, 16)
-    wired = ByValue(WiredDrives(protocol.protocol, wirings(mute)[1], numbers))
+    wired = ByValue(wired_drives(protocol.protocol, wirings(mute)[1], numbers))
     memory = protocol.power_up()
     said = [wired.report(memory, Status(leg, DriveState.OFF, 0))[1] for leg in range(LEGS)]
     assert said[mute] == (Frame(0x70B + mute, b"\x7f"),)
@@ -180,7 +180,7 @@ def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_mean
         other_protocol=(False, False, False, False, False, True),
     )
     protocol = ByValue(LegsProtocol(layout, NODES))
-    wired = ByValue(WiredDrives(protocol.protocol, wiring, NODES))
+    wired = ByValue(wired_drives(protocol.protocol, wiring, NODES))
     memory, _ = protocol.parse(protocol.power_up(), opening(protocol.protocol, 7)[0])
     given: dict[int, float] = {}
     for frame in command_frames(protocol.protocol, Command(DriveMode.RUN, 100.0 * np.arange(6.0) - 250.0), 7):
@@ -234,7 +234,7 @@ CROSSED = Wiring(
 
 def wired_to(wiring: Wiring, *messages: Any) -> tuple[WiredEnd, Family]:
     family: Any = Family(*messages)
-    return WiredDrives(family, wiring, NODES).drives_end(), family
+    return WiredEnd(family, wiring, NODES), family
 
 
 @pytest.mark.parametrize("kind", [lambda legs: Sync(9, legs), Alive, EmergencyStop])
@@ -270,7 +270,7 @@ def test_drives_that_are_wired_right_answer_with_what_they_measure_as_it_is():
 def test_drives_that_start_again_are_those_of_their_numbers_and_the_period_is_the_familys():
     wired, family = wired_to(CROSSED)
     given: Any = family
-    assert WiredDrives(given, CROSSED, NODES).unasked_s == 0.125
+    assert wired_drives(given, CROSSED, NODES).unasked_s == 0.125
     wired.restart([0, 2, 3])
     assert family.restarts == [[1, 3, 3]]
 
@@ -299,7 +299,7 @@ def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
     protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
-    wired: Any = WiredDrives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES).drives_end()
+    wired: Any = wired_drives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES).drives_end()
     held, *commands, poll = wired.hear(Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
     assert isinstance(held, Configure)
     assert held.leg == leg

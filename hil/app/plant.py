@@ -34,8 +34,8 @@ from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
 from hil.loop.panel import signals_to
 from hil.record import Recording, scheduling
+from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.drives.snapshot import Snapshot
 from plant_fmu.plant import Plant
 
 IDLE_NS = 2_000_000

@@ -9,8 +9,8 @@ from drivers.arrays import Rows
 from drivers.frame_array import FRAME
 from drivers.signals import DriveState
 from hil.app.plant_columns import PLANT
+from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.drives.snapshot import Snapshot
 
 SILENT_NS = 5_000_000
 """How often a moving platform is recorded when nobody asks, and one that has to answer all the time."""

@@ -1,25 +1,33 @@
-"""Six emulated drives: what they remember, what faults make of them and their encoders. `Nodes` owns them."""
+"""Six emulated drives: their record, and what faults make of them and their encoders. `Nodes` owns them."""
 
 from collections import deque
 from collections.abc import Sequence
 from math import exp, inf, nan, pi
 from operator import itemgetter
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Ints
+from drivers.compiled.pointed import data_at
 from drivers.config import DriveSettings, HomingSettings
-from drivers.protocol import Configure, Status
+from drivers.ends import MESSAGE, READING, DrivesEnd, put_messages
+from drivers.frame_array import FRAME, timed_array
+from drivers.protocol import Configure, DeviceMessage, Frame, Status
 from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
-from plant_fmu.drives.record import NODES
+from plant_fmu.drives.live import due_ns
+from plant_fmu.drives.record import MESSAGES, NODES, ROOM
 from plant_fmu.faults.fault import Present
+from plant_fmu.plant import Moved, Truth
 
 _NO_COUNTER = -1
+_AT: dict[str, int] = {name: NODES.fields[name][1] // 8 for name in NODES.names or ()}  # type: ignore[index]
+NOW, SENT, MESSAGE_AT, SYNCS = (_AT[name] for name in ("now_ns", "sent", "message", "syncs"))
+"""Places of integers in `Drives.words`."""
 
 
 def at_motor(settings: DriveSettings, transmission: Transmission | None) -> DriveSettings:
@@ -33,8 +41,8 @@ def at_motor(settings: DriveSettings, transmission: Transmission | None) -> Driv
 class Drives:
     """Six drives that have just been powered up.
 
-    Mutable state: their part of the record; where legs stood when a fault began that scales what their
-    encoders count.
+    Mutable state: the record, see `record.NODES`; frames to send, messages heard, and the reading that is
+    answered; where legs stood when a fault began that scales what their encoders count.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
@@ -57,6 +65,63 @@ class Drives:
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         n.lags, n.lag_end = x > 0.0, exp(-x)
         n.lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else exp(-x)
+
+    def connect(self, t0_ns: int, end: DrivesEnd, plant: Moved) -> None:
+        """Let them live from `t0_ns` on, with their end and the plant behind them."""
+        self._keeps = end, plant
+        n = self.record
+        self.address = data_at(n)
+        self.words = n.reshape(1).view(np.int64).data
+        """The record as integers, quick to get at."""
+        self.out = np.zeros(ROOM, FRAME)
+        """Frames to send: the first `words[SENT]`."""
+        self.messages, self.asked = np.zeros(ROOM, MESSAGE), np.zeros((), MESSAGE)
+        self.reading, self._senders = np.zeros((), READING), np.zeros(ROOM, np.int64)
+        n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
+        n["parse"], n["answer"], n["report"], n["end"] = end.parse, end.answer, end.report, end.context
+        n["messages"], n["asked"] = data_at(self.messages), data_at(self.asked)
+        n["reading"], n["senders"] = data_at(self.reading), data_at(self._senders)
+        n["out"], n["room"] = data_at(self.out), ROOM
+        n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
+
+    def drive_by(self, transmission: Transmission) -> None:
+        """Put losses between motors and legs."""
+        n = self.record
+        n["geared"], n["full_loss_m_s"] = True, transmission.full_loss_m_s
+        n["driving"], n["back_driving"] = transmission.driving, transmission.back_driving
+
+    def speak(self, heartbeat_ns: float, reading_ns: float) -> None:
+        """Let each drive send its status, and its reading unasked, so often; 0: never."""
+        n = self.record
+        t0_ns = int(n["t0_ns"])
+        n["beat_share"], n["reading_share"] = heartbeat_ns / LEGS, reading_ns / LEGS
+        n["beat_ns"] = due_ns(t0_ns, 0, heartbeat_ns / LEGS)
+        n["reading_ns"] = due_ns(t0_ns, 1, reading_ns / LEGS)
+
+    def reserve(self, room: int) -> None:
+        """Make room for frames to send."""
+        out = np.zeros(room, FRAME)
+        out[: self.words[SENT]] = self.out[: self.words[SENT]]
+        self.out = out
+        self.record["out"], self.record["room"] = data_at(out), room
+
+    def queue(self, t_ns: int, frames: Sequence[Frame]) -> None:
+        """Send frames, at an instant."""
+        before = self.words[SENT]
+        after = before + len(frames)
+        if after > len(self.out):
+            self.reserve(2 * after)
+        self.out[before:after] = timed_array([(t_ns, frame) for frame in frames])
+        self.words[SENT] = after
+
+    def hear(self, messages: Sequence[DeviceMessage]) -> None:
+        """Take what the present frame says."""
+        n: Any = self.record
+        if len(messages) > len(self.messages):
+            self.messages = np.zeros(2 * len(messages), MESSAGE)
+            n["messages"] = data_at(self.messages)
+        put_messages(messages, self.messages)
+        n["heard"], n["message"], n["place"] = len(messages), 0, MESSAGES
 
     def status(self, leg: int, *, due: bool) -> Status:
         """Return what a drive is in."""
@@ -163,3 +228,37 @@ class Reading:
         at_ns, length, rate = before[-1] if before else self._read[0]
         dt = max(0, t_ns - at_ns) * 1e-9
         return float(length[leg] + rate[leg] * dt), float(rate[leg])
+
+
+class Snapshot(NamedTuple):
+    """The plant's end at one instant, for its log."""
+
+    t_ns: int
+    """Grid instant of length and rate."""
+    length: Array
+    """(6,) m, true."""
+    rate: Array
+    """(6,) m/s, true."""
+    command: Array
+    """(6,) N, last valid command."""
+    force: Array
+    """(6,) N, what the drives put on the plant."""
+    applied: Array
+    """(6,) N, the plant's own answer to that where it knows it, else `force`."""
+    state: Ints
+    """(6,) DriveState."""
+    fault: Ints
+    """(6,) DriveFault."""
+    brake: Array
+    """(6,) 1 engaged, 0 released."""
+    wrench: Array
+    """(6,) N, N m on the platform."""
+    truth: Truth | None
+    syncs: int
+    """SYNC frames or polls heard since the start."""
+    commands: int
+    """Valid command frames with a new counter."""
+    repeated: int
+    """Valid command frames whose counter had been seen: they count for nothing."""
+    rejected: int
+    """Frames that could not be trusted, or were for another SYNC than the present one."""

@@ -47,7 +47,6 @@ from plant_fmu.drives.record import (
     PLANT,
     REPORT,
     ROOM,
-    SENSE,
     TIME,
     UNSORTED,
     WATCHDOG,
@@ -162,21 +161,14 @@ def _happen(n: Any, t_ns: int) -> int:
 
 @helper
 def _pass_time(n: Any, frames: int, count: int) -> int:
-    """Let something happen before the next frame, or reach it; behind all of their instant sensors act."""
+    """Let something happen before the next frame, or reach it."""
     t_ns, is_end = n.until_ns, n.frame == count
     if not is_end:
         t_ns = min(max(frame_at(frames + n.frame * _FRAME).t_ns, n.now_ns), t_ns)
-    senses = n.sense_ns < t_ns + is_end
-    t_ns = min(t_ns, n.sense_ns)
     if t_ns >= n.calm_ns:
         return _happen(n, t_ns)
     n.now_ns = n.t_ns = t_ns
-    if senses:
-        status = move_to(n, t_ns)
-        return SENSE if status == DONE else status
     if not is_end:
-        if n.listen != 0:
-            call(n.listen, (n.ears, frames + n.frame * _FRAME))
         n.place = HEAR
         return DONE
     n.frame += 1

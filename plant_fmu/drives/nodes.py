@@ -31,7 +31,7 @@ from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import record
-from plant_fmu.drives.drive import Drives, Reading, Turns, at_motor
+from plant_fmu.drives.drive import MESSAGE_AT, NOW, SENT, SYNCS, Drives, Reading, Snapshot, Turns, at_motor
 from plant_fmu.drives.kernels import (
     BRAKE,
     DAMP,
@@ -47,8 +47,6 @@ from plant_fmu.drives.kernels import (
 from plant_fmu.drives.live import advance, live
 from plant_fmu.drives.python_plant import moved
 from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
-from plant_fmu.drives.snapshot import Snapshot
-from plant_fmu.drives.state import MESSAGE_AT, NOW, SENT, SYNCS, State
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
@@ -96,11 +94,11 @@ class Nodes:
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._turns = Turns(self._settings.homing, transmission, length)
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
-        self._state = State(t0_ns, self._drives.record, self._end, self._moved)
-        self._state.speak(1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s)
+        self._drives.connect(t0_ns, self._end, self._moved)
+        self._drives.speak(1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s)
         if transmission is not None:
-            self._state.drive_by(transmission)
-        self._record = n = self._state.record
+            self._drives.drive_by(transmission)
+        self._record = n = self._drives.record
         n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._heard: Sequence[DeviceMessage] = ()
@@ -131,7 +129,7 @@ class Nodes:
         Frames that faults delay or add may be for an instant to come. What is returned is good until the next
         pass. Raises PlantError if `t_ns` lies before the last one's or the plant fails.
         """
-        if t_ns < self._state.words[NOW]:
+        if t_ns < self._drives.words[NOW]:
             raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self.now_ns} ns")
         if self._present.hangs:
             self._missed.append(received.copy())
@@ -146,17 +144,16 @@ class Nodes:
     @property
     def address(self) -> int:
         """Where the record is that `live` works on; 0 where only `advance` can let the drives live now."""
-        return 0 if self._gateway is not None or self._present.hangs else self._state.address
+        return 0 if self._gateway is not None or self._present.hangs else self._drives.address
 
     def go_on(self, received: Rows, status: int) -> Rows:
         """Return what is sent where `live` has ended with a status; see `advance`."""
-        state = self._state
         self._frames = received
         while status:
             self._decide(status)
             again = status != record.UNSORTED
-            status = live(state.record, self._frames, int(self._record["until_ns"]), again)
-        return state.out[: state.words[SENT]]
+            status = live(self._record, self._frames, int(self._record["until_ns"]), again)
+        return self._drives.out[: self._drives.words[SENT]]
 
     def _decide(self, status: int) -> None:
         """Do what the pass has stopped for."""
@@ -167,7 +164,7 @@ class Nodes:
             case record.UNSORTED:
                 self._frames = self._frames[np.argsort(self._frames["t_ns"], kind="stable")]
             case record.FULL:
-                self._state.reserve(2 * len(self._state.out))
+                self._drives.reserve(2 * len(self._drives.out))
             case record.WATCHDOG:
                 self._end_watchdogs(int(n["at_ns"]))
             case record.EDGE:
@@ -175,12 +172,12 @@ class Nodes:
             case record.PARSE:
                 self._parse()
             case record.MESSAGE_OTHER:
-                self._do(self._heard[self._state.words[MESSAGE_AT]], int(n["t_ns"]))
-                self._state.words[MESSAGE_AT] += 1
+                self._do(self._heard[self._drives.words[MESSAGE_AT]], int(n["t_ns"]))
+                self._drives.words[MESSAGE_AT] += 1
             case record.BEFORE_READING:
                 self._look_before(int(n["t_ns"]))
             case record.AFTER_READING:
-                reading = self._state.reading
+                reading = self._drives.reading
                 self._spoiled.spoil(self._present, int(n["t_ns"]), reading["length"], reading["rate"])
             case record.ANSWER:
                 self._answer(int(n["t_ns"]))
@@ -207,7 +204,7 @@ class Nodes:
     @property
     def now_ns(self) -> int:
         """The end of the last pass; of one that failed, how far it came."""
-        return int(self._state.words[NOW])
+        return int(self._drives.words[NOW])
 
     @property
     def next_reading_ns(self) -> int:
@@ -217,7 +214,7 @@ class Nodes:
     @property
     def syncs(self) -> int:
         """SYNC frames or polls heard since the start."""
-        return int(self._state.words[SYNCS])
+        return int(self._drives.words[SYNCS])
 
     def starts_ns(self, fault: Fault) -> int:
         """Return when a fault begins; `NEVER_NS` where it will not, as things stand."""
@@ -338,7 +335,7 @@ class Nodes:
         """Let the protocol decode a frame."""
         frame = sent_frames(self._frames[int(self._record["frame"])][np.newaxis])[0]
         self._heard = self._end.hear(frame)
-        self._state.hear(self._heard)
+        self._drives.hear(self._heard)
 
     def _do(self, message: DeviceMessage, t: int) -> None:
         """Do what a message says that is not of every tick."""
@@ -358,7 +355,7 @@ class Nodes:
 
     def _answered(self, length: Array) -> list[tuple[int, Frame]]:
         """Return what the drives answer that read lengths (6,) m."""
-        asked, reading = self._state.asked, self._state.reading
+        asked, reading = self._drives.asked, self._drives.reading
         sync = Sync(int(asked["counter"]), tuple(asked["legs"][: asked["count"]].tolist()))
         read = (reading["rate"], reading["force"], reading["state"], self._record["fault"])
         return self._end.reply(sync, length, *read)
@@ -366,7 +363,7 @@ class Nodes:
     def _answer(self, t: int) -> None:
         """Let the protocol answer."""
         try:
-            frames = self._answered(self._state.reading["length"])
+            frames = self._answered(self._drives.reading["length"])
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
         for leg, frame in frames:
@@ -380,9 +377,9 @@ class Nodes:
         for leg, by_m in enumerate(self._present.forged_m):
             if by_m is not None:
                 before = self._end.remembered()
-                other = self._answered(self._state.reading["length"] + by_m)
+                other = self._answered(self._drives.reading["length"] + by_m)
                 self._end.remember(before)
-                self._state.queue(t, [frame for k, frame in other if k == leg])
+                self._drives.queue(t, [frame for k, frame in other if k == leg])
 
     def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
         self._send(leg, t, self._end.announce(self._drives.status(leg, due=due)))
@@ -390,4 +387,4 @@ class Nodes:
     def _send(self, leg: int, t: int, frames: Sequence[Frame]) -> None:
         """Queue frames of one drive, as far as it is not silent."""
         if not self._present.silent[leg]:
-            self._state.queue(t, frames)
+            self._drives.queue(t, frames)

@@ -18,12 +18,10 @@ from drivers.signals import LEGS
     ANSWER,
     FORGE,
     REPORT,
-    SENSE,
-) = range(14)
+) = range(13)
 """Why the pass ends: all is done; the plant refuses; the frames are not in the order of time; there is no
 room for what is sent; a watchdog is over, or a fault of the plan begins or ends, at `at_ns`; a frame, a
-message, an answer or a report is for the owner; something acts before or after the encoders are read; a
-sensor acts at `sense_ns`."""
+message, an answer or a report is for the owner; something acts before or after the encoders are read."""
 LOOKS_BEFORE, LOOKS_AFTER, FORGES = 1, 2, 4
 """Bits of `look`."""
 ROOM = 64
@@ -48,7 +46,6 @@ NODES = np.dtype(
         *((name, "<i8") for name in ("pending", "reported", "due", "t_ns", "at_ns", "steps", "refusal")),
         *((name, "<i8") for name in ("t0_ns", "now_ns", "until_ns", "k", "calm_ns", "edge_ns")),
         *((name, "<i8") for name in ("beat", "beat_ns", "spoken", "reading_ns")),
-        *((name, "<i8") for name in ("sense_ns", "listen", "ears")),
         *((name, "<i8") for name in ("syncs", "commands", "repeated", "rejected")),
         *((name, "<i8") for name in ("look", "silent", "controls", "lags", "not_finite", "geared")),
         *((name, "<f8") for name in ("h_ns", "quantum_m", "full_loss_m_s", "beat_share", "reading_share")),
@@ -77,6 +74,6 @@ FRAME elements to send, how many there may be and are, and the leg of each answe
 Of the pass: frame and what happens to it, messages heard and the next one, whether and how far the encoders
 are read, reports to send and sent, whether they are due, the instant now; `at_ns` of what stops it, steps of
 the plant and why it refused them. Of time: grid point k of `h_ns` since `t0_ns`, the end of the last pass and
-of this one; nothing is due before `calm_ns`; when the next fault, heartbeat, reading and sensor is due, how
+of this one; nothing is due before `calm_ns`; when the next fault, heartbeat and reading is due, how
 many have been, and their distance. (6,) m, m/s, N, N at the legs, m that encoders do not count, efficiencies.
 """

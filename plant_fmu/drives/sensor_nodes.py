@@ -19,11 +19,9 @@ from drivers.sensor_kernels import IMU
 from drivers.sensors import KINDS, SensorProtocol
 from drivers.tick_columns import Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
-from plant_fmu.drives import record
 from plant_fmu.drives.kernels import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.sensor_kernels import SENSED, SILENT, listen, measure
-from plant_fmu.faults.kinds import PlantHang
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Truth
 
@@ -74,10 +72,6 @@ class SensedNodes(Nodes):
         """When each frame enters the bus, and it."""
         self._send_ns = NEVER_NS
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
-        hangs = any(isinstance(fault, PlantHang) for fault in self._faults.faults)
-        self._in_parts = hangs or self._gateway is not None
-        if not self._in_parts:
-            drives["sense_ns"], drives["listen"], drives["ears"] = t0_ns, listen.address, data_at(n)
 
     @property
     def address(self) -> int:
@@ -85,18 +79,10 @@ class SensedNodes(Nodes):
         return 0
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
-        """As `Nodes.advance`, with the frames of the sensors among the drives'."""
-        out = self._advance_in_parts(t_ns, received) if self._in_parts else super().advance(t_ns, received)
-        if t_ns < self._send_ns:
-            return out
-        sent = [frame for at_ns, frame in self._waiting if at_ns <= t_ns]
-        self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
-        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
-        both = np.concatenate([out, *sent], dtype=FRAME)
-        return both[np.argsort(both["t_ns"], kind="stable")]
+        """As `Nodes.advance`, with the frames of the sensors among the drives'.
 
-    def _advance_in_parts(self, t_ns: int, received: Rows) -> Rows:
-        """As `Nodes.advance`, in passes that end where a sensor acts: what faults change depends on it."""
+        It goes in passes that end where a sensor acts: what faults change depends on it.
+        """
         out: list[Rows] = []
         frames = received[np.argsort(received["t_ns"], kind="stable")]
         ends = False
@@ -110,14 +96,13 @@ class SensedNodes(Nodes):
             out.append(super().advance(at_ns, heard).copy())
             if not ends:
                 self._sense(at_ns)
-        return np.concatenate(out, dtype=FRAME)
-
-    def _decide(self, status: int) -> None:
-        if status == record.SENSE:
-            self._sense(self._sense_ns)
-            self._record["sense_ns"] = self._sense_ns
-        else:
-            super()._decide(status)
+        if t_ns < self._send_ns:
+            return np.concatenate(out, dtype=FRAME)
+        out += [frame for at_ns, frame in self._waiting if at_ns <= t_ns]
+        self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
+        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
+        both = np.concatenate(out, dtype=FRAME)
+        return both[np.argsort(both["t_ns"], kind="stable")]
 
     def _sense(self, t_ns: int) -> None:
         """Let the sensors act that do at `t_ns`."""

@@ -20,8 +20,8 @@ import yaml
 from drivers.signals import DriveState
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
+from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.drives.snapshot import Snapshot
 from tests import foreign_plant
 from tests.drivers.cia402_sheet import sheet
 from tests.realtime.rig import Process

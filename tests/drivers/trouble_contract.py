@@ -349,7 +349,7 @@ class TroubleContract(ProtocolContract):
         line.running()
         line.nodes._record["sent"] = 0
         line.nodes._fail(LEG, DriveFault.OVERFORCE, line.nodes.now_ns)
-        line.to_controller += received_frames(line.nodes._state.out[: line.nodes._record["sent"]])
+        line.to_controller += received_frames(line.nodes._drives.out[: line.nodes._record["sent"]])
         for _ in range(12):
             line.step(RUN, set_up=False)
         states, codes = line.states(), line.measurement["drive_fault"].tolist()

@@ -13,7 +13,7 @@ from drivers.signals import DriveState, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.sim.lockstep import Lockstep
 from hil.signals import TickInput
-from plant_fmu.drives.snapshot import Snapshot
+from plant_fmu.drives.drive import Snapshot
 from tests.loop.test_desktop_drives import FAMILIES, desktop
 
 DURATION_S = 1.0

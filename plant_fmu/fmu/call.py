@@ -7,29 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import (
-    INTEGER,
-    INTEGERS,
-    OUT_INTEGERS,
-    OUT_VECTOR,
-    REAL,
-    foreign,
-    helper,
-    kernel,
-    record,
-)
-from drivers.compiled.pointed import bytes_at, integers_at, pointed, reals_at
+from drivers.compiled.compiler import INTEGER, REAL, foreign, helper, record
+from drivers.compiled.pointed import integers_at, pointed, reals_at
 from drivers.signals import LEGS
-
-INSTANCE, COUNTED, SET, GET, STEP, FLAGS, LAST = range(7)
-"""Places in `call`: the component; 1 for FMI 3, which counts values; addresses of the functions, of DoStep's
-three flags and of its last time;"""
-INPUTS, OUTPUTS = 7, 9
-"""of the value references and how many they are;"""
-SLOTS = 11
-"""where force, brake and wrench stand among the inputs, -1 for what the FMU does not have."""
-CALL = SLOTS + 3
 
 DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
 """How an exchange ended."""
@@ -41,14 +21,21 @@ APPLIED = MEASURED + 18
 """Where the applied forces stand among the outputs, as far as they are known: behind pose and twist."""
 FMU = np.dtype(
     [
-        *((name, "<i8") for name in ("call", "inputs", "input_count", "held", "outputs", "output_count")),
-        *((name, "<i8") for name in ("flags", "ready", "ticks", "known", "status")),
+        *((name, "<i8") for name in ("instance", "counted", "set", "get", "step")),
+        *((name, "<i8") for name in ("set_references", "set_count", "get_references", "get_count")),
+        *((name, "<i8") for name in ("inputs", "input_count", "held", "outputs", "output_count")),
+        ("slots", "<i8", (3,)),
+        *((name, "<i8") for name in ("ready", "ticks", "known", "status")),
+        ("flags", "u1", (8,)),
+        ("last", "<f8", (1,)),
         ("step_s", "<f8"),
     ]
 )
-"""One FMU: addresses of `call`, of inputs, of the bits that the FMU holds of them, of outputs and DoStep's
-flags; whether it is initialised, internal steps since then, whether the applied forces are known; the FMU's
-last status; s, its internal step."""
+"""One FMU: the component; 1 for FMI 3, which counts values; addresses of its functions, and of the value
+references that they take with their numbers; addresses of inputs, of the bits that the FMU holds of them,
+and of outputs; where force, brake and wrench stand among the inputs, -1 for what the FMU does not have;
+whether it is initialised, internal steps since then, whether the applied forces are known; the FMU's last
+status; DoStep's three flags and its last time; s, its internal step."""
 _WARNING = 1
 """The worst status of both standards that still is a success."""
 _TERMINATED, _EARLY = 1, 2
@@ -61,48 +48,48 @@ def succeeded(status: int) -> bool:
 
 
 @helper
-def _transfer(call: Ints, function: int, references: int, values: Array) -> int:
-    where, count = call[references], call[references + 1]
-    if call[COUNTED]:
-        arguments = (call[INSTANCE], where, count, np.int64(values.ctypes.data), np.int64(values.size))
-        return int(foreign(call[function], arguments))
-    return int(foreign(call[function], (call[INSTANCE], where, count, np.int64(values.ctypes.data))))
+def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
+    """Call a function of the FMU, one of FMI 3 with some arguments more; return its status."""
+    if fmu.counted:
+        return int(foreign(function, (fmu.instance, *given, *counted)))
+    return int(foreign(function, (fmu.instance, *given)))
 
 
-@kernel(INTEGERS, OUT_VECTOR, OUT_INTEGERS, unlocked=True)
-def put(call: Ints, inputs: Array, held: Ints) -> int:
+@helper
+def _put(fmu: Any) -> int:
     """Set the FMU's inputs; return its status. `held` becomes their bits, or something else if it refuses."""
-    bits = inputs.view(np.int64)
+    bits, held = integers_at(fmu.inputs, fmu.input_count), integers_at(fmu.held, fmu.input_count)
     held[:] = ~bits
-    status = _transfer(call, SET, INPUTS, inputs)
+    status = _called(fmu, fmu.set, (fmu.set_references, fmu.set_count, fmu.inputs), (fmu.input_count,))
     if succeeded(status):
         held[:] = bits
     return status
 
 
-@kernel(INTEGERS, OUT_VECTOR, unlocked=True)
-def fetch(call: Ints, outputs: Array) -> tuple[int, int]:
-    """Get the FMU's outputs; return how that ended and the FMU's status.
-
-    Lengths and rates have to be finite.
-    """
-    status = _transfer(call, GET, OUTPUTS, outputs)
-    if not succeeded(status):
-        return OUTPUTS_REFUSED, status
-    for y in outputs[:MEASURED]:
+@helper
+def _fetch(fmu: Any) -> int:
+    """Get the FMU's outputs; return how that ended. Lengths and rates have to be finite."""
+    given = (fmu.get_references, fmu.get_count, fmu.outputs)
+    fmu.status = _called(fmu, fmu.get, given, (fmu.output_count,))
+    if not succeeded(fmu.status):
+        return OUTPUTS_REFUSED
+    for y in reals_at(fmu.outputs, MEASURED):
         if not np.isfinite(y):
-            return OUTPUT_NOT_FINITE, status
-    return DONE, status
+            return OUTPUT_NOT_FINITE
+    return DONE
 
 
-@kernel(INTEGERS, REAL, REAL, unlocked=True)
-def do_step(call: Ints, t_s: float, dt_s: float) -> int:
+@helper
+def _do_step(fmu: Any, t_s: float, dt_s: float) -> int:
     """Step from `t_s` by `dt_s` and return the FMU's status."""
-    never_back, at = np.int32(1), call[FLAGS]
-    if call[COUNTED]:
-        arguments = (call[INSTANCE], t_s, dt_s, never_back, at, at + 1, at + 2, call[LAST])
-        return int(foreign(call[STEP], arguments))
-    return int(foreign(call[STEP], (call[INSTANCE], t_s, dt_s, never_back)))
+    at = np.int64(fmu.flags.ctypes.data)
+    counted = (at, at + 1, at + 2, np.int64(fmu.last.ctypes.data))
+    return _called(fmu, fmu.step, (t_s, dt_s, np.int32(1)), counted)  # 1: no step is ever taken back
+
+
+put, fetch = pointed(record(FMU))(_put), pointed(record(FMU))(_fetch)
+do_step = pointed(record(FMU), REAL, REAL)(_do_step)
+"""The same for Python."""
 
 
 @pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
@@ -114,11 +101,10 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
     """
     if not fmu.ready:
         return CLOSED
-    call, inputs = integers_at(fmu.call, CALL), reals_at(fmu.inputs, fmu.input_count)
-    held, outputs = integers_at(fmu.held, fmu.input_count), reals_at(fmu.outputs, fmu.output_count)
+    inputs, held = reals_at(fmu.inputs, fmu.input_count), integers_at(fmu.held, fmu.input_count)
     for n, given in enumerate((force, brake, wrench)):
-        if call[SLOTS + n] >= 0:
-            inputs[call[SLOTS + n] : call[SLOTS + n] + LEGS] = reals_at(given, LEGS)
+        if fmu.slots[n] >= 0:
+            inputs[fmu.slots[n] : fmu.slots[n] + LEGS] = reals_at(given, LEGS)
     bits = inputs.view(np.int64)
     changed = False
     for i in range(bits.size):
@@ -128,19 +114,18 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
         for u in inputs:
             if not np.isfinite(u):
                 return NOT_FINITE
-        fmu.status = put(call, inputs, held)
+        fmu.status = _put(fmu)
         if not succeeded(fmu.status):
             return INPUTS_REFUSED
-    fmu.status = do_step(call, fmu.ticks * fmu.step_s, steps * fmu.step_s)
+    fmu.status = _do_step(fmu, fmu.ticks * fmu.step_s, steps * fmu.step_s)
     if not succeeded(fmu.status):
         return STEP_REFUSED
-    flags = bytes_at(fmu.flags, 3)
-    if flags[_TERMINATED] or flags[_EARLY]:
+    if fmu.flags[_TERMINATED] or fmu.flags[_EARLY]:
         return INTERRUPTED
-    ended, fmu.status = fetch(call, outputs)
+    ended = _fetch(fmu)
     fmu.ticks += steps
     if ended == DONE:
-        reals_at(measured, MEASURED)[:] = outputs[:MEASURED]
+        reals_at(measured, MEASURED)[:] = reals_at(fmu.outputs, MEASURED)
     return int(ended)
 
 

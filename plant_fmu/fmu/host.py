@@ -127,33 +127,29 @@ class FmuHost:
     def _prepare_calls(self) -> None:
         face, fmu = self._interface, self._fmu
         three = face.major >= 3
-        get, put = ("fmi3GetFloat64", "fmi3SetFloat64") if three else ("fmi2GetReal", "fmi2SetReal")
+        reals = ("fmi3SetFloat64", "fmi3GetFloat64") if three else ("fmi2SetReal", "fmi2GetReal")
+        functions = (*reals, "fmi3DoStep" if three else "fmi2DoStep")
         self._inputs = np.zeros(sum(c.count for c in face.inputs.values()))
         places = {key: LEGS * n for n, key in enumerate(face.inputs)}
         self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
         self._applied = self._outputs[fmu_call.APPLIED :]
         self._held = np.zeros(self._inputs.size, np.int64)
-        self._flags = np.zeros(3, np.uint8)
-        self._last = np.zeros(1)
-        self._references = [
-            np.array([r for c in channels.values() for r in c.references], np.uint32)
-            for channels in (face.inputs, face.outputs)
-        ]
-        self._call = call = np.zeros(fmu_call.CALL, np.int64)
-        call[fmu_call.INSTANCE], call[fmu_call.COUNTED] = fmu.component, three
-        call[fmu_call.SET], call[fmu_call.GET] = _address(fmu, put), _address(fmu, get)
-        call[fmu_call.STEP] = _address(fmu, "fmi3DoStep" if three else "fmi2DoStep")
-        call[fmu_call.FLAGS], call[fmu_call.LAST] = self._flags.ctypes.data, self._last.ctypes.data
-        for at, references in zip((fmu_call.INPUTS, fmu_call.OUTPUTS), self._references, strict=True):
-            call[at], call[at + 1] = references.ctypes.data, references.size
-        call[fmu_call.SLOTS :] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
         self._given, self._measures = np.zeros((3, LEGS)), np.zeros(fmu_call.MEASURED)
-        self._places = data_at(self._record), data_at(self._given), data_at(self._measures)
-        self._record[()] = (
-            data_at(call), data_at(self._inputs), self._inputs.size, data_at(self._held),
-            data_at(self._outputs), self._outputs.size, data_at(self._flags), False, 0,
-            bool(self.spec.truth), 0, self.internal_step_s,
-        )  # fmt: skip
+        record = self._record
+        self._places = data_at(record), data_at(self._given), data_at(self._measures)
+        self._references = []
+        for verb, channels in (("set", face.inputs), ("get", face.outputs)):
+            references = np.array([r for c in channels.values() for r in c.references], np.uint32)
+            record[f"{verb}_references"], record[f"{verb}_count"] = data_at(references), references.size
+            self._references.append(references)
+        for name, function in zip(("set", "get", "step"), functions, strict=True):
+            record[name] = _address(fmu, function)
+        record["instance"], record["counted"] = fmu.component, three
+        record["inputs"], record["input_count"] = data_at(self._inputs), self._inputs.size
+        record["outputs"], record["output_count"] = data_at(self._outputs), self._outputs.size
+        record["held"], record["step_s"] = data_at(self._held), self.internal_step_s
+        record["slots"] = [places.get(key, -1) for key in ("force", "brake", "wrench")]
+        record["known"] = bool(self.spec.truth)
 
     def _refused(self, status: int, what: str) -> PlantError:
         label = _LABELS.get(status, f"status {status}, which FMI does not have")
@@ -173,9 +169,9 @@ class FmuHost:
                 self._set_start(start.setter, list(start.references), list(start.values), start.name)
             fmu.enterInitializationMode()
             self._inputs[:] = 0.0
-            if (brake := self._call[fmu_call.SLOTS + 1]) >= 0:
+            if (brake := int(self._record["slots"][1])) >= 0:
                 self._inputs[brake : brake + LEGS] = 1.0
-            status = fmu_call.put(self._call, self._inputs, self._held)
+            status = fmu_call.put(self._record)
             if fmu_call.succeeded(status):
                 fmu.exitInitializationMode()
         except PlantError:
@@ -205,9 +201,9 @@ class FmuHost:
         """
         self._initialise()
         self._record["ticks"] = 0
-        ended, status = fmu_call.fetch(self._call, self._outputs)
+        ended = fmu_call.fetch(self._record)
         if ended != fmu_call.DONE:
-            raise self._failed(ended, status, "")
+            raise self._failed(ended, int(self._record["status"]), "")
         y = self._outputs[: fmu_call.MEASURED].copy()
         return y[:LEGS], y[LEGS:]
 
@@ -218,8 +214,9 @@ class FmuHost:
             y = self._outputs[: fmu_call.MEASURED]
             return PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{self._said()}")
         if ended == fmu_call.INTERRUPTED:
-            did = "ended the simulation" if self._flags[1] else "returned early"
-            return PlantError(f"{self.spec.path}: the FMU {did} at {self._last[0]:.9g} s{self._said()}")
+            did = "ended the simulation" if self._record["flags"][1] else "returned early"
+            at_s = self._record["last"][0]
+            return PlantError(f"{self.spec.path}: the FMU {did} at {at_s:.9g} s{self._said()}")
         return self._refused(status, _REFUSED.get(ended, what))
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:

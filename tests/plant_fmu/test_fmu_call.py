@@ -39,7 +39,6 @@ class Functions:
         self.references = np.arange(12, dtype=np.uint32) + 40
         self.inputs, self.held = np.zeros(size_in), np.zeros(size_in, np.int64)
         self.outputs = np.zeros(12)
-        self.flags, self.last = np.zeros(3, np.uint8), np.zeros(1)
         place = size = ct.c_int64
         moved: tuple[Any, ...] = (place, place, size, place, *([size] if counted else []))
         stepped: tuple[Any, ...] = (
@@ -54,14 +53,12 @@ class Functions:
             ct.CFUNCTYPE(ct.c_int32, *moved)(self._get),
             ct.CFUNCTYPE(ct.c_int32, *stepped)(self._step),
         )
-        self.call = call = np.zeros(fmu_call.CALL, np.int64)
-        for at, each in zip((fmu_call.SET, fmu_call.GET, fmu_call.STEP), self._kept, strict=True):
-            call[at] = ct.cast(each, ct.c_void_p).value or 0
-        call[[fmu_call.INSTANCE, fmu_call.COUNTED]] = INSTANCE, counted
-        call[[fmu_call.FLAGS, fmu_call.LAST]] = self.flags.ctypes.data, self.last.ctypes.data
-        for at in (fmu_call.INPUTS, fmu_call.OUTPUTS):
-            call[at : at + 2] = self.references.ctypes.data, 12
-        call[fmu_call.SLOTS :] = slots
+        self.fmu: Any = np.zeros((), fmu_call.FMU)
+        for name, each in zip(("set", "get", "step"), self._kept, strict=True):
+            self.fmu[name] = ct.cast(each, ct.c_void_p).value or 0
+        for name in ("set", "get"):
+            self.fmu[f"{name}_references"], self.fmu[f"{name}_count"] = self.references.ctypes.data, 12
+        self.fmu["instance"], self.fmu["counted"], self.fmu["slots"] = INSTANCE, counted, slots
 
     def _set(self, instance: int, references: int, count: int, values: int, *sizes: int) -> int:
         self.given.add((instance, references, count, *sizes))
@@ -82,12 +79,9 @@ class Functions:
 
     def move(self, force: Any, brake: Any, wrench: Any, t_s: float = 0.0) -> tuple[int, int]:
         """Return how a step of 0.25 s from t_s on ended, and the last status."""
-        fmu, kept = (
-            np.zeros((), fmu_call.FMU),
-            [np.ascontiguousarray(each) for each in (force, brake, wrench)],
-        )
+        fmu, kept = self.fmu, [np.ascontiguousarray(each) for each in (force, brake, wrench)]
         measured = np.zeros(12)
-        for name in ("call", "inputs", "held", "outputs", "flags"):
+        for name in ("inputs", "held", "outputs"):
             fmu[name] = getattr(self, name).ctypes.data
         fmu["input_count"], fmu["output_count"] = self.inputs.size, self.outputs.size
         fmu["ready"], fmu["ticks"], fmu["step_s"] = 1, round(t_s / 0.25), 0.25
@@ -114,10 +108,10 @@ def test_inputs_are_set_when_one_has_changed_and_each_step_and_its_outputs_follo
     assert fmu.steps == [(0.25 * k, 0.25) for k in range(5)]
     assert fmu.outputs.tolist() == [float(k) for k in range(1, 13)]
     moved = (INSTANCE, fmu.references.ctypes.data, 12, *([12] if counted else []))
-    at = fmu.flags.ctypes.data
+    at = fmu.fmu["flags"].ctypes.data
     assert fmu.given == {
         moved,
-        (INSTANCE, 1, *([at, at + 1, at + 2, fmu.last.ctypes.data] if counted else [])),
+        (INSTANCE, 1, *([at, at + 1, at + 2, fmu.fmu["last"].ctypes.data] if counted else [])),
     }
 
 
@@ -164,7 +158,7 @@ def test_a_step_whose_simulation_ended_or_that_returned_early_was_interrupted_an
     assert fmu.exchange(1.0, 2.0) == DONE
     fmu.flagged = flag
     assert fmu.exchange(1.0, 2.0) == ended
-    assert fmu.flags.tolist() == [k == flag for k in range(3)]
+    assert fmu.fmu["flags"][:3].tolist() == [k == flag for k in range(3)]
 
 
 @pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])

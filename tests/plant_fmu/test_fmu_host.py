@@ -319,14 +319,14 @@ def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(ended, s
         of_python(step, INTEGER, REAL, REAL, *[INTEGER] * 5),
         of_python(refuse, *[INTEGER] * 5),
     )
-    host._call[fmu_call.STEP] = stepping[0]
-    at = fmu_call.SET if ended == fmu_call.INPUTS_REFUSED else fmu_call.GET
-    before = host._call[at]
+    host._record["step"] = stepping[0]
+    at = "set" if ended == fmu_call.INPUTS_REFUSED else "get"
+    before = int(host._record[at])
     if ended != fmu_call.STEP_REFUSED:
-        host._call[at] = refusing[0]
+        host._record[at] = refusing[0]
     with pytest.raises(PlantError):
         host.step(FORCE, np.zeros(6), np.zeros(6), 2e-3)
-    host._call[at] = before
+    host._record[at] = before
     host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
     host.close()
     assert begun_s[-1] == (2e-3 if stepped else 0.0)

@@ -171,7 +171,8 @@ def hosting(fmu: Instance | None, *, initialised: bool) -> tuple[FmuHost, list[s
     host = object.__new__(FmuHost)
     host.spec, host.internal_step_s = FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3), 1e-3
     host._fmu, host._messages = fmu, ["why"]
-    host._record = {"ready": initialised}  # type: ignore[assignment]
+    host._record = np.zeros((), fmu_call.FMU)
+    host._record["ready"] = initialised
     host._folder = SimpleNamespace(cleanup=lambda: removed.append("folder"))  # type: ignore[assignment]
     return host, removed
 
@@ -207,7 +208,7 @@ def test_an_fmu_that_cannot_be_freed_is_reported_with_its_message_and_its_files_
 )
 def test_a_step_that_was_interrupted_says_how_and_when(flags, said):
     host, _ = hosting(None, initialised=True)
-    host._flags, host._last = np.array(flags, np.uint8), np.array([0.25])
+    host._record["flags"][:3], host._record["last"] = flags, 0.25
     assert str(host._failed(fmu_call.INTERRUPTED, 0, "")) == f"a.fmu: the FMU {said} at 0.25 s: why"
 
 
@@ -254,11 +255,10 @@ def preparing(monkeypatch: pytest.MonkeyPatch, major: int, brake: int, status: i
     starts = (Start("m", "Float64", (7,), (1.5,)), Start("n", "Int64", (8, 9), (2, 3)))
     host._interface = SimpleNamespace(major=major, starts=starts)
     host._inputs, host._held = np.full(18, 9.0), np.zeros(18, np.int64)
-    host._call = np.zeros(fmu_call.CALL, np.int64)
-    host._call[fmu_call.SLOTS :] = 0, brake, 12
+    host._record["slots"] = 0, brake, 12
 
-    def put(_call: Any, inputs: Any, _held: Any) -> int:
-        fmu.calls.append(("put", inputs.tolist()))
+    def put(_record: Any) -> int:
+        fmu.calls.append(("put", host._inputs.tolist()))
         return status
 
     monkeypatch.setattr(fmu_call, "put", put)
@@ -317,9 +317,10 @@ def test_an_fmu_that_cannot_be_set_up_anew_takes_no_step_although_it_ran_before(
 
 def test_a_reset_begins_at_0_and_refuses_what_is_no_measurement(monkeypatch):
     host: Any = hosting(None, initialised=True)[0]
-    host._call, host._outputs, host._initialise = None, np.arange(12.0), lambda: None
+    host._outputs, host._initialise = np.arange(12.0), lambda: None
+    host._record["status"] = 3
     ended = fmu_call.DONE
-    monkeypatch.setattr(fmu_call, "fetch", lambda *_: (ended, 3))
+    monkeypatch.setattr(fmu_call, "fetch", lambda _: ended)
     host._record["ticks"] = 9
     q, dq = host.reset()
     assert (q.tolist(), dq.tolist()) == (list(range(6)), list(range(6, 12)))

@@ -64,19 +64,16 @@ def test_a_call_has_the_functions_of_its_standard_and_where_each_input_and_outpu
     monkeypatch, major, inputs, slots
 ):
     host = prepared(monkeypatch, major, *inputs)
-    call = host._call
-    places = (fmu_call.INSTANCE, fmu_call.COUNTED, fmu_call.SET, fmu_call.GET, fmu_call.STEP)
-    assert call[list(places)].tolist() == [77, major == 3, *(10 * major + k for k in (1, 2, 3))]
-    flags = (ct.c_uint8 * 3).from_address(int(call[fmu_call.FLAGS]))
-    last = ct.c_double.from_address(int(call[fmu_call.LAST]))
-    flags[1], last.value = 9, 0.5
-    assert (host._flags.tolist(), host._last.tolist()) == ([0, 9, 0], [0.5])
+    record = host._record
+    functions = [int(record[name]) for name in ("instance", "counted", "set", "get", "step")]
+    assert functions == [77, major == 3, *(10 * major + k for k in (1, 2, 3))]
     outputs = [reference for channel in OUTPUTS.values() for reference in channel.references]
-    wanted = ((fmu_call.INPUTS, [10 * k + 1 for k in range(len(inputs))]), (fmu_call.OUTPUTS, outputs))
-    for at, references in wanted:
-        assert call[at + 1] == len(references)
-        assert list((ct.c_uint32 * len(references)).from_address(int(call[at]))) == references
-    assert call[fmu_call.SLOTS :].tolist() == slots
+    wanted = (("set", [10 * k + 1 for k in range(len(inputs))]), ("get", outputs))
+    for name, references in wanted:
+        assert record[f"{name}_count"] == len(references)
+        at = int(record[f"{name}_references"])
+        assert list((ct.c_uint32 * len(references)).from_address(at)) == references
+    assert record["slots"].tolist() == slots
     assert (host._inputs.size, host._held.size, host._outputs.size) == (6 * len(inputs), 6 * len(inputs), 36)
 
 

@@ -5,9 +5,10 @@ import time
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
+from drivers.tick_columns import Record
 from hil.app.compose import build_cycle, build_nodes
-from plant_fmu.fmu.call import STEP, do_step
+from plant_fmu.fmu.call import do_step
 from plant_fmu.fmu.child import ChildHost
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.plant import Plant
@@ -68,7 +69,7 @@ def _hosted(plant: Plant, force: Array) -> list[int]:
 def _alone(host: FmuHost, force: Array) -> tuple[Array, float]:
     """Return the times of DoStep of the host's instance, ns, less that of an empty call, and the latter."""
     brake, wrench = np.zeros(6), np.zeros(6)
-    call = host._call  # noqa: SLF001 - the C call without the host around it
+    call = host._record  # noqa: SLF001 - the C call without the host around it
     ticks = round(STEP_S / host.internal_step_s)
     took = []
     for k in range(STEPS):
@@ -87,10 +88,10 @@ def _alone(host: FmuHost, force: Array) -> tuple[Array, float]:
     return np.array(took, float) - nothing, nothing
 
 
-def _empty_call(call: Ints) -> float:
+def _empty_call(call: Record) -> float:
     """Return what such a call into C costs by itself, ns: that of a function that does little."""
     little = call.copy()
-    little[STEP] = ctypes.cast(ctypes.CDLL(None).abs, ctypes.c_void_p).value or 0
+    little["step"] = ctypes.cast(ctypes.CDLL(None).abs, ctypes.c_void_p).value or 0
     took = []
     for _ in range(STEPS):
         begun = _now()

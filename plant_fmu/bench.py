@@ -10,7 +10,7 @@ from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
-from plant_fmu.plant import Moved, Plant, whole_steps
+from plant_fmu.plant import Moved, PointedPlant
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
@@ -101,7 +101,7 @@ def _applied(_b: Any, _force: int) -> int:
     return 0
 
 
-class Bench(Plant):
+class Bench(PointedPlant):
     """Plant: m x'' + b x'|x'| + k0 x + k1 x^3 = f per leg, x = length - rest length, from rest at x = 0.
 
     Equation: the nonlinear mass-spring-damper of Slotine and Li, Applied Nonlinear Control (1991), chapter 3.
@@ -123,26 +123,11 @@ class Bench(Plant):
             "rest": settings.rest_length_m,
         }.items():
             self._record[name] = value
-        self._measured = np.zeros(2 * LEGS)
 
     def reset(self) -> tuple[Array, Array]:
         """Back to rest at the rest length; lengths (6,) m, rates (6,) m/s."""
         self._record["x"] = self._record["v"] = 0.0
         return np.full(LEGS, self.settings.rest_length_m), np.zeros(LEGS)
-
-    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """Hold force (6,) N and brake (6,) 0..1 for `dt_s`; lengths (6,) m and rates (6,) m/s at its end.
-
-        Raises PlantError on a dt that is no multiple of the internal step, or a value that is not finite; the
-        state is then as before.
-        """
-        n = whole_steps(dt_s, self.internal_step_s)
-        given = [np.ascontiguousarray(each, np.float64) for each in (force, brake, wrench)]
-        status = _move(self._record, *map(data_at, given), n, data_at(self._measured))
-        if status:
-            raise self._refused(status, given[0], given[1], given[2], n)
-        y = self._measured.copy()
-        return y[:LEGS], y[LEGS:]
 
     def _refused(self, status: int, force: Array, brake: Array, wrench: Array, _steps: int) -> PlantError:
         if status == NOT_FINITE:

@@ -1,10 +1,16 @@
 """The Plant protocol: physics behind six force inputs."""
 
+import ctypes
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from drivers.arrays import Array
 from drivers.errors import PlantError
+
+_MOVE = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 6)
+"""Type of `Moved.move`."""
 
 
 class Truth(NamedTuple):
@@ -18,6 +24,11 @@ class Truth(NamedTuple):
     """(6,) m/s and rad/s, [v of the platform origin; omega], base frame."""
     applied_force: Array
     """(6,) N, after the drives' force lag, without friction."""
+
+
+def truth_of(y: Array) -> Truth:
+    """Return the truth that is made of y (24,): p, R row by row, twist, applied forces."""
+    return Truth(y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:])
 
 
 class Robot(NamedTuple):
@@ -97,3 +108,20 @@ class Plant(Protocol):
     def close(self) -> None:
         """Free what the plant holds."""
         return
+
+
+class PointedPlant(Plant):
+    """A plant by address. Mutable state: its physics, in what its `moved()` points to."""
+
+    def moved(self) -> Moved:
+        """Return this plant by address."""
+        raise NotImplementedError
+
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        """As `Plant.step`, by `moved()`."""
+        moved, n = self.moved(), whole_steps(dt_s, self.internal_step_s)
+        given, y = np.array((force, brake, wrench), np.float64), np.empty(12)
+        status = _MOVE(moved.move)(moved.context, *(row.ctypes.data for row in given), n, y.ctypes.data)
+        if status:
+            raise moved.refused(status, given[0], given[1], given[2], n)
+        return y[:6], y[6:]

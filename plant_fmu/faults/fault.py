@@ -6,7 +6,7 @@ Times count from `Nodes.start`, or from the instant at which the controller reac
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from pydantic import Field
@@ -30,6 +30,8 @@ Moment = Literal[
 ]
 """Modes of the controller; HOLD: the reference is at rest in TRACKING."""
 NEVER_NS = 1 << 62
+Joint = tuple[str, Callable[[Any, Any], Any], object]
+"""An entry of `Present`, how a figure joins it, and the figure or the field that holds it."""
 
 
 class Present:
@@ -81,15 +83,20 @@ class Fault(Section):
     Raises ValidationError on senseless values.
     """
 
+    joint: ClassVar[Joint | None] = None
     kind: Any = None
     at_s: Annotated[float, Field(ge=0)] = 0.0
     """When it begins: after the drives' power-up, or after `mode` is reached."""
     mode: Moment | None = None
     """The mode of the controller that `at_s` counts from."""
 
-    def __init_subclass__(cls, kind: str | None = None, **settings: Any) -> None:
-        """Make a kind of the class: a row of `FAULTS`, and the one value that its field `kind` takes."""
+    def __init_subclass__(cls, kind: str | None = None, joins: Joint | None = None, **settings: Any) -> None:
+        """Make a kind of the class: a row of `FAULTS`, and the one value that its field `kind` takes.
+
+        joins: how `act` joins a value, or the field of that name, to the leg's entry of `Present`.
+        """
         super().__init_subclass__(**settings)
+        cls.joint = joins or cls.joint
         if kind is not None:
             cls.__annotations__["kind"], cls.kind = Literal[kind], kind
             FAULTS[kind] = cls
@@ -101,17 +108,11 @@ class Fault(Section):
 
     def act(self, present: Present) -> None:
         """Enter what the fault does to drives and plant."""
-
-
-def joins(entry: str, join: Callable[[Any, Any], Any], figure: object) -> Any:
-    """Return an `act` that joins a value, or the field of that name, to the leg's entry of `Present`."""
-
-    def act(fault: Any, present: Present) -> None:
-        entries = getattr(present, entry)
-        value = getattr(fault, figure) if isinstance(figure, str) else figure
-        entries[fault.leg] = join(entries[fault.leg], value)
-
-    return act
+        if self.joint is not None:
+            (entry, join, figure), fault = self.joint, cast("Any", self)
+            entries = getattr(present, entry)
+            value = getattr(fault, figure) if isinstance(figure, str) else figure
+            entries[fault.leg] = join(entries[fault.leg], value)
 
 
 def last(_: object, figure: object) -> object:

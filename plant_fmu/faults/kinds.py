@@ -18,7 +18,6 @@ from plant_fmu.faults.fault import (
     Passed,
     Place,
     Present,
-    joins,
     last,
     later,
 )
@@ -29,17 +28,14 @@ EVERY_BUS = (1 << MAX_BUSES) - 1
 Vector = tuple[float, float, float]
 
 
-class EncoderJump(LegFault, kind="encoder_jump"):
+class EncoderJump(LegFault, kind="encoder_jump", joins=("offset_m", add, "by_m")):
     """The encoder slips: from now on it reads this much more than the length."""
 
     by_m: float
-    act = joins("offset_m", add, "by_m")
 
 
-class EncoderFreeze(LegFault, kind="encoder_freeze"):
+class EncoderFreeze(LegFault, kind="encoder_freeze", joins=("frozen", last, True)):
     """The encoder keeps the length of the moment the fault begins, at rate zero."""
-
-    act = joins("frozen", last, True)
 
 
 class EncoderDrift(LegFault, kind="encoder_drift"):
@@ -64,11 +60,10 @@ class EncoderNoise(LegFault, kind="encoder_noise"):
         present.noise.append((self.leg, self.sigma_m, present.generator))
 
 
-class EncoderLate(LegFault, kind="encoder_late"):
+class EncoderLate(LegFault, kind="encoder_late", joins=("late_ns", later, "by_ms")):
     """What is sent is the length and rate of so long ago; at first it stands still for as long."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)] = 1.0
-    act = joins("late_ns", later, "by_ms")
 
 
 class EncoderScale(LegFault, kind="encoder_scale"):
@@ -89,69 +84,54 @@ class EncoderSign(LegFault, kind="encoder_sign"):
         present.scales.append((self.leg, -1.0, present.since_ns))
 
 
-class EncoderLost(LegFault, kind="encoder_lost"):
+class EncoderLost(LegFault, kind="encoder_lost", joins=("lost", last, True)):
     """The drive knows that its encoder is lost: it says so in its feedback, and still obeys."""
 
-    act = joins("lost", last, True)
 
-
-class DriveSilence(LegFault, kind="drive_silence"):
+class DriveSilence(LegFault, kind="drive_silence", joins=("silent", last, True)):
     """The drive sends nothing. It still hears."""
 
-    act = joins("silent", last, True)
 
-
-class DriveReset(Fault, kind="drive_reset"):
+class DriveReset(Fault, kind="drive_reset", joins=("reset", last, True)):
     """The drive starts anew at this instant: it is in BOOT, its brake closes, its set-up is forgotten."""
 
     leg: Annotated[int, Field(ge=0, lt=LEGS)]
-    act = joins("reset", last, True)
 
 
-class DriveGain(LegFault, kind="drive_gain"):
+class DriveGain(LegFault, kind="drive_gain", joins=("gain", mul, "factor")):
     """The leg's force is this multiple of what its drive means to apply."""
 
     factor: float
-    act = joins("gain", mul, "factor")
 
 
-class DriveSign(LegFault, kind="drive_sign"):
+class DriveSign(LegFault, kind="drive_sign", joins=("gain", mul, -1.0)):
     """The leg's force has the wrong sign, as with swapped wires."""
 
-    act = joins("gain", mul, -1.0)
 
-
-class DriveSaturation(LegFault, kind="drive_saturation"):
+class DriveSaturation(LegFault, kind="drive_saturation", joins=("saturation_N", min, "limit_N")):
     """The drive gives no more force than this."""
 
     limit_N: Annotated[float, Field(ge=0)]
-    act = joins("saturation_N", min, "limit_N")
 
 
-class BrakeStuckOpen(LegFault, kind="brake_stuck_open"):
+class BrakeStuckOpen(LegFault, kind="brake_stuck_open", joins=("stuck", last, False)):
     """The brake is released, whatever the drive wants."""
 
-    act = joins("stuck", last, False)
 
-
-class BrakeStuckClosed(LegFault, kind="brake_stuck_closed"):
+class BrakeStuckClosed(LegFault, kind="brake_stuck_closed", joins=("stuck", last, True)):
     """The brake is engaged, whatever the drive wants."""
 
-    act = joins("stuck", last, True)
 
-
-class BrakeSlow(LegFault, kind="brake_slow"):
+class BrakeSlow(LegFault, kind="brake_slow", joins=("slow_ns", later, "by_ms")):
     """The brake opens and closes this much later than its drive counts."""
 
     by_ms: Annotated[float, Field(gt=0, le=10_000)]
-    act = joins("slow_ns", later, "by_ms")
 
 
-class BrakeSlipping(LegFault, kind="brake_slipping"):
+class BrakeSlipping(LegFault, kind="brake_slipping", joins=("share", mul, "share")):
     """The engaged brake holds only this share of its force."""
 
     share: Annotated[float, Field(ge=0, le=1)]
-    act = joins("share", mul, "share")
 
 
 BRAKES = (BrakeStuckOpen, BrakeStuckClosed, BrakeSlipping)
@@ -214,11 +194,10 @@ class FramesForgedCommand(LastingFault, kind="frames_forged_command"):
     force_N: float = 0.0
 
 
-class FramesForgedFeedback(LegFault, kind="frames_forged_feedback"):
+class FramesForgedFeedback(LegFault, kind="frames_forged_feedback", joins=("forged_m", last, "by_m")):
     """A second node of the leg's number answers every SYNC: the leg is this much longer, valid checks."""
 
     by_m: float
-    act = joins("forged_m", last, "by_m")
 
 
 class FramesOld(FrameFault, kind="frames_old"):

@@ -28,7 +28,7 @@ from drivers.errors import HilError, PlantError
 from plant_fmu.config import FmuPlant
 from plant_fmu.fmu.check import FmuSpec, fmu_spec
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.plant import Plant, Truth, truth_of
 
 START_TIMEOUT_S = 60.0
 STEP_TIMEOUT_S = 5.0
@@ -153,8 +153,7 @@ class ChildHost:
         if not self.spec.truth:
             return None
         self._ask(_TRUTH, STEP_TIMEOUT_S, "give its outputs")
-        y = self._board["truth"].copy()
-        return Truth(p=y[:3], R=y[3:12].reshape(3, 3), twist=y[12:18], applied_force=y[18:24])
+        return truth_of(self._board["truth"].copy())
 
     def applied_force(self) -> Array | None:
         """As FmuHost.applied_force, at no cost: it comes with the answer to every step."""

@@ -24,11 +24,9 @@ from drivers.signals import LEGS
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import checked_members, extract, open_archive, read_member
 from plant_fmu.fmu.check import FmuSpec, Interface, read_interface
-from plant_fmu.plant import Moved, Truth, whole_steps
+from plant_fmu.plant import Moved, PointedPlant, Truth, truth_of
 
 _MESSAGES = 20
-_new = tuple.__new__
-"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 _REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
 _LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
@@ -39,8 +37,8 @@ def _address(fmu: Any, name: str) -> int:
     return address
 
 
-class FmuHost:
-    """Plant in front of one FMU instance.
+class FmuHost(PointedPlant):
+    """Plant in front of one FMU instance. Inputs that the FMU does not have are dropped.
 
     Mutable state: the FMU instance, its record with the tick count behind the communication time, the
     transfer buffers, the inputs that the FMU holds.
@@ -134,10 +132,7 @@ class FmuHost:
         self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
         self._applied = self._outputs[fmu_call.APPLIED :]
         self._held = np.zeros(self._inputs.size, np.int64)
-        self._given, self._measures = np.zeros((3, LEGS)), np.zeros(fmu_call.MEASURED)
-        record = self._record
-        self._places = data_at(record), data_at(self._given), data_at(self._measures)
-        self._references = []
+        record, self._references = self._record, []
         for verb, channels in (("set", face.inputs), ("get", face.outputs)):
             references = np.array([r for c in channels.values() for r in c.references], np.uint32)
             record[f"{verb}_references"], record[f"{verb}_count"] = data_at(references), references.size
@@ -219,25 +214,6 @@ class FmuHost:
             return PlantError(f"{self.spec.path}: the FMU {did} at {at_s:.9g} s{self._said()}")
         return self._refused(status, _REFUSED.get(ended, what))
 
-    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
-
-        The communication time is k times `internal_step_s`, not a sum. Inputs that the FMU does not have are
-        dropped. Raises PlantError on a dt that is no multiple of the internal step (1e-9 relative), a value
-        that is not finite, or a call that the FMU refuses; its own message is part of the error's.
-        """
-        steps = whole_steps(dt_s, self.internal_step_s)
-        if not self._record["ready"]:
-            raise self._failed(fmu_call.CLOSED, 0, "")
-        self._given[:] = force, brake, wrench
-        record, given, measures = self._places
-        ended = fmu_call.move(record, given, given + 8 * LEGS, given + 16 * LEGS, steps, measures)
-        if ended != fmu_call.DONE:
-            held_force, held_brake, held_wrench = self._given
-            raise self._did_not_step(ended, held_force, held_brake, held_wrench, steps)
-        y = self._measures.copy()
-        return y[:LEGS], y[LEGS:]
-
     def _did_not_step(self, ended: int, force: Array, brake: Array, wrench: Array, steps: int) -> PlantError:
         if ended == fmu_call.NOT_FINITE:
             return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
@@ -260,8 +236,7 @@ class FmuHost:
             return None
         if not self._record["ready"]:
             raise self._failed(fmu_call.CLOSED, 0, "")
-        y = self._outputs[fmu_call.MEASURED :].copy()
-        return _new(Truth, (y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:]))
+        return truth_of(self._outputs[fmu_call.MEASURED :].copy())
 
     def applied_force(self) -> Array | None:
         """Return the forces behind the drives' lag; None where the FMU is not known to have them."""

@@ -21,12 +21,18 @@ def _row(module: str, name: str) -> Callable[[BusSettings, DriveSettings], Drive
     return made
 
 
+def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+    is_robstride = drives.options.get("variant") == "robstride"
+    of = ("mit.robstride", "RobStrideProtocol") if is_robstride else ("mit.protocol", "MitProtocol")
+    return _row(*of)(bus, drives)
+
+
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
     "legs": _row("legs.protocol", "legs"),
-    "cia402": _row("cia402.protocol", "cia402"),
-    "mit": _row("mit.row", "mit"),
-    "moteus": _row("moteus", "moteus"),
-    "odrive": _row("odrive", "odrive"),
+    "cia402": _row("cia402.protocol", "Cia402Protocol"),
+    "mit": _mit,
+    "moteus": _row("moteus", "MoteusProtocol"),
+    "odrive": _row("odrive", "ODriveProtocol"),
 }
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.
 

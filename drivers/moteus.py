@@ -11,7 +11,6 @@ reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 """
 
 import struct
-from collections.abc import Sequence
 from math import nan
 
 import numpy as np
@@ -24,10 +23,9 @@ from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import FALLS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import MotorProtocol
-from drivers.protocol import ALL_LEGS, BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said
+from drivers.protocol import BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said
 from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
-from drivers.transmission import Transmission
 
 QUERY = bytes.fromhex("11001f01130d")
 """Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
@@ -88,6 +86,9 @@ _QUERIED = (
 """Registers that it asks for, each with its width."""
 
 
+_TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
+
+
 class MoteusProtocol(MotorProtocol):
     """The tables of six drives."""
 
@@ -97,19 +98,16 @@ class MoteusProtocol(MotorProtocol):
     shares_identifiers = False
     fault_names = FAULTS
 
-    def __init__(
-        self,
-        nodes: Sequence[int],
-        host: int,
-        timeout_mode: Reaction,
-        most: float,
-        transmission: Transmission,
-        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
-    ) -> None:
-        """Take six ids, the controller's, what `servo.timeout_mode` does, the most torque, N m, and buses.
-
-        Raises ConfigurationError for ids that a frame cannot carry.
-        """
+    def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
+        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
+        refuse_layout(bus, "moteus", "fd")
+        transmission, nodes = required(drives.transmission, "moteus"), drives.node_ids
+        options = Options(drives.options, "moteus", ("host_id", "timeout_mode", "torque_N_m"))
+        timeout_mode = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
+        self.torque_limit = most = options.positive("torque_N_m", _MAX_TORQUE)
+        name = f"moteus, by drives.options: torque_N_m {most:g},"
+        refuse_torque(transmission, drives.force_limit_N, most, name)
+        self._host = host = options.whole("host_id", 0)
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 126 or node == host:
                 raise ConfigurationError(
@@ -121,8 +119,8 @@ class MoteusProtocol(MotorProtocol):
                 f"drives.options: host_id out of range, allowed: 0 to 126, given: {host}"
             )
         answers = tuple(node << 8 | host for node in nodes)
-        super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), legs, answers)
-        self.reactions, self.torque_limit, self._host = (timeout_mode,), most, host
+        super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
+        self.reactions = (timeout_mode,)
         self.tables["replies"], self.tables["codes"] = answers, codes_of(_CODES, 33)
         does = "0, stopped" if timeout_mode == Reaction.BRAKE else "12, zero velocity"
         self.dangers = _BRAKES, _TIME_IS_OVER.format(does)
@@ -167,18 +165,3 @@ class MoteusProtocol(MotorProtocol):
         n = len(_QUERIED)
         d["host"], d["asked"] = self._host, n
         d["wanted"][:, :n], d["widths"][:, :n] = np.array(_QUERIED).T[:, np.newaxis]
-
-
-_TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
-
-
-def moteus(bus: BusSettings, drives: DriveSettings) -> MoteusProtocol:
-    """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
-    refuse_layout(bus, "moteus", "fd")
-    transmission = required(drives.transmission, "moteus")
-    options = Options(drives.options, "moteus", ("host_id", "timeout_mode", "torque_N_m"))
-    mode = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
-    most = options.positive("torque_N_m", _MAX_TORQUE)
-    name = f"moteus, by drives.options: torque_N_m {most:g},"
-    refuse_torque(transmission, drives.force_limit_N, most, name)
-    return MoteusProtocol(drives.node_ids, options.whole("host_id", 0), mode, most, transmission, bus.legs)

@@ -15,7 +15,6 @@ message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set wi
 """
 
 import struct
-from collections.abc import Sequence
 from math import ceil
 from typing import Any
 
@@ -35,7 +34,6 @@ from drivers.motor_kernels import OWN_CODE, PREPARES, RETRY_TICKS
 from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import MotorProtocol
 from drivers.protocol import (
-    ALL_LEGS,
     ERROR,
     EXTENDED,
     FD,
@@ -49,7 +47,6 @@ from drivers.protocol import (
 )
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import Record
-from drivers.transmission import Transmission
 
 ADDRESS = 0x06
 """Asked for by a remote frame it is answered with node number, serial number and connection."""
@@ -307,23 +304,22 @@ class ODriveProtocol(MotorProtocol):
     dangers = _BRAKES, _WATCHDOGS
     fault_names, fault_bits = ERRORS, True
 
-    def __init__(
-        self,
-        nodes: Sequence[int],
-        watchdog_s: float,
-        transmission: Transmission,
-        heartbeat_s: float = 0.1,
-        unasked_s: float = 0.0,
-        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
-    ) -> None:
-        """Take six node numbers, the watchdog and timers that odrivetool has set, and the legs of each bus.
-
-        Raises ConfigurationError for a node over 62: 63 is "not set".
-        """
+    def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
+        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
+        refuse_layout(bus, "odrive", "classic")
+        transmission, nodes = required(drives.transmission, "odrive"), drives.node_ids
+        options = Options(drives.options, "odrive", (UNASKED,))
+        self.unasked_s = 1e-3 * options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
+        if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
+            raise ConfigurationError(
+                f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat "
+                f"alone tells whether an axis is enabled, given: {drives.heartbeat_ms:g}"
+            )
+        refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
         answers = tuple(node << 5 | ESTIMATES for node in nodes)
-        super().__init__(transmission, nodes, (0, 32, 0.0), legs, answers)
-        self.delivered_s, self._heartbeat_s, self.unasked_s = watchdog_s, heartbeat_s, unasked_s
-        self.refuse_nodes(0, 62, "odrive")
+        super().__init__(transmission, nodes, (0, 32, 0.0), bus.legs, answers)
+        self.delivered_s, self._heartbeat_s = 1e-3 * drives.watchdog_ms, 1e-3 * drives.heartbeat_ms
+        self.refuse_nodes(0, 62, "odrive")  # 63 is "not set"
         self.tables["codes"] = codes_of(_FAULTS, 0)
         self.polls = self._to_each(ESTIMATES, b"", REMOTE)
 
@@ -374,25 +370,3 @@ class ODriveProtocol(MotorProtocol):
             return (Answer(leg, self.to_leg(leg, Frame(frame.id, said))),)
         d["enabled"][leg] = 0
         return (EmergencyStop((leg,)),)
-
-
-def odrive(bus: BusSettings, drives: DriveSettings) -> ODriveProtocol:
-    """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
-    refuse_layout(bus, "odrive", "classic")
-    transmission = required(drives.transmission, "odrive")
-    options = Options(drives.options, "odrive", (UNASKED,))
-    unasked_ms = options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
-    if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
-        raise ConfigurationError(
-            f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat alone "
-            f"tells whether an axis is enabled, given: {drives.heartbeat_ms:g}"
-        )
-    refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
-    return ODriveProtocol(
-        drives.node_ids,
-        1e-3 * drives.watchdog_ms,
-        transmission,
-        1e-3 * drives.heartbeat_ms,
-        1e-3 * unasked_ms,
-        bus.legs,
-    )

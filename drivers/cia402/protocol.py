@@ -7,7 +7,6 @@ frame concerns the predefined connection set says by the node number. No clock.
 """
 
 import struct
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -29,9 +28,8 @@ from drivers.config import BusSettings, DriveSettings
 from drivers.ends import Family
 from drivers.errors import ConfigurationError
 from drivers.motor_settings import Options, refuse_layout, required
-from drivers.protocol import ALL_LEGS, REVISION, SERIAL, DriveSetup, Frame, Resolution, Said
+from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said
 from drivers.signals import LEGS, DriveFault
-from drivers.transmission import Transmission
 
 MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")
@@ -56,13 +54,7 @@ _DIFFERENCE = (
 
 
 class Cia402Protocol(Family):
-    """Six CiA 402 drives. Holds tables only.
-
-    `node_ids` are the drives' node numbers, leg order; `transmission` says what a turn and a torque are at
-    the leg; `rated_torque_Nm` is the motors' (0x6076), the unit of torques being its thousandth;
-    `velocity` asks for TPDO2, else leg rates are differences of lengths; `legs` are those of each bus. Raises
-    ConfigurationError on node numbers that are not six different ones of 1..127 beside the controller's own.
-    """
+    """Six CiA 402 drives. Holds tables only."""
 
     fresh_by, addressed_by = device_kernels.fresh, device_kernels.addressed
     set_up_frames, reset_ticks = MOST_REQUESTS, 6
@@ -70,30 +62,31 @@ class Cia402Protocol(Family):
     force_on_brakes = False
     reactions = tuple(FAULT_REACTIONS)
 
-    def __init__(
-        self,
-        node_ids: Sequence[int],
-        transmission: Transmission,
-        rated_torque_Nm: float,
-        *,
-        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
-        force_limit_N: float = 60_000.0,
-        heartbeat_ms: float = 100.0,
-        velocity: bool = True,
-        controller_node: int = MAX_NODE,
-        check_encoder: bool = True,
-    ) -> None:
-        super().__init__(legs)
-        self.node_ids, self.transmission = _nodes(node_ids, controller_node), transmission
-        self.velocity, self.controller_node = velocity, controller_node
+    def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
+        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
+        refuse_layout(bus, "cia402", "classic")
+        self.transmission = transmission = required(drives.transmission, "cia402")
+        options = Options(drives.options, "cia402", _ALLOWED)
+        super().__init__(bus.legs)
+        rated_Nm = options.within("rated_torque_Nm", 1e-3, _MOST_Nm, "the motors' rated torque, 0x6076")
+        self.velocity = velocity = options.choice("velocity", _VELOCITY, "pdo") == "pdo"
+        self.controller_node = options.whole("controller_node", MAX_NODE, 1, MAX_NODE)
+        check_encoder = options.flag("check_encoder", default=True)
+        self.node_ids = tuple(drives.node_ids)
+        for leg, node in enumerate(self.node_ids):
+            if not 1 <= node <= MAX_NODE or node == self.controller_node:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: allowed with cia402: 1 to {MAX_NODE} without the controller's "
+                    f"own {self.controller_node}, given: {node}"
+                )
         self.dangers = (_BRAKES,) if velocity else (_BRAKES, _DIFFERENCE)
-        self._permille_Nm = 1e-3 * rated_torque_Nm
+        self._permille_Nm = 1e-3 * rated_Nm
         N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
-        self.rated_torque_mNm = round(1e3 * rated_torque_Nm)
-        force_N = force_limit_N / float(transmission.driving.min())
+        self.rated_torque_mNm = round(1e3 * rated_Nm)
+        force_N = drives.force_limit_N / float(transmission.driving.min())
         self.max_torque_permille = max_torque(force_N, N_per_permille)
-        self.heartbeat_ms = min(max(round(heartbeat_ms), 1), 0xFFFF)
+        self.heartbeat_ms = min(max(round(drives.heartbeat_ms), 1), 0xFFFF)
         self.tables: Rows = np.zeros((), kernels.DRIVES)
         self._devices: Rows = np.zeros((), device_kernels.DEVICES)
         c, d = self.tables, self._devices
@@ -101,7 +94,7 @@ class Cia402Protocol(Family):
             each["nodes"], each["velocity"] = self.node_ids, velocity
             each["N_per_permille"], each["buses"], each["bus_of"] = N_per_permille, self.buses, self.bus_of
             transmission.fill(each)
-        c["controller"], c["permille_Nm"] = controller_node, self._permille_Nm
+        c["controller"], c["permille_Nm"] = self.controller_node, self._permille_Nm
         c["permille_per_N"] = [1.0 / scale for scale in N_per_permille]
         c["m_per_count"] = transmission.m_per_turn / transmission.counts
         c["lossless"] = (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
@@ -182,37 +175,3 @@ class Cia402Protocol(Family):
         answers = zip(*(self._to_each(kind, bytes(size)) for kind, size in sizes), strict=True)
         commands = self._to_each(o.RPDO_ID[0], bytes(4))
         return (*self.to_all(Frame(o.SYNC_ID, b"")), *commands, *(frame for leg in answers for frame in leg))
-
-
-def _nodes(node_ids: Sequence[int], controller_node: int) -> tuple[int, ...]:
-    nodes = tuple(node_ids)
-    if len(nodes) != LEGS or len(set(nodes)) != LEGS:
-        raise ConfigurationError(f"drives.node_ids: allowed: {LEGS} different ones, given: {list(nodes)}")
-    for leg, node in enumerate(nodes):
-        if not 1 <= node <= MAX_NODE or node == controller_node:
-            raise ConfigurationError(
-                f"drives.node_ids[{leg}]: allowed with cia402: 1 to {MAX_NODE} without the controller's own "
-                f"{controller_node}, given: {node}"
-            )
-    return nodes
-
-
-def cia402(bus: BusSettings, drives: DriveSettings) -> Cia402Protocol:
-    """Return the codec of a configuration.
-
-    Raises ConfigurationError, with the key, for what such drives do not have or what they need and lack.
-    """
-    refuse_layout(bus, "cia402", "classic")
-    transmission = required(drives.transmission, "cia402")
-    options = Options(drives.options, "cia402", _ALLOWED)
-    return Cia402Protocol(
-        drives.node_ids,
-        transmission,
-        options.within("rated_torque_Nm", 1e-3, _MOST_Nm, "the motors' rated torque, 0x6076"),
-        legs=bus.legs,
-        force_limit_N=drives.force_limit_N,
-        heartbeat_ms=drives.heartbeat_ms,
-        velocity=options.choice("velocity", _VELOCITY, "pdo") == "pdo",
-        controller_node=options.whole("controller_node", MAX_NODE, 1, MAX_NODE),
-        check_encoder=options.flag("check_encoder", default=True),
-    )

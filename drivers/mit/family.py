@@ -1,31 +1,38 @@
 """What all drives have in common that took MIT framing over: numbers are codes over ranges."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.mit.fields import TURN, Ranges
+from drivers.config import BusSettings, DriveSettings
+from drivers.mit.fields import TURN, VARIANTS, Ranges
+from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
 from drivers.motors import MotorProtocol
 from drivers.protocol import Resolution
 from drivers.signals import LEGS
-from drivers.transmission import Transmission
+
+_HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
+"""Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's."""
+_FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
 
 
 class MitFamily(MotorProtocol):
     """The tables of six drives with the same ranges."""
 
-    def __init__(
-        self,
-        ranges: Ranges,
-        nodes: Sequence[int],
-        torque_field: tuple[int, int],
-        transmission: Transmission,
-        legs: Sequence[Sequence[int]],
-    ) -> None:
-        """Take ranges, six numbers, first byte and bits of a command's torque, and the legs of each bus."""
-        super().__init__(transmission, nodes, (*torque_field, ranges.torque), legs)
-        self.ranges, self.torque_limit = ranges, ranges.torque
+    def __init__(self, bus: BusSettings, drives: DriveSettings, torque_field: tuple[int, int]) -> None:
+        """Take the sections, and first byte and bits of a command's torque.
+
+        Raises ConfigurationError for settings that the variant does not have.
+        """
+        refuse_layout(bus, "mit", "classic")
+        transmission = required(drives.transmission, "mit")
+        options = Options(drives.options, "mit", ("variant", "model", "host_id", *_FIELDS))
+        self.variant = options.choice("variant", tuple(VARIANTS))
+        models = VARIANTS[self.variant].models
+        ranges: Ranges = models[options.choice("model", tuple(models))]
+        given = {field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
+        self.ranges = ranges = ranges._replace(**given)
+        self.host = options.whole("host_id", _HOSTS[self.variant])
+        super().__init__(transmission, drives.node_ids, (*torque_field, ranges.torque), bus.legs)
         for name in ("position", "velocity", "torque"):
             self.tables[name] = getattr(ranges, name)
 
@@ -40,3 +47,7 @@ class MitFamily(MotorProtocol):
     def reported_lengths(self) -> tuple[Array, Array]:
         """Return the leg lengths at the ends of the position's range."""
         return self.transmission.lengths_within(self.ranges.position / TURN)
+
+    def refuse_force(self, force_N: float) -> None:
+        """Raise ConfigurationError if the rated force needs more torque than a command carries."""
+        refuse_torque(self.transmission, force_N, self.torque_limit, f"mit, variant {self.variant},")

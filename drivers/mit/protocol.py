@@ -7,17 +7,16 @@ silence in units of 50 us, and the ranges, which are compared with the configure
 """
 
 import struct
-from collections.abc import Sequence
 
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.mit import kernels as k
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import DRIVE_FAULT_CODES, TOP_COMMAND, VARIANTS, Ranges, pack_command
+from drivers.mit.fields import DRIVE_FAULT_CODES, TOP_COMMAND, VARIANTS, pack_command
 from drivers.motor_device_kernels import ANY, codes_of
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
-    ALL_LEGS,
     REVISION,
     SERIAL,
     Answer,
@@ -31,7 +30,6 @@ from drivers.protocol import (
 )
 from drivers.signals import Reaction
 from drivers.tick_columns import Record
-from drivers.transmission import Transmission
 
 ENABLE, DISABLE, CLEAR, ZERO = (
     b"\xff" * 7 + bytes((last,)) for last in (k.ENABLE, k.DISABLE, k.CLEAR, k.ZERO)
@@ -45,28 +43,18 @@ class MitProtocol(MitFamily):
     number_at = 0, ANY
     rejections = "command of {size} bytes", "the zero of the position is not emulated"
 
-    def __init__(
-        self,
-        variant: str,
-        ranges: Ranges,
-        nodes: Sequence[int],
-        host: int,
-        transmission: Transmission,
-        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
-    ) -> None:
-        """Take variant, ranges, six identifiers, the reply's (Damiao's less the node's), and legs by bus.
-
-        Raises ConfigurationError for nodes that the frames cannot tell apart.
-        """
+    def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
+        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
+        super().__init__(bus, drives, (6, 12))
+        variant, host, end = self.variant, self.host, self.ranges.torque
         known, damiao = VARIANTS[variant], variant == "damiao"
-        super().__init__(ranges, nodes, (6, 12), transmission, legs)
         self.damiao = self.clears = self.has_watchdog = damiao
         self.set_up_frames, self.requests_id = (1, k.REGISTERS) if damiao else (0, -1)
         self.power_told = "feedback" if damiao else "never"
         self.dangers = (NO_BRAKE,) if damiao else (NO_BRAKE, unwatched(variant))
         self.fault_names = known.faults
         self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as its reply names the node")
-        self._replies = [node + host if damiao else host for node in nodes]
+        self._replies = [node + host if damiao else host for node in self.nodes]
         for reply in self._replies:
             if not 0 <= reply < k.REGISTERS or reply in self.nodes:
                 raise ConfigurationError(
@@ -79,7 +67,8 @@ class MitProtocol(MitFamily):
         t["faults"] = sum(1 << code for code in known.faults)
         t["codes"] = codes_of(DRIVE_FAULT_CODES.get(variant, {}), 0)
         t["silence"] = -1 if known.silence is None else known.silence
-        self.torque_limit = TOP_COMMAND * (2.0 * ranges.torque / 0xFFF) - ranges.torque
+        self.torque_limit = TOP_COMMAND * (2.0 * end / 0xFFF) - end
+        self.refuse_force(drives.force_limit_N)
 
     # controller's end
 

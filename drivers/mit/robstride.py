@@ -7,19 +7,18 @@ host. Positions and torques are big-endian, registers and that number little-end
 """
 
 import struct
-from collections.abc import Sequence
 
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_pointers import code
 from drivers.mit import robstride_kernels as k
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS, Ranges
+from drivers.mit.fields import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
 from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
-    ALL_LEGS,
     EXTENDED,
     SERIAL,
     Answer,
@@ -33,7 +32,6 @@ from drivers.protocol import (
 )
 from drivers.signals import Reaction
 from drivers.tick_columns import Record
-from drivers.transmission import Transmission
 
 ASKED_WHO = 0xFE
 """Whom the answer to the request for the processor's number is for."""
@@ -55,29 +53,21 @@ class RobStrideProtocol(MitFamily):
     dangers = NO_BRAKE, unwatched("robstride")
     fault_names, fault_bits = ROBSTRIDE_FAULTS, True
 
-    def __init__(
-        self,
-        ranges: Ranges,
-        nodes: Sequence[int],
-        host: int,
-        transmission: Transmission,
-        legs: Sequence[Sequence[int]] = (ALL_LEGS,),
-    ) -> None:
-        """Take the ranges, six motor numbers, the host's, and the legs of each bus.
-
-        Raises ConfigurationError for other numbers.
-        """
-        super().__init__(ranges, nodes, (IN_IDENTIFIER, 16), transmission, legs)
+    def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
+        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
+        super().__init__(bus, drives, (IN_IDENTIFIER, 16))
+        host, self.torque_limit = self.host, self.ranges.torque
         self.refuse_nodes(1, 127, "variant robstride")
         if not 128 <= host <= 255:
             raise ConfigurationError(
                 f"drives.options: host_id out of range, allowed: 128 to 255, given: {host}"
             )
-        self.tables["host"] = self._host = host
+        self.tables["host"] = host
         self.tables["codes"] = codes_of(DRIVE_FAULT_CODES["robstride"], 4)
+        self.refuse_force(drives.force_limit_N)
 
     def _to_each(self, kind: int, data: bytes = _ZEROS, middle: int | None = None) -> tuple[Frame, ...]:
-        first = kind << 24 | (self._host if middle is None else middle) << 8
+        first = kind << 24 | (self.host if middle is None else middle) << 8
         return self.to_each(Frame(first | node, data, EXTENDED) for node in self.nodes)
 
     # controller's end
@@ -90,9 +80,7 @@ class RobStrideProtocol(MitFamily):
         """Return that number."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 8 & 0xFFFF)
-        answers = (
-            identifier >> 24 == k.WHO and identifier & 0xFF in (ASKED_WHO, self._host) and len(data) == 8
-        )
+        answers = identifier >> 24 == k.WHO and identifier & 0xFF in (ASKED_WHO, self.host) and len(data) == 8
         if leg is None or not answers or not flags & EXTENDED or flags & k.STRANGE:
             return None
         return Said(leg, SERIAL, int.from_bytes(data, "little"))
@@ -133,7 +121,7 @@ class RobStrideProtocol(MitFamily):
             d["registers"][leg, 0] = number
             return (Configure(leg, self.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
         said = struct.pack("<HxxI", register, int(d["registers"][leg, 0]))
-        return (Answer(leg, self._from(k.READ, leg, said, self._host)),)
+        return (Answer(leg, self._from(k.READ, leg, said, self.host)),)
 
     def _from(self, kind: int, leg: int, data: bytes, to: int) -> Frame:
         return self.to_leg(leg, Frame(kind << 24 | self.nodes[leg] << 8 | to, data, EXTENDED))

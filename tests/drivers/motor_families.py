@@ -6,19 +6,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers import moteus, odrive
+from drivers import PROTOCOLS
 from drivers import motor_kernels as kernels
 from drivers.compiled.pointed import data_at
+from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
 from drivers.controller_end import ControllerEnd
 from drivers.ends import DrivesEnd
 from drivers.frame_array import FRAME, sent_frames
 from drivers.frame_pointers import value
-from drivers.mit import protocol as mit
-from drivers.mit import robstride
-from drivers.mit.fields import Ranges
+from drivers.mit.fields import VARIANTS, Ranges
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
-from drivers.protocol import DriveSetup, Frame
-from drivers.signals import LEGS
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame
+from drivers.signals import LEGS, Reaction
 from tests.drivers.by_value import ByValue, Remembered
 
 
@@ -129,29 +128,70 @@ def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, 
     )
 
 
+def sections(protocol: str, nodes: Any, legs: Any, options: dict[str, Any], **drives: float) -> Any:
+    """Return the sections `bus` and `drives` of such drives, with a transmission that carries any force."""
+    channels = [ChannelSettings(channel=f"can{k}", legs=list(own)) for k, own in enumerate(legs)]
+    bus = BusSettings(
+        layout="fd" if protocol == "moteus" else "classic", channels=channels if len(channels) > 1 else []
+    )
+    light = TransmissionSettings(lead_m=1e-9)
+    given = DriveSettings(protocol=protocol, transmission=light, options=options)
+    return bus, given.model_copy(update={"node_ids": list(nodes), **drives})
+
+
 class MitProtocol(Motors):
     """MIT framing on 11-bit identifiers."""
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(mit.MitProtocol(*given, **named))
+    def __init__(
+        self, variant: str, ranges: Ranges, nodes: Any, host: int, gear: Any, legs: Any = (ALL_LEGS,)
+    ) -> None:
+        options = {
+            "variant": variant,
+            "model": next(iter(VARIANTS[variant].models)),
+            "host_id": host,
+            "position_rad": ranges.position,
+            "velocity_rad_s": ranges.velocity,
+            "torque_N_m": ranges.torque,
+        }
+        made: Any = PROTOCOLS["mit"](*sections("mit", nodes, legs, options))
+        made.transmission, made.ranges = gear, ranges
+        super().__init__(made)
 
 
-class RobStrideProtocol(Motors):
+class RobStrideProtocol(MitProtocol):
     """RobStride's."""
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(robstride.RobStrideProtocol(*given, **named))
+    def __init__(self, ranges: Ranges, nodes: Any, host: int, gear: Any, legs: Any = (ALL_LEGS,)) -> None:
+        super().__init__("robstride", ranges, nodes, host, gear, legs)
 
 
 class ODriveProtocol(Motors):
     """ODrive's."""
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(odrive.ODriveProtocol(*given, **named))
+    def __init__(
+        self,
+        nodes: Any,
+        watchdog_s: float,
+        gear: Any,
+        heartbeat_s: float = 0.1,
+        unasked_s: float = 0.0,
+        legs: Any = (ALL_LEGS,),
+    ) -> None:
+        times = {"watchdog_ms": 1e3 * watchdog_s, "heartbeat_ms": 1e3 * heartbeat_s}
+        options = {"encoder_msg_rate_ms": round(1e3 * unasked_s)}
+        made: Any = PROTOCOLS["odrive"](*sections("odrive", nodes, legs, options, **times))
+        made.transmission, made.delivered_s = gear, watchdog_s
+        super().__init__(made)
 
 
 class MoteusProtocol(Motors):
     """moteus'."""
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(moteus.MoteusProtocol(*given, **named))
+    def __init__(
+        self, nodes: Any, host: int, mode: Reaction, most: float, gear: Any, legs: Any = (ALL_LEGS,)
+    ) -> None:
+        word = "stopped" if mode == Reaction.BRAKE else "zero_velocity"
+        options = {"host_id": host, "timeout_mode": word, "torque_N_m": most}
+        made: Any = PROTOCOLS["moteus"](*sections("moteus", nodes, legs, options))
+        made.transmission = gear
+        super().__init__(made)

@@ -22,17 +22,16 @@ from drivers.transmission import Transmission
 from tests.drivers.by_value import Remembered
 from tests.drivers.motor_families import Heard, Motors
 
-UNLIKE = Transmission.of(
-    TransmissionSettings(
-        lead_m=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
-        gear_ratio=[1.0, 2.0, 3.0, 4.0, 5.0, 7.0],
-        sign=[1, -1, 1, -1, 1, -1],
-        efficiency=0.8,
-        back_driving_efficiency=0.5,
-        full_loss_m_s=0.1,
-        offset_m=[1.1, 1.2, 1.3, 1.4, 1.5, 1.6],
-    )
+UNLIKE_GEAR = TransmissionSettings(
+    lead_m=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+    gear_ratio=[1.0, 2.0, 3.0, 4.0, 5.0, 7.0],
+    sign=[1, -1, 1, -1, 1, -1],
+    efficiency=0.8,
+    back_driving_efficiency=0.5,
+    full_loss_m_s=0.1,
+    offset_m=[1.1, 1.2, 1.3, 1.4, 1.5, 1.6],
 )
+UNLIKE = Transmission.of(UNLIKE_GEAR)
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 SINCE_NS = 1_000
 

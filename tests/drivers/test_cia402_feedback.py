@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import STATUSWORDS, UNHEARD, State
 from drivers.frame_array import received_array
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import NEVER, DriveFault, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record, new_record
 from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.cia402_drives import Slope, difference, drives
-from tests.drivers.spoken_drives import UNLIKE, last_tick
+from tests.drivers.cia402_drives import Slope, difference, drives, made
+from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR, last_tick
 
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
 NODES = (1, 2, 3, 4, 5, 6)
@@ -250,7 +249,7 @@ def test_the_first_answer_after_the_start_ends_the_set_up_of_its_drive(leg):
 
 
 def test_forces_are_read_with_the_losses_of_each_leg_at_its_rate():
-    lossy = ByValue(Cia402Protocol(NODES, UNLIKE, 9.0, force_limit_N=100.0))
+    lossy = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
     speeds = [30000, -30000, 0, 30000, -30000, 2000]
     frames = [
         frame for leg in range(6) for frame in (place(leg, 0, 100), speed(leg, 65536 * speeds[leg] // 100))

@@ -7,17 +7,16 @@ import struct
 import numpy as np
 import pytest
 
-from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import State
 from drivers.errors import ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Alive, Answer, Frame, Sync
 from drivers.signals import DriveState
 from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.cia402_drives import changed, drives, holding
-from tests.drivers.spoken_drives import UNLIKE
+from tests.drivers.cia402_drives import changed, drives, holding, made
+from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR
 
 NODES = (11, 12, 13, 14, 15, 16)
-P = ByValue(Cia402Protocol(NODES, UNLIKE, 9.0, force_limit_N=100.0))
+P = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
 RUNNING = np.full(6, DriveState.RUN)
 SIX = np.arange(1.0, 7.0)
 

@@ -13,9 +13,6 @@ from drivers.config import TransmissionSettings
 from drivers.ends import DrivesEnd
 from drivers.legs.protocol import LegsProtocol
 from drivers.mit.fields import Ranges
-from drivers.mit.protocol import MitProtocol
-from drivers.mit.robstride import RobStrideProtocol
-from drivers.odrive import ODriveProtocol
 from drivers.protocol import (
     EXTENDED,
     REMOTE,
@@ -36,6 +33,7 @@ from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import drives
 from tests.drivers.legs_frames import command_frames, decode, opening
+from tests.drivers.motor_families import MitProtocol, ODriveProtocol, RobStrideProtocol
 
 NODES = (1, 2, 3, 4, 5, 6)
 GEAR = Transmission.of(TransmissionSettings(lead_m=0.1))
@@ -49,14 +47,12 @@ def asked(name: str) -> tuple[Any, list[Frame]]:
             Frame(0x600 + node, bytes.fromhex("4000100000000000")) for node in NODES
         ]
     if name == "damiao":  # read register 9
-        protocol = ByValue(MitProtocol("damiao", RANGES, NODES, 16, GEAR))
+        protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
         return protocol, [Frame(0x7FF, bytes((node, 0, 0x33, 9, 0, 0, 0, 0))) for node in NODES]
     if name == "robstride":  # who are you
-        other = ByValue(RobStrideProtocol(RANGES, NODES, 253, GEAR))
+        other = RobStrideProtocol(RANGES, NODES, 253, GEAR)
         return other, [Frame(253 << 8 | node, bytes(8), EXTENDED) for node in NODES]
-    return ByValue(ODriveProtocol(NODES, 0.05, GEAR)), [
-        Frame(node << 5 | 0x06, b"", REMOTE) for node in NODES
-    ]
+    return ODriveProtocol(NODES, 0.05, GEAR), [Frame(node << 5 | 0x06, b"", REMOTE) for node in NODES]
 
 
 def wirings(mute: int) -> list[Wiring]:
@@ -298,7 +294,7 @@ def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
-    protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
+    protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR).protocol
     wired: Any = wired_drives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES).drives_end()
     held, *commands, poll = wired.hear(Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
     assert isinstance(held, Configure)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.odrive import ODriveProtocol
 from drivers.signals import DriveFault, DriveState, Fault, Mode, Warn
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
@@ -26,6 +25,7 @@ from hil.app.sim.command import simulate
 from hil.record.log import Event, Log
 from hil.record.schema import SUMMARY
 from tests.drivers.cia402_drives import drives
+from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.test_odrive import GEAR
 
 LEGS = [f"leg_{leg}" for leg in range(6)]
@@ -247,7 +247,11 @@ def test_a_story_from_rows_has_the_mode_before_the_fault_and_the_drives_of_its_t
             0x8130,
             "FAULT (33072: EMCY 0x8130, life guard or heartbeat error: the controller's heartbeat",
         ),
-        (ODriveProtocol(range(6), 0.05, GEAR), 0x100 + 0x2000, "FAULT (8448: motor over temperature)"),
+        (
+            ODriveProtocol(range(6), 0.05, GEAR).protocol,
+            0x100 + 0x2000,
+            "FAULT (8448: motor over temperature)",
+        ),
         (drives(), DriveFault.ESTOP, "FAULT (ESTOP)"),
         (None, 0x8130, "FAULT (33072)"),
     ],
@@ -262,7 +266,7 @@ def test_a_makers_code_is_shown_with_its_meaning(protocol, fault, said):
     assert by_story.drives[0].startswith(said)
 
 
-@pytest.mark.parametrize("protocol", [drives(), ODriveProtocol(range(6), 0.05, GEAR)])
+@pytest.mark.parametrize("protocol", [drives(), ODriveProtocol(range(6), 0.05, GEAR).protocol])
 def test_drives_without_force_on_closed_brakes_are_not_said_to_hold_the_platform(protocol):
     rows = rows_of(10)
     rows["faults"][4:], rows["mode"][4:] = Fault.STALE, Mode.HELD

@@ -4,7 +4,6 @@ A protocol returns a `DrivesEnd` from `drives_end()`. A `Family` has both ends c
 `CompiledDrives`.
 """
 
-import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
@@ -15,6 +14,7 @@ import numpy as np
 from drivers.arrays import Array, Ints, Rows
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python, record_at
+from drivers.controller_end import array_at
 from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import (
@@ -282,25 +282,18 @@ def hearing(protocol: DriveProtocol) -> Hearing:
     return _python_hearing(protocol) if compiled is None else cast("Hearing", compiled())
 
 
-def frames_at(address: int, count: int) -> Rows:
-    """Return, outside of kernels, the elements of FRAME at an address."""
-    memory: Any = (ctypes.c_char * (FRAME.itemsize * count)).from_address(address)
-    frames: Rows = np.frombuffer(memory, FRAME, count)
-    return frames
-
-
 def _python_hearing(protocol: DriveProtocol) -> Hearing:
     wanted = tuple(sorted(protocol.feedback_ids))
     places = {each: place for place, each in enumerate(wanted, 1)}
 
     def fresh(_context: int, frame: int, tick: int, since_ns: int) -> int:
-        (received,) = received_frames(frames_at(frame, 1))
+        (received,) = received_frames(array_at(frame, 1, FRAME))
         if not protocol.fresh(received, tick, since_ns):
             return 0
         return places.get(protocol.awaited(received.frame), len(wanted) + 1)
 
     def addressed(_context: int, frame: int) -> int:
-        (received,) = received_frames(frames_at(frame, 1))
+        (received,) = received_frames(array_at(frame, 1, FRAME))
         return sum(1 << leg for leg in protocol.addressed(received.frame))
 
     looks, keeps_fresh = of_python(fresh, *[INTEGER] * 4)

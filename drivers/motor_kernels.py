@@ -63,7 +63,7 @@ EAR = np.dtype(
 IDLE, CLEAR, ENABLE, DRIVE, PREPARE = range(5)
 """Rows of the frames to the drives, by what they ask for; the torque is put into those of DRIVE."""
 KEEPS, FALLS, PREPARES = range(3)
-"""Rules of what an enabled or disabled drive is sent, see `_row`."""
+"""Rules of what an enabled or disabled drive is sent, see `row_of`."""
 IN_IDENTIFIER = -1
 MOTORS = np.dtype(
     [
@@ -174,12 +174,6 @@ def _differ(one: Any, other: Any) -> bool:
 
 
 @helper
-def _keep(m: Any, place: int) -> None:
-    """Keep what was just heard at a place of the scratch."""
-    m.scratch[place, :] = m.scratch[0, :]
-
-
-@helper
 def _measure(m: Any, here: int, late: int, tick: Any) -> None:
     """Fill in what the answers of this tick say of the legs: bits of those in time, and of late ones."""
     kept = heard_at(np.int64(m.scratch.ctypes.data), 1 + 2 * LEGS)
@@ -285,7 +279,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         else:
             place = _take(m, heard, early, last, tick)
             if place:
-                _keep(m, place)
+                m.scratch[place, :] = m.scratch[0, :]
                 taken |= 1 << (place - 1)
     changed = taken != 0
     for leg in range(LEGS):
@@ -331,7 +325,7 @@ def command(m: Any, _number: int, mode: int, _stop: int, force_at: int, _into: i
 
 
 @helper
-def _row(m: Any, leg: int) -> int:
+def row_of(m: Any, leg: int) -> int:
     """Return which row of frames has what a drive is sent in this tick, besides what enables an axis."""
     power, ran = m.power[leg], m.ran[leg]
     if m.mode == _ASKS_RUN:
@@ -374,15 +368,9 @@ def send(m: Any, row: int, leg: int, into: int) -> None:
         frame.data[at + 1] = number & 0xFF
 
 
-@helper
-def send_next(m: Any, leg: int, into: int) -> None:
-    """Put what a drive is sent in this tick at an address."""
-    send(m, _row(m, leg), leg, into)
-
-
 @pointed(_MOTORS, INTEGER, INTEGER)
 def begin(m: Any, _number: int, into: int) -> int:
     """Put what each drive is sent in this tick into six elements of FRAME at an address."""
     for leg in range(LEGS):
-        send_next(m, leg, into + leg * _FRAME_BYTES)
+        send(m, row_of(m, leg), leg, into + leg * _FRAME_BYTES)
     return LEGS

@@ -251,8 +251,10 @@ class MotorProtocol(Family):
 
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """Return one example of every frame of a tick: polls that are no commands, torques, feedbacks."""
+        zeros, running = np.zeros(LEGS), np.full(LEGS, _RUN, np.int64)
         torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
-        return (*self.polls, *torques, *self._example_feedbacks())
+        answers = self.drives_end().reply(Sync(0), self.transmission.length(zeros), zeros, zeros, running)
+        return (*self.polls, *torques, *(frame for _, frame in answers))
 
     def refuse_nodes(self, least: int, most: int, family: str, why: str = "") -> None:
         """Raise ConfigurationError for a drive's number that is out of range."""
@@ -304,9 +306,3 @@ class MotorProtocol(Family):
         """Return the serial number or revision that a drive on the frame's bus reports."""
         said = self.said_by(off_bus(frame))
         return said if said is not None and self.bus_of[said.leg] == frame.bus else None
-
-    def _example_feedbacks(self) -> list[Frame]:
-        """Return the feedbacks of six running drives at rest at position zero."""
-        zeros, running = np.zeros(LEGS), np.full(LEGS, _RUN, np.int64)
-        frames = self.drives_end().reply(Sync(0), self.transmission.length(zeros), zeros, zeros, running)
-        return [frame for _, frame in frames]

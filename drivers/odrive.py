@@ -133,7 +133,7 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
             m.asked[leg] = number
             motors.send(m, motors.ENABLE, leg, into + sent * _FRAME_BYTES)
             sent += 1
-        motors.send_next(m, leg, into + sent * _FRAME_BYTES)
+        motors.send(m, motors.row_of(m, leg), leg, into + sent * _FRAME_BYTES)
         sent += 1
         if mode == _ASKS_RESET:
             motors.send(m, motors.CLEAR, leg, into + sent * _FRAME_BYTES)

@@ -18,13 +18,13 @@ from drivers.protocol import Frame
 from drivers.sensor_kernels import FIELDS, NOBODY, QUANTITIES, SENSORS, encode
 from drivers.tick_columns import Record
 
-KINDS = ("tracker", "imu", "wrench")
 _MESSAGES = {
     "tracker": ("TRACKER_7", 7),
     "imu": ("IMU_8", 8),
     "wrench": ("WRENCH_9", 9),
 }
 """Kind -> message of sensors.dbc, and the node number in its identifier."""
+KINDS = tuple(_MESSAGES)
 _TABLES = ("id", "flags", "bus", "length", "start", "bits", "scale", "low", "high")
 """Of SENSORS: what is known before anything is heard."""
 

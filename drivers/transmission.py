@@ -28,6 +28,8 @@ from drivers.compiled.compiler import OUT_VECTOR, REAL, VECTOR, direct, helper
 from drivers.signals import LEGS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from drivers.config import TransmissionSettings
 
 
@@ -38,7 +40,7 @@ FIELDS = [
 """What a kernel's record has of it, see `Transmission.fill`."""
 
 
-def _row(values: float | list[float]) -> Array:
+def _row(values: float | Sequence[float] | Array) -> Array:
     row = np.broadcast_to(np.array(values, float), LEGS).copy()
     row.flags.writeable = False
     return row
@@ -98,18 +100,11 @@ class Transmission:
     @classmethod
     def of(cls, settings: TransmissionSettings) -> Transmission:
         """Return the configured ones; a value for all legs is repeated."""
-        lead, radius = settings.lead_m, settings.pulley_radius_m
-        if lead is not None:
-            lead_m = _row(lead)
-        else:
-            assert radius is not None, "the section has one of the two"
-            lead_m = _row((2.0 * pi * _row(radius)).tolist())
+        lead, radius = settings.lead_m, settings.pulley_radius_m or 0.0
         return cls(
-            lead_m=lead_m,
+            lead_m=_row(2.0 * pi * _row(radius) if lead is None else lead),
             gear=_row(settings.gear_ratio),
-            sign=_row(
-                [float(s) for s in settings.sign] if isinstance(settings.sign, list) else settings.sign
-            ),
+            sign=_row(settings.sign),
             driving=_row(settings.efficiency),
             back_driving=_row(settings.back_driving_efficiency),
             offset_m=_row(settings.offset_m),
@@ -151,10 +146,6 @@ class Transmission:
     def rate(self, turns_per_s: Array) -> Array:
         """Return leg rates (6,) m/s at motor speeds (6,) turns/s."""
         return self.m_per_turn * turns_per_s
-
-    def length_of_counts(self, counts: Array) -> Array:
-        """Return leg lengths (6,) m at encoder readings (6,) counts."""
-        return self.length(counts / self.counts)
 
     # force
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Ints, Rows
+from drivers.arrays import Array, Rows
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL
@@ -21,7 +21,7 @@ from drivers.controller_end import CompiledController
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import DriveSetup, Frame
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
+from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record
 
 LEAST_TICKS = 4
@@ -217,14 +217,11 @@ class Cia402End(CompiledController):
 
     def carried(self, force: Array) -> Array:
         """Return what whole thousandths of the rated torque give legs at rest of forces (6,) N."""
-        before = self.remembered()
-        self.state["stopped"] = 0
-        try:
-            sent = self.give(Command(DriveMode.RUN, force), 1)[:LEGS]
-        finally:
-            self.remember(before)
-        permille: Ints = sent["data"][:, 2:4].copy().view("<i2")[:, 0]
-        carried: Array = permille / self.state["permille_per_N"]
+        c, t = self.state, self._family.transmission
+        permille = (
+            force * c["permille_per_N"] if c["lossless"] else t.torque(force, c["rate"]) / c["permille_Nm"]
+        )
+        carried: Array = np.rint(permille) / c["permille_per_N"]
         return carried
 
     # the start-up dialogue, see `plan`

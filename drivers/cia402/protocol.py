@@ -29,7 +29,7 @@ from drivers.ends import Family
 from drivers.errors import ConfigurationError
 from drivers.motor_settings import Options, refuse_layout, required
 from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said
-from drivers.signals import LEGS, DriveFault
+from drivers.signals import DriveFault
 
 MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")
@@ -118,8 +118,8 @@ class Cia402Protocol(Family):
 
     def reported_lengths(self) -> tuple[Array, Array]:
         """Return the ends of 0x6064 as leg lengths."""
-        edges = np.full(LEGS, -float(1 << 31)), np.full(LEGS, float((1 << 31) - 1))
-        ends = [self.transmission.length_of_counts(edge) for edge in edges]
+        t = self.transmission
+        ends = t.length(-float(1 << 31) / t.counts), t.length(float((1 << 31) - 1) / t.counts)
         return np.minimum(*ends), np.maximum(*ends)
 
     def fault_text(self, code: int) -> str:

@@ -25,20 +25,6 @@ from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 MAX_NODE = 127
 
 
-def checked_nodes(node_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return the drives' node numbers. Raises ConfigurationError: not six different ones of 1..127."""
-    nodes = tuple(node_ids)
-    if len(nodes) != LEGS or len(set(nodes)) != LEGS:
-        raise ConfigurationError(f"drives.node_ids: allowed: {LEGS} different ones, given: {list(nodes)}")
-    for leg, node in enumerate(nodes):
-        if not 1 <= node <= MAX_NODE:
-            raise ConfigurationError(
-                f"drives.node_ids[{leg}]: out of range, allowed: a whole number at least 1 and at most "
-                f"{MAX_NODE}, given: {node}"
-            )
-    return nodes
-
-
 class LegsProtocol(Family):
     """The own protocol in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
 
@@ -63,7 +49,13 @@ class LegsProtocol(Family):
         legs: Sequence[Sequence[int]] = (ALL_LEGS,),
     ) -> None:
         super().__init__(legs)
-        self.layout, self.node_ids, self.rated_force_N = layout, checked_nodes(node_ids), rated_force_N
+        self.layout, self.node_ids, self.rated_force_N = layout, tuple(node_ids), rated_force_N
+        for leg, node in enumerate(node_ids):
+            if not 1 <= node <= MAX_NODE:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed: a whole number at least 1 and at most "
+                    f"{MAX_NODE}, given: {node}"
+                )
         text, version, m = read_messages(layout, rated_force_N)
         self.database = "legs.dbc", text
         self.sync, self.estop, self.config = m["SYNC"], m["ESTOP"], m["CONFIG_1"]

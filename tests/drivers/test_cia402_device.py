@@ -63,7 +63,7 @@ def on_nmt(memory: Remembered, number: int) -> tuple[Remembered, Any]:
 def content(memory: Remembered, keys: tuple[tuple[int, int], ...], actual: tuple[int, int, int]) -> bytes:
     """Return the first TPDO of leg 3's drive that reads a position, a speed and a torque."""
     memory, t = mapped(memory, o.TPDO_MAP, keys), P.transmission
-    length = t.length_of_counts(np.full(6, float(actual[0])))
+    length = t.length(np.full(6, float(actual[0])) / t.counts)
     rate = t.m_per_turn / t.counts * actual[1]
     force = t.N_per_Nm * actual[2] * 9e-3
     state = np.full(6, DriveState.RUN, np.int64)
@@ -384,7 +384,8 @@ def test_what_six_drives_answer_saturates_and_comes_from_those_that_run_and_have
     protocol = ByValue(drives(velocity=False))
     memory = holding(protocol.protocol, [3] * 6)
     states = np.array([0, 1, 2, 3 | INVALID, 4, 3])
-    length = protocol.transmission.length_of_counts(np.array([1, 2, 3, 4, 1e12, -1e12]))
+    gear = protocol.transmission
+    length = gear.length(np.array([1, 2, 3, 4, 1e12, -1e12]) / gear.counts)
     _, sent = protocol.answer(memory, Sync(0, (0, 1, 3, 4, 5)), length, np.zeros(6), np.zeros(6), states)
     assert [leg for leg, _ in sent] == [1, 4, 5]
     assert [struct.unpack("<Hih", frame.data)[1] for _, frame in sent] == [2, 2**31 - 1, -(2**31)]

@@ -236,13 +236,11 @@ def test_frames_concern_the_legs_of_their_identifiers():
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ((1, 2, 3, 4, 5), r"6 different ones, given: \[1, 2, 3, 4, 5\]"),
-        ((1, 2, 3, 4, 5, 5), "6 different ones"),
         ((1, 2, 0, 4, 5, 6), r"node_ids\[2\]: .* at least 1 and at most 127, given: 0"),
         ((128, 2, 3, 4, 5, 6), r"node_ids\[0\]: .* given: 128"),
     ],
 )
-def test_nodes_are_six_different_ones_of_1_to_127(nodes, message):
+def test_nodes_are_numbers_of_1_to_127(nodes, message):
     with pytest.raises(ConfigurationError, match=message):
         LegsProtocol("fd", nodes)
 

@@ -68,7 +68,7 @@ def test_a_loss_takes_its_share_from_whoever_drives(force, rate, torque, sign):
 
 def test_counts_are_those_of_the_motor():
     t = six(lead_m=0.005, gear_ratio=2, counts_per_turn=4096, offset_m=0.3, sign=-1)
-    np.testing.assert_allclose(t.length_of_counts(all_legs(-8192.0)), 0.305, rtol=1e-15)
+    np.testing.assert_allclose(t.length(all_legs(-8192.0) / t.counts), 0.305, rtol=1e-15)
 
 
 def test_the_ends_of_a_range_of_turns_are_the_shortest_and_the_longest_length_whatever_the_sign():

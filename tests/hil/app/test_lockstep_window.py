@@ -7,8 +7,9 @@ import pytest
 
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
-from drivers.ends import Hearing, frames_at
-from drivers.frame_array import NO_FRAMES, timed_array
+from drivers.controller_end import array_at
+from drivers.ends import Hearing
+from drivers.frame_array import FRAME, NO_FRAMES, timed_array
 from drivers.protocol import Frame
 from hil.app.sim.wire_kernels import DONE, answer, begin
 from hil.app.sim.wires import Wires
@@ -28,7 +29,7 @@ def exchanged(wanted: str, replies: dict[str, int], stale: str = "") -> tuple[li
     waited = [ids[name] for name in wanted]
 
     def place(_context: int, at: int, _tick: int, _since_ns: int) -> int:
-        number = int(frames_at(at, 1)["id"][0])
+        number = int(array_at(at, 1, FRAME)["id"][0])
         return 0 if number in {ids[name] for name in stale} else 1 + [*waited, number].index(number)
 
     fresh, keeps = of_python(place, *[INTEGER] * 4)

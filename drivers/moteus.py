@@ -21,7 +21,7 @@ from drivers.errors import ConfigurationError
 from drivers.moteus_kernels import ALL_NODES, REPLY_WANTED
 from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import FALLS
-from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
+from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
 from drivers.protocol import BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said
 from drivers.signals import DriveFault, Reaction
@@ -100,9 +100,8 @@ class MoteusProtocol(MotorProtocol):
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
-        refuse_layout(bus, "moteus", "fd")
-        transmission, nodes = required(drives.transmission, "moteus"), drives.node_ids
-        options = Options(drives.options, "moteus", ("host_id", "timeout_mode", "torque_N_m"))
+        options = Options(bus, drives, "moteus", "fd", ("host_id", "timeout_mode", "torque_N_m"))
+        transmission, nodes = options.transmission, drives.node_ids
         timeout_mode = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
         self.torque_limit = most = options.positive("torque_N_m", _MAX_TORQUE)
         name = f"moteus, by drives.options: torque_N_m {most:g},"

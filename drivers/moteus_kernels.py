@@ -136,15 +136,6 @@ _WATCHDOG = int(DriveFault.WATCHDOG)
 
 
 @helper
-def _raw(data: Any, at: int, width: int) -> float:
-    """Return a value as it is packed, signed."""
-    if width == FLOAT:
-        return motors.single(data, at)
-    size = SIZES[width]
-    return float(signed(whole(data, at, size), 8 * size))
-
-
-@helper
 def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -> int:
     """Read registers of subframes of a kind into `values`; return bits of those there, -1 if not whole."""
     has = at = 0
@@ -154,14 +145,20 @@ def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -
             break
         if kind in (NOTHING, READ):
             continue
-        if kind != of or count > size or at + count * SIZES[width] > size:
+        wide = SIZES[width]
+        if kind != of or count > size or at + count * wide > size:
             return -1
         for k in range(len(names)):
             place = names[k] - first
             if 0 <= place < count:
-                values[k] = value(names[k], width, _raw(data, at + place * SIZES[width], width))
+                start = at + place * wide
+                if width == FLOAT:
+                    raw = motors.single(data, start)
+                else:
+                    raw = float(signed(whole(data, start, wide), 8 * wide))
+                values[k] = value(names[k], width, raw)
                 has |= 1 << k
-        at += count * SIZES[width]
+        at += count * wide
     return has
 
 

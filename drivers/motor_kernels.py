@@ -189,9 +189,7 @@ def _measure(m: Any, here: int, late: int, tick: Any) -> None:
                 tick.length[leg] = m.offset[leg] + m.m_per_turn[leg] * heard.turns
                 tick.rate[leg], tick.age[leg] = rate, 0
                 if heard.has & TORQUE:
-                    torque = (
-                        heard.torque if heard.torque != 0.0 else 0.0
-                    )  # not -0: recorded logs have its sign
+                    torque = heard.torque + 0.0  # -0 becomes 0: recorded logs have its sign
                     lossless = m.N_per_Nm[leg] * torque
                     loss = loss_of(lossless, rate, m.driving[leg], m.back_driving[leg], m.full_loss_m_s)
                     tick.drive_force[leg] = lossless / loss

@@ -5,20 +5,31 @@ from math import inf, isfinite
 
 import numpy as np
 
-from drivers.config import BusSettings, TransmissionSettings
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.transmission import Transmission
 
 
 class Options:
-    """The options of a protocol: unknown keys are refused, each by its name."""
+    """The options of a protocol, and `transmission`."""
 
     def __init__(
-        self, given: dict[str, str | int | float | bool], protocol: str, known: Sequence[str]
+        self, bus: BusSettings, drives: DriveSettings, protocol: str, layout: str, known: Sequence[str]
     ) -> None:
-        """Take `drives.options`. Raises ConfigurationError for a key that is not known."""
-        self._given, self._protocol = given, protocol
-        unknown = [key for key in given if key not in known]
+        """Take the sections, and the frame layout and the options that the protocol has.
+
+        Raises ConfigurationError for another layout, without a transmission, for unknown options.
+        """
+        if bus.layout != layout:
+            raise ConfigurationError(f"bus.layout: allowed with {protocol}: {layout}, given: {bus.layout}")
+        if drives.transmission is None:
+            raise ConfigurationError(
+                f"drives.transmission: protocol {protocol} speaks of motors; state lead_m or "
+                "pulley_radius_m, gear_ratio, sign and offset_m"
+            )
+        self.transmission = Transmission.of(drives.transmission)
+        self._given, self._protocol = drives.options, protocol
+        unknown = [key for key in self._given if key not in known]
         if unknown:
             raise ConfigurationError(
                 f"drives.options: protocol {protocol} has {', '.join(known) or 'none'}, "
@@ -65,22 +76,6 @@ class Options:
         return ConfigurationError(
             f"drives.options: {key} of protocol {self._protocol}: allowed: {allowed}, given: {given}"
         )
-
-
-def refuse_layout(bus: BusSettings, protocol: str, allowed: str) -> None:
-    """Raise ConfigurationError for a frame layout that a protocol does not have."""
-    if bus.layout != allowed:
-        raise ConfigurationError(f"bus.layout: allowed with {protocol}: {allowed}, given: {bus.layout}")
-
-
-def required(settings: TransmissionSettings | None, protocol: str) -> Transmission:
-    """Return the transmission. Raises ConfigurationError where there is none."""
-    if settings is None:
-        raise ConfigurationError(
-            f"drives.transmission: protocol {protocol} speaks of motors; state lead_m or pulley_radius_m, "
-            "gear_ratio, sign and offset_m"
-        )
-    return Transmission.of(settings)
 
 
 def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, protocol: str) -> None:

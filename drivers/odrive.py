@@ -31,7 +31,7 @@ from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, place_of, whole
 from drivers.motor_device_kernels import ANY, codes_of
 from drivers.motor_kernels import OWN_CODE, PREPARES, RETRY_TICKS
-from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
+from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
 from drivers.protocol import (
     ERROR,
@@ -142,14 +142,6 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
 
 
 @helper
-def _fits(kind: int, size: int) -> bool:
-    """Tell whether an axis takes so many bytes of what it hears."""
-    if kind == CLEAR:
-        return size <= 1
-    return size == 8 or (size == 4 and kind != MODES)
-
-
-@helper
 def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
     """Take an axis state that is asked for."""
     state, held, count = whole(data, 0), d.registers[leg], 0
@@ -187,7 +179,8 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
         return 0
     if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
         return drives_end.rejects(leg, NO_COMMAND, 0.0, messages)
-    if not _fits(kind, size):
+    fits = size <= 1 if kind == CLEAR else size == 8 or (size == 4 and kind != MODES)
+    if not fits:
         return drives_end.rejects(leg, STRANGE_SIZE, 0.0, messages)
     if kind == AXIS_STATE:
         return _ask_state(d, leg, data, messages)
@@ -306,9 +299,8 @@ class ODriveProtocol(MotorProtocol):
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
-        refuse_layout(bus, "odrive", "classic")
-        transmission, nodes = required(drives.transmission, "odrive"), drives.node_ids
-        options = Options(drives.options, "odrive", (UNASKED,))
+        options = Options(bus, drives, "odrive", "classic", (UNASKED,))
+        transmission, nodes = options.transmission, drives.node_ids
         self.unasked_s = 1e-3 * options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
         if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
             raise ConfigurationError(

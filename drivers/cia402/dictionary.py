@@ -1,10 +1,12 @@
 """The object dictionary of an emulated CiA 402 drive, and which writes it refuses with which abort code.
 
-Values are the numbers that they stand for, in one array (len(ENTRIES),) in the order of ENTRIES. PDO
-parameters and mapping: CiA 301, 7.5.2. No state, no clock.
+The objects are those of `emulated_drive.eds`. Values are the numbers that they stand for, in one array
+(len(ENTRIES),) in the order of ENTRIES. PDO parameters and mapping: CiA 301, 7.5.2. No state, no clock.
 """
 
-from typing import Any, Literal, NamedTuple
+from configparser import ConfigParser
+from importlib import resources
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +23,18 @@ _IDS = 0x7FF
 TORQUE_MODES = (4, o.CYCLIC_TORQUE)
 """Profile torque and cyclic synchronous torque; in both the drive follows the target torque."""
 _EVENTS = {254, o.AT_ONCE}
-Access = Literal["ro", "rw"]
+_ALLOWED: dict[Key, set[int]] = {
+    o.COMMUNICATION_ERROR: {0, 1},
+    o.ABORT_CONNECTION: {1},
+    o.QUICK_STOP: {0, 2},
+    o.FAULT_REACTION: {0, 1, 2},
+    o.MODE: {*TORQUE_MODES},
+    **{(o.RPDO + n, 2): _EVENTS for n in range(PDOS)},
+    **{(o.TPDO + n, 2): {o.AT_EVERY_SYNC, *_EVENTS} for n in range(PDOS)},
+}
+"""Values that can be written, where these are not all."""
+_SIGNED, _SIZES = range(2, 5), {2: 1, 3: 2, 4: 4, 5: 1, 6: 2, 7: 4}
+"""Data types of a sheet: whole numbers, and the bytes of each."""
 
 
 class Entry(NamedTuple):
@@ -29,69 +42,31 @@ class Entry(NamedTuple):
 
     size: int
     """Bytes."""
-    access: Access = "ro"
-    default: int = 0
-    signed: bool = False
-    mappable: str = ""
-    """Letters: t into a TPDO, r into an RPDO."""
-    allowed: frozenset[int] | None = None
-    """Raw values that can be written; None: all."""
+    signed: bool
+    writable: bool
+    default: int
+    mappable: str
+    """Letter: t into a TPDO, r into an RPDO."""
 
 
-def _communication() -> dict[Key, Entry]:
-    found: dict[Key, Entry] = {}
-    for n in range(PDOS):
-        first = n == 0
-        for index, types in ((o.RPDO, _EVENTS), (o.TPDO, {o.AT_EVERY_SYNC, *_EVENTS})):
-            found[index + n, 0] = Entry(1, default=2)
-            found[index + n, 1] = Entry(4, "rw", 0 if first else o.NOT_VALID)
-            found[index + n, 2] = Entry(1, "rw", o.AT_ONCE, allowed=frozenset(types))
-        for index, key in ((o.RPDO_MAP, o.CONTROLWORD), (o.TPDO_MAP, o.STATUSWORD)):
-            found[index + n, 0] = Entry(1, "rw", int(first))
-            for k in range(MAPPED):
-                found[index + n, k + 1] = Entry(4, "rw", o.mapped(key, 16) if first and k == 0 else 0)
+def _entries() -> dict[Key, Entry]:
+    sheet, found = ConfigParser(), {}
+    sheet.read_string(resources.files("drivers.cia402").joinpath("emulated_drive.eds").read_text("ascii"))
+    for name in sheet.sections():
+        of, (index, _, sub) = sheet[name], name.partition("sub")
+        if "DataType" in of:
+            kind, writable = int(of["DataType"], 16), of["AccessType"] == "rw"
+            letter = ("r" if writable else "t") if of.getboolean("PDOMapping") else ""
+            entry = Entry(_SIZES[kind], kind in _SIGNED, writable, int(of["DefaultValue"]), letter)
+            found[int(index, 16), int(sub or "0", 16)] = entry
     return found
 
 
-ENTRIES: dict[Key, Entry] = {
-    o.DEVICE_TYPE: Entry(4, default=2 << 16 | o.PROFILE_402),
-    o.ERROR_REGISTER: Entry(1),
-    (0x1005, 0): Entry(4, default=o.SYNC_ID),
-    (0x1014, 0): Entry(4),
-    (0x1016, 0): Entry(1, default=1),
-    o.CONSUMER_HEARTBEAT: Entry(4, "rw"),
-    o.PRODUCER_HEARTBEAT: Entry(2, "rw"),
-    (0x1018, 0): Entry(1, default=4),
-    (0x1018, 1): Entry(4),
-    (0x1018, 2): Entry(4),
-    o.REVISION: Entry(4, default=1),
-    o.SERIAL: Entry(4),
-    (0x1029, 0): Entry(1, default=1),
-    o.COMMUNICATION_ERROR: Entry(1, "rw", allowed=frozenset({0, 1})),
-    **_communication(),
-    o.ABORT_CONNECTION: Entry(2, "rw", 1, signed=True, allowed=frozenset({1})),
-    o.ERROR_CODE: Entry(2, mappable="t"),
-    o.CONTROLWORD: Entry(2, "rw", mappable="r"),
-    o.STATUSWORD: Entry(2, mappable="t"),
-    o.QUICK_STOP: Entry(2, "rw", 2, signed=True, allowed=frozenset({0, 2})),
-    o.FAULT_REACTION: Entry(2, "rw", 2, signed=True, allowed=frozenset({0, 1, 2})),
-    o.MODE: Entry(1, "rw", signed=True, mappable="r", allowed=frozenset(TORQUE_MODES)),
-    o.MODE_SHOWN: Entry(1, signed=True, mappable="t"),
-    o.POSITION: Entry(4, signed=True, mappable="t"),
-    o.VELOCITY: Entry(4, signed=True, mappable="t"),
-    o.TARGET_TORQUE: Entry(2, "rw", signed=True, mappable="r"),
-    o.MAX_TORQUE: Entry(2, "rw", 1000),
-    o.RATED_TORQUE: Entry(4),
-    o.TORQUE: Entry(2, signed=True, mappable="t"),
-    (0x608F, 0): Entry(1, default=2),
-    o.ENCODER_INCREMENTS: Entry(4),
-    o.MOTOR_REVOLUTIONS: Entry(4, default=1),
-    (0x60C2, 0): Entry(1, default=2),
-    o.PERIOD_MANTISSA: Entry(1, "rw", 1),
-    o.PERIOD_EXPONENT: Entry(1, "rw", 0xFD, signed=True),
-    o.SUPPORTED_MODES: Entry(4, default=o.SUPPORTS_CYCLIC_TORQUE | 1 << 3),
-}
+ENTRIES = _entries()
 """What the emulated drives have, with what a drive has after power-up."""
+assert len(ENTRIES) == 99, (
+    "another sheet: the kernels that are kept were compiled for the objects of this one"
+)
 PLACE = {key: place for place, key in enumerate(ENTRIES)}
 _INDICES = {index for index, _ in ENTRIES}
 
@@ -148,11 +123,11 @@ def missing(key: Key) -> int:
 def refused(values: Ints, key: Key, value: int, size: int) -> int:
     """Return the abort code with which a write is refused; 0: it is taken. size: bytes, 0: not said."""
     entry = ENTRIES[key]
-    if entry.access == "ro":
+    if not entry.writable:
         return o.READ_ONLY
     if size and size != entry.size:
         return o.TOO_LONG if size > entry.size else o.TOO_SHORT
-    if entry.allowed is not None and signed(key, value) not in entry.allowed:
+    if key in _ALLOWED and signed(key, value) not in _ALLOWED[key]:
         return o.BAD_VALUE
     index, sub = key
     if not o.RPDO <= index < o.TPDO_MAP + PDOS:

@@ -27,7 +27,7 @@ from drivers.cia402.states import CODES, STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
 from drivers.ends import Family
 from drivers.errors import ConfigurationError
-from drivers.motor_settings import Options, refuse_layout, required
+from drivers.motor_settings import Options
 from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said
 from drivers.signals import DriveFault
 
@@ -64,9 +64,8 @@ class Cia402Protocol(Family):
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
-        refuse_layout(bus, "cia402", "classic")
-        self.transmission = transmission = required(drives.transmission, "cia402")
-        options = Options(drives.options, "cia402", _ALLOWED)
+        options = Options(bus, drives, "cia402", "classic", _ALLOWED)
+        self.transmission = transmission = options.transmission
         super().__init__(bus.legs)
         rated_Nm = options.within("rated_torque_Nm", 1e-3, _MOST_Nm, "the motors' rated torque, 0x6076")
         self.velocity = velocity = options.choice("velocity", _VELOCITY, "pdo") == "pdo"

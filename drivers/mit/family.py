@@ -5,7 +5,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings
 from drivers.mit.fields import TURN, VARIANTS, Ranges
-from drivers.motor_settings import Options, refuse_layout, refuse_torque, required
+from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
 from drivers.protocol import Resolution
 from drivers.signals import LEGS
@@ -23,16 +23,14 @@ class MitFamily(MotorProtocol):
 
         Raises ConfigurationError for settings that the variant does not have.
         """
-        refuse_layout(bus, "mit", "classic")
-        transmission = required(drives.transmission, "mit")
-        options = Options(drives.options, "mit", ("variant", "model", "host_id", *_FIELDS))
+        options = Options(bus, drives, "mit", "classic", ("variant", "model", "host_id", *_FIELDS))
         self.variant = options.choice("variant", tuple(VARIANTS))
         models = VARIANTS[self.variant].models
         ranges: Ranges = models[options.choice("model", tuple(models))]
         given = {field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
         self.ranges = ranges = ranges._replace(**given)
         self.host = options.whole("host_id", _HOSTS[self.variant])
-        super().__init__(transmission, drives.node_ids, (*torque_field, ranges.torque), bus.legs)
+        super().__init__(options.transmission, drives.node_ids, (*torque_field, ranges.torque), bus.legs)
         for name in ("position", "velocity", "torque"):
             self.tables[name] = getattr(ranges, name)
 

@@ -25,6 +25,7 @@ HELD = CTRL_MODE, TIMEOUT, PMAX, VMAX, TMAX, SN, SW_VER
 _TIMEOUT_AT = HELD.index(TIMEOUT)
 ENABLE, DISABLE, CLEAR, ZERO = 0xFC, 0xFD, 0xFB, 0xFE
 """After seven FF."""
+_SPECIAL = (1 << 56) - 1
 TICKS_PER_S = 20_000
 """Of Damiao's TIMEOUT."""
 CUT, ZEROES = 1, 2
@@ -95,15 +96,6 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     return _motion(ear, data, first, _RUN if status else _OFF, 0, heard)
 
 
-@helper
-def _special(data: Any) -> int:
-    """Return the last byte of a special frame, 0 for another one."""
-    for k in range(7):
-        if data[k] != 0xFF:
-            return 0
-    return int(data[7])
-
-
 @pointed(record(drives.DEVICES), INTEGER, record(FRAME), INTEGER)
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command. Every frame to a drive is answered by its feedback."""
@@ -112,14 +104,16 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     if frame.length != 8:
         return drives.rejects(leg, CUT, 0.0, messages)
     ear, data, count = drives.ear_at(d.ear), frame.data, 0
-    special = _special(data)
+    special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
     if special == ZERO:
         count = drives.rejects(leg, ZEROES, 0.0, messages)
     elif special == ENABLE:
         if not d.enabled[leg]:
             # set to what it was delivered with where no controller has set it up
             ticks = d.registers[leg, _TIMEOUT_AT] if ear.registers else 0.0
-            watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9)) if ticks > 0.0 else d.watchdog_ns
+            watchdog_ns: Any = d.watchdog_ns
+            if ticks > 0.0:
+                watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9))
             count = drives.configures(d, leg, watchdog_ns, messages, 0)
             count = drives.enables(d, leg, 0.0, messages, count)
     elif special == DISABLE:

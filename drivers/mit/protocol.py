@@ -156,9 +156,7 @@ class MitProtocol(MitFamily):
 
 
 _SAID = {k.SN: SERIAL, k.SW_VER: REVISION}
-_KIND = dict.fromkeys((k.CTRL_MODE, k.TIMEOUT, k.SN, k.SW_VER), "<I") | dict.fromkeys(
-    (k.PMAX, k.VMAX, k.TMAX), "<f"
-)
+_KIND = {each: "<f" if each in (k.PMAX, k.VMAX, k.TMAX) else "<I" for each in k.HELD}
 
 
 def _exchange(node: int, name: str, kind: int, register: int, value: float) -> Exchange:

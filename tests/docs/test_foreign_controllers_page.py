@@ -23,7 +23,6 @@ from hil.app.configuration.configuration import Configuration, loads
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
 from tests import foreign_plant
-from tests.drivers.cia402_sheet import sheet
 from tests.realtime.rig import Process
 from tests.serving import serving
 
@@ -80,10 +79,6 @@ def at_rest(nodes: Nodes) -> Snapshot:
         assert time.monotonic() < end, snapshot
         time.sleep(0.01)
     return snapshot
-
-
-def test_the_data_sheet_is_that_of_the_emulated_drive():
-    assert EDS.read_text(encoding="ascii") == sheet() + "\n"
 
 
 @pytest.mark.long

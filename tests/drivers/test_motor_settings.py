@@ -9,13 +9,14 @@ import pytest
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.motor_settings import Options, refuse_layout, refuse_torque, required, unwatched
+from drivers.motor_settings import Options, refuse_torque, unwatched
 from drivers.signals import Reaction
 from drivers.transmission import Transmission
 
 
 def options(*known: str, **given: Any) -> Options:
-    return Options(given, "kite", known)
+    drives = DriveSettings(transmission=TransmissionSettings(lead_m=0.5), options={})
+    return Options(BusSettings(), drives.model_copy(update={"options": given}), "kite", "fd", known)
 
 
 def refused(text: str) -> Any:
@@ -54,14 +55,13 @@ def test_a_whole_number_is_one_and_no_truth():
 
 
 def test_a_layout_and_a_transmission_that_are_not_there_are_asked_for():
-    refuse_layout(BusSettings(layout="fd"), "kite", "fd")
     with refused("bus.layout: allowed with kite: classic, given: fd"):
-        refuse_layout(BusSettings(layout="fd"), "kite", "classic")
-    assert required(TransmissionSettings(lead_m=0.5), "kite").lead_m.tolist() == [0.5] * 6
+        Options(BusSettings(layout="fd"), DriveSettings(), "kite", "classic", ())
+    assert options().transmission.lead_m.tolist() == [0.5] * 6
     with refused(
         "drives.transmission: protocol kite speaks of motors; state lead_m or .*, sign and offset_m"
     ):
-        required(None, "kite")
+        Options(BusSettings(), DriveSettings(), "kite", "fd", ())
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -255,29 +255,17 @@ COMPUTED_COLUMNS = tuple(c.name for c in RECORDED if c.name not in INPUT_COLUMNS
 """What replay compares."""
 
 
-def _type(columns: Any) -> np.dtype[np.void]:
-    return np.dtype([(c.name, c.kind, c.shape) if c.shape else (c.name, c.kind) for c in columns])
-
-
-ROW = _type(RECORDED)
+ROW = np.dtype([(c.name, c.kind, c.shape) for c in RECORDED])
 """One tick of the log."""
-TICK = _type(COLUMNS.values())
+TICK = np.dtype([(c.name, c.kind, c.shape) for c in COLUMNS.values()])
 """One tick of the loop: ROW, and what lives for one tick behind it."""
-
-
-def _first() -> Record:
-    """Return the record before the first tick: no leg ever heard, and nan for what nothing may fill."""
-    record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
-    record["tick"] = -1
-    record["age"] = NEVER
-    for name in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
-        record[name] = np.nan
-    return record
-
-
-FIRST = _first()
+FIRST: Record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
+"""The record before the first tick, and what each one begins as: no leg ever heard, nan for what nothing may
+fill."""
+FIRST["tick"], FIRST["age"] = -1, NEVER
+for _ in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
+    FIRST[_] = np.nan
 FIRST.flags.writeable = False
-"""The record before the first tick, and what each one begins as."""
 
 
 def new_record() -> Record:

@@ -1,8 +1,7 @@
 """CiA 402 drives of the tests: a screw of 20 mm, 2^17 counts a turn, 9 N m of rated torque."""
 
+from types import SimpleNamespace
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
@@ -61,11 +60,11 @@ def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, legs=(ALL_LEGS,)
 
 def difference(length: float, t_ns: int, before: Slope, rate: float, period_s: float) -> tuple[float, Slope]:
     """Return the rate at the end of a step and what the next one needs, see `kernels.difference`."""
-    c: Any = np.zeros((), kernels.DRIVES).view(np.recarray)
-    c.period_s[()], c.mean[0], c.T[0], c.latched_ns[0] = period_s, before.rate, before.T, before.latched_ns
-    c.length[0], c.has_length[0] = before.length or 0.0, before.length is not None
+    places = {"mean": [before.rate], "T": [before.T], "latched_ns": [before.latched_ns]}
+    lengths = {"length": [before.length], "has_length": [before.length is not None]}
+    c: Any = SimpleNamespace(period_s=period_s, **places, **lengths)
     found = kernels.difference(c, 0, length, t_ns, rate)
-    return float(found), Slope(*(c[name][0].item() for name in ("mean", "T", "latched_ns", "length")))
+    return found, Slope(c.mean[0], c.T[0], c.latched_ns[0], c.length[0])
 
 
 DEVICE_STATES = {

@@ -45,10 +45,8 @@ class BusEvents(NamedTuple):
     errors: int
     """Error frames."""
     off: int
-    """Bit i: bus i is off or down as of now, or was bus-off since the last call.
-
-    Every bit where none has taken a frame for `DEAD_AFTER_NS`.
-    """
+    """Bit i: bus i is off or down as of now, has taken no frame for `DEAD_AFTER_NS`, or was bus-off since the
+    last call."""
     overflow: int
     """Received frames that were lost because they were not read in time."""
     state: BusState = BusState.UNKNOWN
@@ -64,8 +62,9 @@ class Bus(Source):
     are there as soon as they are sent: no wire takes its time.
 
     Mutable state: the links, in the order of their buses; the error count since the last `events`, which
-    buses were off then, and the worst state of each; since when all refuse frames, and each; on which each
-    identifier was last received, and each frame of the last `send` went; when each had taken what was its.
+    buses were off then, and the worst state of each; since when each refuses frames, and whether it is dead;
+    on which each identifier was last received, and each frame of the last `send` went; when each had taken
+    what was its.
     """
 
     def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
@@ -74,14 +73,13 @@ class Bus(Source):
         self.clock = self._links[0].clock if len(clocks) == 1 else MONOTONIC
         self.knows_ends = all(link.knows_ends for link in self._links)
         self.virtual = any(link.virtual for link in self._links)
-        self._single = self._links[0] if len(self._links) == 1 else None
         self._role = role
-        self._errors = self._overflow_seen = self._all_refuse_since = self._was_off = 0
-        self._dead = False
+        self._errors = self._overflow_seen = self._was_off = 0
         self._home: dict[int, int] = {}
         self._order: list[int] = []
         self._taken_ns = [0] * len(self._links)
         self._refused_since = [0] * len(self._links)
+        self._dead = [False] * len(self._links)
         self._states = [BusState.UNKNOWN] * len(self._links)
 
     @property
@@ -113,51 +111,41 @@ class Bus(Source):
             return cls(links, roles.pop_all())
 
     def send(self, frames: Rows) -> int:
-        """Send frames and return the number of those that the bus did not take.
+        """Send frames, each on its bus; return the number of those that were not taken.
 
-        A refusal that passes is a busy bus; one that lasts makes `events().off`. Does not wait for
-        the bus, and raises only for frames that it cannot carry at all (BusError).
-        """
-        if not len(frames):
-            return 0
-        taken = self._spread(frames) if self._single is None else self._single.send(frames)
-        if taken:
-            self._all_refuse_since = 0
-            self._dead = False
-        else:
-            now = self.clock.now()
-            self._all_refuse_since = self._all_refuse_since or now
-            self._dead = now - self._all_refuse_since >= DEAD_AFTER_NS
-        return len(frames) - taken
-
-    def _spread(self, frames: Rows) -> int:
-        """Send frames, each on its bus; return how many the buses took, each from its first on.
-
-        Where a link raises, the others still get theirs: they may be an emergency stop.
+        Each bus takes its own from the first on. A refusal that passes is a busy bus; one that lasts makes
+        `events().off`. Does not wait for the buses, and raises only for frames that one cannot carry at all
+        (BusError): the others still get theirs, which may be an emergency stop.
         """
         self._order = frames["bus"].tolist()
-        taken = 0
+        taken, several = 0, len(self._links) > 1
         failed: Exception | None = None
         for bus, link in enumerate(self._links):
-            if bus in self._order:
+            if bus not in self._order:
+                continue
+            own, took = frames, 0
+            if several:
                 own = frames[frames["bus"] == bus]
-                own["bus"] = took = 0
-                try:
-                    took = link.send(own)
-                except Exception as error:  # noqa: BLE001 - raised when all have theirs
-                    failed = failed or error
-                taken += took
-                self._taken_ns[bus] = now = self.clock.now()
-                self._refused_since[bus] = 0 if took else self._refused_since[bus] or now
+                own["bus"] = 0
+            try:
+                took = link.send(own)
+            except Exception as error:  # noqa: BLE001 - raised when all have theirs
+                failed = failed or error
+            taken += took
+            if several or not took:
+                self._taken_ns[bus] = self.clock.now()
+            now = self._taken_ns[bus]
+            self._refused_since[bus] = since = 0 if took else self._refused_since[bus] or now
+            self._dead[bus] = not took and now - since >= DEAD_AFTER_NS
         if failed is not None:
             raise failed
-        return taken
+        return len(frames) - taken
 
     def receive(self) -> Rows:
         """Return what is there on all buses, error frames included, in the order of time."""
-        if self._single is not None:
-            return self._single.receive()
         parts = [link.receive() for link in self._links]
+        if len(parts) == 1:
+            return parts[0]
         received = joined(parts)
         buses = [bus for bus, part in enumerate(parts) for _ in range(len(part))]
         if not buses:
@@ -172,8 +160,8 @@ class Bus(Source):
         What is missing is awaited bus by bus, each identifier on the bus where it was last heard; where
         that is not known, or anything is awaited, on all buses together.
         """
-        if self._single is not None:
-            self._single.block(deadline_ns, missing)
+        if len(self._links) == 1:
+            self._links[0].block(deadline_ns, missing)
             return
         if missing and missing <= self._home.keys():
             bus = min(self._home[identifier] for identifier in missing)
@@ -203,7 +191,7 @@ class Bus(Source):
         Returns at the deadline with what is there. What came before the call counts: to wait for answers,
         `drain_now` before asking. An empty `wanted` is fulfilled at once.
         """
-        return self._sift(collect(self._single or self, deadline_ns, wanted))
+        return self._sift(collect(self, deadline_ns, wanted))
 
     def drain_now(self) -> Rows:
         """Return what has been received. Does not block."""
@@ -212,7 +200,7 @@ class Bus(Source):
     def wait(self, deadline_ns: int) -> Rows:
         """Return as soon as anything has come, or at the deadline with nothing."""
         while True:
-            raw = collect(self._single or self, deadline_ns)
+            raw = collect(self, deadline_ns)
             received = self._sift(raw)
             if len(received) or not len(raw) or self.clock.now() >= deadline_ns:
                 return received
@@ -232,7 +220,7 @@ class Bus(Source):
         """
         overflow = sum(link.overflow for link in self._links)
         self._states = [link.worst_state() for link in self._links]
-        off = (1 << len(self._links)) - 1 if self._dead else self._off_bits()
+        off = self._off_bits()
         gone = off & ~self._was_off
         for bus, link in enumerate(self._links):
             if gone >> bus & 1:
@@ -244,12 +232,10 @@ class Bus(Source):
         return events
 
     def _off_bits(self) -> int:
-        """Bit i is set while bus i is off or down, or was bus-off before the last `events`."""
+        """As `BusEvents.off`, with the states that the last `events` has found."""
         bits = 0
         for bus, link in enumerate(self._links):
-            since = self._refused_since[bus]
-            dead = since != 0 and self.clock.now() - since >= DEAD_AFTER_NS
-            bits |= (dead or link.off or self._states[bus] is BusState.OFF) << bus
+            bits |= (self._dead[bus] or link.off or self._states[bus] is BusState.OFF) << bus
         return bits
 
     def skew_ns(self) -> int:
@@ -265,11 +251,9 @@ class Bus(Source):
     def sent_ns(self) -> Sequence[int | None]:
         """Return when each frame of the last `send` ended on its wire, where the interface knows it.
 
-        Else when the interface had taken it; None, or no more entries, for what was not taken.
+        Else when the interface had taken it; None for what was not taken.
         """
-        if self._single is not None:
-            return self._single.sent_ns()
-        own = {bus: iter(self._links[bus].sent_ns()) for bus in set(self._order)}
+        own = [iter(link.sent_ns()) for link in self._links]
         return [next(own[bus], None) for bus in self._order]
 
     def flush_tx(self) -> None:

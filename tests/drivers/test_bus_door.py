@@ -181,9 +181,10 @@ def test_anything_ends_a_wait_for_anything_but_an_error_frame_alone():
 def test_what_the_link_says_of_itself_is_handed_on():
     bus, link, clock = one()
     assert (bus.facts, bus.knows_ends, bus.virtual, bus.clock) == ("facts", True, True, clock)
+    bus.send(sent_array(PAIR))
     assert (list(bus.sent_ns()), bus.skew_ns()) == ([7, 8], 0)
     bus.flush_tx()
-    assert link.calls == ["flush"]
+    assert link.calls == ["send", "flush"]
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -227,6 +228,7 @@ def test_each_bus_is_off_by_its_own_refusals_for_50_ms_and_by_no_others():
     assert group.send(sent_array(frames)) == 2
     for later_ns, bits in ((29_999_999, 0b000), (1, 0b010), (19_999_999, 0b010), (1, 0b110)):
         clock.t_ns += later_ns
+        group.send(sent_array(frames))
         assert group.events().off == bits
     links[1].takes = 1
     group.send(sent_array(frames))

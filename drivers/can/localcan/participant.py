@@ -206,11 +206,11 @@ class Participant(Link):
                 QUEUE_LIMIT,
             )
             self._sent = range(number, number + taken)
-        self._queued_ns = self.clock.now()
+        self._queued_ns = now = self.clock.now()
         if taken:
             self.clock.sends()
             # an unanswered ring is repeated: the one who should have rung may have been killed
-            listeners = log.to_ring(wire.words, state, self.clock.now(), _AGAIN_NS, self._serials)
+            listeners = log.to_ring(wire.words, state, now, _AGAIN_NS, self._serials)
             for other in self._serials[:listeners].tolist():
                 if not self._bell.ring(other):
                     self._remove(other)

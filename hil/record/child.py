@@ -1,14 +1,13 @@
 """The recorder as a child process: start it, set it up, hear its answer, reap it."""
 
 import contextlib
-import json
 import os
+import pickle
 import select
 import signal
-import struct
 import subprocess
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import IO, Any
 
 from drivers.child_process import start
 from hil.record.ring import Ring
@@ -33,31 +32,28 @@ def spawn(ring: Ring) -> subprocess.Popen[bytes]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def set_up(
-    process: subprocess.Popen[bytes], setup: Mapping[str, object], attachments: Sequence[bytes]
-) -> None:
-    """Send what the recorder reads first: length, JSON, attachments."""
-    text = json.dumps(setup).encode()
-    write_all(process, struct.pack("<Q", len(text)) + text)
-    for data in attachments:
-        write_all(process, data)
-
-
-def write_all(process: subprocess.Popen[bytes], data: bytes) -> None:
-    """Send bytes to the recorder. Raises OSError where it is gone."""
+def send(process: subprocess.Popen[bytes], message: Mapping[str, Any]) -> None:
+    """Send the recorder what it reads next: its set-up, then its summary. Raises OSError where it is gone."""
     assert process.stdin is not None
-    process.stdin.write(data)
+    process.stdin.write(pickle.dumps(message))
     process.stdin.flush()
 
 
 def answer(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, Any]:
-    """Return the recorder's next line, or {} when it is gone or does not answer in time."""
+    """Return the recorder's next answer, or {} when it is gone; an error when it does not answer in time."""
     assert process.stdout is not None
     if not select.select([process.stdout], [], [], timeout_s)[0]:
         return {"error": f"the recorder did not answer within {timeout_s:g} s"}
-    line = process.stdout.readline()
-    reply: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {}
-    return reply
+    return receive(process.stdout) or {}
+
+
+def receive(pipe: IO[bytes]) -> dict[str, Any] | None:
+    """Return what the other end sends next; None where it has ended."""
+    try:
+        message: dict[str, Any] = pickle.load(pipe)  # noqa: S301 - of our own process
+    except (EOFError, pickle.UnpicklingError):
+        return None
+    return message
 
 
 def finish(process: subprocess.Popen[bytes]) -> None:

@@ -57,6 +57,18 @@ class _Rare(NamedTuple):
     record: bytes
 
 
+def channels_of(table: Table, can_channels: Sequence[str]) -> dict[int, tuple[str, Schema, dict[str, str]]]:
+    """Return topic, schema and metadata of each channel of a log."""
+    return {
+        TICK: (table.topic, row_schema(table), {}),
+        CAN: ("/can", frame_schema(), {"channel": ", ".join(can_channels)}),
+        COMMANDS: ("/operator", operator_schema(), {}),
+        EVENTS: ("/events", _foxglove(Log), {}),
+        TF: ("/tf", _foxglove(FrameTransform), {}),
+        SCENE: ("/scene", _foxglove(SceneUpdate), {}),
+    }
+
+
 class Encoder:
     """Turns batches into messages. State: the tick that comes next, for events between ticks."""
 
@@ -65,18 +77,18 @@ class Encoder:
         table: Table,
         *,
         epoch_ns: int,
-        can_channel: str,
+        can_channels: Sequence[str],
         scene: Scene | None,
-        can_channels: Sequence[str] = (),
         packer: Sequence[str] | None = None,
     ) -> None:
-        """Take the columns, UTC of t_ns = 0, the bus's name, what is drawn, the names of several buses.
+        """Take the columns, UTC of t_ns = 0, the names of the buses, what is drawn.
 
         `packer` is the machine code of `hil.record.packer.pack`, which is imported without it.
         """
-        codec = RowCodec(table.columns)
-        template, places = self._row = codec.layout.of_channel(TICK), codec.packed_places()
-        _, buses = self._frame = frame_table([name.encode() for name in can_channels or (can_channel,)], CAN)
+        codec = RowCodec(table.columns, TICK)
+        template, places = self._row = codec.layout.template, codec.places
+        frames, buses = frame_table([name.encode() for name in can_channels], CAN)
+        self._frame = frames.template, buses
         self._largest_frame = int(buses[:, 1].max()) + MAX_DATA
         self._sizes = codec.dtype.itemsize // 8, len(places), len(template), len(buses), epoch_ns
         self._packer = packer
@@ -85,14 +97,7 @@ class Encoder:
         self._drawer = SceneDrawer(scene) if scene else None
         self._operator = message_class(operator_schema())
         self._next_tick = 0
-        self.channels: dict[int, tuple[str, Schema, dict[str, str]]] = {
-            TICK: (table.topic, row_schema(table), {}),
-            CAN: ("/can", frame_schema(), {"channel": ", ".join(can_channels) or can_channel}),
-            COMMANDS: ("/operator", operator_schema(), {}),
-            EVENTS: ("/events", _foxglove(Log), {}),
-            TF: ("/tf", _foxglove(FrameTransform), {}),
-            SCENE: ("/scene", _foxglove(SceneUpdate), {}),
-        }
+        self.channels = channels_of(table, can_channels)
 
     @cached_property
     def _pack(self) -> Callable[..., None]:

@@ -11,8 +11,7 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import BUS, Frame, Received
-from hil.record.ring import ITEM, RECEIVED, SENT, unpack_items
-from hil.record.schema import RX, TX
+from hil.record.ring import ITEM, SENT, unpack_items
 from hil.record.selection import as_bytes
 from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
@@ -126,25 +125,16 @@ class LoggedFrame(NamedTuple):
 
 def logged(items: Rows) -> Iterator[LoggedFrame]:
     """Yield the frames of `items` (elements of `hil.record.decode.ITEM`) one by one."""
-    frames = unpack_items(_of_ring(items).tobytes())
-    for (t_ns, can_id, direction, length, flags, data), tick in zip(
-        frames, items["tick"].tolist(), strict=True
-    ):
-        yield LoggedFrame(t_ns, tick, direction == TX, flags // BUS, can_id, data[:length], flags % BUS)
-
-
-def _of_ring(items: Rows) -> Rows:
-    """Return items as elements of `hil.record.ring.ITEM`, views whose kind is the direction."""
-    return np.ndarray(len(items), ITEM, items, 0, items.strides)
+    frames = unpack_items(items["frame"].tobytes())
+    for (t_ns, can_id, kind, length, flags, data), tick in zip(frames, items["tick"].tolist(), strict=True):
+        yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)
 
 
 def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
     """Yield the ticks of `rows`, with their items."""
-    items = items.compress((items["direction"] == RX) | (items["direction"] == TX))
-    key = items["tick"] * 2 + (items["direction"] == TX)
+    key = items["tick"] * 2 + (items["frame"]["kind"] == SENT)
     order = np.lexsort((items["index"], key))
-    key, frames = key[order], as_bytes(_of_ring(items))[order].view(ITEM)
-    frames["kind"] = np.where(frames["kind"] == TX, SENT, RECEIVED)
+    key, frames = key[order], as_bytes(items["frame"])[order].view(ITEM)
     frames.flags.writeable = False
     wanted = rows["tick"] * 2
     first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in range(3))

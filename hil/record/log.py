@@ -18,7 +18,6 @@ from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
 from hil.record.mcap_read import MessageTable, read_summary
-from hil.record.row import Table
 from hil.record.schema import SUMMARY
 from hil.record.selection import Selection, joined, together
 from hil.signals import NUMBERS, Operator
@@ -106,7 +105,7 @@ class Log(LogFile):
     @property
     def dtype(self) -> np.dtype[np.void]:
         """Type of the rows."""
-        return Table(self.topic, self.columns).dtype
+        return self._decoder.dtype
 
     @cached_property
     def origin_ns(self) -> int:
@@ -288,9 +287,8 @@ class Log(LogFile):
         found = []
         for data, table in self._buffers():
             for message in self._decoder.messages(data, table, EVENTS):
-                with self._decoder.understood(EVENTS):
-                    t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
-                    found.append(Event(t_ns, _LEVELS.get(message.level, "info"), str(message.message)))
+                t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
+                found.append(Event(t_ns, _LEVELS.get(message.level, "info"), message.message))
         return found
 
     def can_frames(self) -> Iterator[LoggedFrame]:
@@ -310,8 +308,9 @@ class Log(LogFile):
             pending = together((pending, self._decoder.frames(data, table)))
             if not len(pending):
                 continue
-            pending = pending.take(np.argsort(pending["t_ns"], kind="stable"))
-            settled = int(np.searchsorted(pending["t_ns"], pending["t_ns"][-1] - _SETTLED_NS))
+            pending = pending.take(np.argsort(pending["frame"]["t_ns"], kind="stable"))
+            t_ns = pending["frame"]["t_ns"]
+            settled = int(np.searchsorted(t_ns, t_ns[-1] - _SETTLED_NS))
             yield from logged(pending[:settled])
             pending = pending[settled:]
         yield from logged(pending)

@@ -5,7 +5,6 @@ A log that was cut, or is still being written, is read as far as it goes.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,33 +14,27 @@ from mcap.opcode import Opcode
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
 from drivers.tick_columns import Column
-from hil.record.decode import Decoder, why
+from hil.record.decode import REFUSED, Decoder, why
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import (
-    MAX_CHUNK,
     NOTHING,
     Allowance,
     MessageTable,
     Record,
     messages_in,
     records,
-    split,
 )
-from hil.record.row import columns_in
+from hil.record.row import Run
 from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
-_LOOSE = 4096
-"""Messages outside chunks that are read together."""
-_MOST_NAMES, _LONGEST_NAME = 16, 4096
-"""Of buses, six of which a robot has, and signs of each: a layout of frames is made for each name."""
 MEND, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, and no more can be had of it"
 """What to do about a damaged log."""
 
 
 class LogFile:
-    """A log's file. State: what is no message, and the schemas and channels met so far.
+    """A log's file. State: what is no message, and the channels met so far.
 
     Raises
     ------
@@ -58,7 +51,7 @@ class LogFile:
     cut: str
     """Why the file ends too early; empty for a whole one."""
     columns: tuple[Column, ...]
-    """Of the rows; without names of elements and numbers where version 0.1.0 wrote the log."""
+    """Of the rows."""
     topic: str
     """Topic of the rows, `/tick` or `/plant`."""
     can_channel: str
@@ -78,20 +71,18 @@ class LogFile:
         for record in self._records(skip=_MESSAGES):
             self._learn(record)
         identity = self.metadata.get(IDENTITY, {})
-        if not {"columns", "dtype"} & identity.keys():
+        if "dtype" in identity:
+            raise LogError(f"{path}: a log of version 0.1.0: read and replay it with that version")
+        if "columns" not in identity:
             reason = (
                 self.cut or f"an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"
             )
             raise LogError(f"{path}: {reason}")
         try:
-            self.columns = columns_in(identity)
-            self.topic, self.epoch_ns = identity["topic"], int(identity["epoch_ns"])
-            self.can_channel, self.lockstep = identity["can_channel"], identity["mode"] == "lockstep"
-            names = json.loads(identity["can_channels"]) if "can_channels" in identity else []
-            self.can_channels = tuple(map(str, names)) or (self.can_channel,)
-            _require(self.epoch_ns, (self.can_channel, *self.can_channels))
+            self.topic, self.columns, self.epoch_ns, self.can_channels, self.lockstep = Run.of(identity)
+            self.can_channel = self.can_channels[0]
             self._decoder.expect(self.topic, self.columns, self.can_channels, self.epoch_ns)
-        except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
+        except REFUSED as error:
             raise LogError(
                 f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self.mend}"
             ) from None
@@ -186,44 +177,26 @@ class LogFile:
                 self.metadata[found.name] = dict(found.metadata)
             case "Attachment":
                 self.attachments[found.name] = bytes(found.data)
-            case "Schema" | "Channel":
+            case "Channel":
                 self._decoder.learn(found)
 
     def _damaged(self, record: Record, error: LogError) -> LogError:
         return LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {self.mend}")
 
     def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
-        """Yield buffers of messages: the chunks, or runs of messages that stand outside chunks."""
-        loose: list[bytes] = []
-        size, allowance = 0, self._allowance()
+        """Yield buffers of messages: the chunks."""
+        allowance = self._allowance()
         for record in self._records():
-            if record.opcode == Opcode.MESSAGE and record.complete:
-                loose.append(record.whole)
-                size += len(loose[-1])
-                if len(loose) < _LOOSE and size < MAX_CHUNK:
-                    continue
-            if loose:
-                yield self._loose(record, loose)
-                loose, size = [], 0
+            if record.opcode == Opcode.MESSAGE:
+                raise self._damaged(record, LogError("a message outside a chunk, which no recorder writes"))
             if record.opcode == Opcode.CHUNK:
                 yield self._chunk(record, allowance)
-        if loose:
-            yield self._loose(record, loose)
 
     def _allowance(self) -> Allowance:
         try:
             return Allowance(self.path.stat().st_size)
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
-
-    def _loose(self, record: Record, messages: list[bytes]) -> tuple[bytes, MessageTable]:
-        data = b"".join(messages)
-        try:
-            return data, split(data)[0]
-        except LogError as error:
-            raise LogError(
-                f"{self.path}: damaged before byte {record.offset}: {error}; {self.mend}"
-            ) from None
 
     def _chunk(self, record: Record, allowance: Allowance) -> tuple[bytes, MessageTable]:
         """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
@@ -236,18 +209,6 @@ class LogFile:
         if not record.complete:
             table = table.before(self._decoder.messages_of(table, self.topic))
         return data, table
-
-
-def _require(epoch_ns: int, can_channels: tuple[str, ...]) -> None:
-    """Raise ValueError for what no recorder writes."""
-    if not 0 <= epoch_ns < 1 << 63:
-        raise ValueError(f"epoch_ns {epoch_ns}")
-    if len(can_channels) > _MOST_NAMES or any(len(each) > _LONGEST_NAME for each in can_channels):
-        raise ValueError(
-            f"{len(can_channels)} names of buses, allowed: {_MOST_NAMES} of {_LONGEST_NAME} signs"
-        )
-    if not "".join(can_channels).isprintable():
-        raise ValueError(f"can_channels {can_channels!r}")
 
 
 def _no_record(record: Record) -> LogError:

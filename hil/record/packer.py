@@ -6,15 +6,25 @@ The recorder runs its machine code and imports neither this file nor Numba.
 from drivers.arrays import Bytes, Ints
 from drivers.can.bus_time import FD_LENGTHS
 from drivers.compiled.compiler import BYTE_POINTER, POINTER, helper, kernel
-from hil.record.layout import FRAME_FLAGS, FRAME_PLACES, MAX_DATA
+from hil.record.layout import (
+    BUS,
+    DIRECTION,
+    DLC,
+    FLAGS,
+    FRAME_FLAGS,
+    ID,
+    INDEX,
+    MAX_DATA,
+    NANOS,
+    SECONDS,
+    TICK,
+)
 from hil.record.ring import ITEM, RECEIVED, SENT
 from hil.record.row import NAMED, UNNAMED, WHOLE
 from hil.record.schema import RX, TX
 
 _BITS = tuple(FRAME_FLAGS.values())
-_SECONDS, _NANOS, _ID, _DLC, _DIRECTION, _TICK, _INDEX, _BUS, _FLAGS = range(3, 12)
-"""Columns of a frame table."""
-_FRAME_COLUMNS = 3 + len(FRAME_PLACES)
+_FRAME_COLUMNS = FLAGS + len(_BITS)
 _WORDS = ITEM.itemsize // 8
 _S = 1_000_000_000
 
@@ -77,18 +87,18 @@ def _put_frame(
     _put_bytes(out, at + data + length, template, start + data, size - data)
     _put(out, at + 1, size + length - 9, 8)
     out[at + data - 1] = length
-    _put_varint5(out, at + table[row + _SECONDS], log_time // _S)
-    _put_varint5(out, at + table[row + _NANOS], log_time % _S)
-    _put(out, at + table[row + _ID], words, 4)
+    _put_varint5(out, at + table[row + SECONDS], log_time // _S)
+    _put_varint5(out, at + table[row + NANOS], log_time % _S)
+    _put(out, at + table[row + ID], words, 4)
     code = 0  # of ISO 11898-1
     while FD_LENGTHS[code] < length:
         code += 1
-    out[at + table[row + _DLC]] = code
+    out[at + table[row + DLC]] = code
     behind = at + length
-    out[behind + table[row + _DIRECTION]] = RX if words >> 32 & 0xFF == RECEIVED else TX
-    out[behind + table[row + _BUS]] = words >> 56 & 0xFF
+    out[behind + table[row + DIRECTION]] = RX if words >> 32 & 0xFF == RECEIVED else TX
+    out[behind + table[row + BUS]] = words >> 56 & 0xFF
     for k in range(len(_BITS)):
-        place = table[row + _FLAGS + k]
+        place = table[row + FLAGS + k]
         out[(behind if place > data else at) + place] = (words >> 48 & _BITS[k]) != 0
     return length
 
@@ -173,8 +183,8 @@ def pack(
                 frame = _FRAME_COLUMNS * min(items[_WORDS * item + 1] >> 56 & 0xFF, buses - 1)
                 length = _put_frame(out, at, items, item, frame_template, frame_table, frame, log_time)
                 _put_header(out, at, when[n], log_time, when[times + n])
-                _put(out, at + length + frame_table[frame + _TICK], when[n], 8)
-                _put(out, at + length + frame_table[frame + _INDEX], item - first, 4)
+                _put(out, at + length + frame_table[frame + TICK], when[n], 8)
+                _put(out, at + length + frame_table[frame + INDEX], item - first, 4)
                 _put_index(index, message, at, frame_template[9], log_time, n)
                 at += frame_table[frame + 1] + length
                 message += 1

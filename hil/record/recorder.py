@@ -2,8 +2,8 @@
 
 The only process that writes log files. It lives as long as its producer does and ignores signals that ask it
 to end earlier: when the producer closes or dies it drains the ring, closes the file and leaves. Started as
-`python -m hil.record RING_FD PRODUCER_PID`; orders come on standard input (set-up as JSON and attachments,
-then the summary), answers go to standard output, one JSON object per line.
+`python -m hil.record RING_FD PRODUCER_PID`; orders come on standard input (the set-up, then the summary),
+answers go to standard output, all of them as `hil.record.child` sends and receives them.
 """
 
 from __future__ import annotations
@@ -13,29 +13,30 @@ import errno
 import json
 import math
 import os
+import pickle
 import select
 import signal
-import struct
 import sys
 import time
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from mcap.records import Channel, Schema
 
 from drivers.arrays import Ints
 from drivers.errors import LogError
+from hil.record.child import receive
 from hil.record.encode import TICK, Encoder, Messages
 from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
 from hil.record.mirror import Mirror
 from hil.record.publish import Publisher
-from hil.record.recording import Scene
+from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
-from hil.record.row import Table, columns_of
+from hil.record.row import Run, Table
 from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, PRODUCER_DIED, SUMMARY
 from hil.record.websocket import LiveSocket
 
@@ -74,40 +75,38 @@ class Histogram:
 class Recorder:
     """One log being written. State: the ring's read side, the file, what was counted."""
 
-    def __init__(
-        self, ring: Ring, table: Table, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]
-    ) -> None:
+    def __init__(self, ring: Ring, run: Run, setup: Mapping[str, Any]) -> None:
+        """Open the log; setup: as `hil.record.recording.Recording.start` makes it."""
         self._ring = ring
-        identity = setup["identity"]
-        self._lockstep = identity["mode"] == "lockstep"
+        self._lockstep = run.lockstep
         self._encoder = Encoder(
-            table,
-            epoch_ns=int(identity["epoch_ns"]),
-            can_channel=identity["can_channel"],
-            can_channels=json.loads(identity.get("can_channels", "[]")),
-            scene=Scene(**setup["scene"]) if setup["scene"] else None,
+            Table(run.topic, run.columns),
+            epoch_ns=run.epoch_ns,
+            can_channels=run.can_channels,
+            scene=setup["scene"],
             packer=setup.get("packer"),
         )
         # fixed batches make the whole data section, not only its messages, the same for the same run
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
         self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
-        self._live = LiveView(sys.stderr, setup["reference_s"]) if setup["live"] else None
-        where = setup["websocket"]
+        live: Live = setup["live"]
+        self._live = LiveView(sys.stderr, live.reference_s) if live.status else None
+        where = live.websocket
         self.socket = LiveSocket(where[0], where[1], self._encoder.channels) if where else None
         version = setup["environment"].get("version", "unknown")
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{version}")
         try:
-            self._open(setup, attachments)
+            self._open(setup)
         except OSError:
             self.file.discard()  # no tick is in it
             raise
         self._publisher = _publisher(ring, setup["mirror"])  # last: a run that never was is not shown
 
-    def _open(self, setup: Mapping[str, Any], attachments: list[tuple[str, bytes]]) -> None:
+    def _open(self, setup: Mapping[str, Any]) -> None:
         self.file.add_metadata(IDENTITY, setup["identity"])
         self.file.add_metadata(ENVIRONMENT, setup["environment"])
-        for name, data in attachments:
+        for name, data in setup["attachments"]:
             media_type = _MEDIA.get(Path(name).suffix, "application/octet-stream")
             self.file.add_attachment(name, data, setup["created_ns"], media_type)
         for channel_id, (topic, schema, metadata) in self._encoder.channels.items():
@@ -218,26 +217,25 @@ class Recorder:
             )
 
 
-def _publisher(ring: Ring, mirror: Mapping[str, Any] | None) -> Publisher | None:
+def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> Publisher | None:
     """Return what shows the run to watchers. A run that cannot be shown is recorded all the same."""
     if mirror is None:
         return None
     try:
-        return Publisher(ring, Mirror(Path(mirror["path"]), mirror["about"]))
+        return Publisher(ring, Mirror(*mirror))
     except OSError as error:
-        print(f"hil: `hil watch` cannot see this run: {mirror['path']}: {error.strerror}", file=sys.stderr)
+        print(f"hil: `hil watch` cannot see this run: {mirror[0]}: {error.strerror}", file=sys.stderr)
         return None
 
 
 class _Control:
-    """The producer's end: orders on a pipe, and whether it lives. State: what was read so far."""
+    """The producer's end: its last words on a pipe, and whether it lives. State: these words."""
 
-    def __init__(self, fd: int, producer: int) -> None:
-        self._fd = fd
-        self._received = b""
+    def __init__(self, pipe: IO[bytes], producer: int) -> None:
+        self._pipe = pipe
         self.summary: dict[str, str] | None = None
         self._poll = select.poll()
-        self._poll.register(fd, select.POLLIN)
+        self._poll.register(pipe, select.POLLIN)
         self._pidfd = -1
         # the pipe alone could be held open by a child of the producer that outlives it
         with contextlib.suppress(OSError, AttributeError):
@@ -248,39 +246,16 @@ class _Control:
     def ended(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s`; return whether the producer has closed or died."""
         ready = {fd for fd, _ in self._poll.poll(timeout_s * 1000.0)}
-        if self._fd in ready:
-            data = os.read(self._fd, 65536)
-            self._received += data
-            line, whole, _ = self._received.partition(b"\n")  # a close that was interrupted sends another one
-            if whole:
-                self.summary = json.loads(line)
-                return True
-            return not data
+        if self._pipe.fileno() in ready:
+            self.summary = receive(self._pipe)
+            return True
         return self._orphan or self._pidfd in ready
 
 
-def read_exactly(fd: int, count: int) -> bytes:
-    """Read `count` bytes. Raises EOFError when the pipe ends before."""
-    data = bytearray()
-    while len(data) < count:
-        piece = os.read(fd, count - len(data))
-        if not piece:
-            raise EOFError
-        data += piece
-    return bytes(data)
-
-
-def read_setup(fd: int) -> tuple[dict[str, Any], list[tuple[str, bytes]]]:
-    """Read what `hil.record.recording` sends first: length, JSON, attachments."""
-    (length,) = struct.unpack("<Q", read_exactly(fd, 8))
-    setup = json.loads(read_exactly(fd, length))
-    return setup, [(name, read_exactly(fd, size)) for name, size in setup["attachments"]]
-
-
 def answer(message: Mapping[str, object]) -> None:
-    """Send one line to the producer, if it still listens."""
+    """Send an answer to the producer, if it still listens."""
     with contextlib.suppress(OSError):
-        os.write(sys.stdout.fileno(), json.dumps(message).encode() + b"\n")
+        os.write(sys.stdout.fileno(), pickle.dumps(message))
 
 
 def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
@@ -300,24 +275,23 @@ def main(arguments: list[str]) -> int:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
     ring_fd, producer = map(int, arguments)
-    control_fd = sys.stdin.fileno()
+    setup = receive(sys.stdin.buffer)
+    if setup is None:
+        return 1
     file: McapFile | None = None
     try:
-        setup, attachments = read_setup(control_fd)
-        table = Table(setup["identity"]["topic"], columns_of(setup["identity"]["columns"]))
-        ring = Ring(ring_fd, table.dtype, setup["ring_ticks"])
+        run = Run.of(setup["identity"])
+        ring = Ring(ring_fd, Table(run.topic, run.columns).dtype, setup["ring_ticks"])
         ring.close_fd()
-        recorder = Recorder(ring, table, setup, attachments)
+        recorder = Recorder(ring, run, setup)
         file = recorder.file
-        control = _Control(control_fd, producer)
+        control = _Control(sys.stdin.buffer, producer)
         answer({"ready": True})
         answer(_recorded(recorder, control))
         if recorder.socket is not None and not recorder.socket.close():
             os._exit(0)  # the log is closed; a client that does not read would hold the process
     except LogError as error:
         answer({"error": str(error)})
-        return 1
-    except EOFError:
         return 1
     except FileExistsError as error:
         answer(

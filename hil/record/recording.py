@@ -21,7 +21,7 @@ from drivers.compiled.machine_code import machine_code
 from drivers.errors import LogError
 from drivers.frame_array import received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
-from hil.record.child import answer, finish, set_up, spawn, write_all
+from hil.record.child import answer, finish, send, spawn
 from hil.record.environment import environment, scheduling
 from hil.record.layout import MAX_DATA
 from hil.record.ring import (
@@ -154,17 +154,14 @@ class Recording:
         table.check()
         file = Path(path).absolute()
         created_ns = LOCKSTEP_EPOCH_NS if lockstep else time.time_ns()
-        files = [(CONFIGURATION, configuration.encode()), *attachments]
         setup = {
             "path": str(file),
             "ring_ticks": ring_ticks,
             "created_ns": created_ns,
-            "scene": scene._asdict() if scene else None,
-            "live": live.status,
-            "reference_s": live.reference_s,
-            "websocket": live.websocket,
-            "mirror": _mirror(mirror, table),
-            "attachments": [[name, len(data)] for name, data in files],
+            "scene": scene,
+            "live": live,
+            "mirror": mirror and (mirror[0], {**mirror[1], "columns": describe(table.columns)}),
+            "attachments": [(CONFIGURATION, configuration.encode()), *attachments],
             "environment": environment() | (scheduling() if lockstep else {}),
             "identity": {
                 **_texts(metadata or {}),
@@ -182,7 +179,7 @@ class Recording:
                 f"{file}: no shared memory for its recorder: {error.strerror}; lower recording.ring_ticks or "
                 "raise what this process may have (ulimit -f, -n, -v)"
             ) from None
-        return cls(ring, _start(ring, setup, [data for _, data in files]), file, lockstep=lockstep)
+        return cls(ring, _start(ring, setup), file, lockstep=lockstep)
 
     @property
     def alive(self) -> bool:
@@ -236,18 +233,11 @@ class Recording:
                 content = pack_numbers(numbers)
                 data += item_of(now, command, OPERATOR, len(content), 0, content)
         count, ring = len(data) // ITEM.itemsize, self._ring
-        if not self._has_room(count):
-            self.dropped += 1
-            self._counters[DROPPED] = self.dropped
-            return
-        place = self.ticks % ring.capacity
-        ring.rows[place] = row
-        ring.put(self._items, data)
-        self._items += count
-        ring.ends[place] = self._items
-        fence()
-        self.ticks += 1
-        self._counters[WRITTEN] = self.ticks
+        if self._room_or_drop(count, 1):
+            place = self.ticks % ring.capacity
+            ring.rows[place] = row
+            ring.ends[place] = self._items + count
+            self._put(1, data)
 
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
         """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
@@ -257,16 +247,25 @@ class Recording:
             middle = int(ends[half - 1])
             self.ticks_of_items(rows[:half], items[:middle], ends[:half])
             self.ticks_of_items(rows[half:], items[middle:], ends[half:] - middle)
-        elif self._has_room(len(items), count):
+        elif self._room_or_drop(len(items), count):
             ring.put_rows(self.ticks, rows, ends + self._items)
-            ring.put(self._items, items.tobytes())
-            self._items += len(items)
-            fence()
-            self.ticks += count
-            self._counters[WRITTEN] = self.ticks
-        else:
-            self.dropped += count
-            self._counters[DROPPED] = self.dropped
+            self._put(count, items.tobytes())
+
+    def _put(self, ticks: int, data: bytes) -> None:
+        """Publish ticks whose rows are in the ring, with their items."""
+        self._ring.put(self._items, data)
+        self._items += len(data) // ITEM.itemsize
+        fence()
+        self.ticks += ticks
+        self._counters[WRITTEN] = self.ticks
+
+    def _room_or_drop(self, count: int, rows: int) -> bool:
+        """Return whether rows and `count` items fit; count the rows as dropped where they do not."""
+        if self._has_room(count, rows):
+            return True
+        self.dropped += rows
+        self._counters[DROPPED] = self.dropped
+        return False
 
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
@@ -287,7 +286,7 @@ class Recording:
         """
         if self._summary is None:
             with contextlib.suppress(OSError):
-                write_all(self._process, json.dumps(_texts(summary or {})).encode() + b"\n")
+                send(self._process, _texts(summary or {}))
             reply = self._last_words(timeout_s)
             finish(self._process)
             self._ring.close_fd()
@@ -343,13 +342,13 @@ class Recording:
         self.close()
 
 
-def _start(ring: Ring, setup: Mapping[str, Any], files: Sequence[bytes]) -> subprocess.Popen[bytes]:
+def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
     """Return the recorder process with its log open. Raises LogError."""
     process = spawn(ring)
     try:
         from hil.record.packer import pack  # noqa: PLC0415 - Numba; the process starts meanwhile
 
-        set_up(process, {**setup, "packer": machine_code(pack)}, files)
+        send(process, {**setup, "packer": machine_code(pack)})
         reply = answer(process, _START_S)
     except OSError:
         reply = answer(process, 1.0)
@@ -368,13 +367,6 @@ def _channels(names: str | Sequence[str]) -> dict[str, str]:
     if isinstance(names, str):
         return {"can_channel": names}
     return {"can_channel": names[0]} | ({"can_channels": json.dumps(list(names))} if len(names) > 1 else {})
-
-
-def _mirror(mirror: tuple[Path, Mapping[str, object]] | None, table: Table) -> dict[str, object] | None:
-    if mirror is None:
-        return None
-    path, about = mirror
-    return {"path": str(path), "about": {**about, "columns": describe(table.columns)}}
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:

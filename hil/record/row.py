@@ -10,14 +10,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum, IntFlag
 from functools import lru_cache
-from math import prod
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
 from drivers.arrays import Ints
 from drivers.tick_columns import RECORDED, ROW, Column
-from hil.record.layout import FIXED64, LENGTH, RECORD_HEADER, VARINT, Builder, varint
+from hil.record.layout import Builder
 from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_file, schema_of
 
 NUMBER = "_number"
@@ -28,6 +27,8 @@ WHOLE, NAMED = -1, -2
 MOST_ROW_BYTES = 1 << 16
 """Of a log; ours take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
+_MOST_BUSES, _LONGEST_BUS = 16, 4096
+"""Six of which a robot has, and characters of each: a layout of frames is made for each name."""
 _TABLES = 16
 """So many are kept as they were read: a process may read thousands of logs, and most describe the same."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}")
@@ -121,17 +122,31 @@ def columns_of(description: str) -> tuple[Column, ...]:
     return _checked(columns)
 
 
-def columns_in(identity: Mapping[str, str]) -> tuple[Column, ...]:
-    """Return the columns in the metadata of a run; of version 0.1.0 names and types alone.
+class Run(NamedTuple):
+    """What a log says of its rows and frames, in the metadata record `hil`."""
 
-    Raises as `columns_of`.
-    """
-    if "columns" in identity:
-        return columns_of(identity["columns"])
-    return _checked(
-        Column("output", _text(name), float if kind == "<f8" else int, "", "", (), tuple(map(_length, shape)))
-        for name, kind, shape in json.loads(identity["dtype"])
-    )
+    topic: str
+    columns: tuple[Column, ...]
+    epoch_ns: int
+    """UTC of t_ns = 0."""
+    can_channels: tuple[str, ...]
+    """Name of each bus."""
+    lockstep: bool
+
+    @classmethod
+    def of(cls, identity: Mapping[str, str]) -> Self:
+        """Return what is said; refuse what no recorder writes. Raises as `columns_of`."""
+        names = json.loads(identity["can_channels"]) if "can_channels" in identity else []
+        buses = tuple(map(str, names)) or (identity["can_channel"],)
+        epoch_ns = int(identity["epoch_ns"])
+        if not 0 <= epoch_ns < 1 << 63:
+            raise ValueError(f"epoch_ns {epoch_ns}")
+        if len(buses) > _MOST_BUSES or any(len(each) > _LONGEST_BUS for each in buses):
+            raise ValueError(f"{len(buses)} names of buses, allowed: {_MOST_BUSES} of {_LONGEST_BUS} signs")
+        if not "".join(buses).isprintable():
+            raise ValueError(f"can_channels {buses!r}")
+        lockstep = identity["mode"] == "lockstep"
+        return cls(identity["topic"], columns_of(identity["columns"]), epoch_ns, buses, lockstep)
 
 
 def _text(value: Any) -> str:
@@ -178,66 +193,34 @@ def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
 
 
 class RowCodec:
-    """The layout of rows as messages: where each number goes, and how they are read back."""
+    """The layout of rows as messages on a channel: where each number goes, and where it is read back."""
 
-    def __init__(self, columns: Sequence[Column]) -> None:
+    def __init__(self, columns: Sequence[Column], channel: int = 0) -> None:
         self.dtype = Table("", tuple(columns)).dtype
-        self._fields = list(_fields(columns))
-        builder = Builder()
-        for number, (name, c, names) in enumerate(self._fields, start=1):
-            _lay_out(builder, number, name, c, names=names)
-        self.layout = builder.layout()
-
-    def packed_places(self) -> Ints:
-        """Return where the words of a row go, (n, 3): word, byte of the record, WHOLE, NAMED or a flag."""
-        places: list[tuple[int, int, int]] = []
-        for name, c, names in self._fields:
-            kind, start = self.layout.payload[name], self.layout.place(name)
+        builder, places = Builder(channel), []
+        for number, (_, c, names) in enumerate(_fields(columns), start=1):
             word = self.dtype.fields[c.name][1] // 8  # type: ignore[index]
-            element, shape = kind.subdtype or (kind, ())
-            first = start + (element.fields["value"][1] if element.fields else 0)
             flags = list(c.names.values()) if names and issubclass(c.type, IntFlag) else []
-            for k in range(prod(shape)):
+            count, size = len(flags or c.elements), 1 if names else 8
+            if count:
+                found = builder.message(number, size, count)
+            elif c.shape:
+                found = builder.packed(number, size, c.size)
+            else:
+                found = [builder.field(number, size)]
+            for k, place in enumerate(found):
                 what = flags[k] if flags else NAMED if names else WHOLE
-                places.append((word if flags else word + k, first + k * element.itemsize, what))
-        return np.array(places, np.int64)
+                places.append((word if flags else word + k, place, what))
+        self.layout = builder.layout()
+        self.places = np.array(places, np.int64)
+        """(n, 3) where the words of a row go: word, byte of the record, WHOLE, NAMED or a flag."""
 
-    def places(self) -> Ints:
-        """Return where a message of the layout has the words of a row, in the order of the row: (n,)."""
-        _, places, what = self.packed_places().T
-        found: Ints = places[what == WHOLE] - RECORD_HEADER
+    @property
+    def read(self) -> Ints:
+        """Where a record has the words of a row, in the order of the row: (n,)."""
+        _, places, what = self.places.T
+        found: Ints = places[what == WHOLE]
         return found
-
-    def parse(self, message: Any) -> np.void:
-        """Return the row of a message that protobuf has read.
-
-        Raises
-        ------
-        TypeError, ValueError
-            A column has another shape.
-
-        """
-        row = np.zeros((), self.dtype)
-        for name, c, names in self._fields:
-            if not names:
-                value = getattr(message, name)
-                numbers = [getattr(value, element) for element in c.elements] if c.elements else value
-                row[c.name] = np.reshape(numbers, c.shape)
-        return cast("np.void", row[()])
-
-
-def _lay_out(builder: Builder, number: int, name: str, c: Column, *, names: bool) -> None:
-    kind, wire_type = ("u1", VARINT) if names else (c.kind, FIXED64)
-    count = len(c.names) if names and issubclass(c.type, IntFlag) else len(c.elements)
-    if count:
-        builder.fields_of_message(name, number, kind, count, wire_type)
-    elif c.shape:
-        builder.tag(number, LENGTH)
-        builder.bytes(varint(np.dtype(kind).itemsize * c.size))
-        builder.field(name, (kind, (c.size,)))
-    else:
-        builder.tag(number, wire_type)
-        builder.field(name, kind)
 
 
 def row_schema(table: Table) -> Schema:

@@ -1,46 +1,124 @@
 """Makes a valid log of one that was cut or damaged: power loss, full disk, recorder killed, bits turned over.
 
-The original is read, never touched; the result is a new file, which gets its name when it is whole. Complete
-chunks are copied as they are; of a chunk that is cut, the ticks that are complete. Schemas and channels stand
-twice in a log: a damaged one is taken from the other place, or made from our own code.
+The original is read, never touched; the result is a new file. Complete chunks are copied as they are; of a
+chunk that is cut, the ticks that are complete. Schemas and channels are those of our own code.
+
+A record counts where a sound one follows, or where its own checksum holds. Else the next place is looked for
+at which two sound records stand behind each other.
 """
 
 import contextlib
 import os
-from collections.abc import Callable
-from functools import partial
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata
-from mcap.records import Schema as SchemaRecord
+from mcap.records import Attachment, Channel, Chunk, Schema
 from numpy.typing import NDArray
 
 from drivers.errors import LogError
 from drivers.regular_file import open_regular
-from hil.record.decode import CAN, OPERATOR, REFUSED
+from hil.record.decode import REFUSED, why
+from hil.record.encode import channels_of
 from hil.record.environment import product_version
-from hil.record.mcap_file import MAGIC, McapFile
-from hil.record.mcap_read import Allowance, MessageTable, Record, messages_in, records
-from hil.record.row import TICKS, Table, columns_in, describe, row_schema
-from hil.record.schema import (
-    CLEAN,
-    IDENTITY,
-    LIBRARY,
-    SALVAGE,
-    SUMMARY,
-    Schema,
-    frame_schema,
-    message_class,
-    operator_schema,
+from hil.record.mcap_file import MAGIC, McapFile, record_bytes
+from hil.record.mcap_read import (
+    HEAD,
+    OPCODES,
+    Allowance,
+    MessageTable,
+    Record,
+    decompress,
+    longest,
+    messages_in,
+    records,
 )
-from hil.record.surviving import Lost, surviving
+from hil.record.row import Run, Table
+from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 
-_DESCRIPTIONS = frozenset({Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL})
+_BEGIN = re.compile(rb"(?=[\x01-\x0f][\s\S]{4}\x00{4})")
+"""A known opcode and a length below 4 GiB."""
+_WINDOW = 1 << 20
 _REMARKS = 20
 """Written into the log and reported; of more damage the number is."""
+
+
+class Lost(NamedTuple):
+    """Bytes of a file that are no record."""
+
+    start: int
+    stop: int
+
+
+def surviving(path: Path) -> Iterator[Record | Lost]:
+    """Yield the records of the data section in their order, and what lies between them.
+
+    A record whose end is cut off comes last and is not complete.
+
+    Raises OSError.
+    """
+    with open_regular(path) as file:
+        size = file.seek(0, os.SEEK_END)
+        at = len(MAGIC)
+        while at < size:
+            record, further = _record(file, at), None
+            end = size if record is None else at + len(record.whole)
+            if record is None or not (record.complete and (_sound(file, end, size) or _verified(record))):
+                further = _next(file, at + 1, end, size)
+            if record is not None and further is None:
+                if record.opcode == Opcode.DATA_END and (len(record.content) == 4 or not record.complete):
+                    return
+                yield record
+            else:
+                end = size if further is None else further
+                yield Lost(at, end)
+            at = end
+
+
+def _record(file: BinaryIO, at: int) -> Record | None:
+    """Return what may be a record, complete or not."""
+    file.seek(at)
+    head = file.read(HEAD.size)
+    if len(head) < HEAD.size:
+        return None
+    opcode, length = HEAD.unpack(head)
+    if opcode not in OPCODES or length > longest(opcode):
+        return None
+    content = file.read(length)
+    return Record(opcode, at, content, len(content) == length)
+
+
+def _sound(file: BinaryIO, at: int, size: int) -> bool:
+    """Return whether the file ends there, or something stands there that may be a record within it."""
+    record = _record(file, at)
+    return at + HEAD.size > size if record is None else record.complete
+
+
+def _verified(record: Record) -> bool:
+    """Return whether a record's own checksum says that it is whole."""
+    try:
+        found = record.parse()
+        if isinstance(found, Chunk):
+            decompress(found)
+            return bool(found.uncompressed_crc) and record_bytes(found) == record.whole
+        return isinstance(found, Attachment) and record_bytes(found) == record.whole
+    except LogError:
+        return False
+
+
+def _next(file: BinaryIO, start: int, stop: int, size: int) -> int | None:
+    """Return the first place from `start` to before `stop` at which two sound records begin; None without."""
+    for at in range(start, stop, _WINDOW):
+        file.seek(at)
+        for found in _BEGIN.finditer(file.read(_WINDOW + HEAD.size - 1)):
+            place = at + found.start()
+            record = _record(file, place) if place < stop else None
+            if record is not None and record.complete and _sound(file, place + len(record.whole), size):
+                return place
+    return None
 
 
 class SalvageReport(NamedTuple):
@@ -64,102 +142,50 @@ class SalvageReport(NamedTuple):
     """Ticks of damaged chunks, as far as the index behind them counts them."""
 
 
-class _Described:
-    """What a log says of itself: identity, schemas and channels, each from the first sound place.
+def _described(path: Path) -> tuple[dict[str, str], dict[int, str]]:
+    """Return what a log says of its run, and the topics of its channels by number.
 
     Raises LogError where nothing says that it is a log of this product; OSError.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.remarks: list[str] = []
-        self.identity: dict[str, str] = {}
-        self.schemas: dict[int, SchemaRecord] = {}
-        self.channels: dict[int, Channel] = {}
-        for record in surviving(path):
-            if isinstance(record, Record) and record.complete and record.opcode in _DESCRIPTIONS:
-                with contextlib.suppress(LogError):
-                    self._learn(record.parse())
-        if not self.identity:
-            raise LogError(
-                f"{path}: no log of this product, or cut within its first bytes: nothing to salvage"
-            )
-        try:
-            columns = columns_in(self.identity)
-        except REFUSED as error:
-            if self.identity.get("topic") != TICKS.topic or "columns" not in self.identity:
-                raise LogError(
-                    f"{path}: its table of columns is damaged: nothing to salvage: {error}"
-                ) from None
-            columns, self.identity["columns"] = TICKS.columns, describe(TICKS.columns)
-            self.remarks.append("the table of columns is damaged; that of this version takes its place")
-        rows = Table(self.identity.get("topic", ""), columns)
-        own: dict[str, Callable[[], Schema]]
-        own = {CAN: frame_schema, OPERATOR: operator_schema, rows.topic: partial(row_schema, rows)}
-        for channel in self.channels.values():
-            self._give_schema(channel, own.get(channel.topic))
-
-    def _learn(self, found: Metadata | SchemaRecord | Channel) -> None:
-        if isinstance(found, Channel):
-            self.channels.setdefault(found.id, found)
-        elif isinstance(found, SchemaRecord):
-            if found.id and not _usable(self.schemas.get(found.id)):
-                self.schemas[found.id] = found
-        elif found.name == IDENTITY and {"columns", "dtype"} & found.metadata.keys():
-            self.identity = self.identity or dict(found.metadata)
-
-    def _give_schema(self, channel: Channel, own: Callable[[], Schema] | None) -> None:
-        """See to it that a channel has a schema that can be used, or none."""
-        number = channel.schema_id
-        if not number or _usable(self.schemas.get(number)):
-            return
-        if own is None:
-            self.remarks.append(f"the schema of {channel.topic} is lost")
-            self.schemas.pop(number, None)
-            channel.schema_id = 0
-            return
-        self.remarks.append(f"the schema of {channel.topic} is damaged; that of this version takes its place")
-        name, descriptors = own()
-        self.schemas[number] = SchemaRecord(id=number, name=name, encoding="protobuf", data=descriptors)
-
-
-def _usable(schema: SchemaRecord | None) -> bool:
-    """Return whether messages can be read by a schema."""
-    try:
-        if schema is not None and schema.encoding == "protobuf":
-            message_class(Schema(schema.name, bytes(schema.data)))
-    except REFUSED:
-        return False
-    return schema is not None
+    identity: dict[str, str] = {}
+    topics: dict[int, str] = {}
+    for record in surviving(path):
+        if isinstance(record, Record) and record.opcode in {Opcode.METADATA, Opcode.CHANNEL}:
+            with contextlib.suppress(LogError):
+                found = record.parse()
+                if isinstance(found, Channel):
+                    topics.setdefault(found.id, found.topic)
+                elif found.name == IDENTITY and "columns" in found.metadata:
+                    identity = identity or dict(found.metadata)
+    if not identity:
+        raise LogError(f"{path}: no log of this product, or cut within its first bytes: nothing to salvage")
+    return identity, topics
 
 
 class _Salvage:
-    """One salvage at work. State: the new file, and what was found so far."""
+    """One salvage at work. State: the new file, and what was found so far.
 
-    def __init__(self, out: Path, source: Path, size: int, described: _Described) -> None:
+    Raises OSError.
+    """
+
+    def __init__(self, out: Path, source: Path, size: int, numbers: Mapping[int, str], topic: str) -> None:
+        """Open the new file; numbers: topics of the channels by number, topic: that of the rows."""
         self.file = McapFile(out, f"{LIBRARY}/{product_version()}")
         self.end: dict[str, str] | None = None
         """What the run has said of its end."""
         self.chunks = self.ticks = self.partial = self.lost = self.ticks_lost = 0
-        self.remarks = described.remarks
-        self._source, self._known, self._allowance = source, described, Allowance(size)
-        topic = described.identity.get("topic")
-        self._rows = [number for number, channel in described.channels.items() if channel.topic == topic]
+        self.remarks: list[str] = []
+        self._source, self._allowance = source, Allowance(size)
+        self._rows = [number for number, each in numbers.items() if each == topic]
         self._damaged = False
         """Whether the index that comes next is of a chunk that is left out."""
 
     def work(self) -> None:
         """Take over what survives of the original."""
-        self.file.add_metadata(IDENTITY, self._known.identity)
-        for schema in self._known.schemas.values():
-            self.file.add_schema(schema)
-        for channel in self._known.channels.values():
-            self.file.add_channel(channel)
         for record in surviving(self._source):
             if isinstance(record, Lost):
                 self.lost += record.stop - record.start
                 self.remarks.append(f"bytes {record.start} to {record.stop} are damaged and left out")
-            elif record.opcode == Opcode.DATA_END and (len(record.content) == 4 or not record.complete):
-                break
             else:
                 self._add(record)
         if not self.lost and not self.remarks:
@@ -239,44 +265,37 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     source, target = Path(path), Path(out)
     try:
         with open_regular(source) as file:
-            head, size = file.read(len(MAGIC)), file.seek(0, 2)
+            head, size = file.read(len(MAGIC)), file.seek(0, os.SEEK_END)
         if head != MAGIC:
             raise LogError(f"{source}: not an MCAP file: nothing to salvage")
-        described = _Described(source)
+        identity, topics = _described(source)
+        run = Run.of(identity)
     except OSError as error:
         raise LogError(f"{source}: cannot be read: {error.strerror}") from error
-    if os.path.lexists(target):
-        raise LogError(f"{target}: exists and is never overwritten: choose another name")
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    except REFUSED as error:
+        raise LogError(
+            f"{source}: its table of columns is damaged: nothing to salvage: {why(error)}"
+        ) from None
+    own = channels_of(Table(run.topic, run.columns), run.can_channels)
+    known = {topic: number for number, (topic, *_) in own.items()}
+    numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
     try:
-        temporary.unlink(missing_ok=True)
-        work = _Salvage(temporary, source, size, described)
+        work = _Salvage(target, source, size, {n: own[k][0] for n, k in numbers.items()}, run.topic)
         try:
+            work.file.add_metadata(IDENTITY, identity)
+            for number, (_, schema, _) in own.items():
+                work.file.add_schema(Schema(number, schema.descriptors, "protobuf", schema.name))
+            for number, k in numbers.items():
+                work.file.add_channel(Channel(number, own[k][0], "protobuf", own[k][2], k))
             work.work()
-            report = _close(work, source, target, size)
-        finally:
-            work.file.close()
-        _give_name(temporary, target)
+            return _close(work, source, target, size)
+        except BaseException:
+            work.file.discard()
+            raise
     except FileExistsError:
         raise LogError(f"{target}: exists and is never overwritten: choose another name") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-    return report
-
-
-def _give_name(temporary: Path, target: Path) -> None:
-    """Give a file its name without taking it from one that came to be meanwhile."""
-    try:
-        os.link(temporary, target)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        if os.path.lexists(target):
-            raise FileExistsError from None
-        temporary.rename(target)
 
 
 def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageReport:

@@ -7,15 +7,26 @@ the buffer through its `words`; a message of a table lies within the buffer, wha
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Bytes, Flags, Ints
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
-from hil.record.layout import MAX_DATA, RECORD_HEADER, frame_layout
+from drivers.arrays import Ints
+from hil.record.layout import (
+    DIRECTION,
+    FLAGS,
+    FRAME_FLAGS,
+    ID,
+    MAX_DATA,
+    NANOS,
+    RECORD_HEADER,
+    SECONDS,
+    TICK,
+    Layout,
+)
+from hil.record.schema import RX, TX
 
 SHORTEST = RECORD_HEADER - 9
 """Bytes of a message's record before its data, without opcode and length."""
@@ -23,14 +34,7 @@ _SHORT = 1 << 20
 """Bytes of a log that is read in the time in which the compiler is loaded."""
 _WORD = 8
 _BYTE, _TWO_BYTES, _FOUR_BYTES, _FIVE_BYTES = 0xFF, 0xFFFF, 0xFFFFFFFF, 0xFFFFFFFFFF
-_FIELDS: Any = frame_layout(0, b"").payload.fields
-_SECONDS, _NANOS, _ID, _RTR, _DIRECTION, _TICK = (
-    _FIELDS[name][1] for name in ("seconds", "nanos", "id", "is_rtr", "direction", "tick")
-)
-_DATA = _FIELDS["dlc"][1] + 3
-"""Where fields of a frame are, and its data, behind their number; those behind the bus's name, of a frame
-without data and name."""
-_SIZE = frame_layout(0, b"").payload.itemsize
+_BITS = tuple(FRAME_FLAGS.values())
 ITEM_WORDS = 4 + MAX_DATA // _WORD
 """Words of one element of `hil.record.decode.ITEM`."""
 
@@ -59,16 +63,24 @@ def scan(words: Ints, size: int, position: int, table: Ints, n: int) -> tuple[in
     return position, n
 
 
-def unpack_rows(words: Ints, starts: Ints, constants: Ints, places: Ints, rows: Ints) -> bool:
-    """Fill rows (n, m) from messages that start at `starts` (n,); return whether all have the layout.
+def constants_of(layout: Layout) -> tuple[Ints, Ints]:
+    """Return the values and the masks of the words of a layout, from each of its bytes on."""
+    template, mask = (words_of(each.tobytes()) for each in layout)
+    return template, mask
 
-    constants : (3, k) as `constants_of`; places : (m,) where a message has the words of a row. Without a
+
+def unpack_rows(words: Ints, starts: Ints, template: Ints, mask: Ints, places: Ints, rows: Ints) -> bool:
+    """Fill rows (n, m) from records that start at `starts` (n,); return whether all have the layout.
+
+    template, mask : as `constants_of`; places : (m,) where a record has the words of a row. Without a
     compiler `gather_rows` is faster.
     """
+    last = len(template) - 1
     for i in range(len(starts)):
         at, other = starts[i], 0
-        for k in range(constants.shape[1]):
-            other |= (words[at + constants[0, k]] ^ constants[1, k]) & constants[2, k]
+        for k in range(RECORD_HEADER, last + _WORD, _WORD):
+            place = min(k, last)
+            other |= (words[at + place] ^ template[place]) & mask[place]
         if other:
             return False
         for k in range(len(places)):
@@ -76,54 +88,14 @@ def unpack_rows(words: Ints, starts: Ints, constants: Ints, places: Ints, rows: 
     return True
 
 
-def gather_rows(words: Ints, starts: Ints, constants: Ints, places: Ints, rows: Ints) -> bool:
+def gather_rows(words: Ints, starts: Ints, template: Ints, mask: Ints, places: Ints, rows: Ints) -> bool:
     """Do the same by NumPy."""
-    at = starts[:, None]
-    if ((words[at + constants[0]] ^ constants[1]) & constants[2]).any():
+    at, last = starts[:, None], len(template) - 1
+    k = np.minimum(np.arange(RECORD_HEADER, last + _WORD, _WORD), last)
+    if ((words[at + k] ^ template[k]) & mask[k]).any():
         return False
     rows[:] = words[at + places]
     return True
-
-
-def constants_of(template: Bytes, mask: Bytes, first: int = 0, last: int | None = None) -> Ints:
-    """Return the words of a layout with bytes that are the same in every message: (3, n).
-
-    Their places from `first` to before `last`, their values, and the bits that count. template, mask :
-    (size,) of a message without its record's header.
-    """
-    last = len(mask) if last is None else last
-    places = np.array([*range(first, last - _WORD, _WORD), last - _WORD])
-    values, bits = words_of(template.tobytes())[places], words_of(mask.tobytes())[places]
-    counts = bits != 0
-    return np.array([places[counts], values[counts], bits[counts]])
-
-
-class FrameTable(NamedTuple):
-    """The layouts of frames on several buses, of whatever number of data bytes."""
-
-    shortest: Ints
-    """(buses,) bytes of a message without data."""
-    ends: Ints
-    """(buses + 1,) where the constants of each bus begin and end."""
-    constants: Ints
-    """(3, n) as `constants_of`; places behind the data are counted from the end and negative."""
-
-
-def frame_table(buses: Sequence[bytes]) -> FrameTable:
-    """Return the layouts for the names of buses."""
-    shortest, ends, constants = [], [0], []
-    for name in buses:
-        layout = frame_layout(0, name)
-        template, mask = layout.template[RECORD_HEADER:], layout.mask()
-        mask[_DATA - 1] = 0  # how many data bytes there are
-        before, behind = constants_of(template, mask, 0, _DATA), constants_of(template, mask, _DATA)
-        behind[0] -= len(mask)
-        constants += [before, behind]
-        shortest.append(len(mask))
-        ends.append(ends[-1] + before.shape[1] + behind.shape[1])
-    return FrameTable(
-        np.array(shortest, np.int64), np.array(ends, np.int64), np.concatenate(constants, axis=1)
-    )
 
 
 def unpack_frames(
@@ -131,56 +103,58 @@ def unpack_frames(
     starts: Ints,
     sizes: Ints,
     epoch_ns: int,
-    shortest: Ints,
-    ends: Ints,
-    constants: Ints,
+    template: Ints,
+    mask: Ints,
+    table: Ints,
     items: Ints,
-    fit: Flags,
-) -> None:
-    """Fill items (n, ITEM_WORDS), which are 0, from messages that start at `starts`, of `sizes` bytes, (n,).
+) -> int:
+    """Fill items (n, ITEM_WORDS), which are 0, from records that start at `starts`, of `sizes` bytes, (n,).
 
-    `fit` (n,) becomes true where a message has the layout of a bus; the others are left alone. For
-    `shortest`, `ends` and `constants` see FrameTable.
+    Returns how many of them, from the first one on, have the layout of a bus. template, mask : as
+    `constants_of`; table : as `hil.record.layout.frame_table`.
     """
     for i in range(len(starts)):
         at, end = starts[i], starts[i] + sizes[i]
-        for bus in range(len(shortest)):
-            length = sizes[i] - shortest[bus]
-            if length < 0 or length > MAX_DATA or words[at + _DATA - _WORD] >> 56 & _BYTE != length:
-                continue
-            fits = True
-            for k in range(ends[bus], ends[bus + 1]):
-                place = constants[0, k] + (at if constants[0, k] >= 0 else end)
-                if (words[place] ^ constants[1, k]) & constants[2, k]:
-                    fits = False
-                    break
-            if not fits:
-                continue
-            fit[i] = True
-            stamp = 0
-            for field, unit in ((_SECONDS, 1_000_000_000), (_NANOS, 1)):
-                varint = words[at + field] & _FIVE_BYTES
-                for k in range(5):
-                    stamp += (varint >> 8 * k & 0x7F) * unit << 7 * k
-            before, behind = words[at + _RTR], words[end - _SIZE + _DIRECTION]
-            flags = REMOTE if before & _BYTE else 0
-            flags += EXTENDED if before >> 16 & _BYTE else 0
-            flags += ERROR if before >> 32 & _BYTE else 0
-            flags += FD if behind >> 16 & _BYTE else 0
-            flags += BRS if behind >> 32 & _BYTE else 0
-            flags += ESI if behind >> 48 & _BYTE else 0
-            last = words[end - _WORD]
-            items[i, 0] = stamp - epoch_ns
-            items[i, 1] = words[at + _ID] & _FOUR_BYTES | (behind & _BYTE) << 32 | length << 40
-            items[i, 1] |= flags << 48 | (last >> 56 & _BYTE) << 56
-            for k in range(length // _WORD):
-                items[i, 2 + k] = words[at + _DATA + k * _WORD]
-            if length % _WORD:
-                rest = words[at + _DATA + length // _WORD * _WORD]
-                items[i, 2 + length // _WORD] = rest & (1 << 8 * (length % _WORD)) - 1
-            items[i, ITEM_WORDS - 2] = words[end - _SIZE + _TICK]
-            items[i, ITEM_WORDS - 1] = last >> 16 & _FOUR_BYTES
-            break
+        bus = length = data = 0
+        fits = False
+        while not fits and bus < len(table):
+            start, size, data = table[bus, 0], table[bus, 1], table[bus, 2]
+            length = sizes[i] - size
+            fits = 0 <= length <= MAX_DATA and words[at + data - _WORD] >> 56 & _BYTE == length
+            k = RECORD_HEADER
+            while fits and k < size:
+                place = min(k, (data if k < data else size) - _WORD)
+                word = words[at + place + (0 if k < data else length)]
+                fits = (word ^ template[start + place]) & mask[start + place] == 0
+                k = place + _WORD
+            bus += 1
+        bus -= 1
+        behind = at + length
+        direction = words[behind + table[bus, DIRECTION]] & _BYTE
+        if not fits or not RX <= direction <= TX:
+            return i
+        stamp = 0
+        for field, unit in ((SECONDS, 1_000_000_000), (NANOS, 1)):
+            varint = words[at + table[bus, field]] & _FIVE_BYTES
+            for k in range(5):
+                stamp += (varint >> 8 * k & 0x7F) * unit << 7 * k
+        flags = 0
+        for k in range(len(_BITS)):
+            place = table[bus, FLAGS + k]
+            if words[(behind if place > data else at) + place] & _BYTE:
+                flags |= _BITS[k]
+        last = words[end - _WORD]
+        items[i, 0] = stamp - epoch_ns
+        items[i, 1] = words[at + table[bus, ID]] & _FOUR_BYTES | (direction - RX) << 32 | length << 40
+        items[i, 1] |= flags << 48 | (last >> 56 & _BYTE) << 56
+        for k in range(length // _WORD):
+            items[i, 2 + k] = words[at + data + k * _WORD]
+        if length % _WORD:
+            rest = words[at + data + length // _WORD * _WORD]
+            items[i, 2 + length // _WORD] = rest & (1 << 8 * (length % _WORD)) - 1
+        items[i, ITEM_WORDS - 2] = words[behind + table[bus, TICK]]
+        items[i, ITEM_WORDS - 1] = last >> 16 & _FOUR_BYTES
+    return len(starts)
 
 
 class Kernels(NamedTuple):
@@ -188,7 +162,7 @@ class Kernels(NamedTuple):
 
     scan: Callable[..., tuple[int, int]]
     rows: Callable[..., bool]
-    frames: Callable[..., None]
+    frames: Callable[..., int]
 
 
 PLAIN = Kernels(scan, gather_rows, unpack_frames)
@@ -199,11 +173,11 @@ def compiled() -> Kernels:
     """Return the functions compiled."""
     from drivers.compiled import compiler as c  # noqa: PLC0415 - it takes a quarter of a second
 
-    numbers, matrix, filled = c.INTEGERS, c.MATRIX_OF_INTEGERS, c.OUT_INTEGER_MATRIX
-    of_frames = c.WORDS, numbers, numbers, c.INTEGER, numbers, numbers, matrix, filled, c.OUT_FLAGS
+    words, numbers, filled = c.WORDS, c.INTEGERS, c.OUT_INTEGER_MATRIX
+    of_frames = words, numbers, numbers, c.INTEGER, words, words, c.MATRIX_OF_INTEGERS, filled
     return Kernels(
-        c.kernel(c.WORDS, c.INTEGER, c.INTEGER, filled, c.INTEGER)(scan),
-        c.kernel(c.WORDS, numbers, matrix, numbers, filled)(unpack_rows),
+        c.kernel(words, c.INTEGER, c.INTEGER, filled, c.INTEGER)(scan),
+        c.kernel(words, numbers, words, words, numbers, filled)(unpack_rows),
         c.kernel(*of_frames)(unpack_frames),
     )
 

@@ -28,7 +28,7 @@ def random_rows(count, seed=1, dtype=ROW):
 
 def packed_rows(table, rows):
     """Return the messages of rows as the recorder packs them, without the heads of their records."""
-    encoder = Encoder(table, epoch_ns=0, can_channel="can0", scene=None)
+    encoder = Encoder(table, epoch_ns=0, can_channels=["can0"], scene=None)
     made = encoder.encode(Batch(rows, np.zeros(0, ITEM), np.zeros(0, np.int64)))
     records = [bytes(each) for each in made.records()]
     return [each[RECORD_HEADER:] for each in records if each[9] == TICK]

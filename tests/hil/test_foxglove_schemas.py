@@ -7,7 +7,7 @@ from hil.record.encode import Encoder
 from hil.record.row import TICKS
 
 messages = pytest.importorskip("foxglove.messages", reason="optional extra `viewers`")
-CHANNELS = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None).channels
+CHANNELS = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None).channels
 OURS = {schema.name.removeprefix("foxglove."): schema.descriptors for _, schema, _ in CHANNELS.values()
         if schema.name.startswith("foxglove.")}  # fmt: skip
 

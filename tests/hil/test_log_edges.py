@@ -7,7 +7,6 @@ import struct
 from collections import defaultdict
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zstandard
 from mcap.records import Chunk, Message, MessageIndex
@@ -15,8 +14,6 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
-from drivers.tick_columns import ROW
-from hil.record.decode import Decoder
 from hil.record.log import Log, Tick
 from hil.record.mcap_file import McapFile, record_bytes
 from hil.record.mcap_read import (
@@ -28,10 +25,7 @@ from hil.record.mcap_read import (
     decompress_part,
     read_summary,
 )
-from hil.record.row import TICKS as TICK_TABLE
-from hil.record.row import row_schema
-from hil.record.schema import message_class
-from tests.hil.rewrite import mcap_summary, rewrite_log
+from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
 
 TICKS = random_ticks(600, seed=8)
@@ -50,18 +44,6 @@ def test_a_log_of_a_single_frame_gives_that_frame(tmp_path_factory):
     assert [(each.id, bytes(each.data), each.t_ns) for each in log.can_frames()] == [
         (0x123, b"\x01\x02\x03", int(row["t_ns"]) - 5)
     ]
-
-
-def test_frames_and_rows_of_our_own_logs_are_read_without_a_parser(path, monkeypatch):
-    """Message by message it takes ten times as long."""
-
-    def parsed(*_: object) -> None:
-        raise AssertionError("a parser was asked")
-
-    monkeypatch.setattr(Decoder, "_protobuf", parsed)
-    log = Log(path)
-    assert len(list(log.can_frames())) == sum(len(t.received) + len(t.sent) for t in TICKS)
-    assert len(log.rows()) == len(TICKS)
 
 
 def test_the_index_of_a_chunk_has_the_time_and_the_place_of_each_of_its_messages(path):
@@ -180,26 +162,3 @@ def test_of_many_names_that_are_near_to_a_wrong_one_three_are_said(path):
     near = str(refused.value).partition("did you mean ")[2].rstrip("?").split(", ")
     assert len(near) == 3
     assert set(near) <= {f"tau.leg_{k}" for k in range(6)}
-
-
-def test_a_short_log_of_rows_that_are_nearly_all_zero_is_read_though_zeros_are_left_out(
-    tmp_path, tmp_path_factory
-):
-    """As another program writes it: a row of 8 times as many bytes as its message."""
-    rows = np.zeros(3, ROW)
-    rows["tick"], rows["t_ns"] = [0, 1, 2], [5, 6, 7]
-    whole = log_of([Tick(row, (), (), (), (), ()) for row in rows], tmp_path_factory)
-    kind = message_class(row_schema(TICK_TABLE))
-    sizes: list[int] = []
-
-    def canonical(topic, data, sequence):
-        again = kind.FromString(data).SerializeToString()
-        sizes.append(len(again))
-        return again
-
-    rewrite_log(
-        whole, tmp_path / "b.mcap", lambda *given: canonical(*given) if given[0] == "/tick" else given[1]
-    )
-    assert max(sizes) * 8 < ROW.itemsize
-    assert len(sizes) == 3
-    assert Log(tmp_path / "b.mcap").rows().tobytes() == rows.tobytes()

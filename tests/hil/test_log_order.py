@@ -5,21 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.Log_pb2 import Log
-from mcap.opcode import Opcode
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from drivers.tick_columns import ROW
-from hil.record import Recording
 from hil.record.decode import ITEM
-from hil.record.encode import EVENTS
 from hil.record.entries import assemble
-from hil.record.log import Log as RunLog
-from hil.record.mcap_file import MAGIC, record_bytes
-from hil.record.mcap_read import records
 from hil.signals import Operator, Order
-from tests.hil.samples import log_of, random_ticks, record
+from tests.hil.samples import log_of, random_ticks
 
 
 def test_the_messages_of_a_tick_lie_behind_its_row_and_before_the_next_one(tmp_path_factory):
@@ -79,23 +72,3 @@ def test_commands_of_a_tick_are_given_by_their_number_in_it_wherever_another_wri
         Order(Operator.SPEED, (1.0,)),
     )
     assert (tick.operator, len(tick.setpoints)) == ((Operator.STOP, Operator.RESET), 1)
-
-
-def outside(text):
-    """Return an event as a message that stands in no chunk."""
-    data = Log(message=text, level=Log.Level.INFO).SerializeToString()
-    return record_bytes(Message(channel_id=EVENTS, log_time=1, publish_time=1, sequence=0, data=data))
-
-
-def test_messages_outside_of_chunks_are_read_in_their_place_between_those_within(tmp_path):
-    path = tmp_path / "a.mcap"
-    with Recording.start(path, configuration="a: 1\n", lockstep=True) as recording:
-        recording.event(5, "info", "within")
-        record(recording, random_ticks(3, seed=7))
-    parts = [(each.opcode, each.whole) for each in records(path) if each.complete]
-    (at,) = [n for n, (opcode, _) in enumerate(parts) if opcode == Opcode.CHUNK]
-    whole = [data for _, data in parts]
-    mixed = [*whole[:at], outside("before"), whole[at], outside("behind"), *whole[at + 1 :]]
-    (tmp_path / "mixed.mcap").write_bytes(MAGIC + b"".join(mixed))
-    found = RunLog(tmp_path / "mixed.mcap").events()
-    assert [each.text for each in found] == ["before", "within", "behind"]

@@ -1,16 +1,13 @@
 """What a reader holds back of a log that it reads piece by piece, what it hands out, and what it has in memory."""
 
 import struct
-import tracemalloc
 
 import pytest
 
 from drivers.errors import LogError
 from drivers.protocol import Frame, Received
-from hil.record import log_file
 from hil.record.log import Log, LogStatistics, Tick
 from hil.record.mcap_file import MAGIC
-from hil.record.mcap_read import split
 from tests.hil.samples import log_of, random_rows
 from tools.fuzz import container
 
@@ -210,36 +207,3 @@ def test_a_cut_log_lasts_from_its_earliest_message_to_its_latest_wherever_these_
     log = Log(tmp_path / "a.mcap")
     assert (log.summary.ticks, log.summary.closed) == (25, "cut")
     assert log.summary.duration_s == pytest.approx(29e-3)
-
-
-# -- messages outside chunks ---------------------------------------------------------------------------------
-
-
-def test_messages_outside_chunks_are_taken_apart_together(parts, tmp_path, monkeypatch):
-    """One by one they take a hundred times as long."""
-    path = parts.write(tmp_path / "a.mcap", *parts.rows, *parts.frames)
-    sizes: list[int] = []
-
-    def counted(data):
-        found = split(data)
-        sizes.append(len(found[0].channel))
-        return found
-
-    monkeypatch.setattr(log_file, "split", counted)
-    assert len(Log(path).rows("tick")) == COUNT
-    assert sizes == [2 * COUNT]
-
-
-def test_large_messages_outside_chunks_are_in_memory_a_few_at_a_time(parts, tmp_path, monkeypatch):
-    monkeypatch.setattr(log_file, "MAX_CHUNK", 100_000)
-    unknown = struct.pack("<HIQQ", 77, 0, 9, 9)
-    small, large = (container.MESSAGE, unknown), (container.MESSAGE, unknown + bytes(10_000))
-    log = Log(parts.write(tmp_path / "a.mcap", small, *[large] * 300, *parts.rows[:2]))
-    tracemalloc.start()
-    try:
-        rows = log.rows("tick")
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert rows["tick"].tolist() == [0, 1]
-    assert peak < 1_000_000, "bytes of 3 MB"

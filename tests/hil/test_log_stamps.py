@@ -103,7 +103,7 @@ def test_the_sequence_of_a_message_is_the_number_of_its_tick_that_of_an_event_of
 def test_an_event_after_the_rows_of_a_batch_has_the_sequence_of_the_tick_to_come():
     ring, nobody = Ring.create(TICKS.dtype, 256), cast("Any", None)
     recording = Recording(ring, nobody, Path("a.mcap"), lockstep=True)
-    encoder = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None)
+    encoder = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None)
     found: list[tuple[int, int]] = []
 
     def drain():

@@ -4,7 +4,6 @@ import gc
 import sys
 import tracemalloc
 from math import prod
-from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -120,13 +119,6 @@ def test_a_matrix_without_names_of_elements_is_named_by_place():
     assert Column("output", "A", float, "m", "", (), (2, 2)).labels == ("A.0_0", "A.0_1", "A.1_0", "A.1_1")
 
 
-def test_a_log_of_version_0_1_0_has_a_table():
-    frame = Log(Path(__file__).parents[1] / "data/log_0.1.0.mcap").frame("q", "tick")
-    assert list(frame.columns) == [f"q.{k}" for k in range(6)] + ["tick"]
-    assert frame["tick"].is_monotonic_increasing
-    assert len(frame)
-
-
 def test_without_pandas_the_message_says_how_to_install_it(path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(LogError, match=r'pip install "hexapod-hil\[analysis\]"'):
@@ -143,7 +135,7 @@ def test_a_span_of_time_includes_both_ends(path):
     assert [int(t) for b in log.blocks("tick", stop_s=0.3) for t in b["tick"]] == list(range(301))
 
 
-@pytest.mark.parametrize("options", [{}, {"use_chunking": False}, {"chunk_size": 20_000}], ids=str)
+@pytest.mark.parametrize("options", [{}, {"chunk_size": 20_000}], ids=str)
 def test_blocks_are_the_rows_in_pieces(path, tmp_path, options):
     rewrite_log(path, tmp_path / "b.mcap", **options)
     log = Log(tmp_path / "b.mcap")

@@ -12,13 +12,13 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from drivers.errors import LogError
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.tick_columns import ROW
-from hil.record.layout import frame_layout
+from hil.record.layout import frame_table
 from hil.record.log import Log, Tick
 from hil.record.mcap_read import decompress, split
 from hil.record.ring import ITEM, RECEIVED, SENT
 from hil.record.row import TICKS, RowCodec
 from hil.record.schema import Schema, message_class
-from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, frame_table, kernels_for, words_of
+from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, kernels_for, words_of
 from tests.hil.samples import assert_same, log_of, packed_rows, random_rows, random_ticks
 
 BUSES = ["can0", "the_second_can"]
@@ -140,37 +140,60 @@ def test_a_tick_made_of_tuples_has_items_and_takes_changes():
 # -- other layouts and damage --------------------------------------------------------------------------------
 
 
+def laid_out(name, length):
+    """The layout of a frame with data: its template, and which of its bytes are the same in every record."""
+    layout, ((_, _, data, *_),) = frame_table([name])
+    template, mask = (bytearray(each.tobytes()) for each in layout)
+    template[data - 1], template[data:data], mask[data:data] = length, bytes(length), bytes(length)
+    return np.frombuffer(template, np.uint8), np.array([k for k, bits in enumerate(mask) if bits], np.int64)
+
+
+def frames_of(kernels, records, names, epoch_ns=0):
+    """Return how many records the kernel takes for frames on the buses of these names, and the items."""
+    sizes = np.array([len(each) for each in records])
+    layout, table = frame_table(names)
+    items = np.zeros((len(records), ITEM_WORDS), np.int64)
+    where = np.cumsum(sizes) - sizes, sizes
+    with np.errstate(over="ignore"):
+        taken = kernels.frames(
+            words_of(b"".join(records)), *where, epoch_ns, *constants_of(layout), table, items
+        )
+    return taken, items
+
+
 @pytest.mark.parametrize("length", [0, 1, 8, 63, 64])
 @pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
-def test_a_frame_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels, length, name):
-    layout = frame_layout(length, name)
-    payload = layout.template[31:].copy()
-    free = sorted(set(range(len(payload))) - set(layout.constant.tolist()))
-    assert len(free) == 5 + 5 + 4 + 3 + 1 + length + 1 + 3 + 8 + 4 + 1
-    payload[free] = 0x6E
-    payloads = np.tile(payload, (1 + len(layout.constant), 1))
-    for k, at in enumerate(layout.constant.tolist(), start=1):
-        payloads[k, at] ^= 1
-    count, size = payloads.shape
-    items, fit = np.zeros((count, ITEM_WORDS), np.int64), np.zeros(count, np.bool_)
-    where = np.arange(count) * size, np.full(count, size)
-    kernels.frames(words_of(payloads.tobytes()), *where, 0, *frame_table([b"y", name]), items, fit)
-    assert fit.tolist() == [True] + [False] * (count - 1)
-    assert items[0].any()
-    assert not items[1:].any()
+def test_a_frame_in_which_a_constant_byte_differs_is_none(kernels, length, name):
+    template, constant = laid_out(name, length)
+    free = sorted(set(range(31, len(template))) - set(constant.tolist()))
+    assert len(free) == 5 + 5 + 4 + 3 + 1 + 1 + length + 1 + 3 + 8 + 4 + 1
+    record = template.copy()
+    record[sorted(set(free) - {k for k in free if k == _number_of_data(name)})] = 1
+    assert frames_of(kernels, [record.tobytes()], [b"y", name])[0] == 1
+    for at in [*constant.tolist(), _number_of_data(name)]:
+        other = record.copy()
+        other[at] ^= 1
+        taken, items = frames_of(kernels, [record.tobytes(), other.tobytes()], [b"y", name])
+        assert taken == 1
+        assert items[0].any()
+        assert not items[1].any()
 
 
-def test_a_row_in_which_a_constant_byte_differs_is_left_to_protobuf(kernels):
+def _number_of_data(name):
+    """Return where the number of data bytes stands in a record."""
+    return int(frame_table([name])[1][0, 2]) - 1
+
+
+def test_a_row_in_which_a_constant_byte_differs_is_none(kernels):
     codec = RowCodec(TICKS.columns)
     rows = random_rows(3)
-    payloads = np.array([list(payload) for payload in packed_rows(TICKS, rows)], np.uint8)
-    constants = constants_of(codec.layout.template[31:], codec.layout.mask())
-    starts, found = np.arange(3) * payloads.shape[1], np.empty((3, ROW.itemsize // 8), np.int64)
-    for at in [None, *codec.layout.constant.tolist()]:
-        data = payloads.copy()
+    records = np.array([[0] * 31 + list(payload) for payload in packed_rows(TICKS, rows)], np.uint8)
+    starts, found = np.arange(3) * records.shape[1], np.empty((3, ROW.itemsize // 8), np.int64)
+    for at in [None, *np.flatnonzero(codec.layout.mask).tolist()]:
+        data = records.copy()
         if at is not None:
             data[1, at] ^= 1
-        given = words_of(data.tobytes()), starts, constants, codec.places(), found
+        given = words_of(data.tobytes()), starts, *constants_of(codec.layout), codec.read, found
         assert bool(kernels.rows(*given)) == (at is None)
         assert at is not None or found.tobytes() == rows.tobytes()
 
@@ -196,24 +219,23 @@ def test_what_is_left_behind_the_last_message_is_not_read(kernels, size):
 
 def test_frames_with_any_bytes_in_their_fields_are_read_alike_plain_and_compiled():
     rng = np.random.default_rng(5)
-    layouts = [frame_layout(length, name.encode()) for length in (0, 5, 8, 64) for name in BUSES]
-    payloads = []
+    layouts = [laid_out(name.encode(), length) for length in (0, 5, 8, 64) for name in BUSES]
+    records = []
     for k in range(200):
-        layout = layouts[k % len(layouts)]
-        data = np.frombuffer(rng.bytes(layout.payload.itemsize), np.uint8).copy()
-        data[layout.constant] = layout.template[31:][layout.constant]
-        payloads.append(data.tobytes())
-    sizes = np.array([len(each) for each in payloads])
-    starts = np.cumsum(sizes) - sizes
-    table, words = frame_table([name.encode() for name in BUSES]), words_of(b"".join(payloads))
-    results = []
-    for each in (PLAIN, compiled()):
-        items, fit = np.zeros((len(payloads), ITEM_WORDS), np.int64), np.zeros(len(payloads), np.bool_)
-        with np.errstate(over="ignore"):
-            each.frames(words, starts, sizes, 1 << 60, *table, items, fit)
-        assert fit.all()
-        results.append(items.tobytes())
-    assert results[0] == results[1]
+        template, constant = layouts[k % len(layouts)]
+        name = BUSES[k % 2].encode()
+        data = np.frombuffer(rng.bytes(len(template)), np.uint8).copy()
+        (direction,) = frame_table([name])[1][:, 7]
+        length = len(template) - int(frame_table([name])[1][0, 1])
+        fixed = [*constant.tolist(), _number_of_data(name)]
+        data[fixed] = template[fixed]
+        data[direction + length] = 1 + k % 2
+        records.append(data.tobytes())
+    found = [
+        frames_of(each, records, [name.encode() for name in BUSES], 1 << 60) for each in (PLAIN, compiled())
+    ]
+    assert [taken for taken, _ in found] == [200, 200]
+    assert found[0][1].tobytes() == found[1][1].tobytes()
 
 
 def test_a_long_log_is_read_by_what_is_compiled():

@@ -9,7 +9,7 @@ import stat
 import subprocess
 import time
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,8 +21,9 @@ from hil.record import Recording
 from hil.record.mcap_file import McapFile
 from hil.record.mirror import FIGURES, SLOT_BYTES, Mirror, MirrorReader, _place, mirror_path
 from hil.record.recorder import Recorder, _Control, _publisher
+from hil.record.recording import Live
 from hil.record.ring import Ring
-from hil.record.row import TICKS, describe
+from hil.record.row import TICKS, Run, describe
 from tests.hil.samples import random_rows
 
 ABOUT = {"name": "test", "columns": describe(TICKS.columns)}
@@ -194,7 +195,7 @@ def test_a_mirror_that_cannot_be_made_is_told_on_standard_error_alone(tmp_path, 
     """Standard output has the recorder's answers to the loop, one JSON object a line."""
     path = tmp_path / "no" / "m"
     ring = Ring.create(TICKS.dtype, 256)
-    assert _publisher(ring, {"path": str(path), "about": {}}) is None
+    assert _publisher(ring, (path, {})) is None
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err == f"hil: `hil watch` cannot see this run: {path}: No such file or directory\n"
@@ -215,11 +216,9 @@ def test_a_recorder_that_is_killed_leaves_what_was_shown_last(tmp_path):
 
 
 def recorder(folder, ring):
-    identity = {"mode": "real_time", "epoch_ns": "0", "can_channel": "can0"}
-    shown = {"path": str(folder / "m"), "about": ABOUT}
-    setup = {"identity": identity, "environment": {}, "scene": None, "live": False, "reference_s": None,
-             "websocket": None, "mirror": shown, "path": str(folder / "a.mcap"), "created_ns": 0}  # fmt: skip
-    return Recorder(ring, TICKS, setup, [("config.yaml", b"")])
+    setup: dict[str, Any] = {"identity": {}, "environment": {}, "scene": None, "live": Live(), "mirror": (folder / "m", ABOUT),
+             "path": str(folder / "a.mcap"), "created_ns": 0, "attachments": [("config.yaml", b"")]}  # fmt: skip
+    return Recorder(ring, Run("/tick", TICKS.columns, 0, ("can0",), lockstep=False), setup)
 
 
 @pytest.mark.parametrize("refused", ["__init__", "add_metadata", "add_attachment", "sync"])

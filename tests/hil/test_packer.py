@@ -84,7 +84,7 @@ def test_rows_and_frames_are_those_recorded_also_when_the_ring_has_turned(names)
     ring.close_fd()
     recording = Recording(ring, cast("Any", None), Path("a.mcap"), lockstep=True)
     ticks = random_ticks(300)
-    encoder = Encoder(TICKS, epoch_ns=EPOCH, can_channel=names[0], can_channels=names, scene=None)
+    encoder = Encoder(TICKS, epoch_ns=EPOCH, can_channels=names, scene=None)
     row_kind, frame_kind = (message_class(encoder.channels[k][1]) for k in (TICK, CAN))
     for first in range(0, 300, 12):
         part = ticks[first : first + 12]
@@ -133,7 +133,7 @@ def test_whatever_columns_a_table_has_the_same_kernel_packs_them(columns):
         if c.names:
             numbers = [0, 1, 126, 127, 128, -1, 1 << 62, 255, 256]
             rows[c.name] = np.resize(numbers, rows[c.name].shape)
-    encoder = Encoder(table, epoch_ns=EPOCH, can_channel="can0", scene=None)
+    encoder = Encoder(table, epoch_ns=EPOCH, can_channels=["can0"], scene=None)
     kind = message_class(encoder.channels[TICK][1])
     batch = Batch(rows, np.zeros(0, ITEM), np.zeros(0, np.int64))
     assert messages_of(encoder, batch, TICK) == [row_message(kind, table, row) for row in rows]
@@ -153,7 +153,7 @@ code, rows, items = json.load(sys.stdin)
 rows = np.frombuffer(bytes.fromhex(rows), TICKS.dtype)
 items = np.frombuffer(bytes.fromhex(items), ITEM)
 batch = Batch(rows, items, np.arange(5))
-encoder = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None, packer=code)
+encoder = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None, packer=code)
 print(hashlib.sha256(encoder.encode(batch).data).hexdigest(), "numba" in sys.modules)
 """
 
@@ -164,7 +164,7 @@ def test_another_process_packs_the_same_from_machine_code_alone_or_as_plain_pyth
     items = np.frombuffer(np.random.default_rng(1).bytes(5 * ITEM.itemsize), ITEM).copy()
     items["kind"], items["length"], items["bus"] = [0, 1, 0, 1, 0], [0, 8, 64, 3, 12], 0
     items["t_ns"] = np.arange(5) * S
-    here = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None)
+    here = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None)
     expected = here.encode(Batch(rows, items, np.arange(5))).data
     given = [None if plain else machine_code(pack), rows.tobytes().hex(), items.tobytes().hex()]
     environment = {**os.environ, **({"NUMBA_DISABLE_JIT": "1"} if plain else {})}

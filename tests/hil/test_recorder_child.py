@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import io
-import json
 import os
+import pickle
 import signal
-import struct
 import subprocess
 import sys
+from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hil.record import child
-from hil.record.recorder import answer, read_exactly, read_setup
+from hil.record.recorder import answer
+from hil.record.recording import Live
 
 HELD = {signal.SIGINT, signal.SIGALRM, signal.SIGTERM, signal.SIGHUP}
 
@@ -55,36 +56,17 @@ def test_a_recorder_is_started_with_the_ring_and_both_pipes_while_no_signal_can_
     }
 
 
-class Pipe(io.BytesIO):
-    """A pipe that hands over what was written when it is told to."""
-
-    heard = b""
-
-    def flush(self):
-        self.heard = self.getvalue()
-
-
-def test_a_set_up_is_sent_whole_its_length_first_and_the_attachments_behind_it():
-    pipe = Pipe()
-    process: Any = SimpleNamespace(stdin=pipe)
-    child.set_up(process, {"x": "y" * 300}, [b"one", b"", b"three"])
-    text = b'{"x": "' + b"y" * 300 + b'"}'
-    assert pipe.heard == struct.pack("<Q", len(text)) + text + b"onethree"
-    child.write_all(process, b"more")
-    assert pipe.heard.endswith(b"threemore")
-
-
 @pytest.mark.parametrize(
     ("said", "ends", "heard"),
     [
-        (b'{"ready": true}\n{"ticks": 3}\n', False, {"ready": True}),
-        (b'{"ready": true}', True, {}),
+        (pickle.dumps({"ready": True}) + pickle.dumps({"ticks": 3}), False, {"ready": True}),
+        (pickle.dumps({"ready": True})[:-4], True, {}),
         (b"", True, {}),
         (b"", False, {"error": "the recorder did not answer within 0.015 s"}),
     ],
-    ids=["two lines", "half a line", "nothing and gone", "nothing"],
+    ids=["two answers", "half of one", "nothing and gone", "nothing"],
 )
-def test_an_answer_is_the_first_whole_line_and_nothing_where_the_recorder_is_gone(said, ends, heard):
+def test_an_answer_is_the_first_whole_one_and_nothing_where_the_recorder_is_gone(said, ends, heard):
     reads, writes = os.pipe()
     with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
         out.write(said)
@@ -130,46 +112,39 @@ def test_a_recorder_without_pipes_is_reaped_all_the_same():
     assert process.did == [5.0]
 
 
-# -- its own end of the pipes ----------------------------------------------------------------------------------
+# -- both ends -------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def pipe():
+def test_a_set_up_of_any_size_comes_whole_and_what_follows_comes_next():
     reads, writes = os.pipe()
-    with os.fdopen(writes, "wb", buffering=0) as out:
-        yield reads, out
-    os.close(reads)
+    messages: list[dict[str, Any]] = [
+        {"attachments": [("a", bytes(3_000_000)), ("empty", b"")], "live": Live()},
+        {"x": "1"},
+    ]
+    with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb") as out:
+        process: Any = SimpleNamespace(stdin=out)
+
+        def send():
+            for each in messages:
+                child.send(process, each)
+
+        sender = Thread(target=send)
+        sender.start()
+        assert [child.receive(pipe), child.receive(pipe)] == messages
+        sender.join()
+        out.close()
+        assert child.receive(pipe) is None
 
 
-def test_a_set_up_is_a_length_an_object_and_the_attachments_it_names(pipe):
-    reads, out = pipe
-    text = json.dumps({"attachments": [["a", 3], ["empty", 0], ["b", 2]], "x": "y" * 300}).encode()
-    out.write(struct.pack("<Q", len(text)) + text + b"abcdemore")
-    setup, attachments = read_setup(reads)
-    assert setup == json.loads(text)
-    assert attachments == [("a", b"abc"), ("empty", b""), ("b", b"de")]
-    assert read_exactly(reads, 4) == b"more"
-
-
-def test_bytes_that_come_in_pieces_are_read_to_the_last_one_and_no_further(monkeypatch):
-    pieces, asked = [b"ab", b"c", b"def"], []
-
-    def part(fd, count):
-        asked.append((fd, count))
-        return pieces.pop(0)
-
-    monkeypatch.setattr(os, "read", part)
-    assert read_exactly(7, 6) == b"abcdef"
-    assert asked == [(7, 6), (7, 4), (7, 3)]
-    pieces[:] = [b"ab", b""]
-    with pytest.raises(EOFError):
-        read_exactly(7, 3)
-
-
-def test_an_answer_is_one_line_and_none_where_nobody_listens(capfd, monkeypatch):
+def test_an_answer_is_none_where_nobody_listens(capfdbinary, monkeypatch):
     answer({"ready": True})
     answer({"ticks": 3})
-    assert capfd.readouterr().out == '{"ready": true}\n{"ticks": 3}\n'
+    said = io.BytesIO(capfdbinary.readouterr().out)
+    assert [child.receive(said), child.receive(said), child.receive(said)] == [
+        {"ready": True},
+        {"ticks": 3},
+        None,
+    ]
     reads, writes = os.pipe()
     os.close(reads)
     with os.fdopen(writes, "w") as out:

@@ -104,9 +104,9 @@ def ended(monkeypatch):
         )  # fmt: skip
         for name, value in {
             "signal": nothing,
-            "sys": SimpleNamespace(stdin=SimpleNamespace(fileno=lambda: -1)),
-            "read_setup": lambda fd: (setup, []),
-            "columns_of": lambda text: (),
+            "sys": SimpleNamespace(stdin=SimpleNamespace(buffer=None)),
+            "receive": lambda pipe: setup,
+            "Run": SimpleNamespace(of=lambda _: SimpleNamespace(topic="/tick", columns=())),
             "Ring": lambda *_: ring,
             "Recorder": lambda *_: recorder,
             "_Control": lambda *_: None,
@@ -133,7 +133,7 @@ def test_a_recorder_ends_well_once_it_has_answered_and_waits_for_no_viewer(ended
     assert answers == [{"ready": True}, {"closed": "clean"}]
 
 
-@pytest.mark.parametrize("where", ["spawn", "set_up", "answer"])
+@pytest.mark.parametrize("where", ["spawn", "send", "answer"])
 @pytest.mark.parametrize("interrupt", [KeyboardInterrupt, SystemExit])
 def test_an_interrupt_while_the_recorder_starts_goes_on_and_leaves_no_process(monkeypatch, interrupt, where):
     process: Any = SimpleNamespace(kill=lambda: None)
@@ -144,12 +144,12 @@ def test_an_interrupt_while_the_recorder_starts_goes_on_and_leaves_no_process(mo
 
     for name, value in {
         "spawn": lambda _: process,
-        "set_up": lambda *_: None,
+        "send": lambda *_: None,
         "finish": reaped.append,
     }.items():
         monkeypatch.setattr(producer, name, value)
     monkeypatch.setattr(producer, where, interrupted)
     ring: Any = None
     with pytest.raises(interrupt):
-        producer._start(ring, {"path": "a.mcap"}, [])
+        producer._start(ring, {"path": "a.mcap"})
     assert reaped == ([] if where == "spawn" else [process])

@@ -32,7 +32,7 @@ class Message(NamedTuple):
 
 
 def encoder(**options):
-    return Encoder(TICKS, epoch_ns=EPOCH, **{"can_channel": "can0", "scene": None, **options})
+    return Encoder(TICKS, epoch_ns=EPOCH, **{"can_channels": ["can0"], "scene": None, **options})
 
 
 def batch(rows, *items):
@@ -101,7 +101,7 @@ def test_frames_of_several_buses_stand_in_their_order_each_with_all_that_was_on_
         assert m.sequence == 7 + row
 
 
-@pytest.mark.parametrize(("names", "expected"), [((), "can0"), (("a",), "a"), (("a", "b"), "b")])
+@pytest.mark.parametrize(("names", "expected"), [(("a",), "a"), (("a", "b"), "b")])
 def test_a_frame_of_a_bus_that_has_no_name_is_said_to_be_of_the_last_one(names, expected):
     found, _ = encoded(encoder(can_channels=names), batch(1, (0, 0, 1, SENT, b"", 0, 2)))
     assert [(m.content.channel, m.content.bus) for m in found if m.topic == "/can"] == [(expected, 2)]
@@ -211,9 +211,7 @@ def test_a_batch_of_nothing_has_no_messages():
     assert [len(each) for each in (made.data, *made[2:])] == [0] * 4
 
 
-@pytest.mark.parametrize(
-    ("names", "channel"), [((), "can0"), (("front",), "front"), (("front", "rear"), "front, rear")]
-)
+@pytest.mark.parametrize(("names", "channel"), [(("front",), "front"), (("front", "rear"), "front, rear")])
 def test_the_channels_are_those_of_the_topics_and_the_frames_say_their_buses(names, channel):
     channels = encoder(can_channels=names).channels
     assert {number: (topic, schema.name, said) for number, (topic, schema, said) in channels.items()} == {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import time
 from pathlib import Path
@@ -279,7 +278,7 @@ class Ended:
     def __init__(self, monkeypatch, folder, reply, *, ended=True, broken=False):
         self.did: list[Any] = []
 
-        def write_all(process, data):
+        def send(process, data):
             self.did.append(data)
             if broken:
                 raise BrokenPipeError
@@ -288,7 +287,7 @@ class Ended:
             self.did.append(timeout_s)
             return reply
 
-        monkeypatch.setattr(module, "write_all", write_all)
+        monkeypatch.setattr(module, "send", send)
         monkeypatch.setattr(module, "answer", answer)
         monkeypatch.setattr(module, "finish", lambda process: self.did.append("finish"))
         self.recording = recording_of(16, process=Process(ended))
@@ -305,8 +304,8 @@ def test_the_end_is_asked_for_once_and_says_what_became_of_the_log(monkeypatch, 
         {"ending": "PARKED", "late": {"p99": 1.5}, "odd": "\udc80"}, timeout_s=7.0
     )
     assert summary == (tmp_path / "a.mcap", 3, 11, 0, 0, 4096, 0.25, True, "", False)
-    line = json.dumps({"ending": "PARKED", "late": '{"p99": 1.5}', "odd": "?"}).encode() + b"\n"
-    assert ended.did == [line, 7.0, "finish", "close"]
+    said = {"ending": "PARKED", "late": '{"p99": 1.5}', "odd": "?"}
+    assert ended.did == [said, 7.0, "finish", "close"]
     with ended.recording as again:
         assert again is ended.recording
     assert ended.recording.close() is summary
@@ -318,7 +317,7 @@ def test_a_recording_that_is_left_is_closed_and_waits_a_minute_at_most(monkeypat
     ended = Ended(monkeypatch, tmp_path, CLEAN)
     with ended.recording:
         pass
-    assert ended.did == [b"{}\n", 60.0, "finish", "close"]
+    assert ended.did == [{}, 60.0, "finish", "close"]
 
 
 @pytest.mark.parametrize("there", [True, False])

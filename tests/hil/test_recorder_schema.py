@@ -8,7 +8,6 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorS
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from hil.record.layout import (
-    FIXED32,
     FIXED64,
     LENGTH,
     VARINT,
@@ -100,27 +99,26 @@ def test_a_varint_has_seven_bits_a_byte_the_low_ones_first(value, expected):
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 63])
-@pytest.mark.parametrize(("kind", "wire_type"), [("<f8", FIXED64), ("u1", VARINT)])
+@pytest.mark.parametrize(("size", "wire_type"), [(8, FIXED64), (1, VARINT)])
 def test_a_message_of_elements_has_a_tag_before_each_of_two_bytes_where_there_are_more_than_15(
-    count, kind, wire_type
+    count, size, wire_type
 ):
-    builder = Builder()
-    builder.bytes(b"\xaa")
-    builder.fields_of_message("x", 3, kind, count, wire_type)
-    builder.tag(4, FIXED32)
-    builder.field("y", "<u4")
-    made = builder.layout()
-    records = np.frombuffer(bytearray(2 * made.template[31:].tobytes()), made.payload)
-    records["x"]["value"] = np.arange(2 * count).reshape(2, count)
-    records["y"] = [7, 8]
-    for k, record in enumerate(records):
-        tags = [varint(n << 3 | wire_type) for n in range(1, count + 1)]
-        if count > 15:
-            tags = [tag if len(tag) == 2 else bytes([tag[0] | 0x80, 0]) for tag in tags]
-        values = [np.array(k * count + n, kind).tobytes() for n in range(count)]
-        inner = b"".join(tag + value for tag, value in zip(tags, values, strict=True))
-        expected = b"\xaa" + varint(3 << 3 | LENGTH) + varint(len(inner)) + inner
-        expected += b"\x25" + (7 + k).to_bytes(4, "little")
-        assert record.tobytes() == expected
-        head = made.of_channel(6).tobytes()[:31]
-        assert head == b"\x05" + (22 + len(expected)).to_bytes(8, "little") + b"\x06" + bytes(21)
+    builder = Builder(6)
+    builder.constant(b"\xaa")
+    places = builder.message(3, size, count)
+    last = builder.field(4, 4)
+    template, mask = builder.layout()
+    record = bytearray(template.tobytes())
+    for k, at in enumerate([*places, last]):
+        width = 4 if at == last else size
+        assert not mask[at : at + width].any()
+        record[at : at + width] = k.to_bytes(width, "little")
+    assert np.count_nonzero(mask) == len(record) - 31 - count * size - 4
+    tags = [varint(n << 3 | wire_type) for n in range(1, count + 1)]
+    if count > 15:
+        tags = [tag if len(tag) == 2 else bytes([tag[0] | 0x80, 0]) for tag in tags]
+    inner = b"".join(tag + k.to_bytes(size, "little") for k, tag in enumerate(tags))
+    expected = b"\xaa" + varint(3 << 3 | LENGTH) + varint(len(inner)) + inner
+    expected += b"\x25" + count.to_bytes(4, "little")
+    head = b"\x05" + (22 + len(expected)).to_bytes(8, "little") + b"\x06" + bytes(21)
+    assert bytes(record) == head + expected

@@ -23,8 +23,8 @@ def started(monkeypatch, tmp_path):
     """A function that starts a recording with these options; it returns the set-up, the files and the recording."""
     found: list[Any] = []
 
-    def begin(ring, setup, files):
-        found.append((ring, setup, files))
+    def begin(ring, setup):
+        found.append((ring, setup))
         return "process"
 
     monkeypatch.setattr(module, "_start", begin)
@@ -35,28 +35,27 @@ def started(monkeypatch, tmp_path):
 
     def start(**options):
         recording = Recording.start("logs/a.mcap", configuration="ä: 1\n", **options)
-        ring, setup, files = found.pop()
+        ring, setup = found.pop()
         process: Any = recording._process
         assert (recording._ring, process) == (ring, "process")
         recording._ring.close_fd()
-        return setup, files, recording
+        return setup, recording
 
     return start
 
 
 def test_a_simulation_has_an_epoch_of_its_own_and_says_how_its_process_is_scheduled(started, tmp_path):
-    setup, files, recording = started(lockstep=True)
+    setup, recording = started(lockstep=True)
     epoch = 946_684_800_000_000_000
     assert setup == {
         "path": str(tmp_path / "logs" / "a.mcap"), "ring_ticks": 8192, "created_ns": epoch, "scene": None,
-        "live": False, "reference_s": None, "websocket": None, "mirror": None, "attachments": [["config.yaml", 6]],
+        "live": Live(), "mirror": None, "attachments": [("config.yaml", "ä: 1\n".encode())],
         "environment": {"version": "1", "scheduler": "other 0"},
         "identity": {
             "topic": "/tick", "columns": describe(TICKS.columns), "epoch_ns": str(epoch), "can_channel": "can0",
             "mode": "lockstep",
         },
     }  # fmt: skip
-    assert files == ["ä: 1\n".encode()]
     assert recording.path == tmp_path / "logs" / "a.mcap"
     assert (recording._lockstep, recording._ring.capacity) == (True, 8192)
     assert (recording.ticks, recording.dropped) == (0, 0)
@@ -64,7 +63,7 @@ def test_a_simulation_has_an_epoch_of_its_own_and_says_how_its_process_is_schedu
 
 def test_a_run_in_real_time_has_the_epoch_of_its_clock_and_all_that_it_is_told(started, tmp_path):
     corners = [[1.0, k, 0.0] for k in range(6)]
-    setup, files, recording = started(
+    setup, recording = started(
         table=SMALL, attachments=[("b", b"12"), ("c", b"")], ring_ticks=64, can_channel=("front", "rear"),
         metadata={"kind": "run", "seed": 7, "name": "\udc80"}, scene=Scene(corners, corners, 5),
         live=Live(status=True, reference_s=2.5, websocket=("::1", 8765)), clock=SimpleNamespace(now=lambda: 1_200),
@@ -72,27 +71,22 @@ def test_a_run_in_real_time_has_the_epoch_of_its_clock_and_all_that_it_is_told(s
     )  # fmt: skip
     assert setup == {
         "path": str(tmp_path / "logs" / "a.mcap"), "ring_ticks": 64, "created_ns": 5_000,
-        "scene": {"base_joints": corners, "platform_joints": corners, "every": 5},
-        "live": True, "reference_s": 2.5, "websocket": ("::1", 8765),
-        "mirror": {"path": str(tmp_path / "m"), "about": {"name": "x", "columns": describe(SMALL.columns)}},
-        "attachments": [["config.yaml", 6], ["b", 2], ["c", 0]],
+        "scene": Scene(corners, corners, 5),
+        "live": Live(status=True, reference_s=2.5, websocket=("::1", 8765)),
+        "mirror": (tmp_path / "m", {"name": "x", "columns": describe(SMALL.columns)}),
+        "attachments": [("config.yaml", "ä: 1\n".encode()), ("b", b"12"), ("c", b"")],
         "environment": {"version": "1"},
         "identity": {
             "kind": "run", "seed": "7", "name": "?", "topic": "/small", "columns": describe(SMALL.columns),
             "epoch_ns": "3800", "can_channel": "front", "can_channels": '["front", "rear"]', "mode": "realtime",
         },
     }  # fmt: skip
-    assert files == ["ä: 1\n".encode(), b"12", b""]
     assert (recording._lockstep, recording._ring.rows.dtype) == (False, SMALL.dtype)
 
 
 def test_a_scene_is_drawn_at_every_33rd_tick_where_nothing_else_is_said(started):
-    setup, _, _ = started(scene=Scene([[1.0, 0.0, 0.0]], [[2.0, 0.0, 0.0]]), ring_ticks=16)
-    assert setup["scene"] == {
-        "base_joints": [[1.0, 0.0, 0.0]],
-        "platform_joints": [[2.0, 0.0, 0.0]],
-        "every": 33,
-    }
+    setup, _ = started(scene=Scene([[1.0, 0.0, 0.0]], [[2.0, 0.0, 0.0]]), ring_ticks=16)
+    assert setup["scene"] == ([[1.0, 0.0, 0.0]], [[2.0, 0.0, 0.0]], 33)
 
 
 def test_a_single_bus_in_a_list_is_called_by_its_name_alone(started):
@@ -130,10 +124,9 @@ def test_a_recorder_that_is_not_ready_is_ended_and_its_reason_given(monkeypatch,
     did: list[tuple[Any, ...]] = []
     process.kill = lambda: setattr(process, "killed", process.killed + 1)
 
-    def set_up(*arguments):
-        setup, files = arguments[1:]
+    def send(of, setup):
         assert setup.pop("packer"), "so that it has not to be imported there"
-        did.append(("set up", setup, files))
+        did.append(("set up", setup))
         if broken:
             raise BrokenPipeError
 
@@ -142,18 +135,18 @@ def test_a_recorder_that_is_not_ready_is_ended_and_its_reason_given(monkeypatch,
         return reply
 
     monkeypatch.setattr(module, "spawn", lambda ring: process)
-    monkeypatch.setattr(module, "set_up", set_up)
+    monkeypatch.setattr(module, "send", send)
     monkeypatch.setattr(module, "answer", answer)
     monkeypatch.setattr(module, "finish", lambda of: did.append(("finish", of.killed)))
     ring: Any = None
     expected: list[tuple[Any, ...]] = [
-        ("set up", {"path": "b/a.mcap"}, [b"1"]),
+        ("set up", {"path": "b/a.mcap"}),
         ("answer", 1.0 if broken else 20.0),
     ]
     if says:
         with pytest.raises(LogError, match=says):
-            module._start(ring, {"path": "b/a.mcap"}, [b"1"])
+            module._start(ring, {"path": "b/a.mcap"})
         expected.append(("finish", 1))
     else:
-        assert module._start(ring, {"path": "b/a.mcap"}, [b"1"]) is process  # type: ignore[comparison-overlap]
+        assert module._start(ring, {"path": "b/a.mcap"}) is process  # type: ignore[comparison-overlap]
     assert did == expected

@@ -22,12 +22,15 @@ from hil.record import recorder as module
 from hil.record.encode import Encoder
 from hil.record.mcap_file import McapFile
 from hil.record.recorder import Histogram, Recorder
+from hil.record.recording import Live, Scene
 from hil.record.ring import DROPPED, Ring
-from hil.record.row import TICKS, Table
+from hil.record.row import TICKS, Run, Table, describe
 from tests.hil.samples import random_rows
 
 TICK, TIME = (Column("output", name, int, "", "", (), ()) for name in ("tick", "t_ns"))
 SMALL = Table("/small", (TICK, TIME))
+IDENTITY = {"mode": "lockstep", "epoch_ns": "1000", "can_channel": "can0"}
+RUN = Run("/small", SMALL.columns, 0, ("can0",), lockstep=True)
 FILES = [
     ("config.yaml", b"a: 1\n"), ("b.json", b"{}"), ("c.dbc", b"VERSION"), ("d.csv", b"1,2"), ("e.fmu", b"\0\1"),
 ]  # fmt: skip
@@ -35,9 +38,8 @@ CPU = SimpleNamespace(user=2.5, system=0.25)
 
 
 def setup_of(folder, **more):
-    identity = {"mode": "lockstep", "epoch_ns": "1000", "can_channel": "can0", **more.pop("identity", {})}
-    return {"identity": identity, "environment": {"version": "1.2.3", "cpu": "some"}, "scene": None,
-            "live": False, "reference_s": None, "websocket": None, "mirror": None,
+    return {"identity": IDENTITY | more.pop("identity", {}), "environment": {"version": "1.2.3", "cpu": "some"},
+            "scene": None, "live": Live(), "mirror": None, "attachments": FILES,
             "path": str(folder / "a.mcap"), "created_ns": 77, **more}  # fmt: skip
 
 
@@ -48,7 +50,10 @@ class Bench:
         self.ring = Ring.create(table.dtype, capacity)
         nobody: Any = None
         self.producer = Recording(self.ring, nobody, folder / "a.mcap", lockstep=False)
-        self.recorder = Recorder(self.ring, table, setup_of(folder, **more), FILES)
+        setup = setup_of(folder, **more)
+        setup["identity"] |= {"topic": table.topic, "columns": describe(table.columns)}
+        run = Run.of(setup["identity"])._replace(columns=table.columns)
+        self.recorder = Recorder(self.ring, run, setup)
         self.ring.close_fd()
 
     def tick(self, *numbers):
@@ -74,14 +79,14 @@ def test_a_log_begins_with_what_it_is_where_it_was_made_and_what_was_attached(tm
     recorder.close({})
     header, summary, metadata, attachments = read(tmp_path / "a.mcap")
     assert header.library == "hexapod-hil/1.2.3"
-    assert metadata["hil"] == {"mode": "lockstep", "epoch_ns": "1000", "can_channel": "can0"}
+    assert metadata["hil"] == {**IDENTITY, "topic": "/tick", "columns": describe(TICKS.columns)}
     assert metadata["environment"] == {"version": "1.2.3", "cpu": "some"}
     media = ["application/yaml", "application/json", "text/plain", "text/csv", "application/octet-stream"]
     assert [(a.name, a.data, a.media_type) for a in attachments] == [
         (name, data, kind) for (name, data), kind in zip(FILES, media, strict=True)
     ]
     assert {(a.create_time, a.log_time) for a in attachments} == {(77, 77)}
-    expected = Encoder(TICKS, epoch_ns=1000, can_channel="can0", scene=None).channels
+    expected = Encoder(TICKS, epoch_ns=1000, can_channels=["can0"], scene=None).channels
     assert sorted(summary.channels) == sorted(summary.schemas) == sorted(expected)
     for number, (topic, schema, said) in expected.items():
         channel, there = summary.channels[number], summary.schemas[number]
@@ -109,16 +114,12 @@ def test_the_set_up_says_what_the_bus_is_called_what_is_drawn_and_what_is_shown(
     monkeypatch.setattr(sys, "stderr", out)
     corners = [[1.0, k, 0.0] for k in range(6)]
     Bench(
-        tmp_path, scene={"base_joints": corners, "platform_joints": corners, "every": 5}, live=True,
-        reference_s=12.5, identity={"can_channels": '["front", "rear"]', "epoch_ns": "123"},
+        tmp_path, scene=Scene(corners, corners, 5), live=Live(status=True, reference_s=12.5),
+        identity={"can_channels": '["front", "rear"]', "epoch_ns": "123"},
     )  # fmt: skip
     assert given["scene"] == (corners, corners, 5)
-    assert (given["epoch_ns"], given["can_channel"], given["can_channels"]) == (
-        123,
-        "can0",
-        ["front", "rear"],
-    )
-    assert given["table"] is TICKS
+    assert (given["epoch_ns"], given["can_channels"]) == (123, ("front", "rear"))
+    assert given["table"] == TICKS
     assert shown == [(out, 12.5)]
 
 
@@ -284,7 +285,7 @@ class Main:
         file = SimpleNamespace(position=4096, messages=messages, discard=lambda: self.did.append("discard"))
         recorder = SimpleNamespace(file=file, socket=None)
         setup = {
-            "identity": {"topic": "/tick", "columns": "described"},
+            "identity": "described",
             "ring_ticks": 512,
             "path": "b/a.mcap",
         }
@@ -300,8 +301,8 @@ class Main:
 
         ring = SimpleNamespace(close_fd=lambda: self.did.append("close"))
         for name, value in {
-            "read_setup": step("read_setup", (setup, [("a", b"1")])),
-            "columns_of": step("columns_of", SMALL.columns),
+            "receive": step("receive", setup),
+            "Run": SimpleNamespace(of=step("Run", RUN)),
             "Ring": step("Ring", ring),
             "Recorder": step("Recorder", recorder),
             "_Control": step("_Control", "control"),
@@ -311,7 +312,7 @@ class Main:
             monkeypatch.setattr(module, name, value)
         monkeypatch.setattr(signal, "signal", lambda number, what: self.handled.update({number.name: what}))
         monkeypatch.setattr(signal, "pthread_sigmask", lambda how, what: self.did.append((how.name, *what)))
-        monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=lambda: 11))
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer="pipe"))
         self.ring, self.recorder, self.setup = ring, recorder, setup
         self.code = module.main(["5", "4242"])
 
@@ -320,12 +321,12 @@ def test_a_recorder_takes_the_ring_and_the_producer_it_is_told_and_no_signal_to_
     ran = Main(monkeypatch, tmp_path)
     assert ran.did == [
         ("SIG_SETMASK",),
-        ("read_setup", 11),
-        ("columns_of", "described"),
-        ("Ring", 5, Table("/tick", SMALL.columns).dtype, 512),
+        ("receive", "pipe"),
+        ("Run", "described"),
+        ("Ring", 5, SMALL.dtype, 512),
         "close",
-        ("Recorder", ran.ring, Table("/tick", SMALL.columns), ran.setup, [("a", b"1")]),
-        ("_Control", 11, 4242),
+        ("Recorder", ran.ring, RUN, ran.setup),
+        ("_Control", "pipe", 4242),
         ("_recorded", ran.recorder, "control"),
     ]
     assert ran.handled == dict.fromkeys(["SIGINT", "SIGTERM", "SIGHUP"], signal.SIG_IGN)
@@ -339,8 +340,7 @@ FULL, BROKEN = OSError(errno.ENOSPC, "No space left"), OSError(errno.EIO, "Input
 @pytest.mark.parametrize(
     ("where", "error", "messages", "said"),
     [
-        ("read_setup", EOFError(), 0, []),
-        ("columns_of", LogError("no table"), 0, [{"error": "no table"}]),
+        ("Run", LogError("no table"), 0, [{"error": "no table"}]),
         ("Recorder", FileExistsError(17, "File exists", "a.mcap"), 0, [{"error": EXISTS}]),
         ("Recorder", FULL, 0, [{"error": "the log cannot be written: disk_full: No space left: b/a.mcap"}]),
         ("Recorder", BROKEN, 0, [{"error": "the log cannot be written: Input/output error: b/a.mcap"}]),

@@ -10,8 +10,7 @@ from drivers.errors import LogError
 from hil.record.log import Log
 from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import Record
-from hil.record.salvage import salvage
-from hil.record.surviving import Lost, surviving
+from hil.record.salvage import Lost, salvage, surviving
 from tests.hil.mcap_records import metadata, placed
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, log_of, random_ticks

@@ -1,7 +1,6 @@
 """What a salvage says of itself, what it keeps of a foreign file, and where records of a damaged file begin."""
 
 import errno
-import os
 import struct
 
 import pytest
@@ -17,9 +16,8 @@ from hil.record import salvage as salvaging
 from hil.record.log import Log
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
 from hil.record.mcap_read import Record
-from hil.record.salvage import salvage
+from hil.record.salvage import Lost, salvage, surviving
 from hil.record.schema import SALVAGE
-from hil.record.surviving import Lost, surviving
 from tests.hil.mcap_records import metadata, placed
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import log_of, random_ticks
@@ -72,22 +70,6 @@ def test_of_many_damaged_places_the_first_are_said_and_how_many_more_there_are(p
     starts = [at + k * size for k in range(min(places, salvaging._REMARKS))]
     said = [f"bytes {start} to {start + 5} are damaged and left out" for start in starts]
     assert report.remarks == (*said, *([f"and {more} places more"] if more > 0 else []))
-
-
-def test_a_name_that_came_to_be_meanwhile_is_not_taken_and_nothing_is_said_to_be_saved(
-    path, tmp_path, monkeypatch
-):
-    out, close = tmp_path / "out.mcap", salvaging._close
-
-    def slow(*given):
-        out.write_bytes(b"precious")
-        return close(*given)
-
-    monkeypatch.setattr(salvaging, "_close", slow)
-    with pytest.raises(LogError, match="never overwritten"):
-        salvage(path, out)
-    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
-    assert out.read_bytes() == b"precious"
 
 
 def test_metadata_of_other_names_come_along_and_that_of_the_run_stands_there_once(path, tmp_path):
@@ -157,42 +139,6 @@ def test_a_salvage_that_fails_leaves_no_file_open(path, tmp_path, monkeypatch, f
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.fixture
-def without_links(monkeypatch):
-    """A file system that gives no file a second name."""
-
-    def refused(*_):
-        raise OSError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(os, "link", refused)
-
-
-def test_a_file_system_without_links_takes_the_salvaged_log_all_the_same(path, tmp_path, without_links):
-    report = salvage(path, tmp_path / "out.mcap")
-    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
-    assert len(Log.open(tmp_path / "out.mcap").rows("tick")) == report.ticks == len(TICKS)
-
-
-@pytest.mark.parametrize("kind", ["file", "link"])
-def test_nor_is_a_name_taken_there_that_came_to_be_meanwhile(
-    path, tmp_path, monkeypatch, without_links, kind
-):
-    out, close = tmp_path / "out.mcap", salvaging._close
-
-    def slow(*given):
-        if kind == "file":
-            out.write_bytes(b"precious")
-        else:
-            out.symlink_to("nowhere")
-        return close(*given)
-
-    monkeypatch.setattr(salvaging, "_close", slow)
-    with pytest.raises(LogError, match="never overwritten"):
-        salvage(path, out)
-    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
-    assert out.is_symlink() if kind == "link" else out.read_bytes() == b"precious"
-
-
 def test_a_message_without_a_byte_of_data_is_whole(tmp_path):
     empty, more = message(), message(data=b"1")
     file, starts = placed(tmp_path, metadata("a", a="1"), b"\xff" * 9, empty, more)
@@ -218,7 +164,7 @@ def test_the_last_record_before_the_end_of_the_data_is_whole_whatever_records_it
     inner = (metadata("x" * 40) + metadata("y" * 40)).decode("latin-1")
     file, starts = placed(tmp_path, metadata("a", a="1"), metadata("b", b=inner), DATA_END)
     found = list(surviving(file))
-    assert [each[1] for each in found] == starts[:3]
+    assert [each[1] for each in found] == starts[:2]
     assert all(isinstance(each, Record) and each.complete for each in found)
 
 

@@ -117,7 +117,7 @@ def test_a_port_that_is_taken_is_refused_before_there_is_a_log(tmp_path, port):
 
 def test_without_the_extra_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    channels = Encoder(TICKS, epoch_ns=0, can_channel="can0", scene=None).channels
+    channels = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None).channels
     with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):
         LiveSocket("127.0.0.1", 8765, channels)
 

@@ -51,9 +51,8 @@ def tamper(log, target, frame_type, tick, byte, mask=0x01):
             return data
         content = bytearray(message.data)
         content[byte] ^= mask
-        message.data = bytes(content)
         changed.append(tick)
-        return message.SerializeToString()
+        return data.replace(message.data, bytes(content))
 
     rewrite_log(log, target, edit)
     assert changed == [tick]

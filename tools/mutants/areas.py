@@ -200,7 +200,7 @@ AREAS = {
         ),
     ),
     "salvage": Area(
-        ("hil/record/salvage.py", "hil/record/surviving.py"),
+        ("hil/record/salvage.py",),
         ("tests/hil/test_salvage*.py", "tests/hil/test_log*.py"),
     ),
     "log": Area(

@@ -251,7 +251,7 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
 
 def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    send, answer, answered = child.write_all, child.answer, []
+    send, answer, answered = child.send, child.answer, []
 
     def send_to_a_busy_one(recorder, data):
         os.kill(recorder.pid, signal.SIGSTOP)
@@ -264,7 +264,7 @@ def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process
         os.kill(recorder.pid, signal.SIGCONT)
         return answer(recorder, timeout_s)
 
-    monkeypatch.setattr("hil.record.recording.write_all", send_to_a_busy_one)
+    monkeypatch.setattr("hil.record.recording.send", send_to_a_busy_one)
     monkeypatch.setattr("hil.record.recording.answer", interrupted_answer)
     code, said = process("sim", "ideal", "--duration", "0.1", "--log", path)
     assert len(answered) == 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +30,6 @@ from tests.broad import broad
 from tests.hil.samples import random_ticks, record
 
 RATE_Hz = 1000.0
-OLD = Path(__file__).parents[2] / "data/log_0.1.0.mcap"
 HOSTILE = "</script><script>alert(1)</script>"
 
 
@@ -516,11 +514,6 @@ def test_what_is_no_log_is_refused_in_one_message(tmp_path, content):
     assert result.exit_code == 2
     assert result.output.startswith(f"hil: {path}: ")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_log_of_other_columns_is_refused_with_the_version_that_can_read_it(tmp_path):
-    with pytest.raises(LogError, match=r"columns differ.*version.*`hil plot`"):
-        report(OLD, out=tmp_path / "x.html")
 
 
 def test_hil_sim_ends_by_naming_the_report(tmp_path):

@@ -21,7 +21,6 @@ from hil.record.row import TICKS
 from tests.hil.samples import random_ticks, record
 
 ROOT = Path(__file__).parents[3]
-OLD = ROOT / "tests" / "data" / "log_0.1.0.mcap"
 NUMBERS = {"double", "float", "int64", "sfixed64", "fixed32", "uint32", "bool"}
 
 
@@ -33,9 +32,9 @@ def path(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module", params=["new", "0.1.0"])
-def log(request, path):
-    return Log(path if request.param == "new" else OLD)
+@pytest.fixture(scope="module")
+def log(path):
+    return Log(path)
 
 
 def messages(path):

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from hil.record import Recording
 from hil.record.log import Log
 from tests.hil.samples import random_ticks, record
 
-OLD = Path(__file__).parents[2] / "data" / "log_0.1.0.mcap"
 EXTRA = "optional extra `viewers`: pip install 'hexapod-hil[viewers]'"
 
 
@@ -179,13 +177,11 @@ def test_a_log_without_a_platform_is_written_without_a_robot(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("what", ["0.1.0", "empty", "cut"])
-def test_an_old_an_empty_and_a_cut_log_are_written_without_a_complaint(tmp_path, path, what):
+@pytest.mark.parametrize("what", ["empty", "cut"])
+def test_an_empty_and_a_cut_log_are_written_without_a_complaint(tmp_path, path, what):
     pytest.importorskip("rerun", reason=EXTRA)
     log = tmp_path / "a.mcap"
-    if what == "0.1.0":
-        log.write_bytes(OLD.read_bytes())
-    elif what == "cut":
+    if what == "cut":
         log.write_bytes(path.read_bytes()[:2_000_000])
     else:
         with Recording.start(log, configuration="", lockstep=True):

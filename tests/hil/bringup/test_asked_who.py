@@ -273,9 +273,7 @@ def reply(values):
     for register, value in values.items():
         place = bytes((register,)) if register < 128 else bytes((register & 0x7F | 0x80, register >> 7))
         data += bytes((0x20 | 3 << 2 | 1, *place)) + struct.pack("<f", value)
-    return Frame(
-        MOTEUS.wanted[0], pad(data), FD | BRS | EXTENDED * (MOTEUS.wanted[0] > 0x7FF)
-    )
+    return Frame(MOTEUS.wanted[0], pad(data), FD | BRS | EXTENDED * (MOTEUS.wanted[0] > 0x7FF))
 
 
 WELL = {MODE: 10.0, PLACE: 0.5, SPEED: 0.0, TORQUE: 1.0, FAULT: 0.0}

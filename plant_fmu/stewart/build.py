@@ -19,28 +19,18 @@ from drivers.errors import PlantError
 from drivers.own_folder import made_folder
 from drivers.whole_file import whole_file
 from plant_fmu.stewart.description import (
+    COMPILER_OPTIONS,
     MODEL_IDENTIFIER,
     FmiVersion,
     build_description,
-    model_description_2,
-    model_description_3,
+    model_description,
     terminals,
 )
 from plant_fmu.stewart.variables import header, tables
 
 SOURCES = Path(__file__).parent / "sources"
 _COMMON = ("mechanics.c", "contact.c", "plant.c", "plant.h", "face.h")
-FLAGS = (
-    "-O2",
-    "-funroll-loops",
-    "-ffp-contract=off",
-    "-fno-math-errno",
-    "-std=c99",
-    "-fvisibility=hidden",
-    "-shared",
-)
-"""No contraction: every machine of one family computes the same bits. No errno: a square root is one
-instruction then; nothing reads it."""
+FLAGS = (*COMPILER_OPTIONS.split(), "-fvisibility=hidden", "-shared")
 LONGEST_S = 600.0
 """Of a compilation."""
 _PLAIN_2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
@@ -52,17 +42,16 @@ class Target(NamedTuple):
 
     zig: str
     """Target triple for zig; without one zig compiles for the CPU at hand."""
-    folder_2: str
-    folder_3: str
+    folder: str
     suffix: str
 
 
 TARGETS: dict[str, Target] = {
-    "linux-x86_64": Target("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux", ".so"),
-    "linux-aarch64": Target("aarch64-linux-gnu.2.17", "aarch64-linux", "aarch64-linux", ".so"),
-    "windows-x86_64": Target("x86_64-windows-gnu", "win64", "x86_64-windows", ".dll"),
-    "darwin-x86_64": Target("x86_64-macos", "darwin64", "x86_64-darwin", ".dylib"),
-    "darwin-aarch64": Target("aarch64-macos", "aarch64-darwin", "aarch64-darwin", ".dylib"),
+    "linux-x86_64": Target("x86_64-linux-gnu.2.17", "x86_64-linux", ".so"),
+    "linux-aarch64": Target("aarch64-linux-gnu.2.17", "aarch64-linux", ".so"),
+    "windows-x86_64": Target("x86_64-windows-gnu", "x86_64-windows", ".dll"),
+    "darwin-x86_64": Target("x86_64-macos", "x86_64-darwin", ".dylib"),
+    "darwin-aarch64": Target("aarch64-macos", "aarch64-darwin", ".dylib"),
 }
 
 
@@ -139,9 +128,9 @@ def _digest(parts: dict[str, bytes]) -> str:
 
 def token(version: FmiVersion) -> str:
     """Return the instantiation token: it changes with any source or description, and with nothing else."""
-    units = [name for name in _source_files(version) if name.endswith(".c")]
-    xml = model_description_3("") if version == "3.0" else model_description_2("", units)
-    digest = _digest({**_source_files(version), "modelDescription.xml": xml})
+    files = _source_files(version)
+    xml = model_description(version, "", [name for name in files if name.endswith(".c")])
+    digest = _digest({**files, "modelDescription.xml": xml})
     return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest)}}}"
 
 
@@ -176,20 +165,17 @@ def _pack(
     path: Path, version: FmiVersion, binaries: dict[str, bytes], sources: dict[str, bytes], guid: str
 ) -> None:
     units = sorted(name for name in sources if name.endswith(".c"))
-    members: dict[str, bytes] = {}
+    members = {"modelDescription.xml": model_description(version, guid, units)}
     if version == "3.0":
-        members["modelDescription.xml"] = model_description_3(guid)
         members["sources/buildDescription.xml"] = build_description(units)
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals()
-    else:
-        members["modelDescription.xml"] = model_description_2(guid, units)
     members |= {f"sources/{name}": data for name, data in sorted(sources.items())}
     for key, data in binaries.items():
         target = TARGETS[key]
-        folder = target.folder_2 if version == "2.0" else target.folder_3
-        if version == "2.0" and len(binaries) == 1:
-            # FMI 2.0 knows no processors but x86; importers on others look in the x86 folder all the same.
-            folder = _PLAIN_2[key.split("-")[0]]
+        system, processor = key.split("-")
+        # FMI 2.0 knows no processors but x86; importers on others look in the x86 folder all the same.
+        plain = version == "2.0" and (processor == "x86_64" or len(binaries) == 1)
+        folder = _PLAIN_2[system] if plain else target.folder
         members[f"binaries/{folder}/{MODEL_IDENTIFIER}{target.suffix}"] = data
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():

@@ -12,15 +12,15 @@ from plant_fmu.stewart.variables import (
     UNITS,
     VARIABLES,
     Causality,
-    Variable,
     element_name,
-    offsets,
-    parameters_behind,
     type_of,
 )
 
 FmiVersion = Literal["2.0", "3.0"]
 MODEL_IDENTIFIER = "stewart"
+COMPILER_OPTIONS = "-O2 -funroll-loops -ffp-contract=off -fno-math-errno -std=c99"
+"""No contraction: every machine of one family computes the same bits. No errno: a square root is one
+instruction then; nothing reads it."""
 DESCRIPTION = (
     "Stewart-Gough platform with rigid-body legs, drives with force lag, brakes, friction and end stops. "
     "Forces in, leg lengths and rates out, SI units."
@@ -32,52 +32,36 @@ def _text(root: ET.Element) -> bytes:
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(repr(float(x)) for x in values)
+def _typed(
+    parent: ET.Element,
+    version: FmiVersion,
+    tags: tuple[str, str, str],
+    about: dict[str, str],
+    numbers: dict[str, str],
+) -> ET.Element:
+    """Add what has a type. Tags: of FMI 2.0, where the type is an element of its own within; of FMI 3.0."""
+    outer, inner, whole = tags
+    if version == "2.0":
+        return ET.SubElement(ET.SubElement(parent, outer, about), inner, numbers)
+    return ET.SubElement(parent, whole, {**about, **numbers})
 
 
-def _root(version: FmiVersion, token: str) -> ET.Element:
-    return ET.Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": version,
-            "modelName": "Stewart platform",
-            ("guid" if version == "2.0" else "instantiationToken"): token,
-            "description": DESCRIPTION,
-            "version": "1",
-            "license": "Apache-2.0",
-            "generationTool": "hexapod-hil",
-            "variableNamingConvention": "structured",
-        },
-    )
-
-
-def _units(root: ET.Element) -> None:
+def _types(root: ET.Element, version: FmiVersion) -> None:
     units = ET.SubElement(root, "UnitDefinitions")
     for name, exponents in UNITS.items():
         unit = ET.SubElement(units, "Unit", name=name)
         ET.SubElement(unit, "BaseUnit", {base: str(n) for base, n in exponents.items()})
-
-
-def _types(root: ET.Element, version: FmiVersion) -> None:
     types = ET.SubElement(root, "TypeDefinitions")
     for name, kind in TYPES.items():
-        if name == "Mixed":
-            continue
         about = {"name": name, "description": kind.description}
-        bounds = {"unit": kind.unit, "min": kind.min, "max": kind.max}
-        of = {"quantity": kind.quantity, **{k: str(v) for k, v in bounds.items() if v is not None}}
-        if version == "2.0":
-            ET.SubElement(ET.SubElement(types, "SimpleType", about), "Real", of)
-        else:
-            ET.SubElement(types, "Float64Type", {**about, **of})
-    about = {"name": "LegSpin", "description": "What turns a leg about its own axis"}
-    if version == "2.0":
-        items = ET.SubElement(ET.SubElement(types, "SimpleType", about), "Enumeration")
-    else:
-        items = ET.SubElement(types, "EnumerationType", about)
-    for value, item in enumerate(LEG_SPIN, start=1):
-        ET.SubElement(items, "Item", name=item, value=str(value))
+        if name == "LegSpin":
+            items = _typed(types, version, ("SimpleType", "Enumeration", "EnumerationType"), about, {})
+            for value, item in enumerate(LEG_SPIN, start=1):
+                ET.SubElement(items, "Item", name=item, value=str(value))
+        elif name != "Mixed":
+            bounds = {"unit": kind.unit, "min": kind.min, "max": kind.max}
+            of = {"quantity": kind.quantity, **{k: str(v) for k, v in bounds.items() if v is not None}}
+            _typed(types, version, ("SimpleType", "Real", "Float64Type"), about, of)
 
 
 _VARIABILITY: dict[Causality, dict[str, str]] = {
@@ -88,105 +72,89 @@ _VARIABILITY: dict[Causality, dict[str, str]] = {
 }
 
 
-def _about(v: Variable) -> dict[str, str]:
-    return {"description": v.description, "causality": v.causality, **_VARIABILITY[v.causality]}
-
-
 def _value(kind: str, start: Sequence[float] | None) -> dict[str, str]:
     """Return type, unit and start value of a variable or an element."""
     value = {} if kind == "Mixed" else {"declaredType": kind}
-    if kind in TYPES and (unit := TYPES[kind].unit):
+    if unit := TYPES[kind].unit:
         value["unit"] = unit
     if start is not None:
-        value["start"] = str(int(start[0])) if kind == "LegSpin" else _numbers(start)
+        value["start"] = " ".join(str(int(x)) if kind == "LegSpin" else repr(float(x)) for x in start)
     return value
 
 
-def _dependencies(depends: Sequence[str]) -> dict[str, str]:
-    return {"dependencies": " ".join(depends), "dependenciesKind": " ".join(["dependent"] * len(depends))}
+def model_description(version: FmiVersion, token: str, sources: Sequence[str]) -> bytes:
+    """Return modelDescription.xml.
 
-
-def _head(root: ET.Element, version: FmiVersion, sources: Sequence[str]) -> None:
-    state = "State" if version == "3.0" else "state"
-    step = {"fixedInternalStepSize": repr(INTERNAL_STEP)} if version == "3.0" else {}
-    simulation = ET.SubElement(
-        root,
-        "CoSimulation",
-        {
-            "modelIdentifier": MODEL_IDENTIFIER,
-            "canHandleVariableCommunicationStepSize": "true",
-            f"canGetAndSetFMU{state}": "true",
-            f"canSerializeFMU{state}": "true",
-            **step,
-        },
-    )
-    if version == "2.0":
-        files = ET.SubElement(simulation, "SourceFiles")
+    FMI 3.0 has array variables, value reference = row of the table; FMI 2.0 one scalar ``name[i,j]`` per
+    element, reference = its place, and lists the sources.
+    """
+    two = version == "2.0"
+    about = {
+        "fmiVersion": version,
+        "modelName": "Stewart platform",
+        ("guid" if two else "instantiationToken"): token,
+        "description": DESCRIPTION,
+        "version": "1",
+        "license": "Apache-2.0",
+        "generationTool": "hexapod-hil",
+        "variableNamingConvention": "structured",
+    }
+    root = ET.Element("fmiModelDescription", about)
+    state = "state" if two else "State"
+    about = {
+        "modelIdentifier": MODEL_IDENTIFIER,
+        "canHandleVariableCommunicationStepSize": "true",
+        f"canGetAndSetFMU{state}": "true",
+        f"canSerializeFMU{state}": "true",
+    }
+    if two:
+        files = ET.SubElement(ET.SubElement(root, "CoSimulation", about), "SourceFiles")
         for name in sources:
             ET.SubElement(files, "File", name=name)
-    _units(root)
+    else:
+        ET.SubElement(root, "CoSimulation", {**about, "fixedInternalStepSize": repr(INTERNAL_STEP)})
     _types(root, version)
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="Why a call was refused")
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(STEP_SIZE))
+    _variables(root, version)
+    return _text(root)
 
 
-def model_description_3(token: str) -> bytes:
-    """Return modelDescription.xml of FMI 3.0: array variables, value reference = row of the table."""
-    root = _root("3.0", token)
-    _head(root, "3.0", ())
-    reference = {v.name: str(i) for i, v in enumerate(VARIABLES)}
+def _variables(root: ET.Element, version: FmiVersion) -> None:
+    two = version == "2.0"
     variables = ET.SubElement(root, "ModelVariables")
+    keys: dict[str, list[str]] = {}
     for v in VARIABLES:
-        tag = "Enumeration" if v.type == "LegSpin" else "Float64"
-        about = {"name": v.name, "valueReference": reference[v.name], **_about(v)}
-        element = ET.SubElement(variables, tag, {**about, **_value(v.type, v.start)})
-        for n in v.shape:
-            ET.SubElement(element, "Dimension", start=str(n))
+        parts = [(v.name, v.type, v.start)]
+        if two:
+            each = [None if v.start is None else v.start[k : k + 1] for k in range(v.size)]
+            parts = [(element_name(v, k), type_of(v, k), start) for k, start in enumerate(each)]
+        tag = "Enumeration" if v.type == "LegSpin" else "Real" if two else "Float64"
+        first = sum(map(len, keys.values()))
+        # The index of FMI 2.0, by which its structure knows a variable, counts from 1.
+        keys[v.name] = [str(first + two + k) for k in range(len(parts))]
+        for k, (name, kind, start) in enumerate(parts):
+            about = {"name": name, "valueReference": str(first + k), "description": v.description}
+            about |= {"causality": v.causality, **_VARIABILITY[v.causality]}
+            element = _typed(variables, version, ("ScalarVariable", tag, tag), about, _value(kind, start))
+            for n in () if two else v.shape:
+                ET.SubElement(element, "Dimension", start=str(n))
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [v for v in VARIABLES if v.causality == "output"]
-    for v in outputs:
-        behind = _dependencies([reference[name] for name in v.depends])
-        ET.SubElement(structure, "Output", {"valueReference": reference[v.name], **behind})
-    for v in outputs:
-        behind = _dependencies([reference[name] for name in (*parameters_behind(v.name), *v.depends)])
-        ET.SubElement(structure, "InitialUnknown", {"valueReference": reference[v.name], **behind})
-    return _text(root)
-
-
-def model_description_2(token: str, sources: Sequence[str]) -> bytes:
-    """Return modelDescription.xml of FMI 2.0: one scalar ``name[i,j]`` per element, reference = its place."""
-    root = _root("2.0", token)
-    _head(root, "2.0", sources)
-    place = offsets()
-    variables = ET.SubElement(root, "ModelVariables")
-    for v in VARIABLES:
-        for k in range(v.size):
-            about = {"name": element_name(v, k), "valueReference": str(place[v.name] + k), **_about(v)}
-            scalar = ET.SubElement(variables, "ScalarVariable", about)
-            tag = "Enumeration" if v.type == "LegSpin" else "Real"
-            start = None if v.start is None else v.start[k : k + 1]
-            ET.SubElement(scalar, tag, _value(type_of(v, k), start))
-    by_name = {v.name: v for v in VARIABLES}
-
-    def indices(names: Sequence[str]) -> list[str]:
-        return [str(place[name] + k + 1) for name in names for k in range(by_name[name].size)]
-
-    structure = ET.SubElement(root, "ModelStructure")
-    for tag in ("Outputs", "InitialUnknowns"):
-        unknowns = ET.SubElement(structure, tag)
-        for v in VARIABLES:
-            if v.causality != "output":
-                continue
-            names = v.depends if tag == "Outputs" else (*parameters_behind(v.name), *v.depends)
-            for k in range(v.size):
-                # The force lag is per leg: its output depends on its own command only.
-                depends = indices(names)
-                if v.name == "applied_force":
-                    depends = [indices([n])[k if by_name[n].size > 1 else 0] for n in names]
-                index = str(place[v.name] + k + 1)
-                ET.SubElement(unknowns, "Unknown", {"index": index, **_dependencies(depends)})
-    return _text(root)
+    parameters = tuple(v.name for v in VARIABLES if v.causality == "parameter")
+    for tag in ("Output", "InitialUnknown"):
+        unknowns = ET.SubElement(structure, f"{tag}s") if two else structure
+        for v in outputs:
+            names = v.depends if tag == "Output" else (*(v.behind or parameters), *v.depends)
+            for k, key in enumerate(keys[v.name]):
+                depends = [each for name in names for each in keys[name]]
+                if v.name == "applied_force":  # the force lag is per leg
+                    depends = [keys[name][k % len(keys[name])] for name in names]
+                about = {"dependencies": " ".join(depends)}
+                about["dependenciesKind"] = " ".join(["dependent"] * len(depends))
+                about = {("index" if two else "valueReference"): key, **about}
+                ET.SubElement(unknowns, "Unknown" if two else tag, about)
 
 
 def build_description(sources: Sequence[str]) -> bytes:
@@ -197,7 +165,7 @@ def build_description(sources: Sequence[str]) -> bytes:
         configuration,
         "SourceFileSet",
         language="C99",
-        compilerOptions="-O2 -funroll-loops -ffp-contract=off -fno-math-errno -std=c99",
+        compilerOptions=COMPILER_OPTIONS,
     )
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)

@@ -4,6 +4,7 @@ A new variable is one row here and its use in ``sources/plant.c``.
 """
 
 import math
+from itertools import accumulate
 from typing import Any, Literal, NamedTuple
 
 Causality = Literal["independent", "parameter", "input", "output"]
@@ -59,6 +60,7 @@ TYPES: dict[str, Type] = {
     "Direction": Type("Direction", None, "Component of a direction"),
     "RotationElement": Type("RotationElement", None, "Element of a rotation matrix"),
     "Mixed": Type("Mixed", None, "Array of three linear and three angular components, SI units"),
+    "LegSpin": Type("LegSpin", None, "What turns a leg about its own axis", min=1.0, max=2.0),
 }
 
 LEG_SPIN = ("none", "universal")
@@ -77,6 +79,8 @@ class Variable(NamedTuple):
     """Type of each element where `type` is Mixed."""
     depends: tuple[str, ...] = ()
     """Inputs that an output depends on directly."""
+    behind: tuple[str, ...] = ()
+    """Parameters that an output's initial value depends on; all where none is listed."""
     causality: Causality = "output"
 
     @property
@@ -86,22 +90,19 @@ class Variable(NamedTuple):
 
 
 def _ring(radius: float, degrees: tuple[float, ...]) -> tuple[float, ...]:
-    joints: list[float] = []
-    for angle in degrees:
-        joints += [radius * math.cos(math.radians(angle)), radius * math.sin(math.radians(angle)), 0.0]
-    return tuple(joints)
+    angles = [math.radians(angle) for angle in degrees]
+    return tuple(x for a in angles for x in (radius * math.cos(a), radius * math.sin(a), 0.0))
 
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 ZEROS6 = (0.0,) * 6
 
-_Rows = tuple[tuple[Any, ...], ...]
-"""Arguments of Variable."""
 _MOTION = ("Velocity",) * 3 + ("AngularVelocity",) * 3
+_LENGTHS = ("base_joints", "platform_joints", "initial_position", "initial_rotation")
 
 # Start values: the platform of H. D. Taghirad, Parallel Robots (2013), chapter 5, at its home pose.
 # fmt: off
-_PARAMETERS: _Rows = (
+_ROWS: dict[Causality, tuple[tuple[Any, ...], ...]] = {"parameter": (
     ("base_joints", "Length", (6, 3), _ring(2.0, (0, 60, 120, 180, 240, 300)),
      "Joint centres a_i in the base frame"),
     ("platform_joints", "Length", (6, 3), _ring(1.0, (30, 30, 150, 150, 270, 270)),
@@ -138,34 +139,32 @@ _PARAMETERS: _Rows = (
     ("initial_twist", "Mixed", (6,), ZEROS6,
      "Velocity of the platform origin and angular velocity at the start, base frame, m/s and rad/s", _MOTION),
     ("internal_step", "Time", (), (1e-4,), "Fixed step of the integrator (Runge-Kutta 4)"),
-)
-_INPUTS: _Rows = (
+), "input": (
     ("force", "Force", (6,), ZEROS6, "Commanded leg forces, > 0 extends"),
     ("brake", "Engagement", (6,), (1.0,) * 6, "Brakes, engaged unless released"),
     ("wrench", "Mixed", (6,), ZEROS6,
      "Force and moment on the platform at its origin, base frame, N and N m",
      ("Force",) * 3 + ("Torque",) * 3),
-)
-_OUTPUTS: _Rows = (
-    ("length", "Length", (6,), None, "Leg lengths, joint centre to joint centre"),
-    ("rate", "Velocity", (6,), None, "Leg rates"),
+), "output": (
+    ("length", "Length", (6,), None, "Leg lengths, joint centre to joint centre", (), (), _LENGTHS),
+    ("rate", "Velocity", (6,), None, "Leg rates", (), (), (*_LENGTHS, "initial_twist")),
     ("applied_force", "Force", (6,), None, "Leg forces behind the force lag, without friction",
-     (), ("force",)),
-    ("position", "Length", (3,), None, "Platform origin in the base frame"),
-    ("rotation", "RotationElement", (3, 3), None, "Platform to base"),
+     (), ("force",), ("force_bandwidth",)),
+    ("position", "Length", (3,), None, "Platform origin in the base frame", (), (), ("initial_position",)),
+    ("rotation", "RotationElement", (3, 3), None, "Platform to base", (), (), ("initial_rotation",)),
     ("twist", "Mixed", (6,), None,
-     "Velocity of the platform origin and angular velocity, base frame, m/s and rad/s", _MOTION),
+     "Velocity of the platform origin and angular velocity, base frame, m/s and rad/s",
+     _MOTION, (), ("initial_twist",)),
     ("acceleration", "Mixed", (6,), None, "Time derivative of twist, m/s2 and rad/s2",
      ("Acceleration",) * 3 + ("AngularAcceleration",) * 3, ("force", "brake", "wrench")),
     ("kinetic_energy", "Energy", (), None, "Kinetic energy of platform, legs and reflected masses"),
     ("potential_energy", "Energy", (), None, "Potential energy, zero level through the base origin"),
-)
+)}
 # fmt: on
+"""Arguments of Variable."""
 VARIABLES: tuple[Variable, ...] = (
     Variable("time", "Time", (), None, "Simulation time", causality="independent"),
-    *(Variable(*row)._replace(causality="parameter") for row in _PARAMETERS),
-    *(Variable(*row)._replace(causality="input") for row in _INPUTS),
-    *(Variable(*row)._replace(causality="output") for row in _OUTPUTS),
+    *(Variable(*row)._replace(causality=causality) for causality, rows in _ROWS.items() for row in rows),
 )
 INTERNAL_STEP = 1e-4
 STEP_SIZE = 1e-3
@@ -177,49 +176,12 @@ def type_of(variable: Variable, element: int) -> str:
     return variable.types[element] if variable.types else variable.type
 
 
-def limits(variable: Variable) -> tuple[float | None, float | None]:
-    """Smallest and largest value allowed, None where there is no bound."""
-    if variable.type == "LegSpin":
-        return 1.0, float(len(LEG_SPIN))
-    kind = TYPES[variable.type]
-    return kind.min, kind.max
-
-
 def element_name(variable: Variable, element: int) -> str:
     """Name of one element in FMI 2: ``name[i]`` or ``name[i,j]``, counted from 1."""
     if not variable.shape:
         return variable.name
-    if len(variable.shape) == 1:
-        return f"{variable.name}[{element + 1}]"
-    i, j = divmod(element, variable.shape[1])
-    return f"{variable.name}[{i + 1},{j + 1}]"
-
-
-_JOINTS = ("base_joints", "platform_joints")
-_POSE = ("initial_position", "initial_rotation")
-_BEHIND: dict[str, tuple[str, ...]] = {
-    "position": ("initial_position",),
-    "rotation": ("initial_rotation",),
-    "twist": ("initial_twist",),
-    "applied_force": ("force_bandwidth",),
-    "length": (*_JOINTS, *_POSE),
-    "rate": (*_JOINTS, *_POSE, "initial_twist"),
-}
-
-
-def parameters_behind(output: str) -> tuple[str, ...]:
-    """Parameters that an output's initial value depends on: those of `_BEHIND`, else all."""
-    return _BEHIND.get(output) or tuple(v.name for v in VARIABLES if v.causality == "parameter")
-
-
-def offsets() -> dict[str, int]:
-    """Index of each variable's first element in the flat list of all values."""
-    table: dict[str, int] = {}
-    n = 0
-    for variable in VARIABLES:
-        table[variable.name] = n
-        n += variable.size
-    return table
+    index = divmod(element, variable.shape[1]) if len(variable.shape) == 2 else (element,)
+    return f"{variable.name}[{','.join(str(i + 1) for i in index)}]"
 
 
 def header() -> str:
@@ -257,11 +219,11 @@ extern const char TOKEN[];
 def tables(token: str) -> str:
     """Return model.c with the given instantiation token."""
     rows = []
-    for v, place in zip(VARIABLES, offsets().values(), strict=True):
-        low, high = limits(v)
+    for v, end in zip(VARIABLES, accumulate(v.size for v in VARIABLES), strict=True):
+        low, high = TYPES[v.type].min, TYPES[v.type].max
         kind = "ENUMERATION" if v.type == "LegSpin" else "FLOAT64"
         rows.append(
-            f"    {{{place}, {v.size}, {v.causality.upper()}, {kind}, "
+            f"    {{{end - v.size}, {v.size}, {v.causality.upper()}, {kind}, "
             f"{-1e308 if low is None else low!r}, {1e308 if high is None else high!r}}},"
         )
     elements = [(row, v, k) for row, v in enumerate(VARIABLES) for k in range(v.size)]

@@ -216,7 +216,7 @@ def test_whatever_the_binary_depends_on_has_a_place_of_its_own_in_the_cache(monk
     for name, other in (
         ("FLAGS", (*builder.FLAGS, "-O0")),
         ("find_compiler", lambda **_: compiler._replace(identity="another compiler")),
-        ("TARGETS", {key: each._replace(folder_3="other") for key, each in builder.TARGETS.items()}),
+        ("TARGETS", {key: each._replace(folder="other") for key, each in builder.TARGETS.items()}),
     ):
         with monkeypatch.context() as changed:
             changed.setattr(builder, name, other)

@@ -16,6 +16,7 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.stewart import build as builder
 from plant_fmu.stewart.build import Compiler
+from plant_fmu.stewart.description import model_description
 
 ZIG = (sys.executable, "-m", "ziglang")
 MACHINES = {
@@ -218,18 +219,15 @@ def test_machines_that_a_binary_can_be_made_for_are_told_by_system_and_processor
 def test_the_token_follows_the_description_of_its_own_version_alone(monkeypatch, version, other):
     before = {each: builder.token(each) for each in (version, other)}
     asked: list[Any] = []
-    described = f"model_description_{version[0]}"
 
-    def describe(*given: Any) -> bytes:
-        asked.append(given)
-        return b"another"
+    def described(of: Any, token: str, sources: Sequence[str]) -> bytes:
+        asked.append((token, sorted(sources)))
+        return b"another" if of == version else model_description(of, token, sources)
 
-    monkeypatch.setattr(builder, described, describe)
+    monkeypatch.setattr(builder, "model_description", described)
     assert builder.token(version) != before[version]
-    units = [*(f"{name}.c" for name in ("contact", "mechanics", "plant")), "fmi2.c", "model.c"]
-    assert [(given[0], *map(sorted, given[1:])) for given in asked] == [
-        ("", sorted(units)) if version == "2.0" else ("",)
-    ]
+    units = ["contact.c", f"fmi{version[0]}.c", "mechanics.c", "model.c", "plant.c"]
+    assert asked == [("", units)]
     assert builder.token(other) == before[other]
 
 

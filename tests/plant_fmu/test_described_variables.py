@@ -8,16 +8,13 @@ import pytest
 
 from plant_fmu.stewart.description import (
     build_description,
-    model_description_2,
-    model_description_3,
+    model_description,
     terminals,
 )
 from plant_fmu.stewart.variables import TYPES
 from tests.plant_fmu.test_variables import MIXED, TABLE, count
 
-TWO, THREE = (
-    ET.fromstring(text) for text in (model_description_2("{t}", ("a.c", "b.c")), model_description_3("{t}"))
-)
+TWO, THREE = (ET.fromstring(model_description(version, "{t}", ("a.c", "b.c"))) for version in ("2.0", "3.0"))
 BOTH = pytest.mark.parametrize("root", [TWO, THREE], ids=["2.0", "3.0"])
 VARIABILITY = {
     "independent": ("continuous", None),
@@ -103,7 +100,7 @@ def test_fmi_3_has_each_array_whole_with_its_shape_its_first_values_type_and_uni
 def test_types_are_described_with_their_quantity_unit_and_range_and_the_items_count_from_1(root):
     defined = root.find("TypeDefinitions")
     names = [each.get("name") for each in defined]
-    assert names == [*(name for name in TYPES if name != "Mixed"), "LegSpin"]
+    assert names == [name for name in TYPES if name != "Mixed"]
     for each in defined:
         numbers = each[0] if root is TWO else each
         if each.get("name") == "LegSpin":
@@ -152,8 +149,8 @@ def test_the_build_description_names_the_sources_in_their_order_and_how_they_are
 @pytest.mark.parametrize(
     "text",
     [
-        model_description_2("{t}", ("a.c",)),
-        model_description_3("{t}"),
+        model_description("2.0", "{t}", ("a.c",)),
+        model_description("3.0", "{t}", ("a.c",)),
         build_description(["a.c"]),
         terminals(),
     ],

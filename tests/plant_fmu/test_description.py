@@ -96,5 +96,5 @@ def test_a_terminal_holds_what_belongs_to_its_leg_and_one_more_the_platform():
 def test_the_types_that_are_defined_are_those_of_single_elements(version):
     description = fmpy.read_model_description(str(build(version)))
     defined = [each.name for each in description.typeDefinitions]
-    assert set(defined) == set(TYPES) - {"Mixed"} | {"LegSpin"}
+    assert set(defined) == set(TYPES) - {"Mixed"}
     assert len(defined) == len(set(defined))

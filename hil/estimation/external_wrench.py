@@ -94,6 +94,8 @@ class ExternalWrench:
             self._record["sensed"], self._record["rate_Hz"] = 1, sensor_rate_Hz
         self.look = Callee(_fill.address, data_at(self._record), self)
         """(wrench, fusing, tick): what `fill` calls."""
+        self.last: Array = self._record["last"]
+        """(6,): of the last tick; a view of what the next one changes."""
         self.reset()
 
     def reset(self) -> None:
@@ -102,12 +104,6 @@ class ExternalWrench:
             self._record[name] = 0
         if self.observer is not None:
             self.observer.reset()
-
-    @property
-    def last(self) -> Array:
-        """(6,): of the last tick; a view of what the next one changes."""
-        last: Array = self._record["last"]
-        return last
 
     def forget(self) -> None:
         """Forget the reading: a sensor that is there gives another before the brakes open."""

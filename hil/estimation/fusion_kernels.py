@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, helper, kernel, record
 from drivers.compiled.pointed import reals_at, records_at
 from hil.estimation.fusion_layout import FUSION, GYRO_BIAS, KEPT, LEG_FORCE, STEP, TWIST, UNDECIDED
 from hil.estimation.fusion_predict import acceleration, exp_step, predict, rotation_of
-from hil.mathematics.linear_algebra import condition_from_lu, lu_factor
+from hil.mathematics.linear_algebra import condition_kernel
 from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
 from hil.robot.kinematics_kernels import leg, lengths_and_jacobian
@@ -28,6 +29,7 @@ NOTHING = 1e-8
 FADES = 6
 """Process noise is raised by 100 up to so often, before the measurements are taken as they are."""
 steps_at = records_at(record(STEP))
+_condition = apart(condition_kernel)
 
 
 @helper
@@ -310,8 +312,7 @@ def fill_estimate(f: Any, s: Any, P: Array, tick: Any) -> None:
 
     s, P (n, n): the newest step and its covariance. Units, shapes and frames of the columns:
     `drivers.tick_columns`. fk_residual is the largest |measured - q| of the used legs, nan where the state is
-    not finite; pose_std the root of P's first six variances; condition as in hil.mathematics.linear_algebra
-    with the platform's radius, inf where J is singular.
+    not finite; pose_std the root of P's first six variances; condition that of `condition_kernel`.
     """
     x, q, J = s.x, tick.q, tick.J
     tick.p[:] = x[0:3]
@@ -330,9 +331,4 @@ def fill_estimate(f: Any, s: Any, P: Array, tick: Any) -> None:
             residual = error
         tick.innovation_q[i] = s.innovation[i]
         tick.pose_std[i] = np.sqrt(np.maximum(P[i, i], 0.0))
-    work = np.empty((25, 6))
-    LU = work[0:6]
-    order = np.empty(6, np.int64)
-    tick.fk_residual, tick.condition = residual, np.inf
-    if lu_factor(J, LU, order):
-        tick.condition = condition_from_lu(J, f.radius, LU, order, work[6:25])
+    tick.fk_residual, tick.condition = residual, _condition(J, f.radius)

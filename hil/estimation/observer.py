@@ -135,6 +135,8 @@ class WrenchObserver:
         self.record = context_of(OBSERVER, path=path.record, left=left, **model_at)
         self.look = Callee(observe.address, data_at(self.record), self)
         """(observer, seen, tick): `observe`."""
+        self.residual: Array = self.record["residual"]
+        """(6,) N, N m: r, the estimate; a view of what the next tick changes."""
         self.reset()
 
     def reset(self) -> None:
@@ -142,9 +144,3 @@ class WrenchObserver:
         self.path.reset()
         for name in ("residual", "begun", "follows"):
             self.record[name] = 0
-
-    @property
-    def residual(self) -> Array:
-        """(6,) N, N m: r, the estimate; a view of what the next tick changes."""
-        r: Array = self.record["residual"]
-        return r

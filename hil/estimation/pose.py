@@ -65,19 +65,11 @@ class Estimator:
         own = self.record = np.zeros((), ESTIMATOR)
         own["base_joints"], own["platform_joints"] = platform.base_joints, platform.platform_joints
         own["radius"], own["tolerance"], own["max_iterations"] = platform.radius, TOLERANCE_M, MAX_ITERATIONS
-        self.reset(p0, R0)
-
-    @property
-    def p(self) -> Array:
+        self.p: Array = own["p"]
         """(3,) m: position of the last pose."""
-        position: Array = self.record["p"]
-        return position
-
-    @property
-    def R(self) -> Array:
+        self.R: Array = own["R"]
         """(3, 3): rotation of the last pose."""
-        rotation: Array = self.record["R"]
-        return rotation
+        self.reset(p0, R0)
 
     def adopt(self, p: Array, R: Array) -> None:
         """Take p (3,) m and R (3, 3) as the last pose."""

@@ -172,7 +172,7 @@ class Cycle:
         if isinstance(law.raised, KeyboardInterrupt):
             law.raised = None
             raise KeyboardInterrupt
-        self._latch(inp, Verdict.of(record["verdict"]))
+        self._latch(inp, Verdict.of(*record["verdict"].tolist()))
         latches = parts.protocol.stop_latches
         stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))
         control.settle()

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
+from drivers.arrays import Array
 from drivers.compiled.pointed import data_at
 from drivers.signals import LEGS, Fault, Stop, Warn
 from drivers.tick_columns import Record
@@ -40,9 +40,8 @@ class Verdict(NamedTuple):
     """A controlled stop is asked for."""
 
     @classmethod
-    def of(cls, bits: Ints) -> Self:
-        """Return the verdict of (3,): faults, warnings, why to stop."""
-        faults, warnings, stop = bits.tolist()
+    def of(cls, faults: int, warnings: int, stop: int) -> Self:
+        """Return the verdict that `hil.safety.kernels.judge` has made."""
         return cls(Warn(warnings), Fault(faults), Stop(stop))
 
 
@@ -94,7 +93,8 @@ class Safety:
         self.limits["window_ticks"] = ticks
         for name, value in encoders._asdict().items():
             self.limits[name] = value
-        self._memory = np.zeros((), MEMORY)
+        self.memory: Record = np.zeros((), MEMORY)
+        """What the rules remember, a record of `hil.safety.kernels.MEMORY`: for reading alone."""
         self._window = np.zeros((ticks + 2 * math.ceil(ticks / BLOCK), LEGS))
         self.reset()
 
@@ -105,10 +105,10 @@ class Safety:
 
     def reset(self) -> None:
         """Back to the state before the first tick: no force, no late tick, no failure."""
-        for array in (self._memory, self._window, self._watch_memory):
+        for array in (self.memory, self._window, self._watch_memory):
             array.fill(0)
         self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
-        self._memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
+        self.memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
     def resume(self, tau: Array) -> None:
         """Let the force (6,) N come back at once: changes are limited as if it had been on all the time.
@@ -122,17 +122,12 @@ class Safety:
         """Return addresses of the records and matrices, and how many rows these have."""
         return {
             "limits": data_at(self.limits),
-            "memory": data_at(self._memory),
+            "memory": data_at(self.memory),
             "window": data_at(self._window),
             "window_rows": len(self._window),
             "watched": data_at(self._watched),
             "watched_rows": len(self._watched),
         }
-
-    @property
-    def memory(self) -> Record:
-        """What the rules remember, a record of `hil.safety.kernels.MEMORY`: for reading alone."""
-        return self._memory
 
     @property
     def watches_pose(self) -> bool:
@@ -148,7 +143,7 @@ class Safety:
 
     def moved_m(self, tick: Record) -> Array:
         """Return how far each leg is from where it had to stand the last time, (6,) m."""
-        moved: Array = np.abs(tick["length"] - self._memory["still"])
+        moved: Array = np.abs(tick["length"] - self.memory["still"])
         return moved
 
     def judge(self, tick: Record) -> Verdict:
@@ -156,5 +151,4 @@ class Safety:
 
         Mutates the state named in the class.
         """
-        faults, warnings, stop = judge_tick(tick, self.limits, self._memory, self._window, self._watched)
-        return Verdict(Warn(warnings), Fault(faults), Stop(stop))
+        return Verdict.of(*judge_tick(tick, self.limits, self.memory, self._window, self._watched))

@@ -101,7 +101,8 @@ def plain(source: str) -> ast.Module:
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
-            node.decorator_list = [d for d in node.decorator_list if getattr(d, "id", "") == "property"]
+            kept = {"property", "classmethod"}
+            node.decorator_list = [d for d in node.decorator_list if getattr(d, "id", "") in kept]
             node.returns = None
             for argument in node.args.args:
                 argument.annotation = None

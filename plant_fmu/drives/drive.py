@@ -1,7 +1,9 @@
 """Six emulated drives: their record, and what faults make of them and their encoders. `Nodes` owns them."""
 
+import ctypes
 from collections import deque
 from collections.abc import Sequence
+from functools import cache
 from math import exp, inf, nan, pi
 from operator import itemgetter
 from typing import Any, NamedTuple, cast
@@ -9,7 +11,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.pointed import data_at
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.config import DriveSettings, HomingSettings
 from drivers.ends import MESSAGE, READING, DrivesEnd, put_messages
 from drivers.frame_array import FRAME, timed_array
@@ -22,12 +25,9 @@ from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, ente
 from plant_fmu.drives.live import due_ns
 from plant_fmu.drives.record import MESSAGES, NODES, ROOM
 from plant_fmu.faults.fault import Present
-from plant_fmu.plant import Moved, Truth
+from plant_fmu.plant import Moved, Plant, Truth
 
 _NO_COUNTER = -1
-_AT: dict[str, int] = {name: NODES.fields[name][1] // 8 for name in NODES.names or ()}  # type: ignore[index]
-NOW, SENT, MESSAGE_AT, SYNCS = (_AT[name] for name in ("now_ns", "sent", "message", "syncs"))
-"""Places of integers in `Drives.words`."""
 
 
 def at_motor(settings: DriveSettings, transmission: Transmission | None) -> DriveSettings:
@@ -66,15 +66,18 @@ class Drives:
         n.lags, n.lag_end = x > 0.0, exp(-x)
         n.lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else exp(-x)
 
-    def connect(self, t0_ns: int, end: DrivesEnd, plant: Moved) -> None:
-        """Let them live from `t0_ns` on, with their end and the plant behind them."""
+    def connect(
+        self, t0_ns: int, end: DrivesEnd, plant: Moved, heartbeat_ns: float, reading_ns: float
+    ) -> None:
+        """Let them live from `t0_ns` on, with their end and the plant behind them.
+
+        Each sends its status, and its reading unasked, so often; 0: never.
+        """
         self._keeps = end, plant
         n = self.record
         self.address = data_at(n)
-        self.words = n.reshape(1).view(np.int64).data
-        """The record as integers, quick to get at."""
         self.out = np.zeros(ROOM, FRAME)
-        """Frames to send: the first `words[SENT]`."""
+        """Frames to send: the first `sent`."""
         self.messages, self.asked = np.zeros(ROOM, MESSAGE), np.zeros((), MESSAGE)
         self.reading, self._senders = np.zeros((), READING), np.zeros(ROOM, np.int64)
         n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
@@ -83,17 +86,6 @@ class Drives:
         n["reading"], n["senders"] = data_at(self.reading), data_at(self._senders)
         n["out"], n["room"] = data_at(self.out), ROOM
         n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
-
-    def drive_by(self, transmission: Transmission) -> None:
-        """Put losses between motors and legs."""
-        n = self.record
-        n["geared"], n["full_loss_m_s"] = True, transmission.full_loss_m_s
-        n["driving"], n["back_driving"] = transmission.driving, transmission.back_driving
-
-    def speak(self, heartbeat_ns: float, reading_ns: float) -> None:
-        """Let each drive send its status, and its reading unasked, so often; 0: never."""
-        n = self.record
-        t0_ns = int(n["t0_ns"])
         n["beat_share"], n["reading_share"] = heartbeat_ns / LEGS, reading_ns / LEGS
         n["beat_ns"] = due_ns(t0_ns, 0, heartbeat_ns / LEGS)
         n["reading_ns"] = due_ns(t0_ns, 1, reading_ns / LEGS)
@@ -101,18 +93,19 @@ class Drives:
     def reserve(self, room: int) -> None:
         """Make room for frames to send."""
         out = np.zeros(room, FRAME)
-        out[: self.words[SENT]] = self.out[: self.words[SENT]]
+        sent = int(self.record["sent"])
+        out[:sent] = self.out[:sent]
         self.out = out
         self.record["out"], self.record["room"] = data_at(out), room
 
     def queue(self, t_ns: int, frames: Sequence[Frame]) -> None:
         """Send frames, at an instant."""
-        before = self.words[SENT]
+        before = int(self.record["sent"])
         after = before + len(frames)
         if after > len(self.out):
             self.reserve(2 * after)
         self.out[before:after] = timed_array([(t_ns, frame) for frame in frames])
-        self.words[SENT] = after
+        self.record["sent"] = after
 
     def hear(self, messages: Sequence[DeviceMessage]) -> None:
         """Take what the present frame says."""
@@ -262,3 +255,46 @@ class Snapshot(NamedTuple):
     """Valid command frames whose counter had been seen: they count for nothing."""
     rejected: int
     """Frames that could not be trusted, or were for another SYNC than the present one."""
+
+
+def moved(plant: Plant) -> Moved:
+    """Return a plant by address: its own functions, or those that call its methods."""
+    compiled = getattr(plant, "moved", None)
+    return _python(plant) if compiled is None else compiled()
+
+
+@cache
+def _reals(address: int, count: int) -> Array:
+    memory: Any = (ctypes.c_double * count).from_address(address)
+    return np.frombuffer(memory, np.float64)
+
+
+def _python(plant: Plant) -> Moved:
+    errors: list[BaseException] = []
+    step_s = plant.internal_step_s
+
+    def move(_context: int, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
+        try:
+            given = [_reals(at, LEGS).copy() for at in (force, brake, wrench)]
+            length, rate = plant.step(given[0], given[1], given[2], steps * step_s)
+            into = _reals(measured, 2 * LEGS)
+            into[:LEGS], into[LEGS:] = length, rate
+        except BaseException as error:  # noqa: BLE001 - it is raised again behind the pass
+            errors.append(error)
+            return FAILED
+        return 0
+
+    def applied(_context: int, force: int) -> int:
+        try:
+            known = plant.applied_force()
+            if known is None:
+                return 0
+            _reals(force, LEGS)[:] = known
+        except BaseException as error:  # noqa: BLE001 - as above
+            errors.append(error)
+            return FAILED
+        return 1
+
+    moves, keeps_move = of_python(move, *[INTEGER] * 6)
+    applies, keeps_applied = of_python(applied, *[INTEGER] * 2)
+    return Moved(moves, applies, 0, lambda *_: errors.pop(), (keeps_move, keeps_applied))

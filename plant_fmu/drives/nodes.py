@@ -31,7 +31,7 @@ from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import record
-from plant_fmu.drives.drive import MESSAGE_AT, NOW, SENT, SYNCS, Drives, Reading, Snapshot, Turns, at_motor
+from plant_fmu.drives.drive import Drives, Reading, Snapshot, Turns, at_motor, moved
 from plant_fmu.drives.kernels import (
     BRAKE,
     DAMP,
@@ -45,7 +45,6 @@ from plant_fmu.drives.kernels import (
     next_move_ns,
 )
 from plant_fmu.drives.live import advance, live
-from plant_fmu.drives.python_plant import moved
 from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
@@ -94,11 +93,12 @@ class Nodes:
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._turns = Turns(self._settings.homing, transmission, length)
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
-        self._drives.connect(t0_ns, self._end, self._moved)
-        self._drives.speak(1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s)
-        if transmission is not None:
-            self._drives.drive_by(transmission)
+        often_ns = 1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s
+        self._drives.connect(t0_ns, self._end, self._moved, *often_ns)
         self._record = n = self._drives.record
+        if transmission is not None:
+            n["geared"], n["full_loss_m_s"] = True, transmission.full_loss_m_s
+            n["driving"], n["back_driving"] = transmission.driving, transmission.back_driving
         n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._heard: Sequence[DeviceMessage] = ()
@@ -129,7 +129,7 @@ class Nodes:
         Frames that faults delay or add may be for an instant to come. What is returned is good until the next
         pass. Raises PlantError if `t_ns` lies before the last one's or the plant fails.
         """
-        if t_ns < self._drives.words[NOW]:
+        if t_ns < self._record["now_ns"]:
             raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self.now_ns} ns")
         if self._present.hangs:
             self._missed.append(received.copy())
@@ -153,7 +153,7 @@ class Nodes:
             self._decide(status)
             again = status != record.UNSORTED
             status = live(self._record, self._frames, int(self._record["until_ns"]), again)
-        return self._drives.out[: self._drives.words[SENT]]
+        return self._drives.out[: self._record["sent"]]
 
     def _decide(self, status: int) -> None:
         """Do what the pass has stopped for."""
@@ -172,8 +172,8 @@ class Nodes:
             case record.PARSE:
                 self._parse()
             case record.MESSAGE_OTHER:
-                self._do(self._heard[self._drives.words[MESSAGE_AT]], int(n["t_ns"]))
-                self._drives.words[MESSAGE_AT] += 1
+                self._do(self._heard[int(n["message"])], int(n["t_ns"]))
+                self._record["message"] += 1
             case record.BEFORE_READING:
                 self._look_before(int(n["t_ns"]))
             case record.AFTER_READING:
@@ -204,7 +204,7 @@ class Nodes:
     @property
     def now_ns(self) -> int:
         """The end of the last pass; of one that failed, how far it came."""
-        return int(self._drives.words[NOW])
+        return int(self._record["now_ns"])
 
     @property
     def next_reading_ns(self) -> int:
@@ -214,7 +214,7 @@ class Nodes:
     @property
     def syncs(self) -> int:
         """SYNC frames or polls heard since the start."""
-        return int(self._drives.words[SYNCS])
+        return int(self._record["syncs"])
 
     def starts_ns(self, fault: Fault) -> int:
         """Return when a fault begins; `NEVER_NS` where it will not, as things stand."""

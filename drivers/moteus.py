@@ -24,7 +24,7 @@ from drivers.motor_kernels import FALLS
 from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
 from drivers.protocol import BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said
-from drivers.signals import DriveFault, Reaction
+from drivers.signals import LEGS, DriveFault, Reaction
 from drivers.tick_columns import Record
 
 QUERY = bytes.fromhex("11001f01130d")
@@ -78,14 +78,6 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
 TORQUE_AT = 14
 """Of its bytes the first one of the torque."""
 STOP = kernels.pad(b"\x01\0\0" + QUERY)
-_QUERIED = (
-    (kernels.MODE, 0),
-    *((register, kernels.FLOAT) for register in (kernels.PLACE, kernels.SPEED, kernels.TORQUE)),
-    *((register, 0) for register in (kernels.VOLTAGE, kernels.TEMPERATURE, kernels.FAULT)),
-)
-"""Registers that it asks for, each with its width."""
-
-
 _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
 
 
@@ -161,6 +153,5 @@ class MoteusProtocol(MotorProtocol):
 
     def power_up(self, d: Record) -> None:
         """Let drives that have heard nothing answer our query."""
-        n = len(_QUERIED)
-        d["host"], d["asked"] = self._host, n
-        d["wanted"][:, :n], d["widths"][:, :n] = np.array(_QUERIED).T[:, np.newaxis]
+        for leg in range(LEGS):
+            kernels.ask(d.view(np.recarray), leg, self._host, QUERY, len(QUERY))

@@ -226,7 +226,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 
 
 @helper
-def _ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
+def ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
     """Remember who asks a drive for what, in its order, up to where it is not whole."""
     d.host[leg], at, found = source, 0, 0
     while at < size:
@@ -279,7 +279,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
         count = drives.rejects(leg, UNKNOWN_MODE, values[0], messages)
     if not identifier & REPLY_WANTED:
         return count
-    _ask(d, leg, identifier >> 8 & 0x7F, data, size)
+    ask(d, leg, identifier >> 8 & 0x7F, data, size)
     return drives.answers(leg, messages, count)
 
 

@@ -192,9 +192,6 @@ class Resolution(NamedTuple):
         return cls.of(SINGLE * FARTHEST_m, 0.0, 0.0)
 
 
-PowerTold = Literal["feedback", "heartbeat", "never"]
-
-
 class DriveProtocol(Protocol):
     """Codec of both ends. Implementations inherit it, hold compiled tables only and are shared.
 
@@ -233,7 +230,7 @@ class DriveProtocol(Protocol):
     """How often each drive sends its reading by a timer, too, as it answers a poll; 0: it does not."""
     has_watchdog: bool = True
     """Whether `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
-    power_told: PowerTold = "feedback"
+    power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
     """What tells that a drive is no longer enabled."""
 
     def resolution(self, rate_Hz: float) -> Resolution:

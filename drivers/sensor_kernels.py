@@ -10,8 +10,7 @@ from drivers.compiled.compiler import INTEGER, REAL, VECTOR, direct, helper, rec
 from drivers.compiled.pointed import FAILED, data_at, records_at
 from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import signed
-from drivers.legs.crc import check_of, intact
-from drivers.legs.kernels import STRANGE, natural, put
+from drivers.legs.kernels import STRANGE, check_of, intact, natural, put
 from drivers.tick_columns import Record
 
 TRACKER, IMU, WRENCH = range(3)

@@ -263,8 +263,8 @@ FIRST: Record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
 """The record before the first tick, and what each one begins as: no leg ever heard, nan for what nothing may
 fill."""
 FIRST["tick"], FIRST["age"] = -1, NEVER
-for _name in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
-    FIRST[_name] = np.nan
+for _unfilled in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
+    FIRST[_unfilled] = np.nan
 FIRST.flags.writeable = False
 
 

@@ -284,6 +284,7 @@ class Cia402End(CompiledController):
             return why if request >> 16 else "it sends no TPDO, although it was started by NMT"
         abort, kind = int(c["abort"][leg]), "read" if request & 0xFF == o.UPLOAD else "write"
         if abort:
-            return f"{what}: {kind} refused with {o.abort_text(abort)}"
+            text = o.ABORTS.get(abort, "a code of the device or of a newer document")
+            return f"{what}: {kind} refused with abort 0x{abort:08X} ({text})"
         mask &= OPTIONAL - 1
         return f"{what} is {int(c['read'][leg]) & mask}, expected {value & mask}"

@@ -124,11 +124,6 @@ def place(key: Key) -> str:
     return f"{text} {NAMES[key]}" if key in NAMES else text
 
 
-def abort_text(code: int) -> str:
-    """Return an abort code with its meaning."""
-    return f"abort 0x{code:08X} ({ABORTS.get(code, 'a code of the device or of a newer document')})"
-
-
 def head(specifier: int, key: Key) -> bytes:
     """Return the first four bytes of an SDO frame."""
     return bytes((specifier, key[0] & 0xFF, key[0] >> 8, key[1]))

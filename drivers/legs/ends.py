@@ -16,8 +16,7 @@ from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.frame_pointers import begin_sent, place_of, whole
 from drivers.legs import kernels
-from drivers.legs.crc import check, check_of, intact
-from drivers.legs.kernels import EXACT, QUANTITIES, STRANGE, commands_at, ends, natural, read, write
+from drivers.legs.kernels import EXACT, QUANTITIES, STRANGE, check_of, ends, intact, natural, read, write
 from drivers.legs.messages import set_up_checksum
 from drivers.protocol import (
     ALL_LEGS,
@@ -121,7 +120,7 @@ def parse(e: Any, frame_address: int, message_address: int) -> int:
         return 0
     if identifier == e.sync:
         return _parse_sync(e, frame, bus, message)
-    commands = commands_at(e.commands, e.frames)
+    commands = kernels.commands_at(e.commands, e.frames)
     for n in range(e.frames):
         if identifier == commands[n].id and bus == commands[n].bus:
             return _parse_command(e, commands[n], frame, message)
@@ -296,7 +295,7 @@ class LegsDrives(CompiledDrives):
     def _configured(self, leg: int, frame: Frame) -> DeviceMessage:
         of, version = self._family.config, self.record["version"]
         data = frame.data
-        if len(data) != of.length or check(frame.id, data[:-1], 1) != data[-1]:
+        if len(data) != of.length or kernels.check(frame.id, data[:-1], 1) != data[-1]:
             return Rejected("length or CRC of CONFIG")
         watchdog, reaction, place, given, _ = of.unpack(frame.data)
         if given != version:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from cantools.database.can import Database
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.legs.crc import check
+from drivers.legs.kernels import check
 from drivers.protocol import BRS, FD, Frame
 
 COMMANDS = {

@@ -10,8 +10,7 @@ from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, helper, r
 from drivers.compiled.pointed import pointed, reals_at, record_at
 from drivers.ends import frame_at
 from drivers.frame_array import FRAME
-from drivers.legs.crc import intact
-from drivers.legs.kernels import STRANGE
+from drivers.legs.kernels import STRANGE, intact
 from drivers.sensor_kernels import IMU, QUANTITIES, SENSORS, TRACKER, put_sample
 
 SENSED = np.dtype(

@@ -103,7 +103,7 @@ def test_an_abort_is_read_with_its_meaning_and_written_as_canopen_does(vector):
     code = int.from_bytes(data[4:], "little")
     assert o.abort((int(said["index"], 16), said["sub"]), code) == data
     meanings = {"0x2000": "does not exist in", "0x1600": "sub-index does not", "0x6041": "write a read only"}
-    assert meanings[said["index"]] in o.abort_text(code)
+    assert meanings[said["index"]] in o.ABORTS[code]
 
 
 @pytest.mark.parametrize(

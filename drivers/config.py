@@ -225,20 +225,19 @@ class DriveSettings(Section):
 
 
 Node = Annotated[int, Field(ge=1, le=127)]
-Positive = Annotated[float, Field(gt=0)]
 
 
 class TrackerSettings(Section):
     """A node that measures the platform's pose from outside: optical, laser, camera."""
 
     node_id: Node = 7
-    rate_Hz: Positive = 200.0
+    rate_Hz: Above0 = 200.0
     """Samples per second, at most one a tick."""
-    position_std_m: Positive = 1e-3
+    position_std_m: Above0 = 1e-3
     """Noise of each coordinate, one standard deviation."""
-    orientation_std_deg: Positive = 0.1
+    orientation_std_deg: Above0 = 0.1
     """Noise of the orientation about each axis."""
-    latency_max_ms: Positive = 20.0
+    latency_max_ms: Above0 = 20.0
     """An older sample is refused. Each millisecond costs the filter memory and time."""
     channel: str | None = None
     """Which of `bus.channels` it is on; default: the first."""
@@ -248,10 +247,10 @@ class ImuSettings(Section):
     """An inertial measurement unit on the platform, its values reduced to the platform's origin."""
 
     node_id: Node = 8
-    rate_Hz: Positive = 500.0
+    rate_Hz: Above0 = 500.0
     """Samples per second, at most one a tick."""
-    angular_rate_std_rad_s: Positive = 2e-3
-    specific_force_std_m_s2: Positive = 0.05
+    angular_rate_std_rad_s: Above0 = 2e-3
+    specific_force_std_m_s2: Above0 = 0.05
     channel: str | None = None
     """Which of `bus.channels` it is on; default: the first."""
 
@@ -260,7 +259,7 @@ class WrenchSensorSettings(Section):
     """A node that measures the external load on the platform: force and moment, reduced to its origin."""
 
     node_id: Node = 9
-    rate_Hz: Positive = 1000.0
+    rate_Hz: Above0 = 1000.0
     """Samples per second, at most one a tick."""
     channel: str | None = None
     """Which of `bus.channels` it is on; default: the first."""

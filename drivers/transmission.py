@@ -69,11 +69,7 @@ def fill_loss(
         loss[leg] = loss_of(force[leg], rate[leg], driving[leg], back_driving[leg], full_loss_m_s)
 
 
-@direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)
-def _fill_loss(
-    force: Array, rate: Array, driving: Array, back_driving: Array, full_loss_m_s: float, loss: Array
-) -> None:
-    fill_loss(force, rate, driving, back_driving, full_loss_m_s, loss)
+_fill_loss = direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)(fill_loss)
 
 
 @dataclass(frozen=True, eq=False)

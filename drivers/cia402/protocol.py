@@ -35,7 +35,6 @@ MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")
 _NODE = 0x7F
 _IDENTITY = {o.SERIAL: SERIAL, o.REVISION: REVISION}
-_VELOCITY = ("pdo", "difference")
 _ALLOWED = ("rated_torque_Nm", "velocity", "controller_node", "check_encoder", "eds")
 _MOST_Nm = 4_294_967.0
 """What 0x6076 can say."""
@@ -68,7 +67,7 @@ class Cia402Protocol(Family):
         self.transmission = transmission = options.transmission
         super().__init__(bus.legs)
         rated_Nm = options.within("rated_torque_Nm", 1e-3, _MOST_Nm, "the motors' rated torque, 0x6076")
-        self.velocity = velocity = options.choice("velocity", _VELOCITY, "pdo") == "pdo"
+        self.velocity = velocity = options.choice("velocity", ("pdo", "difference"), "pdo") == "pdo"
         self.controller_node = options.whole("controller_node", MAX_NODE, 1, MAX_NODE)
         check_encoder = options.flag("check_encoder", default=True)
         self.node_ids = tuple(drives.node_ids)

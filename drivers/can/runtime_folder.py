@@ -2,15 +2,16 @@
 
 import errno
 import fcntl
+import hashlib
 import os
 import socket
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import quote
 
 from drivers.errors import BusError, RunError
-from drivers.machine_wide import address
-from drivers.own_folder import own_folder
+from drivers.files import own_folder
 
 NAME = "hexapod-hil"
 
@@ -45,6 +46,15 @@ def safe_name(text: str) -> str:
     return quote(text, safe="")
 
 
+def address(*words: str) -> bytes:
+    """Return the abstract socket address that this machine has once for what these words name.
+
+    Such a socket leaves no file behind, and the kernel drops it with its process.
+    """
+    name = hashlib.sha256(os.fsencode("\0".join(words))).hexdigest()
+    return b"\0hexapod-hil." + name.encode()
+
+
 def role_is_held(interface: str, channel: str, role: str) -> bool:
     """Tell whether a process of this machine, of any user, has a role on a channel.
 
@@ -63,52 +73,40 @@ class RoleLock:
 
     A lock file in the runtime folder names the process. Other users, and who has another XDG_RUNTIME_DIR, do
     not see it; so a role on any interface but localcan is an abstract socket, too. The kernel drops both with
-    the process, however it ends. Mutable state: the open lock file and the socket.
+    the process, however it ends. Mutable state: the open lock file and the socket, which `close` gives back.
     """
 
     def __init__(self, interface: str, channel: str, role: str) -> None:
+        bus = f"bus {interface}:{channel}"
         path = runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.{safe_name(role)}.lock"
-        try:
-            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-        except OSError as error:
-            raise BusError(f"lock file {path}: {error.strerror}; remove it or set XDG_RUNTIME_DIR") from error
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            other = os.pread(self._fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
-            os.close(self._fd)
-            self._fd = -1
-            raise RunError(
-                f"bus {interface}:{channel} already has a {role}, process {other}; "
-                "stop it first, or choose another bus.channel"
-            ) from None
-        self._mark: socket.socket | None = None
-        if interface != "localcan":
-            self._bind(interface, channel, role)
-        os.ftruncate(self._fd, 0)
-        os.pwrite(self._fd, f"{os.getpid()}\n".encode(), 0)
-
-    def _bind(self, interface: str, channel: str, role: str) -> None:
-        self._mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            self._mark.bind(address(interface, channel, role))
-        except OSError as error:
-            self.close()
-            if error.errno != errno.EADDRINUSE:
+        with ExitStack() as held:
+            try:
+                fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            except OSError as error:
                 raise BusError(
-                    f"bus {interface}:{channel}: no lock of the {role}: {error.strerror}"
+                    f"lock file {path}: {error.strerror}; remove it or set XDG_RUNTIME_DIR"
                 ) from error
-            raise RunError(
-                f"bus {interface}:{channel} already has a {role}, which runs as another user or with another "
-                "XDG_RUNTIME_DIR (sudo, a service, a session that has ended); stop it first, or choose "
-                "another bus.channel"
-            ) from None
-
-    def close(self) -> None:
-        """Give the role back."""
-        if self._mark is not None:
-            self._mark.close()
-            self._mark = None
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+            held.callback(os.close, fd)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                other = os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
+                raise RunError(
+                    f"{bus} already has a {role}, process {other}; "
+                    "stop it first, or choose another bus.channel"
+                ) from None
+            mark = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            try:
+                if interface != "localcan":
+                    mark.bind(address(interface, channel, role))
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise BusError(f"{bus}: no lock of the {role}: {error.strerror}") from error
+                raise RunError(
+                    f"{bus} already has a {role}, which runs as another user or with another XDG_RUNTIME_DIR "
+                    "(sudo, a service, a session that has ended); stop it first, or choose another "
+                    "bus.channel"
+                ) from None
+            os.ftruncate(fd, 0)
+            os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+            self.close = held.pop_all().close

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from drivers.errors import RunError
-from drivers.own_folder import made_folder, own_folder
+from drivers.files import made_folder, own_folder
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("drivers", "hil", "plant_fmu")

@@ -12,8 +12,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import CalibrationError, ConfigurationError, LogError
-from drivers.regular_file import read_regular
-from drivers.whole_file import real_path
+from drivers.files import read_regular, real_path
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.problems import split_unit

@@ -13,8 +13,8 @@ import drivers
 from drivers.arrays import Array
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import PlantError
+from drivers.files import read_regular
 from drivers.protocol import DriveProtocol, DriveSetup
-from drivers.regular_file import read_regular
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
 from hil.app.configuration.bus_budget import bus_names

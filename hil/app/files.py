@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import LogError
-from drivers.whole_file import real_path, whole_file
+from drivers.files import real_path, whole_file
 from hil.app.terminal import one_line
 from hil.record.mcap_file import MAGIC
 

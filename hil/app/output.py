@@ -18,9 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.errors import HilError, LogError
-from drivers.own_folder import made_folder
+from drivers.files import made_folder, real_path
 from drivers.signals import Mode
-from drivers.whole_file import real_path
 from hil.app.files import may_write, printable, write_whole
 from hil.app.reserved import reserved
 from hil.app.terminal import visible

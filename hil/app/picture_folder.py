@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from drivers.compiled.cache import CACHE_FOLDER
-from drivers.own_folder import made_folder
+from drivers.files import made_folder
 
 _NAME = "MPLCONFIGDIR"
 

@@ -5,8 +5,8 @@ import os
 import socket
 from pathlib import Path
 
-from drivers.machine_wide import address
-from drivers.whole_file import real_path
+from drivers.can.runtime_folder import address
+from drivers.files import real_path
 
 _held: dict[Path, int] = {}
 """What this process has reserved, and by which open socket; the kernel closes it with the process."""

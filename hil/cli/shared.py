@@ -243,7 +243,7 @@ def _other_files(arguments: dict[str, Any]) -> list[Path]:
 def _refuse_shared_outputs(arguments: dict[str, Any]) -> None:
     """Refuse two output files of one command that are the same one. Raises LogError."""
     from drivers.errors import LogError
-    from drivers.whole_file import real_path
+    from drivers.files import real_path
 
     seen: set[Path] = set()
     for parameter in click.get_current_context().command.params:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
+from drivers.files import whole_file
 from drivers.signals import BusState, Fault, Mode, Warn
 from drivers.tick_columns import COLUMNS
-from drivers.whole_file import whole_file
 from hil.record.metrics import rotation_errors
 from hil.record.value_names import name_of
 from hil.signals import explain

@@ -12,7 +12,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from drivers.errors import LogError
-from drivers.regular_file import open_regular
+from drivers.files import open_regular
 from drivers.tick_columns import Column
 from hil.record.decode import REFUSED, Decoder, why
 from hil.record.mcap_file import MAGIC

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Ints
 from drivers.errors import LogError
-from drivers.regular_file import open_regular
+from drivers.files import open_regular
 from hil.record.mcap_file import MAGIC
 from hil.record.unpack import PLAIN, SHORTEST, words_of
 

@@ -20,7 +20,7 @@ from mcap.records import Attachment, Channel, Chunk, Schema
 from numpy.typing import NDArray
 
 from drivers.errors import LogError
-from drivers.regular_file import open_regular
+from drivers.files import open_regular
 from hil.record.decode import REFUSED, why
 from hil.record.encode import channels_of
 from hil.record.environment import product_version

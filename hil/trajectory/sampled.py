@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from drivers.regular_file import read_regular
+from drivers.files import read_regular
 from hil.config.number import ALLOWED, in_reason, plain_number
 from hil.config.reference import LONGEST_S, SampledReference
 from hil.config.values import AXES

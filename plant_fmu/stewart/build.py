@@ -16,8 +16,7 @@ from typing import NamedTuple, get_args
 
 from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
-from drivers.own_folder import made_folder
-from drivers.whole_file import whole_file
+from drivers.files import made_folder, whole_file
 from plant_fmu.stewart.description import (
     COMPILER_OPTIONS,
     MODEL_IDENTIFIER,

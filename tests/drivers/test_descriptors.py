@@ -14,7 +14,7 @@ from drivers.can.localcan.participant import Participant
 from drivers.can.localcan.wire import Wire
 from drivers.can.runtime_folder import RoleLock, runtime_folder
 from drivers.errors import BusError, RunError
-from drivers.regular_file import open_regular, read_regular
+from drivers.files import open_regular, read_regular
 
 
 def open_now() -> int:

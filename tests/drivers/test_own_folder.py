@@ -7,7 +7,7 @@ import pytest
 
 from drivers.compiled.cache import cache_folder, elsewhere
 from drivers.errors import RunError
-from drivers.own_folder import made_folder, own_folder
+from drivers.files import made_folder, own_folder
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
 

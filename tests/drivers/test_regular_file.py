@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.regular_file import NotRegularError, open_regular, read_regular
+from drivers.files import NotRegularError, open_regular, read_regular
 
 MOST = 4_194_304
 """4 MiB."""

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from drivers.whole_file import whole_file
+from drivers.files import whole_file
 
 
 @pytest.mark.parametrize("named", [False, True])

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError
-from drivers.regular_file import open_regular
+from drivers.files import open_regular
 from hil.app.campaign.keys import keys, path
 from hil.app.campaign.settings import ListedAxis, entries
 from hil.app.configuration.controller_file import controller_path

@@ -19,8 +19,7 @@ from types import TracebackType
 from typing import IO, Self
 
 from drivers.errors import LogError
-from drivers.own_folder import made_folder
-from drivers.whole_file import whole_file
+from drivers.files import made_folder, whole_file
 from hil.app.campaign import parquet
 from hil.app.campaign.parquet import Column, Row
 

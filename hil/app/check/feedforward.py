@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drivers.regular_file import read_regular
+from drivers.files import read_regular
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, read_feedforward

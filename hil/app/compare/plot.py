@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.whole_file import whole_file
+from drivers.files import whole_file
 from hil.app.compare.measure import Outcome
 from hil.app.files import printable
 

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from drivers.regular_file import read_regular
+from drivers.files import read_regular
 from hil.app.configuration import problems as translate
 from hil.app.configuration.controller_file import controller_path
 from hil.app.configuration.yaml_positions import Path as Key

@@ -7,7 +7,7 @@ import importlib.resources
 from pathlib import Path
 
 from drivers.errors import ConfigurationError
-from drivers.regular_file import read_regular
+from drivers.files import read_regular
 
 
 def read_text(path: Path) -> str:

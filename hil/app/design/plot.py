@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, ComplexArray
-from drivers.whole_file import whole_file
+from drivers.files import whole_file
 from hil.app.files import printable
 from hil.config.design import Design, DesignAxis
 from hil.mathematics.linear_system import LinearSystem

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from drivers.whole_file import real_path
+from drivers.files import real_path
 from hil.app.export.frames import write_frames
 from hil.app.export.signals import write_csv, write_parquet
 from hil.app.files import made_whole, new_file

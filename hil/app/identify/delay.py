@@ -8,7 +8,7 @@ import yaml
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, LogError
-from drivers.regular_file import open_regular
+from drivers.files import open_regular
 from drivers.signals import DriveState
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.configuration import Configuration, loads

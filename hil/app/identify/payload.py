@@ -8,8 +8,8 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import HilError, IdentificationError, LogError
+from drivers.files import real_path
 from drivers.signals import DriveState
-from drivers.whole_file import real_path
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_body
 from hil.app.identify.delay import recorded_run, refuse_fused

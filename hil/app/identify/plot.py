@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.whole_file import whole_file
+from drivers.files import whole_file
 from hil.app.files import printable
 from hil.config.axis_model import AxisModel, AxisSpace
 from hil.identify.axis_fit import COHERENT

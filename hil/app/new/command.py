@@ -10,7 +10,7 @@ from typing import Any
 from yaml.reader import Reader
 
 from drivers.errors import ConfigurationError
-from drivers.whole_file import real_path
+from drivers.files import real_path
 from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
 from hil.app.files import printable

@@ -9,8 +9,8 @@ from typing import Any
 
 from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, HilError, LogError
+from drivers.files import open_regular
 from drivers.frame_array import NO_FRAMES, sent_at
-from drivers.regular_file import open_regular
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
 from hil.app.configuration.bus_budget import loads

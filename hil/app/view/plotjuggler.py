@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from drivers.files import real_path
 from drivers.tick_columns import Column
-from drivers.whole_file import real_path
 from hil.app.view.panels import Curve, Plot, differences, field, plots
 from hil.record.selection import Component, components
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.whole_file import whole_file
+from drivers.files import whole_file
 from hil.workspace.explore import Workspace
 from hil.workspace.limits import KINDS
 from hil.workspace.position import CrossSection

@@ -12,7 +12,7 @@ import sympy as sp
 
 from drivers.arrays import Array
 from drivers.errors import ModelError
-from drivers.whole_file import whole_file
+from drivers.files import whole_file
 from hil.stability.verifier.cancellation import lie_derivative
 from hil.stability.verifier.door import read
 from hil.stability.verifier.report import Report

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, LogError
-from drivers.regular_file import MOST_BYTES, read_regular
+from drivers.files import MOST_BYTES, read_regular
 from hil.app.calibrate import read_pairs
 from hil.app.compose import databases
 from hil.app.configuration.configuration import load, loads, short_name

@@ -95,46 +95,23 @@ def frame_bits(length: int, flags: int, *, least: bool = False) -> tuple[int, in
 
 
 @lru_cache(maxsize=1024)
-def frame_time_ns(length: int, flags: int, timing: BitTiming) -> int:
+def frame_time_ns(length: int, flags: int, timing: BitTiming, *, least: bool = False) -> int:
     """Return how long a frame holds the wire at worst, ns rounded up, interframe space included.
 
-    Raises BusError for a length that no CAN frame has.
+    least: the time from the end of one frame to that of the next at least, ns rounded down; the interframe
+    space lies between them. Raises BusError for a length that no CAN frame has.
     """
-    slow, fast = frame_bits(length, flags)
+    slow, fast = frame_bits(length, flags, least=least)
     f, fd = timing
-    return -(-(slow * fd + fast * f) * 1_000_000_000 // (f * fd))
-
-
-def shortest_frame_ns(length: int, flags: int, timing: BitTiming) -> int:
-    """Return the time from the end of one frame to that of the next at least, ns rounded down.
-
-    The interframe space lies between them. Raises BusError for a length that no CAN frame has.
-    """
-    slow, fast = frame_bits(length, flags, least=True)
-    f, fd = timing
-    return (slow * fd + fast * f) * 1_000_000_000 // (f * fd)
-
-
-class BudgetRow(NamedTuple):
-    """All frames of one shape on one bus in a tick."""
-
-    frames: int
-    length: int
-    """Data bytes."""
-    flags: int
-    """As in `Frame`, the bus index among them."""
-    slow_bits: int
-    """Per frame, at the arbitration rate."""
-    fast_bits: int
-    """Per frame, at the data rate."""
-    time_ns: int
-    """Per frame."""
+    bit_ns, per = (slow * fd + fast * f) * 1_000_000_000, f * fd
+    return bit_ns // per if least else -(-bit_ns // per)
 
 
 class BusBudget(NamedTuple):
     """What one tick's frames take of the bus; of several, of the one that is occupied longest."""
 
-    rows: tuple[BudgetRow, ...]
+    frames: Counter[tuple[int, int]]
+    """How many of each data length and flags, as in `Frame`, the bus index among these."""
     timing: BitTiming
     rate_Hz: float
     max_load_percent: float
@@ -164,14 +141,16 @@ class BusBudget(NamedTuple):
     def table(self) -> str:
         """Write the arithmetic out, one line per frame shape."""
         lines = []
-        several = any(row.flags >= BUS for row in self.rows)
-        for row in self.rows:
-            bus = f"bus {row.flags // BUS} " if several else ""
-            kind = "CAN FD" if row.flags & FD else "classic"
-            fast = f" + {row.fast_bits} fast bit" if row.fast_bits else ""
+        several = any(flags >= BUS for _, flags in self.frames)
+        for (length, flags), count in self.frames.items():
+            slow, fast = frame_bits(length, flags)
+            ns = frame_time_ns(length, flags, self.timing)
+            bus = f"bus {flags // BUS} " if several else ""
+            kind = "CAN FD" if flags & FD else "classic"
+            fast_bits = f" + {fast} fast bit" if fast else ""
             lines.append(
-                f"  {bus}{row.frames:3d} x {kind:7s} {row.length:2d} byte: {row.slow_bits} bit{fast} = "
-                f"{row.time_ns / 1e3:.1f} us each, {row.frames * row.time_ns / 1e3:.1f} us"
+                f"  {bus}{count:3d} x {kind:7s} {length:2d} byte: {slow} bit{fast_bits} = "
+                f"{ns / 1e3:.1f} us each, {count * ns / 1e3:.1f} us"
             )
         lines.append(
             f"  total {self.total_ns / 1e3:.1f} us of a {1e6 / self.rate_Hz:.1f} us period = "
@@ -189,14 +168,10 @@ def budget(
     Raises BusError for a frame that cannot be on the bus.
     """
     shapes = Counter((len(frame.data), frame.flags) for frame in frames)
-    rows = tuple(
-        BudgetRow(count, length, flags, *frame_bits(length, flags), frame_time_ns(length, flags, timing))
-        for (length, flags), count in shapes.items()
-    )
     totals: Counter[int] = Counter()
-    for row in rows:
-        totals[row.flags // BUS] += row.frames * row.time_ns
-    return BusBudget(rows, timing, rate_Hz, max_load_percent, max(totals.values(), default=0))
+    for (length, flags), count in shapes.items():
+        totals[flags // BUS] += count * frame_time_ns(length, flags, timing)
+    return BusBudget(shapes, timing, rate_Hz, max_load_percent, max(totals.values(), default=0))
 
 
 def check(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 
 import pytest
 from hypothesis import given
@@ -17,7 +18,6 @@ from drivers.can.bus_time import (
     check,
     frame_bits,
     frame_time_ns,
-    shortest_frame_ns,
 )
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
@@ -134,7 +134,7 @@ def test_no_classic_bit_stream_is_longer_than_the_worst_case(id_, extended, data
     assert actual >= bound - (stuffed - 1) // 4
     # ISO 11898-1: 44 bits beside the data, 64 with a long identifier, and the interframe space
     least = (64 if extended else 44) + 8 * len(data[:n]) + 3
-    assert shortest_frame_ns(len(data[:n]), EXTENDED if extended else 0, CLASSIC_1M) == 1000 * least
+    assert frame_time_ns(len(data[:n]), EXTENDED if extended else 0, CLASSIC_1M, least=True) == 1000 * least
     assert least <= actual
 
 
@@ -148,16 +148,16 @@ def test_no_fd_bit_stream_takes_longer_than_the_worst_case(id_, extended, data, 
     assert slow * 5 + fast <= slow_bound * 5 + fast_bound
     # what straddles the rates was counted at the slow one: 1 us for 0.2 us
     assert (
-        shortest_frame_ns(n, FD | BRS | (EXTENDED if extended else 0), FD_1M_5M)
+        frame_time_ns(n, FD | BRS | (EXTENDED if extended else 0), FD_1M_5M, least=True)
         <= 1000 * slow + 200 * fast - 800
     )
-    assert shortest_frame_ns(n, FD | (EXTENDED if extended else 0), FD_1M_5M) <= 1000 * (slow + fast)
+    assert frame_time_ns(n, FD | (EXTENDED if extended else 0), FD_1M_5M, least=True) <= 1000 * (slow + fast)
 
 
 @pytest.mark.parametrize(("flags", "us"), [(0, 111), (EXTENDED, 131), (FD, 158), (FD | BRS, 54.8)])
 def test_the_shortest_frame_has_no_stuff_bits_but_the_fixed_ones(flags, us):
     length = 12 if flags & FD else 8
-    assert shortest_frame_ns(length, flags, FD_1M_5M) == 1000 * us
+    assert frame_time_ns(length, flags, FD_1M_5M, least=True) == 1000 * us
 
 
 def test_a_frame_of_can_fd_has_one_of_sixteen_lengths_and_an_error_frame_23_bits():
@@ -169,12 +169,12 @@ def test_a_frame_of_can_fd_has_one_of_sixteen_lengths_and_an_error_frame_23_bits
 
 def test_the_shortest_time_is_rounded_down_and_the_longest_up():
     slow = BitTiming(162_093, 162_093)
-    assert shortest_frame_ns(0, 0, slow) == 289_956, "47 bits take 289 956.99999 ns"
+    assert frame_time_ns(0, 0, slow, least=True) == 289_956, "47 bits take 289 956.99999 ns"
     assert frame_time_ns(0, 0, slow) == 339_312, "55 bits take 339 311.38 ns"
 
 
 def test_a_load_is_allowed_up_to_the_limit_but_for_what_rounding_adds():
-    at_limit = BusBudget((), CLASSIC_1M, 1.0 + 1e-12, 100.0, 1_000_000_000)
+    at_limit = BusBudget(Counter(), CLASSIC_1M, 1.0 + 1e-12, 100.0, 1_000_000_000)
     assert at_limit.load_percent == 100.0 * (1 + 1e-12)
     assert at_limit.fits
     assert not at_limit._replace(rate_Hz=1.0 + 1.5e-12).fits

@@ -3,7 +3,7 @@
 from math import floor
 
 from drivers import build_protocol
-from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns, shortest_frame_ns
+from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, Status, off_bus
@@ -105,7 +105,7 @@ def bus_budget(
 def shortest_answer_ns(bus: BusSettings, protocol: DriveProtocol) -> int:
     """Return the least time, ns, from the end of SYNC or a poll to that of a feedback to it on its bus."""
     return min(
-        shortest_frame_ns(len(frame.data), off_bus(frame).flags, BitTiming.of(bus.buses[frame.bus]))
+        frame_time_ns(len(frame.data), off_bus(frame).flags, BitTiming.of(bus.buses[frame.bus]), least=True)
         for frame in protocol.cyclic_frames()
         if protocol.awaited(frame) in protocol.feedback_ids
     )

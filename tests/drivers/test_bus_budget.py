@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from math import inf
 
 import pytest
@@ -79,7 +80,7 @@ def test_a_bus_without_frames_is_never_full():
 
 @pytest.mark.parametrize(("total_ns", "fits"), [(700_000, True), (700_001, False)])
 def test_a_load_fits_up_to_what_is_allowed(total_ns, fits):
-    assert BusBudget((), RATES, 1000.0, 70.0, total_ns).fits is fits
+    assert BusBudget(Counter(), RATES, 1000.0, 70.0, total_ns).fits is fits
 
 
 def test_what_does_not_fit_is_refused_with_its_arithmetic_and_its_ways_out():

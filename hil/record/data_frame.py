@@ -1,5 +1,7 @@
 """Rows of a log as a pandas DataFrame: a column for each component, with its unit, numbers by name.
 
+A tick has the row of the plant's log that belongs to the SYNC that started it.
+
 The only importer of pandas, which is an extra.
 """
 
@@ -15,16 +17,20 @@ import numpy as np
 from drivers.arrays import Ints, Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record.alignment import SENT, SYNC, Side, plant_rows_of, require_one_run
 from hil.record.schema import CONFIGURATION, IDENTITY, RUN
-from hil.record.selection import Component, components
-from hil.record.value_names import name_of
+from hil.record.selection import Component, components, name_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 PLANT = "plant"
 """What the names of the plant's columns begin with."""
+SYNC = ("t_ns", "syncs")
+"""Columns of the plant that tell its SYNCs."""
+SENT = ("t_ns", "lateness_ns")
+"""Columns of the controller that tell when it sent them."""
+CLOCK_NS = 10_000_000_000
+"""The clocks of two logs of one run started at UTC instants that differ by less."""
 
 
 class Readable(Protocol):
@@ -118,9 +124,66 @@ def named(column: Column, values: Ints) -> Any:
     return pd.Categorical.from_codes(codes, categories)
 
 
-def _side(log: Readable) -> Side:
-    run = log.metadata[IDENTITY].get(RUN)
-    return Side(str(log.path), log.epoch_ns, log.lockstep, log.attachments.get(CONFIGURATION), run)
+def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> Ints:
+    """Return the place of each tick's row in the plant's log, -1 where it has none: (n,).
+
+    A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The row of that SYNC is the nearest one
+    in which `syncs` rises, half a period away at most and no other tick's: the plant steps on a grid of its
+    own. A plant that counts no SYNC is read at its nearest row.
+
+    ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order;
+    period_ns : of the loop; None: the usual distance of the ticks.
+    """
+    none = np.full(len(ticks), -1, np.int64)
+    rises = np.flatnonzero(np.diff(plant["syncs"], prepend=0) > 0)
+    candidates = rises if len(rises) else np.arange(len(plant))
+    if not len(ticks) or not len(candidates):
+        return none
+    sent = ticks["t_ns"] + ticks["lateness_ns"]
+    t = plant["t_ns"][candidates]
+    row, tick = _nearest(t, sent), _nearest(sent, t)
+    if period_ns is None:
+        period_ns = float(np.median(np.diff(ticks["t_ns"]))) if len(ticks) > 1 else np.inf
+    own = (np.abs(t[row] - sent) <= period_ns / 2) & (tick[row] == np.arange(len(ticks)))
+    found: Ints = np.where(own, candidates[row], none)
+    return found
+
+
+def _nearest(there: Ints, wanted: Ints) -> Ints:
+    """Return the place in `there` (m,), which rises, of what is nearest to each of `wanted` (n,): (n,)."""
+    right = np.minimum(np.searchsorted(there, wanted), len(there) - 1)
+    left = (right - 1).clip(0)
+    nearest: Ints = np.where(wanted - there[left] < there[right] - wanted, left, right)
+    return nearest
+
+
+def require_one_run(log: Readable, plant: Readable, places: Ints) -> None:
+    """Refuse two logs whose clocks, ticks or configurations do not fit each other.
+
+    In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, both ends
+    have one configuration, and one identity of the run.
+
+    Raises
+    ------
+    LogError
+        They are not of one run.
+
+    """
+    far = abs(log.epoch_ns - plant.epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any())
+    texts = [each.attachments.get(CONFIGURATION) for each in (log, plant)]
+    differ = None not in texts and texts[0] != texts[1]
+    other = log.lockstep != plant.lockstep or (log.lockstep and differ)
+    runs = [each.metadata[IDENTITY].get(RUN) for each in (log, plant)]
+    if far or other or (None not in runs and runs[0] != runs[1]):
+        why = f"no tick of {log.path} is in it"
+        if not far:
+            why = (
+                "its configuration is another one" if other else "set-points, commands or faults were others"
+            )
+        raise LogError(
+            f"{log.path}: the plant's log {plant.path} is of another run: {why}; name the right one with "
+            "Log(path, plant=FILE)"
+        )
 
 
 def _period_ns(log: Readable) -> float | None:
@@ -142,7 +205,7 @@ def _of_plant(
     chosen = components(plant.columns, [] if "" in names else names, str(plant.path))
     truth = plant.rows(*({part.column.name for part in chosen} | set(SYNC)))
     places = plant_rows_of(rows, truth, _period_ns(log))
-    require_one_run(_side(log), _side(plant), places if whole else places[:0])
+    require_one_run(log, plant, places if whole else places[:0])
     values = {}
     for part in chosen:
         there = np.full(len(rows), np.nan)

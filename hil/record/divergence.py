@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntFlag
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, Flags, Rows
 from drivers.tick_columns import Column
+from hil.record.selection import name_of
 
 
 class Tolerance(NamedTuple):
@@ -155,9 +155,4 @@ def _difference(a: Array, b: Array) -> Array:
 
 def named(column: Column, value: float) -> str:
     """Return a value as text: by its name, flags joined, where the column has names."""
-    if not column.names:
-        return repr(value)
-    if issubclass(column.type, IntFlag):
-        bits = [name for name, bit in column.names.items() if bit and int(value) & bit]
-        return "|".join(bits) or "NONE"
-    return next((name for name, number in column.names.items() if number == value), str(value))
+    return name_of(column, int(value)) if column.names else repr(value)

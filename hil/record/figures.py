@@ -12,7 +12,7 @@ from drivers.files import whole_file
 from drivers.signals import BusState, Fault, Mode, Warn
 from drivers.tick_columns import COLUMNS
 from hil.record.metrics import rotation_errors
-from hil.record.value_names import name_of
+from hil.record.selection import name_of
 from hil.signals import explain
 
 

@@ -19,7 +19,7 @@ from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, log
 from hil.record.log_file import LogFile
 from hil.record.mcap_read import MessageTable, read_summary
 from hil.record.schema import SUMMARY
-from hil.record.selection import Selection, joined, together
+from hil.record.selection import Selection, together
 from hil.signals import NUMBERS, Operator
 
 if TYPE_CHECKING:
@@ -243,16 +243,12 @@ class Log(LogFile):
 
         """
         selection = self._selection(names, start_s, stop_s)
-        ticks = []
-
-        def parts() -> Iterator[Rows]:
-            for data, table in self._buffers():
-                part = selection.within(self._decoder.rows(data, table))
-                ticks.append(part["tick"].copy())  # a view would keep the whole rows
-                yield selection.of_rows(part)
-
-        rows = joined(parts(), selection.dtype)
-        order = np.concatenate(ticks) if ticks else np.zeros(0, np.int64)
+        parts, ticks = [np.zeros(0, selection.dtype)], [np.zeros(0, np.int64)]
+        for data, table in self._buffers():
+            part = selection.within(self._decoder.rows(data, table))
+            ticks.append(part["tick"].copy())  # a view would keep the whole rows
+            parts.append(selection.of_rows(part))
+        rows, order = together(parts), np.concatenate(ticks)
         if (np.diff(order) >= 0).all():
             return rows
         return rows.take(np.argsort(order, kind="stable"))

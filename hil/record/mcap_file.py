@@ -54,31 +54,13 @@ _SUMMARY_ORDER = (
 _MOST_TAKEN_BACK = 256
 
 
-class _Records:
-    """Records of one kind of the summary, packed: ten chunks come every second, for days.
-
-    Mutable state: their bytes, and how many there are.
-    """
-
-    def __init__(self) -> None:
-        self.data, self.count = bytearray(), 0
-
-    def add(self, record: bytes) -> None:
-        self.data += record
-        self.count += 1
-
-    def cut(self, size: int, count: int) -> None:
-        self.data = self.data[:size]  # a write that failed may still look at the old ones
-        self.count = count
-
-
 class _Place(NamedTuple):
     """A place in the file to which it can be taken back."""
 
     position: int
     crc: int
-    summarised: dict[Opcode, tuple[int, int]]
-    """Bytes and number of the records of each kind."""
+    summarised: dict[Opcode, int]
+    """Records of each kind."""
     counts: dict[int, int]
     span: tuple[int, int] | None
 
@@ -120,7 +102,7 @@ class McapFile:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.position = 0
         self._crc = 0
-        self._summary = {opcode: _Records() for opcode in _SUMMARY_ORDER}
+        self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_ORDER}
         self._counts: dict[int, int] = {}
         self._span: tuple[int, int] | None = None
         self._compressor = zstandard.ZstdCompressor(level=1)
@@ -133,19 +115,19 @@ class McapFile:
 
     def add_schema(self, schema: Schema) -> None:
         """Write a schema."""
-        self._summary[Opcode.SCHEMA].add(record_bytes(schema))
+        self._summary[Opcode.SCHEMA].append(record_bytes(schema))
         self._write(record_bytes(schema))
 
     def add_channel(self, channel: Channel) -> None:
         """Write a channel."""
-        self._summary[Opcode.CHANNEL].add(record_bytes(channel))
+        self._summary[Opcode.CHANNEL].append(record_bytes(channel))
         self._write(record_bytes(channel))
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record."""
         record = record_bytes(Metadata(name=name, metadata=dict(data)))
         index = MetadataIndex(offset=self.position, length=len(record), name=name)
-        self._summary[Opcode.METADATA_INDEX].add(record_bytes(index))
+        self._summary[Opcode.METADATA_INDEX].append(record_bytes(index))
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes, time_ns: int, media_type: str) -> None:
@@ -162,7 +144,7 @@ class McapFile:
             name=name,
             media_type=media_type,
         )
-        self._summary[Opcode.ATTACHMENT_INDEX].add(record_bytes(index))
+        self._summary[Opcode.ATTACHMENT_INDEX].append(record_bytes(index))
         self._write(record)
 
     def add_chunk(self, data: bytes | memoryview, channel: Ints, log_time: Ints, offset: Ints) -> None:
@@ -210,7 +192,7 @@ class McapFile:
             compressed_size=len(chunk.data),
             uncompressed_size=chunk.uncompressed_size,
         )
-        self._summary[Opcode.CHUNK_INDEX].add(record_bytes(index))
+        self._summary[Opcode.CHUNK_INDEX].append(record_bytes(index))
         if len(channel):
             start, stop = self._span or (chunk.message_start_time, chunk.message_end_time)
             self._span = min(start, chunk.message_start_time), max(stop, chunk.message_end_time)
@@ -232,13 +214,14 @@ class McapFile:
     def finish(self) -> None:
         """Write summary and footer, put all onto the disk and close."""
         self._write(record_bytes(DataEnd(self._crc)))
-        self._summary[Opcode.STATISTICS].add(record_bytes(self._statistics()))
+        self._summary[Opcode.STATISTICS].append(record_bytes(self._statistics()))
         summary_start, crc, groups = self.position, 0, b""
         for opcode, records in self._summary.items():
-            if records.count:
-                groups += record_bytes(SummaryOffset(opcode, self.position, len(records.data)))
-                crc = zlib.crc32(records.data, crc)
-                self._write(records.data)
+            if records:
+                data = b"".join(records)
+                groups += record_bytes(SummaryOffset(opcode, self.position, len(data)))
+                crc = zlib.crc32(data, crc)
+                self._write(data)
         offset_start = self.position
         head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
         footer = Footer(summary_start, offset_start, zlib.crc32(head, zlib.crc32(groups, crc)))
@@ -267,7 +250,7 @@ class McapFile:
         return _Place(
             self.position,
             self._crc,
-            {kind: (len(records.data), records.count) for kind, records in self._summary.items()},
+            {kind: len(records) for kind, records in self._summary.items()},
             dict(self._counts),
             self._span,
         )
@@ -278,7 +261,7 @@ class McapFile:
         self.position, self._crc, self._counts = place.position, place.crc, dict(place.counts)
         self._span = place.span
         for kind, records in self._summary.items():
-            records.cut(*place.summarised[kind])
+            del records[place.summarised[kind] :]
 
     def close(self) -> None:
         """Close the file as it is."""
@@ -292,7 +275,7 @@ class McapFile:
         self.path.unlink()
 
     def _statistics(self) -> Statistics:
-        counts = {kind: records.count for kind, records in self._summary.items()}
+        counts = {kind: len(records) for kind, records in self._summary.items()}
         start, stop = self._span or (0, 0)
         return Statistics(
             attachment_count=counts[Opcode.ATTACHMENT_INDEX],
@@ -306,7 +289,7 @@ class McapFile:
             schema_count=counts[Opcode.SCHEMA],
         )
 
-    def _write(self, data: bytes | bytearray) -> None:
+    def _write(self, data: bytes) -> None:
         view = memoryview(data)
         while view:
             view = view[os.write(self._fd, view) :]

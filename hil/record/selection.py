@@ -1,9 +1,10 @@
-"""Which rows and columns of a log are wanted."""
+"""Which rows and columns of a log are wanted, and what the numbers in them are called."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
+from enum import IntFlag
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -11,9 +12,6 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-
-PIECE = 16_384
-"""Rows that are put together while a log is read."""
 
 
 class Component(NamedTuple):
@@ -85,29 +83,6 @@ def together(parts: Sequence[Rows]) -> Rows:
     return np.concatenate(list(map(as_bytes, parts))).view(parts[0].dtype)
 
 
-def joined(parts: Iterable[Rows], dtype: np.dtype[np.void]) -> Rows:
-    """Return parts behind each other, with little more memory than the result takes.
-
-    They are put together in pieces that are large enough to go back to the system once they are copied.
-    """
-    pieces: list[Rows] = []
-    held: list[Rows] = []
-    for part in parts:
-        held.append(part)
-        if sum(map(len, held)) >= PIECE:
-            pieces.append(together(held))
-            held = []
-    rows = np.empty(sum(map(len, pieces)) + sum(map(len, held)), dtype)
-    pieces = [*held[::-1], *pieces[::-1]]
-    del held
-    at = 0
-    while pieces:
-        piece = pieces.pop()
-        as_bytes(rows)[at : at + len(piece)] = as_bytes(piece)
-        at += len(piece)
-    return rows
-
-
 def components(columns: Sequence[Column], names: Sequence[str], log: str) -> list[Component]:
     """Return the components of columns that are named, whole columns among them; all without a name.
 
@@ -132,6 +107,18 @@ def components(columns: Sequence[Column], names: Sequence[str], log: str) -> lis
             raise LogError(f"{log}: {no_column(name, tuple(known))}")
         found += [component for component in known[name] if component not in found]
     return found
+
+
+def name_of(column: Column, number: int) -> str:
+    """Return the name of a number of a column that has names.
+
+    Flags are joined by `|`, with `NONE` where none is set; what has no name stands as a number.
+    """
+    if not issubclass(column.type, IntFlag):
+        return next((name for name, value in column.names.items() if value == number), str(number))
+    found = [name for name, bit in column.names.items() if bit and number & bit == bit]
+    rest = number & ~sum(column.names.values())
+    return "|".join(found + ([str(rest)] if rest else [])) or "NONE"
 
 
 def no_column(name: str, known: Sequence[str]) -> str:

@@ -1,17 +1,37 @@
 """Which row of the plant's log belongs to which tick, and which two logs are of one run."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from hil.record.alignment import Side, plant_rows_of, require_one_run
+from hil.record.data_frame import plant_rows_of, require_one_run
+from hil.record.schema import CONFIGURATION, IDENTITY, RUN
 
 PERIOD_NS = 1_000_000
 CLOCK_NS = 10_000_000_000
 """The clocks of one run started at most so far apart."""
 EPOCH = 946_684_800_000_000_000
-LOG = Side("a.mcap", EPOCH, lockstep=True, configuration=b"x: 1\n", run="7")
 PLACES = np.array([0, 1])
+
+
+def log(
+    path, *, epoch_ns=EPOCH, lockstep=True, configuration: bytes | None = b"x: 1\n", run: str | None = "7"
+):
+    """What of a log says which run it is of."""
+    made: Any = SimpleNamespace(
+        path=path,
+        epoch_ns=epoch_ns,
+        lockstep=lockstep,
+        attachments={CONFIGURATION: configuration} if configuration else {},
+        metadata={IDENTITY: {RUN: run} if run else {}},
+    )
+    return made
+
+
+LOG = log("a.mcap")
 
 
 def ticks_at(t_ns, lateness_ns=0):
@@ -90,17 +110,17 @@ def test_without_rows_no_tick_has_one(empty):
     ],
 )
 def test_logs_of_one_simulation_belong_together(plant):
-    require_one_run(LOG, LOG._replace(path="b.mcap", **plant), PLACES)
+    require_one_run(LOG, log("b.mcap", **plant), PLACES)
 
 
 @pytest.mark.parametrize("places", [[0], [-1, 0], [3, -1], [-1, -1, 2]], ids=str)
 def test_one_tick_that_is_in_the_plants_log_is_enough(places):
-    require_one_run(LOG, LOG._replace(path="b.mcap"), np.array(places))
+    require_one_run(LOG, log("b.mcap"), np.array(places))
 
 
 def test_in_real_time_the_plant_may_have_a_file_of_its_own():
-    live = LOG._replace(lockstep=False, run=None)
-    require_one_run(live, live._replace(path="b.mcap", configuration=b"y: 2\n"), PLACES)
+    live = {"lockstep": False, "run": None}
+    require_one_run(log("a.mcap", **live), log("b.mcap", configuration=b"y: 2\n", **live), PLACES)
 
 
 @pytest.mark.parametrize(
@@ -116,16 +136,21 @@ def test_in_real_time_the_plant_may_have_a_file_of_its_own():
 )
 def test_logs_of_two_runs_are_refused_with_what_differs(plant, places, why):
     with pytest.raises(LogError, match=f"b.mcap is of another run: {why}; name the right one"):
-        require_one_run(LOG, LOG._replace(path="b.mcap", **plant), places)
+        require_one_run(LOG, log("b.mcap", **plant), places)
 
 
 def test_a_log_in_real_time_and_a_plant_in_lockstep_are_of_two_runs():
     with pytest.raises(LogError, match="its configuration is another one"):
-        require_one_run(LOG._replace(lockstep=False, run=None), LOG._replace(path="b.mcap"), PLACES)
+        require_one_run(log("a.mcap", lockstep=False, run=None), log("b.mcap"), PLACES)
+
+
+@pytest.mark.parametrize("run", ["7", None])
+def test_a_log_of_an_earlier_version_names_no_run(run):
+    require_one_run(log("a.mcap", run=run), log("b.mcap", run=None), PLACES)
 
 
 def test_a_log_without_a_tick_is_of_no_other_run():
-    require_one_run(LOG, LOG._replace(path="b.mcap"), np.array([], int))
+    require_one_run(LOG, log("b.mcap"), np.array([], int))
 
 
 @pytest.mark.parametrize(("tick_ns", "row_ns"), [(50 * PERIOD_NS, PERIOD_NS), (0, 50 * PERIOD_NS)])

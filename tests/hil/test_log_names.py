@@ -7,7 +7,7 @@ from enum import IntEnum, IntFlag
 import pytest
 
 from drivers.tick_columns import Column
-from hil.record.value_names import name_of
+from hil.record.selection import name_of
 
 KIND = IntEnum("KIND", {"NONE": 0, "SLOW": 1, "FAST": 4})
 BITS = IntFlag("BITS", {"NONE": 0, "LATE": 1, "LOST": 2, "BOTH": 3, "HOT": 8})

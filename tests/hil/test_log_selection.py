@@ -1,13 +1,11 @@
-"""Which rows and columns of a log a selection takes, and how parts of a log become one array."""
-
-import weakref
+"""Which rows and columns of a log a selection takes."""
 
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record.selection import Selection, components, joined
+from hil.record.selection import Selection, components, together
 
 COLUMNS = (
     Column("output", "tick", int, "", "number of the tick"),
@@ -22,45 +20,6 @@ def rows_of(count):
     rows["tick"] = np.arange(count)
     rows["t_ns"] = 10 * rows["tick"]
     return rows
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 9, 11])
-def test_parts_stand_behind_each_other_in_their_order_however_many_there_are(count):
-    """Of eleven with 5500 rows each, nine are put together by three before the end."""
-    whole = np.zeros(5500 * count, TICKS)
-    whole["tick"] = np.arange(len(whole)) + 1
-    found = joined(iter([whole[a : a + 5500] for a in range(0, len(whole), 5500)]), TICKS)
-    np.testing.assert_array_equal(found, whole)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "kept"),
-    [
-        ([16383], [True]),
-        ([16384], [False]),
-        ([8192, 8191], [True, True]),
-        ([8192, 8192], [False, False]),
-        ([1, 20_000, 1], [False, False, True]),
-        ([8192, 8192, 8192, 8191], [False, False, True, True]),
-    ],
-    ids=str,
-)
-def test_parts_are_let_go_as_soon_as_they_have_16384_rows_together_and_not_before(sizes, kept):
-    """A few large pieces go back to the system; many small ones stay with the process."""
-    there: list[bool] = []
-
-    def parts():
-        known = []
-        for size in sizes:
-            part = np.zeros(size, TICKS)
-            known.append(weakref.ref(part))
-            yield part
-            del part
-        yield np.zeros(0, TICKS)  # in the place of the last one
-        there.extend(each() is not None for each in known)
-
-    assert len(joined(parts(), TICKS)) == sum(sizes)
-    assert there == kept
 
 
 def test_of_a_log_that_is_wanted_as_it_is_no_row_is_copied():
@@ -105,7 +64,7 @@ def test_columns_that_are_asked_for_in_another_order_than_the_logs_keep_their_ow
     rows = rows_of(4)
     rows["q"] = np.arange(12.0).reshape(4, 3)
     selection = Selection.of(COLUMNS, names, "a.mcap")
-    found = joined(iter([selection.of_rows(rows[:3]), selection.of_rows(rows[3:])]), selection.dtype)
+    found = together([selection.of_rows(rows[:3]), selection.of_rows(rows[3:])])
     assert found.dtype.names == names
     assert found["tick"].tolist() == [0, 1, 2, 3]
     assert found["t_ns"].tolist() == [0, 10, 20, 30]

@@ -15,7 +15,7 @@ from drivers.errors import LogError
 from drivers.tick_columns import ROW, Column
 from hil.app.plant_columns import PLANT
 from hil.record import Recording
-from hil.record.alignment import Side, plant_rows_of, require_one_run
+from hil.record.data_frame import plant_rows_of
 from hil.record.log import Log
 from hil.record.mcap_read import MAX_CHUNK, decompress
 from hil.record.salvage import salvage
@@ -352,14 +352,6 @@ def test_in_simulated_time_a_plant_of_another_configuration_is_refused(tmp_path)
     assert not Log(tmp_path / "a.mcap").frame("plant.p").isna().to_numpy().any()
     with pytest.raises(LogError, match=r"b-plant\.mcap is of another run: its configuration"):
         Log(tmp_path / "a.mcap", plant=tmp_path / "b-plant.mcap").frame("plant.p")
-
-
-def test_in_simulated_time_a_plant_of_other_set_points_is_refused():
-    log = Side("a.mcap", 0, True, b"a: 1", "1")
-    for run in ("1", None):  # None: of an earlier version
-        require_one_run(log, Side("a-plant.mcap", 0, True, b"a: 1", run), np.zeros(1, np.int64))
-    with pytest.raises(LogError, match=r"b-plant\.mcap is of another run: set-points, commands or faults"):
-        require_one_run(log, Side("b-plant.mcap", 0, True, b"a: 1", "2"), np.zeros(1, np.int64))
 
 
 def test_a_plants_log_has_a_table_but_no_figures(tmp_path):

@@ -93,7 +93,7 @@ def test_a_place_that_is_half_written_is_not_read(tmp_path, word):
     mirror.write(np.zeros((), ROW), np.zeros((), FIGURES))
     reader = MirrorReader(tmp_path / "m")
     assert reader.read() is not None
-    mirror._words[_place(1) // 8 + word] += 1
+    mirror._map[_place(1) + 8 * word] ^= 1
     assert reader.read() is None
 
 

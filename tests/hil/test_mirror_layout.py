@@ -15,7 +15,6 @@ import pytest
 
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record import mirror as module
 from hil.record.mirror import FIGURES, Mirror, MirrorReader
 from hil.record.row import Table, describe
 
@@ -72,7 +71,6 @@ def test_the_file_has_a_head_a_description_and_four_places_that_are_filled_in_tu
     assert last.events == []
     mirror.close()
     assert reader.ended
-    assert reader._words[3] == 1
 
 
 def test_a_place_that_claims_bytes_of_the_next_one_is_not_read_although_their_checksum_is_right(tmp_path):
@@ -81,8 +79,8 @@ def test_a_place_that_claims_bytes_of_the_next_one_is_not_read_although_their_ch
     reader = MirrorReader(tmp_path / "m")
     assert reader.read() is not None
     at, room = HEAD + SLOT, SLOT - WORDS
-    mirror._words[at // 8 + 1] = room + 8
-    mirror._words[at // 8 + 2] = zlib.crc32(mirror._map[at + WORDS : at + WORDS + room + 8])
+    crc = zlib.crc32(mirror._map[at + WORDS : at + WORDS + room + 8])
+    struct.pack_into("<2q", mirror._map, at + 8, room + 8, crc)
     assert reader.read() is None
 
 
@@ -108,67 +106,6 @@ def test_a_description_and_a_piece_may_fill_their_room_and_take_no_byte_more(tmp
         mirror.write(row, figures, b"[" + b" " * (room - 1) + b"]")
     assert reader.newest == 4
     mirror.close()
-
-
-class Watched:
-    """Words or bytes of a mirror; what is done to them is told."""
-
-    def __init__(self, name, inner, told):
-        self.name, self.inner, self.told = name, inner, told
-
-    def called(self, at):
-        return self.name if isinstance(at, slice) else NAMES[at]
-
-    def __getitem__(self, at):
-        self.told.append(f"read {self.called(at)}")
-        return self.inner[at]
-
-    def __setitem__(self, at, value):
-        self.told.append(f"store {self.called(at)}" + (" -1" if value == -1 else ""))
-        self.inner[at] = value
-
-
-SECOND = (HEAD + SLOT) // 8
-NAMES = {
-    0: "magic",
-    1: "length",
-    2: "newest",
-    3: "ended",
-    SECOND: "number",
-    SECOND + 1: "size",
-    SECOND + 2: "crc",
-}
-
-
-def watched(end, monkeypatch):
-    told: list[str] = []
-    end._words = Watched("words", end._words, told)
-    end._map = Watched("content", end._map, told)
-    monkeypatch.setattr(module, "fence", lambda: told.append("fence"))
-    return told
-
-
-def test_a_place_is_no_piece_before_its_content_changes_and_is_the_newest_when_it_is_whole(
-    tmp_path, monkeypatch
-):
-    mirror = Mirror(tmp_path / "m", ABOUT)
-    told = watched(mirror, monkeypatch)
-    mirror.write(*piece(1))
-    assert told == [
-        "store number -1", "fence", "store content", "store size", "store crc", "fence", "store number", "fence",
-        "store newest",
-    ]  # fmt: skip
-
-
-def test_a_reader_copies_the_content_between_two_looks_at_its_number(tmp_path, monkeypatch):
-    Mirror(tmp_path / "m", ABOUT).write(*piece(1))
-    reader = MirrorReader(tmp_path / "m")
-    told = watched(reader, monkeypatch)
-    assert reader.read() is not None
-    assert told == [
-        "read newest", "fence", "read number", "read size", "read crc", "fence", "read content", "fence",
-        "read number",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("torn", "read"), [(1, True), (999, True), (1000, False)])

@@ -135,7 +135,7 @@ AREAS = {
         tuple(
             f"hil/record/{name}.py"
             for name in (
-                *("alignment", "child", "encode", "environment", "figures", "layout", "live"),
+                *("child", "encode", "environment", "figures", "layout", "live"),
                 *(
                     "metrics",
                     "mirror",

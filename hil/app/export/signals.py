@@ -15,8 +15,7 @@ from drivers.errors import LogError
 from hil.app.row_groups import row_groups
 from hil.app.view.panels import titled
 from hil.record.log import Log
-from hil.record.selection import Component, components
-from hil.record.value_names import name_of
+from hil.record.selection import Component, components, name_of
 
 TIME = ("t_s", "s", "time from the first row")
 """Label, unit and meaning of the first column."""

@@ -23,8 +23,7 @@ from hil.app.view.paths import EVENTS, SCENE, difference_path, scalar_path
 from hil.record.log import Log
 from hil.record.scene import quaternion
 from hil.record.schema import CONFIGURATION
-from hil.record.selection import Component, components
-from hil.record.value_names import name_of
+from hil.record.selection import Component, components, name_of
 
 APPLICATION = "hexapod-hil"
 TICK = "tick"

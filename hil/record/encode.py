@@ -10,7 +10,6 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.opcode import Opcode
 
@@ -21,7 +20,7 @@ from hil.record.recording import VIEW_EVERY, Scene
 from hil.record.ring import EVENT, OPERATOR, SENT, Batch, unpack_numbers
 from hil.record.row import RowCodec, Table, row_schema
 from hil.record.scene import SceneDrawer, transforms
-from hil.record.schema import Schema, frame_schema, message_class, operator_schema, schema_of
+from hil.record.schema import Schema, files, frame_schema, message_class, operator_schema, schema_of
 
 TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
 """Channel ids."""
@@ -187,18 +186,7 @@ def _stamp(time_ns: int) -> Timestamp:
 
 
 def _foxglove(message: Any) -> Schema:
-    return schema_of(message.DESCRIPTOR.full_name, list(_files(message.DESCRIPTOR.file, set())))
-
-
-def _files(file: Any, seen: set[str]) -> Iterator[FileDescriptorProto]:
-    """Yield a file of messages behind all that it needs."""
-    for needed in file.dependencies:
-        if needed.name not in seen:
-            seen.add(needed.name)
-            yield from _files(needed, seen)
-    proto = FileDescriptorProto()
-    file.CopyToProto(proto)
-    yield proto
+    return schema_of(message.DESCRIPTOR.full_name, files(message.DESCRIPTOR.file))
 
 
 def _record(channel: int, tick: int, log_time: int, publish_time: int, message: Any) -> bytes:

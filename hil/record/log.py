@@ -144,12 +144,8 @@ class Log(LogFile):
         """
         if self.cut:
             return self._counted()
-        try:
+        with self._reading():
             statistics, topics = read_summary(self.path)
-        except LogError as error:
-            raise LogError(f"{self.path}: {error}; {self.mend}") from None
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
         counts = {topic: statistics.channel_message_counts.get(i, 0) for i, topic in topics.items()}
         closing = self.metadata.get(SUMMARY, {})
         dropped = closing.get("dropped", "0")

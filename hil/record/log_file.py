@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -152,17 +153,24 @@ class LogFile:
                 pass
             raise
 
-    def _records(self, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
-        """Yield the records as far as they go; refuse a file that is not cut and stops making sense."""
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Name the file in what goes wrong while it is read, and what may be done about damage."""
         try:
-            for record in records(self.path, skip):
-                if not (record.complete or self.cut):
-                    raise _no_record(record)
-                yield record
+            yield
         except LogError as error:
             raise LogError(f"{self.path}: {error}; {self.mend}") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
+
+    def _records(self, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
+        """Yield the records as far as they go; refuse a file that is not cut and stops making sense."""
+        with self._reading():
+            for record in records(self.path, skip):
+                if not (record.complete or self.cut):
+                    what = "no record" if record.opcode == NOTHING else "a record that ends behind the file"
+                    raise LogError(f"damaged at byte {record.offset}: {what}")
+                yield record
 
     def _learn(self, record: Record) -> None:
         """Keep what is whole and not a message."""
@@ -185,18 +193,13 @@ class LogFile:
 
     def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
         """Yield buffers of messages: the chunks."""
-        allowance = self._allowance()
+        with self._reading():
+            allowance = Allowance(self.path.stat().st_size)
         for record in self._records():
             if record.opcode == Opcode.MESSAGE:
                 raise self._damaged(record, LogError("a message outside a chunk, which no recorder writes"))
             if record.opcode == Opcode.CHUNK:
                 yield self._chunk(record, allowance)
-
-    def _allowance(self) -> Allowance:
-        try:
-            return Allowance(self.path.stat().st_size)
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def _chunk(self, record: Record, allowance: Allowance) -> tuple[bytes, MessageTable]:
         """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
@@ -209,8 +212,3 @@ class LogFile:
         if not record.complete:
             table = table.before(self._decoder.messages_of(table, self.topic))
         return data, table
-
-
-def _no_record(record: Record) -> LogError:
-    what = "no record" if record.opcode == NOTHING else "a record that ends behind the file"
-    return LogError(f"damaged at byte {record.offset}: {what}")

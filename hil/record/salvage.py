@@ -10,14 +10,14 @@ at which two sound records stand behind each other.
 import contextlib
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
-from numpy.typing import NDArray
 
 from drivers.errors import LogError
 from drivers.files import open_regular
@@ -29,7 +29,6 @@ from hil.record.mcap_read import (
     HEAD,
     OPCODES,
     Allowance,
-    MessageTable,
     Record,
     decompress,
     longest,
@@ -121,23 +120,24 @@ def _next(file: BinaryIO, start: int, stop: int, size: int) -> int | None:
     return None
 
 
-class SalvageReport(NamedTuple):
-    """What was recovered and what was lost."""
+@dataclass
+class SalvageReport:
+    """What was recovered and what was lost. Mutable while the salvage is at work."""
 
     path: Path
     out: Path
-    ticks: int
-    messages: int
-    chunks: int
-    """Complete chunks."""
-    partial_messages: int
-    """Messages recovered from a chunk that was cut."""
     bytes_read: int
-    bytes_lost: int
+    ticks: int = 0
+    messages: int = 0
+    chunks: int = 0
+    """Complete chunks."""
+    partial_messages: int = 0
+    """Messages recovered from a chunk that was cut."""
+    bytes_lost: int = 0
     """Bytes of the original that gave nothing."""
-    complete: bool
+    complete: bool = False
     """Nothing but the index at the end was missing."""
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
     ticks_lost: int = 0
     """Ticks of damaged chunks, as far as the index behind them counts them."""
 
@@ -168,88 +168,110 @@ class _Salvage:
     Raises OSError.
     """
 
-    def __init__(self, out: Path, source: Path, size: int, numbers: Mapping[int, str], topic: str) -> None:
-        """Open the new file; numbers: topics of the channels by number, topic: that of the rows."""
+    def __init__(self, source: Path, out: Path, size: int, rows: Collection[int]) -> None:
+        """Open the new file; rows: the channels of rows."""
         self.file = McapFile(out, f"{LIBRARY}/{product_version()}")
-        self.end: dict[str, str] | None = None
-        """What the run has said of its end."""
-        self.chunks = self.ticks = self.partial = self.lost = self.ticks_lost = 0
+        self.report = SalvageReport(source, out, size)
         self.remarks: list[str] = []
-        self._source, self._allowance = source, Allowance(size)
-        self._rows = [number for number, each in numbers.items() if each == topic]
+        self._allowance, self._rows = Allowance(size), list(rows)
+        self._end: dict[str, str] | None = None
+        """What the run has said of its end."""
         self._damaged = False
         """Whether the index that comes next is of a chunk that is left out."""
 
     def work(self) -> None:
         """Take over what survives of the original."""
-        for record in surviving(self._source):
+        report = self.report
+        for record in surviving(report.path):
             if isinstance(record, Lost):
-                self.lost += record.stop - record.start
-                self.remarks.append(f"bytes {record.start} to {record.stop} are damaged and left out")
-            else:
+                self._lose(
+                    record.stop - record.start,
+                    f"bytes {record.start} to {record.stop} are damaged and left out",
+                )
+                continue
+            try:
                 self._add(record)
-        if not self.lost and not self.remarks:
+                self._damaged = self._damaged and record.opcode == Opcode.MESSAGE_INDEX
+            except LogError as error:
+                self._damaged = record.opcode == Opcode.CHUNK
+                what = "the chunk" if self._damaged else "the record"
+                remark = f"{what} at byte {record.offset} is damaged and left out: {error}"
+                self._lose(len(record.whole), remark)
+        if not report.bytes_lost and not self.remarks:
             try:  # metadata and the names of schemas and channels have no checksum of their own
-                for _ in records(self._source):
+                for _ in records(report.path):
                     pass
             except LogError as error:
                 self.remarks.append(f"{error}: what was taken over may hold the damage")
 
-    def _add(self, record: Record) -> None:
-        if record.opcode != Opcode.MESSAGE_INDEX:
-            self._damaged = False
-        try:
-            if record.opcode == Opcode.CHUNK:
-                self._chunk(record)
-            elif not record.complete:
-                self._lose(record, f"the file ends inside a record at byte {record.offset}")
-            elif record.opcode == Opcode.MESSAGE_INDEX:
-                self._index(record)
-            else:
-                self._other(record)
-        except LogError as error:
-            self._damaged = record.opcode == Opcode.CHUNK
-            what = "the chunk" if self._damaged else "the record"
-            self._lose(record, f"{what} at byte {record.offset} is damaged and left out: {error}")
-
-    def _lose(self, record: Record, remark: str) -> None:
-        self.lost += len(record.whole)
+    def _lose(self, size: int, remark: str) -> None:
+        self.report.bytes_lost += size
         self.remarks.append(remark)
 
-    def _other(self, record: Record) -> None:
-        found = record.parse()
-        if record.opcode == Opcode.MESSAGE:
+    def _add(self, record: Record) -> None:
+        found = record.parse() if record.complete else None
+        if record.opcode == Opcode.CHUNK:
+            self._chunk(record)
+        elif not record.complete:
+            self._lose(len(record.whole), f"the file ends inside a record at byte {record.offset}")
+        elif record.opcode == Opcode.MESSAGE:
             raise LogError("a message outside a chunk, which no recorder writes")
-        if record.opcode == Opcode.ATTACHMENT:
+        elif record.opcode == Opcode.MESSAGE_INDEX:
+            if self._damaged and int.from_bytes(record.content[:2], "little") in self._rows:
+                self.report.ticks_lost += (len(record.content) - 6) // 16
+        elif record.opcode == Opcode.ATTACHMENT:
             self.file.add_attachment(found.name, found.data, found.log_time, found.media_type)
         elif record.opcode == Opcode.METADATA and found.name == SUMMARY:
-            self.end = dict(found.metadata)
+            self._end = dict(found.metadata)
         elif record.opcode == Opcode.METADATA and found.name != IDENTITY:
             self.file.add_metadata(found.name, found.metadata)
 
     def _chunk(self, record: Record) -> None:
         """Copy a chunk; of one that is cut, the whole ticks, which are what replay needs."""
         data, table, _ = messages_in(record, self._allowance)
+        begun = np.flatnonzero(np.isin(table.channel, self._rows))
         if record.complete:
             self.file.add_compressed(record.parse(), table.channel, table.log_time, table.offset)
-            self.chunks += 1
-        else:
-            table = table.before(self._ticks(table))
-            self.partial = len(table.channel)
-            if self.partial:
-                end = int(table.offset[-1] + table.length[-1])
-                self.file.add_chunk(data[:end], table.channel, table.log_time, table.offset)
-            what = f"the file ends inside the chunk at byte {record.offset}"
-            self._lose(record, f"{what}: {self.partial} messages of it recovered")
-        self.ticks += len(self._ticks(table))
+            self.report.chunks += 1
+            self.report.ticks += len(begun)
+            return
+        table = table.before(begun)
+        count = len(table.channel)
+        if count:
+            end = int(table.offset[-1] + table.length[-1])
+            self.file.add_chunk(data[:end], table.channel, table.log_time, table.offset)
+            self.report.ticks += len(begun) - 1
+        self.report.partial_messages = count
+        what = f"the file ends inside the chunk at byte {record.offset}"
+        self._lose(len(record.whole), f"{what}: {count} messages of it recovered")
 
-    def _index(self, record: Record) -> None:
-        """Count the ticks of a chunk that is left out."""
-        if self._damaged and int.from_bytes(record.content[:2], "little") in self._rows:
-            self.ticks_lost += (len(record.content) - 6) // 16
-
-    def _ticks(self, table: MessageTable) -> NDArray[np.intp]:
-        return np.flatnonzero(np.isin(table.channel, self._rows))
+    def close(self) -> SalvageReport:
+        """Write what was lost and how the run ended, and close the file."""
+        report, end, remarks = self.report, self._end or {}, self.remarks[:_REMARKS]
+        if len(self.remarks) > _REMARKS:
+            remarks.append(f"and {len(self.remarks) - _REMARKS} places more")
+        told = end.get("ticks", "")
+        if not remarks and told.isdecimal() and told != str(report.ticks):
+            remarks.append(f"its end counts {told:.20} ticks, {report.ticks} are there")
+        report.messages, report.remarks = self.file.messages, tuple(remarks)
+        report.complete = self._end is not None and not report.bytes_lost and not remarks
+        self.file.add_metadata(
+            SALVAGE,
+            {
+                "original": report.path.name,
+                "original_bytes": str(report.bytes_read),
+                "bytes_lost": str(report.bytes_lost),
+                "ticks_lost": str(report.ticks_lost),
+                "remarks": "; ".join(remarks),
+            },
+        )
+        if not report.complete:
+            end["ticks"] = str(report.ticks)
+            if end.get("closed", CLEAN) == CLEAN:
+                end["closed"] = "salvaged"
+        self.file.add_metadata(SUMMARY, end)
+        self.file.finish()
+        return report
 
 
 def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> SalvageReport:
@@ -280,7 +302,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
     try:
-        work = _Salvage(target, source, size, {n: own[k][0] for n, k in numbers.items()}, run.topic)
+        work = _Salvage(source, target, size, [n for n, k in numbers.items() if k == known[run.topic]])
         try:
             work.file.add_metadata(IDENTITY, identity)
             for number, (_, schema, _) in own.items():
@@ -288,7 +310,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             for number, k in numbers.items():
                 work.file.add_channel(Channel(number, own[k][0], "protobuf", own[k][2], k))
             work.work()
-            return _close(work, source, target, size)
+            return work.close()
         except BaseException:
             work.file.discard()
             raise
@@ -296,43 +318,3 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
         raise LogError(f"{target}: exists and is never overwritten: choose another name") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-
-
-def _close(work: _Salvage, source: Path, target: Path, size: int) -> SalvageReport:
-    remarks = work.remarks[:_REMARKS]
-    if len(work.remarks) > _REMARKS:
-        remarks.append(f"and {len(work.remarks) - _REMARKS} places more")
-    told = (work.end or {}).get("ticks", "")
-    if not remarks and told.isdecimal() and told != str(work.ticks):
-        remarks.append(f"its end counts {told:.20} ticks, {work.ticks} are there")
-    report = SalvageReport(
-        path=source,
-        out=target,
-        ticks=work.ticks,
-        messages=work.file.messages,
-        chunks=work.chunks,
-        partial_messages=work.partial,
-        bytes_read=size,
-        bytes_lost=work.lost,
-        complete=work.end is not None and not work.lost and not remarks,
-        remarks=tuple(remarks),
-        ticks_lost=work.ticks_lost,
-    )
-    work.file.add_metadata(
-        SALVAGE,
-        {
-            "original": source.name,
-            "original_bytes": str(size),
-            "bytes_lost": str(work.lost),
-            "ticks_lost": str(work.ticks_lost),
-            "remarks": "; ".join(remarks),
-        },
-    )
-    end = work.end or {}
-    if not report.complete:
-        end["ticks"] = str(work.ticks)
-        if end.get("closed", CLEAN) == CLEAN:
-            end["closed"] = "salvaged"
-    work.file.add_metadata(SUMMARY, end)
-    work.file.finish()
-    return report

@@ -69,7 +69,7 @@ def frame_schema() -> Schema:
         add_field(message, name, number, kind, type_name=type_name)
         if text:
             comment(file, number - 1, text)
-    return schema_of(FRAME, [_timestamp(), file])
+    return schema_of(FRAME, [*files(timestamp_pb2.DESCRIPTOR), file])
 
 
 def operator_schema() -> Schema:
@@ -91,7 +91,7 @@ def operator_schema() -> Schema:
         4,
         "of SETPOINT: x, y, z in m and the rotation vector in rad; else the command's numbers",
     )
-    return schema_of(OPERATOR, [_timestamp(), file])
+    return schema_of(OPERATOR, [*files(timestamp_pb2.DESCRIPTOR), file])
 
 
 def message_class(schema: Schema) -> Any:
@@ -135,10 +135,14 @@ def comment(file: descriptor_pb2.FileDescriptorProto, index: int, text: str) -> 
     )
 
 
-def _timestamp() -> descriptor_pb2.FileDescriptorProto:
-    file = descriptor_pb2.FileDescriptorProto()
-    timestamp_pb2.DESCRIPTOR.CopyToProto(file)
-    return file
+def files(file: Any) -> list[descriptor_pb2.FileDescriptorProto]:
+    """Return a file of messages behind all that it needs, each of them once."""
+    found: list[descriptor_pb2.FileDescriptorProto] = []
+    for needed in file.dependencies:
+        found += [each for each in files(needed) if each not in found]
+    proto = descriptor_pb2.FileDescriptorProto()
+    file.CopyToProto(proto)
+    return [*found, proto]
 
 
 def schema_of(name: str, files: Sequence[descriptor_pb2.FileDescriptorProto]) -> Schema:

@@ -43,10 +43,8 @@ def test_what_was_salvaged_and_what_is_lost_is_said_on_standard_error(
     replayed, tmp_path, monkeypatch, lost, said
 ):
     out = tmp_path / "whole.mcap"
-    fields: dict[str, Any] = dict.fromkeys(SalvageReport._fields, 0)
-    report = SalvageReport(
-        **fields | {"out": out, "ticks": 70, "bytes_lost": 12, "ticks_lost": lost, "remarks": ("cut", "late")}
-    )
+    given: dict[str, Any] = {"path": tmp_path, "out": out, "bytes_read": 99, "remarks": ("cut", "late")}
+    report = SalvageReport(**given, ticks=70, bytes_lost=12, ticks_lost=lost)
     monkeypatch.setattr("hil.record.salvage.salvage", lambda *_: report)
     found = replayed("--salvage", out)
     assert found.stderr.splitlines() == [f"salvaged 70 ticks into {out}, {said}", "  cut", "  late"]

@@ -72,8 +72,11 @@ class Decoder:
 
     def messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
         """Return which messages of a table are of a topic."""
-        numbers = [number for number, each in self._topics.items() if each == topic]
-        return np.flatnonzero(np.isin(table.channel, numbers))
+        found = np.zeros(len(table.channel), np.bool_)
+        for number, each in self._topics.items():
+            if each == topic:
+                found |= table.channel == number
+        return np.flatnonzero(found)
 
     def messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
         """Yield the commands or events in a buffer."""

@@ -65,7 +65,7 @@ def scan(words: Ints, size: int, position: int, table: Ints, n: int) -> tuple[in
 
 def constants_of(layout: Layout) -> tuple[Ints, Ints]:
     """Return the values and the masks of the words of a layout, from each of its bytes on."""
-    template, mask = (words_of(each.tobytes()) for each in layout)
+    template, mask = (words_of(each.tobytes()).copy() for each in layout)
     return template, mask
 
 
@@ -174,10 +174,10 @@ def compiled() -> Kernels:
     from drivers.compiled import compiler as c  # noqa: PLC0415 - it takes a quarter of a second
 
     words, numbers, filled = c.WORDS, c.INTEGERS, c.OUT_INTEGER_MATRIX
-    of_frames = words, numbers, numbers, c.INTEGER, words, words, c.MATRIX_OF_INTEGERS, filled
+    of_frames = words, numbers, numbers, c.INTEGER, numbers, numbers, c.MATRIX_OF_INTEGERS, filled
     return Kernels(
         c.kernel(words, c.INTEGER, c.INTEGER, filled, c.INTEGER)(scan),
-        c.kernel(words, numbers, words, words, numbers, filled)(unpack_rows),
+        c.kernel(words, numbers, numbers, numbers, numbers, filled)(unpack_rows),
         c.kernel(*of_frames)(unpack_frames),
     )
 

@@ -27,14 +27,6 @@ def _load(_context: Any, words: Any, _index: Any) -> Any:
     return types.int64(words, types.int64), generate
 
 
-def _store(_context: Any, words: Any, _index: Any, _value: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        builder.store_atomic(values[2], _place(context, builder, signature, values), _ORDER, _WORD)
-        return context.get_dummy_value()
-
-    return types.void(words, types.int64, types.int64), generate
-
-
 def _replace(_context: Any, words: Any, _index: Any, _expected: Any, _new: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         place = _place(context, builder, signature, values)
@@ -58,12 +50,10 @@ def _change(operation: str) -> Any:
 
 load: Any = intrinsic(_load)
 """load(words, index): the word."""
-store: Any = intrinsic(_store)
-"""store(words, index, value)."""
 replace: Any = intrinsic(_replace)
 """replace(words, index, expected, new): put `new` if the word is `expected`; tell whether it was."""
-exchange: Any = intrinsic(_change("xchg"))
-"""exchange(words, index, value): put the value and return what was there."""
+store: Any = intrinsic(_change("xchg"))
+"""store(words, index, value): put the value and return what was there."""
 raise_to: Any = intrinsic(_change("max"))
 """raise_to(words, index, value): put the larger of word and value; return what was there."""
 lower_to: Any = intrinsic(_change("min"))

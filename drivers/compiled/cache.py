@@ -26,16 +26,11 @@ from drivers.files import made_folder, own_folder
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("drivers", "hil", "plant_fmu")
 _IMPORT = re.compile(
-    r"""(?:
-        from\b((?:[\w. \t]|\\\n)+?)\bimport\b(?:[ \t]|\\\n)*(\((?:[^()#]|\#[^\n]*)*\)|(?:[^\\\n#;]|\\\n)*)
-        |import\b((?:[^\\\n#;]|\\\n)*))""",
-    re.VERBOSE,
+    r"^( *)(?:from|import) ((?:drivers|hil|plant_fmu)\b[\w.]*)(?: import ([^(\n]*(?:\([^)]*\))?))?",
+    re.MULTILINE,
 )
-"""Modules, names and plain imports; a parser of all Python would cost each start 0.2 s."""
-_COMMENT = re.compile(r"#[^\n]*")
-_NAME = re.compile(r"(?:^|[,(])[\s\\]*([\w.]+)")
-_announcement: list[Callable[[], None]] = []
-_counting: list[Callable[[Path], None]] = []
+"""Indent, module and names, as the formatter leaves them: Python's parser would cost each start 0.2 s."""
+_watching: list[Any] = []
 
 
 def cache_folder() -> Path:
@@ -93,29 +88,17 @@ def file_of(module: str) -> Path | None:
 
 
 @functools.cache
-def _imports(source: Path) -> frozenset[Path]:
-    """Return the project's files that this one imports."""
+def imports(source: Path, *, inside: bool = True) -> frozenset[Path]:
+    """Return the project's files that a source imports, those that its functions import too if `inside`."""
     modules = set()
-    for given, names, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
-        if given:
-            module = _absolute(given.strip(" \t\n\\"), source)
-            modules |= {module, *(f"{module}.{name}" for name in _NAME.findall(_COMMENT.sub("", names)))}
-        for name in _NAME.findall(plain):
-            packages = name.split(".")
-            modules |= {".".join(packages[: n + 1]) for n in range(len(packages))}
+    for indent, module, names in _IMPORT.findall(source.read_text(encoding="utf-8")):
+        if inside or not indent:
+            modules |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))}
     return frozenset(path for path in map(file_of, modules) if path is not None)
 
 
-def _absolute(module: str, source: Path) -> str:
-    """Return the full name of a module that a file names, with dots in front where it is relative."""
-    name = module.lstrip(".")
-    dots = len(module) - len(name)
-    package = source.parts[len(_ROOT.parts) : -dots] if dots else ()
-    return ".".join([*package, name] if name else package)
-
-
 @functools.cache
-def sources_of(source: Path) -> tuple[Path, ...]:
+def sources_of(source: Path, *, inside: bool = True) -> tuple[Path, ...]:
     """Return the project's files that decide what ``source`` compiles to: it and all it imports."""
     seen: set[Path] = set()
     todo = [source.resolve()]
@@ -123,7 +106,7 @@ def sources_of(source: Path) -> tuple[Path, ...]:
         path = todo.pop()
         if path not in seen:
             seen.add(path)
-            todo += _imports(path)
+            todo += imports(path, inside=inside)
     return tuple(sorted(seen))
 
 
@@ -174,26 +157,21 @@ def is_as_imported(source: Path) -> bool:
     return True
 
 
-def before_compiling(say: Callable[[], None]) -> None:
-    """Have `say` called once, before the first kernel that is compiled instead of loaded."""
-    _announcement[:] = [say]
+def watch(compilation: Any) -> None:
+    """Have `begin` called before a kernel that is compiled, and `compiled` with its file after it."""
+    _watching[:] = [compilation]
 
 
 def announce() -> None:
-    """Say that a kernel is compiled, once."""
-    if _announcement:
-        _announcement.pop()()
-
-
-def while_compiling(count: Callable[[Path], None]) -> None:
-    """Have `count` called after each kernel that was compiled instead of loaded, with its file."""
-    _counting[:] = [count]
+    """Say that a kernel is to be compiled instead of loaded."""
+    for each in _watching:
+        each.begin()
 
 
 def compiled(source: Path) -> None:
     """Say that a kernel of a file was compiled."""
-    for count in _counting:
-        count(source)
+    for each in _watching:
+        each.compiled(source)
 
 
 class Locator:
@@ -202,7 +180,7 @@ class Locator:
     def __init__(self, function: Callable[..., Any], file: str) -> None:
         self._folder = folder_of(Path(file).resolve())
         self._line = function.__code__.co_firstlineno
-        if _announcement and next(self._folder.glob("*.nbi"), None) is None:
+        if _watching and next(self._folder.glob("*.nbi"), None) is None:
             announce()
 
     @classmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -14,14 +15,12 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, register_jitable
 from numba.np import linalg
+from numba.np.numpy_support import as_dtype
 
 import drivers.compiled.assignment  # noqa: F401 - lowers assignments to slices
-from drivers.compiled.borrowed import BorrowedRecord, borrowed, only_numbers
-from drivers.compiled.cache import Locator, announce, is_as_imported
-from drivers.compiled.cache import compiled as count_compiled
+from drivers.compiled import cache
 from drivers.compiled.lean_library import lean_libraries
-from drivers.compiled.pipeline import KernelPipeline
-from drivers.compiled.undisturbed import undisturbed
+from drivers.compiled.records import RecordArgument, record_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -51,7 +50,6 @@ WORDS = types.Array(types.int64, 1, "A", readonly=True, aligned=False)
 """Argument: integers at any distance, at any address."""
 MATRIX_OF_INTEGERS = types.Array(types.int64, 2, "C", readonly=True)
 BYTES = types.Array(types.uint8, 1, "C", readonly=True)
-OUT_BYTES = types.Array(types.uint8, 1, "C")
 FLAGS = types.Array(types.boolean, 1, "C", readonly=True)
 OUT_FLAGS = types.Array(types.boolean, 1, "C")
 OUT_INTEGER_MATRIX = types.Array(types.int64, 2, "C")
@@ -71,16 +69,36 @@ def record(dtype: np.dtype[np.void], *names: str) -> Any:
 
     Without names it sees all. For `direct` kernels only.
     """
-    return BorrowedRecord(dtype, names or dtype.names or ())
+    return record_of(dtype, names or dtype.names or ())
 
 
 def records(dtype: np.dtype[np.void]) -> Any:
     """Argument: a vector of elements of a structured dtype, writeable or not. For `direct` kernels only."""
-    return types.Array(BorrowedRecord(dtype, dtype.names or ()), 1, "C", readonly=True)
+    return types.Array(record(dtype), 1, "C", readonly=True)
 
 
 # numpy's error model: division by zero gives inf or nan and never raises inside the loop.
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "pipeline_class": KernelPipeline}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Hold Ctrl-C, and the timer that repeats one, back to the end: half a kernel would crash the process."""
+    held: list[int] = []
+    handlers: dict[int, Any] = {}
+    try:
+        for number in (signal.SIGINT, signal.SIGALRM):
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda given, _: held.append(given))
+    except ValueError:  # not the main thread, in which alone handlers run
+        handlers.clear()
+    try:
+        yield
+    finally:
+        for restored, handler in handlers.items():
+            signal.signal(restored, handler)
+    if held:
+        signal.raise_signal(held[0])
 
 
 @contextmanager
@@ -90,12 +108,12 @@ def compiling(function: Callable[..., Any]) -> Iterator[bool]:
     Where a source was saved since this process began, what is compiled is neither taken from the cache nor
     kept. Ctrl-C waits until the kernel is there.
     """
-    kept = is_as_imported(Path(function.__code__.co_filename).resolve())
+    kept = cache.is_as_imported(_source(function))
     if not kept:
-        announce()
+        cache.announce()
     settings = vars(numba.config)
     elsewhere = settings["CACHE_LOCATOR_CLASSES"]
-    settings["CACHE_LOCATOR_CLASSES"] = f"{Locator.__module__}.{Locator.__name__}"
+    settings["CACHE_LOCATOR_CLASSES"] = f"{cache.__name__}.{cache.Locator.__name__}"
     try:
         with undisturbed(), lean_libraries():
             yield kept
@@ -106,7 +124,11 @@ def compiling(function: Callable[..., Any]) -> Iterator[bool]:
 def count(function: Callable[..., Any], *, kept: bool, misses: int) -> None:
     """Report that a kernel was compiled, unless it came out of the cache."""
     if not kept or misses:
-        count_compiled(Path(function.__code__.co_filename).resolve())
+        cache.compiled(_source(function))
+
+
+def _source(function: Callable[..., Any]) -> Path:
+    return Path(function.__code__.co_filename).resolve()
 
 
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
@@ -128,35 +150,56 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 
 def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
-    """As `kernel`, for what the loop calls each tick: no dispatcher, arrays borrowed.
-
-    See `drivers.compiled.borrowed`. It returns numbers only, and other kernels call it `apart` alone. An
-    array of another type raises TypeError.
-    """
+    """As `kernel`, for what is called with records; other kernels call `compiled_of` it. See `entry`."""
 
     def decorate(function: F) -> F:
-        return entry(kernel(*map(borrowed, arguments), unlocked=unlocked)(function))
+        return entry(kernel(*arguments, unlocked=unlocked)(function))
 
     return decorate
 
 
 def entry(compiled: F) -> F:
-    """Return what the interpreter calls of a `kernel` of borrowed arguments: no dispatcher."""
+    """Return what the interpreter calls of a `kernel`: no dispatcher stands before one that takes records.
+
+    An argument that is no array of elements of that size, or of other numbers, order or dimensions than
+    stated, raises TypeError. Such a kernel returns numbers only.
+    """
     made: Any = compiled
     if not hasattr(made, "overloads"):  # where Numba is disabled
         return compiled
     (only,) = made.overloads.values()
-    if not only_numbers(only.signature.return_type):
-        raise TypeError(f"{made.__qualname__}: a direct kernel fills arrays and returns numbers")
-    _of_entry[only.entry_point] = made
-    return cast("F", only.entry_point)
+    records_taken, arrays = False, []
+    for place, kind in enumerate(only.signature.args):
+        if isinstance(kind, RecordArgument) or isinstance(getattr(kind, "dtype", None), RecordArgument):
+            records_taken = True
+        elif isinstance(kind, types.Array):
+            arrays.append((place, as_dtype(kind.dtype), kind))
+    if not records_taken:
+        return compiled
+    call = _looking(only.entry_point, arrays) if arrays else only.entry_point
+    _of_entry[call] = made
+    return cast("F", call)
+
+
+def _looking(entry_point: Callable[..., Any], arrays: list[tuple[int, Any, Any]]) -> Callable[..., Any]:
+    """Look at arrays of numbers first: Numba's entry looks at the size of their elements alone."""
+
+    def call(*given: Any) -> Any:
+        for place, dtype, kind in arrays:
+            array = given[place]
+            fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == kind.ndim
+            if not fits or not array.flags.c_contiguous or (kind.mutable and not array.flags.writeable):
+                raise TypeError(f"argument {place} of a kernel is no {kind}")
+        return entry_point(*given)
+
+    return call
 
 
 _of_entry: dict[Any, Any] = {}
 
 
 def compiled_of(function: Any) -> Any:
-    """Return the dispatcher of a `kernel` or of a `direct` one."""
+    """Return the dispatcher of a `kernel` or of a `direct` one, which other kernels call."""
     return _of_entry.get(function, function)
 
 

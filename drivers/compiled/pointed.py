@@ -104,16 +104,6 @@ def record_at(argument: Any) -> Any:
     return intrinsic(at)
 
 
-def records_at(argument: Any) -> Any:
-    """Return what makes, inside a kernel, an array of records of a type from address and count."""
-    to_records = _pointer(argument)
-
-    def at(address: int, count: int) -> Any:
-        return _carray(to_records(address), (count,))
-
-    return helper(at)
-
-
 def _address_of(_context: Any, record: Any) -> Any:
     def generate(_target: Any, builder: Any, _signature: Any, values: Any) -> Any:
         return builder.ptrtoint(values[0], ir.IntType(64))
@@ -125,48 +115,30 @@ address_of: Any = intrinsic(_address_of)
 """address_of(record): inside a kernel, where it is."""
 
 
-def _pointer(kind: Any) -> Any:
-    def to_pointer(_context: Any, _address: Any) -> Any:
-        pointer: Any = types.CPointer(kind)  # type: ignore[no-untyped-call]
+def records_at(argument: Any) -> Any:
+    """Return what makes, inside a kernel, an array of records or numbers of a type from address and count."""
+    pointer: Any = types.CPointer(argument)  # type: ignore[no-untyped-call]
+    to_elements = record_at(pointer)
 
-        def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
-            return builder.inttoptr(values[0], context.get_value_type(pointer))
+    def at(address: int, count: int) -> Any:
+        return _carray(to_elements(address), (count,))
 
-        return pointer(types.int64), generate
-
-    return intrinsic(to_pointer)
-
-
-_to_reals: Any = _pointer(types.float64)
-_to_integers: Any = _pointer(types.int64)
-_to_bytes: Any = _pointer(types.uint8)
+    return helper(at)
 
 
-@helper
-def reals_at(address: int, count: int) -> Array:
-    """Return, inside a kernel, the float64 vector of so many elements at an address."""
-    values: Array = _carray(_to_reals(address), (count,))
-    return values
+reals_at: Callable[[int, int], Array] = records_at(types.float64)
+"""reals_at(address, count): inside a kernel, the float64 vector at an address."""
+integers_at: Callable[[int, int], Ints] = records_at(types.int64)
+"""integers_at(address, count): inside a kernel, the int64 vector at an address."""
+bytes_at: Callable[[int, int], Bytes] = records_at(types.uint8)
+"""bytes_at(address, count): inside a kernel, the bytes at an address."""
+_to_reals = record_at(types.CPointer(types.float64))  # type: ignore[no-untyped-call]
 
 
 @helper
 def matrix_at(address: int, rows: int, columns: int) -> Array:
     """Return, inside a kernel, the float64 matrix at an address."""
     values: Array = _carray(_to_reals(address), (rows, columns))
-    return values
-
-
-@helper
-def integers_at(address: int, count: int) -> Ints:
-    """Return, inside a kernel, the int64 vector of so many elements at an address."""
-    values: Ints = _carray(_to_integers(address), (count,))
-    return values
-
-
-@helper
-def bytes_at(address: int, count: int) -> Bytes:
-    """Return, inside a kernel, the bytes at an address."""
-    values: Bytes = _carray(_to_bytes(address), (count,))
     return values
 
 

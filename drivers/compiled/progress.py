@@ -6,7 +6,6 @@ What a function imports counts for the program's own file only; where more comes
 
 from __future__ import annotations
 
-import ast
 import re
 import time
 from collections.abc import Callable, Iterable
@@ -71,7 +70,8 @@ class Compilation:
 def to_compile(programs: Iterable[Path]) -> dict[Path, int]:
     """Return the files with kernels that programs import, each with how many the cache has not."""
     found = {}
-    for source in _imported(programs):
+    begun = {*programs}.union(*map(cache.imports, programs))
+    for source in {each for one in begun for each in cache.sources_of(one, inside=False)}:
         kernels = len(_KERNEL.findall(source.read_text(encoding="utf-8")))
         if kernels:
             kept = sum(1 for _ in cache.folder_of(source).glob("*.nbi"))
@@ -83,34 +83,3 @@ def _work(source: Path) -> float:
     """Return what a kernel of a file costs, in some unit: its share of the source, and a least one."""
     text = source.read_text(encoding="utf-8")
     return 2000.0 + len(text) / max(1, len(_KERNEL.findall(text)))
-
-
-def _imported(programs: Iterable[Path]) -> set[Path]:
-    """Return the project's files that programs import, anywhere, and what these import as modules."""
-    todo: list[Path] = []
-    for program in programs:
-        tree = ast.parse(program.read_text(encoding="utf-8"))
-        todo += [program, *_files(ast.walk(tree))]
-    seen: set[Path] = set()
-    while todo:
-        source = todo.pop()
-        if source not in seen:
-            seen.add(source)
-            todo += _files(ast.parse(source.read_text(encoding="utf-8")).body)
-    return seen
-
-
-def _files(nodes: Iterable[ast.AST]) -> list[Path]:
-    """Return the project's files that these statements import, packages on the way included."""
-    modules: list[str] = []
-    for node in nodes:
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            modules += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Import):
-            modules += [alias.name for alias in node.names]
-    found = []
-    for module in modules:
-        words = module.split(".")
-        packages = (cache.file_of(".".join(words[: n + 1])) for n in range(len(words)))
-        found += [path for path in packages if path is not None]
-    return found

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from drivers.compiled.cache import before_compiling, elsewhere, while_compiling
+from drivers.compiled.cache import elsewhere, watch
 from drivers.compiled.progress import Compilation, Progress
 from drivers.terminal_row import rewriting
 
@@ -28,9 +28,7 @@ def show_compilation(command: Callable[..., Any]) -> None:
     if "load" in command.__globals__:
         spec = find_spec(_LOADS)
         programs.append(spec.origin if spec is not None else None)
-    compilation = Compilation([Path(each) for each in programs if each], Display().show)
-    before_compiling(compilation.begin)
-    while_compiling(compilation.compiled)
+    watch(Compilation([Path(each) for each in programs if each], Display().show))
 
 
 class Display:

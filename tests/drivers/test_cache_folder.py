@@ -80,12 +80,6 @@ def test_a_module_of_this_project_has_a_file_and_others_have_none(module, file):
     assert cache.file_of(module) == (None if file is None else ROOT / file)
 
 
-def test_a_module_is_imported_with_the_packages_above_it(tmp_path):
-    (tmp_path / "a.py").write_text("import drivers.compiled.atomics\n")
-    inside = ("drivers/__init__.py", "drivers/compiled/__init__.py", "drivers/compiled/atomics.py")
-    assert cache._imports(tmp_path / "a.py") == {ROOT / each for each in inside}
-
-
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
     path = tmp_path / "a.py"
@@ -116,28 +110,40 @@ def test_a_source_is_hashed_before_its_date_is_looked_at(source, monkeypatch):
     assert not cache.is_as_imported(source)
 
 
+class Counting:
+    """Mutable state: what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+
+    def begin(self) -> None:
+        self.told.append("compiles")
+
+    def compiled(self, source: Path) -> None:
+        self.told.append(source)
+
+
 def test_who_counts_is_told_the_file_of_each_kernel_that_was_compiled_and_the_last_one_counts(monkeypatch):
-    monkeypatch.setattr(cache, "_counting", [])
+    monkeypatch.setattr(cache, "_watching", [])
     cache.compiled(Path("nobody counts"))
-    first: list[Any] = []
-    second: list[Any] = []
-    cache.while_compiling(first.append)
+    first, second = Counting(), Counting()
+    cache.watch(first)
     cache.compiled(Path("a.py"))
-    cache.while_compiling(second.append)
+    cache.watch(second)
     cache.compiled(Path("b.py"))
-    assert (first, second) == ([Path("a.py")], [Path("b.py")])
+    assert (first.told, second.told) == ([Path("a.py")], [Path("b.py")])
 
 
 def test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept(monkeypatch, tmp_path):
+    function = test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept
     monkeypatch.setattr(cache, "folder_of", lambda _: tmp_path)
-    monkeypatch.setattr(cache, "_announcement", [])
-    announced: list[str] = []
-    cache.before_compiling(lambda: announced.append("compiles"))
+    monkeypatch.setattr(cache, "_watching", [])
+    counting = Counting()
+    cache.watch(counting)
     (tmp_path / "kept.nbi").touch()
-    cache.Locator(test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept, "a.py")
-    assert announced == []
+    cache.Locator(function, "a.py")
+    assert counting.told == []
     (tmp_path / "kept.nbi").unlink()
-    for _ in range(2):
-        locator = cache.Locator(test_a_compilation_is_announced_for_a_file_of_which_no_kernel_is_kept, "a.py")
-    assert announced == ["compiles"], "once"
+    locator = cache.Locator(function, "a.py")
+    assert counting.told == ["compiles"]
     assert (locator.get_cache_path(), locator.get_source_stamp()) == (str(tmp_path), tmp_path.name)

@@ -7,9 +7,8 @@ import threading
 import numba
 import pytest
 
-from drivers.compiled import compiler
-from drivers.compiled.compiler import REAL, kernel
-from drivers.compiled.undisturbed import undisturbed
+from drivers.compiled import cache
+from drivers.compiled.compiler import REAL, kernel, undisturbed
 
 
 def press() -> None:
@@ -72,7 +71,7 @@ def test_a_kernel_is_whole_before_a_press_strikes(monkeypatch):
         return function
 
     monkeypatch.setattr(numba, "njit", lambda *_, **__: compiled)
-    monkeypatch.setattr(compiler, "is_as_imported", lambda _: True)
+    monkeypatch.setattr(cache, "is_as_imported", lambda _: True)
     with pytest.raises(KeyboardInterrupt):
         kernel(REAL)(lambda x: 2.0 * x)
     assert len(made) == 1

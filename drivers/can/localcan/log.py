@@ -15,7 +15,7 @@ from drivers.can import arbitration as bus
 from drivers.can.link import OWN
 from drivers.can.localcan import layout as at
 from drivers.can.localcan.bench_clock import NOW, read_clock
-from drivers.compiled.atomics import exchange, load, lower_to, raise_to, replace, store
+from drivers.compiled.atomics import load, lower_to, raise_to, replace, store
 from drivers.compiled.compiler import (
     INTEGER,
     MATRIX_OF_INTEGERS,
@@ -240,7 +240,7 @@ def to_ring(words: Ints, state: Ints, now_ns: int, again_ns: int, serials: Ints)
         serial, rung = load(words, place + at.SLOT_SERIAL), load(words, place + at.SLOT_RUNG)
         if serial == 0 or serial == state[SERIAL] or (rung != 0 and now_ns - rung <= again_ns):
             continue
-        if exchange(words, place + at.SLOT_RUNG, now_ns) == rung:
+        if store(words, place + at.SLOT_RUNG, now_ns) == rung:
             if rung == 0 and load(words, place + at.SLOT_DUE) > 0:
                 lower_to(words, place + at.SLOT_DUE, now_ns + load(words, at.WAKE_AT))
             serials[found] = serial

@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import pointed, reals_at
 from hil.config.model import ModelSettings
@@ -18,15 +17,11 @@ from hil.control.pointed_law import SEEN, PointedLaw
 from hil.mathematics.linear_algebra import solve_transposed
 from hil.mathematics.rotations import relative_rotation, rotation_vector_kernel
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import SIZE, inverse_dynamics
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 RotationError = Literal["shortest_turn", "vector_difference"]
 GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("vector_difference", "<i8")])
 """The diagonals; whether that is the rotation's error, or the shortest turn."""
-
-
-_turn, _rotation_vector = apart(relative_rotation), apart(rotation_vector_kernel)
-_solve_transposed = apart(solve_transposed)
 
 
 def _vector_difference(R: Array, R_d: Array) -> Array:
@@ -90,9 +85,9 @@ class CartesianPDSettings(LawSettings):
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
-    e_R = _turn(tick.R, tick.R_d)
+    e_R = relative_rotation(tick.R, tick.R_d)
     if k.vector_difference:
-        phi, phi_d = _rotation_vector(tick.R), _rotation_vector(tick.R_d)
+        phi, phi_d = rotation_vector_kernel(tick.R), rotation_vector_kernel(tick.R_d)
         for i in range(3):
             e_R[i] = phi_d[i] - phi[i]
     pull, load, rest = np.empty(6), np.empty(6), np.zeros(6)
@@ -101,10 +96,10 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
         pull[i] = k.K_p[i] * e + k.K_v[i] * (tick.twist_d[i] - tick.twist[i])
         load[i] = -pull[i]
     if constants == 0:
-        tick.tau_law[:] = _solve_transposed(tick.J, pull)
+        tick.tau_law[:] = solve_transposed(tick.J, pull)
     else:
         c = reals_at(constants, SIZE)
-        tick.tau_law[:] = inverse_dynamics(c, code, tick.p, tick.R, rest, rest, load)
+        tick.tau_law[:] = inverse_dynamics_kernel(c, code, tick.p, tick.R, rest, rest, load)
     return 0
 
 

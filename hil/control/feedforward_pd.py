@@ -16,7 +16,7 @@ from hil.control.pd import GAINS as PD_GAINS
 from hil.control.pd import JointPD, LegGains, pd_force
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import SIZE, inverse_dynamics, inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 from hil.trajectory.path import PoseSample
 
 GAINS = np.dtype(
@@ -63,7 +63,9 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
         if k.table == 0:
             wrench[:] = tick.wrench
         c = reals_at(constants, SIZE)
-        feedforward[:] = inverse_dynamics(c, code, tick.p_d, tick.R_d, tick.twist_d, tick.dtwist_d, wrench)
+        feedforward[:] = inverse_dynamics_kernel(
+            c, code, tick.p_d, tick.R_d, tick.twist_d, tick.dtwist_d, wrench
+        )
     for i in range(6):
         tick.tau_law[i] = pd_force(k, tick, i) + feedforward[i]
     return 0

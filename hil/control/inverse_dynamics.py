@@ -18,7 +18,7 @@ from drivers.tick_columns import Record
 from hil.control.law import ErrorGains, LawContext, ModelBasedSettings
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import SIZE, joint_idc_kernel, joint_inverse_dynamics
+from hil.robot.dynamics_kernels import SIZE, joint_idc_kernel
 
 GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("loaded", "<i8")])
 """The diagonals; whether the external wrench is taken off."""
@@ -38,7 +38,7 @@ class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
 def linearise(constants: int, code: int, tick: Any, ddq_star: Array, wrench: Array) -> None:
     """Fill tau_law for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
     c = reals_at(constants, SIZE)
-    tick.tau_law[:] = joint_inverse_dynamics(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, wrench)
+    tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, wrench)
 
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)

@@ -12,7 +12,7 @@ from hil.control.law import LawContext, ModelBasedSettings
 from hil.control.pd import GAINS, DriveGains, JointPD, pd_force
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import SIZE, inverse_dynamics
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 
 class PDGravitySettings(DriveGains, ModelBasedSettings):
@@ -32,7 +32,7 @@ class PDGravitySettings(DriveGains, ModelBasedSettings):
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
     c, none = reals_at(constants, SIZE), np.zeros(6)
-    weight = inverse_dynamics(c, code, tick.p, tick.R, none, none, none)
+    weight = inverse_dynamics_kernel(c, code, tick.p, tick.R, none, none, none)
     for i in range(6):
         tick.tau_law[i] = pd_force(k, tick, i) + weight[i]
     return 0

@@ -7,14 +7,13 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, kernel, record
 from drivers.compiled.pointed import pointed, reals_at
 from hil.control.law import ErrorGains, LawContext, ModelBasedSettings
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.mathematics.rotations import relative_rotation, rotation_motion_kernel, rotation_vector_rate
 from hil.mathematics.vectors import add, at, cross, rotate, rotate_back, sub
-from hil.robot.dynamics_kernels import SIZE, inverse_dynamics
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6)])
 
@@ -61,19 +60,18 @@ def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwis
     return dtwist
 
 
-errors_of_the_pose, dtwist_demanded = apart(pose_errors), apart(demanded_dtwist)
 """The kernels, for the laws that call them."""
 
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
     c, p, R, twist = reals_at(constants, SIZE), tick.p, tick.R, tick.twist
-    errors = errors_of_the_pose(p, R, twist, tick.p_d, tick.R_d, tick.twist_d)
+    errors = pose_errors(p, R, twist, tick.p_d, tick.R_d, tick.twist_d)
     u = np.empty(6)
     for i in range(6):
         u[i] = k.K_D[i] * errors[1, i] + k.K_P[i] * errors[0, i]
-    dtwist = dtwist_demanded(errors, u, twist, tick.twist_d, tick.dtwist_d)
-    tick.tau_law[:] = inverse_dynamics(c, code, p, R, twist, dtwist, tick.wrench)
+    dtwist = demanded_dtwist(errors, u, twist, tick.twist_d, tick.dtwist_d)
+    tick.tau_law[:] = inverse_dynamics_kernel(c, code, p, R, twist, dtwist, tick.wrench)
     return 0
 
 

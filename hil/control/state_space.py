@@ -28,7 +28,6 @@ import numpy as np
 from pydantic import model_validator
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
@@ -37,9 +36,9 @@ from hil.control.inverse_dynamics import linearise
 from hil.control.law import DesiredLoop, LawContext, ModelBasedSettings
 from hil.control.linearised_axes import accelerations, pose_acceleration
 from hil.control.pointed_law import SEEN, PointedLaw
-from hil.control.pose_inverse_dynamics import dtwist_demanded, errors_of_the_pose
+from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import SIZE, inverse_dynamics
+from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 _INPUTS = {"error": 0, "rate_error": 1}
 """Row of the axes' errors."""
@@ -91,9 +90,6 @@ class StateSpaceSettings(ModelBasedSettings):
         return {"controller_file": "hinf", "delay_compensation": None}
 
 
-_accelerations, _pose_acceleration = apart(accelerations), apart(pose_acceleration)
-
-
 @helper
 def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array:
     """Return what the limits took from the last u, (6,) m/s^2, rad/s^2: of the axes, for the shortfall."""
@@ -102,11 +98,11 @@ def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array
         limited = limited or tick.shortfall[i] != 0.0
     if limited:
         c = reals_at(constants, SIZE)
-        found = _accelerations(c, code, tick.p, tick.R, tick.shortfall)
+        found = accelerations(c, code, tick.p, tick.R, tick.shortfall)
         for i in range(6):
             taken[i] = found[1, i]
         if k.pose:
-            taken = _pose_acceleration(errors, found[0])
+            taken = pose_acceleration(errors, found[0])
     return taken
 
 
@@ -142,7 +138,7 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
     """Fill tau_law and take the controller one step on."""
     twist = tick.twist
     if k.pose:
-        errors = errors_of_the_pose(tick.p, tick.R, twist, tick.p_d, tick.R_d, tick.twist_d)
+        errors = pose_errors(tick.p, tick.R, twist, tick.p_d, tick.R_d, tick.twist_d)
     else:
         errors = np.empty((2, 6))
         for i in range(6):
@@ -150,9 +146,9 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
             errors[1, i] = tick.dq_d[i] - tick.dq[i]
     u = _step(k, errors, _taken(k, constants, code, tick, errors))
     if k.pose:
-        dtwist = dtwist_demanded(errors, u, twist, tick.twist_d, tick.dtwist_d)
+        dtwist = demanded_dtwist(errors, u, twist, tick.twist_d, tick.dtwist_d)
         c = reals_at(constants, SIZE)
-        tick.tau_law[:] = inverse_dynamics(c, code, tick.p, tick.R, twist, dtwist, tick.wrench)
+        tick.tau_law[:] = inverse_dynamics_kernel(c, code, tick.p, tick.R, twist, dtwist, tick.wrench)
     else:
         for i in range(6):
             u[i] = tick.ddq_d[i] + u[i]

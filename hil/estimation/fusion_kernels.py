@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, helper, kernel, record
 from drivers.compiled.pointed import reals_at, records_at
 from hil.estimation.fusion_layout import FUSION, GYRO_BIAS, KEPT, LEG_FORCE, STEP, TWIST, UNDECIDED
@@ -29,7 +28,6 @@ NOTHING = 1e-8
 FADES = 6
 """Process noise is raised by 100 up to so often, before the measurements are taken as they are."""
 steps_at = records_at(record(STEP))
-_condition = apart(condition_kernel)
 
 
 @helper
@@ -331,4 +329,4 @@ def fill_estimate(f: Any, s: Any, P: Array, tick: Any) -> None:
             residual = error
         tick.innovation_q[i] = s.innovation[i]
         tick.pose_std[i] = np.sqrt(np.maximum(P[i, i], 0.0))
-    tick.fk_residual, tick.condition = residual, _condition(J, f.radius)
+    tick.fk_residual, tick.condition = residual, condition_kernel(J, f.radius)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, direct, helper, record
 from drivers.compiled.pointed import address_of, integers_at, pointed, reals_at
 from drivers.sensor_kernels import IMU, SENSORS, TRACKER, samples_of
@@ -28,7 +27,6 @@ STANDING_m_s = 5e-3
 _ALL_LEGS = (1 << LEGS) - 1
 _NOWHERE = -1
 _STEP_WORDS = STEP.itemsize // 8
-_rerun, _accelerate, _rotation = apart(rerun_kernel), apart(accelerate_kernel), apart(rotation_motion_kernel)
 
 
 @helper
@@ -83,7 +81,7 @@ def _open(f: Any, tick: Any, command: Array, wrench: Array) -> None:
         tau[leg] = tick.drive_force[leg] if heard else command[leg]
         mean[leg] = 0.5 * (tau[leg] + f.tau[leg]) if f.driven else tau[leg]
     if free:
-        _accelerate(f, before, mean, wrench, s)
+        accelerate_kernel(f, before, mean, wrench, s)
         f.tau[:] = tau
     elif stands and s.T > 0.0:
         for i in range(6):
@@ -129,7 +127,7 @@ def _place(f: Any, sensors: Any) -> tuple[int, int]:
             if kind == TRACKER:
                 s.tracker, s.tracker_at, tracked = UNDECIDED, share, i
                 s.tracker_p[:] = values[:3]
-                s.tracker_R[:] = _rotation(values[3:].copy(), zero, zero)[0]
+                s.tracker_R[:] = rotation_motion_kernel(values[3:].copy(), zero, zero)[0]
             else:
                 s.imu, s.imu_at, f.heard[IMU] = 1, share, steps_at(f.steps, f.size)[f.newest].tick
                 s.gyro[:], s.force[:] = values[:3], values[3:]
@@ -200,7 +198,7 @@ def fuse(f: Any, sensors: Any, command: int, wrench: int, tick: Any) -> int:
     """
     _open(f, tick, reals_at(command, LEGS), reals_at(wrench, 6))
     first, tracked = _place(f, sensors)
-    _rerun(f, first)
+    rerun_kernel(f, first)
     _close(f, tick, tracked)
     judge(f, tick)
     return 0

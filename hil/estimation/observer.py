@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
 from drivers.compiled.pointed import Callee, context_of, data_at, pointed, reals_at
 from drivers.signals import DriveState
@@ -78,9 +77,6 @@ def unexplained(
     return w
 
 
-_unexplained = apart(unexplained)
-
-
 @pointed(record(OBSERVER), INTEGER, record(TICK, "tick", "drive_state", "p", "R", "twist"))
 def observe(k: Any, seen: int, tick: Any) -> int:
     """Take the residual on to a tick's measurement; call it once a tick.
@@ -106,7 +102,7 @@ def observe(k: Any, seen: int, tick: Any) -> int:
         return 0
     if k.follows:
         c, T = reals_at(k.constants, SIZE), periods * path.period_s
-        w = _unexplained(c, k.code, k.p, k.R, k.twist, tick.p, tick.R, tick.twist, tau, T)
+        w = unexplained(c, k.code, k.p, k.R, k.twist, tick.p, tick.R, tick.twist, tau, T)
         left = k.left ** float(periods)
         for i in range(6):
             k.residual[i] = w[i] + (k.residual[i] - w[i]) * left

@@ -15,7 +15,7 @@ from drivers.tick_columns import TICK, part
 from hil.mathematics.rotations import cayley_step
 from hil.mathematics.vectors import at, scale
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import BASE, PLATFORM, SIZE, forward_dynamics
+from hil.robot.dynamics_kernels import BASE, PLATFORM, SIZE, forward_dynamics_kernel
 from hil.robot.force_path import SEGMENT, ForcePath, advance, as_records, follow, path_at
 from hil.robot.kinematics_kernels import lengths_and_jacobian
 
@@ -50,7 +50,7 @@ def ahead(k: Any, free: int, tick: Any) -> int:
                 p[i] += 0.5 * h * twist[i]
             cayley_step(R, scale(0.5 * h, at(twist, 3)))
             if half == 0:
-                dtwist = forward_dynamics(c, k.code, p, R, twist, mean, tick.wrench)
+                dtwist = forward_dynamics_kernel(c, k.code, p, R, twist, mean, tick.wrench)
                 for i in range(6):
                     twist[i] += h * dtwist[i]
     a = c[BASE : BASE + 18].reshape((6, 3))

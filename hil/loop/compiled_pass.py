@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, direct, helper, record, records
 from drivers.compiled.pointed import address_of, call, integers_at, matrix_at, record_at
 from drivers.frame_array import FRAME
@@ -93,7 +92,6 @@ _WARN_SENSOR, _WARN_SETPOINT = int(Warn.SENSOR), int(Warn.SETPOINT)
 _TRACKING, _HELD = int(Mode.TRACKING), int(Mode.HELD)
 _LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)
 _READY, _RUN, _FREE = int(DriveMode.READY), int(DriveMode.RUN), int(DriveState.RUN)
-_judge = apart(judge)
 _CONTROLLED = sum(1 << mode for mode in CONTROLLED_MODES)
 _WORDS = TICK.itemsize // 8
 _TICK = record(TICK)
@@ -299,7 +297,7 @@ def judge_pass(c: Any, tick: Any) -> None:
     tick.mode = c.mode
     window, watched = matrix_at(c.window, c.window_rows, 6), matrix_at(c.watched, c.watched_rows, 6)
     limits, memory = _limits_at(c.limits), _memory_at(c.memory)
-    c.verdict[0], c.verdict[1], c.verdict[2] = _judge(_seen_at(c.tick), limits, memory, window, watched)
+    c.verdict[0], c.verdict[1], c.verdict[2] = judge(_seen_at(c.tick), limits, memory, window, watched)
     c.verdict[1] |= c.sensor_late
 
 

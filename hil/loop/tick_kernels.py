@@ -6,8 +6,7 @@ A tick goes through stages, from START to COMMAND. It stops where there is somet
 
 from typing import Any
 
-from drivers.compiled.apart import apart
-from drivers.compiled.compiler import helper, record
+from drivers.compiled.compiler import compiled_of, helper, record
 from drivers.compiled.pointed import call, integers_at, record_at
 from drivers.controller_end import MOST_FRAMES
 from drivers.ends import frame_at
@@ -43,7 +42,7 @@ BYTES = FRAME.itemsize
 _WORDS, _TICK_BYTES = BYTES // 8, TICK.itemsize
 tick_at = record_at(record(TICK))
 _control_at = record_at(record(CONTROL))
-_observe, _act = apart(compiled_pass.observe), apart(compiled_pass.act)
+_observe, _act = compiled_of(compiled_pass.observe), compiled_of(compiled_pass.act)
 
 
 @helper

@@ -9,7 +9,6 @@ joint from the constraint that its two hinges leave). ``c`` is the vector of con
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.apart import apart
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, helper, kernel
 from hil.mathematics.linear_algebra import lu_factor, lu_solve, lu_solve_transposed
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
@@ -394,7 +393,4 @@ def forward_dynamics_kernel(
     return dtwist
 
 
-inverse_dynamics = apart(inverse_dynamics_kernel)
-joint_inverse_dynamics = apart(joint_idc_kernel)
-forward_dynamics = apart(forward_dynamics_kernel)
 """The kernels, for the laws and stages that call them."""

@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.apart import apart
-from drivers.compiled.compiler import direct, helper, record
+from drivers.compiled.compiler import compiled_of, direct, helper, record
 from drivers.compiled.pointed import record_at
 from drivers.frame_pointers import frames_at
 from hil.app.sim import wire_kernels
@@ -30,9 +29,10 @@ Addresses of records: WIRES and, unless Python moves the drives, NODES. Times in
 unasked. The number of the tick; what the drives send, and how many frames; how many they have heard before
 the tick; off and state of the buses.
 """
-_wires_at, _nodes_at, _live = record_at(record(WIRES)), record_at(NODES_RECORD), apart(live)
-_heard_by, _pass_on = apart(wire_kernels.heard_by), apart(wire_kernels.pass_on)
-_begin, _answer, _command = apart(wire_kernels.begin), apart(wire_kernels.answer), apart(wire_kernels.command)
+_wires_at, _nodes_at, _live = record_at(record(WIRES)), record_at(NODES_RECORD), compiled_of(live)
+_heard_by, _pass_on = compiled_of(wire_kernels.heard_by), compiled_of(wire_kernels.pass_on)
+_begin, _answer = compiled_of(wire_kernels.begin), compiled_of(wire_kernels.answer)
+_command = compiled_of(wire_kernels.command)
 
 
 @helper

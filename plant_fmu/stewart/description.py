@@ -117,11 +117,12 @@ def model_description(version: FmiVersion, token: str, sources: Sequence[str]) -
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="Why a call was refused")
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(STEP_SIZE))
-    _variables(root, version)
+    _structure(root, version, _variables(root, version))
     return _text(root)
 
 
-def _variables(root: ET.Element, version: FmiVersion) -> None:
+def _variables(root: ET.Element, version: FmiVersion) -> dict[str, list[str]]:
+    """Return for each row of the table how the structure knows its elements: by index or reference."""
     two = version == "2.0"
     variables = ET.SubElement(root, "ModelVariables")
     keys: dict[str, list[str]] = {}
@@ -132,7 +133,7 @@ def _variables(root: ET.Element, version: FmiVersion) -> None:
             parts = [(element_name(v, k), type_of(v, k), start) for k, start in enumerate(each)]
         tag = "Enumeration" if v.type == "LegSpin" else "Real" if two else "Float64"
         first = sum(map(len, keys.values()))
-        # The index of FMI 2.0, by which its structure knows a variable, counts from 1.
+        # The index of FMI 2.0 counts from 1.
         keys[v.name] = [str(first + two + k) for k in range(len(parts))]
         for k, (name, kind, start) in enumerate(parts):
             about = {"name": name, "valueReference": str(first + k), "description": v.description}
@@ -140,6 +141,11 @@ def _variables(root: ET.Element, version: FmiVersion) -> None:
             element = _typed(variables, version, ("ScalarVariable", tag, tag), about, _value(kind, start))
             for n in () if two else v.shape:
                 ET.SubElement(element, "Dimension", start=str(n))
+    return keys
+
+
+def _structure(root: ET.Element, version: FmiVersion, keys: dict[str, list[str]]) -> None:
+    two = version == "2.0"
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [v for v in VARIABLES if v.causality == "output"]
     parameters = tuple(v.name for v in VARIABLES if v.causality == "parameter")

@@ -21,7 +21,7 @@ enum { FREE, AT_LOW, AT_HIGH };
 
 typedef struct {
     int n, leg[ROWS];
-    double H[ROWS][ROWS], c[ROWS], low[ROWS], high[ROWS], f[ROWS];
+    double c[ROWS], low[ROWS], high[ROWS], f[ROWS], H[ROWS][ROWS];
 } Programme;
 
 /* Solve the rows that are free, the others fixed at their bounds. */

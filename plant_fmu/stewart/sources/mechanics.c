@@ -223,10 +223,10 @@ int equations_of_motion(const Plant *plant, const Motion *x, Equations *e)
 
     geometry(body, x, R, e);
     leg_forces(body, x, e);
-    for (int i = 0; i < LEGS; i++) {
+    for (int i = 0; i < LEGS; i++)
         if (!(e->l[i] > 1e-9)) return -1;
-        if (body->leg_spin > 1.5) add_spin(plant, i, e);
-    }
+    if (body->leg_spin > 1.5)
+        for (int i = 0; i < LEGS; i++) add_spin(plant, i, e);
     /* A^T Q A with A = [1, -[arm]x]: the isotropic part, then qa - qt times J J^T. */
     leg_products(e);
     for (int i = 0; i < LEGS; i++) {

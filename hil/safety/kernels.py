@@ -33,9 +33,9 @@ from hil.safety.signals import (
 LIMITS = np.dtype(
     [
         *(
-            (name, "<i8" if kind.annotation is int else "<f8")
-            for name, kind in LimitSettings.model_fields.items()
-            if name not in {"acceleration_m_s2", "sync_skew_us"}
+            (name, "<i8" if field.annotation is int else "<f8")
+            for name, field in LimitSettings.model_fields.items()
+            if field.annotation in {int, float}  # one without a value is no limit of these rules
         ),
         ("length_min_m", "<f8"), ("length_max_m", "<f8"),
         ("settle_ticks", "<i8"), ("window_ticks", "<i8"),

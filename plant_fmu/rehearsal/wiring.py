@@ -195,11 +195,6 @@ def legs_of(name: str) -> int:
     return 2 if name in _ONTO_ANOTHER else MISTAKES[name][1]
 
 
-def stroke_short(share: float) -> Wiring:
-    """Return a wiring whose legs are all shorter than configured by a share of the stroke."""
-    return Wiring(shorter=(share,) * LEGS)
-
-
 def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
     if mistake.name not in MISTAKES:
         raise ValueError(f"mistake {mistake.name!r}: unknown, allowed: {', '.join(MISTAKES)}")

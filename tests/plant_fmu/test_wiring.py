@@ -15,7 +15,6 @@ from plant_fmu.rehearsal.wiring import (
     Mistake,
     Wiring,
     legs_of,
-    stroke_short,
     wired,
 )
 
@@ -140,10 +139,6 @@ def test_factors_of_several_mistakes_multiply_and_cables_are_exchanged_one_after
 def test_a_machine_without_a_mistake_weighs_what_it_should_and_stands_upright_where_it_should():
     right = wired()
     assert (right.payload, right.gravity, right.home_off_m) == (1.0, 1.0, 0.0)
-
-
-def test_a_short_stroke_is_that_of_all_legs():
-    assert changed(stroke_short(0.1)) == {"shorter": (0.1,) * 6}
 
 
 SIZES = {

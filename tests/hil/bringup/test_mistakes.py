@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, stroke_short, wired
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.bringup.kit import Rehearsal, named
 
 CASES = {
@@ -48,7 +48,7 @@ CASES = {
         wired(Mistake("mounted_elsewhere", 1, 2)),
         {("mounted_elsewhere", (1,)), ("mounted_elsewhere", (2,))},
     ),
-    "stroke_of_all": (stroke_short(0.1), {("stroke", (0, 1, 2, 3, 4, 5))}),
+    "stroke_of_all": (Wiring(shorter=(0.1,) * 6), {("stroke", (0, 1, 2, 3, 4, 5))}),
     "friction": (wired(Mistake("friction", 2)), {("friction", (2,))}),
     "friction_beyond_2_percent": (wired(Mistake("friction", 4, value=0.03)), {("friction", (4,))}),
     "end_stop": (wired(Mistake("end_stop", 3)), {("end_stop", (3,))}),

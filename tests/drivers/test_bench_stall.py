@@ -17,12 +17,12 @@ OWN, OTHER = SLOTS + 3, SLOTS + 7
 
 
 class Bell:
-    """Doorbells, of which the other one's may have gone with its process."""
+    """A wire with doorbells, of which the other one's may have gone with its process."""
 
     alive = True
 
-    def __init__(self) -> None:
-        self.rung: list[int] = []
+    def __init__(self, words: Any) -> None:
+        self.words, self.rung = words, list[int]()
 
     def ring(self, serial: int) -> bool:
         self.rung.append(serial)
@@ -35,8 +35,8 @@ class Watched:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         words = np.zeros(SLOTS_AT + SLOTS * SLOT, np.int64)
         words[SLOTS_AT + OTHER % SLOTS * SLOT + SLOT_SERIAL] = OTHER
-        self.bell = Bell()
-        made: Any = BenchClock(words, OWN, self.bell)  # type: ignore[arg-type]
+        self.bell = Bell(words)
+        made: Any = BenchClock(self.bell, OWN)  # type: ignore[arg-type]
         self.clock, self.real_ns, self.stood_ns, self.dismissed = made, 0, 70 * MS, 0
         made.now = self._now
         monkeypatch.setattr(bench_clock, "dismiss", self._dismiss)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 
 from drivers.can.localcan.layout import SLOT_DUE, SLOT_PID, SLOT_RUNG, SLOT_SERIAL, SLOTS, slot_at
-from drivers.can.localcan.wire import Doorbell, Wire
+from drivers.can.localcan.wire import Wire
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
@@ -43,17 +44,19 @@ def test_a_wire_of_this_users_alone_is_the_bus_as_often_as_it_is_opened(tmp_path
 
 
 def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead(runtime):
-    listener, caller = Doorbell(runtime / "t.wire"), Doorbell(runtime / "t.wire")
+    listener = Wire(runtime / "t.wire")
+    listener.unlock()
+    caller = Wire(runtime / "t.wire")
     listener.bind(65)
     try:
         assert {caller.ring(65) for _ in range(3000)} == {True}
         with pytest.raises(BlockingIOError):  # there is no room for more
-            caller._socket.sendto(b"", f"{caller._prefix}.65")
+            caller.bell.sendto(b"", caller.bell_of(65))
         listener.silence()
         assert caller.ring(65)
-        listener.close()
+        listener.bell.close()
         assert not caller.ring(65), "its socket has gone with it"
-        listener.remove(65)
+        Path(listener.bell_of(65)).unlink()
         assert not caller.ring(65), "nor is its name there any more"
         assert not caller.ring(66), "nobody ever had that one"
     finally:
@@ -70,7 +73,7 @@ def test_who_takes_the_slot_of_one_killed_while_it_held_time_does_not_hold_it(jo
     assert viewer.clock.stands()
     words = viewer._wire.words
     words[slot_at(killed.serial) + SLOT_RUNG] = 5
-    killed._bell._socket.close()  # without a word to the others, as the kernel does it
+    killed._wire.bell.close()  # without a word to the others, as the kernel does it
     newcomer = join()
     at = slot_at(newcomer.serial)
     assert newcomer.serial % SLOTS == killed.serial % SLOTS

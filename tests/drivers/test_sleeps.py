@@ -31,7 +31,7 @@ def test_a_participant_sleeps_to_its_deadline_in_slices_and_in_short_ones_while_
 ):
     node, waited = join(), list[float]()
     assert participant._LOOK_S < 0.005 < participant._SLICE_S < 5.0
-    monkeypatch.setattr(node._bell, "wait", waited.append)
+    monkeypatch.setattr(node._wire, "wait", waited.append)
     monkeypatch.setattr(node.clock, "stands", lambda: stands)
     node.block(node.clock.now() + 1_000_000 * left_ms, frozenset())
     assert waited == [pytest.approx(expected_s, abs=2e-3 if not stands and left_ms == 5 else 0.0)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.arrays import Ints
 from drivers.can.localcan import layout as at
-from drivers.can.localcan.wire import Doorbell
+from drivers.can.localcan.wire import Wire
 from drivers.clock import Clock
 from drivers.compiled.atomics import load, raise_to, replace, store
 from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, direct, foreign, helper
@@ -132,15 +132,15 @@ class BenchClock(Clock):
     participant holds time, and for how long it has waited for another one that holds time back.
     """
 
-    def __init__(self, words: Ints, serial: int, bell: Doorbell) -> None:
-        self._words = words
+    def __init__(self, wire: Wire, serial: int) -> None:
+        self._words = wire.words
         self._serial = serial
-        self._bell = bell
+        self._ring = wire.ring
         self._state = state = np.zeros(10, np.int64)
         state[_AT], state[_CLOCK_ID] = at.slot_at(serial) + at.SLOT_DUE, time.CLOCK_MONOTONIC
         state[_GETTIME] = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
         state[_RESULT] = state.ctypes.data + 8 * _SECONDS
-        self.arguments = words, state
+        self.arguments = wire.words, state
         self._lent: list[Ints] = []
         self._waiting_for = (0, 0)
         self._waited_ns = self._asked_ns = self._looked_ns = 0
@@ -183,14 +183,15 @@ class BenchClock(Clock):
 
     def working(self, allowed_ns: int = 0) -> None:
         """Say that this participant will wait again within so long, or 0: within what work may take."""
-        if self.holds:
-            promise(*self.arguments, -(allowed_ns or int(self._words[at.WORK_AT])))
-            self._share()
+        self._promise(-(allowed_ns or int(self._words[at.WORK_AT])))
 
     def waiting(self, until_ns: int) -> None:
         """Say that this participant sleeps until then."""
+        self._promise(until_ns + int(self._words[at.WAKE_AT]))
+
+    def _promise(self, due_ns: int) -> None:
         if self.holds:
-            promise(*self.arguments, until_ns + int(self._words[at.WAKE_AT]))
+            promise(*self.arguments, due_ns)
             self._share()
 
     def sends(self) -> None:
@@ -203,8 +204,7 @@ class BenchClock(Clock):
     def leave(self) -> None:
         """Hold time no longer."""
         if self.holds:
-            promise(*self.arguments, 0)
-            self._share()
+            self._promise(0)
             self._words[self._state[_AT]] = 0
             self.holds = False
 
@@ -236,7 +236,7 @@ class BenchClock(Clock):
         elif self._waited_ns - self._asked_ns > _ASK_NS:
             self._asked_ns = self._waited_ns
             serial = int(self._words[at.slot_at(other) + at.SLOT_SERIAL])
-            if serial != self._serial and not self._bell.ring(serial):
+            if serial != self._serial and not self._ring(serial):
                 dismiss(*self.arguments)
         return True
 

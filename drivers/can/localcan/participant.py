@@ -4,6 +4,7 @@ import os
 import threading
 from collections.abc import Set as AbstractSet
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from drivers.can.link import Link
 from drivers.can.localcan import layout as at
 from drivers.can.localcan import log
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.can.localcan.wire import LEAVE_S, Doorbell, Wire
+from drivers.can.localcan.wire import LEAVE_S, Wire
 from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, unpack_frames
@@ -95,11 +96,9 @@ class Participant(Link):
         self._closed = True
         self._lent_clock = clock
         self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{at.VERSION}")
-        self._bell = Doorbell(self._wire.path)
         try:
             self._join(timing, fd)
         except BaseException:
-            self._bell.close()
             self._wire.close()
             raise
         self._wire.unlock()
@@ -109,12 +108,12 @@ class Participant(Link):
     # joining and leaving
     def _remove(self, serial: int) -> None:
         if log.change(self._wire.words, at.slot_at(serial) + at.SLOT_SERIAL, serial, 0):
-            self._bell.remove(serial)
+            Path(self._wire.bell_of(serial)).unlink(missing_ok=True)
 
     def _join(self, timing: BitTiming | None, fd: bool | None) -> None:
         wire = self._wire
         for serial in wire.present():
-            if not self._bell.ring(serial):
+            if not wire.ring(serial):
                 self._remove(serial)
         others = wire.present()
         if not others:
@@ -124,9 +123,9 @@ class Participant(Link):
         self._state, self._queue = log.new_state(self.serial)
         self._frames = np.zeros((BATCH, log.FRAME_WORDS), np.int64)
         self._serials = np.zeros(at.SLOTS, np.int64)
-        self._bell.bind(self.serial)
+        wire.bind(self.serial)
         wire.register(self.serial, os.getpid())
-        self.clock = self._lent_clock or BenchClock(wire.words, self.serial, self._bell)
+        self.clock = self._lent_clock or BenchClock(wire, self.serial)
         if self._lent_clock is not None:
             self._lent_clock.lend(wire.words)
 
@@ -159,10 +158,9 @@ class Participant(Link):
         alone = self._wire.lock(LEAVE_S)
         try:
             self._remove(self.serial)
-            if alone and not any(map(self._bell.ring, self._wire.present())):
+            if alone and not any(map(self._wire.ring, self._wire.present())):
                 self._wire.path.unlink(missing_ok=True)
         finally:
-            self._bell.close()
             self._wire.close()
 
     # sending
@@ -212,7 +210,7 @@ class Participant(Link):
             # an unanswered ring is repeated: the one who should have rung may have been killed
             listeners = log.to_ring(wire.words, state, now, _AGAIN_NS, self._serials)
             for other in self._serials[:listeners].tolist():
-                if not self._bell.ring(other):
+                if not wire.ring(other):
                     self._remove(other)
         return taken
 
@@ -273,7 +271,7 @@ class Participant(Link):
         left_ns = deadline_ns - clock.now()
         if left_ns > 0 and not self._inbox:
             # in slices: a ring can be lost when the one who rings is killed
-            self._bell.wait(_LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
+            self._wire.wait(_LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
         # awake: a ring would change nothing but bring the promise forward
         self._wire.words[at.slot_at(self.serial) + at.SLOT_RUNG] = clock.now()
         clock.working()
@@ -290,7 +288,7 @@ class Participant(Link):
 
     def _ask_for_ring(self) -> None:
         """Empty the doorbell and let the next sender ring. Look after it, not before."""
-        self._bell.silence()
+        self._wire.silence()
         place = at.slot_at(self.serial) + at.SLOT_RUNG
         log.change(self._wire.words, place, int(self._wire.words[place]), 0)
 
@@ -301,11 +299,11 @@ class Participant(Link):
 
     def fileno(self) -> int:
         """Return the doorbell's descriptor, readable when it has rung."""
-        return self._bell.fileno()
+        return self._wire.bell.fileno()
 
     def ring(self) -> None:
         """Make `fileno` readable: frames were received that the reader has not taken yet."""
-        self._bell.ring(self.serial)
+        self._wire.ring(self.serial)
 
 
 def _describe(timing: BitTiming, fd: bool) -> str:

@@ -26,13 +26,16 @@ _AGAIN_S = 0.001
 
 
 class Wire:
-    """One channel's shared memory; made with the lock held.
+    """One channel's shared memory, made with the lock held, and the doorbells of its participants.
 
-    Mutable state: the mapping, shared with every participant, and whether this process holds the lock.
+    A doorbell is a datagram socket, by which others say that there is something to see.
+    Mutable state: the mapping, shared with every participant, whether this process holds the lock, and the
+    doorbell.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._prefix = str(path.with_suffix(""))
         while True:
             try:
                 self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
@@ -71,6 +74,8 @@ class Wire:
         self._slots = self.words[at.SLOTS_AT :][: at.SLOTS * at.SLOT].reshape(at.SLOTS, at.SLOT)
         if self.words[at.MAGIC_AT] != at.MAGIC:
             self.clear()
+        self.bell = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.bell.setblocking(False)
 
     def lock(self, seconds: float) -> bool:
         """Wait for others that join or leave, for so long at most; tell whether the lock was had."""
@@ -101,7 +106,8 @@ class Wire:
         fcntl.flock(self._fd, fcntl.LOCK_UN)
 
     def close(self) -> None:
-        """Give lock and file back; the memory is unmapped with the last who looks at it."""
+        """Give doorbell, lock and file back; the memory is unmapped with the last who looks at it."""
+        self.bell.close()
         self.unlock()  # said, not left to close(): the mapping has a descriptor of its own
         os.close(self._fd)
 
@@ -149,26 +155,17 @@ class Wire:
         slot[at.SLOT_SERIAL] = serial
         self.words[at.USED_AT] = max(int(self.words[at.USED_AT]), serial % at.SLOTS + 1)
 
-
-class Doorbell:
-    """A datagram socket, by which others say that there is something to see, and the way to those of others.
-
-    By their serial numbers. Mutable state: the socket.
-    """
-
-    def __init__(self, wire: Path) -> None:
-        self._prefix = str(wire.with_suffix(""))
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self.fileno = self._socket.fileno
-        self.close = self._socket.close
+    # doorbells
+    def bell_of(self, serial: int) -> str:
+        """Return where the doorbell of a participant is."""
+        return f"{self._prefix}.{serial}"
 
     def bind(self, serial: int) -> None:
-        """Become the doorbell of this participant. Raises BusError where there can be no socket."""
-        path = Path(f"{self._prefix}.{serial}")
+        """Take the doorbell of this participant. Raises BusError where there can be no socket."""
+        path = Path(self.bell_of(serial))
         try:
             path.unlink(missing_ok=True)
-            self._socket.bind(str(path))
+            self.bell.bind(str(path))
             path.chmod(0o600)
         except OSError as error:
             raise BusError(
@@ -179,23 +176,19 @@ class Doorbell:
     def ring(self, serial: int) -> bool:
         """Ring a participant; return whether anybody lives there."""
         try:
-            self._socket.sendto(b"", f"{self._prefix}.{serial}")
+            self.bell.sendto(b"", self.bell_of(serial))
         except (ConnectionRefusedError, FileNotFoundError):
             return False
         except BlockingIOError:
             pass
         return True
 
-    def remove(self, serial: int) -> None:
-        """Remove what a participant leaves in the file system."""
-        Path(f"{self._prefix}.{serial}").unlink(missing_ok=True)
-
     def silence(self) -> None:
         """Take all rings that have come."""
         with contextlib.suppress(BlockingIOError):
             while True:
-                self._socket.recv(1)
+                self.bell.recv(1)
 
     def wait(self, seconds: float) -> None:
         """Sleep until it rings, or for so long."""
-        select.select([self._socket], [], [], seconds)
+        select.select([self.bell], [], [], seconds)

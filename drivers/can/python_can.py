@@ -92,8 +92,9 @@ class PythonCan(Link):
             self.overflow += not self.off
             self._failures += 1
             self.off = self.off or self._failures >= _FAILURES
-            if isinstance(error.__cause__, UnicodeDecodeError):
-                self._forget()
+            line = getattr(self._bus, "_buffer", None)
+            if isinstance(error.__cause__, UnicodeDecodeError) and isinstance(line, bytearray):
+                line.clear()  # slcan keeps a line that it cannot decode, and adds to it
             return "failure"
         self._failures = 0
         if message is None:
@@ -107,12 +108,6 @@ class PythonCan(Link):
         identifier, data, flags = from_message(message)
         self._held += frame_bytes(t_ns, identifier, RECEIVED, len(data), flags, data)
         return "frame"
-
-    def _forget(self) -> None:
-        """Drop what slcan has read of a line: it keeps one that it cannot decode, and adds to it."""
-        line = getattr(self._bus, "_buffer", None)
-        if isinstance(line, bytearray):
-            line.clear()
 
     def _readable(self, seconds: float) -> bool:
         """Wait until the descriptor is readable; one that is gone is off."""
@@ -173,19 +168,20 @@ def unknown_interface(name: str) -> str:
 
 def open_python_can(settings: BusSettings) -> PythonCan:
     """Open `bus.interface`. Raises BusError for one that is unknown or does not open."""
-    options: dict[str, Any] = dict(settings.options)
-    if settings.interface == "udp_multicast":
-        if options.setdefault("hop_limit", 0) != 0:
-            raise BusError(
-                "bus.options.hop_limit: must be 0 (or left out); with more, every frame goes out to the "
-                "local network, where others can read and send drive commands"
-            )
+    fd = settings.layout == "fd"
+    options: dict[str, Any] = {"fd": True} if fd else {}
+    if settings.interface != "udp_multicast":
+        options["bitrate"] = settings.bitrate_bit_s
+        if fd:
+            options["data_bitrate"] = settings.data_bitrate_bit_s
+    elif settings.options.get("hop_limit", 0) == 0:
+        options["hop_limit"] = 0
     else:
-        options.setdefault("bitrate", settings.bitrate_bit_s)
-    if settings.layout == "fd":
-        options.setdefault("fd", True)
-        if settings.interface != "udp_multicast":
-            options.setdefault("data_bitrate", settings.data_bitrate_bit_s)
+        raise BusError(
+            "bus.options.hop_limit: must be 0 (or left out); with more, every frame goes out to the "
+            "local network, where others can read and send drive commands"
+        )
+    options |= settings.options
     if unknown := unknown_interface(settings.interface):
         raise BusError(unknown)
     try:

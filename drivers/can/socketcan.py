@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can import netlink
-from drivers.can.can_interface import CanInterface, parse, read_error, refusal
+from drivers.can.can_interface import FD_MTU, CanInterface, parse, read_error, refusal
 from drivers.can.link import Link
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
@@ -34,7 +34,6 @@ _WMEM = struct.Struct("=8xI")
 """What SO_MEMINFO begins with, up to SK_MEMINFO_WMEM_ALLOC."""
 _SOL_CAN_RAW, _RAW_ERR_FILTER, _RAW_FD_FRAMES, _ERR_MASK = 101, 2, 5, 0x1FFFFFFF
 _GONE = frozenset({errno.ENXIO, errno.ENODEV})
-_FD_MTU = 72
 _BATCH = 512
 _RECEIVE_BUFFER = 1 << 20
 _FLUSH_S = 0.05
@@ -213,7 +212,7 @@ class SocketCan(Link):
         real_to_monotonic = _real_to_monotonic()
         for _ in range(_BATCH):
             try:
-                raw, ancillary, _, _ = self._socket.recvmsg(_FD_MTU, 64)
+                raw, ancillary, _, _ = self._socket.recvmsg(FD_MTU, 64)
             except BlockingIOError:
                 break
             except OSError as error:

@@ -48,11 +48,8 @@ class LocalCanBus(can.BusABC):
             bitrate, data_bitrate, fd = timing.nom_bitrate, timing.data_bitrate, True
         elif timing is not None:
             bitrate, fd = timing.bitrate, False
-        rates = None
-        if bitrate is not None or data_bitrate is not None:
-            rates = BitTiming(
-                int(bitrate or DEFAULT_TIMING.bitrate), int(data_bitrate or DEFAULT_TIMING.data_bitrate)
-            )
+        slow, fast = bitrate or DEFAULT_TIMING.bitrate, data_bitrate or DEFAULT_TIMING.data_bitrate
+        rates = None if bitrate is data_bitrate is None else BitTiming(int(slow), int(fast))
         try:
             self._node = Participant(str(channel), rates, fd=fd, own=receive_own_messages)
         except HilError as error:

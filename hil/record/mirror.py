@@ -31,10 +31,10 @@ SLOT_BYTES = 32768
 """Room for one piece, its three words included."""
 HEAD_BYTES = 65536
 """Room for the four words of the head and the description."""
-_HEAD = struct.Struct("<qqqq")
+_HEAD = struct.Struct("qqqq")
 """The head: MAGIC, bytes of the description, number of the newest piece, whether the writer has ended."""
 _NEWEST_AT, _ENDED_AT = 16, 24
-_PIECE = struct.Struct("<qqqq")
+_PIECE = struct.Struct("qqqq")
 """A place: its number, bytes and CRC of its content; the last word is spare."""
 _WORDS = 32
 """Bytes of either."""
@@ -117,11 +117,11 @@ class Mirror:
             _PIECE.pack(self._number, len(data), zlib.crc32(data), 0) + data
         )
         fence()
-        struct.pack_into("<q", self._map, _NEWEST_AT, self._number)
+        struct.pack_into("q", self._map, _NEWEST_AT, self._number)
 
     def close(self) -> None:
         """Say that nothing follows, and remove the file; who has mapped it keeps what was shown last."""
-        struct.pack_into("<q", self._map, _ENDED_AT, 1)
+        struct.pack_into("q", self._map, _ENDED_AT, 1)
         with contextlib.suppress(OSError):
             if self._path.stat().st_ino == self._inode:  # not that of a run that has followed
                 self._path.unlink()
@@ -167,7 +167,7 @@ class MirrorReader:
     @property
     def newest(self) -> int:
         """Number of the newest piece; 0 while there is none."""
-        return int.from_bytes(self._map[_NEWEST_AT : _NEWEST_AT + 8], "little")
+        return int(_HEAD.unpack_from(self._map)[2])
 
     def read(self) -> Piece | None:
         """Return the newest piece; None while there is none, or the writer was too fast a thousand times.

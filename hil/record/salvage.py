@@ -13,7 +13,7 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -209,7 +209,7 @@ class _Salvage:
         self.remarks.append(remark)
 
     def _add(self, record: Record) -> None:
-        found = record.parse() if record.complete else None
+        found: Any = record.parse() if record.complete else None
         if record.opcode == Opcode.CHUNK:
             self._chunk(record)
         elif not record.complete:

@@ -119,7 +119,7 @@ def test_one_tick_that_is_in_the_plants_log_is_enough(places):
 
 
 def test_in_real_time_the_plant_may_have_a_file_of_its_own():
-    live = {"lockstep": False, "run": None}
+    live: dict[str, Any] = {"lockstep": False, "run": None}
     require_one_run(log("a.mcap", **live), log("b.mcap", configuration=b"y: 2\n", **live), PLACES)
 
 

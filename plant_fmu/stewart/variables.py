@@ -94,6 +94,9 @@ def _ring(radius: float, degrees: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(x for a in angles for x in (radius * math.cos(a), radius * math.sin(a), 0.0))
 
 
+INTERNAL_STEP = 1e-4
+STEP_SIZE = 1e-3
+"""DefaultExperiment stepSize."""
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 ZEROS6 = (0.0,) * 6
 
@@ -138,7 +141,7 @@ _ROWS: dict[Causality, tuple[tuple[Any, ...], ...]] = {"parameter": (
     ("initial_rotation", "RotationElement", (3, 3), IDENTITY, "Platform to base at the start"),
     ("initial_twist", "Mixed", (6,), ZEROS6,
      "Velocity of the platform origin and angular velocity at the start, base frame, m/s and rad/s", _MOTION),
-    ("internal_step", "Time", (), (1e-4,), "Fixed step of the integrator (Runge-Kutta 4)"),
+    ("internal_step", "Time", (), (INTERNAL_STEP,), "Fixed step of the integrator (Runge-Kutta 4)"),
 ), "input": (
     ("force", "Force", (6,), ZEROS6, "Commanded leg forces, > 0 extends"),
     ("brake", "Engagement", (6,), (1.0,) * 6, "Brakes, engaged unless released"),
@@ -166,9 +169,6 @@ VARIABLES: tuple[Variable, ...] = (
     Variable("time", "Time", (), None, "Simulation time", causality="independent"),
     *(Variable(*row)._replace(causality=causality) for causality, rows in _ROWS.items() for row in rows),
 )
-INTERNAL_STEP = 1e-4
-STEP_SIZE = 1e-3
-"""DefaultExperiment stepSize."""
 
 
 def type_of(variable: Variable, element: int) -> str:

@@ -69,11 +69,10 @@ static int pivot(const Programme *q, int state[ROWS], int first_only)
             for (int k = 0; k < q->n; k++) w += q->H[i][k] * q->f[k];
             if (state[i] == AT_LOW ? w < 0.0 : w > 0.0) next = FREE;
         }
-        if (next != state[i]) {
-            state[i] = next;
-            broken++;
-            if (first_only) return broken;
-        }
+        if (next == state[i]) continue;
+        state[i] = next;
+        broken++;
+        if (first_only) break;
     }
     return broken;
 }

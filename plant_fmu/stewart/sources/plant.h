@@ -37,7 +37,7 @@ typedef struct {
     double decay, decay_half; /* of the force lag over one and one half internal step */
 } Plant;
 
-/* The equations of motion at one state: M dtwist = rhs + J^T tau, and ddl = J^T dtwist + bias.
+/* The equations of motion at one state: M dtwist = rhs + J tau, and ddl = J^T dtwist + bias.
  * All six legs, component by component: a loop over them is six independent chains, which the processor overlaps. */
 typedef struct {
     /* from geometry: arm = R b, velocity u of the platform joint; of J, the direction s */

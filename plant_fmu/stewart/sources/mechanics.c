@@ -35,7 +35,10 @@ static inline Vec cross(Vec a, Vec b)
 {
     return (Vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
-static inline Vec rotate(const double R[9], Vec a) { return (Vec){dot(vec(R), a), dot(vec(R + 3), a), dot(vec(R + 6), a)}; }
+static inline Vec rotate(const double R[9], Vec a)
+{
+    return (Vec){dot(vec(R), a), dot(vec(R + 3), a), dot(vec(R + 6), a)};
+}
 
 /* Of leg i, from and to an array that has all legs component by component. */
 static inline Vec leg(double (*a)[LEGS], int i) { return (Vec){a[0][i], a[1][i], a[2][i]}; }
@@ -255,7 +258,8 @@ void energies(Plant *plant)
     Equations e;
     rotation_of(x->q, R);
     rotated_inertia(R, body->inertia, I);
-    const Vec g = vec(body->gravity), w = vec(x->twist + 3), rc = rotate(R, vec(body->com)), v = plus(vec(x->twist), cross(w, rc));
+    const Vec g = vec(body->gravity), w = vec(x->twist + 3), rc = rotate(R, vec(body->com));
+    const Vec v = plus(vec(x->twist), cross(w, rc));
     double T = body->mass * dot(v, v) + dot(w, rotate(I, w));
     double V = -body->mass * dot(g, plus(vec(x->p), rc));
     geometry(body, x, R, &e);

@@ -136,7 +136,7 @@ int plant_initialise(Plant *plant, char *why)
     return 0;
 }
 
-/* dtwist under the drives' forces, viscous friction and, where `h` > 0, the contact forces, which are left in `contact`. */
+/* dtwist under the drives' forces, viscous friction and contact forces; where `h` > 0 these are found first. */
 static int accelerate(const Plant *plant, const Motion *x, const double force[LEGS], double h, double contact[LEGS],
                       double dtwist[6])
 {

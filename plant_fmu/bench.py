@@ -68,8 +68,7 @@ def advance_leg(
 
 
 @helper
-def all_finite(values: Array) -> bool:
-    """Tell whether no element is infinite or not a number."""
+def _all_finite(values: Array) -> bool:
     for value in values:  # noqa: SIM110 - compiled
         if not np.isfinite(value):
             return False
@@ -80,7 +79,7 @@ def all_finite(values: Array) -> bool:
 def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
     """As `Moved.move`: 0, NOT_FINITE or DIVERGED; the state is then as before."""
     f, brakes, into = reals_at(force, LEGS), reals_at(brake, LEGS), reals_at(measured, 2 * LEGS)
-    if not (all_finite(f) and all_finite(brakes) and all_finite(reals_at(wrench, LEGS))):
+    if not (_all_finite(f) and _all_finite(brakes) and _all_finite(reals_at(wrench, LEGS))):
         return NOT_FINITE
     x, v = np.empty(LEGS), np.empty(LEGS)
     for i in range(LEGS):
@@ -88,7 +87,7 @@ def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int
         x[i], v[i] = advance_leg(
             b.x[i], b.v[i], f[i], friction, b.step_s, steps, b.mass, b.damping, b.stiffness, b.hardening
         )
-    if not (all_finite(x) and all_finite(v)):
+    if not (_all_finite(x) and _all_finite(v)):
         return DIVERGED
     b.x[:], b.v[:] = x, v
     for i in range(LEGS):
@@ -97,8 +96,8 @@ def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int
 
 
 @pointed(record(BENCH), INTEGER)
-def no_lag(_plant: Any, _force: int) -> int:
-    """As `Moved.applied` of any plant without a lag to know of."""
+def _applied(_b: Any, _force: int) -> int:
+    """As `Moved.applied`: there is no lag to know of."""
     return 0
 
 
@@ -140,4 +139,4 @@ class Bench(PointedPlant):
 
     def moved(self) -> Moved:
         """Return this plant by address."""
-        return Moved(_move.address, no_lag.address, data_at(self._record), self._refused, self)
+        return Moved(_move.address, _applied.address, data_at(self._record), self._refused, self)

@@ -119,9 +119,10 @@ class PointedPlant(Plant):
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """As `Plant.step`, by `moved()`."""
-        moved, n = self.moved(), whole_steps(dt_s, self.internal_step_s)
-        given, y = np.array((force, brake, wrench), np.float64), np.empty(12)
-        status = _MOVE(moved.move)(moved.context, *(row.ctypes.data for row in given), n, y.ctypes.data)
+        n, moved, values = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(30)
+        values[12:18], values[18:24], values[24:] = force, brake, wrench
+        at = values.ctypes.data
+        status = _MOVE(moved.move)(moved.context, at + 8 * 12, at + 8 * 18, at + 8 * 24, n, at)
         if status:
-            raise moved.refused(status, given[0], given[1], given[2], n)
-        return y[:6], y[6:]
+            raise moved.refused(status, values[12:18], values[18:24], values[24:], n)
+        return values[:6], values[6:12]

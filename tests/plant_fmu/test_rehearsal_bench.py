@@ -125,7 +125,7 @@ def prepared(seed: int = 1) -> RehearsalBench:
     b.place(3, 0.5)
     b.push(5)
     b.clamp(0)
-    b._legs.record["x"][0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
+    b._legs._x[0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
     return b
 
 

@@ -244,8 +244,8 @@ def test_a_leg_that_just_reaches_its_end_still_moves_and_stands_once_it_is_beyon
     force = np.full(6, side * 5.0)
     free = trestles()
     reached, rate = free.step(force, CALM, CALM, 0.01)
-    legs = trestles()
-    legs.record["shortest" if side < 0.0 else "longest"] = reached
+    f = free._figures
+    legs = TrestleLegs(f._replace(shortest=reached) if side < 0.0 else f._replace(longest=reached))
     x, v = legs.step(force, CALM, CALM, 0.01)
     np.testing.assert_array_equal(x, reached)
     np.testing.assert_array_equal(v, rate)

@@ -41,12 +41,15 @@ def refuses(monkeypatch):
         def built(*arguments: Any) -> Any:
             nodes, physics = build(*arguments)
             plant: Any = physics
-            step = plant.step
+            step, moved = plant.step, plant.moved
 
             def refuse(*given: Any) -> Any:
                 if nodes.begun if at_s is None else nodes.now_ns >= 1e9 * at_s:
                     raise PlantError(REFUSED)
-                return step(*given)
+                plant.moved = moved
+                answer = step(*given)
+                plant.moved = None
+                return answer
 
             plant.step, plant.moved = refuse, None  # not by the address of its function
             return nodes, physics

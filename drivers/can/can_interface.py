@@ -143,11 +143,10 @@ def refusal(found: CanInterface, settings: BusSettings) -> str:
         if asked is not None:
             return f"has no restart-ms, bus.options.{RESTART_MS} is {asked}: leave that option out"
         return ""
-    rates = [("bitrate", "bus.bitrate_bit_s", c.bitrate_bit_s, settings.bitrate_bit_s)]
-    if fd:
-        rates.append(
-            ("dbitrate", "bus.data_bitrate_bit_s", c.data_bitrate_bit_s, settings.data_bitrate_bit_s)
-        )
+    rates = [
+        ("bitrate", "bus.bitrate_bit_s", c.bitrate_bit_s, settings.bitrate_bit_s),
+        ("dbitrate", "bus.data_bitrate_bit_s", c.data_bitrate_bit_s, settings.data_bitrate_bit_s),
+    ][: 1 + fd]
     wrong = [
         f"runs at {word} {has}, {key} is {wants}"
         for word, key, has, wants in rates

@@ -90,18 +90,13 @@ def set_up(index: int, *, up: bool) -> None:
 
 def queued(index: int) -> int:
     """Return how many frames wait in the transmit queue of an interface, whoever sent them."""
-    body = _QUEUE.pack(socket.AF_UNSPEC, index, 0, 0, 0)
-    return sum(queue_length(answer, index) for answer in request(RTM_GETQDISC, NLM_F_DUMP, body))
-
-
-def queue_length(answer: bytes, index: int) -> int:
-    """Return the length in an RTM_NEWQDISC payload; 0 of another interface, or of a queue within one."""
-    _, of, _, parent, _ = _QUEUE.unpack_from(answer)
-    if of != index or parent != TC_H_ROOT:
-        return 0
-    statistics = attributes(attributes(answer[_QUEUE.size :]).get(_TCA_STATS2, b""))
-    (length,) = struct.unpack_from("=I", statistics.get(_TCA_STATS_QUEUE, bytes(4)))
-    return int(length)
+    waiting = 0
+    for answer in request(RTM_GETQDISC, NLM_F_DUMP, _QUEUE.pack(socket.AF_UNSPEC, index, 0, 0, 0)):
+        _, of, _, parent, _ = _QUEUE.unpack_from(answer)
+        if of == index and parent == TC_H_ROOT:  # else of another interface, or of a queue within one
+            statistics = attributes(attributes(answer[_QUEUE.size :]).get(_TCA_STATS2, b""))
+            waiting += struct.unpack_from("=I", statistics.get(_TCA_STATS_QUEUE, bytes(4)))[0]
+    return waiting
 
 
 def administers() -> bool:

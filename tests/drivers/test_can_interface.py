@@ -128,15 +128,14 @@ def test_a_restart_time_is_refused_where_there_is_no_controller():
     assert "restart_ms" in refusal(parse("vcan0", VCAN0), settings(options={"restart_ms": 0}))
 
 
-def test_the_length_of_a_queue_is_that_of_the_root_of_its_interface():
+def test_the_length_of_a_queue_is_that_of_the_root_of_its_interface(monkeypatch):
     statistics = "1800 0300 07000000 a8000000 00000000 00000000 00000000"
     options = f"0a00 0100 706c756700 00 0000 1c00 0700 {statistics}"
     root = bytes.fromhex(f"00000000 05000000 00000180 ffffffff 02000000 {options}")
     within = bytes.fromhex(f"00000000 05000000 00000180 01000180 02000000 {options}")
-    assert netlink.queue_length(root, 5) == 7
-    assert netlink.queue_length(root, 6) == 0
-    assert netlink.queue_length(within, 5) == 0
-    assert netlink.queue_length(root[:20], 5) == 0
+    for answer, index, length in ((root, 5, 7), (root, 6, 0), (within, 5, 0), (root[:20], 5, 0)):
+        monkeypatch.setattr(netlink, "request", lambda *_, answer=answer: [answer])
+        assert netlink.queued(index) == length
 
 
 @pytest.mark.parametrize(

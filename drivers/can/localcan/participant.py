@@ -85,7 +85,6 @@ class Participant(Link):
         self._own = own
         self._spin_ns = int(spin_us * 1000)
         self._tx_limit = min(int(tx_limit), at.OUTBOX // 2)
-        self._fixed: BitTiming | None = None
         self._inbox = bytearray()
         self._sent = range(0)
         """Numbers of the frames that the last `send` took."""
@@ -167,7 +166,7 @@ class Participant(Link):
     @property
     def timing(self) -> BitTiming:
         """Bit timing of the channel."""
-        return self._fixed or self._wire.timing or DEFAULT_TIMING
+        return self._wire.timing or DEFAULT_TIMING
 
     @property
     def fd(self) -> bool:
@@ -186,10 +185,8 @@ class Participant(Link):
             for _, identifier, _, size, flags, _ in unpack_frames(content)
         ]
         wire, state = self._wire, self._state
-        if self._fixed is None:
-            if wire.timing is None:
-                wire.fix(timing, fd=True)
-            self._fixed = wire.timing
+        if wire.timing is None:
+            wire.fix(timing, fd=True)
         with self._thread:
             self._look()
             number = int(wire.words[at.slot_at(self.serial) + at.SLOT_COUNT])

@@ -40,7 +40,7 @@ class Publisher:
         self._text = b"[]"
         self._heard = 0
         self._window_ns = 0
-        self._peaks = dict.fromkeys(_PEAKS, (0, 0))
+        self._before, self._present = dict.fromkeys(_PEAKS, 0), dict.fromkeys(_PEAKS, 0)
 
     def publish(self, log_bytes: int) -> None:
         """Show the newest row that the producer has published; log_bytes: the size of the log so far."""
@@ -91,13 +91,9 @@ class Publisher:
         figures["seen_ns"], figures["ticks"] = now, self._counted
         figures["stale"] += np.count_nonzero(rows["warnings"] & Warn.STALE)
         figures["skipped"] += rows["skipped"].sum()
-        turned = now - self._window_ns > _WINDOW_NS
-        if turned:
+        if now - self._window_ns > _WINDOW_NS:
             self._window_ns = now
+            self._before, self._present = self._present, dict.fromkeys(_PEAKS, 0)
         for name, column in _PEAKS.items():
-            before, present = self._peaks[name]
-            if turned:
-                before, present = present, 0
-            present = max(present, int(rows[column].max()))
-            self._peaks[name] = before, present
-            figures[name] = max(before, present)
+            self._present[name] = max(self._present[name], int(rows[column].max()))
+            figures[name] = max(self._before[name], self._present[name])

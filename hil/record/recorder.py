@@ -145,26 +145,27 @@ class Recorder:
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
         if self._lateness is not None:
             counts["wake_up_us"] = json.dumps(self._lateness.table())
-        times = os.times()
         self.file.add_metadata(
             SUMMARY, {**(summary or {}), **{name: str(value) for name, value in counts.items()}}
         )
         self.file.finish()
-        return {**counts, "size_bytes": self.file.position, "recorder_cpu_s": times.user + times.system}
+        return self._told(counts)
 
     def close_full(self, error: OSError) -> dict[str, object]:
         """Close the file where it cannot grow any more, with what fits; return what the producer is told."""
         self.file.finish_within(
             SUMMARY, lambda: {name: str(value) for name, value in self._counts(DISK_FULL).items()}
         )
-        times = os.times()
         return {
-            **self._counts(DISK_FULL),
+            **self._told(self._counts(DISK_FULL)),
             "error": f"{DISK_FULL}: {error.strerror}; the log is closed and holds the first "
             f"{self.file.messages_of(TICK)} ticks, {self.file.position} bytes: {self.file.path}",
-            "size_bytes": self.file.position,
-            "recorder_cpu_s": times.user + times.system,
         }
+
+    def _told(self, counts: Mapping[str, object]) -> dict[str, object]:
+        """Return what the producer is told of a log that is closed."""
+        times = os.times()
+        return {**counts, "size_bytes": self.file.position, "recorder_cpu_s": times.user + times.system}
 
     def _counts(self, closed: str) -> dict[str, object]:
         return {

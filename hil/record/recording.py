@@ -233,11 +233,18 @@ class Recording:
                 content = pack_numbers(numbers)
                 data += item_of(now, command, OPERATOR, len(content), 0, content)
         count, ring = len(data) // ITEM.itemsize, self._ring
-        if self._room_or_drop(count, 1):
-            place = self.ticks % ring.capacity
-            ring.rows[place] = row
-            ring.ends[place] = self._items + count
-            self._put(1, data)
+        if not self._has_room(count):
+            self.dropped += 1
+            self._counters[DROPPED] = self.dropped
+            return
+        place = self.ticks % ring.capacity
+        ring.rows[place] = row
+        ring.put(self._items, data)
+        self._items += count
+        ring.ends[place] = self._items
+        fence()
+        self.ticks += 1
+        self._counters[WRITTEN] = self.ticks
 
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
         """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
@@ -247,25 +254,16 @@ class Recording:
             middle = int(ends[half - 1])
             self.ticks_of_items(rows[:half], items[:middle], ends[:half])
             self.ticks_of_items(rows[half:], items[middle:], ends[half:] - middle)
-        elif self._room_or_drop(len(items), count):
+        elif self._has_room(len(items), count):
             ring.put_rows(self.ticks, rows, ends + self._items)
-            self._put(count, items.tobytes())
-
-    def _put(self, ticks: int, data: bytes) -> None:
-        """Publish ticks whose rows are in the ring, with their items."""
-        self._ring.put(self._items, data)
-        self._items += len(data) // ITEM.itemsize
-        fence()
-        self.ticks += ticks
-        self._counters[WRITTEN] = self.ticks
-
-    def _room_or_drop(self, count: int, rows: int) -> bool:
-        """Return whether rows and `count` items fit; count the rows as dropped where they do not."""
-        if self._has_room(count, rows):
-            return True
-        self.dropped += rows
-        self._counters[DROPPED] = self.dropped
-        return False
+            ring.put(self._items, items.tobytes())
+            self._items += len(items)
+            fence()
+            self.ticks += count
+            self._counters[WRITTEN] = self.ticks
+        else:
+            self.dropped += count
+            self._counters[DROPPED] = self.dropped
 
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""

@@ -123,18 +123,17 @@ class MessageTable(NamedTuple):
 
 
 class Allowance:
-    """How much a log may still unpack to. State: the bytes and messages that are left.
+    """How much a log may still unpack to. State: the bytes and messages that are taken.
 
     A small file that unpacks without end would fill memory and time.
     """
 
     def __init__(self, file_bytes: int) -> None:
         self._file_bytes = file_bytes
-        self._left = FREE_BYTES + MAX_RATIO * file_bytes
-        self._messages = FREE_MESSAGES + file_bytes // LEAST_BYTES
+        self._bytes = self._messages = 0
 
-    def spend(self, size: int) -> None:
-        """Take `size` bytes before they are unpacked.
+    def spend(self, size: int = 0, messages: int = 0) -> None:
+        """Take bytes before they are unpacked, and messages that were found.
 
         Raises
         ------
@@ -142,28 +141,13 @@ class Allowance:
             There are not so many left.
 
         """
-        self._left -= size
-        if self._left < 0:
-            raise LogError(
-                f"the file has {self._file_bytes} bytes and unpacks to more than "
-                f"{FREE_BYTES + MAX_RATIO * self._file_bytes}, which no log of a run does"
-            )
-
-    def count(self, messages: int) -> None:
-        """Take note of messages that were found.
-
-        Raises
-        ------
-        LogError
-            There are more than a file of this size holds.
-
-        """
-        self._messages -= messages
-        if self._messages < 0:
-            raise LogError(
-                f"the file has {self._file_bytes} bytes and more than "
-                f"{FREE_MESSAGES + self._file_bytes // LEAST_BYTES} messages, which no log of a run has"
-            )
+        self._bytes += size
+        self._messages += messages
+        has = f"the file has {self._file_bytes} bytes and"
+        if self._bytes > (most := FREE_BYTES + MAX_RATIO * self._file_bytes):
+            raise LogError(f"{has} unpacks to more than {most}, which no log of a run does")
+        if self._messages > (most := FREE_MESSAGES + self._file_bytes // LEAST_BYTES):
+            raise LogError(f"{has} more than {most} messages, which no log of a run has")
 
 
 def longest(opcode: int) -> int:
@@ -328,7 +312,7 @@ def messages_in(
         allowance.spend(chunk.uncompressed_size)
     data = decompress_part(record.content) if chunk is None else decompress(chunk)
     table, others = split(data, part=chunk is None, scan=scan)
-    allowance.count(len(table.channel))
+    allowance.spend(messages=len(table.channel))
     return data, table, others
 
 

@@ -114,11 +114,11 @@ def test_a_log_may_unpack_to_so_much_more_for_each_byte_of_its_file_and_to_no_mo
     for part in (most // 2, most - most // 2, 0):
         allowance.spend(part)
     for part in (count // 2, count - count // 2, 0):
-        allowance.count(part)
+        allowance.spend(messages=part)
     with pytest.raises(LogError, match=f"has {size} bytes and unpacks to more than {most},"):
         allowance.spend(1)
     with pytest.raises(LogError, match=f"has {size} bytes and more than {count} messages,"):
-        allowance.count(1)
+        allowance.spend(-1, messages=1)
 
 
 UNPACKED = random.Random(3).randbytes(500) + bytes(3_000_000)

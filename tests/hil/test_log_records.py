@@ -139,11 +139,11 @@ def test_of_a_record_that_reaches_past_the_end_no_more_is_read_than_its_kind_may
 def test_a_log_of_1000_bytes_unpacks_to_40000_beyond_256_MiB_and_has_125_messages_beyond_50000():
     allowance = Allowance(1000)
     allowance.spend(256 * MiB + 40_000)
-    allowance.count(50_125)
+    allowance.spend(messages=50_125)
     with pytest.raises(LogError, match=f"more than {256 * MiB + 40_000}, which no log of a run does"):
         allowance.spend(1)
     with pytest.raises(LogError, match="more than 50125 messages, which no log of a run has"):
-        allowance.count(1)
+        allowance.spend(-1, messages=1)
 
 
 # -- chunks --------------------------------------------------------------------------------------------------

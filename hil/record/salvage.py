@@ -301,8 +301,14 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    taken = LogError(f"{target}: exists and is never overwritten: choose another name")
+    if os.path.lexists(target):
+        raise taken
     try:
-        work = _Salvage(source, target, size, [n for n, k in numbers.items() if k == known[run.topic]])
+        temporary.unlink(missing_ok=True)
+        rows = [n for n, k in numbers.items() if k == known[run.topic]]
+        work = _Salvage(source, temporary, size, rows)
         try:
             work.file.add_metadata(IDENTITY, identity)
             for number, (_, schema, _) in own.items():
@@ -310,11 +316,26 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             for number, k in numbers.items():
                 work.file.add_channel(Channel(number, own[k][0], "protobuf", own[k][2], k))
             work.work()
-            return work.close()
-        except BaseException:
-            work.file.discard()
-            raise
+            report = work.close()
+            _give_name(temporary, target)
+            report.out = target
+            return report
+        finally:
+            work.file.close()
+            temporary.unlink(missing_ok=True)
     except FileExistsError:
-        raise LogError(f"{target}: exists and is never overwritten: choose another name") from None
+        raise taken from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
+
+
+def _give_name(temporary: Path, target: Path) -> None:
+    """Give a file its name without taking it from one that came to be meanwhile."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.lexists(target):
+            raise FileExistsError from None
+        temporary.rename(target)

@@ -1,6 +1,7 @@
 """What a salvage says of itself, what it keeps of a foreign file, and where records of a damaged file begin."""
 
 import errno
+import os
 import struct
 
 import pytest
@@ -72,6 +73,22 @@ def test_of_many_damaged_places_the_first_are_said_and_how_many_more_there_are(p
     assert report.remarks == (*said, *([f"and {more} places more"] if more > 0 else []))
 
 
+def test_a_name_that_came_to_be_meanwhile_is_not_taken_and_nothing_is_said_to_be_saved(
+    path, tmp_path, monkeypatch
+):
+    out, close = tmp_path / "out.mcap", salvaging._Salvage.close
+
+    def slow(*given):
+        out.write_bytes(b"precious")
+        return close(*given)
+
+    monkeypatch.setattr(salvaging._Salvage, "close", slow)
+    with pytest.raises(LogError, match="never overwritten"):
+        salvage(path, out)
+    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
+    assert out.read_bytes() == b"precious"
+
+
 def test_metadata_of_other_names_come_along_and_that_of_the_run_stands_there_once(path, tmp_path):
     theirs, _ = inserted(path, tmp_path, metadata("theirs", a="1"), metadata("more", b="2"))
     salvage(theirs, tmp_path / "out.mcap")
@@ -137,6 +154,42 @@ def test_a_salvage_that_fails_leaves_no_file_open(path, tmp_path, monkeypatch, f
     (file,) = made
     assert file._fd == -1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def without_links(monkeypatch):
+    """A file system that gives no file a second name."""
+
+    def refused(*_):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+
+
+def test_a_file_system_without_links_takes_the_salvaged_log_all_the_same(path, tmp_path, without_links):
+    report = salvage(path, tmp_path / "out.mcap")
+    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
+    assert len(Log.open(tmp_path / "out.mcap").rows("tick")) == report.ticks == len(TICKS)
+
+
+@pytest.mark.parametrize("kind", ["file", "link"])
+def test_nor_is_a_name_taken_there_that_came_to_be_meanwhile(
+    path, tmp_path, monkeypatch, without_links, kind
+):
+    out, close = tmp_path / "out.mcap", salvaging._Salvage.close
+
+    def slow(*given):
+        if kind == "file":
+            out.write_bytes(b"precious")
+        else:
+            out.symlink_to("nowhere")
+        return close(*given)
+
+    monkeypatch.setattr(salvaging._Salvage, "close", slow)
+    with pytest.raises(LogError, match="never overwritten"):
+        salvage(path, out)
+    assert [each.name for each in tmp_path.iterdir()] == ["out.mcap"]
+    assert out.is_symlink() if kind == "link" else out.read_bytes() == b"precious"
 
 
 def test_a_message_without_a_byte_of_data_is_whole(tmp_path):

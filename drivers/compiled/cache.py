@@ -25,11 +25,13 @@ from drivers.files import made_folder, own_folder
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("drivers", "hil", "plant_fmu")
+_GAP = r"(?:[ \t]|\\\n)"
 _IMPORT = re.compile(
-    r"^( *)(?:from|import) ((?:drivers|hil|plant_fmu)\b[\w.]*)(?: import ([^(\n]*(?:\([^)]*\))?))?",
+    rf"(?:^|[;:])([ \t]*)(?:from{_GAP}+([\w.]+){_GAP}+)?import\b{_GAP}*"
+    r"(\((?:[^()#]|#[^\n]*)*\)|(?:[^\n;#\\]|\\\n)*)",
     re.MULTILINE,
 )
-"""Indent, module and names, as the formatter leaves them: Python's parser would cost each start 0.2 s."""
+"""Indent, module and names; Python's parser would cost each start 0.2 s."""
 _watching: list[Any] = []
 
 
@@ -92,8 +94,10 @@ def imports(source: Path, *, inside: bool = True) -> frozenset[Path]:
     """Return the project's files that a source imports, those that its functions import too if `inside`."""
     modules = set()
     for indent, module, names in _IMPORT.findall(source.read_text(encoding="utf-8")):
-        if inside or not indent:
-            modules |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))}
+        if indent and not inside:
+            continue
+        for name in re.findall(r"[\w.]+", re.sub(r"#[^\n]*", "", names)):
+            modules |= {module, f"{module}.{name}"} if module else {name}
     return frozenset(path for path in map(file_of, modules) if path is not None)
 
 

@@ -161,34 +161,35 @@ def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 def entry(compiled: F) -> F:
     """Return what the interpreter calls of a `kernel`: no dispatcher stands before one that takes records.
 
-    An argument that is no array of elements of that size, or of other numbers, order or dimensions than
-    stated, raises TypeError. Such a kernel returns numbers only.
+    An argument that is no array of that type, order and dimensions, () for a record, raises TypeError, and so
+    does one that may be written and is read-only. Such a kernel returns numbers only.
     """
     made: Any = compiled
     if not hasattr(made, "overloads"):  # where Numba is disabled
         return compiled
     (only,) = made.overloads.values()
-    records_taken, arrays = False, []
+    looked, records_taken = [], False
     for place, kind in enumerate(only.signature.args):
-        if isinstance(kind, RecordArgument) or isinstance(getattr(kind, "dtype", None), RecordArgument):
-            records_taken = True
-        elif isinstance(kind, types.Array):
-            arrays.append((place, as_dtype(kind.dtype), kind))
+        element = kind.dtype if isinstance(kind, types.Array) else kind
+        if isinstance(kind, types.Array | RecordArgument):
+            dtype = element.of if isinstance(element, RecordArgument) else as_dtype(element)
+            looked.append((place, dtype, getattr(kind, "ndim", 0), kind.mutable, kind))
+            records_taken = records_taken or isinstance(element, RecordArgument)
     if not records_taken:
         return compiled
-    call = _looking(only.entry_point, arrays) if arrays else only.entry_point
+    call = _looking(only.entry_point, looked)
     _of_entry[call] = made
     return cast("F", call)
 
 
-def _looking(entry_point: Callable[..., Any], arrays: list[tuple[int, Any, Any]]) -> Callable[..., Any]:
-    """Look at arrays of numbers first: Numba's entry looks at the size of their elements alone."""
+def _looking(entry_point: Callable[..., Any], looked: list[tuple[int, Any, int, bool, Any]]) -> Any:
+    """Look at arrays first: Numba's entry looks at the size of their elements alone."""
 
     def call(*given: Any) -> Any:
-        for place, dtype, kind in arrays:
+        for place, dtype, dimensions, mutable, kind in looked:
             array = given[place]
-            fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == kind.ndim
-            if not fits or not array.flags.c_contiguous or (kind.mutable and not array.flags.writeable):
+            fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == dimensions
+            if not fits or not array.flags.c_contiguous or (mutable and not array.flags.writeable):
                 raise TypeError(f"argument {place} of a kernel is no {kind}")
         return entry_point(*given)
 

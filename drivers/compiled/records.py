@@ -1,7 +1,7 @@
 """Records as arguments of kernels: one element of a structured dtype, of which a kernel sees some columns.
 
-It is the address alone. Numba looks at what it is given: an array, and the size of its elements. The record
-lives in its owner's array, which the caller holds.
+It is the address alone; `drivers.compiled.compiler.entry` looks at what is given. The record lives in its
+owner's array, which the caller holds.
 """
 
 from __future__ import annotations
@@ -16,14 +16,18 @@ from numba.np.numpy_support import from_dtype
 
 
 class RecordArgument(types.Record):
-    """A record that a kernel may write."""
+    """A record that a kernel may write; of: the dtype of the whole."""
+
+    of: np.dtype[np.void]
 
 
 def record_of(dtype: np.dtype[np.void], names: tuple[str, ...]) -> RecordArgument:
     """Return the type of a record with these columns of a dtype."""
     seen: Any = from_dtype(dtype[list(names)])
     fields = [(name, field._asdict()) for name, field in seen.fields.items()]
-    return RecordArgument(fields, seen.size, aligned=False)
+    record = RecordArgument(fields, seen.size, aligned=False)
+    record.of = dtype
+    return record
 
 
 def _unbox(kind: Any, given: Any, c: Any) -> NativeValue:

@@ -25,7 +25,7 @@ from hil.record.mcap_read import (
     messages_in,
     records,
 )
-from hil.record.row import Run
+from hil.record.row import OLD, Run
 from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
@@ -73,7 +73,7 @@ class LogFile:
             self._learn(record)
         identity = self.metadata.get(IDENTITY, {})
         if "dtype" in identity:
-            raise LogError(f"{path}: a log of version 0.1.0: read and replay it with that version")
+            raise LogError(f"{path}: {OLD}")
         if "columns" not in identity:
             reason = (
                 self.cut or f"an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"

@@ -294,6 +294,9 @@ def main(arguments: list[str]) -> int:
     except LogError as error:
         answer({"error": str(error)})
         return 1
+    except ValueError as error:  # what no log may say of its run
+        answer({"error": f"{setup['path']}: {error}"})
+        return 1
     except FileExistsError as error:
         answer(
             {"error": f"{error.filename} exists and is never overwritten: choose another name for the log"}

@@ -122,6 +122,9 @@ def columns_of(description: str) -> tuple[Column, ...]:
     return _checked(columns)
 
 
+OLD = "a log of version 0.1.0: read and replay it with that version"
+
+
 class Run(NamedTuple):
     """What a log says of its rows and frames, in the metadata record `hil`."""
 

@@ -35,7 +35,7 @@ from hil.record.mcap_read import (
     messages_in,
     records,
 )
-from hil.record.row import Run, Table
+from hil.record.row import OLD, TICKS, Run, Table, describe
 from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 
 _BEGIN = re.compile(rb"(?=[\x01-\x0f][\s\S]{4}\x00{4})")
@@ -155,10 +155,12 @@ def _described(path: Path) -> tuple[dict[str, str], dict[int, str]]:
                 found = record.parse()
                 if isinstance(found, Channel):
                     topics.setdefault(found.id, found.topic)
-                elif found.name == IDENTITY and "columns" in found.metadata:
+                elif found.name == IDENTITY and {"columns", "dtype"} & found.metadata.keys():
                     identity = identity or dict(found.metadata)
     if not identity:
         raise LogError(f"{path}: no log of this product, or cut within its first bytes: nothing to salvage")
+    if "dtype" in identity:
+        raise LogError(f"{path}: {OLD}")
     return identity, topics
 
 
@@ -274,6 +276,17 @@ class _Salvage:
         return report
 
 
+def _run_of(identity: dict[str, str]) -> tuple[Run, list[str]]:
+    """Return what a log says of its run, and a remark where its table of columns had to be replaced."""
+    try:
+        return Run.of(identity), []
+    except REFUSED:
+        if identity.get("topic") != TICKS.topic:
+            raise
+        identity["columns"] = describe(TICKS.columns)
+        return Run.of(identity), ["the table of columns is damaged; that of this version takes its place"]
+
+
 def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> SalvageReport:
     """Write to `out` a valid log with all that is readable in `path`.
 
@@ -291,12 +304,12 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
         if head != MAGIC:
             raise LogError(f"{source}: not an MCAP file: nothing to salvage")
         identity, topics = _described(source)
-        run = Run.of(identity)
+        run, remarks = _run_of(identity)
     except OSError as error:
         raise LogError(f"{source}: cannot be read: {error.strerror}") from error
     except REFUSED as error:
         raise LogError(
-            f"{source}: its table of columns is damaged: nothing to salvage: {why(error)}"
+            f"{source}: what it says of its run is damaged: nothing to salvage: {why(error)}"
         ) from None
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
@@ -309,6 +322,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
         temporary.unlink(missing_ok=True)
         rows = [n for n, k in numbers.items() if k == known[run.topic]]
         work = _Salvage(source, temporary, size, rows)
+        work.remarks += remarks
         try:
             work.file.add_metadata(IDENTITY, identity)
             for number, (_, schema, _) in own.items():

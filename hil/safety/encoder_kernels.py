@@ -211,7 +211,7 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
             continue
         moved = residuals.strayed(deviation, memory.began[i], tick.age)
         if memory.push[i] != 0 or moved > residuals.SUSPECT * noise:
-            towards = memory.push[i] < 0 if memory.push[i] != 0 else deviation[i] > 0.0
+            towards = memory.push[i] < 0 or (memory.push[i] == 0 and deviation[i] > 0.0)
             memory.push[i] += -1 if towards else 1  # ticks; < 0 retracts the leg, first towards its reference
         if abs(memory.push[i]) > 2 * limits.push_ticks:
             doubt_leg(tick, limits, memory, i, Doubt.STILL.value, moved, residuals.SUSPECT * noise)

@@ -48,16 +48,17 @@ def checked_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInf
     members = archive.infolist()
     if len(members) > MAX_MEMBERS:
         raise PlantError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are allowed")
-    seen: dict[str, zipfile.ZipInfo] = {}  # by name without case
+    seen: dict[str, zipfile.ZipInfo] = {}  # by the place to which it is extracted, without case
     total = 0
     for member in members:
         name, bad = member.filename, None
-        key = name.rstrip("/").casefold()
+        place = "/".join(part for part in name.split("/") if part not in {"", ".", ".."})
+        key = place.casefold()
         if not _same(member, seen.get(key, member)):
             bad = "its name occurs twice"
         elif member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):
             bad = f"it unpacks to more than {MAX_RATIO} times its packed size"
-        elif name in _PARSED and member.file_size > MAX_XML_BYTES:
+        elif place in _PARSED and member.file_size > MAX_XML_BYTES:
             bad = f"it unpacks to {member.file_size} bytes; at most {MAX_XML_BYTES} are read"
         if bad:
             raise PlantError(f"{path}: member {name!r} refused: {bad}")

@@ -215,6 +215,25 @@ def test_every_import_of_a_source_counts_as_pythons_parser_reads_it():
         assert imports_of(source) <= cache.imports(source), source
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import json, hil.signals",
+        "from  hil import  signals",
+        "from hil import (\n    # in brackets ) or not\n    signals,\n)",
+        "from hil import(signals)",
+        "from hil \\\n    import \\\n    signals",
+        "x = 1; from hil import signals",
+        "try: import hil.signals\nexcept ImportError: pass",
+        "def f():\n\tfrom hil import signals",
+    ],
+)
+def test_an_import_counts_as_python_allows_it_to_be_written(text, tmp_path):
+    source = tmp_path / "law.py"
+    source.write_text(text)
+    assert (ROOT / "hil" / "signals.py").resolve() in imports_of(source) <= cache.imports(source)
+
+
 def test_no_source_imports_by_a_relative_name_which_would_not_count():
     relative = re.compile(r"^ *from \.", re.MULTILINE)
     for source in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):

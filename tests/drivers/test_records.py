@@ -19,6 +19,7 @@ from drivers.compiled.compiler import (
     direct,
     kernel,
     record,
+    records,
 )
 
 POINT = np.dtype([("x", np.float64), ("n", np.int64), ("unseen", np.int64)])
@@ -168,7 +169,11 @@ def _count_up(point: Any) -> float:
     return float(point.x)
 
 
-def test_a_record_is_seen_and_written_and_what_is_no_array_of_such_elements_is_refused():
+READ_ONLY = np.zeros((), POINT)
+READ_ONLY.flags.writeable = False
+
+
+def test_kernel_reads_and_writes_a_record_and_refuses_other_arguments():
     points = np.zeros(3, POINT)
     points["x"], points["n"] = (1.5, 2.5, 3.5), 7
     for k, x in enumerate((1.5, 2.5, 3.5)):
@@ -178,12 +183,34 @@ def test_a_record_is_seen_and_written_and_what_is_no_array_of_such_elements_is_r
     for wrong in (
         np.zeros((), np.dtype([("x", np.float64)])),
         np.zeros((), np.float64),
+        np.zeros((), np.dtype([("n", np.int64), ("x", np.float64), ("unseen", np.int64)])),
+        np.zeros((1,) * 6, POINT),
+        points[:0],
+        READ_ONLY,
         1.0,
         None,
         points[0],
     ):
-        with pytest.raises(TypeError, match="can't unbox array"):
+        with pytest.raises(TypeError, match="argument 0 of a kernel is no Record"):
             _count_up(wrong)
+
+
+@direct(records(POINT))
+def _sum(points: Any) -> float:
+    total = 0.0
+    for point in points:
+        total += point.x
+    return total
+
+
+def test_kernel_takes_a_vector_of_records_that_lie_one_behind_the_other():
+    points = np.zeros(4, POINT)
+    points["x"] = 1.0, 2.0, 4.0, 8.0
+    assert _sum(points[1:3]) == 6.0
+    assert _sum(points[:0]) == 0.0
+    for wrong in (points[::2], points.reshape(2, 2), points[0:1].reshape(())):
+        with pytest.raises(TypeError, match="argument 0 of a kernel is no"):
+            _sum(wrong)
 
 
 ROW = np.dtype([("n", np.int64), ("forces", np.float64, 3), ("unseen", np.int64)])

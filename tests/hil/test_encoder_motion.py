@@ -185,6 +185,13 @@ def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_there_and_t
     assert not bench.memory("stood").any()
 
 
+@BOTH_SIGNS
+def test_encoders_a_leg_that_stands_near_its_reference_is_pushed_there_first(sign):
+    bench = Standing(2, length_noise_m=0.05)
+    bench.stand()
+    assert bench.stand(sign * 0.6)["tau"][2] == pytest.approx(-sign * 200.0)
+
+
 def test_encoders_a_leg_that_stands_is_pushed_where_another_one_strays():
     bench = Standing(2)
     bench.stand()
@@ -424,6 +431,16 @@ def test_encoders_a_drive_that_latches_apart_and_is_missed_widens_its_own_bounds
         bench.ticks(1)
     found = bench.tick(jump=six(0.95 * RATES[leg] * T, leg))
     assert (found["doubt"], found["legs_doubted"]) == ((Doubt.JUMP, 1 << leg) if doubts else (Doubt.NONE, 0))
+
+
+@pytest.mark.parametrize(("way", "doubts"), [(0.95, False), (2.5, True)])
+def test_encoders_a_leg_that_was_missed_may_answer_the_poll_before_beside_a_delay_that_all_show(way, doubts):
+    bench = Bench(unnamed=1, apart=1)
+    bench.ticks(60, rate=RATES)
+    bench.ticks(1, unseen=[5])
+    bench.ticks(1)
+    found = bench.tick(late_s=0.5 * T, jump=six(way * RATES[5] * T, 5))
+    assert (found["doubt"], found["legs_doubted"]) == ((Doubt.JUMP, 1 << 5) if doubts else (Doubt.NONE, 0))
 
 
 @pytest.mark.parametrize(("leg", "doubts"), [(2, True), (0, False)])

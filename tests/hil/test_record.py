@@ -51,6 +51,12 @@ def wait_closed(path, seconds=20.0):
             time.sleep(0.05)
 
 
+def test_a_bus_whose_name_cannot_be_shown_is_refused_when_the_log_is_opened(tmp_path):
+    with pytest.raises(LogError, match=r"a\.mcap: can_channels"):
+        Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True, can_channel="vcan\a")
+    assert not list(tmp_path.iterdir())
+
+
 def test_protobuf_reads_every_column_and_frame_as_it_was_given(tmp_path):
     ticks = random_ticks(300, seed=2)
     path = tmp_path / "a.mcap"

@@ -160,6 +160,15 @@ def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path):
     assert not (tmp_path / "b.mcap").exists()
 
 
+def test_a_damaged_table_of_columns_is_replaced_by_that_of_this_version_and_said(path, tmp_path):
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(path.read_bytes().replace(b'"type"', b'"tipe"', 1))
+    report = salvage(bad, tmp_path / "out.mcap")
+    assert report.ticks == len(Log(tmp_path / "out.mcap").rows("tick")) == COUNT
+    assert report.remarks[0] == "the table of columns is damaged; that of this version takes its place"
+    assert not report.complete
+
+
 def test_a_bit_that_turned_over_where_no_record_has_a_checksum_of_its_own_is_said(path, tmp_path):
     metadata = mcap_summary(path).metadata_indexes[0]
     data = bytearray(path.read_bytes())

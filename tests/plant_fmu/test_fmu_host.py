@@ -226,6 +226,8 @@ def test_a_missing_file_and_a_file_that_is_no_archive_are_refused(tmp_path):
         ([("resources/a", b"x"), ("resources/A", b"y")], "occurs twice"),
         ([("resources/a", b"x"), ("resources/A", b"x")], "occurs twice"),
         ([("resources/a", b""), ("resources/a/", b"")], "occurs twice"),
+        ([("resources/a", b"x"), ("./resources//a", b"x")], "occurs twice"),
+        ([("resources/a", b"x"), ("../../resources/a", b"y")], "occurs twice"),
         ([("resources/bomb", b"\0" * 8_000_000)], "times its packed size"),
     ],
 )

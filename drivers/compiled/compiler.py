@@ -49,7 +49,6 @@ OUT_INTEGERS = types.Array(types.int64, 1, "C")
 WORDS = types.Array(types.int64, 1, "A", readonly=True, aligned=False)
 """Argument: integers at any distance, at any address."""
 MATRIX_OF_INTEGERS = types.Array(types.int64, 2, "C", readonly=True)
-BYTES = types.Array(types.uint8, 1, "C", readonly=True)
 FLAGS = types.Array(types.boolean, 1, "C", readonly=True)
 OUT_FLAGS = types.Array(types.boolean, 1, "C")
 OUT_INTEGER_MATRIX = types.Array(types.int64, 2, "C")

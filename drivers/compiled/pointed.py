@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from drivers.arrays import Array, Bytes, Ints
+from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import OPTIONS, compiling, count, foreign, helper
 
 FAILED = -1
@@ -130,8 +130,6 @@ reals_at: Callable[[int, int], Array] = records_at(types.float64)
 """reals_at(address, count): inside a kernel, the float64 vector at an address."""
 integers_at: Callable[[int, int], Ints] = records_at(types.int64)
 """integers_at(address, count): inside a kernel, the int64 vector at an address."""
-bytes_at: Callable[[int, int], Bytes] = records_at(types.uint8)
-"""bytes_at(address, count): inside a kernel, the bytes at an address."""
 _to_reals = record_at(types.CPointer(types.float64))  # type: ignore[no-untyped-call]
 
 

@@ -62,7 +62,6 @@ CONTROL = np.dtype(
         ("fixed", "<i8"),  # 1: the holding force as it is
         ("holding", "<f8", (6,)), ("offset", "<f8", (6,)),  # N
         ("entry_tick", "<i8"),  # when the offset began to fade; -1: it is whole
-        ("refused", "<i8"),  # the leg that gets no force; -1: none
         ("setpoints", "<i8", (3,)), ("stops", "<i8"),
         # what the pass has found
         ("tick", "<i8"), ("last", "<i8"),
@@ -87,7 +86,7 @@ NEVER = 1 << 62
 AGREED_m = 1e-4
 """A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
 _ALL_LEGS = (1 << 6) - 1
-WHOLE = NOBODY = -1
+WHOLE = -1
 _WARN_SENSOR, _WARN_SETPOINT = int(Warn.SENSOR), int(Warn.SETPOINT)
 _TRACKING, _HELD = int(Mode.TRACKING), int(Mode.HELD)
 _LOADING, _UNLOADING = int(Mode.LOADING), int(Mode.UNLOADING)

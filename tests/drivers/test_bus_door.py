@@ -277,7 +277,7 @@ def test_what_is_missing_is_awaited_on_the_first_bus_where_some_of_it_was_heard_
     ("value", "taken"),
     [(0, True), (10_000, True), (2.5, True)] + [(v, False) for v in (-1, 10_001, "9", True, None)],
 )
-def test_a_number_of_the_options_is_0_to_10000(runtime, value, taken):
+def test_bus_option_outside_0_to_10000_is_refused(runtime, value, taken):
     settings = BusSettings(interface="localcan", channel="t").model_copy(
         update={"options": {"spin_us": value}}
     )

@@ -234,7 +234,7 @@ def test_an_import_counts_as_python_allows_it_to_be_written(text, tmp_path):
     assert (ROOT / "hil" / "signals.py").resolve() in imports_of(source) <= cache.imports(source)
 
 
-def test_no_source_imports_by_a_relative_name_which_would_not_count():
+def test_no_source_uses_a_relative_import():
     relative = re.compile(r"^ *from \.", re.MULTILINE)
     for source in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
         assert not relative.search(source.read_text()), source

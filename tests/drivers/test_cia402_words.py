@@ -251,7 +251,7 @@ def test_losses_are_those_of_each_leg_at_the_rate_last_read():
         ((1, 2, 3, 4, 5, 127), None),
     ],
 )
-def test_nodes_are_1_to_127_beside_the_controllers_own(nodes, message):
+def test_drive_nodes_are_1_to_127_except_the_controllers(nodes, message):
     if message is None:
         assert made(nodes, UNLIKE_GEAR, controller_node=9).node_ids == nodes
         return

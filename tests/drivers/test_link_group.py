@@ -218,7 +218,7 @@ def test_of_several_buses_that_cannot_be_cleared_the_first_is_told_and_each_is_t
 
 
 @pytest.mark.parametrize("refusing", [(0,), (1,), (2,), (0, 2)])
-def test_frames_of_the_other_buses_are_sent_where_a_bus_cannot_carry_its_own(refusing):
+def test_a_frame_one_bus_cannot_carry_does_not_stop_the_others(refusing):
     links = fakes(3)
 
     def refused(bus: int) -> int:

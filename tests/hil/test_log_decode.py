@@ -74,7 +74,7 @@ def test_rows_are_taken_from_among_frames(decoder):
     assert decoder.rows(data, split(data)[0]).tobytes() == rows.tobytes()
 
 
-def test_frames_have_all_that_was_said_of_them_on_buses_of_long_and_short_names(decoder):
+def test_frames_round_trip_with_long_and_short_bus_names(decoder):
     sizes = [8, 64, 0, 63, 8, 1]
     flags = {"is_extended": 1, "fdf": 2, "brs": 4, "esi": 8, "is_rtr": 16, "is_error": 32}
     payloads = [
@@ -117,7 +117,7 @@ def test_a_flag_of_a_frame_is_set_whatever_number_stands_for_true(decoder):
     ],
     ids=["empty", "other", "bus", "short", "long", "unknown direction", "third direction"],
 )
-def test_a_frame_that_is_not_laid_out_as_the_recorder_does_is_refused_with_its_topic(decoder, payload):
+def test_frame_in_another_layout_is_refused_with_its_topic(decoder, payload):
     with pytest.raises(LogError, match=r"^a\.mcap: a message of /can is damaged or of another kind: "):
         decoder.frames(*buffer(FRAMES, [frame(b"can0", 8), payload]))
 
@@ -125,7 +125,7 @@ def test_a_frame_that_is_not_laid_out_as_the_recorder_does_is_refused_with_its_t
 @pytest.mark.parametrize(
     "change", [lambda row: row[:-1], lambda row: row + b"\0", lambda row: row[9:18] + row[:9] + row[18:]]
 )
-def test_a_row_that_is_not_laid_out_as_the_recorder_does_is_refused_with_its_topic(decoder, change):
+def test_row_in_another_layout_is_refused_with_its_topic(decoder, change):
     first, second = laid_out(random_rows(2))
     assert list(ROW.names or ())[:2] == ["tick", "t_ns"]
     with pytest.raises(LogError, match=r"^a\.mcap: a message of /tick is damaged or of another kind: "):

@@ -131,7 +131,7 @@ def test_the_instant_0_of_a_log_may_be_any_of_64_bits_from_1970_on(said, epoch_n
         Log(path)
 
 
-def test_a_log_may_name_16_buses_and_none_more(said):
+def test_log_may_list_at_most_16_buses(said):
     names = [f"can{k}" for k in range(17)]
     assert Log(said(can_channels=json.dumps(names[:16]))).can_channels == tuple(names[:16])
     with pytest.raises(LogError, match="17 names of buses, allowed: 16 of 4096 signs"):

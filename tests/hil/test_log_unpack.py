@@ -163,7 +163,7 @@ def frames_of(kernels, records, names, epoch_ns=0):
 
 @pytest.mark.parametrize("length", [0, 1, 8, 63, 64])
 @pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
-def test_a_frame_in_which_a_constant_byte_differs_is_none(kernels, length, name):
+def test_frame_with_a_changed_constant_byte_is_refused(kernels, length, name):
     template, constant = laid_out(name, length)
     free = sorted(set(range(31, len(template))) - set(constant.tolist()))
     assert len(free) == 5 + 5 + 4 + 3 + 1 + 1 + length + 1 + 3 + 8 + 4 + 1
@@ -184,7 +184,7 @@ def _number_of_data(name):
     return int(frame_table([name])[1][0, 2]) - 1
 
 
-def test_a_row_in_which_a_constant_byte_differs_is_none(kernels):
+def test_row_with_a_changed_constant_byte_is_refused(kernels):
     codec = RowCodec(TICKS.columns)
     rows = random_rows(3)
     records = np.array([[0] * 31 + list(payload) for payload in packed_rows(TICKS, rows)], np.uint8)

@@ -66,7 +66,7 @@ def test_a_recorder_is_started_with_the_ring_and_both_pipes_while_no_signal_can_
     ],
     ids=["two answers", "half of one", "nothing and gone", "nothing"],
 )
-def test_an_answer_is_the_first_whole_one_and_nothing_where_the_recorder_is_gone(said, ends, heard):
+def test_answer_is_the_first_complete_message_or_empty_if_the_recorder_ended(said, ends, heard):
     reads, writes = os.pipe()
     with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
         out.write(said)

@@ -65,7 +65,7 @@ def test_the_first_summary_counts_where_an_interrupted_close_sends_more(held, pr
     assert control.summary == {"ending": "PARKED"}
 
 
-def test_a_producer_that_died_within_its_summary_has_said_nothing(held, producer):
+def test_truncated_summary_counts_as_none(held, producer):
     control = _Control(held[0], producer.pid)
     os.write(held[1], pickle.dumps({"ending": "PARKED"})[:-5])
     os.close(held[1])

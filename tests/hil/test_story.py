@@ -616,7 +616,7 @@ CONFIG = OURS.configure(0.01, Reaction.BRAKE)[3]
 
 
 @pytest.mark.parametrize(("place", "value"), [(0, 0x11), (4, 3), (5, 1), (6, 1)])
-def test_a_set_up_that_is_another_one_is_told_by_both_checksums(place, value):
+def test_different_set_up_is_reported_with_both_checksums(place, value):
     other = bytearray(CONFIG.data[:-1])
     assert bytes(other) == bytes([0x10, 0x27, 0, 0, 0, 4, 2])
     other[place] = value

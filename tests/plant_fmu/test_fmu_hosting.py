@@ -106,7 +106,7 @@ def failing(error: Exception) -> Callable[[], Any]:
     return work
 
 
-def test_what_a_child_did_or_why_it_refused_crosses_to_the_parent():
+def test_child_result_or_refusal_reaches_the_parent():
     assert attempted(lambda: 7) == (7, None)
     assert attempted(failing(PlantError("a.fmu: höher"))) == (None, "a.fmu: höher")
     assert attempted(failing(HilError("no"))) == (None, "no")

@@ -107,7 +107,7 @@ def answers(leg: int, messages: int, count: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(d: Any, frame_address: int, messages: int) -> int:
-    """Decode a frame at the drives of its bus, see `DriveProtocol.parse`."""
+    """Decode a frame at the drives of its bus, see `DrivesEnd`."""
     frame = ends.frame_at(frame_address)
     identifier = np.int64(frame.id)
     if frame.bus >= max(d.buses, 1):

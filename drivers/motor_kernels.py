@@ -243,7 +243,7 @@ def _set_up(m: Any) -> int:
 
 @pointed(_MOTORS, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick, see `MotorProtocol.decode`.
+    """Fill the measurement of a tick, see `ControllerEnd.take`.
 
     frames: address of `count` elements of FRAME. Returns 1 where other drives are set up than before, else 0.
     """

@@ -1,7 +1,7 @@
 """The messages of legs.dbc that a run uses: those of its layout, their forces in newtons.
 
 The short force fields, of the classic command and the fd feedback, count in per cent of the drives' rated
-force. That is said once, in `drivers.force_limit_N`; both ends, the log's copy of the DBC and the checksum of
+force. That is said once, in `drives.force_limit_N`; both ends, the log's copy of the DBC and the checksum of
 a drive's set-up take it from there.
 """
 

@@ -60,9 +60,6 @@ def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwis
     return dtwist
 
 
-"""The kernels, for the laws that call them."""
-
-
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
     c, p, R, twist = reals_at(constants, SIZE), tick.p, tick.R, tick.twist

@@ -26,7 +26,7 @@ from hil.robot.kinematics_kernels import leg, lengths_and_jacobian
 NOTHING = 1e-8
 """A bend whose square is less than this share of the variance of a length is left out."""
 FADES = 6
-"""Process noise is raised by 100 up to so often, before the measurements are taken as they are."""
+"""Most times that the process noise is raised by 100; then the measurements are accepted."""
 steps_at = records_at(record(STEP))
 
 

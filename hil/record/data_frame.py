@@ -150,7 +150,7 @@ def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> I
 
 
 def _nearest(there: Ints, wanted: Ints) -> Ints:
-    """Return the place in `there` (m,), which rises, of what is nearest to each of `wanted` (n,): (n,)."""
+    """Return the indices (n,) into the ascending `there` (m,) of the elements nearest to `wanted` (n,)."""
     right = np.minimum(np.searchsorted(there, wanted), len(there) - 1)
     left = (right - 1).clip(0)
     nearest: Ints = np.where(wanted - there[left] < there[right] - wanted, left, right)

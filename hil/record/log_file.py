@@ -35,7 +35,7 @@ MEND, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, an
 
 
 class LogFile:
-    """A log's file. State: what is no message, and the channels met so far.
+    """A log's file. State: metadata, attachments, channels met so far.
 
     Raises
     ------

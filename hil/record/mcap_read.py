@@ -51,7 +51,7 @@ FREE_BYTES, MAX_RATIO = 1 << 28, 40
 FREE_MESSAGES, LEAST_BYTES = 50_000, 8
 """So many messages may be in it, and one more for so many bytes of its file: 50 to 250 are usual."""
 NOTHING = 0
-"""Opcode of what is no record."""
+"""Opcode of what is not a record."""
 
 
 class Record(NamedTuple):

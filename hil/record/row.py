@@ -28,7 +28,7 @@ MOST_ROW_BYTES = 1 << 16
 """Of a log; ours take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
 _MOST_BUSES, _LONGEST_BUS = 16, 4096
-"""Six of which a robot has, and characters of each: a layout of frames is made for each name."""
+"""Most buses in a log, and most characters in a bus name: a layout of frames is made for each name."""
 _TABLES = 16
 """So many are kept as they were read: a process may read thousands of logs, and most describe the same."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}")

@@ -46,7 +46,7 @@ _REMARKS = 20
 
 
 class Lost(NamedTuple):
-    """Bytes of a file that are no record."""
+    """Bytes that belong to no valid record."""
 
     start: int
     stop: int

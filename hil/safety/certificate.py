@@ -24,9 +24,8 @@ from drivers.compiled.compiler import helper
     K_P, K_D, P_11, P_12, P_22, DISTURBANCE, NOISE, RISE, DECAY, SLOPE, STEEPNESS, SCALARS, CONSTANTS,
 ) = range(13)  # fmt: skip
 """Rows of the constants of a watch (CONSTANTS, 6), see `hil.stability.monitor`: the certificate; the
-disturbance in
-m/s^2 or rad/s^2, with what looking ahead makes of it; the noise of W; g T and exp(-2 alpha T); slope and
-steepness of a boundary layer."""
+disturbance in m/s^2 or rad/s^2, with what looking ahead makes of it; the noise of W; g T and exp(-2 alpha T);
+slope and steepness of a boundary layer."""
 POSE, SHARED, LAYER, ACTION, CONFIRM, PERIOD = range(6)
 """SCALARS: axes of the pose; layer of all legs at once; its thickness; what to do; ticks; s."""
 LEVEL, COUNT, PAST, REFERENCE, ASKED = 0, 1, 2, 3, 6
@@ -151,7 +150,7 @@ def watch(
 ) -> bool:  # fmt: skip
     """Fill V, its rate, the largest V that is allowed and the largest W / (bound + noise) of a tick.
 
-    Return whether an axis has broken its certificate for as long as is asked.
+    Return whether an axis has broken its certificate for the configured number of ticks.
 
     e, de, and rate and acceleration of the reference as of `hil.control.error_axes`. whole: since the last
     tick nothing happened that the certificate knows nothing of; where it is false the watch starts anew.

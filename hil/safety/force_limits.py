@@ -34,7 +34,7 @@ def widen(rows: Array, low: Array, high: Array) -> None:
 
 @helper
 def remember(tau: Array, row: int, window: Array, rows: int) -> None:
-    """Put tau (6,) N into a row of the window and mend the extremes of its block.
+    """Put tau (6,) N into a row of the window and update the extremes of its block.
 
     window: the forces sent, (rows, 6) N, then the smallest and then the largest of each block of BLOCK rows.
     """

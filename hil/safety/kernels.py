@@ -35,7 +35,7 @@ LIMITS = np.dtype(
         *(
             (name, "<i8" if field.annotation is int else "<f8")
             for name, field in LimitSettings.model_fields.items()
-            if field.annotation in {int, float}  # one without a value is no limit of these rules
+            if field.annotation in {int, float}  # optional limits are not compared here
         ),
         ("length_min_m", "<f8"), ("length_max_m", "<f8"),
         ("settle_ticks", "<i8"), ("window_ticks", "<i8"),
@@ -131,7 +131,7 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
         faults |= Fault.DRIVE.value
     memory.running = int(moving and (run or memory.running != 0))
 
-    # what is not a number faults
+    # written so that NaN faults
     if not tick.fk_residual <= limits.consistency_m:
         faults |= Fault.KINEMATICS.value
     if not tick.hop < HOP:
@@ -215,8 +215,8 @@ def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[in
 def judge_certificate(tick: Any, running: int, late: bool, watched: Array) -> tuple[int, int]:
     """Fill the Lyapunov columns, see `hil.safety.certificate`; return fault bits and warning bits.
 
-    running: not 0 while the brakes are open and the law moves the platform. Watched anew after a late,
-    skipped or stale tick, one with an unseen leg, a jump of the reference, and a limit that acted.
+    running: not 0 while the brakes are open and the law moves the platform. The watch restarts after a
+    late, skipped or stale tick, one with an unseen leg, a jump of the reference, and a limit that acted.
     """
     if not watched.size:
         return 0, 0
@@ -247,7 +247,7 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
     """Take note of this tick's time, bus and recorder; return warning bits.
 
     A skipped period counts as a late tick. Only a tick with nothing skipped before it ends a run of missed
-    periods: a loop that runs one tick in three is no better.
+    periods, so a loop that runs only every third tick is still stopped.
     """
     warnings = 0
     for _ in range(min(tick.skipped, HISTORY)):

@@ -14,15 +14,15 @@ HISTORY = 32
 IN_A_ROW = 5
 """Ticks in a row with a frame that the bus refused that make a dead bus."""
 DEAD_BUS = 8
-"""Such ticks among those remembered that make a bus that cannot be relied on."""
+"""From this many such ticks on, of those remembered, the bus counts as dead, too."""
 UNRELIABLE = 8
-"""Ticks with a refused frame of the drives, among those remembered, that make a bus nobody can rely on."""
+"""From this many remembered ticks with a refused frame of the drives, the bus counts as unreliable."""
 CONTROLLER = int(Foreign.SYNC | Foreign.COMMAND | Foreign.CONFIG)
 """Frames that only a controller sends: nobody hears his own."""
 HARMFUL_STRETCH_NS = 4_000_000
-"""Real drives would have ended a run whose controller or bus was gone for so long."""
+"""A stretch is harmful from this length on: real drives would have ended the run."""
 STRETCH_FREE_NS = 500_000_000
-"""So much may always be harmful stretches, beside the share of the run that is allowed."""
+"""Total of harmful stretches that is always allowed, in addition to the allowed share of the run."""
 DEGRADED_AT = 8
 """Late ticks among those remembered that make a degraded loop."""
 

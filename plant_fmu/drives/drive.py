@@ -181,7 +181,7 @@ class Turns:
         self.switch_on([True] * LEGS, length)
 
     def switch_on(self, which: Sequence[bool], length: Array) -> None:
-        """Switch six drives on, or those of them that are, the legs having lengths (6,) m."""
+        """Switch on the drives marked in `which`, the legs having lengths (6,) m."""
         if self._transmission is not None and any(which):
             whole = np.round(self._transmission.turns(length) / self._forgets) * self._forgets
             uncounted_m = self._transmission.m_per_turn * whole

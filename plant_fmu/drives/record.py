@@ -28,52 +28,117 @@ ROOM = 64
 """Room that is there before frames are filled in."""
 TIME, HEAR, MESSAGES = range(3)
 """Values of `place`: time passes until the frame; it is heard; its messages are obeyed."""
-_WHOLE = ("state", "fault", "configured", "counter", "watchdog_ns", "deadline_ns", "reaction", "acting")
-_BRAKE = ("stuck", "slow_ns", "moved_ns", "followed_ns")
-_REAL = ("command", "held_m", "lagged", "frozen", "offset", "scale", "shift", "drift", "gain", "most")
-_PLANT = ("force", "brake", "share", "kept", "shut", "truly_shut")
-_LEGS_AT = ("length", "rate", "wrench", "at_leg", "uncounted", "driving", "back_driving")
 NODES = np.dtype(
     [
-        *((name, "<i8", (LEGS,)) for name in (*_WHOLE, "lost", *_BRAKE)),
-        *((name, "<f8", (LEGS,)) for name in (*_REAL, *_PLANT)),
-        *((name, "<i8") for name in ("opening_ns", "closing_ns")),
-        *((name, "<f8") for name in ("limit_N", "damping", "stiffness", "lag_end", "lag_mean")),
-        *((name, "<i8") for name in ("move", "applied", "plant")),
-        *((name, "<i8") for name in ("parse", "answer", "report", "end", "messages", "asked", "reading")),
-        *((name, "<i8") for name in ("out", "room", "sent", "senders")),
-        *((name, "<i8") for name in ("frame", "place", "heard", "message", "latching", "part")),
-        *((name, "<i8") for name in ("pending", "reported", "due", "t_ns", "at_ns", "steps", "refusal")),
-        *((name, "<i8") for name in ("t0_ns", "now_ns", "until_ns", "k", "calm_ns", "edge_ns")),
-        *((name, "<i8") for name in ("beat", "beat_ns", "spoken", "reading_ns")),
-        *((name, "<i8") for name in ("syncs", "commands", "repeated", "rejected")),
-        *((name, "<i8") for name in ("look", "silent", "controls", "lags", "not_finite", "geared")),
-        *((name, "<f8") for name in ("h_ns", "quantum_m", "full_loss_m_s", "beat_share", "reading_share")),
-        ("measured", "<f8", (2 * LEGS,)),
-        *((name, "<f8", (LEGS,)) for name in _LEGS_AT),
-        ("reports", "<i8", (LEGS,)),
+        # Of each drive.
+        ("state", "<i8", (LEGS,)),  # DriveState
+        ("fault", "<i8", (LEGS,)),  # DriveFault
+        ("configured", "<i8", (LEGS,)),  # 1: set up
+        ("counter", "<i8", (LEGS,)),  # of the last command
+        ("watchdog_ns", "<i8", (LEGS,)),
+        ("deadline_ns", "<i8", (LEGS,)),  # when the watchdog, or damping and holding, ends
+        ("reaction", "<i8", (LEGS,)),  # Reaction to a fault in RUN
+        ("acting", "<i8", (LEGS,)),  # Reaction to the latched fault
+        ("lost", "<i8", (LEGS,)),  # INVALID: the encoder is lost
+        # Of its brake.
+        ("stuck", "<i8", (LEGS,)),  # where a stuck one stays; WORKS: it is not stuck
+        ("slow_ns", "<i8", (LEGS,)),  # how much later than its drive counts it moves
+        ("moved_ns", "<i8", (LEGS,)),  # when one that moves has moved, as its drive counts
+        ("followed_ns", "<i8", (LEGS,)),  # the same, in truth
+        # Of each drive: command, encoder, force.
+        ("command", "<f8", (LEGS,)),  # N, last valid command; zero outside READY and RUN
+        ("held_m", "<f8", (LEGS,)),  # where HOLD holds
+        ("lagged", "<f8", (LEGS,)),  # N, state of the lag
+        ("frozen", "<f8", (LEGS,)),  # m, what a frozen encoder reads; NaN: it works
+        ("offset", "<f8", (LEGS,)),  # m, slip of the encoder
+        ("scale", "<f8", (LEGS,)),  # how the encoder scales length
+        ("shift", "<f8", (LEGS,)),  # m, what it adds to that
+        ("drift", "<f8", (LEGS,)),  # m/s, of the encoder
+        ("gain", "<f8", (LEGS,)),  # of the wiring
+        ("most", "<f8", (LEGS,)),  # N, most that the drive gives
+        # What the plant has.
+        ("force", "<f8", (LEGS,)),  # N, what the drives give, before losses
+        ("brake", "<f8", (LEGS,)),  # 1: engaged
+        ("share", "<f8", (LEGS,)),  # of its force that a brake has
+        ("kept", "<f8", (LEGS,)),  # N, last force of the drive
+        ("shut", "<f8", (LEGS,)),  # 1: the brake has closed, 0: it has opened, as its drive counts
+        ("truly_shut", "<f8", (LEGS,)),  # the same, in truth
+        # Of all drives.
+        ("opening_ns", "<i8"),  # how long a brake takes
+        ("closing_ns", "<i8"),
+        ("limit_N", "<f8"),  # rated force
+        ("damping", "<f8"),  # N s/m, of reaction DAMP
+        ("stiffness", "<f8"),  # N/m, of reaction HOLD
+        ("lag_end", "<f8"),  # end value of the force lag over one step of the plant
+        ("lag_mean", "<f8"),  # its mean
+        # Addresses, and the room for frames to send.
+        ("move", "<i8"),  # functions and context of the plant, see `Moved`
+        ("applied", "<i8"),
+        ("plant", "<i8"),
+        ("parse", "<i8"),  # functions and context of the drives' end, see `DrivesEnd`
+        ("answer", "<i8"),
+        ("report", "<i8"),
+        ("end", "<i8"),
+        ("messages", "<i8"),  # MESSAGE elements heard
+        ("asked", "<i8"),  # MESSAGE that is answered
+        ("reading", "<i8"),  # READING of the answer
+        ("out", "<i8"),  # FRAME elements to send
+        ("room", "<i8"),  # how many there may be
+        ("sent", "<i8"),  # how many there are
+        ("senders", "<i8"),  # address of the leg of each answer
+        # Of the pass.
+        ("frame", "<i8"),  # number of the frame
+        ("place", "<i8"),  # what happens to it
+        ("heard", "<i8"),  # number of its messages
+        ("message", "<i8"),  # number of the next one
+        ("latching", "<i8"),  # 1: encoders are read
+        ("part", "<i8"),  # how far that has come
+        ("pending", "<i8"),  # reports to send
+        ("reported", "<i8"),  # reports sent
+        ("due", "<i8"),  # 1: they are heartbeats
+        ("t_ns", "<i8"),  # the instant now
+        ("at_ns", "<i8"),  # the instant of what stops the pass
+        ("steps", "<i8"),  # of the plant
+        ("refusal", "<i8"),  # why the plant refused them
+        # Of time.
+        ("t0_ns", "<i8"),  # the start
+        ("now_ns", "<i8"),  # end of the last pass
+        ("until_ns", "<i8"),  # end of this one
+        ("k", "<i8"),  # grid point of the plant
+        ("calm_ns", "<i8"),  # nothing is due before it
+        ("edge_ns", "<i8"),  # when the next fault begins or ends
+        ("beat", "<i8"),  # heartbeats so far
+        ("beat_ns", "<i8"),  # when the next one is due
+        ("spoken", "<i8"),  # readings sent unasked so far
+        ("reading_ns", "<i8"),  # when the next one is due
+        # Counts, see `Snapshot`.
+        ("syncs", "<i8"),
+        ("commands", "<i8"),
+        ("repeated", "<i8"),
+        ("rejected", "<i8"),
+        # What the pass has to do.
+        ("look", "<i8"),  # bits LOOKS_BEFORE, LOOKS_AFTER, FORGES
+        ("silent", "<i8"),  # bit i: drive i sends nothing
+        ("controls", "<i8"),  # 1: a drive follows its encoder by itself
+        ("lags", "<i8"),  # 1: forces lag
+        ("not_finite", "<i8"),  # 1: the plant gives NaN
+        ("geared", "<i8"),  # 1: there is a transmission
+        # Constants of grid, encoders and time.
+        ("h_ns", "<f8"),  # step of the grid
+        ("quantum_m", "<f8"),  # resolution of the encoders
+        ("full_loss_m_s", "<f8"),  # see `Transmission`
+        ("beat_share", "<f8"),  # ns from one heartbeat to that of the next drive
+        ("reading_share", "<f8"),  # the same for readings
+        # What the plant has answered, and what lies between it and the drives.
+        ("measured", "<f8", (2 * LEGS,)),  # lengths m and rates m/s from the plant
+        ("length", "<f8", (LEGS,)),  # m
+        ("rate", "<f8", (LEGS,)),  # m/s
+        ("wrench", "<f8", (LEGS,)),  # N, N m on the platform
+        ("at_leg", "<f8", (LEGS,)),  # N, forces on the legs, after losses
+        ("uncounted", "<f8", (LEGS,)),  # m that encoders do not count
+        ("driving", "<f8", (LEGS,)),  # efficiencies, see `Transmission`
+        ("back_driving", "<f8", (LEGS,)),
+        ("reports", "<i8", (LEGS,)),  # legs whose drives report
     ]
 )
-"""State of six drives, of their time and of the pass.
-
-Of each drive: DriveState, DriveFault, 1 if set up, counter of the last command, ns, ns, Reaction of a fault
-in RUN, Reaction of the latched fault, INVALID for a lost encoder. Of its brake: where a stuck one stays, ns
-that a slow one is later than its drive counts, ns when one that moves has moved, as its drive counts and in
-truth. N, last valid command, zero outside READY and RUN; m, where HOLD holds; N, state of the lag; m, what
-a frozen encoder reads, NaN for one that works; m, slip of the encoder; how it scales length, and m, what it
-adds then; m/s, its drift; gain of the wiring; N, most that the drive gives. What the plant has: N, and 1
-for an engaged brake; share of its force that a brake has; N, the drive's last force; 1 for a brake that has
-closed, 0 for one that has opened, as its drive counts and in truth. Of all drives: ns that a brake takes;
-rated force N, gains of the reactions N s/m and N/m; end value and mean of the force lag over one step of
-the plant.
-
-Addresses: functions and context of plant (`Moved`) and drives' end
-(`DrivesEnd`); what else listens to each frame; MESSAGE elements heard, the one that is answered, its READING;
-FRAME elements to send, how many there may be and are, and the leg of each answer.
-
-Of the pass: frame and what happens to it, messages heard and the next one, whether and how far the encoders
-are read, reports to send and sent, whether they are due, the instant now; `at_ns` of what stops it, steps of
-the plant and why it refused them. Of time: grid point k of `h_ns` since `t0_ns`, the end of the last pass and
-of this one; nothing is due before `calm_ns`; when the next fault, heartbeat and reading is due, how
-many have been, and their distance. (6,) m, m/s, N, N at the legs, m that encoders do not count, efficiencies.
-"""
+"""State of six drives, of their time and of the pass."""

@@ -96,7 +96,7 @@ class Interface:
 
 
 def shown(text: str) -> str:
-    """Return a text of the description for a message: in one line, what is no sign as its number."""
+    """Return a text of the description for a message: in one line, unprintable characters escaped."""
     return text if text.isprintable() else repr(text)[1:-1]
 
 

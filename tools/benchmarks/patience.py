@@ -41,7 +41,7 @@ def stale(rows: Rows, limit: int) -> Lost:
 def missed(rows: Rows, limit: int) -> Lost:
     """Return the most periods missed in a row, and how often as many as the limit were.
 
-    A tick before which nothing was missed ends a run, as in `hil.safety.signals`.
+    A tick before which nothing was missed ends a run, as in `hil.safety.kernels.judge_loop`.
     """
     skipped = np.where(_powered(rows), rows["skipped"], 0)
     run = np.bincount(np.cumsum(skipped == 0), skipped) if len(rows) else np.zeros(1)

@@ -23,6 +23,8 @@ from drivers.compiled.lean_library import lean_libraries
 from drivers.compiled.records import RecordArgument, record_of
 
 F = TypeVar("F", bound=Callable[..., Any])
+_CONTIGUOUS, _WRITEABLE = 0x1, 0x400
+"""Flags of NumPy's arrays."""
 
 
 def _import_without_blas() -> None:
@@ -172,24 +174,25 @@ def entry(compiled: F) -> F:
         element = kind.dtype if isinstance(kind, types.Array) else kind
         if isinstance(kind, types.Array | RecordArgument):
             dtype = element.of if isinstance(element, RecordArgument) else as_dtype(element)
-            looked.append((place, dtype, getattr(kind, "ndim", 0), kind.mutable, kind))
+            flags = _CONTIGUOUS | (_WRITEABLE if kind.mutable else 0)
+            looked.append((place, dtype, getattr(kind, "ndim", 0), flags))
             records_taken = records_taken or isinstance(element, RecordArgument)
     if not records_taken:
         return compiled
-    call = _looking(only.entry_point, looked)
+    call = _looking(only.entry_point, looked, only.signature.args)
     _of_entry[call] = made
     return cast("F", call)
 
 
-def _looking(entry_point: Callable[..., Any], looked: list[tuple[int, Any, int, bool, Any]]) -> Any:
+def _looking(entry_point: Callable[..., Any], looked: list[tuple[int, Any, int, int]], kinds: Any) -> Any:
     """Look at arrays first: Numba's entry looks at the size of their elements alone."""
 
     def call(*given: Any) -> Any:
-        for place, dtype, dimensions, mutable, kind in looked:
+        for place, dtype, dimensions, flags in looked:
             array = given[place]
-            fits = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == dimensions
-            if not fits or not array.flags.c_contiguous or (mutable and not array.flags.writeable):
-                raise TypeError(f"argument {place} of a kernel is no {kind}")
+            fits = isinstance(array, np.ndarray) and (array.dtype is dtype or array.dtype == dtype)
+            if not fits or array.ndim != dimensions or array.flags.num & flags != flags:
+                raise TypeError(f"argument {place} of a kernel is no {kinds[place]}")
         return entry_point(*given)
 
     return call

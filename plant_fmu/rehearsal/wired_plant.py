@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import OUT_VECTOR, VECTOR, direct, record
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, direct, helper, record
+from drivers.compiled.pointed import call, data_at, pointed, reals_at
 from drivers.signals import LEGS
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.drives.drive import moved
+from plant_fmu.plant import Moved, Plant, PointedPlant, Truth
 from plant_fmu.rehearsal.wiring import Wiring
 
 _AS_WIRED = {
@@ -17,15 +19,17 @@ _AS_WIRED = {
 WIRES = np.dtype(
     [(name, kind, LEGS) for kind, names in _AS_WIRED.items() for name in names]
     + [(name, "<i8", LEGS) for name in ("opens", "driven")]
+    + [(name, "<i8") for name in ("move", "context")]
     + [(name, "<f8", LEGS) for name in ("most", "stuck", "origin", "at_start", "followed")]
 )
-"""Fields of `Wiring`; brakes that each drive opens (bit i: leg i); 1 where it takes part; its most force, N;
+"""Fields of `Wiring`; brakes that each drive opens (bit i: leg i); 1 where it takes part; the plant behind
+the cables by address, `Moved`; the most force of each drive, N;
 of each leg where its brake is stuck, NaN for one that works, and the length at which a scale has no effect,
 m. State of each drive: m, what a frozen encoder reads, NaN before that is known; m, where an encoder stands
 that follows its leg with play."""
 
 
-@direct(record(WIRES), VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)
+@helper
 def _connect(w: Any, force: Array, brake: Array, at_leg: Array, held: Array) -> None:
     """Fill in what forces (6,) N and brakes (6,) of the drives are at the legs."""
     at_leg[:], held[:] = 0.0, 1.0
@@ -45,7 +49,7 @@ def _connect(w: Any, force: Array, brake: Array, at_leg: Array, held: Array) -> 
         held[leg] *= w.brake_share[leg]
 
 
-@direct(record(WIRES), VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)
+@helper
 def _read(w: Any, length: Array, rate: Array, reads: Array, rates: Array) -> None:
     """Fill in what encoders read, m and m/s, of legs at length (6,) m and rate (6,) m/s."""
     for drive in range(LEGS):
@@ -60,7 +64,28 @@ def _read(w: Any, length: Array, rate: Array, reads: Array, rates: Array) -> Non
             reads[drive], rates[drive] = w.at_start[drive], 0.0
 
 
-class WiredPlant(Plant):
+_read_at = direct(record(WIRES), VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)(_read)
+
+
+@pointed(record(WIRES), *[INTEGER] * 5)
+def _move(w: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
+    """As `Moved.move`: what the drives see and do."""
+    at_leg, held, reads = np.empty(LEGS), np.empty(LEGS), reals_at(measured, 2 * LEGS)
+    _connect(w, reals_at(force, LEGS), reals_at(brake, LEGS), at_leg, held)
+    given = np.int64(at_leg.ctypes.data), np.int64(held.ctypes.data)
+    status = call(w.move, (w.context, *given, wrench, steps, measured))
+    legs = reads.copy()
+    _read(w, legs[:LEGS], legs[LEGS:], reads[:LEGS], reads[LEGS:])
+    return int(status)
+
+
+@pointed(record(WIRES), INTEGER)
+def _applied(_w: Any, _force: int) -> int:
+    """As `Moved.applied`: what cables carry is not known."""
+    return 0
+
+
+class WiredPlant(PointedPlant):
     """Plant: forces and brakes of drives go to the legs that they are wired to, and encoders read theirs.
 
     Mutable state: the plant behind the cables, from `reset` on what frozen encoders read, and where
@@ -69,8 +94,8 @@ class WiredPlant(Plant):
 
     def __init__(self, plant: Plant, wiring: Wiring, origin: Array, rated_N: float = 1.0) -> None:
         """Take the plant, lengths (6,) m of its legs at which a scale has no effect, and the rated force."""
-        self._plant = plant
         w, self._wires = wiring, np.zeros((), WIRES)
+        self._connect(plant)
         for names in _AS_WIRED.values():
             for name in names:
                 self._wires[name] = getattr(w, name)
@@ -81,28 +106,29 @@ class WiredPlant(Plant):
         self._wires["origin"], self._wires["at_start"], self._wires["followed"] = origin, np.nan, np.inf
         self.internal_step_s = plant.internal_step_s
 
+    def _connect(self, plant: Plant) -> None:
+        self._plant, self._behind = plant, moved(plant)
+        self._wires["move"], self._wires["context"] = self._behind.move, self._behind.context
+
     def exchange(self, plant: Plant) -> None:
         """Connect the cables to another plant of the same step, which begins anew."""
-        self._plant = plant
+        self._connect(plant)
         plant.reset()
 
     def reset(self) -> tuple[Array, Array]:
         """Reset the plant; lengths (6,) m and rates (6,) m/s as the encoders read them."""
         self._wires["at_start"], self._wires["followed"] = np.nan, np.inf
-        reads, rates = self._read(*self._plant.reset())
+        reads, rates = np.empty(LEGS), np.empty(LEGS)
+        _read_at(self._wires, *self._plant.reset(), reads, rates)
         self._wires["at_start"] = reads
         return reads, rates
 
-    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """Hold force (6,) N and brake (6,) of the drives for `dt_s`; what their encoders read at its end."""
-        at_leg, held = np.empty(LEGS), np.empty(LEGS)
-        _connect(self._wires, force, brake, at_leg, held)
-        return self._read(*self._plant.step(at_leg, held, wrench, dt_s))
+    def moved(self) -> Moved:
+        """Return this plant by address."""
+        return Moved(_move.address, _applied.address, data_at(self._wires), self._refused, self)
 
-    def _read(self, length: Array, rate: Array) -> tuple[Array, Array]:
-        reads, rates = np.empty(LEGS), np.empty(LEGS)
-        _read(self._wires, length, rate, reads, rates)
-        return reads, rates
+    def _refused(self, status: int, force: Array, brake: Array, wrench: Array, steps: int) -> BaseException:
+        return self._behind.refused(status, force, brake, wrench, steps)
 
     def truth(self) -> Truth | None:
         """Return what the plant knows."""

@@ -84,7 +84,7 @@ def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces_alone(tmp_p
     writer.join()
     assert writer.exitcode == 0
     assert torn == []
-    assert len(seen) > 100, "the reader kept up with a part of them"
+    assert len(seen) > 10, "the reader kept up with a part of them"
 
 
 @pytest.mark.parametrize("word", [0, 1, 2], ids=["number", "size", "crc"])

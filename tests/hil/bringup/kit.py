@@ -1,5 +1,6 @@
 """Rehearsals in process, with an eye on what the plant is made to do."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -14,6 +15,7 @@ from hil.bringup.context import Context, Request
 from hil.bringup.drives import Drives
 from hil.bringup.procedure import STEPS, Outcome, bring_up
 from hil.bringup.step import Step
+from plant_fmu.plant import Plant
 from plant_fmu.rehearsal.bench import RehearsalBench
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.bringup.families import FAMILIES, family
@@ -47,6 +49,21 @@ class Watched:
                 self._origin = legs
             self.most_travel_m = max(self.most_travel_m, float(np.abs(legs - self._origin).max()))
         self._open = free > 0
+
+
+class Seen(Plant):
+    """A plant whose steps are looked at: with the forces that the drives gave."""
+
+    def __init__(self, plant: Plant, look: Callable[[Array], None]) -> None:
+        self._plant, self._look, self.internal_step_s = plant, look, plant.internal_step_s
+
+    def reset(self) -> tuple[Array, Array]:
+        return self._plant.reset()
+
+    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
+        found = self._plant.step(force, brake, wrench, dt_s)
+        self._look(force)
+        return found
 
 
 class Hands(BenchHands):
@@ -91,19 +108,14 @@ class Rehearsal:
         self.c = c = _configured(name)
         self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
-        step, leg_step, held = bench.cables.step, bench._legs.step, np.ones(6)
+        leg_step, held = bench._legs.step, np.ones(6)
 
         def at_legs(force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
             held[:] = brake
             return leg_step(force, brake, wrench, dt_s)
 
-        def watch(force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-            result = step(force, brake, wrench, dt_s)
-            self.watched.look(bench, force, held)
-            return result
-
         bench._legs.step = at_legs  # type: ignore[method-assign]
-        bench.cables.step = watch  # type: ignore[method-assign]
+        bench.nodes._plant = Seen(bench.cables, lambda force: self.watched.look(bench, force, held))
         self.hands = Hands(bench, c, stop_at)
         protocol = build_protocol(c)
         self.machine = build_machine(c, protocol)

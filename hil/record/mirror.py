@@ -10,7 +10,6 @@ import contextlib
 import json
 import mmap
 import os
-import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,13 +30,12 @@ SLOT_BYTES = 32768
 """Room for one piece, its three words included."""
 HEAD_BYTES = 65536
 """Room for the four words of the head and the description."""
-_HEAD = struct.Struct("qqqq")
-"""The head: MAGIC, bytes of the description, number of the newest piece, whether the writer has ended."""
-_NEWEST_AT, _ENDED_AT = 16, 24
-_PIECE = struct.Struct("qqqq")
-"""A place: its number, bytes and CRC of its content; the last word is spare."""
+_MAGIC, _LENGTH, _NEWEST, _ENDED = range(4)
+"""Words of the head."""
+_NUMBER, _SIZE, _CRC = range(3)
+"""Words of a place."""
 _WORDS = 32
-"""Bytes of either."""
+"""Bytes before the content, of head and place."""
 _ATTEMPTS = 1000
 
 FIGURES = np.dtype(
@@ -102,7 +100,10 @@ class Mirror:
             raise
         finally:
             os.close(fd)
-        self._map[: _WORDS + len(text)] = _HEAD.pack(MAGIC, len(text), 0, 0) + text
+        self._words = memoryview(self._map).cast("q")
+        self._words[_LENGTH] = len(text)
+        self._map[_WORDS : _WORDS + len(text)] = text
+        self._words[_MAGIC] = MAGIC
         self._number = 0
         new.replace(path)  # readers of an earlier run keep theirs
 
@@ -113,15 +114,20 @@ class Mirror:
             raise ValueError(f"a piece of {len(data)} bytes; allowed: {SLOT_BYTES - _WORDS}")
         self._number += 1
         at = _place(self._number)
-        self._map[at : at + _WORDS + len(data)] = (
-            _PIECE.pack(self._number, len(data), zlib.crc32(data), 0) + data
-        )
+        words, word = self._words, at // 8
+        words[word + _NUMBER] = -1
         fence()
-        struct.pack_into("q", self._map, _NEWEST_AT, self._number)
+        self._map[at + _WORDS : at + _WORDS + len(data)] = data
+        words[word + _SIZE] = len(data)
+        words[word + _CRC] = zlib.crc32(data)
+        fence()
+        words[word + _NUMBER] = self._number
+        fence()
+        words[_NEWEST] = self._number
 
     def close(self) -> None:
         """Say that nothing follows, and remove the file; who has mapped it keeps what was shown last."""
-        struct.pack_into("q", self._map, _ENDED_AT, 1)
+        self._words[_ENDED] = 1
         with contextlib.suppress(OSError):
             if self._path.stat().st_ino == self._inode:  # not that of a run that has followed
                 self._path.unlink()
@@ -150,11 +156,11 @@ class MirrorReader:
             self._map = mmap.mmap(fd, status.st_size, access=mmap.ACCESS_READ)
         finally:
             os.close(fd)
-        magic, length, _, _ = _HEAD.unpack_from(self._map)
-        if magic != MAGIC:
+        self._words = memoryview(self._map).cast("q")
+        if self._words[_MAGIC] != MAGIC:
             raise foreign(path)
         try:
-            self.about: dict[str, Any] = json.loads(self._map[_WORDS : _WORDS + length])
+            self.about: dict[str, Any] = json.loads(self._map[_WORDS : _WORDS + self._words[_LENGTH]])
             self.dtype = Table("", columns_of(self.about["columns"])).dtype
         except (ValueError, KeyError, TypeError) as error:
             raise foreign(path) from error
@@ -162,12 +168,12 @@ class MirrorReader:
     @property
     def ended(self) -> bool:
         """Whether the writer has closed it."""
-        return bool(self._map[_ENDED_AT])
+        return bool(self._words[_ENDED])
 
     @property
     def newest(self) -> int:
         """Number of the newest piece; 0 while there is none."""
-        return int(_HEAD.unpack_from(self._map)[2])
+        return int(self._words[_NEWEST])
 
     def read(self) -> Piece | None:
         """Return the newest piece; None while there is none, or the writer was too fast a thousand times.
@@ -175,14 +181,17 @@ class MirrorReader:
         Raises ValueError or LookupError where the writer, of another version, has figures of another size.
         """
         for _ in range(_ATTEMPTS):
-            number = self.newest
+            number = self._words[_NEWEST]
             if number == 0:
                 return None
             fence()
             at = _place(number)
-            found, size, crc, _ = _PIECE.unpack_from(self._map, at)
+            word = at // 8
+            before, size, crc = (self._words[word + each] for each in (_NUMBER, _SIZE, _CRC))
+            fence()
             data = self._map[at + _WORDS : at + _WORDS + max(0, min(size, SLOT_BYTES - _WORDS))]
-            if found == number and zlib.crc32(data) == crc:
+            fence()
+            if before == number == self._words[word + _NUMBER] and zlib.crc32(data) == crc:
                 return self._piece(number, data)
         return None
 

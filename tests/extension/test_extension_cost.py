@@ -51,11 +51,10 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
             "from hil.safety.encoder_kernels",
             "from hil.safety.ceiling import too_high\n",
         ),
-        ("hil/safety/kernels.py", "\n\nLIMITS = np.dtype", "_CEILING = int(Fault.CEILING)\n"),
         (
             "hil/safety/kernels.py",
             "    if not tick.hop < HOP:\n",
-            "    if too_high(tick.p[2]):\n        faults |= _CEILING\n",
+            "    if too_high(tick.p[2]):\n        faults |= Fault.CEILING.value\n",
         ),
     ],
     "protocol": [

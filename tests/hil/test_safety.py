@@ -152,6 +152,7 @@ NEARLY = {
     "condition": {"condition": 50.0},
     "speed": {"dq": leg(-2.5)},
     "stroke": {"q": leg(9.0, 5.0), "q_d": leg(9.0, 5.0)},
+    "shortest": {"q": leg(1.0, 5.0), "q_d": leg(1.0, 5.0)},
     "approach": {"q": leg(7.0, 5.0), "dq": leg(1.9), "q_d": leg(7.0, 5.0)},
     "following": {"q_d": leg(5.2, 5.0)},
     "following at speed": {"q_d": leg(6.2, 5.0), "dq_d": leg(-2.0)},

@@ -28,6 +28,7 @@ FAMILIES = ["signals", "motion", "force_limits", "certificate"]
 EQUIVALENT = {
     "force_limits 16: 16 one more": "blocks of any size have the same extremes",
     "force_limits 16: 16 less": "blocks of any size have the same extremes",
+    "kernels '<i8' if field.annotation is int else '<f8': swap the branches": "the limits judged have their own type",
     "kernels 6: 6 one more": "six elements are filled and read of an array of seven, too",
     "residuals shared_delay: 0.0: 0.0 one more": "sums are compared with sums; without a leg that moves nobody bears witness",
     "encoder_kernels 15: 15 one more": "a row of scratch that nobody uses",

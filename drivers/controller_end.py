@@ -108,7 +108,7 @@ class ControllerEnd(ABC):
 
     @abstractmethod
     def lacks(self) -> tuple[str, ...]:
-        """Return what of its set-up each drive has not confirmed, in words; empty: nothing."""
+        """Return for each drive, in words, the part of its set-up that it has not confirmed; empty: none."""
 
     @abstractmethod
     def remembered(self) -> Any:
@@ -191,10 +191,10 @@ class CompiledController(ControllerEnd):
 
     @abstractmethod
     def lack(self, leg: int) -> str:
-        """Return what of its set-up a drive has not confirmed, in words; empty: nothing."""
+        """Return in words the part of its set-up that a drive has not confirmed; empty: none."""
 
     def lacks(self) -> tuple[str, ...]:
-        """Return what of its set-up each drive has not confirmed, in words; empty: nothing."""
+        """Return for each drive, in words, the part of its set-up that it has not confirmed; empty: none."""
         return tuple(map(self.lack, range(LEGS)))
 
     def begin(self, number: int) -> Rows:

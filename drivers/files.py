@@ -99,7 +99,7 @@ def _as_before(new: Path, target: Path) -> None:
 
 
 class NotOwnError(OSError):
-    """A folder that others can reach; `strerror` says why, and how to mend it."""
+    """A folder that other users can reach; `strerror` says why, and how to fix it."""
 
 
 def made_folder(path: Path) -> Path:

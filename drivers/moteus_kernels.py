@@ -26,7 +26,7 @@ NOP = 0x50
 WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
 """Kinds of subframes."""
 NOT_WHOLE, NOTHING = -1, -2
-"""Instead of a kind: the data end within a group, or there is none."""
+"""In place of a kind: the data end within a group, or there is no group left."""
 _MOST_BITS = 63
 """Of a number; no register and no count is as large."""
 MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
@@ -105,7 +105,7 @@ def scale_of(register: int, width: int) -> float:
 
 @helper
 def value(register: int, width: int, raw: float) -> float:
-    """Return what a register of a width holds, NaN for what is not known."""
+    """Return the value of a register of a width; NaN where the drive does not know it."""
     scale = scale_of(register, width)
     if scale == 0.0:
         return float(raw)

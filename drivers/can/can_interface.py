@@ -60,7 +60,7 @@ class CanInterface(NamedTuple):
 
     @property
     def state(self) -> BusState:
-        """How its controller fares; UNKNOWN where there is none, or it is down."""
+        """State of its controller; UNKNOWN where there is no controller, or the interface is down."""
         return BusState.UNKNOWN if self.controller is None else self.controller.state
 
     @property

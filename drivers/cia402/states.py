@@ -182,6 +182,6 @@ _CLASSES = {
 
 
 def meaning(code: int) -> str:
-    """Return what an error code says, by its own row or by its class."""
+    """Return the meaning of an error code: its own, else that of its class."""
     fitting = _CLASSES.get(code >> 8) or _CLASSES.get(code >> 8 & 0xF0, "unknown")
     return _MEANINGS.get(code, fitting)

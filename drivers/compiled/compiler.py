@@ -160,10 +160,10 @@ def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 
 def entry(compiled: F) -> F:
-    """Return what the interpreter calls of a `kernel`: no dispatcher stands before one that takes records.
+    """Return the function to call from Python: that of a `kernel` of records goes past Numba's dispatcher.
 
-    An argument that is no array of that type, order and dimensions, () for a record, raises TypeError, and so
-    does one that may be written and is read-only. Such a kernel returns numbers only.
+    Raises TypeError for an array of another type, order or number of dimensions than the kernel was compiled
+    for, 0 for a record, or one that is read-only where the kernel writes. Such a kernel returns numbers only.
     """
     made: Any = compiled
     if not hasattr(made, "overloads"):  # where Numba is disabled

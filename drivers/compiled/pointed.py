@@ -116,7 +116,7 @@ address_of: Any = intrinsic(_address_of)
 
 
 def records_at(argument: Any) -> Any:
-    """Return what makes, inside a kernel, an array of records or numbers of a type from address and count."""
+    """Return a function (address, count) that gives a kernel the array of records or numbers there."""
     pointer: Any = types.CPointer(argument)  # type: ignore[no-untyped-call]
     to_elements = record_at(pointer)
 

@@ -208,7 +208,7 @@ def compiled_of(function: Any) -> Any:
 
 def helper(function: F) -> F:
     """Compile as a part of the kernels that call it; elsewhere it is the function as it is written."""
-    return register_jitable(**OPTIONS)(function)
+    return register_jitable(no_cfunc_wrapper=True, **OPTIONS)(function)
 
 
 def _foreign(_context: Any, address: Any, arguments: Any) -> Any:

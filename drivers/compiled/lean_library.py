@@ -12,16 +12,15 @@ else half of the time in which kernels are loaded would go there.
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterator
 from typing import Any
 
-from llvmlite import binding, ir
+from llvmlite import binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 
 _KIND = "machine code, names, bitcode"
-_ENVIRONMENT = "_ZN08NumbaEnv"
-_POINTER = ir.IntType(8).as_pointer()
 
 
 class LeanLibrary(JITCodeLibrary):
@@ -41,21 +40,7 @@ class LeanLibrary(JITCodeLibrary):
         own: Any = self._final_module
         if self._finalized or any(each.name == name for each in own.functions):
             return int(super().get_pointer_to_function(name))  # type: ignore[no-untyped-call]
-        self._place_environments()
         return 0
-
-    def _place_environments(self) -> None:
-        """Make the places in which Numba puts a helper's environment; else machine code brings them."""
-        own: Any = self._final_module
-        codegen: Any = self._codegen
-        module = codegen._create_empty_module(f"environments of {self.name}")  # noqa: SLF001
-        for each in own.global_variables:
-            if each.name.startswith(_ENVIRONMENT):
-                place = ir.GlobalVariable(module, _POINTER, each.name)
-                place.linkage, place.initializer = "common", _POINTER(None)
-        engine = codegen._engine  # noqa: SLF001
-        engine.add_module(binding.parse_assembly(str(module)))
-        engine.finalize_object()
 
     def _get_module_for_linking(self) -> Any:
         """Return the kernel, or the helper, as LLVM has it, for a kernel that inlines it."""
@@ -97,15 +82,23 @@ class LeanLibrary(JITCodeLibrary):
         return library
 
 
+def _set_environment(codegen: Any, name: str, environment: Any) -> None:
+    """Give a kernel its environment, as Numba does; a helper has no machine code that could hold one."""
+    if codegen._engine.get_global_value_address(name):  # noqa: SLF001
+        type(codegen).set_env(codegen, name, environment)
+
+
 @contextlib.contextmanager
 def lean_libraries() -> Iterator[None]:
     """Compile and load kernels as LeanLibrary meanwhile; what others compile with Numba is not touched."""
-    codegen = cpu_target.target_context.codegen()
+    codegen: Any = cpu_target.target_context.codegen()
     codegen._library_class = LeanLibrary  # noqa: SLF001 - over the attribute of its class
+    codegen.set_env = functools.partial(_set_environment, codegen)
     try:
         yield
     finally:
         del codegen._library_class  # noqa: SLF001
+        del codegen.set_env
 
 
 def makes_lean_libraries() -> bool:

@@ -14,16 +14,18 @@ from plant_fmu.plant import Moved, PointedPlant
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
-BENCH = np.dtype(
-    [
-        ("x", "<f8", (LEGS,)),
-        ("v", "<f8", (LEGS,)),
-        *((name, "<f8") for name in ("step_s", "mass", "damping", "stiffness", "hardening", "rest")),
-    ]
+HAND_M, HAND_m_s = 3e-3, 0.1
+"""A hand follows a leg that gives way so far, and so fast."""
+_OF_A_LEG = (
+    *("x", "v", "mass", "damping", "stiffness", "hardening", "origin", "rest"),
+    *("friction", "brake", "shortest", "longest", "hand", "hand_from"),
 )
-"""x and x' of the six legs; SI: internal step, m, b, k0, k1, rest length."""
+BENCH = np.dtype([("step_s", "<f8"), *((name, "<f8", LEGS) for name in _OF_A_LEG)])
+"""s, internal step. Per leg, SI: x and x'; m, b, k0, k1, the x at which its springs are relaxed, its length
+at x = 0; N of its friction and of its engaged brake, which add up; the ends of x; N of a hand on it, and the
+x at which that was laid on."""
 NOT_FINITE, DIVERGED = 1, 2
-"""Why the bench does not move."""
+"""Why the legs do not move."""
 
 
 @helper
@@ -83,15 +85,22 @@ def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int
         return NOT_FINITE
     x, v = np.empty(LEGS), np.empty(LEGS)
     for i in range(LEGS):
-        friction = brakes[i] * BRAKE_FORCE_N
-        x[i], v[i] = advance_leg(
-            b.x[i], b.v[i], f[i], friction, b.step_s, steps, b.mass, b.damping, b.stiffness, b.hardening
-        )
+        hand, origin = b.hand[i], b.origin[i]
+        friction, damping = b.friction[i] + brakes[i] * b.brake[i], max(b.damping[i], abs(hand) / HAND_m_s**2)
+        at, f_i, springs = b.x[i] - origin, f[i] + hand, (b.stiffness[i], b.hardening[i])
+        x[i], v[i] = advance_leg(at, b.v[i], f_i, friction, b.step_s, steps, b.mass[i], damping, *springs)
+        x[i] += origin
     if not (_all_finite(x) and _all_finite(v)):
         return DIVERGED
-    b.x[:], b.v[:] = x, v
     for i in range(LEGS):
-        into[i], into[LEGS + i] = x[i] + b.rest, v[i]
+        low, high = b.shortest[i], b.longest[i]
+        if b.hand[i] < 0.0:
+            low = max(low, b.hand_from[i] - HAND_M)
+        if b.hand[i] > 0.0:
+            high = min(high, b.hand_from[i] + HAND_M)
+        b.v[i] = 0.0 if x[i] < low or x[i] > high else v[i]
+        b.x[i] = min(max(x[i], low), high)
+        into[i], into[LEGS + i] = b.x[i] + b.rest[i], b.v[i]
     return 0
 
 
@@ -101,42 +110,51 @@ def _applied(_b: Any, _force: int) -> int:
     return 0
 
 
-class Bench(PointedPlant):
-    """Plant: m x'' + b x'|x'| + k0 x + k1 x^3 = f per leg, x = length - rest length, from rest at x = 0.
+class UncoupledLegs(PointedPlant):
+    """Plant: m x'' + b x'|x'| + k0 x + k1 x^3 = f per leg, x = length - rest length, within ends of travel.
 
     Equation: the nonlinear mass-spring-damper of Slotine and Li, Applied Nonlinear Control (1991), chapter 3.
-    An engaged brake is dry friction of at most `BRAKE_FORCE_N`. A wrench has no platform to act on.
+    An engaged brake is dry friction. A wrench has no platform to act on.
 
-    Mutable state: x and x' of the six legs.
+    Mutable state: `legs`, a record of BENCH.
     """
 
-    def __init__(self, settings: BenchPlant) -> None:
-        self.settings = settings
-        self.internal_step_s = settings.internal_step_us / 1e6
-        self._record = np.zeros((), BENCH)
-        for name, value in {
-            "step_s": self.internal_step_s,
-            "mass": settings.mass_kg,
-            "damping": settings.damping_N_s2_m2,
-            "stiffness": settings.stiffness_N_m,
-            "hardening": settings.stiffness_N_m3,
-            "rest": settings.rest_length_m,
-        }.items():
-            self._record[name] = value
+    def __init__(self, step_s: float, **figures: Any) -> None:
+        """Take the internal step, s, and fields of BENCH, each for all legs or (6,); the others are 0."""
+        self.internal_step_s = step_s
+        self.legs = np.zeros((), BENCH)
+        for name, value in {"shortest": -np.inf, "longest": np.inf, "step_s": step_s, **figures}.items():
+            self.legs[name] = value
+        self._start = self.legs.copy()
 
     def reset(self) -> tuple[Array, Array]:
-        """Back to rest at the rest length; lengths (6,) m, rates (6,) m/s."""
-        self._record["x"] = self._record["v"] = 0.0
-        return np.full(LEGS, self.settings.rest_length_m), np.zeros(LEGS)
+        """Back to the state at first; lengths (6,) m, rates (6,) m/s."""
+        self.legs[()] = self._start
+        return self.legs["x"] + self.legs["rest"], self.legs["v"].copy()
 
     def _refused(self, status: int, force: Array, brake: Array, wrench: Array, _steps: int) -> PlantError:
         if status == NOT_FINITE:
             return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
         return PlantError(
             f"the bench diverged under {force} N: stiffness or damping is too large for plant.model."
-            f"internal_step_us = {self.settings.internal_step_us:g}"
+            f"internal_step_us = {self.internal_step_s * 1e6:g}"
         )
 
     def moved(self) -> Moved:
         """Return this plant by address."""
-        return Moved(_move.address, _applied.address, data_at(self._record), self._refused, self)
+        return Moved(_move.address, _applied.address, data_at(self.legs), self._refused, self)
+
+
+class Bench(UncoupledLegs):
+    """Plant: the legs of a configuration, from rest at their rest lengths."""
+
+    def __init__(self, settings: BenchPlant) -> None:
+        super().__init__(
+            settings.internal_step_us / 1e6,
+            mass=settings.mass_kg,
+            damping=settings.damping_N_s2_m2,
+            stiffness=settings.stiffness_N_m,
+            hardening=settings.stiffness_N_m3,
+            rest=settings.rest_length_m,
+            brake=BRAKE_FORCE_N,
+        )

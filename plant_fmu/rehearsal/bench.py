@@ -15,7 +15,7 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant
-from plant_fmu.rehearsal.legs import LegBench, TrestleLegs
+from plant_fmu.rehearsal.legs import TrestleLegs
 from plant_fmu.rehearsal.wired_drives import wired_drives
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
@@ -76,17 +76,14 @@ class RehearsalBench:
         friction = max(stand.friction_N, USUAL_FRICTION * self._rated_N) + self._rated_N * np.array(
             wiring.friction
         )
-        spread = np.linspace(0.35, 0.6, LEGS)
         self._legs = TrestleLegs(
-            LegBench(
-                mass_kg=np.full(LEGS, stand.mass_kg),
-                friction_N=friction,
-                brake_N=np.full(LEGS, stand.brake_N),
-                shortest=np.full(LEGS, stand.length_min - 0.02 * stroke),
-                longest=stand.length_max + stroke * (0.02 - np.array(wiring.shorter)),
-                start=stand.length_min + spread * stroke,
-                gauge_N=0.02 * self._rated_N,
-            )
+            0.02 * self._rated_N,
+            mass=stand.mass_kg,
+            friction=friction,
+            brake=stand.brake_N,
+            shortest=stand.length_min - 0.02 * stroke,
+            longest=stand.length_max + stroke * (0.02 - np.array(wiring.shorter)),
+            x=stand.length_min + np.linspace(0.35, 0.6, LEGS) * stroke,
         )
         self.drives_end = wired_drives(protocol, wiring, settings.node_ids)
         self.cables = self.behind_cables(self._legs)
@@ -100,7 +97,7 @@ class RehearsalBench:
 
     def length(self, leg: int) -> float:
         """Return the true length of a leg, m."""
-        return float(self._legs.lengths()[leg])
+        return float(self._legs.legs["x"][leg])
 
     # hands
 
@@ -127,16 +124,17 @@ class RehearsalBench:
             if other != leg:
                 self.push(other)
 
+    def _read(self, value: float) -> float:
+        """Read the force gauge or the scales, at which this is."""
+        return value * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+
     def read_push(self, leg: int) -> float:
         """Read the hand's force gauge, N: what a free leg gave way at."""
-        most = HAND_SHARE * self._rated_N
-        return min(self._legs.friction(leg), most) * (
-            1.0 + GAUGE_SHARE * float(self._chance.standard_normal())
-        )
+        return self._read(min(float(self._legs.legs["friction"][leg]), HAND_SHARE * self._rated_N))
 
     def read_held(self, leg: int) -> float:
         """Read the hand's force gauge while a leg holds, N."""
-        return self._legs.pushed(leg) * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+        return self._read(float(self._legs.legs["hand"][leg]))
 
     def let_go(self, leg: int) -> None:
         """Take the hand away."""
@@ -153,12 +151,11 @@ class RehearsalBench:
 
     def read_gauge(self) -> float:
         """Read the force gauge, N."""
-        return self._legs.gauge() * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+        return self._read(self._legs.gauge())
 
     def weigh(self) -> float:
         """Weigh the platform, kg."""
-        mass = self.wiring.payload * self.stand.platform_kg
-        return mass * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
+        return self._read(self.wiring.payload * self.stand.platform_kg)
 
     def way(self) -> float:
         """Return 1 where the platform's weight presses the legs together, -1 where it pulls, 0: neither."""

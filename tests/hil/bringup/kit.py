@@ -45,7 +45,7 @@ class Watched:
         self.opened_while_hung += bool(free) and bench.hung
         if free:
             self.most_force_N = max(self.most_force_N, float(np.abs(force).max()))
-            if not self._open or bench._legs._hand.any():
+            if not self._open or bench._legs.legs["hand"].any():
                 self._origin = legs
             self.most_travel_m = max(self.most_travel_m, float(np.abs(legs - self._origin).max()))
         self._open = free > 0

@@ -6,6 +6,7 @@ import os
 import resource
 import subprocess
 from collections.abc import Callable
+from multiprocessing.connection import Pipe
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -82,40 +83,25 @@ def test_a_child_of_a_process_without_real_time_keeps_what_it_has_and_one_that_h
     assert len(given) == 1
 
 
-def attempted(work: Callable[[], Any]) -> tuple[Any, Any]:
-    """Return what work gave, and what the parent is told by its status: None, or the reason."""
-    board: Any = {"status": 99, "text": b""}
-    result = child._attempt(board, work)
-    host: Any = SimpleNamespace(_board=board, _poll=SimpleNamespace(poll=lambda _: True))
-    host._reply_r, reply_w = os.pipe()
-    os.write(reply_w, b"!")
-    try:
-        child.ChildHost._wait(host, 1.0, "step")
-    except PlantError as error:
-        return result, str(error)
-    finally:
-        os.close(host._reply_r)
-        os.close(reply_w)
-    return result, None
-
-
-def failing(error: Exception) -> Callable[[], Any]:
-    def work() -> None:
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (PlantError("a.fmu: höher"), "a.fmu: höher"),
+        (HilError("no"), "no"),
+        (MemoryError(), "no memory is left for the FMU's process: plant.model.memory_GB bounds it"),
+    ],
+)
+def test_a_refusal_in_the_child_reaches_the_parent(monkeypatch, tmp_path, error, said):
+    def refuse(spec: FmuSpec) -> None:
         raise error
 
-    return work
-
-
-def test_child_result_or_refusal_reaches_the_parent():
-    assert attempted(lambda: 7) == (7, None)
-    assert attempted(failing(PlantError("a.fmu: höher"))) == (None, "a.fmu: höher")
-    assert attempted(failing(HilError("no"))) == (None, "no")
-    assert attempted(failing(MemoryError())) == (
-        None,
-        "no memory is left for the FMU's process: plant.model.memory_GB bounds it",
-    )
-    with pytest.raises(ZeroDivisionError):
-        attempted(failing(ZeroDivisionError()))
+    monkeypatch.setattr(child, "FmuHost", refuse)
+    monkeypatch.setattr(child, "_bound_memory", lambda _: None)
+    ours, theirs = Pipe()
+    ours.send(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
+    ours.send(None)
+    child.serve(theirs, os.getppid(), str(tmp_path))
+    assert ours.recv() == said
 
 
 def test_a_process_that_cannot_be_started_leaves_nothing_open_and_would_not_have_written_to_our_output(
@@ -133,14 +119,13 @@ def test_a_process_that_cannot_be_started_leaves_nothing_open_and_would_not_have
     with pytest.raises(PlantError, match=r"a\.fmu: no child process for the FMU: no more of them"):
         child.ChildHost(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
     assert sorted(Path("/proc/self/fd").iterdir()) == before
-    *given, parent, folder = asked["arguments"]
+    line, parent, folder = asked["arguments"]
     assert (asked["module"], int(parent), Path(folder).exists()) == (
         "plant_fmu.fmu.child",
         os.getpid(),
         False,
     )
-    assert tuple(map(int, given)) == asked["pass_fds"]
-    assert len(set(given)) == 4
+    assert [int(line)] == asked["pass_fds"]
     assert (asked["stdin"], asked["stdout"]) == (subprocess.DEVNULL, 2), "its output is our errors'"
     assert asked["start_new_session"] is True
     assert asked["environment"] == {"TMPDIR": folder}

@@ -4,7 +4,6 @@ Each refusal says what the FMU offers.
 """
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -300,42 +299,33 @@ def _refuse_tool(description: Any, spec: FmuSpec) -> None:
         )
 
 
-def read_description(path: Path) -> Any:
-    """Return what fmpy reads of the description of an FMU. Raises PlantError where it cannot.
+def described(path: Path) -> Any:
+    """Return the description of an FMU, a file that `open_archive` has checked.
 
-    fmpy leaves an archive that it opens itself open where the description is malformed.
-    """
-    try:
-        with path.open("rb") as archive:
-            return read_model_description(archive, validate=False)
-    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
-        raise PlantError(f"{path}: modelDescription.xml cannot be read: {shown(str(error))}") from error
-
-
-def described(xml: bytes, path: Path) -> Any:
-    """Return the description of an FMU at a path, modelDescription.xml being `xml`.
-
-    Raises PlantError on a version of FMI that cannot be hosted, a description that cannot be read, and where
+    Raises PlantError on a description that cannot be read, a version of FMI that cannot be hosted, and where
     the FMU has no co-simulation interface.
     """
-    found = re.search(rb"""<fmiModelDescription[^>]*\sfmiVersion\s*=\s*["']([^"']*)""", xml)
-    version = found[1].decode("ascii", "replace") if found else None
-    if version is not None and version != "2.0" and not version.startswith("3.0"):
+    try:
+        with path.open("rb") as archive:  # fmpy leaves one open that it opens itself, on malformed XML
+            description = read_model_description(archive, validate=False)
+    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
+        raise PlantError(f"{path}: modelDescription.xml cannot be read: {shown(str(error))}") from error
+    version = description.fmiVersion
+    if version != "2.0" and not version.startswith("3.0"):
         raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
-    description = read_description(path)
     if description.coSimulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
     return description
 
 
-def read_interface(xml: bytes, members: Sequence[str], spec: FmuSpec) -> Interface:
-    """Check modelDescription.xml against `spec`.
+def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
+    """Check the description of an FMU against `spec`.
 
-    xml: its content; members: names in the archive. Raises PlantError that names the variable, what it is
-    and what is needed: FMI version, co-simulation, a binary for this machine, existence, causality, type,
-    unit and number of elements of each mapped variable, parameters.
+    members: names in the archive. Raises PlantError that names the variable, what it is and what is needed:
+    FMI version, co-simulation, a binary for this machine, existence, causality, type, unit and number of
+    elements of each mapped variable, parameters.
     """
-    description = described(xml, spec.path)
+    description = described(spec.path)
     binary = library(description, members, spec.path)
     _refuse_tool(description, spec)
     reader = _Reader(description, spec)

@@ -22,8 +22,8 @@ from drivers.compiled.pointed import data_at
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.fmu import call as fmu_call
-from plant_fmu.fmu.archive import checked_members, extract, open_archive, read_member
-from plant_fmu.fmu.check import FmuSpec, Interface, read_interface
+from plant_fmu.fmu.archive import extract, open_archive
+from plant_fmu.fmu.check import FmuSpec, Interface, Start, read_interface
 from plant_fmu.plant import Moved, PointedPlant, Truth, truth_of
 
 _MESSAGES = 20
@@ -58,9 +58,7 @@ class FmuHost(PointedPlant):
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         try:
             with open_archive(spec.path) as archive:
-                names = [m.filename for m in checked_members(archive, spec.path)]
-                xml = read_member(archive, "modelDescription.xml", spec.path)
-                self._interface: Interface = read_interface(xml, names, spec)
+                self._interface: Interface = read_interface(archive.namelist(), spec)
                 extract(archive, spec.path, Path(self._folder.name))
             self._load()
             if spec.truth:
@@ -161,7 +159,7 @@ class FmuHost(PointedPlant):
             if self._interface.major == 2:
                 fmu.setupExperiment(startTime=0.0)
             for start in self._interface.starts:
-                self._set_start(start.setter, list(start.references), list(start.values), start.name)
+                self._set_start(start)
             fmu.enterInitializationMode()
             self._inputs[:] = 0.0
             if (brake := int(self._record["slots"][1])) >= 0:
@@ -179,12 +177,13 @@ class FmuHost(PointedPlant):
             raise self._refused(status, "take its inputs")
         self._record["ready"] = True
 
-    def _set_start(self, setter: str, references: list[int], values: list[Any], name: str) -> None:
+    def _set_start(self, start: Start) -> None:
+        values = list(start.values)
         try:
-            getattr(self._fmu, f"set{setter}")(references, values)
+            getattr(self._fmu, f"set{start.setter}")(list(start.references), values)
         except Exception as error:
             raise PlantError(
-                f"{self.spec.path}: the FMU refused parameter {name!r} = {values}"
+                f"{self.spec.path}: the FMU refused parameter {start.name!r} = {values}"
                 f"{self._said() or f': {error}'}"
             ) from error
 

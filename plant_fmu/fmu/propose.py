@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.archive import checked_members, open_archive, read_member
+from plant_fmu.fmu.archive import open_archive
 from plant_fmu.fmu.check import FLOATS, described, library, stated_unit
 
 _ROLES = {
@@ -57,9 +57,8 @@ class Proposal:
 def propose(path: Path) -> Proposal:
     """Read an FMU's description and propose a map. Raises PlantError: none that can be hosted here."""
     with open_archive(path) as archive:
-        members = [member.filename for member in checked_members(archive, path)]
-        xml = read_member(archive, "modelDescription.xml", path)
-    description = described(xml, path)
+        members = archive.namelist()
+    description = described(path)
     variables = [v for v in description.modelVariables if v.type in FLOATS]
     groups = _sixes(variables)
     mapped: dict[str, tuple[str, ...]] = {}

@@ -5,16 +5,13 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
-from copy import copy
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.fmu import archive as limits
-from plant_fmu.fmu.archive import checked_members, open_archive
+from plant_fmu.fmu.archive import check_members, open_archive
 from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.fmu.propose import propose
@@ -57,23 +54,21 @@ def test_a_directory_that_cannot_be_read_is_refused_in_one_sentence(
         read(path)
 
 
-def of_size(size: int, name: str) -> zipfile.ZipFile:
-    archive = zipfile.ZipFile(io.BytesIO(), "w")
-    archive.writestr(name, b"<x/>")
-    (member,) = archive.infolist()
+def of_size(size: int, name: str) -> list[zipfile.ZipInfo]:
+    member = zipfile.ZipInfo(name)
     member.file_size = member.compress_size = size
-    return archive
+    return [member]
 
 
 @pytest.mark.parametrize("name", ["modelDescription.xml", "sources/buildDescription.xml"])
 def test_a_description_of_more_than_64_mib_is_not_parsed(name: str) -> None:
-    assert checked_members(of_size(67_108_864, name), Path("a.fmu"))
+    check_members(of_size(67_108_864, name), Path("a.fmu"))
     with pytest.raises(PlantError, match=rf"{name}' refused: .*67108865 bytes; at most 67108864"):
-        checked_members(of_size(67_108_865, name), Path("a.fmu"))
+        check_members(of_size(67_108_865, name), Path("a.fmu"))
 
 
 def test_a_resource_that_nobody_parses_may_be_larger() -> None:
-    assert checked_members(of_size(1_000_000_000, "resources/a.xml"), Path("a.fmu"))
+    check_members(of_size(1_000_000_000, "resources/a.xml"), Path("a.fmu"))
 
 
 @pytest.mark.parametrize("read", [propose, host])
@@ -92,39 +87,33 @@ FMU = Path("a.fmu")
 GIB = 1 << 30
 
 
-def listed(*sizes: tuple[int, int]) -> Any:
-    """An archive that lists members of so many bytes, and so many packed."""
+def listed(*sizes: tuple[int, int]) -> list[zipfile.ZipInfo]:
+    """Members of so many bytes, and so many packed."""
     members = []
     for k, (size, packed) in enumerate(sizes):
         member = zipfile.ZipInfo(f"resources/{k}")
-        member.CRC, member.file_size, member.compress_size = 0, size, packed
+        member.file_size, member.compress_size = size, packed
         members.append(member)
-    return SimpleNamespace(infolist=lambda: members)
+    return members
 
 
 def test_an_fmu_may_unpack_to_2_gib_in_all_and_to_no_byte_more() -> None:
-    assert len(checked_members(listed((GIB, GIB), (GIB, GIB)), FMU)) == 2
+    check_members(listed((GIB, GIB), (GIB, GIB)), FMU)
     with pytest.raises(PlantError, match="unpacks to 2147483649 bytes; at most 2147483648 are allowed"):
-        checked_members(listed((GIB, GIB), (1, 1), (GIB, GIB)), FMU)
-
-
-def test_a_member_that_is_listed_twice_counts_once() -> None:
-    (member,) = listed((2 * GIB, 2 * GIB)).infolist()
-    twice: Any = SimpleNamespace(infolist=lambda: [member, copy(member)])
-    assert checked_members(twice, FMU) == [member]
+        check_members(listed((GIB, GIB), (1, 1), (GIB, GIB)), FMU)
 
 
 @pytest.mark.parametrize(
     ("most", "packed"), [(1_048_576, 0), (1_048_576, 1), (1_048_800, 2_622), (40_000_000, 100_000)]
 )
 def test_a_member_may_have_400_times_its_packed_size_or_a_mib(most: int, packed: int) -> None:
-    assert len(checked_members(listed((most, packed)), FMU)) == 1
+    check_members(listed((most, packed)), FMU)
     with pytest.raises(PlantError, match="unpacks to more than 400 times its packed size"):
-        checked_members(listed((most + 1, packed)), FMU)
+        check_members(listed((most + 1, packed)), FMU)
 
 
 def test_20_000_members_are_not_too_many() -> None:
     sizes = [(0, 0)] * 20_000
-    assert len(checked_members(listed(*sizes), FMU)) == 20_000
+    check_members(listed(*sizes), FMU)
     with pytest.raises(PlantError, match="20001 members; at most 20000 are allowed"):
-        checked_members(listed(*sizes, (0, 0)), FMU)
+        check_members(listed(*sizes, (0, 0)), FMU)

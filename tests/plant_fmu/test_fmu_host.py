@@ -1,7 +1,6 @@
 """Hosting: agreement with fmpy's own simulation, and FMUs that are not what they should be."""
 
 import ctypes as ct
-import io
 import os
 import re
 import sys
@@ -18,7 +17,6 @@ from drivers.compiled.compiler import INTEGER, REAL
 from drivers.compiled.pointed import of_python
 from drivers.errors import PlantError
 from plant_fmu.fmu import call as fmu_call
-from plant_fmu.fmu.archive import checked_members
 from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.stewart.build import build
@@ -178,10 +176,11 @@ def edit(old, new):
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (lambda n, d: None if n == XML else d, "modelDescription.xml is missing"),
+        (lambda n, d: None if n == XML else d, "modelDescription.xml cannot be read"),
         (lambda n, d: b"<fmiModel" if n == XML else d, "cannot be read"),
         (lambda n, d: b"" if n == XML else d, "cannot be read"),
-        (edit(b'fmiVersion="3.0"', b'fmiVersion="1.0"'), "FMI 1.0; 2.0 and 3.0"),
+        (edit(b'fmiVersion="3.0"', b'fmiVersion="3.1"'), "FMI 3.1; 2.0 and 3.0"),
+        (edit(b'fmiVersion="3.0"', b'fmiVersion="2.1"'), "cannot be read: .*version: 2.1"),
         (edit(b"CoSimulation", b"ModelExchange"), "no co-simulation"),
         (lambda n, d: None if n.startswith("binaries/") else d, "no binary for this machine.*none"),
         (lambda n, d: b"no library" if n.startswith("binaries/") else d, "cannot be loaded"),
@@ -220,39 +219,21 @@ def test_a_missing_file_and_a_file_that_is_no_archive_are_refused(tmp_path):
         FmuHost(spec(tmp_path / "text.fmu"))
 
 
-@pytest.mark.parametrize(
-    ("extra", "word"),
-    [
-        ([("resources/a", b"x"), ("resources/A", b"y")], "occurs twice"),
-        ([("resources/a", b"x"), ("resources/A", b"x")], "occurs twice"),
-        ([("resources/a", b""), ("resources/a/", b"")], "occurs twice"),
-        ([("resources/a", b"x"), ("./resources//a", b"x")], "occurs twice"),
-        ([("resources/a", b"x"), ("../../resources/a", b"y")], "occurs twice"),
-        ([("resources/bomb", b"\0" * 8_000_000)], "times its packed size"),
-    ],
-)
-def test_zip_tricks_are_refused_and_write_nothing(tmp_path, extra, word, monkeypatch):
-    bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=extra)
+def test_a_zip_bomb_is_refused_and_writes_nothing(tmp_path, monkeypatch):
+    bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=[("resources/bomb", b"\0" * 8_000_000)])
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
-    with pytest.raises(PlantError, match=word):
+    with pytest.raises(PlantError, match="times its packed size"):
         FmuHost(spec(bad))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "tmp"]
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_two_files_of_one_name_are_refused(tmp_path):
-    bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=[("resources/a", b"x"), ("resources/a", b"y")])
-    with pytest.raises(PlantError, match="occurs twice"):
-        FmuHost(spec(bad))
-
-
-def test_an_archive_that_lists_a_file_or_a_folder_twice_is_read(tmp_path):
-    doubled = [("resources/", b""), ("resources/", b""), ("resources/a", b"x"), ("resources/a", b"x")]
-    with pytest.warns(UserWarning, match="Duplicate name"):
-        path = rewritten(build("3.0"), tmp_path / "doubled.fmu", extra=doubled)
-    FmuHost(spec(path)).close()
+def test_of_two_members_with_one_name_the_last_one_counts(tmp_path):
+    with zipfile.ZipFile(build("3.0")) as source:
+        real = source.read(XML)
+    first = rewritten(build("3.0"), tmp_path / "a.fmu", lambda n, d: b"<no/>" if n == XML else d)
+    FmuHost(spec(rewritten(first, tmp_path / "b.fmu", extra=[(XML, real)]))).close()
 
 
 @pytest.mark.parametrize("reference", [-1, 2**32, 10**20])
@@ -266,15 +247,6 @@ def test_a_value_reference_that_is_none_is_refused(tmp_path, reference):
         PlantError, match=rf"'force\[1\]' has the valueReference '{reference}'; 0 to 4294967295"
     ):
         FmuHost(spec(bad))
-
-
-def test_too_many_members_are_refused():
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive:
-        for i in range(20_001):
-            archive.writestr(str(i), b"")
-    with zipfile.ZipFile(data) as archive, pytest.raises(PlantError, match="20001 members"):
-        checked_members(archive, Path("many.fmu"))
 
 
 def test_a_damaged_member_is_refused(tmp_path):

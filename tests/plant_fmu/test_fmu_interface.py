@@ -17,8 +17,8 @@ from plant_fmu.fmu.check import (
     Channel,
     FmuSpec,
     Interface,
+    described,
     library_candidates,
-    read_description,
     read_interface,
 )
 from plant_fmu.stewart.build import build
@@ -58,7 +58,6 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Any:
         given: dict[str, Any] | None = None,
         members: tuple[str, ...] = (LIBRARY,),
         version: str = "3.0",
-        stated: bytes = b'<fmiModelDescription fmiVersion="3.0">',
         simulation: dict[str, Any] | None = None,
         **asked: Any,
     ) -> Interface:
@@ -70,9 +69,9 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Any:
             coSimulation=SimpleNamespace(**about),
             generationTool="maker",
         )
-        monkeypatch.setattr(check, "read_description", lambda _: description)
+        monkeypatch.setattr(check, "described", lambda _: description)
         names = {"force": ("force",), "length": ("length",), "rate": ("rate",)}
-        return read_interface(stated, members, FmuSpec(**{"path": PATH, "step_s": 1e-3, **names, **asked}))
+        return read_interface(members, FmuSpec(**{"path": PATH, "step_s": 1e-3, **names, **asked}))
 
     return of
 
@@ -195,28 +194,6 @@ def test_parameters_are_set_in_the_order_of_the_configuration(read):
     assert [(each.name, each.values) for each in starts] == [("b", (1.0,)), ("c", (2.0,)), ("a", (3.0,))]
 
 
-@pytest.mark.parametrize(
-    ("stated", "hosted"),
-    [
-        (b'<fmiModelDescription fmiVersion="2.0">', True),
-        (b'<fmiModelDescription fmiVersion="3.0">', True),
-        (b"<fmiModelDescription a='1'\n fmiVersion = '3.0.2'>", True),
-        (b"<fmiModelDescription>", True),
-        (b'<fmiModelDescription fmiVersion="1.0">', False),
-        (b'<fmiModelDescription fmiVersion="2.1">', False),
-        (b"<fmiModelDescription x='1' fmiVersion='3.1'>", False),
-        (b'<fmiModelDescription fmiVersion="">', False),
-    ],
-)
-def test_versions_2_0_and_3_0_are_hosted_and_no_version_is_left_to_who_reads_the_rest(read, stated, hosted):
-    if hosted:
-        assert read(stated=stated).major == 3
-        return
-    version = stated.decode().split("fmiVersion=")[1].strip("'\">")
-    with pytest.raises(PlantError, match=f"a.fmu: FMI {version}; 2.0 and 3.0 can be hosted"):
-        read(stated=stated)
-
-
 def test_in_fmi_2_the_folder_of_that_standard_comes_first_and_the_one_of_fmi_3_counts_as_well(read):
     file = f"model{fmpy.sharedLibraryExtension}"
     old = f"binaries/{fmpy.platform}/{file}"
@@ -246,7 +223,7 @@ def test_a_description_that_can_be_read_need_not_keep_to_the_schema(tmp_path):
     with zipfile.ZipFile(build("3.0")) as source, zipfile.ZipFile(tmp_path / "a.fmu", "w") as target:
         xml = source.read("modelDescription.xml")
         target.writestr("modelDescription.xml", re.sub(rb"<fmiModelDescription", rb'\g<0> own="1"', xml))
-    assert read_description(tmp_path / "a.fmu").modelName == "Stewart platform"
+    assert described(tmp_path / "a.fmu").modelName == "Stewart platform"
 
 
 def test_a_text_with_what_is_no_sign_is_shown_with_its_numbers_and_any_other_as_it_is():

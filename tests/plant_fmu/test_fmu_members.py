@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.archive import checked_members, extract, read_member
+from plant_fmu.fmu.archive import extract
 
 FMU = Path("a.fmu")
 
@@ -25,10 +25,6 @@ def member(name: str = "resources/a", **changes: Any) -> zipfile.ZipInfo:
     for key, value in changes.items():
         setattr(info, key, value)
     return info
-
-
-def listing(*members: zipfile.ZipInfo) -> Any:
-    return SimpleNamespace(infolist=lambda: list(members))
 
 
 def test_an_encrypted_member_is_refused_when_it_is_unpacked(tmp_path):
@@ -96,38 +92,6 @@ def test_a_member_that_cannot_be_read_is_named_with_the_reason(tmp_path, error):
     def broken(*_: object) -> None:
         raise error
 
-    archive: Any = SimpleNamespace(infolist=lambda: [member()], extract=broken, read=broken)
+    archive: Any = SimpleNamespace(infolist=lambda: [member()], extract=broken)
     with pytest.raises(PlantError, match=r"a\.fmu: member 'resources/a' cannot be unpacked: no"):
         extract(archive, FMU, tmp_path)
-    with pytest.raises(PlantError, match=r"a\.fmu: x\.xml is damaged: no"):
-        read_member(archive, "x.xml", FMU)
-
-
-def test_a_member_that_is_not_there_is_missing():
-    with zipfile.ZipFile(BytesIO(), "w") as archive:
-        archive.writestr("x.xml", b"text")
-        assert read_member(archive, "x.xml", FMU) == b"text"
-        with pytest.raises(PlantError, match=r"a\.fmu: not an FMU: y\.xml is missing"):
-            read_member(archive, "y.xml", FMU)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "same"),
-    [
-        (("a", 7, 3), ("a", 7, 3), True),
-        (("a/", 0, 0), ("a/", 0, 0), True),
-        (("a/", 0, 0), ("A/", 0, 0), True),
-        (("a", 7, 3), ("A", 7, 3), False),
-        (("a", 7, 3), ("a", 8, 3), False),
-        (("a", 7, 3), ("a", 7, 4), False),
-        (("a", 0, 0), ("a/", 0, 0), False),
-        (("a/", 0, 0), ("a", 0, 0), False),
-    ],
-)
-def test_a_name_may_be_listed_twice_for_the_same_file_or_a_folder_alone(first, second, same):
-    both = [member(name, CRC=crc, file_size=size) for name, crc, size in (first, second)]
-    if same:
-        assert checked_members(listing(*both), FMU) == both[:1]
-        return
-    with pytest.raises(PlantError, match="its name occurs twice"):
-        checked_members(listing(*both), FMU)

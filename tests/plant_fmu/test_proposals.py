@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import PlantError
-from plant_fmu.fmu import check
 from plant_fmu.fmu.propose import Proposal, propose
 
 
@@ -47,7 +45,7 @@ def proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
             generationTool=tool,
             fmiVersion="2.0",
         )
-        monkeypatch.setattr(check, "read_description", lambda _: description)
+        monkeypatch.setattr("plant_fmu.fmu.propose.described", lambda _: description)
         return propose(path)
 
     return of
@@ -157,10 +155,3 @@ def test_a_proposal_tells_who_made_the_fmu_what_can_be_set_and_what_goes_in_and_
     assert found.variables == ("input   force[6]  Real, N", "output  q  Real, no unit stated")
     assert proposed(tool=None).tool == "unknown tool"
     assert proposed(needs=True).needs_tool is True
-
-
-def test_an_fmu_without_co_simulation_is_refused(proposed, tmp_path, monkeypatch):
-    proposed()
-    monkeypatch.setattr(check, "read_description", lambda _: SimpleNamespace(coSimulation=None))
-    with pytest.raises(PlantError, match="no co-simulation interface"):
-        propose(tmp_path / "a.fmu")

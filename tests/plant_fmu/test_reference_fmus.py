@@ -15,7 +15,7 @@ from drivers.errors import PlantError
 from hil.app.fmu import show_fmu
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import host
-from plant_fmu.fmu.archive import checked_members, open_archive
+from plant_fmu.fmu.archive import open_archive
 from plant_fmu.fmu.check import Channel, FmuSpec, Interface, library_candidates
 from plant_fmu.fmu.host import FmuHost
 
@@ -42,7 +42,7 @@ def mapped_by_its_own_names(xml, members, spec):
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: f"{path.parent.parent.name}/{path.stem}")
 def test_a_reference_fmu_is_read_shown_loaded_and_stepped(path, monkeypatch):
     with open_archive(path) as archive:
-        assert "modelDescription.xml" in {m.filename for m in checked_members(archive, path)}
+        assert "modelDescription.xml" in archive.namelist()
     if fmpy.read_model_description(str(path)).coSimulation is None:
         with pytest.raises(PlantError, match="no co-simulation interface"):
             show_fmu(path)

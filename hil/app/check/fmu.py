@@ -11,7 +11,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
 from plant_fmu.config import FmuPlant
-from plant_fmu.fmu.archive import checked_members, open_archive, read_member
+from plant_fmu.fmu.archive import open_archive
 from plant_fmu.fmu.check import fmu_spec, read_interface, shown
 from plant_fmu.fmu.probe import Probe, probe
 
@@ -26,8 +26,7 @@ def report_fmu(report: Report, c: Configuration) -> None:
     model = c.plant.model
     spec = fmu_spec(model, c.folder)
     with open_archive(spec.path) as archive:
-        names = [member.filename for member in checked_members(archive, spec.path)]
-        face = read_interface(read_member(archive, "modelDescription.xml", spec.path), names, spec)
+        face = read_interface(archive.namelist(), spec)
     description = face.description
     tool = shown(description.generationTool or "an unknown tool")
     assumed = [f"{key} {unit}" for key, unit in model.assume_unit.items()]

@@ -12,7 +12,7 @@ import tempfile
 import uuid
 import zipfile
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from drivers.compiled.cache import cache_folder
 from drivers.errors import PlantError
@@ -30,8 +30,6 @@ from plant_fmu.stewart.variables import header, tables
 SOURCES = Path(__file__).parent / "sources"
 _COMMON = ("mechanics.c", "contact.c", "plant.c", "plant.h", "face.h")
 FLAGS = (*COMPILER_OPTIONS.split(), "-fvisibility=hidden", "-shared")
-LONGEST_S = 600.0
-"""Of a compilation."""
 _PLAIN_2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 _ZIP_DATE = (2000, 1, 1, 0, 0, 0)
 
@@ -107,12 +105,7 @@ def find_compiler(*, zig: bool = False) -> Compiler:
 
 
 def _source_files(version: FmiVersion) -> dict[str, bytes]:
-    try:
-        files = {name: (SOURCES / name).read_bytes() for name in (*_COMMON, f"fmi{version[0]}.c")}
-    except OSError as error:
-        raise PlantError(
-            f"the plant's C source {error.filename} is not installed; reinstall hexapod-hil"
-        ) from error
+    files = {name: (SOURCES / name).read_bytes() for name in (*_COMMON, f"fmi{version[0]}.c")}
     files["model.h"] = header().encode()
     files["model.c"] = tables("").encode()
     return files
@@ -144,14 +137,7 @@ def _compile(compiler: Compiler, key: str, folder: Path, units: list[str]) -> by
     command += ["-o", str(out), *units]
     if target.suffix != ".dll":
         command += ["-lm"]
-    try:
-        done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise PlantError(
-            f"compiling the plant for {key} has not ended after {LONGEST_S:g} s:\n{shlex.join(command)}"
-        ) from None
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise PlantError(
             f"compiling the plant for {key} failed with exit code {done.returncode}:\n"
@@ -193,10 +179,6 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
     Raises PlantError without a compiler, on a compilation that fails, or a cache or copy that cannot be
     written.
     """
-    if fmi_version not in get_args(FmiVersion):
-        raise PlantError(
-            f"FMI version {fmi_version!r} is not built; allowed are {', '.join(get_args(FmiVersion))}"
-        )
     keys = list(TARGETS) if release else [this_machine()]
     compiler = find_compiler(zig=release)
     guid = token(fmi_version)

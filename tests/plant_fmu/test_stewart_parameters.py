@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
-from drivers.errors import PlantError
 from plant_fmu.config import StewartPlant
 from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.plant import Robot
@@ -46,14 +42,7 @@ SETTINGS = StewartPlant(
 )
 
 
-def without(*path: str) -> dict[str, Any]:
-    """Return the platform without one of its keys."""
-    platform = deepcopy(PLATFORM)
-    part = platform
-    for key in path[:-1]:
-        part = part[key]
-    del part[path[-1]]
-    return platform
+AXES = "universal_joint_base_axes"
 
 
 def test_every_figure_of_a_robot_reaches_the_parameter_of_its_name():
@@ -85,67 +74,11 @@ def test_every_figure_of_a_robot_reaches_the_parameter_of_its_name():
     }
 
 
-def test_legs_keep_from_turning_unless_they_are_said_to_and_need_their_axes_then():
-    plain = without("leg_spin")
-    del plain["universal_joint_base_axes"]
+def test_legs_do_not_spin_by_default():
+    plain = {name: value for name, value in PLATFORM.items() if name not in {"leg_spin", AXES}}
     found = stewart_parameters(SETTINGS, ROBOT._replace(platform=plain))
     assert found["leg_spin"] == "none"
-    assert "universal_joint_base_axes" not in found
-    with pytest.raises(PlantError, match="leg_spin universal needs universal_joint_base_axes"):
-        stewart_parameters(SETTINGS, ROBOT._replace(platform=without("universal_joint_base_axes")))
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        ("base_joints",),
-        ("platform_joints",),
-        ("gravity",),
-        ("platform",),
-        *[("platform", key) for key in ("mass", "com", "inertia")],
-        *[(half, key) for half in ("cylinder", "rod") for key in ("mass", "com", "inertia_transverse")],
-    ],
-    ids=".".join,
-)
-def test_a_figure_that_is_missing_is_named(path):
-    with pytest.raises(PlantError, match=f"platform: {path[-1]} is missing"):
-        stewart_parameters(SETTINGS, ROBOT._replace(platform=without(*path)))
-
-
-SHAPES: dict[tuple[str, ...], tuple[int, ...]] = {
-    ("base_joints",): (6, 3),
-    ("platform_joints",): (6, 3),
-    ("universal_joint_base_axes",): (6, 3),
-    ("gravity",): (3,),
-    ("platform", "com"): (3,),
-    ("platform", "inertia"): (3, 3),
-}
-
-
-@pytest.mark.parametrize("path", SHAPES, ids=".".join)
-def test_an_array_of_another_shape_or_of_words_is_named(path):
-    shape = SHAPES[path]
-    for wrong in ((shape[0] + 1, *shape[1:]), (shape[0] - 1, *shape[1:]), (*shape, 1), ()):
-        platform = without(*path)
-        (platform if len(path) == 1 else platform[path[0]])[path[-1]] = np.zeros(wrong)
-        said = rf"platform: {'.'.join(path)} has shape {wrong}; {shape} is needed"
-        with pytest.raises(PlantError, match=re.escape(said)):
-            stewart_parameters(SETTINGS, ROBOT._replace(platform=platform))
-    platform = without(*path)
-    (platform if len(path) == 1 else platform[path[0]])[path[-1]] = ["a", "b"]
-    with pytest.raises(PlantError, match=rf"platform: {'.'.join(path)}: .* is not numeric"):
-        stewart_parameters(SETTINGS, ROBOT._replace(platform=platform))
-
-
-@pytest.mark.parametrize(
-    ("name", "shape"), [("length_min", (6,)), ("length_max", (6,)), ("p0", (3,)), ("R0", (3, 3))]
-)
-def test_lengths_and_a_first_pose_of_another_shape_are_named(name, shape):
-    for wrong in ((shape[0] + 1, *shape[1:]), (shape[0] - 1, *shape[1:])):
-        changed: dict[str, Any] = {name: np.zeros(wrong)}
-        said = re.escape(f"platform: {name} has shape {wrong}; {shape} is needed")
-        with pytest.raises(PlantError, match=said):
-            stewart_parameters(SETTINGS, ROBOT._replace(**changed))
+    assert AXES not in found
 
 
 def test_our_fmu_is_hosted_by_its_own_names_with_its_parameters_its_step_and_its_truth(monkeypatch):

@@ -7,13 +7,10 @@ from pydantic import Field
 from plant_fmu.faults import kinds as kinds
 from plant_fmu.faults.fault import FAULTS, Fault
 
-__all__ = ["FAULTS", "KINDS", "AnyFault"]
-
-KINDS: tuple[type[Fault], ...] = tuple(FAULTS.values())
-"""All kinds."""
+__all__ = ["FAULTS", "AnyFault"]
 
 if TYPE_CHECKING:
     AnyFault = Fault
 else:
-    AnyFault = Annotated[Union[KINDS], Field(discriminator="kind")]  # noqa: UP007
+    AnyFault = Annotated[Union[tuple(FAULTS.values())], Field(discriminator="kind")]  # noqa: UP007
     """An entry of `plant.faults`."""

@@ -30,8 +30,8 @@ Moment = Literal[
 ]
 """Modes of the controller; HOLD: the reference is at rest in TRACKING."""
 NEVER_NS = 1 << 62
-Joint = tuple[str, Callable[[Any, Any], Any], object]
-"""An entry of `Present`, how a figure joins it, and the figure or the field that holds it."""
+Effect = tuple[str, Callable[[Any, Any], Any], object]
+"""An entry of `Present`; what makes its new value of the old one and a figure; that figure or its field."""
 
 
 class Present:
@@ -83,20 +83,17 @@ class Fault(Section):
     Raises ValidationError on senseless values.
     """
 
-    joint: ClassVar[Joint | None] = None
+    effect: ClassVar[Effect | None] = None
     kind: Any = None
     at_s: Annotated[float, Field(ge=0)] = 0.0
     """When it begins: after the drives' power-up, or after `mode` is reached."""
     mode: Moment | None = None
     """The mode of the controller that `at_s` counts from."""
 
-    def __init_subclass__(cls, kind: str | None = None, joins: Joint | None = None, **settings: Any) -> None:
-        """Make a kind of the class: a row of `FAULTS`, and the one value that its field `kind` takes.
-
-        joins: how `act` joins a value, or the field of that name, to the leg's entry of `Present`.
-        """
-        super().__init_subclass__(**settings)
-        cls.joint = joins or cls.joint
+    def __init_subclass__(cls, kind: str | None = None, effect: Effect | None = None, **given: Any) -> None:
+        """Make a kind of the class: a row of `FAULTS`, and the one value that its field `kind` takes."""
+        super().__init_subclass__(**given)
+        cls.effect = effect or cls.effect
         if kind is not None:
             cls.__annotations__["kind"], cls.kind = Literal[kind], kind
             FAULTS[kind] = cls
@@ -107,12 +104,16 @@ class Fault(Section):
         return 1
 
     def act(self, present: Present) -> None:
-        """Enter what the fault does to drives and plant."""
-        if self.joint is not None:
-            (entry, join, figure), fault = self.joint, cast("Any", self)
+        """Enter what the fault does to drives and plant, in its leg where it has one."""
+        if self.effect is None:
+            return
+        (entry, join, figure), fault = self.effect, cast("Any", self)
+        value = getattr(fault, figure) if isinstance(figure, str) else figure
+        if hasattr(fault, "leg"):
             entries = getattr(present, entry)
-            value = getattr(fault, figure) if isinstance(figure, str) else figure
             entries[fault.leg] = join(entries[fault.leg], value)
+        else:
+            setattr(present, entry, join(getattr(present, entry), value))
 
 
 def last(_: object, figure: object) -> object:

@@ -28,13 +28,13 @@ EVERY_BUS = (1 << MAX_BUSES) - 1
 Vector = tuple[float, float, float]
 
 
-class EncoderJump(LegFault, kind="encoder_jump", joins=("offset_m", add, "by_m")):
+class EncoderJump(LegFault, kind="encoder_jump", effect=("offset_m", add, "by_m")):
     """The encoder slips: from now on it reads this much more than the length."""
 
     by_m: float
 
 
-class EncoderFreeze(LegFault, kind="encoder_freeze", joins=("frozen", last, True)):
+class EncoderFreeze(LegFault, kind="encoder_freeze", effect=("frozen", last, True)):
     """The encoder keeps the length of the moment the fault begins, at rate zero."""
 
 
@@ -60,7 +60,7 @@ class EncoderNoise(LegFault, kind="encoder_noise"):
         present.noise.append((self.leg, self.sigma_m, present.generator))
 
 
-class EncoderLate(LegFault, kind="encoder_late", joins=("late_ns", later, "by_ms")):
+class EncoderLate(LegFault, kind="encoder_late", effect=("late_ns", later, "by_ms")):
     """What is sent is the length and rate of so long ago; at first it stands still for as long."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)] = 1.0
@@ -84,51 +84,51 @@ class EncoderSign(LegFault, kind="encoder_sign"):
         present.scales.append((self.leg, -1.0, present.since_ns))
 
 
-class EncoderLost(LegFault, kind="encoder_lost", joins=("lost", last, True)):
+class EncoderLost(LegFault, kind="encoder_lost", effect=("lost", last, True)):
     """The drive knows that its encoder is lost: it says so in its feedback, and still obeys."""
 
 
-class DriveSilence(LegFault, kind="drive_silence", joins=("silent", last, True)):
+class DriveSilence(LegFault, kind="drive_silence", effect=("silent", last, True)):
     """The drive sends nothing. It still hears."""
 
 
-class DriveReset(Fault, kind="drive_reset", joins=("reset", last, True)):
+class DriveReset(Fault, kind="drive_reset", effect=("reset", last, True)):
     """The drive starts anew at this instant: it is in BOOT, its brake closes, its set-up is forgotten."""
 
     leg: Annotated[int, Field(ge=0, lt=LEGS)]
 
 
-class DriveGain(LegFault, kind="drive_gain", joins=("gain", mul, "factor")):
+class DriveGain(LegFault, kind="drive_gain", effect=("gain", mul, "factor")):
     """The leg's force is this multiple of what its drive means to apply."""
 
     factor: float
 
 
-class DriveSign(LegFault, kind="drive_sign", joins=("gain", mul, -1.0)):
+class DriveSign(LegFault, kind="drive_sign", effect=("gain", mul, -1.0)):
     """The leg's force has the wrong sign, as with swapped wires."""
 
 
-class DriveSaturation(LegFault, kind="drive_saturation", joins=("saturation_N", min, "limit_N")):
+class DriveSaturation(LegFault, kind="drive_saturation", effect=("saturation_N", min, "limit_N")):
     """The drive gives no more force than this."""
 
     limit_N: Annotated[float, Field(ge=0)]
 
 
-class BrakeStuckOpen(LegFault, kind="brake_stuck_open", joins=("stuck", last, False)):
+class BrakeStuckOpen(LegFault, kind="brake_stuck_open", effect=("stuck", last, False)):
     """The brake is released, whatever the drive wants."""
 
 
-class BrakeStuckClosed(LegFault, kind="brake_stuck_closed", joins=("stuck", last, True)):
+class BrakeStuckClosed(LegFault, kind="brake_stuck_closed", effect=("stuck", last, True)):
     """The brake is engaged, whatever the drive wants."""
 
 
-class BrakeSlow(LegFault, kind="brake_slow", joins=("slow_ns", later, "by_ms")):
+class BrakeSlow(LegFault, kind="brake_slow", effect=("slow_ns", later, "by_ms")):
     """The brake opens and closes this much later than its drive counts."""
 
     by_ms: Annotated[float, Field(gt=0, le=10_000)]
 
 
-class BrakeSlipping(LegFault, kind="brake_slipping", joins=("share", mul, "share")):
+class BrakeSlipping(LegFault, kind="brake_slipping", effect=("share", mul, "share")):
     """The engaged brake holds only this share of its force."""
 
     share: Annotated[float, Field(ge=0, le=1)]
@@ -194,7 +194,7 @@ class FramesForgedCommand(LastingFault, kind="frames_forged_command"):
     force_N: float = 0.0
 
 
-class FramesForgedFeedback(LegFault, kind="frames_forged_feedback", joins=("forged_m", last, "by_m")):
+class FramesForgedFeedback(LegFault, kind="frames_forged_feedback", effect=("forged_m", last, "by_m")):
     """A second node of the leg's number answers every SYNC: the leg is this much longer, valid checks."""
 
     by_m: float
@@ -295,28 +295,16 @@ PROCESS = (ProcessKill, ProcessStop, ProcessSlow)
 """What a simulated plant does not have."""
 
 
-class PlantNaN(LastingFault, kind="plant_nan"):
+class PlantNaN(LastingFault, kind="plant_nan", effect=("not_finite", last, True)):
     """The plant's lengths are not numbers."""
 
-    def act(self, present: Present) -> None:
-        """Spoil the lengths."""
-        present.not_finite = True
 
-
-class PlantHang(LastingFault, kind="plant_hang"):
+class PlantHang(LastingFault, kind="plant_hang", effect=("hangs", last, True)):
     """The plant does not come back from a step: no drive answers; what it has missed it catches up with."""
 
-    def act(self, present: Present) -> None:
-        """Let it hang."""
-        present.hangs = True
 
-
-class PlantCrash(Fault, kind="plant_crash"):
+class PlantCrash(Fault, kind="plant_crash", effect=("crashes", last, True)):
     """The plant fails at this instant, and its drives with it."""
-
-    def act(self, present: Present) -> None:
-        """Let it fail."""
-        present.crashes = True
 
 
 class WrenchStep(LastingFault, kind="wrench_step"):

@@ -43,7 +43,6 @@ class Schedule:
             Passed(np.random.default_rng((plan.seed, getattr(fault, "seed", 0), n)))
             for n, fault in enumerate(plan.faults)
         ]
-        self._wait()
         self._present: tuple[tuple[int, Fault], ...] = ()
         self._from_ns = self._until_ns = 0
 
@@ -51,15 +50,17 @@ class Schedule:
         """Return when a fault of the plan begins; NEVER_NS where it will not, as things stand."""
         return self._start_ns[self._plan.faults.index(fault)]
 
-    def _wait(self) -> None:
-        """Look again which faults wait, and when the others begin."""
-        self._begins = tuple(zip(self._plan.faults, self._start_ns, strict=True))
-        self.waiting = tuple(fault for fault, at in self._begins if at == NEVER_NS)
+    def _starts(self) -> Iterator[tuple[Fault, int]]:
+        return zip(self._plan.faults, self._start_ns, strict=True)
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
         """Faults whose mode has not been reached."""
+        return tuple(fault for fault, at in self._starts() if at == NEVER_NS)
 
     def begun(self, t_ns: int) -> tuple[Fault, ...]:
         """Return the faults that have begun by an instant."""
-        return tuple(fault for fault, at in self._begins if at <= t_ns)
+        return tuple(fault for fault, at in self._starts() if at <= t_ns)
 
     def reached(self, mode: str, t_ns: int) -> bool:
         """Let the time of the faults count that wait for this mode; tell whether there are any."""
@@ -68,19 +69,18 @@ class Schedule:
             if fault.mode == mode and self._start_ns[n] == NEVER_NS:
                 self._start_ns[n] = t_ns + round(fault.at_s * 1e9)
                 found = True
-        self._wait()
         self._from_ns = self._until_ns = 0
         return found
 
     def edges_ns(self, since_ns: int) -> list[int]:
         """Return the instants from `since_ns` on at which a fault begins or ends, rising."""
-        edges = {edge for fault, at in self._begins for edge in (at, at + fault.lasts_ns)}
+        edges = {edge for fault, at in self._starts() for edge in (at, at + fault.lasts_ns)}
         return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
 
     def active(self, t_ns: int) -> tuple[tuple[int, Fault], ...]:
         """Return the faults that are present at an instant, each with its number."""
         if not self._from_ns <= t_ns < self._until_ns:
-            spans = [(at, at + fault.lasts_ns) for fault, at in self._begins]
+            spans = [(at, at + fault.lasts_ns) for fault, at in self._starts()]
             edges = [edge for span in spans for edge in span]
             self._from_ns = max((edge for edge in edges if edge <= t_ns), default=t_ns)
             self._until_ns = min((edge for edge in edges if edge > t_ns), default=NEVER_NS)
@@ -117,9 +117,9 @@ class Schedule:
 
     def senders(self) -> Iterator[tuple[int, SenderFault, int, int]]:
         """Yield the nodes that should not be there: number, fault, from and until when they send, ns."""
-        for n, fault in enumerate(self._plan.faults):
-            if isinstance(fault, SenderFault) and self._start_ns[n] < NEVER_NS:
-                yield n, fault, self._start_ns[n], self._start_ns[n] + fault.lasts_ns
+        for n, (fault, at) in enumerate(self._starts()):
+            if isinstance(fault, SenderFault) and at < NEVER_NS:
+                yield n, fault, at, at + fault.lasts_ns
 
 
 def weight(masses: Sequence[tuple[float, Array]], truth: Truth, gravity: Array) -> Array:

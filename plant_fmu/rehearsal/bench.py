@@ -99,68 +99,55 @@ class RehearsalBench:
         """Return the true length of a leg, m."""
         return float(self._legs.legs["x"][leg])
 
-    # hands
-
-    def measure(self, leg: int) -> float:
-        """Measure a leg by tape, m."""
-        return self.length(leg) + TAPE_M * float(self._chance.standard_normal())
-
-    def move(self, leg: int, by_m: float) -> None:
-        """Move a leg with a lever on its brake."""
-        self._legs.place(leg, self.length(leg) + by_m)
-
-    def place(self, leg: int, share: float) -> None:
-        """Move a leg to a share of its stroke as configured, 0 shortest, 1 longest, as far as it goes."""
-        s = self.stand
-        self._legs.place(leg, s.length_min + share * (s.length_max - s.length_min))
-
-    def push(self, leg: int) -> None:
-        """Push a leg by hand."""
-        self._legs.push(leg, HAND_SHARE * self._rated_N)
-
-    def push_others(self, leg: int) -> None:
-        """Push all legs but one by hand."""
-        for other in range(LEGS):
-            if other != leg:
-                self.push(other)
-
     def _read(self, value: float) -> float:
         """Read the force gauge or the scales, at which this is."""
         return value * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
 
-    def read_push(self, leg: int) -> float:
-        """Read the hand's force gauge, N: what a free leg gave way at."""
-        return self._read(min(float(self._legs.legs["friction"][leg]), HAND_SHARE * self._rated_N))
+    def do(self, act: str, leg: int = -1, value: float = 0.0) -> float:
+        """Do what an operator's hands are asked for; return what they read, 0 for what is done.
 
-    def read_held(self, leg: int) -> float:
-        """Read the hand's force gauge while a leg holds, N."""
-        return self._read(float(self._legs.legs["hand"][leg]))
-
-    def let_go(self, leg: int) -> None:
-        """Take the hand away."""
-        self._legs.push(leg, 0.0)
-
-    def let_go_all(self) -> None:
-        """Take all hands away."""
-        for leg in range(LEGS):
-            self.let_go(leg)
-
-    def clamp(self, leg: int | None) -> None:
-        """Clamp a leg to the force gauge; None frees it."""
-        self._legs.hold_at_gauge(leg)
-
-    def read_gauge(self) -> float:
-        """Read the force gauge, N."""
-        return self._read(self._legs.gauge())
-
-    def weigh(self) -> float:
-        """Weigh the platform, kg."""
-        return self._read(self.wiring.payload * self.stand.platform_kg)
-
-    def way(self) -> float:
-        """Return 1 where the platform's weight presses the legs together, -1 where it pulls, 0: neither."""
-        way = self.wiring.gravity * self.stand.presses
-        return float(np.sign(way)) if abs(way) > LEVEL else 0.0
+        leg: where it is of one. value: m to `move` a leg with a lever on its brake, or the share of its
+        configured stroke to `place` it at, as far as it goes; of no use to the others. Hands push with
+        HAND_SHARE of the rated force, and read what a free leg gave way at, or what they push with while it
+        holds. `clamp` fixes a leg to the force gauge, `free` the one that is there. What is weighed is the
+        platform; `read_way` is 1 where its weight presses the legs together, -1 where it pulls, 0: neither.
+        """
+        legs, s, push = self._legs, self.stand, HAND_SHARE * self._rated_N
+        match act:
+            case "move":
+                legs.place(leg, self.length(leg) + value)
+            case "place":
+                legs.place(leg, s.length_min + value * (s.length_max - s.length_min))
+            case "measure":
+                return self.length(leg) + TAPE_M * float(self._chance.standard_normal())
+            case "push":
+                legs.push(leg, push)
+            case "push_others":
+                for other in {*range(LEGS)} - {leg}:
+                    legs.push(other, push)
+            case "read_push":
+                return self._read(min(float(legs.legs["friction"][leg]), push))
+            case "read_held":
+                return self._read(float(legs.legs["hand"][leg]))
+            case "let_go":
+                legs.push(leg, 0.0)
+            case "let_go_all":
+                for each in range(LEGS):
+                    legs.push(each, 0.0)
+            case "clamp":
+                legs.hold_at_gauge(leg)
+            case "free":
+                legs.hold_at_gauge(None)
+            case "read_gauge":
+                return self._read(legs.gauge())
+            case "weigh":
+                return self._read(self.wiring.payload * s.platform_kg)
+            case "read_way":
+                way = self.wiring.gravity * s.presses
+                return float(np.sign(way)) if abs(way) > LEVEL else 0.0
+            case "take_down":
+                self.hung = False
+        return 0.0
 
     def hang(self, p: Array, R: Array) -> None:
         """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3), or where that is."""
@@ -169,10 +156,6 @@ class RehearsalBench:
         there = p + np.array([0.0, 0.0, self.wiring.home_off_m])
         for leg, length in enumerate(np.linalg.norm(there + platform @ R.T - base, axis=1)):
             self._legs.place(leg, float(length))
-
-    def take_down(self) -> None:
-        """Take the platform off the legs, which lie on trestles again."""
-        self.hung = False
 
 
 def joints_of(wiring: Wiring, base: Array, platform: Array) -> tuple[Array, Array]:

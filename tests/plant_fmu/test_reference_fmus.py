@@ -25,9 +25,8 @@ pytestmark = pytest.mark.skipif(not PATHS, reason="HIL_REFERENCE_FMUS names no f
 NOTHING = np.zeros(6)
 
 
-def mapped_by_its_own_names(xml, members, spec):
+def mapped_by_its_own_names(members, spec):
     """Take the first inputs and outputs for forces and lengths, however many there are."""
-    del xml
     description = fmpy.read_model_description(str(spec.path))
     major = int(description.fmiVersion[0])
     reals = [v for v in description.modelVariables if v.type in {"Real", "Float64"} and not v.shape]

@@ -91,11 +91,11 @@ def test_a_leg_is_moved_to_a_share_of_its_stroke_and_2_percent_of_it_beyond_its_
         b = bench(wiring)
         for share, length in ((0.0, 0.5), (0.5, 0.65), (-1.0, 0.494), (2.0, longest)):
             before = lengths(b)
-            b.place(leg, share)
+            b.do("place", leg, share)
             before[leg] = length
             np.testing.assert_allclose(lengths(b), before, rtol=0, atol=1e-12)
-        b.place(leg, 0.5)
-        b.move(leg, -0.01)
+        b.do("place", leg, 0.5)
+        b.do("move", leg, -0.01)
         assert b.length(leg) == pytest.approx(0.64)
 
 
@@ -110,21 +110,21 @@ def drawn(take: Callable[[], float]) -> np.ndarray:
 
 
 READINGS: dict[str, tuple[Callable[[RehearsalBench], float], float, float]] = {
-    "tape": (lambda b: b.measure(3), 0.65, 2e-4),
-    "scales": (lambda b: b.weigh(), 100.0, 0.3),
-    "a free leg": (lambda b: b.read_push(3), 6.0, 0.018),
-    "a leg beyond the hand's most": (lambda b: b.read_push(4), 50.0, 0.15),
-    "a leg that holds": (lambda b: b.read_held(5), 50.0, 0.15),
-    "gauge": (lambda b: b.read_gauge(), 20.0, 0.06),
+    "tape": (lambda b: b.do("measure", 3), 0.65, 2e-4),
+    "scales": (lambda b: b.do("weigh"), 100.0, 0.3),
+    "a free leg": (lambda b: b.do("read_push", 3), 6.0, 0.018),
+    "a leg beyond the hand's most": (lambda b: b.do("read_push", 4), 50.0, 0.15),
+    "a leg that holds": (lambda b: b.do("read_held", 5), 50.0, 0.15),
+    "gauge": (lambda b: b.do("read_gauge"), 20.0, 0.06),
 }
 """What is read -> how, its true value, and the standard deviation: 0.2 mm, else 0.3 % of it."""
 
 
 def prepared(seed: int = 1) -> RehearsalBench:
     b = bench(Wiring(payload=2.0, friction=(0.0, 0.0, 0.0, 0.0, 0.1, 0.0)), seed=seed)
-    b.place(3, 0.5)
-    b.push(5)
-    b.clamp(0)
+    b.do("place", 3, 0.5)
+    b.do("push", 5)
+    b.do("clamp", 0)
     b._legs.legs["x"][0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
     return b
 
@@ -147,33 +147,33 @@ def test_what_hands_read_is_right_within_the_errors_of_tape_and_gauge(name):
 def test_the_chance_of_readings_is_that_of_the_seed_1_where_nothing_is_said():
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
     b = RehearsalBench(protocol, DriveEmulation(), DriveSettings(force_limit_N=RATED_N), STAND, Wiring())
-    assert b.measure(0) == bench(seed=1).measure(0)
+    assert b.do("measure", 0) == bench(seed=1).do("measure", 0)
 
 
 def test_without_a_leg_at_the_gauge_there_is_nothing_to_read():
     b = prepared()
-    b.clamp(None)
+    b.do("free")
     with pytest.raises(PlantError, match="no leg is clamped"):
-        b.read_gauge()
+        b.do("read_gauge")
 
 
 @pytest.mark.parametrize("leg", range(6))
 def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_taken_away(leg):
     b = bench()
     others = [k for k in range(6) if k != leg]
-    b.push(leg)
+    b.do("push", leg)
     assert b._legs.legs["hand"].tolist() == [50.0 * (k == leg) for k in range(6)]
-    b.let_go(leg)
-    b.push_others(leg)
+    b.do("let_go", leg)
+    b.do("push_others", leg)
     assert b._legs.legs["hand"].tolist() == [50.0 * (k != leg) for k in range(6)]
     before = np.array(lengths(b))
     b.cables.step(CALM, OPEN, CALM, 0.2)
     moved = np.array(lengths(b)) - before
     np.testing.assert_allclose(moved[others], HAND_M, rtol=0, atol=1e-12)
     assert moved[leg] == 0.0
-    b.let_go(others[0])
+    b.do("let_go", others[0])
     assert b._legs.legs["hand"][others[0]] == 0.0
-    b.let_go_all()
+    b.do("let_go_all")
     assert b._legs.legs["hand"].tolist() == [0.0] * 6
 
 
@@ -188,7 +188,7 @@ def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_
 def test_a_weight_presses_or_pulls_where_gravity_is_along_the_legs_and_does_neither_across(
     gravity, presses, way
 ):
-    assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).way() == way
+    assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).do("read_way") == way
 
 
 def test_a_platform_hangs_on_the_legs_as_they_are_mounted_where_it_really_hangs():
@@ -210,5 +210,5 @@ def test_a_platform_hangs_on_the_legs_as_they_are_mounted_where_it_really_hangs(
             joint = np.array([0.1, 0.0, height]) + 0.5 * R @ BASE[leg]
             base = BASE[wiring.base_joint[leg]]
             assert b.length(leg) == pytest.approx(float(np.sqrt(((joint - base) ** 2).sum())), abs=1e-12)
-        b.take_down()
+        b.do("take_down")
         assert not b.hung

@@ -121,43 +121,14 @@ class BenchHands:
 
     def ask(self, request: Request) -> None:
         """Do at the bench what is asked."""
-        bench, leg = self._bench, request.leg
-        self._answer = 0.0
+        bench, self._answer = self._bench, 0.0
         match request.act:
-            case "move":
-                bench.move(leg, request.value)
-            case "place":
-                bench.place(leg, request.value)
-            case "measure":
-                self._answer = bench.measure(leg)
-            case "push":
-                bench.push(leg)
-            case "push_others":
-                bench.push_others(leg)
-            case "read_push":
-                self._answer = bench.read_push(leg)
-            case "read_held":
-                self._answer = bench.read_held(leg)
-            case "let_go":
-                bench.let_go(leg)
-            case "let_go_all":
-                bench.let_go_all()
-            case "clamp":
-                bench.clamp(leg)
-            case "free":
-                bench.clamp(None)
-            case "read_gauge":
-                self._answer = bench.read_gauge()
-            case "weigh":
-                self._answer = bench.weigh()
-            case "read_way":
-                self._answer = bench.way()
             case "hang":
                 bench.hang(*self._poses[round(request.value)])
-            case "take_down":
-                bench.take_down()
             case "mount":
                 bench.cables.exchange(self._mounted())
+            case act:
+                self._answer = bench.do(act, request.leg, request.value)
         if request.text:
             self._say(f"    {request.text}: {'done' if self._answer == 0.0 else f'{self._answer:.4f}'}")
 

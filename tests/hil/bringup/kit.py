@@ -52,9 +52,9 @@ class Watched:
 
 
 class Seen(Plant):
-    """A plant whose steps are looked at: with the forces that the drives gave."""
+    """A plant whose steps are looked at: with its forces and brakes."""
 
-    def __init__(self, plant: Plant, look: Callable[[Array], None]) -> None:
+    def __init__(self, plant: Plant, look: Callable[[Array, Array], None]) -> None:
         self._plant, self._look, self.internal_step_s = plant, look, plant.internal_step_s
 
     def reset(self) -> tuple[Array, Array]:
@@ -62,7 +62,7 @@ class Seen(Plant):
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         found = self._plant.step(force, brake, wrench, dt_s)
-        self._look(force)
+        self._look(force, brake)
         return found
 
 
@@ -108,14 +108,9 @@ class Rehearsal:
         self.c = c = _configured(name)
         self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
-        leg_step, held = bench._legs.step, np.ones(6)
-
-        def at_legs(force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-            held[:] = brake
-            return leg_step(force, brake, wrench, dt_s)
-
-        bench._legs.step = at_legs  # type: ignore[method-assign]
-        bench.nodes._plant = Seen(bench.cables, lambda force: self.watched.look(bench, force, held))
+        held = np.ones(6)
+        bench.cables.exchange(Seen(bench._legs, lambda _, brake: np.copyto(held, brake)))
+        bench.nodes._plant = Seen(bench.cables, lambda force, _: self.watched.look(bench, force, held))
         self.hands = Hands(bench, c, stop_at)
         protocol = build_protocol(c)
         self.machine = build_machine(c, protocol)

@@ -60,7 +60,7 @@ def test_a_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
             request.act == "read_gauge"
             and rehearsal.drives.record["tau"][2] > 0.9 * rehearsal.machine.force_N
         ):
-            bench.clamp(None)
+            bench.do("free")
             late.append(bench.length(2))
 
     hands.ask = slips  # type: ignore[method-assign]
@@ -193,7 +193,7 @@ def test_a_brake_that_nobody_has_pushed_on_has_not_held():
         if request.act == "read_held" and request.leg == 3:
             reads.append(request.within)
             if len(reads) == 2:
-                rehearsal.bench.push(3)
+                rehearsal.bench.do("push", 3)
         ask(request)
 
     rehearsal.hands.ask = lazy  # type: ignore[method-assign]

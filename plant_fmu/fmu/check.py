@@ -115,17 +115,16 @@ class _Reader:
         self.major = major(description)
         self.units = {u.name: u for u in description.unitDefinitions}
         self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
-        self.names = list(self.by_name)
 
     def find(self, name: str) -> list[Any]:
         """Return the variable, or in FMI 2 the elements ``name[..]`` of an array written out."""
         if name in self.by_name:
             return [self.by_name[name]]
-        elements = [self.by_name[n] for n in self.names if n.startswith(f"{name}[")] if self.major < 3 else []
+        elements = [v for n, v in self.by_name.items() if self.major < 3 and n.startswith(f"{name}[")]
         if elements:
             return elements
-        close = sorted(n for n in self.names if name.lower().split("[")[0] in n.lower())[:8]
-        some = shown(", ".join(close or sorted(self.names)[:12]))
+        close = sorted(n for n in self.by_name if name.lower().split("[")[0] in n.lower())[:8]
+        some = shown(", ".join(close or sorted(self.by_name)[:12]))
         hint = f"; close to it: {some}" if close else f"; it has {some} ..."
         raise PlantError(f"{self.path}: the FMU has no variable {name!r}{hint}")
 

@@ -10,11 +10,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-from fmpy.fmi2 import fmi2CallbackAllocateMemoryTYPE as _Allocate
-from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as _Free
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 
 from drivers.arrays import Array
@@ -98,12 +95,8 @@ class FmuHost(PointedPlant):
         self._fmu = fmu
 
     def _callbacks_2(self) -> Any:
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(
-            lambda _env, _name, _status, _category, message: self._log(message)
-        )
-        callbacks.allocateMemory = _Allocate(fmpy.calloc)
-        callbacks.freeMemory = _Free(fmpy.free)
+        log = fmi2CallbackLoggerTYPE(lambda _env, _name, _status, _category, message: self._log(message))
+        callbacks = fmi2CallbackFunctions(log, defaultCallbacks.allocateMemory, defaultCallbacks.freeMemory)
         try:
             from fmpy.logging import addLoggerProxy  # noqa: PLC0415 - a binary that not every machine has
         except (ImportError, OSError):

@@ -24,7 +24,6 @@ _ROLES = {
     "length": ("output", "m", ("length", "position", "pos", "len", "q", "l", "stroke", "x")),
 }
 """Key -> causality, unit, words that are or end the name of such a variable; long ones may be within it."""
-_UNITS = {"force": "N", "length": "m", "rate": "m/s"}
 _NUMBER = re.compile(r"[_.\[(]?([0-9]{1,9})[\])]?")
 """Of a leg; Python refuses to read one of thousands of digits."""
 
@@ -68,8 +67,8 @@ def propose(path: Path) -> Proposal:
         found = _best([g for g in groups if g[0].name not in taken], *role)
         if found is not None:
             mapped[key] = tuple(v.name for v in found)
-            if key in _UNITS and any(stated_unit(v) is None for v in found):
-                unstated[key] = _UNITS[key]
+            if (unit := role[1]) and any(stated_unit(v) is None for v in found):
+                unstated[key] = unit
     return Proposal(
         tool=description.generationTool or "unknown tool",
         fmi=description.fmiVersion,

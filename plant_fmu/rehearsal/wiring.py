@@ -5,11 +5,10 @@ Every tuple has one element a drive, in the leg order of the configuration, unle
 
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from drivers.signals import LEGS
 
-_T = TypeVar("_T")
 OWN = tuple(range(LEGS))
 OWN_BRAKES = tuple(frozenset((leg,)) for leg in OWN)
 ONES = (1.0,) * LEGS
@@ -93,19 +92,6 @@ class Mistake:
     """The third one of a rotation."""
     value: float | None = None
     """Size; None is the one of the table."""
-
-
-def put(values: tuple[object, ...], leg: int, value: object) -> tuple[object, ...]:
-    """Return the values with another one for a leg."""
-    return (*values[:leg], value, *values[leg + 1 :])
-
-
-def turned(values: tuple[_T, ...], *legs: int) -> tuple[_T, ...]:
-    """Return the values with those of `legs` handed on, each to the one before it."""
-    changed = list(values)
-    for k, leg in enumerate(legs):
-        changed[leg] = values[legs[(k + 1) % len(legs)]]
-    return tuple(changed)
 
 
 MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
@@ -206,18 +192,18 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
     changes: dict[str, object] = {}
     for field in fields:
         there = getattr(wiring, field)
+        new = [] if count == 0 else list(there)
         if count > 1:
-            changes[field] = turned(there, *legs)
-        elif count == 0:
-            changes[field] = value
+            for leg, before in zip(legs, (*legs[1:], legs[0]), strict=True):
+                new[leg] = there[before]
         elif len(legs) == 2:
-            also = there[mistake.leg] | {mistake.other} if field == "brake" else mistake.other
-            changes[field] = put(there, mistake.leg, also)
-        else:
+            new[mistake.leg] = there[mistake.leg] | {mistake.other} if field == "brake" else mistake.other
+        elif legs:
             assert value is not None
             old = there[mistake.leg]
-            new = bool(value) if isinstance(old, bool) else old * value if field in _FACTORS else value
-            changes[field] = put(there, mistake.leg, new)
+            factor = old if field in _FACTORS else 1.0
+            new[mistake.leg] = bool(value) if isinstance(old, bool) else factor * value
+        changes[field] = tuple(new) if legs else value
     return replace(wiring, **cast("Any", changes))
 
 

@@ -6,6 +6,7 @@ Each is named, or ends the bring-up with a sentence; none releases the platform.
 import json
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import pytest
 
@@ -15,10 +16,19 @@ from hil.bringup.procedure import STEPS
 from hil.bringup.steps import brakes, encoder, ids
 from plant_fmu.faults.kinds import DriveSilence, EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.rehearsal.wiring import OWN, OWN_BRAKES, Mistake, Wiring, turned, wired
+from plant_fmu.rehearsal.wiring import OWN, OWN_BRAKES, Mistake, Wiring, wired
 from tests.hil.bringup.kit import Rehearsal, named
 
 BY_HAND = STEPS[:4]
+
+
+def swapped(values: tuple[Any, ...], i: int, j: int) -> tuple[Any, ...]:
+    """Exchange two of the values."""
+    found = list(values)
+    found[i], found[j] = values[j], values[i]
+    return tuple(found)
+
+
 PAIRS = {
     "swapped_and_its_encoder_reversed": (
         wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_sign", 4)),
@@ -33,11 +43,11 @@ PAIRS = {
         {("force_sign", (5,)), ("brake_stuck_shut", (0,))},
     ),
     "encoders_and_brakes_of_the_same_two": (
-        replace(Wiring(), encoder=turned(OWN, 2, 3), brake=turned(OWN_BRAKES, 2, 3)),
+        replace(Wiring(), encoder=swapped(OWN, 2, 3), brake=swapped(OWN_BRAKES, 2, 3)),
         {("ids", (2, 3)), ("motor_crossed", (2, 3))},  # the same as exchanged drives with crossed motors
     ),
     "motors_and_encoders_of_the_same_two": (
-        replace(Wiring(), encoder=turned(OWN, 0, 5), motor=turned(OWN, 0, 5)),
+        replace(Wiring(), encoder=swapped(OWN, 0, 5), motor=swapped(OWN, 0, 5)),
         {("encoder_crossed", (0, 5))},
     ),
     "two_pairs_of_drives": (

@@ -144,12 +144,21 @@ class LegFault(LastingFault):
     leg: Annotated[int, Field(ge=0, lt=LEGS)]
 
 
-class Passed:
-    """What a fault of passing frames remembers between them: its chance, and frames by `Place`."""
+class Occurrence:
+    """A fault in one run.
 
-    def __init__(self, generator: np.random.Generator) -> None:
-        self.generator = generator
+    Mutable state: when it begins, its chance, frames that it has seen, by `Place`, how often it has sent.
+    """
+
+    def __init__(self, fault: Fault, start_ns: int, generator: np.random.Generator) -> None:
+        self.fault, self.start_ns, self.generator = fault, start_ns, generator
         self.frames: dict[Place, list[Frame]] = {}
+        self.sent = 0
+
+    @property
+    def stop_ns(self) -> int:
+        """When it ends; beyond NEVER_NS where it does not begin."""
+        return self.start_ns + self.fault.lasts_ns
 
 
 Place = tuple[bool, int, int]
@@ -167,8 +176,8 @@ class Passage(LastingFault):
         del frame
         return True
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
-        """Return when and as what a frame arrives that was due at `t_ns`. Changes `passed`."""
+    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
+        """Return when and as what a frame arrives that was due at `t_ns`. Changes `own`."""
         raise NotImplementedError
 
 
@@ -188,11 +197,11 @@ class FrameFault(Passage):
         """Tell whether the fault may strike this frame."""
         return self.identifier in (None, frame.id)
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Strike at random."""
         del place
-        if passed.generator.random() < self.probability:
-            return self.strike(t_ns, frame, passed.generator)
+        if own.generator.random() < self.probability:
+            return self.strike(t_ns, frame, own.generator)
         return [(t_ns, frame)]
 
     def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:

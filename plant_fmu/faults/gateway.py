@@ -19,8 +19,8 @@ class Gateway:
     """Passes frames on as the faults of a schedule have it, and adds those of nodes that should not be there.
 
     A frame may leave it with a time to come: it is not on the bus before.
-    Mutable state: frames that are to be heard later, frames of others that are to be put on the bus, how
-    often each sender has sent, the time of the last step, what the protocol remembers at the drives' end.
+    Mutable state: frames that are to be heard later, frames of others that are to be put on the bus, the time
+    of the last step, what the protocol remembers at the drives' end.
     """
 
     def __init__(self, schedule: Schedule, protocol: DriveProtocol, t0_ns: int) -> None:
@@ -29,7 +29,6 @@ class Gateway:
         self._end = drives_end(protocol)
         self._later: list[Timed] = []
         self._added: list[Timed] = []
-        self._sent: dict[int, int] = {}
         self._until_ns = t0_ns
 
     def hear(self, received: Sequence[Received], until_ns: int) -> list[Received]:
@@ -53,7 +52,7 @@ class Gateway:
         protocol, addressed = self._protocol, self._protocol.addressed
         for message in self._end.hear(frame):
             if isinstance(message, Sync):
-                for _, fault in self._schedule.active(t_ns):
+                for fault in (own.fault for own in self._schedule.active(t_ns)):
                     if isinstance(fault, FramesForgedCommand):
                         asked = set(addressed(frame))  # all on the bus of a SYNC, or the one that is polled
                         frames = forged(protocol, fault.force_N, message.counter)
@@ -61,15 +60,11 @@ class Gateway:
 
     def _send(self, until_ns: int, heard: list[Timed]) -> None:
         """Let others send what they send by `until_ns`."""
-        for n, fault, start_ns, stop_ns in self._schedule.senders():
+        for fault, own in self._schedule.senders():
             period_ns = 1e9 / fault.rate_Hz
-            while True:
-                number = self._sent.get(n, 0)
-                t_ns = start_ns + round(number * period_ns)
-                if t_ns > until_ns or t_ns >= stop_ns:
-                    break
-                self._sent[n] = number + 1
-                self._add(t_ns, fault.frames(self._protocol, number), heard)
+            while (t_ns := own.start_ns + round(own.sent * period_ns)) <= until_ns and t_ns < own.stop_ns:
+                self._add(t_ns, fault.frames(self._protocol, own.sent), heard)
+                own.sent += 1
 
     def _add(self, t_ns: int, frames: Sequence[Frame], heard: list[Timed]) -> None:
         timed = [(t_ns, frame) for frame in frames]

@@ -14,8 +14,8 @@ from plant_fmu.faults.fault import (
     FrameFault,
     LastingFault,
     LegFault,
+    Occurrence,
     Passage,
-    Passed,
     Place,
     Present,
     last,
@@ -163,11 +163,11 @@ class FramesDelay(FrameFault, kind="frames_delay"):
 class FramesReorder(FrameFault, kind="frames_reorder"):
     """The frame arrives after the next one of its identifier on its bus."""
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
-        """Hold a frame back that is struck, until the next one has passed."""
-        held = passed.frames.pop(place, [])
-        if not held and passed.generator.random() < self.probability:
-            passed.frames[place] = [frame]
+    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
+        """Hold a frame back that is struck, until the next one has own."""
+        held = own.frames.pop(place, [])
+        if not held and own.generator.random() < self.probability:
+            own.frames[place] = [frame]
             return []
         return [(t_ns, each) for each in (frame, *held)]
 
@@ -207,14 +207,14 @@ class FramesOld(FrameFault, kind="frames_old"):
     back: Annotated[int, Field(ge=1, le=1000)] = 2
     """How many frames of this identifier ago, on its bus."""
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Remember the frame, and repeat an older one at random."""
-        seen = passed.frames.setdefault(place, [])
+        seen = own.frames.setdefault(place, [])
         seen.append(frame)
         if len(seen) <= self.back:
             return [(t_ns, frame)]
         old = seen.pop(0)
-        struck = passed.generator.random() < self.probability
+        struck = own.generator.random() < self.probability
         return [(t_ns, frame), (t_ns, old)] if struck else [(t_ns, frame)]
 
 
@@ -232,9 +232,9 @@ class BusOff(Passage, kind="bus_off"):
         """Tell whether a frame is on the bus that is cut."""
         return self.bus in (None, frame.bus)
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, passed: Passed) -> list[tuple[int, Frame]]:
+    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Lose every frame."""
-        del t_ns, frame, place, passed
+        del t_ns, frame, place, own
         return []
 
 

@@ -63,9 +63,7 @@ class Compiler(NamedTuple):
 
 def this_machine() -> str:
     """Key of TARGETS for the running interpreter. Raises PlantError for one that we do not build for."""
-    machine = platform.machine().lower()
-    system = {"win32": "windows"}.get(sys.platform, sys.platform)
-    key = f"{system}-{ {'amd64': 'x86_64', 'arm64': 'aarch64'}.get(machine, machine) }"
+    key = f"{sys.platform}-{platform.machine()}"
     if key not in TARGETS:
         raise PlantError(f"no FMU binary can be built for {key}; allowed are {', '.join(TARGETS)}")
     return key
@@ -86,12 +84,9 @@ def find_compiler(*, zig: bool = False) -> Compiler:
     """
     if not zig:
         wanted = os.environ.get("CC")
-        try:
-            found = shlex.split(wanted) if wanted else [p for p in [shutil.which("cc")] if p]
-        except ValueError:  # a quotation mark without its other
-            found = []
-        if found and (identity := _identity(tuple(found), "--version")):
-            return Compiler(tuple(found), zig=False, identity=identity)
+        found = tuple(shlex.split(wanted or shutil.which("cc") or ""))
+        if found and (identity := _identity(found, "--version")):
+            return Compiler(found, zig=False, identity=identity)
         if wanted:
             raise PlantError(f"the compiler in CC={wanted!r} does not run; mend or unset CC")
     if importlib.util.find_spec("ziglang") is not None:

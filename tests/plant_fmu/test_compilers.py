@@ -184,20 +184,12 @@ def test_a_failed_compilation_reports_the_last_2000_characters(monkeypatch, tmp_
     assert (asked["capture_output"], asked["text"], asked["cwd"]) == (True, True, tmp_path)
 
 
-def test_machines_that_a_binary_can_be_made_for_are_told_by_system_and_processor(monkeypatch):
-    machines = {
-        ("linux", "x86_64"): "linux-x86_64",
-        ("linux", "aarch64"): "linux-aarch64",
-        ("win32", "AMD64"): "windows-x86_64",
-        ("darwin", "arm64"): "darwin-aarch64",
-        ("darwin", "x86_64"): "darwin-x86_64",
-    }
-    for (system, machine), key in machines.items():
-        monkeypatch.setattr(sys, "platform", system)
-        monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
+def test_a_machine_without_a_target_is_refused(monkeypatch):
+    for key in ("linux-x86_64", "linux-aarch64"):
+        monkeypatch.setattr("platform.machine", lambda key=key: key.split("-")[1])
         assert builder.this_machine() == key
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
-    with pytest.raises(PlantError, match="can be built for darwin-riscv64; allowed are linux-x86_64, "):
+    with pytest.raises(PlantError, match="can be built for linux-riscv64; allowed are linux-x86_64, "):
         builder.this_machine()
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
-from plant_fmu.faults.fault import NEVER_NS, Passage, Passed
+from plant_fmu.faults.fault import NEVER_NS, Fault, Occurrence, Passage
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.kinds import (
     BusFlood,
@@ -42,7 +42,7 @@ TIMES = sorted(
 
 
 def numbers(schedule: Schedule, t_ns: int) -> list[int]:
-    return [number for number, _ in schedule.active(t_ns)]
+    return [FAULTS.index(own.fault) for own in schedule.active(t_ns)]
 
 
 def test_which_faults_are_present_does_not_depend_on_what_was_asked_before():
@@ -145,7 +145,7 @@ def test_a_frame_is_struck_where_its_draw_is_below_the_probability_and_not_where
 ):
     frame, place = Frame(5, b"x"), (True, 0, 5)
     for draw, count in ((0.25, when_struck), (0.5, 1), (0.75, 1)):
-        passed = Passed(cast("Any", SimpleNamespace(random=lambda draw=draw: draw)))
+        passed = Occurrence(Fault(), 0, cast("Any", SimpleNamespace(random=lambda draw=draw: draw)))
         passed.frames[place] = [] if kind is FramesReorder else [frame] * 2
         assert len(kind(probability=0.5).carry(0, frame, place, passed)) == count, draw
 
@@ -158,7 +158,7 @@ def test_a_fault_lasts_a_nanosecond_at_least_and_to_the_end_where_nothing_is_sai
 
 
 def test_a_kind_of_fault_that_does_not_say_what_it_does_to_frames_concerns_all_and_is_an_error():
-    frame, place, passed = Frame(5, b"x"), (True, 0, 5), Passed(np.random.default_rng(0))
+    frame, place, passed = Frame(5, b"x"), (True, 0, 5), Occurrence(Fault(), 0, np.random.default_rng(0))
     assert Passage(kind="x").concerns(frame)
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
     for use in (

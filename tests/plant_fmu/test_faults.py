@@ -124,7 +124,7 @@ def test_every_fault_of_the_table_changes_a_run_that_was_without_faults(name):
         present = vars(schedule.present(0))
         here = {key: value for key, value in present.items() if key not in ("since_ns", "generator")}
         carried = [schedule.carry(k * MS, FRAME._replace(data=bytes([k])), to_drives=True) for k in range(3)]
-        return str((here, carried, [next(iter(entry)) for entry in schedule.senders()], plan.touches_frames))
+        return str((here, carried, [fault for fault, _ in schedule.senders()], plan.touches_frames))
 
     assert outcome() == outcome()
     assert outcome(example(name)) != outcome()
@@ -359,11 +359,15 @@ def test_frames_are_touched_where_any_one_of_the_faults_does_so():
 def test_each_sender_has_its_own_time_and_none_sends_before_its_mode_is_reached(first):
     bounded, waiting = BusFlood(at_s=1.0, for_s=2.0), BusFlood(mode="TRACKING", at_s=0.5, for_s=4.0)
     schedule = Schedule(FaultPlan([first, bounded, waiting, BusSecondController(at_s=3.0)]), 7 * S)
-    second = (3, BusSecondController(at_s=3.0), 10 * S, 10 * S + NEVER_NS)
-    assert list(schedule.senders()) == [(1, bounded, 8 * S, 10 * S), second]
+
+    def sending() -> list[tuple[Fault, int, int]]:
+        return [(fault, own.start_ns, own.stop_ns) for fault, own in schedule.senders()]
+
+    second = (BusSecondController(at_s=3.0), 10 * S, 10 * S + NEVER_NS)
+    assert sending() == [(bounded, 8 * S, 10 * S), second]
     schedule.reached("TRACKING", 20 * S)
-    begun = (2, waiting, round(20.5 * S), round(24.5 * S))
-    assert list(schedule.senders()) == [(1, bounded, 8 * S, 10 * S), begun, second]
+    begun = (waiting, round(20.5 * S), round(24.5 * S))
+    assert sending() == [(bounded, 8 * S, 10 * S), begun, second]
 
 
 def test_a_bus_that_is_off_is_the_one_that_is_named_or_else_every_one():

@@ -8,7 +8,7 @@ import pytest
 from drivers.config import MAX_BUSES
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, Frame
-from plant_fmu.faults.fault import Fault, LastingFault, Passed
+from plant_fmu.faults.fault import Fault, LastingFault, Occurrence
 from plant_fmu.faults.kinds import (
     BusFlood,
     BusOff,
@@ -66,10 +66,11 @@ def test_a_fault_that_lasts_less_than_a_nanosecond_is_there_for_one():
 
 
 def test_a_frame_that_is_held_back_comes_once_after_the_next_one():
-    fault, passed = FramesReorder(), Passed(np.random.default_rng(1))
+    fault = FramesReorder()
+    own = Occurrence(fault, 0, np.random.default_rng(1))
     first, second, third = (Frame(0x80, bytes((k,))) for k in range(3))
     place = (True, 0, 0x80)
-    assert fault.carry(1, first, place, passed) == []
-    assert fault.carry(2, second, place, passed) == [(2, second), (2, first)]
-    assert fault.carry(3, third, place, passed) == [], "the next one is held back anew"
-    assert fault.carry(4, first, place, passed) == [(4, first), (4, third)]
+    assert fault.carry(1, first, place, own) == []
+    assert fault.carry(2, second, place, own) == [(2, second), (2, first)]
+    assert fault.carry(3, third, place, own) == [], "the next one is held back anew"
+    assert fault.carry(4, first, place, own) == [(4, first), (4, third)]

@@ -213,7 +213,7 @@ def serve(line: Connection, parent: int, folder: str) -> None:
         if host is not None:
             with contextlib.suppress(PlantError):  # an FMU that cannot be freed goes with its process
                 host.close()
-    except (EOFError, OSError):  # the parent is gone
+    except (EOFError, ConnectionError):  # the parent is gone
         ending.join()
 
 

@@ -45,7 +45,7 @@ def numbers(schedule: Schedule, t_ns: int) -> list[int]:
     return [FAULTS.index(own.fault) for own in schedule.active(t_ns)]
 
 
-def test_which_faults_are_present_does_not_depend_on_what_was_asked_before():
+def test_present_faults_do_not_depend_on_earlier_queries():
     schedule = Schedule(FaultPlan(FAULTS), 0)
     for pair in itertools.product(TIMES, TIMES):
         for t_ns in pair:
@@ -53,14 +53,14 @@ def test_which_faults_are_present_does_not_depend_on_what_was_asked_before():
             assert numbers(schedule, t_ns) == expected, pair
 
 
-def test_a_mode_that_is_reached_counts_at_once_although_the_same_instant_was_asked_for():
+def test_reached_mode_counts_at_once():
     schedule = Schedule(FaultPlan(FAULTS), 0)
     assert numbers(schedule, 9 * MS) == [2]
     assert schedule.reached("TRACKING", 9 * MS)
     assert numbers(schedule, 9 * MS) == [2, 3]
 
 
-def test_edges_are_each_told_once_rising_from_the_instant_on_and_never_ends_are_none():
+def test_edges_are_unique_and_rising_and_omit_never():
     plan = FaultPlan([*FAULTS, DriveSilence(leg=0), DriveSilence(leg=5, at_s=2e-3, for_s=2e-3)])
     schedule = Schedule(plan, 0)
     edges = [0, 2 * MS, 3 * MS, 3 * MS + 1, 4 * MS, 5 * MS]
@@ -77,7 +77,7 @@ def test_a_fault_has_begun_at_its_instant_and_waits_only_for_a_mode():
     assert schedule.waiting == FAULTS[3:]
 
 
-def test_what_a_stranger_has_sent_stays_his_on_the_way_through_further_faults():
+def test_foreign_frame_stays_foreign_through_further_faults():
     """One that repeats the last frame, and one that is late."""
     schedule = Schedule(FaultPlan([FramesOld(back=1), FramesDelay(by_ms=1.0)]), 0)
     found = []
@@ -100,7 +100,7 @@ def test_two_senders_count_each_its_own_frames_and_a_late_frame_is_heard_once_at
     assert [t for identifier, t in heard if identifier == 9] == [3]
 
 
-def test_a_plan_of_which_nothing_is_said_has_the_seed_0_and_the_gravity_of_the_earth_downwards():
+def test_plan_defaults_to_seed_0_and_earth_gravity():
     assert FaultPlan().gravity.tolist() == [0.0, 0.0, -9.81]
     draws = []
     for plan in (FaultPlan([FramesLoss(probability=0.5)]), FaultPlan([FramesLoss(probability=0.5)], seed=0)):
@@ -110,7 +110,7 @@ def test_a_plan_of_which_nothing_is_said_has_the_seed_0_and_the_gravity_of_the_e
     assert 0 < sum(draws[0]) < 64
 
 
-def test_each_fault_draws_from_its_own_chance_and_goes_on_with_it_after_others():
+def test_each_fault_has_a_random_generator_of_its_own():
     noises = [EncoderNoise(leg=0, sigma_m=1.0), EncoderNoise(leg=0, sigma_m=1.0)]
     schedule = Schedule(FaultPlan([DriveSilence(leg=1, for_s=1e-3), *noises]), 0)
     first, then = ([draw for _, _, draw in schedule.present(t_ns).noise] for t_ns in (0, 2 * MS))

@@ -65,7 +65,7 @@ def test_a_fault_that_lasts_less_than_a_nanosecond_is_there_for_one():
     assert [bool(schedule.active(t)) for t in range(4)] == [False, True, False, False]
 
 
-def test_a_frame_that_is_held_back_comes_once_after_the_next_one():
+def test_held_frame_comes_once_after_the_next_one():
     fault = FramesReorder()
     own = Occurrence(fault, 0, np.random.default_rng(1))
     first, second, third = (Frame(0x80, bytes((k,))) for k in range(3))

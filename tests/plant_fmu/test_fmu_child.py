@@ -81,7 +81,7 @@ def altered(folder, code, line=STEP_LINE):
         ("for (;;) usleep(1000);", "did not step within 0.5 s"),
     ],
 )
-def test_what_would_take_us_down_becomes_an_error(tmp_path, monkeypatch, code, word):
+def test_crash_exit_or_hang_of_an_fmu_becomes_an_error(tmp_path, monkeypatch, code, word):
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     path = altered(tmp_path, f"{code} const Status status = OK;")
     host = ChildHost(spec(path))
@@ -97,7 +97,7 @@ def test_what_would_take_us_down_becomes_an_error(tmp_path, monkeypatch, code, w
 
 
 @pytest.mark.parametrize("status", [-7, 9])
-def test_a_status_that_fmi_does_not_have_is_a_refusal(tmp_path, status):
+def test_unknown_status_counts_as_a_refusal(tmp_path, status):
     path = altered(tmp_path, f"if (time > 0) return {status}; {STEP_LINE}")
     with contextlib.closing(FmuHost(spec(path))) as host:
         host.step(FORCE, OPEN, OPEN, 1e-3)
@@ -149,7 +149,7 @@ def test_an_fmu_that_ends_the_simulation_is_reported(tmp_path, kind):
 
 
 @pytest.mark.parametrize("kind", [FmuHost, ChildHost])
-def test_an_fmu_that_lacks_a_function_is_named(tmp_path, kind):
+def test_missing_fmi_function_is_named(tmp_path, kind):
     path = altered(tmp_path, "API FMI(fmi3DoStepX)(", "API FMI(fmi3DoStep)(")
     with pytest.raises(PlantError, match="fmi3DoStep"):
         kind(spec(path))
@@ -162,7 +162,7 @@ def test_an_fmu_that_dies_while_loading_is_reported(tmp_path):
         ChildHost(spec(path))
 
 
-def test_reasons_cross_from_the_child():
+def test_refusals_in_the_child_reach_the_caller():
     with pytest.raises(PlantError, match="no such FMU file"):
         ChildHost(spec("/nowhere/x.fmu"))
     host = ChildHost(spec(build("3.0")))

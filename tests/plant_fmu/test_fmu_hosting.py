@@ -83,6 +83,22 @@ def test_a_child_of_a_process_without_real_time_keeps_what_it_has_and_one_that_h
     assert len(given) == 1
 
 
+def served(monkeypatch: pytest.MonkeyPatch, error: Exception) -> str:
+    """Return what the child answers where loading the FMU raises an error."""
+
+    def refuse(spec: FmuSpec) -> None:
+        raise error
+
+    monkeypatch.setattr(child, "FmuHost", refuse)
+    monkeypatch.setattr(child, "_bound_memory", lambda _: None)
+    monkeypatch.setattr(child, "_end_with_parent", lambda *_: None)
+    ours, theirs = Pipe()
+    ours.send(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
+    ours.send(None)
+    child.serve(theirs, 1, "no folder")
+    return str(ours.recv())
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [
@@ -91,17 +107,14 @@ def test_a_child_of_a_process_without_real_time_keeps_what_it_has_and_one_that_h
         (MemoryError(), "no memory is left for the FMU's process: plant.model.memory_GB bounds it"),
     ],
 )
-def test_a_refusal_in_the_child_reaches_the_parent(monkeypatch, tmp_path, error, said):
-    def refuse(spec: FmuSpec) -> None:
-        raise error
+def test_a_refusal_in_the_child_reaches_the_parent(monkeypatch, error, said):
+    assert served(monkeypatch, error) == said
 
-    monkeypatch.setattr(child, "FmuHost", refuse)
-    monkeypatch.setattr(child, "_bound_memory", lambda _: None)
-    ours, theirs = Pipe()
-    ours.send(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
-    ours.send(None)
-    child.serve(theirs, os.getppid(), str(tmp_path))
-    assert ours.recv() == said
+
+@pytest.mark.parametrize("error", [ZeroDivisionError(), OSError("no space left")])
+def test_an_unforeseen_error_ends_the_child(monkeypatch, error):
+    with pytest.raises(type(error)):
+        served(monkeypatch, error)
 
 
 def test_a_process_that_cannot_be_started_leaves_nothing_open_and_would_not_have_written_to_our_output(

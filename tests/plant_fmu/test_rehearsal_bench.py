@@ -55,20 +55,20 @@ def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[b
     return [bool(moved) for moved in np.abs(np.array(lengths(b)) - before) > 1e-9]
 
 
-def test_legs_begin_apart_between_a_third_and_two_of_their_stroke_and_are_those_of_the_nodes():
+def test_legs_begin_at_different_lengths_that_the_nodes_measure():
     b = bench()
     np.testing.assert_allclose(lengths(b), SHORT + STROKE * np.linspace(0.35, 0.6, 6), rtol=1e-12)
     np.testing.assert_array_equal(b.nodes.snapshot().length, lengths(b))
 
 
-def test_encoders_that_count_too_much_are_right_at_the_middle_of_the_stroke():
+def test_scaled_encoders_are_right_at_mid_stroke():
     b = bench(Wiring(scale=(2.0,) * 6))
     reads, _ = b.cables.reset()
     np.testing.assert_allclose(reads, 0.65 + 2.0 * (np.array(lengths(b)) - 0.65), rtol=1e-12)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_each_leg_has_its_friction_and_a_brake_of_the_stated_force_besides(side):
+def test_brake_force_adds_to_the_friction_of_each_leg(side):
     """6 N of friction, and 1 % of 1000 N a leg more from leg to leg; 200 N of brake."""
     extra = tuple(0.01 * leg for leg in range(6))
     holds = 6.0 + 10.0 * np.arange(6)
@@ -78,14 +78,14 @@ def test_each_leg_has_its_friction_and_a_brake_of_the_stated_force_besides(side)
         assert gives_way(b, side * (most + 0.5), brake) == [True] * 6
 
 
-def test_legs_whose_friction_is_not_known_have_a_thousandth_of_the_rated_force():
+def test_unknown_friction_is_a_thousandth_of_the_rated_force():
     b = bench(stand=STAND._replace(friction_N=0.0))
     assert gives_way(b, np.full(6, 0.9), OPEN) == [False] * 6
     assert gives_way(b, np.full(6, 1.1), OPEN) == [True] * 6
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_leg_is_moved_to_a_share_of_its_stroke_and_2_percent_of_it_beyond_its_ends_at_most(leg):
+def test_placed_leg_goes_at_most_2_percent_beyond_its_ends(leg):
     shorter = tuple(0.1 if k == leg else 0.0 for k in range(6))
     for wiring, longest in ((Wiring(), 0.806), (Wiring(shorter=shorter), 0.776)):
         b = bench(wiring)
@@ -144,13 +144,13 @@ def test_what_hands_read_is_right_within_the_errors_of_tape_and_gauge(name):
     assert take(b) == pytest.approx(true + 2.0 * sigma, rel=1e-9), "an error above zero is one above"
 
 
-def test_the_chance_of_readings_is_that_of_the_seed_1_where_nothing_is_said():
+def test_default_seed_of_readings_is_1():
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
     b = RehearsalBench(protocol, DriveEmulation(), DriveSettings(force_limit_N=RATED_N), STAND, Wiring())
     assert b.do("measure", 0) == bench(seed=1).do("measure", 0)
 
 
-def test_without_a_leg_at_the_gauge_there_is_nothing_to_read():
+def test_gauge_without_a_leg_is_refused():
     b = prepared()
     b.do("free")
     with pytest.raises(PlantError, match="no leg is clamped"):
@@ -158,7 +158,7 @@ def test_without_a_leg_at_the_gauge_there_is_nothing_to_read():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_taken_away(leg):
+def test_hand_pushes_with_a_twentieth_of_the_rated_force(leg):
     b = bench()
     others = [k for k in range(6) if k != leg]
     b.do("push", leg)
@@ -185,13 +185,11 @@ def test_a_hand_pushes_its_legs_with_a_twentieth_of_the_rated_force_until_it_is_
         *[(1.0, 0.3, 0.0), (1.0, -0.3, 0.0)],
     ],
 )
-def test_a_weight_presses_or_pulls_where_gravity_is_along_the_legs_and_does_neither_across(
-    gravity, presses, way
-):
+def test_weight_presses_or_pulls_only_along_the_legs(gravity, presses, way):
     assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).do("read_way") == way
 
 
-def test_a_platform_hangs_on_the_legs_as_they_are_mounted_where_it_really_hangs():
+def test_hung_platform_sets_the_lengths_of_its_legs_as_mounted():
     """0.55 m above the base, whose joints are on a circle of 1 m, the platform's on one of 0.5 m."""
     stand = STAND._replace(length_max=2.0)
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

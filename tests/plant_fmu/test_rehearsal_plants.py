@@ -116,7 +116,7 @@ def test_a_rate_has_a_sign_and_a_unit_of_its_own():
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("leg", range(6))
-def test_a_hand_follows_no_faster_than_a_hand_and_no_further_than_its_reach(side, leg):
+def test_hand_follows_a_leg_at_its_rate_up_to_its_reach(side, leg):
     start = np.full(6, 0.5)
     legs = TrestleLegs(100.0, mass=20.0, friction=10.0, brake=1e4, shortest=0.2, longest=0.8, x=start)
     legs.push(leg, side * 500.0)
@@ -220,7 +220,7 @@ def test_free_legs_are_accelerated_by_force_over_mass_less_friction():
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_legs_come_to_the_rate_at_which_their_damping_takes_all_of_the_force(side):
+def test_legs_reach_the_rate_at_which_damping_balances_the_force(side):
     """2000 N s2/m2: 20 N at 0.1 m/s, whatever they weigh."""
     _, v = trestles().step(np.full(6, side * 20.0), CALM, CALM, 0.3)
     np.testing.assert_allclose(v, side * 0.1, rtol=1e-4)
@@ -236,7 +236,7 @@ def test_each_leg_has_its_own_brake_and_its_own_ends_of_travel():
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_leg_that_just_reaches_its_end_still_moves_and_stands_once_it_is_beyond(side):
+def test_leg_stops_only_beyond_its_end(side):
     force = np.full(6, side * 5.0)
     free = trestles()
     reached, rate = free.step(force, CALM, CALM, 0.01)
@@ -250,7 +250,7 @@ def test_a_leg_that_just_reaches_its_end_still_moves_and_stands_once_it_is_beyon
     assert v.tolist() == [0.0] * 6
 
 
-def test_a_brake_holds_each_leg_and_a_hand_moves_the_one_whose_brake_is_open_by_its_reach():
+def test_hand_moves_only_the_leg_with_an_open_brake():
     legs, brakes = trestles(), np.ones(6)
     brakes[4] = 0.0
     legs.push(4, -50.0)
@@ -277,7 +277,7 @@ def test_the_gauge_is_a_spring_at_its_leg_alone():
     assert legs.gauge() == pytest.approx((x[3] - 0.3) * 6.0 / GAUGE_YIELD_M, rel=1e-9)
 
 
-def test_each_leg_is_moved_to_its_own_ends_and_clamped_where_it_is_and_a_reset_undoes_it():
+def test_reset_undoes_placing_and_clamping():
     legs = trestles()
     for leg in range(6):
         for asked, length in ((0.0, 0.25 - 0.001 * leg), (1.0, 0.35 + 0.001 * leg)):
@@ -300,7 +300,7 @@ def test_a_force_that_is_not_finite_is_refused_and_nothing_moves():
     assert legs.legs["x"].tolist() == [0.3] * 6
 
 
-def test_a_leg_that_is_moved_by_hand_stands_where_it_is_put():
+def test_placed_leg_stays_where_it_is_put():
     legs = trestles()
     legs.step(np.full(6, 50.0), CALM, CALM, 0.01)
     before = legs.legs["x"].copy()
@@ -310,7 +310,7 @@ def test_a_leg_that_is_moved_by_hand_stands_where_it_is_put():
     assert (np.delete(x - before, 4) > 1e-4).all(), "the others go on"
 
 
-def test_another_plant_behind_the_cables_begins_anew():
+def test_exchanged_plant_is_reset():
     plant, first = wired(Wiring(motor=(1, 0, 2, 3, 4, 5)))
     other = Legs()
     plant.exchange(other)
@@ -320,7 +320,7 @@ def test_another_plant_behind_the_cables_begins_anew():
     assert not first.force.any()
 
 
-def test_what_a_plant_knows_is_told_through_the_cables_and_it_is_closed_with_them():
+def test_cables_pass_on_truth_and_closing():
     class Known(Legs):
         def truth(self) -> Truth | None:
             return truth

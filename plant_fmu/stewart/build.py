@@ -11,6 +11,7 @@ import sys
 import tempfile
 import uuid
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,7 +85,9 @@ def find_compiler(*, zig: bool = False) -> Compiler:
     """
     if not zig:
         wanted = os.environ.get("CC")
-        found = tuple(shlex.split(wanted or shutil.which("cc") or ""))
+        found: tuple[str, ...] = ()
+        with suppress(ValueError):  # a quotation mark without its other
+            found = tuple(shlex.split(wanted or shutil.which("cc") or ""))
         if found and (identity := _identity(found, "--version")):
             return Compiler(found, zig=False, identity=identity)
         if wanted:

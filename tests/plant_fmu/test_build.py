@@ -141,7 +141,7 @@ def test_a_compiler_that_fails_is_an_error_with_its_output(monkeypatch, tmp_path
     assert list((tmp_path / "hexapod-hil" / "fmu").glob("*/*")) == []
 
 
-@pytest.mark.parametrize("wanted", ["no-such-compiler", " "])
+@pytest.mark.parametrize("wanted", ['"gcc', "no-such-compiler", " "])
 def test_a_compiler_that_cannot_be_called_is_named(monkeypatch, wanted):
     monkeypatch.setenv("CC", wanted)
     with pytest.raises(PlantError, match=re.escape(f"the compiler in CC={wanted!r} does not run; mend or")):

@@ -283,7 +283,7 @@ def hearing(protocol: DriveProtocol) -> Hearing:
 
 
 def _python_hearing(protocol: DriveProtocol) -> Hearing:
-    wanted = tuple(sorted(protocol.feedback_ids))
+    wanted = tuple(sorted(protocol.traits.feedback_ids))
     places = {each: place for place, each in enumerate(wanted, 1)}
 
     def fresh(_context: int, frame: int, tick: int, since_ns: int) -> int:

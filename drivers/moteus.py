@@ -11,6 +11,7 @@ reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 """
 
 import struct
+from functools import cached_property
 from math import nan
 
 import numpy as np
@@ -23,7 +24,7 @@ from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import FALLS
 from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
-from drivers.protocol import BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said
+from drivers.protocol import BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said, Traits
 from drivers.signals import LEGS, DriveFault, Reaction
 from drivers.tick_columns import Record
 
@@ -78,6 +79,8 @@ def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
 TORQUE_AT = 14
 """Of its bytes the first one of the torque."""
 STOP = kernels.pad(b"\x01\0\0" + QUERY)
+_ANSWER = kernels.pad(b"\x21\0\x0a\x2f\x01" + bytes(12) + b"\x23\x0d\0\0\0")
+"""An answer to QUERY."""
 _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
 
 
@@ -87,14 +90,13 @@ class MoteusProtocol(MotorProtocol):
     ear, obey, encode, rule = kernels.hear, kernels.obey, kernels.encode, FALLS
     number_at, everyone, delivered_s = (0, ALL_NODES), ALL_NODES, DEFAULT_TIMEOUT_S
     rejections = "mode {0:g}", "position mode that is no torque command", "subframes that are not whole"
-    shares_identifiers = False
     fault_names = FAULTS
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "moteus", "fd", ("host_id", "timeout_mode", "torque_N_m"))
         transmission, nodes = options.transmission, drives.node_ids
-        timeout_mode = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
+        self._reaction = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
         self.torque_limit = most = options.positive("torque_N_m", _MAX_TORQUE)
         name = f"moteus, by drives.options: torque_N_m {most:g},"
         refuse_torque(transmission, drives.force_limit_N, most, name)
@@ -111,12 +113,22 @@ class MoteusProtocol(MotorProtocol):
             )
         answers = tuple(node << 8 | host for node in nodes)
         super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
-        self.reactions = (timeout_mode,)
         self.tables["replies"], self.tables["codes"] = answers, codes_of(_CODES, 33)
-        does = "0, stopped" if timeout_mode == Reaction.BRAKE else "12, zero velocity"
-        self.dangers = _BRAKES, _TIME_IS_OVER.format(does)
 
     # controller's end
+
+    @cached_property
+    def traits(self) -> Traits:
+        """Those of drives that answer commands at once; a stop does not latch."""
+        does = "0, stopped" if self._reaction == Reaction.BRAKE else "12, zero velocity"
+        return self.traits_of(
+            (Frame(each, _ANSWER, FD | BRS | (EXTENDED if each > 0x7FF else 0)) for each in self.wanted),
+            emergency_stop=self._commands(STOP),
+            identity_requests=tuple(self._commands(kernels.pad(ask)) for ask in (WHO, WHICH)),
+            command_delay_ticks=1,
+            reactions=(self._reaction,),
+            dangers=(_BRAKES, _TIME_IS_OVER.format(does)),
+        )
 
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return a stop, whatever is asked for but torque, and torque; each with its query."""
@@ -126,10 +138,6 @@ class MoteusProtocol(MotorProtocol):
     def _commands(self, data: bytes) -> tuple[Frame, ...]:
         first, flags = REPLY_WANTED | self._host << 8, EXTENDED | FD | BRS
         return self.to_each(Frame(first | node, data, flags) for node in self.nodes)
-
-    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
-        """Return the queries for the serial number, and for the version of the firmware."""
-        return tuple(self._commands(kernels.pad(ask)) for ask in (WHO, WHICH))
 
     def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number, 96 bits, or the version of the firmware as the revision."""
@@ -144,10 +152,6 @@ class MoteusProtocol(MotorProtocol):
             return None
         number = sum((int(word) & _WORD) << 32 * k for k, word in enumerate(words))
         return Said(self.wanted.index(identifier), REVISION if has & 1 else SERIAL, number)
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Return a stop for each drive: it does not latch."""
-        return self._commands(STOP)
 
     # drives' end
 

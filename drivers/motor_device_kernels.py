@@ -215,7 +215,7 @@ class MotorDrivesEnd(ends.CompiledDrives):
         d["hear"], d["ear"] = family.ear.address, data_at(family.tables)
         d["nodes"], (d["shift"], d["mask"]) = family.tables["nodes"], family.number_at
         d["everyone"], d["requests"] = family.everyone, family.requests_id
-        d["watchdog_ns"], d["reaction"] = round(family.delivered_s * 1e9), family.reactions[0]
+        d["watchdog_ns"], d["reaction"] = round(family.delivered_s * 1e9), family.traits.reactions[0]
         d["buses"], d["bus_of"] = family.buses, family.bus_of
         family.transmission.fill(d)
         family.power_up(d)

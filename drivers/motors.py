@@ -8,7 +8,7 @@ anew, where it says so: a moteus may have obeyed the next command before it answ
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +24,8 @@ from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.frame_pointers import code, value
 from drivers.motor_device_kernels import MotorDrivesEnd
 from drivers.motor_kernels import EAR, FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
-from drivers.protocol import ALL_LEGS, DeviceMessage, DriveSetup, Frame, Resolution, Said, Sync, off_bus
-from drivers.signals import LEGS, NEVER, DriveMode, DriveState, Reaction
+from drivers.protocol import ALL_LEGS, DeviceMessage, DriveSetup, Frame, Resolution, Said, Traits, off_bus
+from drivers.signals import LEGS, NEVER, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
@@ -68,8 +68,8 @@ class MotorController(CompiledController):
         m["hear"], m["ear"], m["frames"] = family.ear.address, data_at(family.tables), data_at(self._frames)
         m["rule"], m["clears"] = family.rule, family.clears
         m["torque_at"], m["torque_bits"], m["torque_end"] = family.torque_field
-        m["torque_limit"], m["unasked"] = family.torque_limit, family.unasked_s > 0.0
-        m["reports"] = family.power_told != "never"
+        m["torque_limit"], m["unasked"] = family.torque_limit, family.traits.unasked_s > 0.0
+        m["reports"] = family.traits.power_told != "never"
         m["buses"], m["bus_of"] = family.buses, family.bus_of
         family.transmission.fill(m)
         for leg, exchanges in enumerate(self._exchanges):
@@ -169,17 +169,12 @@ class MotorProtocol(Family):
     """The watchdog of a drive as it is delivered."""
     rejections: tuple[str, ...]
     """Why a frame is rejected, by the number of its kernel: of the number that is wrong, size and kind."""
-    reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     fault_names: Mapping[int, str] = {}
     """What the family's fault codes mean, less OWN_CODE."""
     fault_bits = False
     """Whether a fault code is a sum of those."""
     torque_limit: float
     """N m, the largest that a command carries."""
-    command_delay_ticks = 1
-    set_up_frames, reset_ticks = 0, 3
-    stop_latches = force_on_brakes = latches_together = False
-    shares_identifiers = True
 
     def __init__(
         self,
@@ -200,7 +195,7 @@ class MotorProtocol(Family):
         self.tables: Record = np.zeros((), EAR)
         """What `ear` works on."""
         self.tables["nodes"] = nodes
-        self.wanted, self.feedback_ids = tuple(answers), frozenset(answers)
+        self.wanted = tuple(answers)
 
     # what a family gives
 
@@ -232,9 +227,11 @@ class MotorProtocol(Family):
 
     # what is the same in all
 
-    def resolution(self, _rate_Hz: float) -> Resolution:
-        """Return that of singles."""
-        return Resolution.of_singles()
+    def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
+        """Return the traits of a family, given an example of each drive's feedback and what is its own."""
+        torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
+        same = {"resolution": Resolution.of_singles(), "feedback_ids": frozenset(self.wanted)}
+        return Traits(sent=(*self.polls, *torques), feedbacks=self.to_each(feedbacks), **same | own)
 
     def fault_text(self, code: int) -> str:
         """Return the meaning of a code of the column `drive_fault`, at least OWN_CODE; empty: unknown."""
@@ -248,13 +245,6 @@ class MotorProtocol(Family):
         _, bits, end = self.torque_field
         codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
-
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame of a tick: polls that are no commands, torques, feedbacks."""
-        zeros, running = np.zeros(LEGS), np.full(LEGS, _RUN, np.int64)
-        torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
-        answers = self.drives_end().reply(Sync(0), self.transmission.length(zeros), zeros, zeros, running)
-        return (*self.polls, *torques, *(frame for _, frame in answers))
 
     def refuse_nodes(self, least: int, most: int, family: str, why: str = "") -> None:
         """Raise ConfigurationError for a drive's number that is out of range."""
@@ -271,8 +261,8 @@ class MotorProtocol(Family):
             raise ProtocolError(
                 f"drive watchdog of {setup.watchdog_s} s: more than 0 up to 100 s are allowed"
             )
-        if setup.reaction not in self.reactions:
-            names = " or ".join(each.name.lower() for each in self.reactions)
+        if setup.reaction not in self.traits.reactions:
+            names = " or ".join(each.name.lower() for each in self.traits.reactions)
             raise ProtocolError(
                 f"reactions.silence {setup.reaction.name.lower()}: these drives {names} by themselves; "
                 "write that"

@@ -15,6 +15,7 @@ message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set wi
 """
 
 import struct
+from functools import cached_property
 from math import ceil
 from typing import Any
 
@@ -44,6 +45,7 @@ from drivers.protocol import (
     EmergencyStop,
     Frame,
     Said,
+    Traits,
 )
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import Record
@@ -289,19 +291,14 @@ class ODriveProtocol(MotorProtocol):
         "closed loop without torque control",
         "torque that is no number",
     )
-    command_delay_ticks = 0
-    stop_latches = True
-    shares_identifiers = False
-    power_told = "heartbeat"
     torque_limit = _MAX_TORQUE
-    dangers = _BRAKES, _WATCHDOGS
     fault_names, fault_bits = ERRORS, True
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "odrive", "classic", (UNASKED,))
         transmission, nodes = options.transmission, drives.node_ids
-        self.unasked_s = 1e-3 * options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
+        self._unasked_s = 1e-3 * options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
         if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
             raise ConfigurationError(
                 f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat "
@@ -320,6 +317,19 @@ class ODriveProtocol(MotorProtocol):
 
     # controller's end
 
+    @cached_property
+    def traits(self) -> Traits:
+        """Those of axes: Estop latches, an address is asked for by a remote frame."""
+        return self.traits_of(
+            self._to_each(ESTIMATES, bytes(8)),
+            emergency_stop=self._to_each(ESTOP, b""),
+            identity_requests=(self._to_each(ADDRESS, b"", REMOTE),),
+            unasked_s=self._unasked_s,
+            stop_latches=True,
+            power_told="heartbeat",
+            dangers=(_BRAKES, _WATCHDOGS),
+        )
+
     def patience_ticks(self, rate_Hz: float) -> int:
         """Return the ticks of `MISSED_BEATS` heartbeats: these alone tell whether an axis is enabled."""
         return max(ceil(MISSED_BEATS * self._heartbeat_s * rate_Hz), 2)
@@ -335,10 +345,6 @@ class ODriveProtocol(MotorProtocol):
         )
         return tuple(self._to_each(*each) for each in asked)
 
-    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
-        """Return remote frames for the address of each axis."""
-        return (self._to_each(ADDRESS, b"", REMOTE),)
-
     def said_by(self, frame: Frame) -> Said | None:
         """Return the serial number of an address that names its own node: one that sets it names another."""
         identifier, data, flags = frame
@@ -346,10 +352,6 @@ class ODriveProtocol(MotorProtocol):
         if leg is None or identifier & 0x1F != ADDRESS or flags & (STRANGE | REMOTE) or len(data) != 8:
             return None
         return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Return Estop for each axis: it latches."""
-        return self._to_each(ESTOP, b"")
 
     # drives' end
 

@@ -1,8 +1,10 @@
-"""Frame, and DriveProtocol: the pure codec of one drive family, both ends of one table.
+"""Frame, and DriveProtocol: the pure codec of one drive family.
 
 A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -172,7 +174,7 @@ class Resolution(NamedTuple):
     length: Array
     """m, of a length that is read."""
     rate: Array
-    """m/s, of a rate that is read."""
+    """m/s, of a rate that is read; see `at`."""
     force: Array
     """N at the leg, without losses, of a force that is commanded."""
     differences: bool = False
@@ -191,16 +193,27 @@ class Resolution(NamedTuple):
         """Return what singles leave of a length; of rate and force it is less than anything else."""
         return cls.of(SINGLE * FARTHEST_m, 0.0, 0.0)
 
+    def at(self, rate_Hz: float) -> Self:
+        """Return the deviations at a rate of the loop, which a rate from `differences` depends on.
 
-class DriveProtocol(Protocol):
-    """Codec of both ends. Implementations inherit it, hold compiled tables only and are shared.
+        Counts are rounded or truncated, so their differences are off by half a count each. Of the last three
+        lengths `difference` takes 1.5, 2 and 0.5 times: two counts a period.
+        """
+        return self._replace(rate=2.0 * rate_Hz * self.length) if self.differences else self
 
-    What an end remembers is its owner's: the cycle has a `drivers.controller_end.ControllerEnd`, the emulated
-    drives a `drivers.ends.DrivesEnd`. Only frames and ticks change them.
-    """
 
-    database: tuple[str, str] | None = None
-    """Name and text of the DBC file that goes into the log; None: the family has none."""
+@dataclass(frozen=True, eq=False)
+class Traits:
+    """What a family of drives is, as data: no frame changes it."""
+
+    resolution: Resolution
+    """How far readings and commands are off by the steps of the frames."""
+    sent: tuple[Frame, ...]
+    """One example of every frame that the controller sends once per tick: lengths and flags count."""
+    feedbacks: tuple[Frame, ...]
+    """One example of every feedback of a tick."""
+    emergency_stop: tuple[Frame, ...]
+    """Frames that fault all drives at once."""
     feedback_ids: frozenset[int]
     """What `awaited` returns for all frames that make the six feedbacks of a tick.
 
@@ -208,23 +221,28 @@ class DriveProtocol(Protocol):
     """
     shares_identifiers: bool = False
     """Whether feedbacks share an identifier, or change it: then no interface can wait for them."""
+    identity_requests: tuple[tuple[Frame, ...], ...] = ()
+    """Requests for serial number and revision, one frame a drive, in rounds: each is answered before the
+    next is sent. Empty where no drive can be asked."""
+    database: tuple[str, str] | None = None
+    """Name and text of the DBC file that goes into the log; None: the family has none."""
     command_delay_ticks: int = 0
     """Ticks from `command` to the frames that carry it: 0, or 1 where `begin` does."""
-    set_up_frames: int
+    set_up_frames: int = 0
     """At most so many frames of a tick come from `set_up`."""
-    reset_ticks: int
+    reset_ticks: int = 3
     """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
-    reactions: tuple[Reaction, ...]
+    reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
     """What the drives can do by themselves after silence; `controller_end` refuses another."""
     dangers: tuple[str, ...] = ()
     """What the drives do not do for safety, one sentence each, for `hil check`."""
-    stop_latches: bool
+    stop_latches: bool = False
     """Whether the drives go to FAULT by `emergency_stop`; else they switch off and report no reason."""
-    force_on_brakes: bool
+    force_on_brakes: bool = False
     """Whether a drive in READY gives force on its closed brake; else force and open brake go together."""
     answers_name_sync: bool = False
     """Whether a feedback says which SYNC or poll it answers; else the tick in which it comes tells."""
-    latches_together: bool
+    latches_together: bool = False
     """Whether one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
     unasked_s: float = 0.0
     """How often each drive sends its reading by a timer, too, as it answers a poll; 0: it does not."""
@@ -232,15 +250,27 @@ class DriveProtocol(Protocol):
     """Whether `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
     power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
     """What tells that a drive is no longer enabled."""
+    reported_lengths: tuple[Array, Array] | None = None
+    """The shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
 
-    def resolution(self, rate_Hz: float) -> Resolution:
-        """Return how far readings and commands are off by the steps of the frames, at a rate of the loop."""
+    @property
+    def cyclic_frames(self) -> tuple[Frame, ...]:
+        """One example of every frame sent once per tick."""
+        return (*self.sent, *self.feedbacks)
 
-    def reported_lengths(self) -> tuple[Array, Array] | None:
-        """Return the shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
-        return None
 
-    # controller's end
+class DriveProtocol(Protocol):
+    """Traits, and the codec of the controller's end. Implementations inherit it and are shared.
+
+    What an end remembers is its owner's: the cycle has a `drivers.controller_end.ControllerEnd`, the emulated
+    drives a `drivers.ends.DrivesEnd`. Only frames and ticks change them.
+    """
+
+    @cached_property
+    def traits(self) -> Traits:
+        """What the family is."""
+        raise NotImplementedError
+
     def controller_end(self, setup: DriveSetup) -> Any:
         """Return the controller's end, see `drivers.controller_end`.
 
@@ -254,39 +284,23 @@ class DriveProtocol(Protocol):
         """
 
     def awaited(self, frame: Frame) -> int:
-        """Return which of `feedback_ids` a frame is; another number for what is no feedback."""
+        """Return which of `Traits.feedback_ids` a frame is; another number for what is no feedback."""
         return frame.id
 
     def fault_text(self, _code: int) -> str:
         """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
         return ""
 
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Frames that fault all drives at once."""
-
-    # drives' end
-    def drives_end(self) -> Any:
-        """Return the drives' end, powered up, see `drivers.ends`."""
-
-    # which drive a frame concerns: what spreads the legs over several buses
     def addressed(self, frame: Frame) -> tuple[int, ...]:
         """Return the legs that a frame of the controller's end is for."""
 
     def sender(self, frame: Frame) -> int:
         """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
 
-    # what tells one drive from another of the same node number
-    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
-        """Return the requests, one frame a drive, in rounds: each is answered before the next is sent.
-
-        Empty where no drive can be asked.
-        """
-        return ()
-
     def identity(self, _frame: Frame) -> Said | None:
         """Return the serial number or revision that a frame reports; None for any other frame."""
         return None
 
-    # bus time
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame sent once per tick, `begin` included: lengths and flags count."""
+    # drives' end
+    def drives_end(self) -> Any:
+        """Return the drives' end, powered up, see `drivers.ends`."""

@@ -7,10 +7,11 @@ frame concerns the predefined connection set says by the node number. No clock.
 """
 
 import struct
+from functools import cached_property
 
 import numpy as np
 
-from drivers.arrays import Array, Rows
+from drivers.arrays import Rows
 from drivers.cia402 import device_kernels, kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.drives_end import Cia402Drives
@@ -28,7 +29,7 @@ from drivers.config import BusSettings, DriveSettings
 from drivers.ends import Family
 from drivers.errors import ConfigurationError
 from drivers.motor_settings import Options
-from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said
+from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said, Traits
 from drivers.signals import DriveFault
 
 MAX_NODE = 127
@@ -56,10 +57,6 @@ class Cia402Protocol(Family):
     """Six CiA 402 drives. Holds tables only."""
 
     fresh_by, addressed_by = device_kernels.fresh, device_kernels.addressed
-    set_up_frames, reset_ticks = MOST_REQUESTS, 6
-    latches_together = stop_latches = True
-    force_on_brakes = False
-    reactions = tuple(FAULT_REACTIONS)
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
@@ -77,7 +74,6 @@ class Cia402Protocol(Family):
                     f"drives.node_ids[{leg}]: allowed with cia402: 1 to {MAX_NODE} without the controller's "
                     f"own {self.controller_node}, given: {node}"
                 )
-        self.dangers = (_BRAKES,) if velocity else (_BRAKES, _DIFFERENCE)
         self._permille_Nm = 1e-3 * rated_Nm
         N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
@@ -99,26 +95,38 @@ class Cia402Protocol(Family):
         d["rated_mNm"] = self.rated_torque_mNm
         d["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
         self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
-        self.feedback_ids = frozenset(self.wanted)
         own = tuple(enumerate(self.node_ids))
         self.senders = {base + node: leg for base in FROM_DRIVES for leg, node in own}
 
-    def resolution(self, rate_Hz: float) -> Resolution:
-        """Return a count of length, and of rate what TPDO2 or the difference of lengths leaves.
+    @cached_property
+    def traits(self) -> Traits:
+        """Those of such drives.
 
-        Counts are rounded or truncated, so their differences are off by half a count each. Of the last three
-        lengths `difference` takes 1.5, 2 and 0.5 times: two counts a period.
+        The heartbeats, of which no tick needs one, are left to the free part of the bus, as are SDO and EMCY.
+        A rate of TPDO2 is a count off. An emergency stop is a quick stop: its option code 2 ends in Switch On
+        Disabled, brake shut.
         """
-        count = self.transmission.m_per_turn / self.transmission.counts
-        rate = count if self.velocity else 2.0 * rate_Hz * count
-        force = 0.5 * self.transmission.N_per_Nm * self._permille_Nm
-        return Resolution.of(count, rate, force, differences=not self.velocity)
-
-    def reported_lengths(self) -> tuple[Array, Array]:
-        """Return the ends of 0x6064 as leg lengths."""
-        t = self.transmission
+        t, sizes = self.transmission, zip(o.TPDO_ID, (8, 4) if self.velocity else (8,), strict=False)
+        count = t.m_per_turn / t.counts
         ends = t.length(-float(1 << 31) / t.counts), t.length(float((1 << 31) - 1) / t.counts)
-        return np.minimum(*ends), np.maximum(*ends)
+        answers = zip(*(self._to_each(kind, bytes(size)) for kind, size in sizes), strict=True)
+        return Traits(
+            resolution=Resolution.of(
+                count, count, 0.5 * t.N_per_Nm * self._permille_Nm, differences=not self.velocity
+            ),
+            sent=(*self.to_all(Frame(o.SYNC_ID, b"")), *self._to_each(o.RPDO_ID[0], bytes(4))),
+            feedbacks=tuple(frame for leg in answers for frame in leg),
+            emergency_stop=self._to_each(o.RPDO_ID[0], _RPDO.pack(STOP_QUICKLY, 0)),
+            feedback_ids=frozenset(self.wanted),
+            identity_requests=tuple(self._to_each(o.SDO_REQUEST_ID, o.upload(key)) for key in _IDENTITY),
+            set_up_frames=MOST_REQUESTS,
+            reset_ticks=6,
+            reactions=tuple(FAULT_REACTIONS),
+            dangers=(_BRAKES,) if self.velocity else (_BRAKES, _DIFFERENCE),
+            stop_latches=True,
+            latches_together=True,
+            reported_lengths=(np.minimum(*ends), np.maximum(*ends)),
+        )
 
     def fault_text(self, code: int) -> str:
         """Return what the code of an EMCY means, with the code as the documents write it."""
@@ -148,10 +156,6 @@ class Cia402Protocol(Family):
     def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
         return self.to_each(Frame(base + node, data) for node in self.node_ids)
 
-    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
-        """Return SDO requests for the identity object, 0x1018."""
-        return tuple(self._to_each(o.SDO_REQUEST_ID, o.upload(key)) for key in _IDENTITY)
-
     def identity(self, frame: Frame) -> Said | None:
         """Return what an SDO answer says of the identity object; an abort says nothing."""
         leg, read = self.sender(frame), o.read_value(frame.data)
@@ -159,17 +163,3 @@ class Cia402Protocol(Family):
             return None
         key, value = read
         return Said(leg, _IDENTITY[key], value) if key in _IDENTITY else None
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Return a quick stop for each drive: its option code 2 ends in Switch On Disabled, brake shut."""
-        return self._to_each(o.RPDO_ID[0], _RPDO.pack(STOP_QUICKLY, 0))
-
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame of a tick: SYNC, RPDOs, TPDOs.
-
-        The heartbeats, of which no tick needs one, are left to the free part of the bus, as are SDO and EMCY.
-        """
-        sizes = zip(o.TPDO_ID, (8, 4) if self.velocity else (8,), strict=False)
-        answers = zip(*(self._to_each(kind, bytes(size)) for kind, size in sizes), strict=True)
-        commands = self._to_each(o.RPDO_ID[0], bytes(4))
-        return (*self.to_all(Frame(o.SYNC_ID, b"")), *commands, *(frame for leg in answers for frame in leg))

@@ -4,7 +4,7 @@ No state, no clock. `docs/guides/protocol.md` has the rules of both ends.
 """
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, cached_property
 from math import isfinite
 from typing import Any
 
@@ -19,8 +19,8 @@ from drivers.frame_array import sent_array, sent_frames
 from drivers.legs.ends import NO_SYNC, LegsController, LegsDrives, addressed, fresh
 from drivers.legs.kernels import COMMAND, ENDS, EXACT, QUANTITIES
 from drivers.legs.messages import COMMANDS, SHORT, read_messages
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Sync
-from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Traits
+from drivers.signals import LEGS, Command, DriveMode, Reaction
 
 MAX_NODE = 127
 
@@ -36,10 +36,6 @@ class LegsProtocol(Family):
     """
 
     fresh_by, addressed_by = fresh, addressed
-    set_up_frames, reset_ticks = 1, 5
-    stop_latches = force_on_brakes = answers_name_sync = latches_together = True
-    reactions = tuple(Reaction)
-    database: tuple[str, str]
 
     def __init__(
         self,
@@ -70,7 +66,6 @@ class LegsProtocol(Family):
         self.tables["version"], self.tables["command_ids"] = version, [*commands]
         self._tabulate()
         self.wanted = tuple(self.tables["feedback"].tolist())
-        self.feedback_ids = frozenset(self.wanted)
         both = self.wanted, self.tables["status"].tolist()
         self.senders = {identifier: leg for ids in both for leg, identifier in enumerate(ids)}
         syncs = [sent_array(self.to_all(self.sync.frame(self.sync.id, cycle))) for cycle in range(256)]
@@ -112,6 +107,30 @@ class LegsProtocol(Family):
             rows.append((of.id, of.flags, bus, of.length, len(own), forces, *of.places[0], *places, leg))
         return rows
 
+    @cached_property
+    def traits(self) -> Traits:
+        """Those of such drives; fields are rounded, so half a step off."""
+        of, stop, zeros = self.feedback, self.estop, np.zeros(LEGS)
+        end = self.controller_end(DriveSetup(1.0, Reaction.BRAKE, 1000.0))
+        sent = *sent_frames(end.begin(0)), *sent_frames(end.give(Command(DriveMode.OFF, zeros), 0))
+        length, rate, *_ = (0.0 if self.exact else 0.5 * each for each in of.scale)
+        force = 0.0 if self.exact else 0.5 * self.commands[0][0].scale[0]
+        return Traits(
+            resolution=Resolution.of(length, rate, force),
+            sent=sent,
+            feedbacks=self.to_each(Frame(each, bytes(of.length), of.flags) for each in self.wanted),
+            emergency_stop=self.to_all(Frame(stop.id, stop.pack(0), stop.flags)),
+            feedback_ids=frozenset(self.wanted),
+            database=self.database,
+            set_up_frames=1,
+            reset_ticks=5,
+            reactions=tuple(Reaction),
+            stop_latches=True,
+            force_on_brakes=True,
+            answers_name_sync=True,
+            latches_together=True,
+        )
+
     # both ends
 
     def controller_end(self, setup: DriveSetup) -> LegsController:
@@ -136,28 +155,6 @@ class LegsProtocol(Family):
         each = zip(t["config"].tolist(), t["place"].tolist(), strict=True)
         same = round(steps), int(reaction)
         return self.to_each(of.frame(number, *same, place, int(t["version"])) for number, place in each)
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Return the frame that faults all drives at once, on each bus."""
-        of = self.estop
-        return self.to_all(Frame(of.id, of.pack(0), of.flags))
-
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        """Return one example of every frame of a tick: SYNC, commands, six feedbacks."""
-        zeros, off = np.zeros(LEGS), np.full(LEGS, DriveState.OFF, np.int64)
-        end = self.controller_end(DriveSetup(1.0, Reaction.BRAKE, 1000.0))
-        sent = *sent_frames(end.begin(0)), *sent_frames(end.give(Command(DriveMode.OFF, zeros), 0))
-        feedbacks = self.drives_end().reply(Sync(0), zeros, zeros, zeros, off)
-        return (*sent, *(frame for _, frame in feedbacks))
-
-    # words
-
-    def resolution(self, _rate_Hz: float) -> Resolution:
-        """Return half a step of each: they are rounded."""
-        if self.exact:
-            return Resolution.of(0.0, 0.0, 0.0)
-        length, rate, *_ = (0.5 * each for each in self.feedback.scale)
-        return Resolution.of(length, rate, 0.5 * self.commands[0][0].scale[0])
 
 
 _made = cache(LegsProtocol)

@@ -1,13 +1,15 @@
 """What all drives have in common that took MIT framing over: numbers are codes over ranges."""
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 
-from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings
 from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
-from drivers.protocol import Resolution
+from drivers.protocol import Frame, Resolution, Traits
 from drivers.signals import LEGS
 
 _HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
@@ -34,17 +36,20 @@ class MitFamily(MotorProtocol):
         for name in ("position", "velocity", "torque"):
             self.tables[name] = getattr(ranges, name)
 
-    def resolution(self, _rate_Hz: float) -> Resolution:
-        """Return a step of position, of velocity and torque, at the leg: all are truncated."""
+    def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
+        """Return the traits; steps of position, velocity and torque are truncated, at either end."""
         r, (_, bits, _), t = self.ranges, self.torque_field, self.transmission
         fields = (r.position, 16), (r.velocity, bits), (r.torque, bits)
         position, velocity, torque = (2.0 * end / ((1 << n) - 1) for end, n in fields)
         length, rate = (t.rate(np.full(LEGS, step / TURN)) for step in (position, velocity))
-        return Resolution.of(length, rate, t.N_per_Nm * torque)
-
-    def reported_lengths(self) -> tuple[Array, Array]:
-        """Return the leg lengths at the ends of the position's range."""
-        return self.transmission.lengths_within(self.ranges.position / TURN)
+        return super().traits_of(
+            feedbacks,
+            resolution=Resolution.of(length, rate, t.N_per_Nm * torque),
+            reported_lengths=t.lengths_within(r.position / TURN),
+            shares_identifiers=True,
+            command_delay_ticks=1,
+            **own,
+        )
 
     def refuse_force(self, force_N: float) -> None:
         """Raise ConfigurationError if the rated force needs more torque than a command carries."""

@@ -7,6 +7,7 @@ silence in units of 50 us, and the ranges, which are compared with the configure
 """
 
 import struct
+from functools import cached_property
 
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
@@ -27,6 +28,7 @@ from drivers.protocol import (
     Rejected,
     Said,
     Sync,
+    Traits,
 )
 from drivers.signals import Reaction
 from drivers.tick_columns import Record
@@ -48,10 +50,8 @@ class MitProtocol(MitFamily):
         super().__init__(bus, drives, (6, 12))
         variant, host, end = self.variant, self.host, self.ranges.torque
         known, damiao = VARIANTS[variant], variant == "damiao"
-        self.damiao = self.clears = self.has_watchdog = damiao
-        self.set_up_frames, self.requests_id = (1, k.REGISTERS) if damiao else (0, -1)
-        self.power_told = "feedback" if damiao else "never"
-        self.dangers = (NO_BRAKE,) if damiao else (NO_BRAKE, unwatched(variant))
+        self.damiao = self.clears = damiao
+        self.requests_id = k.REGISTERS if damiao else -1
         self.fault_names = known.faults
         self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as its reply names the node")
         self._replies = [node + host if damiao else host for node in self.nodes]
@@ -72,6 +72,24 @@ class MitProtocol(MitFamily):
 
     # controller's end
 
+    @cached_property
+    def traits(self) -> Traits:
+        """Those of a variant: a Damiao alone says whether it is enabled and who it is; no stop latches."""
+        size = VARIANTS[self.variant].reply_bytes[-1] - 1
+        replies = zip(self._replies, self.nodes, strict=True)
+        return self.traits_of(
+            (Frame(reply, bytes((node, *bytes(size)))) for reply, node in replies),
+            emergency_stop=self.to_each(Frame(node, DISABLE) for node in self.nodes),
+            identity_requests=tuple(
+                self.to_each(_exchange(node, "", k.READ, register, 0.0).frames[0] for node in self.nodes)
+                for register in (_SAID if self.damiao else ())
+            ),
+            set_up_frames=int(self.damiao),
+            has_watchdog=self.damiao,
+            power_told="feedback" if self.damiao else "never",
+            dangers=(NO_BRAKE,) if self.damiao else (NO_BRAKE, unwatched(self.variant)),
+        )
+
     def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
         """Return Damiao's registers; the others have none. Raises ProtocolError for too short a watchdog."""
         if not self.damiao:
@@ -91,15 +109,6 @@ class MitProtocol(MitFamily):
             for node in self.nodes
         )
 
-    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
-        """Return the readings of a Damiao's serial number and software version; the others have none."""
-        if not self.damiao:
-            return ()
-        return tuple(
-            self.to_each(_exchange(node, "", k.READ, register, 0.0).frames[0] for node in self.nodes)
-            for register in _SAID
-        )
-
     def said_by(self, frame: Frame) -> Said | None:
         """Return what such a reading is answered with."""
         identifier, data, flags = frame
@@ -115,10 +124,6 @@ class MitProtocol(MitFamily):
         nothing = pack_command(0.0, 0.0, 0.0, 0.0, -self.ranges.torque, self.ranges)
         rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, nothing
         return tuple(tuple(Frame(node, data) for node in self.nodes) for data in rows)
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Return DISABLE for each drive: it does not latch."""
-        return self.to_each(Frame(node, DISABLE) for node in self.nodes)
 
     # drives' end
 

@@ -7,6 +7,7 @@ host. Positions and torques are big-endian, registers and that number little-end
 """
 
 import struct
+from functools import cached_property
 
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
@@ -29,6 +30,7 @@ from drivers.protocol import (
     Rejected,
     Said,
     Sync,
+    Traits,
 )
 from drivers.signals import Reaction
 from drivers.tick_columns import Record
@@ -48,9 +50,6 @@ class RobStrideProtocol(MitFamily):
     number_at = 0, 0xFF
     rejections = ("frame of {size} bytes",)
     clears = True
-    set_up_frames = 2
-    has_watchdog = False
-    dangers = NO_BRAKE, unwatched("robstride")
     fault_names, fault_bits = ROBSTRIDE_FAULTS, True
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
@@ -72,9 +71,18 @@ class RobStrideProtocol(MitFamily):
 
     # controller's end
 
-    def identity_requests(self) -> tuple[tuple[Frame, ...], ...]:
-        """Return the request for the processor's number of each drive."""
-        return (self._to_each(k.WHO),)
+    @cached_property
+    def traits(self) -> Traits:
+        """Those of drives that answer each command; a stop does not latch."""
+        answers = (k.FEEDBACK << 24 | k.RUNNING << 22 | node << 8 | self.host for node in self.nodes)
+        return self.traits_of(
+            (Frame(each, _ZEROS, EXTENDED) for each in answers),
+            emergency_stop=self._to_each(k.STOP),
+            identity_requests=(self._to_each(k.WHO),),
+            set_up_frames=2,
+            has_watchdog=False,
+            dangers=(NO_BRAKE, unwatched("robstride")),
+        )
 
     def said_by(self, frame: Frame) -> Said | None:
         """Return that number."""
@@ -99,10 +107,6 @@ class RobStrideProtocol(MitFamily):
         clear = bytes((1, *bytes(7)))
         asked = (k.STOP, _ZEROS), (k.STOP, clear), (k.ENABLE, _ZEROS), (k.CONTROL, torque, 0)
         return tuple(self._to_each(*each) for each in asked)
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        """Return STOP for each drive: it does not latch."""
-        return self._to_each(k.STOP)
 
     # drives' end
 

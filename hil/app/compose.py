@@ -363,13 +363,14 @@ def websocket(c: Configuration) -> tuple[str, int] | None:
 
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
     """Return the databases of protocol and sensors: what the frames of a log mean."""
-    ours = (build_protocol(configuration), build_sensors(configuration))
-    return [(d[0], d[1].encode()) for each in ours if each is not None and (d := each.database) is not None]
+    sensors = build_sensors(configuration)
+    ours = build_protocol(configuration).traits.database, None if sensors is None else sensors.database
+    return [(each[0], each[1].encode()) for each in ours if each is not None]
 
 
 def protocol_version(configuration: Configuration) -> str:
     """Return the version that the protocol's database gives itself; empty where it has none."""
-    database = build_protocol(configuration).database
+    database = build_protocol(configuration).traits.database
     return "" if database is None else version_of(database[1])
 
 

@@ -52,7 +52,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     decided = c.estimation.pose == "fused" and c.sensors.tracker is not None
     delay = loop_delay(c)
     noise = read_noise(c, rate_Hz)
-    noise_m, differences = noise.length_m, int(protocol.resolution(rate_Hz).differences)
+    noise_m, differences = noise.length_m, int(protocol.traits.resolution.differences)
     driving, back_driving = efficiencies(c)
     sticks = friction > 0.0 or bool((driving * back_driving < 1.0).any())
     push = PUSH[sticks] * monitor.disturbance_m_s2
@@ -80,10 +80,10 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         rise_ticks=rise,
         open_ticks=ceil(c.engage.brake_release_s / period_s),
         period_s=period_s,
-        unnamed=int(not protocol.answers_name_sync),
+        unnamed=int(not protocol.traits.answers_name_sync),
         differences=differences,
-        apart=int(not protocol.latches_together),
-        unshared=UNASKED if protocol.unasked_s > 0.0 else UNSHARED,
+        apart=int(not protocol.traits.latches_together),
+        unshared=UNASKED if protocol.traits.unasked_s > 0.0 else UNSHARED,
     )
 
 
@@ -121,7 +121,7 @@ class Noise(NamedTuple):
 def steps(c: Configuration, rate_Hz: float) -> Noise:
     """Return what the steps leave of a reading, of an emulated encoder and of the drives' frames."""
     encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
-    read = build_protocol(c.bus, c.drives).resolution(rate_Hz)
+    read = build_protocol(c.bus, c.drives).traits.resolution.at(rate_Hz)
     return Noise(encoder_m + max(float(read.length.max()), LENGTH_STEP_M), float(read.rate.max()))
 
 

@@ -15,7 +15,7 @@ from hil.control.law import ErrorDynamics
 
 def force_steps_N(c: Configuration) -> Array:
     """Return what one step of the command's field is at each leg, (6,) N; 0: as fine as a number is."""
-    return build_protocol(c.bus, c.drives).resolution(c.loop.rate_Hz).force
+    return build_protocol(c.bus, c.drives).traits.resolution.force
 
 
 def error_m(P: Array, steps_N: Array, K_P: Array | float) -> float:

@@ -38,7 +38,7 @@ def loop_delay(c: Configuration) -> LoopDelay:
         drives = c.plant.model if isinstance(c.plant.model, StewartPlant) else c.plant.drives
         bandwidth_Hz = drives.force_bandwidth_Hz
     lag = 1.0 / (2.0 * pi * bandwidth_Hz) if bandwidth_Hz > 0.0 else 0.0
-    waits = build_protocol(c.bus, c.drives).command_delay_ticks
+    waits = build_protocol(c.bus, c.drives).traits.command_delay_ticks
     transport = (waits + (not ideal)) * period
     if stated is not None and not ideal:
         transport = 1e-3 * stated.bus_ms if "bus_ms" in stated.model_fields_set else transport

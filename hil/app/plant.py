@@ -277,7 +277,7 @@ def latest(queued: Rows, now_ns: int, protocol: DriveProtocol) -> Rows:
     sent: list[list[int]] = []
     for k, frame in zip(due, sent_frames(queued[due]), strict=True):
         t_ns, which = times[k], protocol.awaited(frame)
-        if which not in protocol.feedback_ids:
+        if which not in protocol.traits.feedback_ids:
             sent.append([k])
             continue
         key = frame.id, frame.bus, which

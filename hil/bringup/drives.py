@@ -46,7 +46,8 @@ class Drives:
         self.protocol, self.line = protocol, line
         self.watchdog_s = watchdog_s
         self._sink = sink
-        reaction = Reaction.BRAKE if Reaction.BRAKE in protocol.reactions else protocol.reactions[0]
+        can = protocol.traits.reactions
+        reaction = Reaction.BRAKE if Reaction.BRAKE in can else can[0]
         self.locks = shares_commands(protocol, DriveSetup(watchdog_s, reaction, line.rate_Hz))
         """One command goes to several drives."""
         lock_s = LOCK_S if self.locks else watchdog_s
@@ -75,7 +76,7 @@ class Drives:
     @property
     def told_ticks(self) -> int:
         """For how many ticks a change may be unknown: the heartbeat alone tells it; 0 where feedback does."""
-        return self.ticks(TOLD_S) if self.protocol.power_told == "heartbeat" else 0
+        return self.ticks(TOLD_S) if self.protocol.traits.power_told == "heartbeat" else 0
 
     # one tick
 
@@ -97,10 +98,11 @@ class Drives:
         """
         self.tick = tick = self.tick + 1
         opening: tuple[Frame, ...] = ()
-        if not silent or self.protocol.command_delay_ticks == 0:
+        delayed = self.protocol.traits.command_delay_ticks > 0
+        if not silent or not delayed:
             starts = sent_frames(self._live.begin(tick)), sent_frames(self._rest.begin(tick))
             # with a delay they carry the last command, which powers no drive but its own
-            opening = self._chosen(*starts, self._commanded if self.protocol.command_delay_ticks else leg)
+            opening = self._chosen(*starts, self._commanded if delayed else leg)
         self._commanded = leg
         heard = self.line.exchange(opening)
         self.heard = heard.frames
@@ -166,7 +168,7 @@ class Drives:
 
         Returns what each drive has not confirmed of it, in words; empty: nothing.
         """
-        for _ in range(self.protocol.reset_ticks if self._faulted() else 1):
+        for _ in range(self.protocol.traits.reset_ticks if self._faulted() else 1):
             self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
         self._alone = leg
         self._live.start()
@@ -203,7 +205,7 @@ class Drives:
         """
         answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
         self.serials = tuple(set() for _ in range(LEGS))
-        requests = self.protocol.identity_requests()
+        requests = self.protocol.traits.identity_requests
         for asked in requests * ASKED_TIMES:
             lacking = {leg for leg in legs if len(answers[leg]) < len(requests)}
             if not lacking:

@@ -55,7 +55,7 @@ class Cycle:
         self.period_s = 1.0 / parts.rate_Hz
         self.sight = Sight(parts)
         shortest, longest = (parts.safety.limits[name].item() for name in ("length_min_m", "length_max_m"))
-        stroke = Stroke(shortest, longest, parts.protocol.reported_lengths())
+        stroke = Stroke(shortest, longest, parts.protocol.traits.reported_lengths)
         self.homing = Homing(parts.last_pose, stroke, self.period_s)
         engage = parts.engage
         self.durations = Durations(engage.force_ramp_s, engage.brake_release_s, engage.closing_s)
@@ -173,7 +173,7 @@ class Cycle:
             law.raised = None
             raise KeyboardInterrupt
         self._latch(inp, Verdict.of(*record["verdict"].tolist()))
-        latches = parts.protocol.stop_latches
+        latches = parts.protocol.traits.stop_latches
         stops = Operator.ESTOP in inp.operator or (self.estop and not confirmed(tick, latches))
         control.settle()
         record["command_mode"], record["stops"] = self._command_mode(tick), stops
@@ -186,7 +186,7 @@ class Cycle:
             latches or self.faults & Fault.SECOND_CONTROLLER
         )
         if stops and not off:  # else OFF is the stop
-            frames.insert(0, sent_array(parts.protocol.emergency_stop()))
+            frames.insert(0, sent_array(parts.protocol.traits.emergency_stop))
         if self.mode in {Mode.WAITING, Mode.FAULT}:
             frames.append(self.end.set_up(tick))
         return np.concatenate(frames) if len(frames) > 1 else frames[0]
@@ -388,6 +388,6 @@ class Cycle:
         """Return what the drives are asked for in a tick."""
         if self.mode is Mode.WAITING and self.reset_tick is not None:
             since = int(tick["tick"]) - self.reset_tick
-            if since < self.parts.protocol.reset_ticks:  # not for ever: a fault that comes back stays
+            if since < self.parts.protocol.traits.reset_ticks:  # not for ever: a fault that comes back stays
                 return DriveMode.RESET
         return drive_mode(self.mode)

@@ -111,7 +111,7 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
                 if bus.events().off:
                     bus.flush_tx()
         with suppress(HilError):
-            polls = protocol.command_delay_ticks > 0
+            polls = protocol.traits.command_delay_ticks > 0
             opening = end.begin(tick)  # drives obey the present SYNC alone
             frames = end.give(off, tick)
             failed = bus.send(end.begin(tick) if polls else joined((opening, frames)))
@@ -221,9 +221,9 @@ def _answers(cycle: Cycle, hears: Hearing, bus: Bus, tick: int, begun_ns: int, d
     """
     protocol = cycle.parts.protocol
     answers: list[Rows] = []
-    missing = protocol.feedback_ids
+    shared, missing = protocol.traits.shares_identifiers, protocol.traits.feedback_ids
     while missing:
-        heard = bus.wait(deadline_ns) if protocol.shares_identifiers else bus.drain(deadline_ns, missing)
+        heard = bus.wait(deadline_ns) if shared else bus.drain(deadline_ns, missing)
         if not len(heard):
             break
         answers.append(heard)  # of a node, maybe an answer to an older tick, or one that is damaged or forged

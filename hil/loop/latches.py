@@ -79,7 +79,7 @@ def checked(
     if given_ns - begun_ns < min(PROMPT_NS, answer_ns):
         return sent_ns
     own = [each for each in received_frames(answers) if protocol.fresh(each, tick, begun_ns + answer_ns)]
-    if protocol.unasked_s > 0.0:  # an earlier one may be none to the poll, and does not count
+    if protocol.traits.unasked_s > 0.0:  # an earlier one may be none to the poll, and does not count
         own = list({protocol.sender(each.frame): each for each in own}.values())
     return [
         t_ns if t_ns is None else min([t_ns, *_soonest(protocol, frame, own, answer_ns)])

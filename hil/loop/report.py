@@ -85,14 +85,14 @@ _NOT_TOLD = "the drives could not be told to switch off, since the bus takes no 
 
 def not_told(parts: Parts, reaction: str = "") -> str:
     """Return what becomes of drives whose bus takes no frames; `reaction` where it is known."""
-    if not parts.protocol.has_watchdog:
+    if not parts.protocol.traits.has_watchdog:
         return f"{_NOT_TOLD}they {NO_WATCHDOG}"
     return f"{_NOT_TOLD}the watchdog of each acts {_acts(parts.setup, reaction)}"
 
 
 def not_confirmed(parts: Parts, reaction: str) -> str:
     """Return what becomes of a drive that may have heard nothing."""
-    if not parts.protocol.has_watchdog:
+    if not parts.protocol.traits.has_watchdog:
         return f"those that hear nothing {NO_WATCHDOG}"
     return f"the watchdog of one that hears nothing acts {_acts(parts.setup, reaction)}"
 

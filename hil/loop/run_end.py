@@ -319,7 +319,7 @@ class Course:
         if not self.stays:
             return ""
         if cycle.mode is Mode.HELD:
-            return f"{self._fault_text}: {_HELD.format(_HOLDS[cycle.parts.protocol.force_on_brakes])}"
+            return f"{self._fault_text}: {_HELD.format(_HOLDS[cycle.parts.protocol.traits.force_on_brakes])}"
         if cycle.mode is Mode.FAULT and int(cycle.tick["tick"]) - cycle.mode_tick >= self._tail:
             return f"{self._fault_text}: {_MOVING}"
         return ""

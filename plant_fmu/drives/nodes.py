@@ -93,7 +93,7 @@ class Nodes:
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._turns = Turns(self._settings.homing, transmission, length)
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
-        often_ns = 1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.unasked_s
+        often_ns = 1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.traits.unasked_s
         self._drives.connect(t0_ns, self._end, self._moved, *often_ns)
         self._record = n = self._drives.record
         if transmission is not None:

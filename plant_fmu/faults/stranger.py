@@ -16,15 +16,17 @@ def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, .
     end = _unheard(protocol)
     end.presume_running()
     frames = end.give(Command(DriveMode.RUN, np.full(LEGS, force_N)), tick)
-    return sent_frames(end.begin(tick) if protocol.command_delay_ticks else frames)
+    return sent_frames(end.begin(tick) if protocol.traits.command_delay_ticks else frames)
 
 
 def opened(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
     """Return what starts a tick of a stranger's own, and his command; where the poll is that, it alone."""
     command = forged(protocol, force_N, tick)
-    return command if protocol.command_delay_ticks else sent_frames(_unheard(protocol).begin(tick)) + command
+    if protocol.traits.command_delay_ticks:
+        return command
+    return sent_frames(_unheard(protocol).begin(tick)) + command
 
 
 def _unheard(protocol: DriveProtocol) -> ControllerEnd:
     """Return that of a controller that has heard nothing."""
-    return controller_end(protocol, DriveSetup(0.01, protocol.reactions[0], 1000.0))
+    return controller_end(protocol, DriveSetup(0.01, protocol.traits.reactions[0], 1000.0))

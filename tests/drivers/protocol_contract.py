@@ -117,7 +117,7 @@ def at_tick(tick: int) -> Any:
 
 def reaction_of(protocol: DriveProtocol | ByValue) -> Reaction:
     """Return DAMP, or what the protocol's drives do instead."""
-    return Reaction.DAMP if Reaction.DAMP in protocol.reactions else protocol.reactions[0]
+    return Reaction.DAMP if Reaction.DAMP in protocol.traits.reactions else protocol.traits.reactions[0]
 
 
 class Ends:
@@ -177,7 +177,7 @@ class Ends:
     @property
     def told_ticks(self) -> int:
         """Ticks within which drives change their state and tell it: at once, or by the next heartbeat."""
-        return 3 + BEAT_TICKS * int(self.protocol.power_told == "heartbeat")
+        return 3 + BEAT_TICKS * int(self.protocol.traits.power_told == "heartbeat")
 
     def restart(self, force: Array = FORCE) -> None:
         """Bring drives that are set up to RUN with a force."""
@@ -245,7 +245,7 @@ class ProtocolContract:
         there = ends.nodes.snapshot()
         assert ends.measurement["drive_state"].tolist() == [DriveState.READY] * LEGS
         assert there.brake.tolist() == [1.0] * LEGS
-        assert bool(there.force.any()) == protocol.force_on_brakes
+        assert bool(there.force.any()) == protocol.traits.force_on_brakes
 
     def test_what_a_command_carries_at_rest_is_what_the_drives_take(self, protocol):
         ends = Ends(protocol)
@@ -258,7 +258,7 @@ class ProtocolContract:
     def test_no_tick_has_more_frames_of_set_up_than_stated(self, protocol):
         ends = Ends(protocol)
         counts = [len(ends.step()) for _ in range(PATIENCE)]
-        assert max(counts) == protocol.set_up_frames
+        assert max(counts) == protocol.traits.set_up_frames
         for frame in ends.set_up:
             frame_bits(len(frame.data), frame.flags)
             assert len(frame.data) <= 8, "the bus time that `hil check` states counts on it"
@@ -323,7 +323,7 @@ class ProtocolContract:
             ends.step(Command(DriveMode.RUN, FORCE if k == 0 else 2.0 * FORCE), set_up=False)
             heard.append(ends.nodes.snapshot().command)
         allowed = self.RESOLUTION[3] / 2 * (1 + 1e-6)
-        delay = protocol.command_delay_ticks
+        delay = protocol.traits.command_delay_ticks
         assert delay in (0, 1)
         assert all(np.abs(force).max() <= allowed for force in heard[:delay])
         np.testing.assert_allclose(heard[delay], FORCE, rtol=0, atol=allowed)
@@ -336,7 +336,7 @@ class ProtocolContract:
         dialogue, sent = protocol.command(ends.dialogue, Command(DriveMode.RUN, -FORCE), 1000)
         after = protocol.begin(dialogue, 1000)
         assert (bool(sent), before == after) == (
-            (False, False) if protocol.command_delay_ticks else (True, True)
+            (False, False) if protocol.traits.command_delay_ticks else (True, True)
         )
 
     def test_feedback_is_fresh_and_carries_length_rate_force_and_state(self, protocol):
@@ -355,7 +355,7 @@ class ProtocolContract:
     def test_readings_and_commands_are_off_by_no_more_than_the_stated_resolution(self, protocol):
         ends = Ends(protocol)
         ends.running()
-        stated, m, rounding = protocol.resolution(1e9 / PERIOD_NS), ends.measurement, 1.0 + 1e-6
+        stated, m, rounding = protocol.traits.resolution.at(1e9 / PERIOD_NS), ends.measurement, 1.0 + 1e-6
         assert (np.abs(m["length"] - LENGTH) <= stated.length * rounding + 1e-12).all()
         if self.READS_RATES:
             assert (np.abs(m["rate"] - RATE) <= stated.rate * rounding + 1e-6).all()
@@ -370,7 +370,7 @@ class ProtocolContract:
             ends.step()
             begun = ends.tick * PERIOD_NS
             fresh = [each for each in ends.received if protocol.fresh(each, ends.tick, begun)]
-            assert {protocol.awaited(each.frame) for each in fresh} == protocol.feedback_ids
+            assert {protocol.awaited(each.frame) for each in fresh} == protocol.traits.feedback_ids
             assert not any(protocol.fresh(each, ends.tick + 1, begun + PERIOD_NS) for each in fresh)
             assert not any(protocol.fresh(Received(begun, frame), ends.tick, begun) for frame in ends.opening)
 
@@ -394,21 +394,21 @@ class ProtocolContract:
     def test_an_emergency_stop_faults_all_drives_and_says_why(self, protocol):
         ends = Ends(protocol)
         ends.running()
-        ends.step(Command(DriveMode.RUN, FORCE), set_up=False, first=protocol.emergency_stop())
+        ends.step(Command(DriveMode.RUN, FORCE), set_up=False, first=protocol.traits.emergency_stop)
         for _ in range(ends.told_ticks - 1):
             ends.step()
-        stopped = DriveState.FAULT if protocol.stop_latches else DriveState.OFF
+        stopped = DriveState.FAULT if protocol.traits.stop_latches else DriveState.OFF
         assert ends.measurement["drive_state"].tolist() == [stopped] * LEGS
-        assert (ends.measurement["drive_fault"] != 0).all() == protocol.stop_latches
+        assert (ends.measurement["drive_fault"] != 0).all() == protocol.traits.stop_latches
         assert ends.nodes.snapshot().brake.all()
 
     def test_a_reset_for_as_many_ticks_as_stated_clears_the_faults(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
-        ends.step(first=protocol.emergency_stop())
+        ends.step(first=protocol.traits.emergency_stop)
         for _ in range(2):
             ends.step()
-        for _ in range(protocol.reset_ticks):
+        for _ in range(protocol.traits.reset_ticks):
             ends.step(Command(DriveMode.RESET, np.zeros(LEGS)))
         for _ in range(8):
             ends.step()
@@ -420,17 +420,19 @@ class ProtocolContract:
         ends.running()
         ends.step(Command(DriveMode.RUN, FORCE), set_up=False)
         answers = [
-            each.frame for each in ends.received if protocol.awaited(each.frame) in protocol.feedback_ids
+            each.frame
+            for each in ends.received
+            if protocol.awaited(each.frame) in protocol.traits.feedback_ids
         ]
-        named = not protocol.shares_identifiers
+        named = not protocol.traits.shares_identifiers
         found = shapes((*ends.opening, *ends.sent, *answers), named=named)
-        assert found == shapes(protocol.cyclic_frames(), named=named)
+        assert found == shapes(protocol.traits.cyclic_frames, named=named)
 
     def test_every_frame_can_be_on_a_bus(self, protocol):
         ends = Ends(protocol)
         ends.step()
-        stop = protocol.emergency_stop()
-        for frame in (*protocol.cyclic_frames(), *ends.step(), *stop):
+        stop = protocol.traits.emergency_stop
+        for frame in (*protocol.traits.cyclic_frames, *ends.step(), *stop):
             frame_bits(len(frame.data), frame.flags)
             assert 0 <= frame.id <= (0x1FFF_FFFF if frame.flags & EXTENDED else 0x7FF)
             assert frame.bus == 0
@@ -440,7 +442,7 @@ class ProtocolContract:
         ends.until_set_up()
         ends.step()
         assert {protocol.sender(each.frame) for each in ends.received} == set(range(LEGS))
-        stop = protocol.emergency_stop()
+        stop = protocol.traits.emergency_stop
         assert {protocol.sender(frame) for frame in (*ends.opening, *ends.sent, *stop)} == {-1}
         for frames in (ends.opening, stop):
             assert {leg for frame in frames for leg in protocol.addressed(frame)} == set(range(LEGS))
@@ -457,13 +459,13 @@ class ProtocolContract:
         assert (dialogue, m["rejected"], m["age"].tolist()) == (nothing, 0, [1] * LEGS)
         assert not any(protocol.fresh(each, ends.tick, 0) for each in strange)
         memory = protocol.power_up()
-        for frame in (*ends.opening, *ends.sent, *protocol.emergency_stop()):
+        for frame in (*ends.opening, *ends.sent, *protocol.traits.emergency_stop):
             assert protocol.parse(memory, _other(frame, flag)) == (memory, ())
 
     def test_frames_of_any_length_and_content_are_survived_at_both_ends(self, protocol):
         ends = Ends(protocol)
-        stop = protocol.emergency_stop()
-        seen = {frame.id: frame for frame in (*protocol.cyclic_frames(), *stop)}
+        stop = protocol.traits.emergency_stop
+        seen = {frame.id: frame for frame in (*protocol.traits.cyclic_frames, *stop)}
         for _ in range(40):
             ends.step()
             seen |= {each.frame.id: each.frame for each in ends.received}
@@ -493,8 +495,8 @@ class ProtocolContract:
             answers(protocol, Sync(0), LENGTH, np.full(LEGS, np.nan), FORCE, state)
 
     def test_the_database_if_there_is_one_can_be_read(self, protocol):
-        if protocol.database is not None:
-            name, text = protocol.database
+        if protocol.traits.database is not None:
+            name, text = protocol.traits.database
             assert name.endswith(".dbc")
             cantools.database.load_string(text, "dbc")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +16,7 @@ from drivers.controller_end import array_at
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.motor_kernels import HEARD
 from drivers.motors import NO_BRAKE, Exchange, MotorProtocol
-from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
+from drivers.protocol import ALWAYS, DriveSetup, Frame, Received, Traits
 from drivers.signals import DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
@@ -42,9 +43,7 @@ class SpokenProtocol(MotorProtocol):
     obey: Any = SimpleNamespace(address=0)
     encode: Any = SimpleNamespace(address=0)
     number_at = 0, 0
-    set_up_frames = 1
     torque_limit = 2.0
-    dangers = NO_BRAKE, "nobody watches"
 
     def __init__(
         self,
@@ -57,9 +56,22 @@ class SpokenProtocol(MotorProtocol):
         super().__init__(transmission, (0,) * 6, (1, 32, 2.0))
         address, self._keeps = of_python(self._hear, INTEGER, INTEGER, INTEGER)
         self.ear: Any = SimpleNamespace(address=address)
-        self.power_told, self.unasked_s = "feedback" if reports else "never", unasked_s
+        self._given = reports, unasked_s
         self.counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
         self.words: list[Heard | None] = []
+
+    @cached_property
+    def traits(self) -> Traits:
+        return self.traits_of(
+            (),
+            emergency_stop=(),
+            command_delay_ticks=1,
+            set_up_frames=1,
+            shares_identifiers=True,
+            dangers=(NO_BRAKE, "nobody watches"),
+            power_told="feedback" if self._given[0] else "never",
+            unasked_s=self._given[1],
+        )
 
     def _heard(self, frame: Frame) -> Any:
         into = np.zeros((), HEARD)
@@ -84,9 +96,6 @@ class SpokenProtocol(MotorProtocol):
                 heard.leg, has, *motion, heard.torque or 0.0, heard.power or 0, heard.fault, *answer,
             )  # fmt: skip
         return int(heard is not None)
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        return ()
 
     def requests(self, _watchdog_s: float) -> Any:
         """A number for each row: IDLE to DRIVE."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from math import isfinite
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ from drivers.protocol import (
     Resolution,
     Status,
     Sync,
+    Traits,
 )
 from drivers.signals import (
     INVALID,
@@ -71,6 +73,8 @@ _FIELDS = {
     BEAT: struct.Struct("<BH"),
 }
 _STEP_m = 1e-7
+MOST_SET_UP = 2
+"""Frames of a tick."""
 
 
 class StubDialogue(NamedTuple):
@@ -102,15 +106,6 @@ def _put(values: tuple[int, ...], leg: int, value: int) -> tuple[int, ...]:
 class StubProtocol(DriveProtocol):
     """The stub's tables."""
 
-    database = "stub.dbc", 'VERSION ""\n'
-    command_delay_ticks = 1
-    set_up_frames = 2
-    reset_ticks = 2
-    stop_latches = True
-    force_on_brakes = True
-    reactions = tuple(Reaction)
-    latches_together = False
-
     def __init__(self, node_ids: list[int]) -> None:
         for leg, node in enumerate(node_ids):
             if not 0 <= node <= MAX_NODE:
@@ -121,7 +116,25 @@ class StubProtocol(DriveProtocol):
             (kind, leg): BASE | kind << 16 | node for kind in _FIELDS for leg, node in enumerate(node_ids)
         }
         self._meaning = {identifier: key for key, identifier in self._id.items()}
-        self.feedback_ids = frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS))
+
+    @cached_property
+    def traits(self) -> Traits:
+        zeros = np.zeros(LEGS)
+        answers = self.answer(self.power_up(), Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))[1]
+        return Traits(
+            resolution=Resolution.of(_STEP_m, _STEP_m, SINGLE),
+            sent=self._polls(DriveMode.OFF, (0.0,) * LEGS),
+            feedbacks=tuple(frame for _, frame in answers),
+            emergency_stop=tuple(self._frame(STOP, leg) for leg in range(LEGS)),
+            feedback_ids=frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS)),
+            database=("stub.dbc", 'VERSION ""\n'),
+            command_delay_ticks=1,
+            set_up_frames=MOST_SET_UP,
+            reset_ticks=2,
+            stop_latches=True,
+            force_on_brakes=True,
+            reactions=tuple(Reaction),
+        )
 
     def controller_end(self, setup: DriveSetup) -> StubController:
         return StubController(self, setup)
@@ -165,9 +178,6 @@ class StubProtocol(DriveProtocol):
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
         read = self._read(received.frame)
         return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
-
-    def resolution(self, _rate_Hz: float) -> Resolution:
-        return Resolution.of(_STEP_m, _STEP_m, SINGLE)
 
     def awaited(self, frame: Frame) -> int:
         return frame.id
@@ -236,7 +246,7 @@ class StubProtocol(DriveProtocol):
                 if state != DriveState.BOOT or tick["age"][leg]:
                     continue
                 done = 0  # it has lost its set-up
-            if len(frames) == self.set_up_frames:
+            if len(frames) == MOST_SET_UP:
                 break
             frames.append(self._frame(SET, leg, done, dialogue.values[done]))
             dialogue = dialogue._replace(
@@ -249,9 +259,6 @@ class StubProtocol(DriveProtocol):
             "" if done == EXCHANGES else f"exchange {done} of {EXCHANGES} is not confirmed"
             for done in dialogue.done
         )
-
-    def emergency_stop(self) -> tuple[Frame, ...]:
-        return tuple(self._frame(STOP, leg) for leg in range(LEGS))
 
     # drives' end
 
@@ -329,11 +336,6 @@ class StubProtocol(DriveProtocol):
     def report(self, memory: StubMemory, status: Status) -> tuple[StubMemory, tuple[Frame, ...]]:
         code = OWN_FAULTS + status.fault if status.fault else 0
         return memory, (self._frame(BEAT, status.leg, status.state, code),)
-
-    def cyclic_frames(self) -> tuple[Frame, ...]:
-        zeros = np.zeros(LEGS)
-        answers = self.answer(self.power_up(), Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))[1]
-        return (*self._polls(DriveMode.OFF, (0.0,) * LEGS), *(frame for _, frame in answers))
 
 
 class StubController(ControllerEnd):

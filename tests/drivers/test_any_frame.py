@@ -49,7 +49,7 @@ def test_of_canopen_a_request_of_another_node_and_a_short_nmt_command_are_for_no
 @pytest.mark.parametrize("name", sorted(FAMILIES))
 def test_a_feedback_that_is_cut_is_still_that_of_the_drive_whose_identifier_it_has(name):
     protocol = codec(name)
-    sent = [(frame, protocol.sender(frame)) for frame in protocol.cyclic_frames()]
+    sent = [(frame, protocol.sender(frame)) for frame in protocol.traits.cyclic_frames]
     feedback = [(frame, leg) for frame, leg in sent if leg >= 0]
     assert {leg for _, leg in feedback} == set(range(LEGS))
     shared = len({frame.id for frame, _ in feedback}) < LEGS

@@ -53,7 +53,7 @@ def test_the_crc_of_sync_costs_ten_bits_a_tick():
     without, with_crc = (budget([Frame(0x80, bytes(n)), *frames], FD_1M_5M, 1000) for n in (1, 2))
     assert (without.total_ns, with_crc.total_ns) == (558_200, 568_200)
     assert (int(without.highest_rate_Hz), int(with_crc.highest_rate_Hz)) == (1791, 1759)
-    ours = LegsProtocol("fd", (1, 2, 3, 4, 5, 6)).cyclic_frames()
+    ours = LegsProtocol("fd", (1, 2, 3, 4, 5, 6)).traits.cyclic_frames
     assert budget(ours, FD_1M_5M, 1000).total_ns == with_crc.total_ns
 
 

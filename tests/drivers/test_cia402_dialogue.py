@@ -179,7 +179,7 @@ def test_drives_left_enabled_by_a_dead_daemon_are_braked_and_set_up_by_the_next_
     ends.step()
     ends.step()
     assert states(ends) == [DriveState.FAULT] * LEGS
-    for _ in range(ends.protocol.reset_ticks):
+    for _ in range(ends.protocol.traits.reset_ticks):
         ends.step(RESET)
     ends.until_set_up()
     for command in (READY, READY, READY, RUN, RUN, RUN):
@@ -281,7 +281,7 @@ def test_a_drive_that_leaves_operational_is_set_up_anew():
 def test_an_emergency_stop_with_the_off_of_its_tick_stays_a_stop_until_a_reset():
     ends = Ends(drives())
     ends.running()
-    stop = ends.protocol.emergency_stop()
+    stop = ends.protocol.traits.emergency_stop
     assert {frame.data for frame in stop} == {bytes.fromhex("02000000")}
     ends.step(OFF._replace(stop=True), set_up=False, first=stop)
     for command in (OFF, READY, READY, READY, RUN, RUN, *[OFF] * 30):
@@ -289,7 +289,7 @@ def test_an_emergency_stop_with_the_off_of_its_tick_stays_a_stop_until_a_reset()
         assert states(ends) == [DriveState.FAULT] * LEGS
         assert ends.measurement["drive_fault"].tolist() == [DriveFault.ESTOP] * LEGS
     assert ends.nodes.snapshot().brake.all()
-    for _ in range(ends.protocol.reset_ticks):
+    for _ in range(ends.protocol.traits.reset_ticks):
         ends.step(RESET, set_up=False)
     ends.step(set_up=False)
     assert states(ends) == [DriveState.OFF] * LEGS
@@ -364,7 +364,7 @@ def test_a_reset_from_before_the_set_up_reaches_a_drive_once_and_only_in_fault()
 def test_drives_that_rest_are_stopped_too():
     ends = Ends(drives())
     ends.until_set_up()
-    ends.step(OFF._replace(stop=True), first=ends.protocol.emergency_stop())
+    ends.step(OFF._replace(stop=True), first=ends.protocol.traits.emergency_stop)
     ends.step()
     assert states(ends) == [DriveState.FAULT] * LEGS
 
@@ -423,7 +423,7 @@ def test_without_a_velocity_pdo_the_rate_is_that_of_the_lengths(lateness_ns):
         m["t_ns"], m["lateness_ns"] = number * 4_000_000, late_ns
         dialogue = protocol.decode(dialogue, received_array([Received(0, f) for _, f in frames]), last, m, 0)
     np.testing.assert_allclose(m["rate"], v, rtol=0, atol=2 * STEP_m / 3.7e-3)
-    assert {frame.id >> 7 for frame in protocol.cyclic_frames()} == {1, 3, 4}
+    assert {frame.id >> 7 for frame in protocol.traits.cyclic_frames} == {1, 3, 4}
 
 
 @pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.ZERO])

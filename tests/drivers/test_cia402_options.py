@@ -45,7 +45,7 @@ def test_the_rate_that_a_bus_of_1_Mbit_s_carries_at_70_percent(velocity, buses, 
     """SYNC 55 bit; a leg: RPDO of 4 bytes 95, TPDO of 8 bytes 135, one with the velocity 95 more."""
     protocol = drives(velocity=velocity)
     frames = []
-    for frame in protocol.cyclic_frames():
+    for frame in protocol.traits.cyclic_frames:
         node = frame.id & 0x7F
         on = range(buses) if node == 0 else [(node - 1) % buses]
         frames += [frame._replace(flags=frame.flags + BUS * k) for k in on]
@@ -61,9 +61,9 @@ def test_a_configuration_makes_the_codec():
     off = Command(DriveMode.OFF, np.zeros(6))
     _, frames = protocol.command(protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0)), off, 0)
     assert frames[-1].id == 0x700 + 100
-    assert len(protocol.feedback_ids) == 6
-    assert len(protocol.dangers) == 2
-    assert len(made().dangers) == 1
+    assert len(protocol.traits.feedback_ids) == 6
+    assert len(protocol.traits.dangers) == 2
+    assert len(made().traits.dangers) == 1
 
 
 def test_each_setting_of_the_drives_reaches_the_object_that_it_is_for():

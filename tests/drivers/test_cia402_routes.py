@@ -39,7 +39,7 @@ def test_a_frame_is_sent_by_the_drive_of_its_node_where_its_kind_is_one_that_dri
 
 def test_drives_are_asked_for_their_serial_number_and_then_for_their_revision():
     serial, revision = (bytes.fromhex(f"401810{sub:02x}00000000") for sub in (4, 3))
-    assert P.identity_requests() == tuple(
+    assert P.traits.identity_requests == tuple(
         tuple(Frame(0x600 + node, request) for node in NODES) for request in (serial, revision)
     )
 

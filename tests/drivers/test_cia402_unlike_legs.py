@@ -136,7 +136,7 @@ def test_a_loss_of_one_leg_alone_is_that_of_its_leg(leg):
 
 def test_the_ends_of_a_position_of_32_bits_are_the_shortest_and_the_longest_length_of_either_sign():
     """2^31 counts of 2^17 a turn are 2^14 turns of 20 mm; the upper end is a count less."""
-    shortest, longest = drives().reported_lengths()
+    shortest, longest = drives().traits.reported_lengths
     for leg, (sign, offset_m) in enumerate(zip(SIGN, (0.75, 0.75, 0.75, 0.75, 0.75, 0.5), strict=True)):
         less = (0.0, STEP_m) if sign > 0 else (STEP_m, 0.0)
         assert shortest[leg] == pytest.approx(offset_m - 327.68 + less[0], rel=0, abs=0.1 * STEP_m)

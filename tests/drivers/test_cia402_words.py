@@ -180,30 +180,43 @@ def test_the_force_that_fits_is_that_of_the_weakest_leg():
 
 def test_a_stop_is_a_quick_stop_of_each_drive_and_a_tick_has_a_sync_six_rpdos_and_two_tpdos_a_drive():
     nodes = P.node_ids
-    assert P.emergency_stop() == tuple(Frame(0x200 + node, b"\2\0\0\0") for node in nodes)
-    sync, commands, answers = P.cyclic_frames()[:1], P.cyclic_frames()[1:7], P.cyclic_frames()[7:]
+    assert P.traits.emergency_stop == tuple(Frame(0x200 + node, b"\2\0\0\0") for node in nodes)
+    sync, commands, answers = (
+        P.traits.cyclic_frames[:1],
+        P.traits.cyclic_frames[1:7],
+        P.traits.cyclic_frames[7:],
+    )
     assert sync == (Frame(0x80, b""),)
     assert commands == tuple(Frame(0x200 + node, bytes(4)) for node in nodes)
     assert [(each.id, len(each.data)) for each in answers] == [
         (first + node, size) for node in nodes for first, size in ((0x180, 8), (0x280, 4))
     ]
-    assert P.feedback_ids == {first + node for node in nodes for first in (0x180, 0x280)}
+    assert P.traits.feedback_ids == {first + node for node in nodes for first in (0x180, 0x280)}
     assert [P.awaited(each) for each in answers] == [each.id for each in answers]
 
 
 def test_lengths_can_be_reported_that_are_32_bits_of_counts():
     offset = np.array([0.75] * 5 + [0.5])
     below, above = 2147483648 * 0.02 / 131072, 2147483647 * 0.02 / 131072
-    shortest, longest = P.reported_lengths()
+    shortest, longest = P.traits.reported_lengths
     np.testing.assert_allclose(shortest, offset - np.where(SIGN > 0, below, above), rtol=1e-13)
     np.testing.assert_allclose(longest, offset + np.where(SIGN > 0, above, below), rtol=1e-13)
 
 
 def test_such_drives_have_their_traits():
-    assert (P.command_delay_ticks, P.set_up_frames, P.reset_ticks, P.unasked_s) == (0, 3, 6, 0.0)
-    assert (P.database, P.power_told, P.reactions) == (None, "feedback", (Reaction.BRAKE, Reaction.DAMP))
-    assert {P.latches_together, P.stop_latches, P.has_watchdog} == {True}
-    assert {P.shares_identifiers, P.answers_name_sync, P.force_on_brakes} == {False}
+    assert (
+        P.traits.command_delay_ticks,
+        P.traits.set_up_frames,
+        P.traits.reset_ticks,
+        P.traits.unasked_s,
+    ) == (0, 3, 6, 0.0)
+    assert (P.traits.database, P.traits.power_told, P.traits.reactions) == (
+        None,
+        "feedback",
+        (Reaction.BRAKE, Reaction.DAMP),
+    )
+    assert {P.traits.latches_together, P.traits.stop_latches, P.traits.has_watchdog} == {True}
+    assert {P.traits.shares_identifiers, P.traits.answers_name_sync, P.traits.force_on_brakes} == {False}
 
 
 def test_fresh_is_a_tpdo_of_its_length_from_the_beginning_of_the_tick_on():
@@ -217,13 +230,13 @@ def test_fresh_is_a_tpdo_of_its_length_from_the_beginning_of_the_tick_on():
 
 @pytest.mark.parametrize("velocity", [True, False])
 def test_a_length_is_off_by_a_count_and_a_rate_by_one_or_by_two_a_period(velocity):
-    found = drives(velocity=velocity).resolution(250.0)
+    found = drives(velocity=velocity).traits.resolution.at(250.0)
     count = 0.02 / 131072
     np.testing.assert_allclose(found.length, count, rtol=1e-12)
     np.testing.assert_allclose(found.rate, count if velocity else 500.0 * count, rtol=1e-12)
     np.testing.assert_allclose(found.force, 0.5 * PERMILLE_N, rtol=1e-12)
     assert found.differences is not velocity
-    assert len(drives(velocity=velocity).dangers) == (1 if velocity else 2)
+    assert len(drives(velocity=velocity).traits.dangers) == (1 if velocity else 2)
 
 
 def test_losses_are_those_of_each_leg_at_the_rate_last_read():

@@ -166,7 +166,7 @@ def test_fd_attributes_and_cycle_times():
 
 def test_table_makes_the_protocol_of_the_configuration():
     protocol = PROTOCOLS["legs"](BusSettings(layout="classic"), DriveSettings(node_ids=[9, 8, 7, 6, 5, 4]))
-    assert protocol.feedback_ids == {0x180 + n for n in (4, 5, 6, 7, 8, 9)}
+    assert protocol.traits.feedback_ids == {0x180 + n for n in (4, 5, 6, 7, 8, 9)}
 
 
 @pytest.mark.parametrize("nodes", [(0, 1, 2, 3, 4, 5), (1, 2, 3, 4, 5, 128)])
@@ -202,10 +202,10 @@ def test_node_numbers_move_identifiers_and_keep_legs(layout):
     ],
 )
 def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
-    frames = P[layout].cyclic_frames()
+    frames = P[layout].traits.cyclic_frames
     assert [len(frame.data) for frame in frames] == lengths
     assert len({frame.id for frame in frames}) == len(frames)
-    assert P[layout].feedback_ids < {frame.id for frame in frames}
+    assert P[layout].traits.feedback_ids < {frame.id for frame in frames}
     assert [frame.flags for frame in frames[1:]] == [0 if layout == "classic" else FD | BRS] * (
         len(frames) - 1
     )

@@ -185,7 +185,7 @@ def test_frames_of_a_controller_are_foreign_by_their_kind_in_any_layout():
     assert len(commands) == 4
     kinds = {
         Foreign.SYNC: opening(P["fd"], 0),
-        Foreign.ESTOP: P["fd"].emergency_stop(),
+        Foreign.ESTOP: P["fd"].traits.emergency_stop,
         Foreign.CONFIG: P["fd"].configure(0.01, Reaction.BRAKE),
         Foreign.COMMAND: commands,
     }
@@ -258,7 +258,7 @@ def test_the_answer_that_is_held_may_come_again_and_its_state_is_compared_unless
 @layouts
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 128 * BUS], ids=str)
 def test_frames_that_are_no_plain_ones_of_this_bus_say_nothing_and_are_nobodys(layout, flag):
-    frames = [*sent(layout), *opening(P[layout], 0), *P[layout].emergency_stop()]
+    frames = [*sent(layout), *opening(P[layout], 0), *P[layout].traits.emergency_stop]
     tick = told(layout, *(frame._replace(flags=frame.flags | flag) for frame in frames))
     assert tick["age"].tolist() == [1] * 6
     assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4

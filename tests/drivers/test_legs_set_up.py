@@ -203,12 +203,26 @@ def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
 
 
 def test_the_own_protocol_has_its_traits():
-    assert (P.command_delay_ticks, P.set_up_frames, P.reset_ticks, P.power_told) == (0, 1, 5, "feedback")
-    assert {P.stop_latches, P.force_on_brakes, P.has_watchdog, P.answers_name_sync, P.latches_together} == {
-        True
-    }
-    assert (P.shares_identifiers, P.unasked_s, P.dangers, P.reactions) == (False, 0.0, (), tuple(Reaction))
-    assert P.reported_lengths() is None
+    assert (
+        P.traits.command_delay_ticks,
+        P.traits.set_up_frames,
+        P.traits.reset_ticks,
+        P.traits.power_told,
+    ) == (0, 1, 5, "feedback")
+    assert {
+        P.traits.stop_latches,
+        P.traits.force_on_brakes,
+        P.traits.has_watchdog,
+        P.traits.answers_name_sync,
+        P.traits.latches_together,
+    } == {True}
+    assert (P.traits.shares_identifiers, P.traits.unasked_s, P.traits.dangers, P.traits.reactions) == (
+        False,
+        0.0,
+        (),
+        tuple(Reaction),
+    )
+    assert P.traits.reported_lengths is None
     assert P.fault_text(3) == ""
     force = np.arange(6.0)
     assert P.controller_end(SETUP).carried(force) is force
@@ -219,7 +233,7 @@ def test_the_own_protocol_has_its_traits():
     [("classic", (5e-8, 5e-5, 1.0)), ("fd", (5e-8, 5e-8, 5e-4)), ("ideal", (0.0, 0.0, 0.0))],
 )
 def test_a_rounded_field_is_off_by_half_a_step(layout, steps):
-    found = LegsProtocol(layout, NODES, 32_000.0).resolution(250.0)[:3]
+    found = LegsProtocol(layout, NODES, 32_000.0).traits.resolution.at(250.0)[:3]
     for values, step in zip(found, steps, strict=True):
         np.testing.assert_allclose(values, step, rtol=1e-12)
 
@@ -227,10 +241,10 @@ def test_a_rounded_field_is_off_by_half_a_step(layout, steps):
 def test_frames_concern_the_legs_of_their_identifiers():
     config, feedback = P.configure(0.0125, Reaction.HOLD), [Frame(0x280 + node, b"") for node in NODES]
     assert [P.addressed(each) for each in config] == [(leg,) for leg in range(6)]
-    assert P.addressed(opening(P, 0)[0]) == P.addressed(P.emergency_stop()[0]) == ALL_LEGS
+    assert P.addressed(opening(P, 0)[0]) == P.addressed(P.traits.emergency_stop[0]) == ALL_LEGS
     assert [P.sender(each) for each in (*feedback, *map(status, range(6)))] == [*range(6), *range(6)]
     assert P.sender(config[0]) == -1
-    assert P.feedback_ids == {each.id for each in feedback}
+    assert P.traits.feedback_ids == {each.id for each in feedback}
 
 
 @pytest.mark.parametrize(

@@ -165,7 +165,7 @@ def test_a_bus_that_takes_a_part_of_its_frames_is_busy_however_long():
 @pytest.mark.parametrize("name", FAMILIES)
 def test_sync_heartbeat_and_stop_of_one_bus_reach_the_drives_of_that_bus_alone(name):
     protocol = family(name, ODD)
-    dialogue, sent = protocol.start(SETUP), list(protocol.emergency_stop())
+    dialogue, sent = protocol.start(SETUP), list(protocol.traits.emergency_stop)
     for tick in range(60):
         sent += protocol.begin(dialogue, tick)
         dialogue, frames = protocol.command(dialogue, Command(DriveMode.OFF, 0.0 * FORCE), tick)

@@ -404,7 +404,7 @@ def test_a_drive_that_is_left_enabled_by_a_dead_controller_stops_by_itself_where
     ends.step(Command(DriveMode.OFF, np.zeros(6)))
     ends.step(Command(DriveMode.OFF, np.zeros(6)))
     assert ends.measurement["drive_fault"].tolist() == [fault] * 6
-    for _ in range(ends.protocol.reset_ticks):
+    for _ in range(ends.protocol.traits.reset_ticks):
         ends.step(Command(DriveMode.RESET, np.zeros(6)))
     for _ in range(3):
         ends.step()
@@ -482,7 +482,7 @@ def test_an_answer_that_comes_with_the_next_poll_measures_at_its_age_where_its_d
 @given(st.integers(0, 2**32 - 1))
 def test_no_field_of_a_reply_or_command_is_off_by_more_than_the_resolution_and_some_by_most_of_it(seed):
     chance = np.random.default_rng(seed)
-    stated = MitProtocol("cubemars", WIDE, NODES, 0, GEAR).protocol.resolution(250.0)
+    stated = MitProtocol("cubemars", WIDE, NODES, 0, GEAR).protocol.traits.resolution.at(250.0)
     off = []
     for _ in range(30):
         p, v, t = chance.uniform(-0.99, 0.99, 3) * (WIDE.position, WIDE.velocity, WIDE.torque)
@@ -589,7 +589,7 @@ def test_settings_that_the_variant_does_not_have_are_refused_by_name(changes, me
 def test_each_variant_can_be_configured(variant):
     model = next(iter(VARIANTS[variant].models))
     protocol = PROTOCOLS["mit"](*settings(options={"variant": variant, "model": model}))
-    assert len(protocol.cyclic_frames()) == 12
+    assert len(protocol.traits.cyclic_frames) == 12
 
 
 class Pushed(Given):

@@ -79,11 +79,11 @@ def test_who_a_damiao_is_it_says_of_itself_alone(leg):
         strange += [frame._replace(data=bytes((*data[:k], data[k] + 1, *data[k + 1 :]))) for k in range(3)]
         strange.append(frame._replace(data=bytes((node, 0, 0x33, 9, 1, 2, 3, 4))))
         assert [DAMIAO.identity(each) for each in strange] == [None] * 7
-    requests = DAMIAO.identity_requests()
+    requests = DAMIAO.traits.identity_requests
     assert requests == tuple(
         tuple(Frame(0x7FF, bytes((n, 0, 0x33, register, 0, 0, 0, 0))) for n in NODES) for register in (15, 14)
     )
-    assert VARIANTS["cubemars"].identity_requests() == ()
+    assert VARIANTS["cubemars"].traits.identity_requests == ()
     assert VARIANTS["cubemars"].identity(Frame(0, bytes((node, 0, 0x33, 15, 1, 2, 3, 4)))) is None
 
 
@@ -167,10 +167,10 @@ def test_replies_that_come_on_a_drives_own_identifier_or_on_none_are_refused(nam
 @pytest.mark.parametrize("name", VARIANTS)
 def test_the_largest_torque_is_that_of_the_top_code(name):
     assert VARIANTS[name].torque_limit == pytest.approx(0xFFB * STEP_Nm - 144.0, rel=1e-12)
-    polls, stops = VARIANTS[name].cyclic_frames()[:6], VARIANTS[name].emergency_stop()
+    polls, stops = VARIANTS[name].traits.cyclic_frames[:6], VARIANTS[name].traits.emergency_stop
     assert stops == tuple(Frame(node, DISABLE) for node in NODES)
     assert polls == tuple(Frame(node, pack_command(0.0, 0.0, 0.0, 0.0, -144.0, RANGES)) for node in NODES)
-    assert len(VARIANTS[name].cyclic_frames()) == 12
+    assert len(VARIANTS[name].traits.cyclic_frames) == 12
 
 
 def test_a_damiao_is_named_in_a_register_request_by_two_bytes():
@@ -193,7 +193,7 @@ def test_what_a_torque_field_carries_is_truncated_to_its_twelve_bits():
 
 def test_a_step_of_each_field_is_what_a_reading_is_off_by():
     tau, per_turn = 2 * np.pi, np.abs(UNLIKE.m_per_turn)
-    length, rate, force, differences = DAMIAO.resolution(250.0)
+    length, rate, force, differences = DAMIAO.traits.resolution.at(250.0)
     np.testing.assert_allclose(length, 191.0 / 65535 / tau * per_turn, rtol=1e-12)
     np.testing.assert_allclose(rate, 800.0 / 4095 / tau * per_turn, rtol=1e-12)
     np.testing.assert_allclose(force, STEP_Nm * np.abs(UNLIKE.N_per_Nm), rtol=1e-12)

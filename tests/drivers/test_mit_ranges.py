@@ -71,7 +71,7 @@ def test_the_lengths_that_a_drive_can_report_end_with_the_range_of_its_position(
         TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5])
     )
     ranges = Ranges(12.5, 30.0, 500.0, 5.0, 10.0)
-    found = MitProtocol(variant, ranges, (1, 2, 3, 4, 5, 6), host, gear).reported_lengths()
+    found = MitProtocol(variant, ranges, (1, 2, 3, 4, 5, 6), host, gear).traits.reported_lengths
     assert found is not None
     shortest, longest = found
     assert shortest == pytest.approx([0.75, 0.85, 0.95, 1.05, 1.15, 1.25])

@@ -97,7 +97,7 @@ def test_the_package_itself_where_it_is_installed_says_the_same():
 @pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (float("nan"), 0.1), (0.0, 0.1)])
 def test_a_command_without_a_time_leaves_the_drive_the_one_that_it_was_delivered_with(sent_s, kept_s):
     protocol = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
-    frame = protocol.cyclic_frames()[3]._replace(data=pad(torque_command(0.5, 2.0, sent_s)))
+    frame = protocol.traits.cyclic_frames[3]._replace(data=pad(torque_command(0.5, 2.0, sent_s)))
     _, messages = protocol.parse(protocol.power_up(), frame)
     (kept,) = [each for each in messages if isinstance(each, Configure)]
     assert kept.leg == 3
@@ -264,7 +264,9 @@ def test_who_a_drive_is_is_asked_and_answered_as_the_package_does():
     package: Any = pytest.importorskip("moteus")
     r, protocol = package.Register, MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT)
     serial = (r.SERIAL_NUMBER1, r.SERIAL_NUMBER2, r.SERIAL_NUMBER3)
-    for requests, asked in zip(protocol.identity_requests(), (serial, (r.FIRMWARE_VERSION,)), strict=True):
+    for requests, asked in zip(
+        protocol.traits.identity_requests, (serial, (r.FIRMWARE_VERSION,)), strict=True
+    ):
         theirs = package.Controller(id=3).make_custom_query(dict.fromkeys(asked, package.INT32))
         assert requests[2] == Frame(0x8003, pad(bytes(theirs.data)), EXTENDED | FD | BRS)
         memory, _ = protocol.parse(protocol.power_up(), requests[2])
@@ -375,6 +377,6 @@ def test_a_row_names_what_it_does_not_have(change, message):
 
 
 def test_no_pin_of_a_drive_is_used_for_its_brake_and_check_says_what_the_bench_needs():
-    said = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT).dangers[0]
+    said = MoteusProtocol(NODES, 0, Reaction.DAMP, 2.0, UNIT).traits.dangers[0]
     assert "aux pins keep their level" in said
     assert "brakes of your own" in said

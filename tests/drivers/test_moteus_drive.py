@@ -338,7 +338,7 @@ def test_an_identifier_that_a_frame_cannot_carry_or_the_controller_has_is_refuse
 def test_a_controller_has_an_identifier_of_0_to_126(host, taken):
     nodes = (1, 2, 3, 4, 5, 6)
     if taken:
-        assert MoteusProtocol(nodes, host, Reaction.DAMP, 2.0, UNLIKE).feedback_ids == {
+        assert MoteusProtocol(nodes, host, Reaction.DAMP, 2.0, UNLIKE).traits.feedback_ids == {
             n << 8 | host for n in nodes
         }
         return
@@ -348,14 +348,14 @@ def test_a_controller_has_an_identifier_of_0_to_126(host, taken):
 
 def test_what_a_drive_does_by_itself_is_named_with_the_number_of_its_setting():
     stops = MoteusProtocol(NODES, 1, Reaction.BRAKE, 2.0, UNLIKE)
-    assert "set it to 0, stopped with moteus_tool" in stops.dangers[1]
-    assert "set it to 12, zero velocity with moteus_tool" in P.dangers[1]
+    assert "set it to 0, stopped with moteus_tool" in stops.traits.dangers[1]
+    assert "set it to 12, zero velocity with moteus_tool" in P.traits.dangers[1]
 
 
 def test_a_tick_is_six_torques_with_their_queries_and_six_replies():
-    commands, replies = P.cyclic_frames()[:6], P.cyclic_frames()[6:]
+    commands, replies = P.traits.cyclic_frames[:6], P.traits.cyclic_frames[6:]
     assert commands == tuple(to(leg, torque_command(0.0, 2.0, 1.0)) for leg in range(6))
     assert [(frame.id, len(frame.data)) for frame in replies] == [(n << 8 | 1, 24) for n in NODES]
-    assert [P.awaited(frame) for frame in P.cyclic_frames()] == [-1] * 6 + [n << 8 | 1 for n in NODES]
-    assert P.emergency_stop() == tuple(to(leg, STOP) for leg in range(6))
+    assert [P.awaited(frame) for frame in P.traits.cyclic_frames] == [-1] * 6 + [n << 8 | 1 for n in NODES]
+    assert P.traits.emergency_stop == tuple(to(leg, STOP) for leg in range(6))
     assert [P.addressed(frame) for frame in commands] == [(leg,) for leg in range(6)]

@@ -107,22 +107,23 @@ def made(name: str, layout: Any, **values: Any) -> Any:
 def test_a_moteus_is_made_with_its_nodes_the_controllers_number_its_torque_and_what_it_does_in_silence():
     for mode, reaction in (("stopped", Reaction.BRAKE), ("zero_velocity", Reaction.DAMP)):
         protocol = made("moteus", "fd", options={"timeout_mode": mode, "host_id": 9, "torque_N_m": 1.5})
-        assert protocol.feedback_ids == {node << 8 | 9 for node in (7, 2, 3, 4, 5, 6)}
-        assert (protocol.reactions, protocol.torque_limit) == ((reaction,), 1.5)
+        assert protocol.traits.feedback_ids == {node << 8 | 9 for node in (7, 2, 3, 4, 5, 6)}
+        assert (protocol.traits.reactions, protocol.torque_limit) == ((reaction,), 1.5)
     plain = made("moteus", "fd", options={"timeout_mode": "stopped"})
-    assert (plain.torque_limit, plain.emergency_stop()[0].id) == (1e4, 0x8007)
+    assert (plain.torque_limit, plain.traits.emergency_stop[0].id) == (1e4, 0x8007)
     with refused("bus.layout: allowed with moteus: fd, given: classic"):
         made("moteus", "classic", options={"timeout_mode": "stopped"})
 
 
 def test_an_odrive_is_made_with_its_nodes_and_timers():
     protocol = made("odrive", "classic", heartbeat_ms=200, watchdog_ms=30, options={"encoder_msg_rate_ms": 4})
-    assert protocol.feedback_ids == {node << 5 | 9 for node in (7, 2, 3, 4, 5, 6)}
-    assert protocol.unasked_s == pytest.approx(0.004)
+    assert protocol.traits.feedback_ids == {node << 5 | 9 for node in (7, 2, 3, 4, 5, 6)}
+    assert protocol.traits.unasked_s == pytest.approx(0.004)
     assert protocol.patience_ticks(101.0) == 61
-    assert made("odrive", "classic").unasked_s == pytest.approx(0.01)
+    assert made("odrive", "classic").traits.unasked_s == pytest.approx(0.01)
     assert (
-        made("odrive", "classic", heartbeat_ms=250, options={"encoder_msg_rate_ms": 10_000}).unasked_s == 10.0
+        made("odrive", "classic", heartbeat_ms=250, options={"encoder_msg_rate_ms": 10_000}).traits.unasked_s
+        == 10.0
     )
     with refused("drives.heartbeat_ms: allowed with odrive: up to 250, as .* is enabled, given: 250.5"):
         made("odrive", "classic", heartbeat_ms=250.5)
@@ -139,19 +140,19 @@ def test_a_drive_with_mit_framing_is_made_with_its_variant_model_and_the_identif
 ):
     protocol = made("mit", "classic", options={"variant": variant, "model": model, "torque_N_m": 9.0})
     assert (protocol.ranges.torque, protocol.ranges.position) == (9.0, 12.5)
-    replies = protocol.cyclic_frames()[6:]
+    replies = protocol.traits.cyclic_frames[6:]
     assert [frame.id for frame in replies] == [host + node * (host > 0) for node in (7, 2, 3, 4, 5, 6)]
     other = made("mit", "classic", options={"variant": variant, "model": model, "host_id": 64})
-    assert other.cyclic_frames()[6].id == 64 + 7 * (host > 0)
+    assert other.traits.cyclic_frames[6].id == 64 + 7 * (host > 0)
     with refused(f"drives.force_limit_N: .* mit, variant {variant}, carries up to .*"):
         made("mit", "classic", options={"variant": variant, "model": model}, force_limit_N=60_000)
 
 
 def test_a_robstride_is_made_with_its_controllers_number():
     protocol = made("mit", "classic", options={"variant": "robstride", "model": "rs-03"})
-    assert (protocol.emergency_stop()[0].id, protocol.torque_limit) == (4 << 24 | 253 << 8 | 7, 60.0)
+    assert (protocol.traits.emergency_stop[0].id, protocol.torque_limit) == (4 << 24 | 253 << 8 | 7, 60.0)
     named = made("mit", "classic", options={"variant": "robstride", "model": "rs-03", "host_id": 200})
-    assert named.emergency_stop()[0].id == 4 << 24 | 200 << 8 | 7
+    assert named.traits.emergency_stop[0].id == 4 << 24 | 200 << 8 | 7
 
 
 @pytest.mark.parametrize(
@@ -164,5 +165,5 @@ def test_a_robstride_is_made_with_its_controllers_number():
 def test_a_number_of_0_that_is_given_is_not_taken_for_none(variant, model, message):
     with refused(f"drives.options: {message}"):
         made("mit", "classic", options={"variant": variant, "model": model, "host_id": 0})
-    assert made("odrive", "classic", options={"encoder_msg_rate_ms": 0}).unasked_s == 0.0
-    assert made("odrive", "classic").unasked_s == 0.01
+    assert made("odrive", "classic", options={"encoder_msg_rate_ms": 0}).traits.unasked_s == 0.0
+    assert made("odrive", "classic").traits.unasked_s == 0.01

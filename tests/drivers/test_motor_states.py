@@ -56,5 +56,5 @@ def test_a_disabled_drive_has_restarted_only_where_it_ran_and_is_asked_to_run_an
     ],
 )
 def test_each_family_says_by_what_its_drives_tell_that_they_are_enabled(name, told):
-    assert FAMILIES[name].power_told == told
-    assert FAMILIES[name].power_told == told
+    assert FAMILIES[name].traits.power_told == told
+    assert FAMILIES[name].traits.power_told == told

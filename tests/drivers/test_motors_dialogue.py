@@ -225,36 +225,40 @@ TRAITS = {
 def test_each_family_has_its_traits(name):
     protocol = FAMILIES[name]
     assert TRAITS[name] == (
-        protocol.command_delay_ticks,
-        protocol.set_up_frames,
-        protocol.reset_ticks,
-        protocol.stop_latches,
-        protocol.shares_identifiers,
-        protocol.has_watchdog,
+        protocol.traits.command_delay_ticks,
+        protocol.traits.set_up_frames,
+        protocol.traits.reset_ticks,
+        protocol.traits.stop_latches,
+        protocol.traits.shares_identifiers,
+        protocol.traits.has_watchdog,
     )
-    assert {protocol.force_on_brakes, protocol.answers_name_sync, protocol.latches_together} == {False}
-    assert (protocol.unasked_s, protocol.database) == (0.0, None)
-    assert protocol.reactions == ((Reaction.DAMP,) if name == "moteus" else (Reaction.BRAKE,))
+    assert {
+        protocol.traits.force_on_brakes,
+        protocol.traits.answers_name_sync,
+        protocol.traits.latches_together,
+    } == {False}
+    assert (protocol.traits.unasked_s, protocol.traits.database) == (0.0, None)
+    assert protocol.traits.reactions == ((Reaction.DAMP,) if name == "moteus" else (Reaction.BRAKE,))
 
 
 def test_answers_that_share_identifiers_are_told_apart_by_their_legs():
     for name in ("mini_cheetah", "cubemars", "damiao", "robstride"):
         protocol = FAMILIES[name]
-        assert protocol.feedback_ids == frozenset(range(6))
-        assert [protocol.awaited(each) for each in protocol.cyclic_frames()] == [-1] * 6 + list(range(6))
+        assert protocol.traits.feedback_ids == frozenset(range(6))
+        assert [protocol.awaited(each) for each in protocol.traits.cyclic_frames] == [-1] * 6 + list(range(6))
 
 
 def test_turns_without_an_end_name_no_lengths_and_what_a_family_says_of_safety_is_its_brake_and_its_watchdog():
     protocol = Spoken()
-    assert protocol.reported_lengths() is None
+    assert protocol.traits.reported_lengths is None
     # a single has 24 bits, and no leg is farther than 2 m from where its drive reads zero
-    length, rate, force, differences = protocol.resolution(250.0)
+    length, rate, force, differences = protocol.traits.resolution.at(250.0)
     assert (set(length), set(rate), set(force), differences) == ({2.0**-23}, {0.0}, {0.0}, False)
-    assert (protocol.power_told, Spoken(reports=False).power_told) == ("feedback", "never")
-    brake, watchdog = protocol.dangers
+    assert (protocol.traits.power_told, Spoken(reports=False).traits.power_told) == ("feedback", "never")
+    brake, watchdog = protocol.traits.dangers
     assert "no frame of these drives works a brake" in brake
     assert watchdog == "nobody watches"
-    assert len(FAMILIES["damiao"].dangers) == 1, "its watchdog is set and read back"
+    assert len(FAMILIES["damiao"].traits.dangers) == 1, "its watchdog is set and read back"
 
 
 @pytest.mark.parametrize("name", [name for name in FAMILIES if name != "odrive"])

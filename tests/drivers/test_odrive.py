@@ -100,7 +100,7 @@ def test_states_modes_errors_and_stops_are_the_vendors_frames():
         (closed, vectors("Set_Axis_State")[0]),
         (ready, vectors("Set_Controller_Mode")[0]),
         (clear, vectors("Clear_Errors")[0]),
-        (unit().emergency_stop()[1], vectors("Estop")[0]),
+        (unit().traits.emergency_stop[1], vectors("Estop")[0]),
     ):
         assert sent == frame(vector)
     assert unit().begin(start, 0)[1] == Frame(vectors("Get_Encoder_Estimates")[0]["id"], b"", REMOTE)
@@ -265,4 +265,4 @@ def test_the_watchdog_and_the_heartbeats_of_an_axis_are_those_of_the_configurati
 
 
 def test_a_brake_is_the_axis_own_and_check_says_by_which_setting():
-    assert "mechanical_brake.config.gpio_num" in unit().dangers[0]
+    assert "mechanical_brake.config.gpio_num" in unit().traits.dangers[0]

@@ -262,19 +262,19 @@ def test_an_address_is_of_eight_bytes_from_its_own_node_and_no_request():
     for other in (to(0x06, data, REMOTE), to(0x06, data[:7]), to(0x05, data), to(0x06, b"\4" + data[1:])):
         assert P.identity(other) is None
     assert P.hear(to(0x06, data)) is None
-    requests = P.identity_requests()
+    requests = P.traits.identity_requests
     assert requests == (tuple(Frame(node << 5 | 6, b"", REMOTE) for node in NODES),)
 
 
 def test_a_tick_is_six_polls_six_torques_and_six_estimates():
-    polls, torques, estimates = (P.cyclic_frames()[k : k + 6] for k in (0, 6, 12))
-    assert len(P.cyclic_frames()) == 18
+    polls, torques, estimates = (P.traits.cyclic_frames[k : k + 6] for k in (0, 6, 12))
+    assert len(P.traits.cyclic_frames) == 18
     assert polls == tuple(Frame(node << 5 | 9, b"", REMOTE) for node in NODES)
     assert torques == tuple(Frame(node << 5 | 0x0E, bytes(8)) for node in NODES)
     assert [each._replace(data=b"") for each in estimates] == [Frame(node << 5 | 9, b"") for node in NODES]
     assert {struct.unpack("<ff", each.data) for each in estimates} == {(0.0, 0.0)}
-    assert P.emergency_stop() == tuple(Frame(node << 5 | 2, b"") for node in NODES)
-    assert P.feedback_ids == {node << 5 | 9 for node in NODES}
+    assert P.traits.emergency_stop == tuple(Frame(node << 5 | 2, b"") for node in NODES)
+    assert P.traits.feedback_ids == {node << 5 | 9 for node in NODES}
     assert [P.awaited(frame) for frame in polls + torques] == [-1] * 12
     assert [P.awaited(frame) for frame in estimates] == [node << 5 | 9 for node in NODES]
 
@@ -324,7 +324,7 @@ def test_an_axis_is_unknown_after_three_heartbeats_that_did_not_come_and_two_tic
 def test_a_node_number_is_0_to_62(node):
     nodes = (1, 2, 3, node, 5, 6)
     if node in (0, 62):
-        assert ODriveProtocol(nodes, 0.05, UNLIKE).emergency_stop()[3].id == node << 5 | 2
+        assert ODriveProtocol(nodes, 0.05, UNLIKE).traits.emergency_stop[3].id == node << 5 | 2
         return
     with pytest.raises(ConfigurationError, match=rf"drives.node_ids\[3\]: .* 0 to 62, given: {node}"):
         ODriveProtocol(nodes, 0.05, UNLIKE)

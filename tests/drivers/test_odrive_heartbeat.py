@@ -111,11 +111,11 @@ def test_an_axis_that_was_enabled_for_less_than_a_heartbeat_is_told_to_be_idle_a
 def test_a_reset_clears_the_errors_of_axes_that_have_not_yet_told_them(anew):
     ends = line()
     ends.to_hear = mute
-    ends.step(OFF, first=ends.protocol.emergency_stop())
+    ends.step(OFF, first=ends.protocol.traits.emergency_stop)
     assert ends.nodes.snapshot().state.tolist() == [DriveState.FAULT] * LEGS
     if anew:
         ends.begin_anew()
-    for _ in range(ends.protocol.reset_ticks):
+    for _ in range(ends.protocol.traits.reset_ticks):
         ends.step(RESET)
     assert ends.nodes.snapshot().state.tolist() == [DriveState.OFF] * LEGS
 
@@ -129,7 +129,7 @@ def test_the_emulated_axis_sends_its_heartbeat_by_a_timer_and_none_with_a_change
 
     ends.to_hear = hear
     for command in (FORCED, READY, FORCED, OFF, RESET, OFF) * 4:
-        ends.step(command, set_up=False, first=ends.protocol.emergency_stop() if command == OFF else ())
+        ends.step(command, set_up=False, first=ends.protocol.traits.emergency_stop if command == OFF else ())
     times = [t_ns for t_ns, _ in told]
     assert len(told) > 3 * LEGS
     assert set(np.diff(times)) == {BEAT_TICKS * PERIOD_NS // LEGS}

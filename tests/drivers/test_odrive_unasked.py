@@ -77,7 +77,7 @@ def test_where_the_axes_are_said_to_send_none_a_second_estimate_and_a_late_one_a
 
 @pytest.mark.parametrize("named", [{}, {"encoder_msg_rate_ms": 10}])
 def test_an_axis_is_taken_to_send_its_estimates_every_10_ms_as_delivered(named):
-    assert configured(named).unasked_s == pytest.approx(0.01)
+    assert configured(named).traits.unasked_s == pytest.approx(0.01)
 
 
 def configured(options: dict[str, int], **bus: Any) -> Any:

@@ -29,7 +29,7 @@ from hil.loop.daemon import switch_off
 from hil.loop.report import waiting_text
 from hil.record.log import Log
 from tests.drivers.protocol_contract import Ends, ProtocolContract
-from tests.drivers.stub_protocol import StubProtocol, stub
+from tests.drivers.stub_protocol import MOST_SET_UP, StubProtocol, stub
 from tests.drivers.trouble_contract import TroubleContract
 
 NODES = "node_ids: [1, 2, 3, 4, 5, 6]"
@@ -84,7 +84,7 @@ class TestStub(ProtocolContract):
         ends = Ends(protocol)
         ends.until_set_up()
         for _ in range(3):
-            ends.step(first=protocol.emergency_stop())
+            ends.step(first=protocol.traits.emergency_stop)
         assert ends.measurement["drive_fault"].tolist() == [0x7302] * 6
 
     def test_it_has_the_traits_that_ours_lacks(self, protocol):
@@ -92,8 +92,8 @@ class TestStub(ProtocolContract):
         for _ in range(30):
             ends.step()
             assert len(ends.opening) == 6, "polls, no SYNC"
-        assert {frame.flags for frame in protocol.cyclic_frames()} == {EXTENDED}
-        assert len(protocol.feedback_ids) == 12
+        assert {frame.flags for frame in protocol.traits.cyclic_frames} == {EXTENDED}
+        assert len(protocol.traits.feedback_ids) == 12
 
 
 class Wire:
@@ -164,7 +164,7 @@ def test_its_frames_and_its_database_are_in_the_log(recorded):
     assert {frame.flags for frame in sent} == {EXTENDED}
     assert min(frame.id for frame in sent) > 0x7FF
     sizes = [len(tick.sent) for tick in ticks]
-    assert max(sizes) == 6 + StubProtocol.set_up_frames, "six polls and the dialogue"
+    assert max(sizes) == 6 + MOST_SET_UP, "six polls and the dialogue"
     assert sizes[-1] == 6
 
 
@@ -194,7 +194,7 @@ def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_
     nodes, plant = build_nodes(c)
     lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, BitTiming.of(c.bus), 0.01)
     try:
-        wanted, wires = lockstep.cycle.parts.protocol.feedback_ids, lockstep.wires
+        wanted, wires = lockstep.cycle.parts.protocol.traits.feedback_ids, lockstep.wires
         assert set(lockstep.step()[0].frames["id"]) >= wanted
         assert wires.record["step_ns"] < 4_000_000
         wires.record["fresh"], _keeps = of_python(lambda *_: 0, *[INTEGER] * 4)

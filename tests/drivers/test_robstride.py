@@ -113,8 +113,8 @@ def test_the_run_mode_is_written_and_read_back_and_another_register_is_refused()
 
 @pytest.mark.parametrize("leg", range(6))
 def test_a_drive_says_who_it_is_to_whoever_asks(leg):
-    assert P.identity_requests() == (tuple(to(0, leg=each) for each in range(6)),)
-    _, ((answer,),) = told(P.identity_requests()[0][leg])
+    assert P.traits.identity_requests == (tuple(to(0, leg=each) for each in range(6)),)
+    _, ((answer,),) = told(P.traits.identity_requests[0][leg])
     assert answer == Answer(leg, Frame(NODES[leg] << 8 | 0xFE, bytes((NODES[leg], *bytes(7))), EXTENDED))
     assert P.identity(answer.frame) == Said(leg, "serial number", NODES[leg])
     data = bytes(range(1, 9))
@@ -250,11 +250,11 @@ def test_each_drive_is_told_by_its_own_state_and_history():
                 half = struct.pack(">HHHH", 0x7FFF, 0x7FFF, 0, 0)
                 expected = to(1, half, code, leg) if leg in (1, 3, 5) else to(3, leg=leg)
             assert frame == expected
-    assert P.emergency_stop() == tuple(to(4, leg=leg) for leg in range(6))
+    assert P.traits.emergency_stop == tuple(to(4, leg=leg) for leg in range(6))
     half = struct.pack(">HHHH", 0x7FFF, 0x7FFF, 0, 0)
-    assert P.cyclic_frames()[:6] == tuple(to(1, half, 0, leg) for leg in range(6))
-    assert [P.awaited(each) for each in P.cyclic_frames()[6:]] == list(range(6))
-    assert [P.addressed(each) for each in P.emergency_stop()] == [(leg,) for leg in range(6)]
+    assert P.traits.cyclic_frames[:6] == tuple(to(1, half, 0, leg) for leg in range(6))
+    assert [P.awaited(each) for each in P.traits.cyclic_frames[6:]] == list(range(6))
+    assert [P.addressed(each) for each in P.traits.emergency_stop] == [(leg,) for leg in range(6)]
     assert P.torque_limit == 144.0
 
 
@@ -280,7 +280,8 @@ def test_a_motor_number_is_1_to_127(node):
 def test_a_controller_has_a_number_of_128_to_255(host):
     if host in (128, 255):
         assert (
-            RobStrideProtocol(P.ranges, NODES, host, UNLIKE).emergency_stop()[0].id == 4 << 24 | host << 8 | 1
+            RobStrideProtocol(P.ranges, NODES, host, UNLIKE).traits.emergency_stop[0].id
+            == 4 << 24 | host << 8 | 1
         )
         return
     with pytest.raises(ConfigurationError, match=f"host_id out of range, allowed: 128 to 255, given: {host}"):

@@ -153,7 +153,7 @@ def test_a_drive_is_polled_commanded_set_up_and_stopped_on_its_own_bus_alone(nam
     tick["tick"], tick["age"], tick["drive_state"] = 0, 0, DriveState.BOOT
     dialogue, command = protocol.command(protocol.start(SETUP), Command(DriveMode.OFF, np.zeros(6)), 0)
     dialogue, configure = protocol.set_up(dialogue, tick)
-    opening, stop = protocol.begin(dialogue, 0), protocol.emergency_stop()
+    opening, stop = protocol.begin(dialogue, 0), protocol.traits.emergency_stop
     for_all = name in ("legs", "cia402")
     assert Counter(frame.bus for frame in opening) == {
         k: 1 if for_all else len(legs[k]) for k in set(on.values())

@@ -61,7 +61,7 @@ class Vector(NamedTuple):
 
 
 VECTORS = [
-    Vector("ESTOP", P["fd"].emergency_stop()[0], 0x001, 0, "00", {"Source": 0}),
+    Vector("ESTOP", P["fd"].traits.emergency_stop[0], 0x001, 0, "00", {"Source": 0}),
     Vector("SYNC", opening(P["fd"], TICK)[0], 0x080, 0, "A7 C3", {"Cycle": 167, "CRC": 0xC3}),
     Vector(
         "CONFIG_3",

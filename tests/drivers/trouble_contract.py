@@ -90,7 +90,7 @@ class Line(Ends):
 
     def recover(self) -> None:
         """Reset, park and set up, as the next run does with --reset."""
-        for command in [OFF] * 3 + [RESET] * self.protocol.reset_ticks:
+        for command in [OFF] * 3 + [RESET] * self.protocol.traits.reset_ticks:
             self.step(command)
         self.until_set_up()
 
@@ -144,7 +144,7 @@ class TroubleContract(ProtocolContract):
 
     def ids_of(self, protocol: DriveProtocol, leg: int) -> set[int]:
         """Return what `awaited` gives for the feedback of a leg."""
-        cyclic = protocol.cyclic_frames()
+        cyclic = protocol.traits.cyclic_frames
         return {protocol.awaited(frame) for frame in cyclic if protocol.sender(frame) == leg}
 
     # edges
@@ -155,7 +155,7 @@ class TroubleContract(ProtocolContract):
         allowed = self.RESOLUTION[3] / 2 * (1 + 1e-6)
 
         def arrives(force: list[float]) -> None:
-            for _ in range(1 + protocol.command_delay_ticks):
+            for _ in range(1 + protocol.traits.command_delay_ticks):
                 line.step(Command(DriveMode.RUN, np.array(force)), set_up=False)
             np.testing.assert_allclose(line.nodes.snapshot().command, force, rtol=self.RELATIVE, atol=allowed)
 
@@ -278,7 +278,7 @@ class TroubleContract(ProtocolContract):
         assert after.command.tolist() == before.command.tolist()
         assert (after.rejected > before.rejected) == (what == "cut")
         line.to_obey = list
-        for _ in range(1 + protocol.command_delay_ticks):
+        for _ in range(1 + protocol.traits.command_delay_ticks):
             line.step(Command(DriveMode.RUN, -FORCE), set_up=False)
         np.testing.assert_allclose(line.nodes.snapshot().command, -FORCE, rtol=0, atol=self.RESOLUTION[3])
 
@@ -363,7 +363,7 @@ class TroubleContract(ProtocolContract):
         if self.CLEARS:
             line.recover()
         else:
-            for _ in range(3 + protocol.reset_ticks):
+            for _ in range(3 + protocol.traits.reset_ticks):
                 line.step(RESET)
             assert line.states()[LEG] == DriveState.FAULT
 
@@ -460,7 +460,7 @@ class TroubleContract(ProtocolContract):
         while line.tick * PERIOD_NS < 1_300_000_000:
             command = wild[int(generator.integers(len(wild)))]
             for _ in range(int(generator.integers(1, 12))):
-                first = protocol.emergency_stop() if generator.random() < 0.02 else ()
+                first = protocol.traits.emergency_stop if generator.random() < 0.02 else ()
                 line.step(command, first=first)
             if generator.random() < 0.03:
                 line.begin_anew()

@@ -373,7 +373,7 @@ def test_drives_that_are_not_to_be_powered_are_told_no_force(bench, mode):
 
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.FAULT])
 def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(bench, mode):
-    ticks = bench.cycle.parts.protocol.reset_ticks
+    ticks = bench.cycle.parts.protocol.traits.reset_ticks
     assert stepped(bench, mode)["command_mode"] == DriveMode.OFF
     bench.cycle.reset_tick = bench.tick + 1
     modes = [int(stepped(bench, mode)["command_mode"]) for _ in range(3 * ticks)]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.legs.protocol import LegsProtocol
 from drivers.signals import DriveMode, DriveState, Fault, Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import loads
@@ -118,8 +118,9 @@ def test_the_stop_is_repeated_where_drives_keep_it_or_another_controller_command
     monkeypatch, rivals, latches, sent
 ):
     """Drives that go on in RUN whatever they are told."""
-    monkeypatch.setattr(LegsProtocol, "stop_latches", latches)
     bench = a_bench()
+    protocol = bench.cycle.parts.protocol
+    monkeypatch.setattr(protocol, "traits", replace(protocol.traits, stop_latches=latches))
     bench.until(Mode.APPROACH)
     told: list[int] = []
     for _ in range(4):

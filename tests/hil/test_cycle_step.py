@@ -10,7 +10,6 @@ import pytest
 
 from drivers.arrays import ZERO6
 from drivers.frame_array import sent_frames
-from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode, Warn
 from hil.app.compose import build_cycle
@@ -229,7 +228,7 @@ def spoken(monkeypatch: pytest.MonkeyPatch) -> Any:
         return dialogue, (COMMAND,)
 
     monkeypatch.setattr(family, "command", command)
-    monkeypatch.setattr(family, "emergency_stop", lambda: (STOP,))
+    monkeypatch.setattr(family, "traits", replace(family.traits, emergency_stop=(STOP,)))
     monkeypatch.setattr(family, "set_up", lambda dialogue, _tick: (dialogue, (SET_UP,)))
     return bench, told
 
@@ -254,7 +253,9 @@ def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone
 ):
     (bench, told), asked = spoken, list[Any]()
     cycle = bench.cycle
-    monkeypatch.setattr(LegsProtocol, "stop_latches", "latches" in what)
+    family: Any = cycle.parts.protocol
+    traits = replace(family.traits, stop_latches="latches" in what)
+    monkeypatch.setattr(family._family, "traits", traits)
     monkeypatch.setattr(
         cycle_module,
         "confirmed",

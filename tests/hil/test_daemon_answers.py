@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -111,9 +112,8 @@ def test_what_came_while_the_program_was_held_up_past_the_deadline_is_taken(cycl
             return received_array(taken)
 
     good, own = six(cycle), cycle.parts.protocol
-    shared = SimpleNamespace(
-        shares_identifiers=True, feedback_ids=own.feedback_ids, fresh=own.fresh, awaited=own.awaited
-    )
+    traits = replace(own.traits, shares_identifiers=True)
+    shared = SimpleNamespace(traits=traits, fresh=own.fresh, awaited=own.awaited)
     one: Any = SimpleNamespace(parts=SimpleNamespace(protocol=shared))
     heard = listened(one, HeldUp(*good), 1_000, 8_000)
     assert [each.frame for each in heard] == good
@@ -150,7 +150,7 @@ def test_the_commands_of_a_loop_that_fails_go_on_where_its_ticks_have_ended(cycl
 def test_a_loop_that_fails_never_repeats_the_force_of_its_last_tick_where_the_poll_is_the_command():
     desktop = build_cycle(load("desktop"), 400.0, 0.013)
     bus, protocol = Queue(), desktop.parts.protocol
-    assert protocol.command_delay_ticks == 1
+    assert protocol.traits.command_delay_ticks == 1
     desktop.end.give(Command(DriveMode.RUN, np.full(6, 5.0)), 6)
     ended = SimpleNamespace(tick=6, period_ns=1_000)
     assert switch_off(desktop, cast("Bus", bus), cast("Deadlines", ended))

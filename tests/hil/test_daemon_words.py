@@ -39,8 +39,10 @@ class World:
         self.panel = OperatorPanel()
         self.course: Any = None
         protocol = SimpleNamespace(
-            feedback_ids=frozenset(), shares_identifiers=False, addressed=lambda _: (), fresh=None, awaited=None,
-            command_delay_ticks=0, has_watchdog=True,
+            traits=SimpleNamespace(
+                feedback_ids=frozenset(), shares_identifiers=False, command_delay_ticks=0, has_watchdog=True
+            ),
+            addressed=lambda _: (), fresh=None, awaited=None,
         )  # fmt: skip
         end = SimpleNamespace(
             begin=lambda _: sent_array(OPENING),

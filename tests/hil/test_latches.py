@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -157,7 +158,7 @@ class Plain:
     """A family whose frames are named by a leg; all that came since may be an answer."""
 
     def __init__(self, unasked_s: float) -> None:
-        self.unasked_s = unasked_s
+        self.traits = SimpleNamespace(unasked_s=unasked_s, feedback_ids=frozenset())
 
     def addressed(self, frame: Frame) -> tuple[int, ...]:
         return (frame.id,)

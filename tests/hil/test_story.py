@@ -471,7 +471,7 @@ def test_what_drives_do_on_closed_brakes_and_what_their_maker_says_is_told_as_th
     bench, monkeypatch
 ):
     protocol = bench.cycle.parts.protocol
-    monkeypatch.setattr(protocol, "force_on_brakes", False)
+    monkeypatch.setattr(protocol, "traits", replace(protocol.traits, force_on_brakes=False))
     monkeypatch.setattr(protocol, "fault_text", {29441: "EMCY 0x7301, sensor"}.__getitem__)
     narrator = Narrator(bench.cycle)
     bench.drives.silent = {2}

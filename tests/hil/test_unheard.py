@@ -14,7 +14,7 @@ from hil.loop.report import KEPT, not_confirmed, not_told
 def test_a_watchdog_is_promised_where_drives_have_one_and_nowhere_else(says: Any) -> None:
     setup = DriveSetup(0.0125, Reaction.BRAKE, 1000.0)
     with_one, without = (
-        says(SimpleNamespace(protocol=SimpleNamespace(has_watchdog=has), setup=setup))
+        says(SimpleNamespace(protocol=SimpleNamespace(traits=SimpleNamespace(has_watchdog=has)), setup=setup))
         for has in (True, False)
     )
     assert "acts 12.5 ms after the last command it heard" in with_one
@@ -26,7 +26,8 @@ def test_a_watchdog_is_promised_where_drives_have_one_and_nowhere_else(says: Any
 @pytest.mark.parametrize("says", [not_told, not_confirmed])
 def test_what_a_watchdog_does_is_said_where_it_is_known(says: Any) -> None:
     parts = SimpleNamespace(
-        protocol=SimpleNamespace(has_watchdog=True), setup=DriveSetup(0.0125, Reaction.BRAKE, 1000.0)
+        protocol=SimpleNamespace(traits=SimpleNamespace(has_watchdog=True)),
+        setup=DriveSetup(0.0125, Reaction.BRAKE, 1000.0),
     )
     assert says(parts, "brake").endswith("after the last command it heard, with reaction `brake`")
     assert says(parts, "").endswith("after the last command it heard")

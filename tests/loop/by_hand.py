@@ -45,7 +45,7 @@ class ByHand(Lockstep):
         """Let SYNC reach the drives and their answers the controller; return what it hears."""
         wires, w, nodes = self.wires, self.wires.record, self.nodes
         deadline_ns = t_ns + self.window_ns
-        if self.cycle.parts.protocol.unasked_s > 0.0:
+        if self.cycle.parts.protocol.traits.unasked_s > 0.0:
             heard = heard_by(wires.record, t_ns)
             replies = nodes.advance(t_ns, wires.commands[:heard])
             while status := pass_on(wires.record, replies, t_ns, heard):

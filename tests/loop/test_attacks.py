@@ -117,7 +117,7 @@ def test_a_config_of_somebody_else_is_noticed_before_the_drives_are_powered(virt
 
 def test_an_emergency_stop_reaches_drives_that_miss_the_first_ones(virtual):
     bench = begin(virtual, Mode.APPROACH)
-    estop = bench.cycle.parts.protocol.emergency_stop()[0]
+    estop = bench.cycle.parts.protocol.traits.emergency_stop[0]
     hear, lost = bench.nodes._end.hear, [0]
 
     def deaf(frame):

@@ -238,14 +238,13 @@ def test_a_bus_that_took_no_command_is_given_them_again_and_flushed_if_it_is_off
 class Tail:
     """A protocol whose answers name no SYNC: what came before it was asked for is an answer to the one before."""
 
-    feedback_ids = frozenset({1, 2})
-    command_delay_ticks = 0
-
     def __init__(self, *, shares_identifiers: bool) -> None:
-        self.shares_identifiers = shares_identifiers
+        self.traits = SimpleNamespace(
+            feedback_ids=frozenset({1, 2}), command_delay_ticks=0, shares_identifiers=shares_identifiers
+        )
 
     def awaited(self, frame: Frame) -> int:
-        return frame.data[0] if self.shares_identifiers else frame.id
+        return frame.data[0] if self.traits.shares_identifiers else frame.id
 
     def fresh(self, answer: Received, _tick: int, since_ns: int) -> bool:
         return answer.t_ns >= since_ns

@@ -116,7 +116,7 @@ def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monk
         got.update(heard)
         if len(answers) > 6:
             continue
-        last_ns = max(t_ns for t_ns, frame in heard if frame.id in cycle.parts.protocol.feedback_ids)
+        last_ns = max(t_ns for t_ns, frame in heard if frame.id in cycle.parts.protocol.traits.feedback_ids)
         queued = [(inp.t_ns, frame) for frame in sent_frames(opening)] + answers
         queued += [(last_ns + 60_000, frame) for frame in sent_frames(out.frames)]
         entries = [

@@ -18,9 +18,7 @@ from tests.records import altered, record_of
 RATE_Hz = 100.0
 SET_UP = SimpleNamespace(
     fault_text=lambda _: "",
-    stop_latches=True,
-    force_on_brakes=True,
-    has_watchdog=True,
+    traits=SimpleNamespace(stop_latches=True, force_on_brakes=True, has_watchdog=True),
 )
 HEARD = {"age": 0, "counted_age": 0, "drive_state": DriveState.OFF}
 

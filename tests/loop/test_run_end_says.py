@@ -93,7 +93,7 @@ def test_why_a_way_is_not_followed_is_logged_once_each_time():
 )
 def test_a_held_platform_is_stayed_with_and_what_holds_it_is_said(force, holds, monkeypatch):
     now = cycle(Mode.HELD, faults=Fault.ESTOP)
-    monkeypatch.setattr(now.parts.protocol, "force_on_brakes", force)
+    monkeypatch.setattr(now.parts.protocol.traits, "force_on_brakes", force)
     for stays in (True, False):
         course = Course(now, stays=stays)
         course.ending(0)

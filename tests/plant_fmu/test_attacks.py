@@ -93,7 +93,9 @@ def test_any_flipped_bit_of_a_sync_is_refused_and_what_was_present_stays():
         data = bytearray(good.data)
         data[bit // 8] ^= 1 << bit % 8
         assert not [
-            f for _, f in rig.at(0, good._replace(data=bytes(data))) if f.id in rig.protocol.feedback_ids
+            f
+            for _, f in rig.at(0, good._replace(data=bytes(data)))
+            if f.id in rig.protocol.traits.feedback_ids
         ]
     assert rig.nodes.snapshot().rejected == 16
     rig.at(0, *commands(rig, rig.tick + 1, 77.0))
@@ -105,7 +107,7 @@ def test_any_flipped_bit_of_a_sync_is_refused_and_what_was_present_stays():
 def test_a_repeated_sync_is_answered_once():
     rig = Rig()
     frame = sync(rig, 9)
-    answers = [f for _, f in rig.at(1 * MS, frame, frame) if f.id in rig.protocol.feedback_ids]
+    answers = [f for _, f in rig.at(1 * MS, frame, frame) if f.id in rig.protocol.traits.feedback_ids]
     assert len(answers) == 6
     assert rig.nodes.snapshot().rejected == 1
 

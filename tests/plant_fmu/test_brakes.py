@@ -70,7 +70,7 @@ def test_a_drive_keeps_its_last_force_until_its_brake_has_closed(end):
         case "reset":
             a.command(100 * MS, DriveMode.RESET)
         case "estop":
-            a.at(100 * MS, *a.protocol.emergency_stop())
+            a.at(100 * MS, *a.protocol.traits.emergency_stop)
         case _:
             begun = 110
     for t in range(101, 200):
@@ -164,7 +164,7 @@ def test_brakes_close_on_time_after_an_emergency_stop_between_two_heartbeats():
     a.configure(watchdog_s=0.5)
     a.command(0, DriveMode.READY)
     a.command(0, DriveMode.RUN)
-    a.at(1 * MS, *a.protocol.emergency_stop())
+    a.at(1 * MS, *a.protocol.traits.emergency_stop)
     a.plant.calls.clear()
     a.at(6 * MS)
     assert [free_ms(a, leg) for leg in range(6)] == pytest.approx([2.0] * 6)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cached_property
+
 import numpy as np
 import pytest
 
 from drivers.config import DriveSettings
 from drivers.legs.ends import LegsDrives
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Alive, Answer, Configure, DeviceMessage, Frame, Received, Status
+from drivers.protocol import Alive, Answer, Configure, DeviceMessage, Frame, Received, Status, Traits
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
@@ -38,7 +41,9 @@ def test_each_heartbeat_says_state_fault_and_set_up_of_its_own_drive():
 class Unasked(LegsProtocol):
     """Drives that each say what they measure every 6 ms."""
 
-    unasked_s = 6e-3
+    @cached_property
+    def traits(self) -> Traits:
+        return replace(super().traits, unasked_s=6e-3)
 
 
 @pytest.mark.parametrize("t0_ns", [0, 7 * MS + 3])

@@ -335,7 +335,7 @@ def test_a_flood_wins_against_every_identifier_of_the_protocol():
     (there,) = BusFlood(identifier=0x123, bus=2).frames(protocol, 7)
     assert (there.id, there.data, there.bus) == (0x123, bytes(8), 2)
     (frame,) = BusFlood().frames(protocol, 0)
-    assert frame.id < min(f.id for f in (*protocol.cyclic_frames(), *protocol.emergency_stop()))
+    assert frame.id < min(f.id for f in (*protocol.traits.cyclic_frames, *protocol.traits.emergency_stop))
     assert not frame.flags
 
 

@@ -111,7 +111,7 @@ def test_a_drive_that_reacts_goes_on_whatever_it_is_told_but_off_or_reset(reacti
 def test_a_drive_that_starts_anew_is_not_set_up_and_its_fault_leads_back_to_boot(leg):
     rig = Rig(faults=[DriveReset(leg=leg, at_s=3e-3)])
     rig.configure()
-    rig.at(4 * MS, *rig.protocol.emergency_stop())
+    rig.at(4 * MS, *rig.protocol.traits.emergency_stop)
     assert rig.states == [DriveState.FAULT] * 6
     rig.command(5 * MS, DriveMode.RESET)
     assert rig.states == [DriveState.BOOT if k == leg else DriveState.OFF for k in range(6)]

@@ -210,7 +210,7 @@ def test_configuration_is_refused_while_the_force_stage_is_on(mode):
 
 def test_a_configuration_clears_no_fault():
     rig = Rig()
-    rig.at(1 * MS, *rig.protocol.emergency_stop())
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
     rig.at(2 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
     assert rig.states == [DriveState.FAULT] * 6
     assert rig.nodes.snapshot().fault.tolist() == [DriveFault.ESTOP] * 6
@@ -330,7 +330,7 @@ def test_feedback_is_queued_at_the_arrival_of_its_sync_with_its_counter():
     rig = Rig()
     rig.tick = 0x1A7
     sent = rig.at(3 * MS + 77 * US, *opening(rig.protocol, rig.tick))
-    feedback = [(t, frame) for t, frame in sent if frame.id in rig.protocol.feedback_ids]
+    feedback = [(t, frame) for t, frame in sent if frame.id in rig.protocol.traits.feedback_ids]
     assert [t for t, _ in feedback] == [3 * MS + 77 * US] * 6
     assert [frame.id for _, frame in feedback] == [0x281, 0x282, 0x283, 0x284, 0x285, 0x286]
     measurement = decode(rig.protocol, [Received(0, f) for _, f in feedback], 0x1A7)
@@ -613,7 +613,7 @@ def test_no_fault_opens_a_closed_brake(reaction):
         rig.configure()
         for mode in path:
             rig.command(0, mode)
-        rig.at(1 * MS, *rig.protocol.emergency_stop())
+        rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
         rig.at(50 * MS)
         assert rig.states == [DriveState.FAULT] * 6
         np.testing.assert_array_equal(rig.nodes.snapshot().length, REST)
@@ -622,7 +622,7 @@ def test_no_fault_opens_a_closed_brake(reaction):
 def test_emergency_stop_faults_all_drives_and_latches_until_reset():
     rig = Rig()
     rig.run()
-    rig.at(1 * MS, *rig.protocol.emergency_stop())
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
     assert rig.nodes.snapshot().fault.tolist() == [DriveFault.ESTOP] * 6
     for k, mode in enumerate((DriveMode.OFF, DriveMode.READY, DriveMode.RUN)):
         rig.command((2 + k) * MS, mode)
@@ -635,7 +635,7 @@ def test_emergency_stop_faults_all_drives_and_latches_until_reset():
 def test_an_emergency_stop_that_is_repeated_is_reported_once():
     rig, _ = starve(Reaction.DAMP, seconds=0.01)
     statuses = [
-        [frame.id for _, frame in rig.at(t_ms * MS, *rig.protocol.emergency_stop()) if frame.id > 0x700]
+        [frame.id for _, frame in rig.at(t_ms * MS, *rig.protocol.traits.emergency_stop) if frame.id > 0x700]
         for t_ms in (20, 21)
     ]
     assert statuses == [[0x701 + leg for leg in range(6)], []]
@@ -645,7 +645,7 @@ def test_an_emergency_stop_that_is_repeated_is_reported_once():
 def test_emergency_stop_in_motion_brakes_whatever_the_reaction(reaction):
     rig = Rig(reaction=reaction, faults=[push(-2000.0)])
     rig.run()
-    rig.at(1 * MS, *rig.protocol.emergency_stop())
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
     snapshot = rig.nodes.snapshot()
     assert snapshot.brake.tolist() == [1.0] * 6
     assert not snapshot.force.any()
@@ -657,7 +657,7 @@ def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
         rig, _ = starve(reaction, seconds=0.01)
         assert rig.nodes.snapshot().brake.tolist() == [0.0] * 6
         if stop == "estop":
-            rig.at(20 * MS, *rig.protocol.emergency_stop())
+            rig.at(20 * MS, *rig.protocol.traits.emergency_stop)
         else:
             rig.command(20 * MS, DriveMode.OFF)
         snapshot = rig.nodes.snapshot()
@@ -671,7 +671,7 @@ def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
 
 def test_reset_of_a_drive_that_was_never_configured_leads_back_to_boot():
     rig = Rig()
-    rig.at(1 * MS, *rig.protocol.emergency_stop())
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
     assert rig.states == [DriveState.FAULT] * 6
     rig.command(2 * MS, DriveMode.RESET)
     assert rig.states == [DriveState.BOOT] * 6

@@ -52,7 +52,7 @@ def codec(name: str, buses: tuple[tuple[int, ...], ...] = ()) -> DriveProtocol:
 def struck(name: str, kind: str, mode: DriveMode) -> tuple[Ends, list[Received]]:
     """Return both ends after the stranger's first frames to drives in a mode, and what is on the bus."""
     protocol = codec(name)
-    ends = Ends(protocol, KINDS[kind], setup=DriveSetup(0.05, protocol.reactions[0], 1e9 / PERIOD_NS))
+    ends = Ends(protocol, KINDS[kind], setup=DriveSetup(0.05, protocol.traits.reactions[0], 1e9 / PERIOD_NS))
     ends.running(np.zeros(LEGS))
     while ends.tick < BEGINS - 1:
         ends.step(Command(mode, np.zeros(LEGS)), set_up=False)
@@ -93,7 +93,7 @@ def test_drives_that_are_ready_run_with_his_force_but_those_that_wait_for_a_fram
 def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus(name):
     protocol = codec(name, BUSES)
     gateway = Gateway(Schedule(FaultPlan([FramesForgedCommand(force_N=FORCE_N)]), 0), protocol, 0)
-    end = controller_end(protocol, DriveSetup(0.05, protocol.reactions[0], 250.0))
+    end = controller_end(protocol, DriveSetup(0.05, protocol.traits.reactions[0], 250.0))
     polls = sent_frames(end.begin(0))
     assert {frame.bus for frame in polls} == {0, 1}
     for poll in polls:
@@ -106,6 +106,6 @@ def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus
 
 def test_a_stranger_would_set_drives_up_with_10_ms_and_their_first_reaction_at_1000_hz():
     family: Any = SimpleNamespace(
-        controller_end=lambda setup: setup, reactions=(Reaction.HOLD, Reaction.BRAKE)
+        controller_end=lambda setup: setup, traits=SimpleNamespace(reactions=(Reaction.HOLD, Reaction.BRAKE))
     )
     assert stranger._unheard(family) == DriveSetup(0.01, Reaction.HOLD, 1000.0)  # type: ignore[comparison-overlap]

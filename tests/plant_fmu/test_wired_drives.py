@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -190,7 +191,7 @@ def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_mean
 class Family(DrivesEnd):
     """A protocol and its drives' end, which keeps what it is given; its frames say for which leg they are."""
 
-    unasked_s = 0.125
+    traits = SimpleNamespace(unasked_s=0.125)
 
     def __init__(self, *messages: Any) -> None:
         self.messages = messages
@@ -266,7 +267,7 @@ def test_drives_that_are_wired_right_answer_with_what_they_measure_as_it_is():
 def test_drives_that_start_again_are_those_of_their_numbers_and_the_period_is_the_familys():
     wired, family = wired_to(CROSSED)
     given: Any = family
-    assert wired_drives(given, CROSSED, NODES).unasked_s == 0.125
+    assert wired_drives(given, CROSSED, NODES).traits.unasked_s == 0.125
     wired.restart([0, 2, 3])
     assert family.restarts == [[1, 3, 3]]
 

@@ -83,7 +83,7 @@ class Attacker:
             case 3:
                 return opening(protocol, near)
             case 4 if draw.random() < 0.1:
-                return protocol.emergency_stop()
+                return protocol.traits.emergency_stop
             case 5:
                 return (Frame(draw.randrange(0x800), draw.randbytes(draw.choice((0, 1, 8)))),) * 8
             case _:

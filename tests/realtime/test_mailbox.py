@@ -18,8 +18,12 @@ def latest(queued: list[tuple[int, Frame]], now_ns: int, protocol: Any) -> list[
 
 
 T, LATER, LATEST = 1_000_000, 2_000_000, 3_000_000
-PROTOCOL: Any = SimpleNamespace(feedback_ids={0x101, 0x102, 0x103}, awaited=lambda frame: frame.id)
-SHARED: Any = SimpleNamespace(feedback_ids={1, 2, 3}, awaited=lambda frame: frame.data[0])
+PROTOCOL: Any = SimpleNamespace(
+    traits=SimpleNamespace(feedback_ids={0x101, 0x102, 0x103}), awaited=lambda frame: frame.id
+)
+SHARED: Any = SimpleNamespace(
+    traits=SimpleNamespace(feedback_ids={1, 2, 3}), awaited=lambda frame: frame.data[0]
+)
 
 
 def test_answers_that_are_out_of_date_are_not_sent() -> None:

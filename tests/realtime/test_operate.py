@@ -133,7 +133,7 @@ def test_estop_is_on_the_bus_within_two_ticks_of_its_line(
     # a tick takes what has come until its feedback is in: it may have begun before the word was said
     assert -period_ns < heard.row["t_ns"] - said_ns <= 2 * period_ns
     protocol = build_protocol(load(str(file)))
-    assert set(protocol.emergency_stop()) <= set(heard.sent), "in the very tick"
+    assert set(protocol.traits.emergency_stop) <= set(heard.sent), "in the very tick"
     rows = log.rows()
     after = rows[rows["tick"] >= heard.row["tick"]]
     assert (after["faults"] == Fault.ESTOP).all()

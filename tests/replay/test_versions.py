@@ -128,7 +128,8 @@ def test_a_log_that_does_not_carry_its_database_is_refused_as_one_of_an_unknown_
 
 def test_a_log_whose_database_differs_in_the_rated_force_alone_has_the_same_version(tmp_path):
     recorded(
-        tmp_path / "a.mcap", legs_dbc=LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 31_000.0).database[1].encode()
+        tmp_path / "a.mcap",
+        legs_dbc=LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 31_000.0).database[1].encode(),
     )
     with pytest.raises(LogError, match=r"a\.mcap: it was made with another legs\.dbc"):
         replay_log(tmp_path / "a.mcap")

@@ -69,7 +69,7 @@ def machine_end(c: Configuration, bus: Bus, protocol: DriveProtocol, operator: O
 
 def _line(c: Configuration, bus: Bus, protocol: DriveProtocol) -> BusLine:
     rate = bringup_rate(c)
-    return BusLine(bus, rate, WINDOW / rate, watched=protocol.has_watchdog)
+    return BusLine(bus, rate, WINDOW / rate, watched=protocol.traits.has_watchdog)
 
 
 def _unheld(clock: BenchClock, agree: Agree) -> Agree:

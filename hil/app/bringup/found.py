@@ -174,7 +174,7 @@ def _shift(fact: Mapping[str, Any], gear: Transmission, leg: int) -> float:
 def _watchdogs(context: Context) -> list[str]:
     facts = [context.known("watchdog", leg) for leg in range(LEGS)]
     latest = [fact["until_s"] for fact in facts if fact is not None and fact["until_s"] is not None]
-    if len(latest) < LEGS and not context.drives.protocol.has_watchdog:
+    if len(latest) < LEGS and not context.drives.protocol.traits.has_watchdog:
         return ["NOT proven: these drives have no watchdog that is set from here; cut their power otherwise"]
     return [f"proven by silence: {1e3 * max(latest):.4g} ms at the latest"] if latest else []
 

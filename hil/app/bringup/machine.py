@@ -121,7 +121,7 @@ def _losses(c: Configuration) -> float:
 
 def known_identifiers(protocol: DriveProtocol) -> frozenset[int]:
     """Return the identifiers that frames of a protocol's drives have."""
-    return unasked_identifiers(protocol) | {frame.id for frame in protocol.cyclic_frames()}
+    return unasked_identifiers(protocol) | {frame.id for frame in protocol.traits.cyclic_frames}
 
 
 def unasked_identifiers(protocol: DriveProtocol) -> frozenset[int]:

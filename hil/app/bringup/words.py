@@ -66,7 +66,7 @@ def wiring_of(mistakes: Sequence[str], protocol: DriveProtocol) -> Wiring:
     """
     known = [mistake_of(words) for words in mistakes]
     for words, mistake in zip(mistakes, known, strict=True):
-        if mistake.name in OF_WATCHDOG and not protocol.has_watchdog:
+        if mistake.name in OF_WATCHDOG and not protocol.traits.has_watchdog:
             raise ConfigurationError(
                 f"--mistake {words!r}: these drives have no watchdog that is set from here, "
                 f"allowed: all but {', '.join(sorted(OF_WATCHDOG))}"

@@ -57,14 +57,11 @@ def report_bus(report: Report, c: Configuration) -> None:
 def answered_ns(c: Configuration) -> list[int]:
     """Return the bus time of SYNC or polls and the feedbacks, bus by bus, ns."""
     protocol = build_protocol(c)
+    traits = protocol.traits
     opening = sent_frames(controller_end(protocol, drive_setup(c, c.loop.rate_Hz)).begin(0))
     opens = {frame.id for frame in opening}
-    counted = [
-        frame
-        for frame in protocol.cyclic_frames()
-        if frame.id in opens or protocol.awaited(frame) in protocol.feedback_ids
-    ]
-    if protocol.unasked_s > 0.0:  # one that its drive sends by a timer may stand before the last answer
+    counted = [frame for frame in traits.sent if frame.id in opens] + [*traits.feedbacks]
+    if traits.unasked_s > 0.0:  # one that its drive sends by a timer may stand before the last answer
         asked = {(frame.id, frame.flags) for frame in opening}
         answers = {frame.bus: frame for frame in counted if (frame.id, frame.flags) not in asked}
         counted += answers.values()

@@ -91,7 +91,7 @@ def _robot(report: Report, c: Configuration, platform: Platform, model: Model) -
 
 def _drives(report: Report, c: Configuration) -> None:
     period_ms = 1e3 / c.loop.rate_Hz
-    periods, watched = c.drives.watchdog_ms / period_ms, build_protocol(c).has_watchdog
+    periods, watched = c.drives.watchdog_ms / period_ms, build_protocol(c).traits.has_watchdog
     report.sections["drives"] = [
         f"nodes {', '.join(map(str, c.drives.node_ids))}; rated force {c.drives.force_limit_N:g} N",
         f"watchdog {c.drives.watchdog_ms:g} ms, {periods:.1f} periods; then {_reaction(c)}"

@@ -59,7 +59,7 @@ def dangers(c: Configuration, w: Walk, silence: Silence | None) -> Iterator[str]
             "or stroke of the reference"
         )
     protocol = build_protocol(c)
-    yield from protocol.dangers
+    yield from protocol.traits.dangers
     if isinstance(protocol, MotorProtocol) and c.drives.homing is None:
         yield (
             "drives.homing: left out, so after a power-off each drive has to know by itself how often its "

@@ -55,7 +55,7 @@ def silence_of(c: Configuration, w: Walk) -> Silence | None:
 
     None: nothing ends it, as the drives have no watchdog that is set from here.
     """
-    return reacted_to(c, w) if build_protocol(c).has_watchdog else None
+    return reacted_to(c, w) if build_protocol(c).traits.has_watchdog else None
 
 
 def reacted_to(c: Configuration, w: Walk) -> Silence:

@@ -27,10 +27,10 @@ def bus_budgets(
     nodes = SensorProtocol(bus, sensors)
     protocol = build_protocol(bus, drives)
     try:
-        controller_end(protocol, DriveSetup(1e-3 * drives.watchdog_ms, protocol.reactions[0], rate_Hz))
+        controller_end(protocol, DriveSetup(1e-3 * drives.watchdog_ms, protocol.traits.reactions[0], rate_Hz))
     except ProtocolError as error:
         raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
-    frames = protocol.cyclic_frames()
+    frames = protocol.traits.cyclic_frames
     if nodes.kinds and all(frame.id != nodes.sync_id for frame in frames):
         raise ConfigurationError(
             f"drives.protocol: {drives.protocol} sends no SYNC that sensors can stamp their samples against"
@@ -70,13 +70,13 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
 
 def unasked_readings(protocol: DriveProtocol, rate_Hz: float) -> tuple[Frame, ...]:
     """Return one example of every reading by a timer that no tick is without, on the bus of each drive."""
-    if protocol.unasked_s <= 0.0:
+    if protocol.traits.unasked_s <= 0.0:
         return ()
-    readings = [each for each in protocol.cyclic_frames() if protocol.awaited(each) in protocol.feedback_ids]
+    readings = protocol.traits.feedbacks
     found: list[Frame] = []
     for bus in {each.bus for each in readings}:
         own = [each for each in readings if each.bus == bus]
-        turns = floor(len(own) / (protocol.unasked_s * rate_Hz) * (1 + 1e-9))
+        turns = floor(len(own) / (protocol.traits.unasked_s * rate_Hz) * (1 + 1e-9))
         found += [own[turn % len(own)] for turn in range(turns)]
     return tuple(found)
 
@@ -87,9 +87,9 @@ def set_up_ns(bus: BusSettings, protocol: DriveProtocol) -> tuple[int, ...]:
     As many frames as the protocol sends in a tick, of up to 8 bytes, and an answer to each. They go out in
     modes WAITING and FAULT alone: what does not fit waits for the next tick.
     """
-    extended = max((frame.flags & EXTENDED for frame in protocol.cyclic_frames()), default=0)
+    extended = max((frame.flags & EXTENDED for frame in protocol.traits.cyclic_frames), default=0)
     return tuple(
-        2 * protocol.set_up_frames * frame_time_ns(_SET_UP_BYTES, extended, BitTiming.of(each))
+        2 * protocol.traits.set_up_frames * frame_time_ns(_SET_UP_BYTES, extended, BitTiming.of(each))
         for each in bus.buses
     )
 
@@ -106,8 +106,7 @@ def shortest_answer_ns(bus: BusSettings, protocol: DriveProtocol) -> int:
     """Return the least time, ns, from the end of SYNC or a poll to that of a feedback to it on its bus."""
     return min(
         frame_time_ns(len(frame.data), off_bus(frame).flags, BitTiming.of(bus.buses[frame.bus]), least=True)
-        for frame in protocol.cyclic_frames()
-        if protocol.awaited(frame) in protocol.feedback_ids
+        for frame in protocol.traits.feedbacks
     )
 
 

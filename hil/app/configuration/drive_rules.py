@@ -29,8 +29,8 @@ def own_reaction(
 ) -> Iterator[tuple[Path, str]]:
     """Refuse a reaction to silence that the drives do not have."""
     protocol = _protocol(bus, drives)
-    if protocol is not None and Reaction[reactions.silence.upper()] not in protocol.reactions:
-        allowed = ", ".join(each.name.lower() for each in protocol.reactions)
+    if protocol is not None and Reaction[reactions.silence.upper()] not in protocol.traits.reactions:
+        allowed = ", ".join(each.name.lower() for each in protocol.traits.reactions)
         message = (
             f"not what these drives do by themselves, allowed with drives.protocol {drives.protocol} and its "
             f"options: {allowed}, given: {reactions.silence}"
@@ -61,7 +61,7 @@ def reported_stroke(
 ) -> Iterator[tuple[Path, str]]:
     """Refuse leg lengths that the drives' position field cannot carry."""
     protocol = _protocol(bus, drives)
-    reported = None if protocol is None else protocol.reported_lengths()
+    reported = None if protocol is None else protocol.traits.reported_lengths
     if reported is None:
         return
     low, high = reported

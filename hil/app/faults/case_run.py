@@ -101,9 +101,9 @@ def _judged(job: Job) -> dict[str, Any]:
 
 def _why_of_drives(kind: str, protocol: DriveProtocol) -> str:
     """Say what such drives cannot do that would have kept the motion within its bound; empty for nothing."""
-    if kind in COMMANDS_LOST and not protocol.has_watchdog:
+    if kind in COMMANDS_LOST and not protocol.traits.has_watchdog:
         return f"; the drives {NO_WATCHDOG}"
-    return f"; the drives {NO_LATCH}" if kind in STRANGERS and not protocol.stop_latches else ""
+    return f"; the drives {NO_LATCH}" if kind in STRANGERS and not protocol.traits.stop_latches else ""
 
 
 class _Named:

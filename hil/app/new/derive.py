@@ -147,7 +147,7 @@ def walked(a: dict[str, Any], reference: dict[str, Any], rate_Hz: float) -> Walk
 def steps(a: dict[str, Any], rate_Hz: float) -> tuple[float, float]:
     """Return by how much the steps of encoder and frames put a length off, m, and its rate, m/s."""
     bus, drives = BusSettings(**bus_section(a)), DriveSettings(**drives_section(a, rate_Hz))
-    read = build_protocol(bus, drives).resolution(rate_Hz)
+    read = build_protocol(bus, drives).traits.resolution.at(rate_Hz)
     return max(float(read.length.max()), float(a["encoder_resolution_m"])), float(read.rate.max())
 
 

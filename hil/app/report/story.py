@@ -168,7 +168,7 @@ def _done(
     if not times:
         return []
     modes = [(int(rows["tick"][a]) / rate_Hz, mode) for mode, a, _ in spells(rows["mode"])]
-    force = protocol is None or protocol.force_on_brakes
+    force = protocol is None or protocol.traits.force_on_brakes
     known = {int(mode): done_text(mode, force_on_brakes=force) for mode in Mode}
     return [(t, known[mode]) for t, mode in modes if t >= min(times) and mode in known]
 

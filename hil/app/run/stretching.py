@@ -35,13 +35,10 @@ def begin(
     the fullest bus, a part each is for the controller to wake up in, for the drives to do so, and two for
     these to answer; the rest is kept.
     """
-    answers = [
-        frame for frame in protocol.cyclic_frames() if protocol.awaited(frame) in protocol.feedback_ids
-    ]
     bus_ns = max(
         sum(
             frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))
-            for f in (*sent_frames(opening), *answers)
+            for f in (*sent_frames(opening), *protocol.traits.feedbacks)
             if f.bus == index
         )
         for index, each in enumerate(c.bus.buses)

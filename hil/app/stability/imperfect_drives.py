@@ -60,9 +60,9 @@ class Drives(NamedTuple):
         A reading that a drive sends unasked may be older than its poll by UNASKED periods, along the path.
         """
         protocol = build_protocol(c.bus, c.drives)
-        read = protocol.resolution(c.loop.rate_Hz)
+        read = protocol.traits.resolution.at(c.loop.rate_Hz)
         encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
-        age_s = UNASKED / c.loop.rate_Hz if protocol.unasked_s > 0.0 else 0.0
+        age_s = UNASKED / c.loop.rate_Hz if protocol.traits.unasked_s > 0.0 else 0.0
         speed, acceleration = _of_legs(build_platform(c.platform), instants(c)) if age_s else (0.0, 0.0)
         driving, back_driving = efficiencies(c)
         return cls(

@@ -73,7 +73,7 @@ def _drift(c: Context, drive: int, origin: Array) -> dict[int, float]:
 
 def step_of(c: Context, drive: int) -> float:
     """Return the step of the force that a drive is commanded, N at the leg."""
-    return float(c.drives.protocol.resolution(c.drives.line.rate_Hz).force[drive])
+    return float(c.drives.protocol.traits.resolution.force[drive])
 
 
 def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, float]:

@@ -45,7 +45,7 @@ def find(c: Context) -> None:
 
 def _often(c: Context, answers: Counter[tuple[int, int]]) -> int:
     """Return the bits of drives that answer each poll twice; not where readings are sent unasked, too."""
-    if c.drives.protocol.unasked_s > 0.0:
+    if c.drives.protocol.traits.unasked_s > 0.0:
         return 0
     most = TWICE * c.drives.ticks(LISTEN_S)
     legs = {leg for (leg, _), number in answers.items() if leg >= 0 and number > most}

@@ -40,7 +40,7 @@ def find(c: Context) -> None:
     protocol = c.drives.protocol
     if not _observable(c) or all(c.known("watchdog", leg) is not None for leg in range(LEGS)):
         return
-    if protocol.force_on_brakes:
+    if protocol.traits.force_on_brakes:
         _keep(c, range(LEGS), partial(_find_shut, c))
         return
     find_one = _find_asked if _is_asked(c) else _find_watched
@@ -74,12 +74,12 @@ def _latest_s(c: Context) -> float:
 
 
 def _observable(c: Context) -> bool:
-    return c.drives.protocol.power_told != "never"
+    return c.drives.protocol.traits.power_told != "never"
 
 
 def _is_asked(c: Context) -> bool:
     protocol = c.drives.protocol
-    return protocol.command_delay_ticks > 0 or protocol.power_told == "heartbeat"
+    return protocol.traits.command_delay_ticks > 0 or protocol.traits.power_told == "heartbeat"
 
 
 def _powered(c: Context, leg: int) -> bool:
@@ -137,7 +137,7 @@ def _find_asked(c: Context, leg: int) -> list[Fact]:
     longest time between two commands.
     """
     rate, wait = c.drives.line.rate_Hz, c.machine.watchdog_s
-    late_s = c.machine.heartbeat_s if c.drives.protocol.power_told == "heartbeat" else 0.0
+    late_s = c.machine.heartbeat_s if c.drives.protocol.traits.power_told == "heartbeat" else 0.0
     early = max(1, floor(EARLY * wait * rate) - 1)
     bounds: list[float | None] = [None, None]
     with c.opened(leg):
@@ -170,7 +170,7 @@ def judge(c: Context) -> list[Finding]:
             mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
             found.append(Finding("not_powered", (leg,), text, mend))
         elif until is None:
-            if not protocol.has_watchdog:
+            if not protocol.traits.has_watchdog:
                 continue
             text = f"it is still powered after {1e3 * _wait_s(c):g} ms of silence, set were {1e3 * wait:g} ms"
             mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
@@ -193,7 +193,7 @@ def judge(c: Context) -> list[Finding]:
 
 def gap(c: Context) -> Gap | None:
     """Say which drives have no watchdog that can be proven, if they are of a family without one."""
-    if c.drives.protocol.has_watchdog:
+    if c.drives.protocol.traits.has_watchdog:
         return None
     legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
     if not legs:

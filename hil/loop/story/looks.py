@@ -82,7 +82,7 @@ def stale(m: Moment) -> Iterator[Seen]:
     key, blind = "limits.stale_fault_ticks", m.legs("blind")
     if min(ages) >= limit and not any(blind):
         stall_ms = 1e3 * min(ages) / m.cycle.parts.rate_Hz
-        watched = m.cycle.parts.protocol.has_watchdog
+        watched = m.cycle.parts.protocol.traits.has_watchdog
         lengthen = " and lengthen drives.watchdog_ms" if watched else ""
         text = (
             "no leg heard for {value} ticks, {key} is {limit}: the drives, the bus or this machine had "

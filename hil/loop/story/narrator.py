@@ -70,7 +70,7 @@ class Narrator:
     def _wait(self, cycle: Cycle) -> None:
         """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
         tick, done = cycle.tick, self._estop_done
-        self._estop_done = confirmed(tick, cycle.parts.protocol.stop_latches)
+        self._estop_done = confirmed(tick, cycle.parts.protocol.traits.stop_latches)
         if cycle.estop and not self._estop_done:
             again = done or not self._estops
             first, ticks = (int(tick["tick"]), 0) if again else self._estops.pop()
@@ -141,7 +141,7 @@ class Narrator:
         off = [n for n, (_, mode, _) in enumerate(self._steps) if drive_mode(mode) is DriveMode.OFF]
         steps = []
         for n, (tick, mode, released) in enumerate(self._steps):
-            text = done_text(mode, force_on_brakes=self._cycle.parts.protocol.force_on_brakes)
+            text = done_text(mode, force_on_brakes=self._cycle.parts.protocol.traits.force_on_brakes)
             if n == max(off, default=-1) and self._off_tick is not None:
                 text = self._switched_off()
             if mode is Mode.HELD and n == len(self._steps) - 1:
@@ -198,7 +198,7 @@ class Narrator:
             return f"{sent}, until all six drives confirmed it"
         if self._off_tick is not None and not self._told and int(self._cycle.tick["tick"]) > self._off_tick:
             return "the emergency stop could not be sent: the bus takes no frames"
-        silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.stop_latches)
+        silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.traits.stop_latches)
         return f"{sent}; not confirmed by drive {listed(silent)}"
 
 

@@ -1,8 +1,10 @@
 """How late a force answers a measurement: one answer in every report."""
 
+from dataclasses import replace
+
 import pytest
 
-from drivers.legs.protocol import LegsProtocol
+from drivers import build_protocol
 from hil.app.check.controller import report_controller
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import load
@@ -75,7 +77,8 @@ def test_on_the_ideal_bus_only_hold_and_lag_are_left():
 def test_a_command_that_waits_for_the_next_poll_is_a_period_later(monkeypatch):
     c = load("vcan50")
     at_once = loop_delay(c).total_s
-    monkeypatch.setattr(LegsProtocol, "command_delay_ticks", 1)
+    protocol = build_protocol(c.bus, c.drives)
+    monkeypatch.setattr(protocol, "traits", replace(protocol.traits, command_delay_ticks=1))
     assert loop_delay(c).total_s - at_once == pytest.approx(0.02)
 
 

@@ -37,11 +37,11 @@ TWICE = {
 
 
 def feedback_of(leg: int, frame: Frame) -> bool:
-    return PROTOCOL.sender(frame) == leg and PROTOCOL.awaited(frame) in PROTOCOL.feedback_ids
+    return PROTOCOL.sender(frame) == leg and PROTOCOL.awaited(frame) in PROTOCOL.traits.feedback_ids
 
 
 IDENTIFIERS = [
-    next(frame.id for frame in PROTOCOL.cyclic_frames() if feedback_of(leg, frame)) for leg in range(6)
+    next(frame.id for frame in PROTOCOL.traits.cyclic_frames if feedback_of(leg, frame)) for leg in range(6)
 ]
 
 

@@ -62,10 +62,7 @@ def test_of_several_buses_the_fullest_alone_leaves_the_rest_of_the_window(fulles
     answers = [
         answer._replace(id=0x700 + 8 * bus + n, flags=bus * BUS) for bus in (0, 1) for n in range(counts[bus])
     ]
-    protocol: Any = SimpleNamespace(
-        cyclic_frames=lambda: answers, awaited=lambda frame: frame.id,
-        feedback_ids={frame.id for frame in answers},
-    )  # fmt: skip
+    protocol: Any = SimpleNamespace(traits=SimpleNamespace(feedbacks=answers))
     each = SimpleNamespace(bitrate_bit_s=1_000_000, data_bitrate_bit_s=5_000_000, layout="classic")
     c = SimpleNamespace(bus=SimpleNamespace(buses=(each, each)))
     wake_ns, _ = shares((c, protocol, sent_array(asked)), 10 * MS)

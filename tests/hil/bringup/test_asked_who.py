@@ -46,7 +46,7 @@ class LossyLine:
         self.answers: list[Frame] = []
         self.requests = 0
         self.rate_Hz = self._line.rate_Hz
-        requests = self._protocol.identity_requests()
+        requests = self._protocol.traits.identity_requests
         self._asking = {frame for asked in requests for frame in asked}
 
     def exchange(self, opening):
@@ -329,6 +329,6 @@ def test_no_frame_of_a_drive_raises(name, data):
 def cyclic(name, _known={}):  # noqa: B006 - asked once
     if name not in _known:
         _, line = asked_over(name, 0)
-        frames = build_protocol(family(name)).cyclic_frames()
+        frames = build_protocol(family(name)).traits.cyclic_frames
         _known[name] = [*line.answers, *frames]
     return _known[name]

@@ -76,7 +76,7 @@ def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_n
 
 def requests_of(name):
     protocol = build_protocol(family(name))
-    return protocol.identity_requests()
+    return protocol.traits.identity_requests
 
 
 def test_each_family_that_can_be_asked_says_who_its_drives_are_and_the_others_are_not_asked():
@@ -105,11 +105,11 @@ def test_serial_numbers_are_read_as_their_makers_write_them():
     assert odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("3fab896745230107"))) is None, (
         "gives it another number"
     )
-    assert odrive.identity_requests()[0][4] == Frame(5 << 5 | 6, b"", REMOTE)
+    assert odrive.traits.identity_requests[0][4] == Frame(5 << 5 | 6, b"", REMOTE)
     assert robstride.identity(Frame(0x0005FE, (1 << 60 | 7).to_bytes(8, "little"), EXTENDED)) == Said(
         4, "serial number", 1 << 60 | 7
     )
-    assert robstride.identity_requests()[0][0].id == 0xFD01
+    assert robstride.traits.identity_requests[0][0].id == 0xFD01
     to_the_host = Frame(0x0005FD, (7).to_bytes(8, "little"), EXTENDED)
     assert robstride.identity(to_the_host) == Said(4, "serial number", 7)
     assert robstride.identity(Frame(0x00FD01, bytes(8), EXTENDED)) is None
@@ -119,7 +119,7 @@ def test_a_damiao_is_asked_by_its_registers_15_and_14():
     """tests/data/drives/damiao.json: reading on 0x7FF, answered on the drive's own; 13 to 16 are uint32."""
     damiao = build_protocol(family("damiao"))
     assert isinstance(damiao, MitProtocol)
-    serial, version = damiao.identity_requests()
+    serial, version = damiao.traits.identity_requests
     assert serial[4] == Frame(0x7FF, bytes.fromhex("0500330f00000000"))
     assert version[0] == Frame(0x7FF, bytes.fromhex("0100330e00000000"))
     answer = Frame(damiao._replies[4], bytes.fromhex("0500330f785634f2"))

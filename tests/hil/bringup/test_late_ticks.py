@@ -21,7 +21,7 @@ class Stalling(BenchLine):
 
     def __init__(self, rehearsal: Rehearsal, late_s: float, times: int) -> None:
         super().__init__(rehearsal.bench.nodes, rehearsal.drives.line.rate_Hz)
-        self._polled = rehearsal.drives.protocol.command_delay_ticks > 0
+        self._polled = rehearsal.drives.protocol.traits.command_delay_ticks > 0
         self._late = round(late_s * self.rate_Hz)
         self.times = times
         self._silent = 0

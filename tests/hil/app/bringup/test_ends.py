@@ -94,7 +94,7 @@ def test_a_stranger_who_sends_is_named(folder):
         beside = Terminal(said.append, io.StringIO(""))
         with served_end(c, bus, protocol, beside, lambda *_: True, said.append) as end:
             end.line.exchange(())
-            other.send(sent_array(protocol.cyclic_frames()[:1]))
+            other.send(sent_array(protocol.traits.cyclic_frames[:1]))
     assert STRANGER in said
 
 

@@ -5,10 +5,12 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import helper, record
-from drivers.compiled.pointed import records_at
+from drivers.compiled.pointed import record_at, records_at
 from drivers.frame_array import FRAME, SENT
 from drivers.signals import LEGS, NEVER
 
+frame_at: Any = record_at(record(FRAME))
+"""frame_at(address): the element of FRAME there."""
 frames_at = records_at(record(FRAME))
 """frames_at(address, count): the elements of FRAME there."""
 

@@ -5,8 +5,7 @@ commands are, and replies of the ids from 8 on. What a frame holds is in `moteus
 feed-forward of position mode without position and gains. Every such command carries the time after which the
 drive gives up (mode 11, until a stop), and a stop clears faults: outside RUN the polls are stops. A drive
 that restarts obeys the next command, and may answer it as enabled: then nobody sees the restart. One that
-says that it is stopped is not commanded again until RUN is asked for anew. An emulated drive answers whoever
-asks what he asks for; of modes it has stop and torque, refuses others, and still answers. Source: the
+says that it is stopped is not commanded again until RUN is asked for anew. Source: the
 reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 """
 
@@ -20,13 +19,11 @@ from drivers import moteus_kernels as kernels
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.moteus_kernels import ALL_NODES, REPLY_WANTED
-from drivers.motor_device_kernels import codes_of
 from drivers.motor_kernels import FALLS
 from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import MotorProtocol
 from drivers.protocol import BRS, EXTENDED, FD, REVISION, SERIAL, Frame, Said, Traits
-from drivers.signals import LEGS, DriveFault, Reaction
-from drivers.tick_columns import Record
+from drivers.signals import Reaction
 
 QUERY = bytes.fromhex("11001f01130d")
 """Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
@@ -55,7 +52,6 @@ FAULTS = {
     49: "position control error",
     50: "velocity control error",
 }
-_CODES = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}
 _WORD = 0xFFFFFFFF
 _SERIAL = tuple(range(kernels.SERIAL_NUMBER, kernels.SERIAL_NUMBER + 3))
 _MAX_TORQUE = 1e4
@@ -87,9 +83,8 @@ _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
 class MoteusProtocol(MotorProtocol):
     """The tables of six drives."""
 
-    ear, obey, encode, rule = kernels.hear, kernels.obey, kernels.encode, FALLS
-    number_at, everyone, delivered_s = (0, ALL_NODES), ALL_NODES, DEFAULT_TIMEOUT_S
-    rejections = "mode {0:g}", "position mode that is no torque command", "subframes that are not whole"
+    ear, rule = kernels.hear, FALLS
+    number_at, delivered_s = (0, ALL_NODES), DEFAULT_TIMEOUT_S
     fault_names = FAULTS
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
@@ -100,7 +95,7 @@ class MoteusProtocol(MotorProtocol):
         self.torque_limit = most = options.positive("torque_N_m", _MAX_TORQUE)
         name = f"moteus, by drives.options: torque_N_m {most:g},"
         refuse_torque(transmission, drives.force_limit_N, most, name)
-        self._host = host = options.whole("host_id", 0)
+        self.host = host = options.whole("host_id", 0)
         for leg, node in enumerate(nodes):
             if not 1 <= node <= 126 or node == host:
                 raise ConfigurationError(
@@ -113,7 +108,7 @@ class MoteusProtocol(MotorProtocol):
             )
         answers = tuple(node << 8 | host for node in nodes)
         super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
-        self.tables["replies"], self.tables["codes"] = answers, codes_of(_CODES, 33)
+        self.tables["replies"] = answers
 
     # controller's end
 
@@ -123,6 +118,7 @@ class MoteusProtocol(MotorProtocol):
         does = "0, stopped" if self._reaction == Reaction.BRAKE else "12, zero velocity"
         return self.traits_of(
             (Frame(each, _ANSWER, FD | BRS | (EXTENDED if each > 0x7FF else 0)) for each in self.wanted),
+            family="moteus",
             emergency_stop=self._commands(STOP),
             identity_requests=tuple(self._commands(kernels.pad(ask)) for ask in (WHO, WHICH)),
             command_delay_ticks=1,
@@ -136,7 +132,7 @@ class MoteusProtocol(MotorProtocol):
         return tuple(self._commands(data) for data in (STOP, STOP, STOP, torque))
 
     def _commands(self, data: bytes) -> tuple[Frame, ...]:
-        first, flags = REPLY_WANTED | self._host << 8, EXTENDED | FD | BRS
+        first, flags = REPLY_WANTED | self.host << 8, EXTENDED | FD | BRS
         return self.to_each(Frame(first | node, data, flags) for node in self.nodes)
 
     def said_by(self, frame: Frame) -> Said | None:
@@ -152,10 +148,3 @@ class MoteusProtocol(MotorProtocol):
             return None
         number = sum((int(word) & _WORD) << 32 * k for k, word in enumerate(words))
         return Said(self.wanted.index(identifier), REVISION if has & 1 else SERIAL, number)
-
-    # drives' end
-
-    def power_up(self, d: Record) -> None:
-        """Let drives that have heard nothing answer our query."""
-        for leg in range(LEGS):
-            kernels.ask(d.view(np.recarray), leg, self._host, QUERY, len(QUERY))

@@ -11,15 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import pointed
-from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_sent, place_of, signed, whole
+from drivers.compiled.compiler import helper
+from drivers.frame_pointers import place_of, signed, whole
 from drivers.motor_kernels import OWN_CODE
-from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE
+from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
 
 NOP = 0x50
@@ -35,9 +32,6 @@ COMMAND, TIMEOUT = 0x020, 0x027
 """COMMAND begins position, velocity, feed-forward torque, scales of kp and kd, most torque."""
 FIRMWARE, SERIAL_NUMBER = 0x101, 0x120
 """SERIAL_NUMBER begins three registers of 32 bits, the lowest first."""
-READ_ERROR, NO_REGISTER = 0x31, 1
-READABLE = 0x10
-"""Registers below are states of the drive."""
 FLOAT = 3
 SIZES = (1, 2, 4, 4)
 """Bytes of a value, by its width."""
@@ -122,15 +116,8 @@ _REGISTERS = *range(MODE, TORQUE + 1), FAULT, FIRMWARE, *range(SERIAL_NUMBER, SE
 _MODE, _PLACE, _SPEED, _TORQUE, _FAULT_CODE, _FIRMWARE, _SERIAL = range(7)
 _STATE = 0b11111
 """The first five of them."""
-_WRITTEN = MODE, COMMAND + 2, COMMAND + 3, COMMAND + 4, COMMAND + 5, TIMEOUT
-"""Those that are obeyed: mode, torque, scales of the gains, most torque, time."""
 REPLY_WANTED = 0x8000
 """Bit of an identifier."""
-VERSION = 0x010000
-"""Of the emulated drives' firmware."""
-UNKNOWN_MODE, NO_TORQUE_COMMAND, UNFINISHED = range(1, 4)
-"""Why a frame is rejected."""
-_LONGEST_NS = float(1 << 61)
 _OFF, _RUN, _FAULT = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
 _WATCHDOG = int(DriveFault.WATCHDOG)
 
@@ -185,7 +172,7 @@ def _names_drive(has: int, values: Array) -> bool:
     return True
 
 
-@pointed(record(motors.EAR), record(FRAME), record(motors.HEARD))
+@motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
     """Take a reply."""
     identifier = int(frame.id)
@@ -220,174 +207,3 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         heard.has |= motors.TORQUE
         heard.torque = torque
     return 1
-
-
-# drives' end
-
-
-@helper
-def ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
-    """Remember who asks a drive for what, in its order, up to where it is not whole."""
-    d.host[leg], at, found = source, 0, 0
-    while at < size:
-        kind, width, first, count, at = group(data, size, at)
-        if kind in (ERRORS, NOT_WHOLE):
-            break
-        if kind == READ:
-            for k in range(min(count, drives.MOST_ASKED - found)):
-                d.wanted[leg, found], d.widths[leg, found] = first + k, width
-                found += 1
-        elif kind != NOTHING:
-            at += min(count, size) * SIZES[width]
-    d.asked[leg] = found
-
-
-@helper
-def _take_torque(d: Any, leg: int, values: Array, messages: int) -> int:
-    """Take a command of position mode."""
-    torque, most, timeout_s = values[1], values[4], values[5]
-    if np.isnan(torque) or most <= 0.0 or values[2] != 0.0 or values[3] != 0.0:
-        return drives.rejects(leg, NO_TORQUE_COMMAND, 0.0, messages)
-    torque = min(max(torque, -most), most) if most > 0.0 else torque
-    if d.enabled[leg]:
-        return drives.commands(d, leg, drives.RUN, torque, messages, 0)
-    watchdog_ns = d.watchdog_ns
-    if timeout_s > 0.0:
-        watchdog_ns = np.int64(np.rint(min(timeout_s * 1e9, _LONGEST_NS)))
-    count = drives.configures(d, leg, watchdog_ns, messages, 0)
-    return drives.enables(d, leg, torque, messages, count)
-
-
-@pointed(record(drives.DEVICES), INTEGER, record(FRAME), INTEGER)
-def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command of any controller; obey, then answer."""
-    identifier, size, data, count = int(frame.id), int(frame.length), frame.data, 0
-    if frame.flags & STRANGE or not frame.flags & FD:
-        return 0
-    if identifier > (0xFFFF if frame.flags & EXTENDED else 0x7FF):
-        return 0
-    values = np.array((0.0, 0.0, 1.0, 1.0, np.nan, np.nan))
-    has = read(data, size, WRITE, _WRITTEN, values)
-    if has < 0:
-        return drives.ALONE | drives.rejects(leg, UNFINISHED, 0.0, messages)
-    if has & 1 and values[0] == STOPPED:
-        count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
-        count = drives.configures(d, leg, d.watchdog_ns, messages, count)
-    elif has & 1 and values[0] == POSITION:
-        count = _take_torque(d, leg, values, messages)
-    elif has & 1:
-        count = drives.rejects(leg, UNKNOWN_MODE, values[0], messages)
-    if not identifier & REPLY_WANTED:
-        return count
-    ask(d, leg, identifier >> 8 & 0x7F, data, size)
-    return drives.answers(leg, messages, count)
-
-
-@helper
-def _known(name: int) -> bool:
-    """Tell whether a register is the firmware's version or the serial number."""
-    return name == FIRMWARE or SERIAL_NUMBER <= name < SERIAL_NUMBER + 3
-
-
-@helper
-def _held(d: Any, said: Any, name: int) -> float:
-    """Return the value of a register of a drive, in its own unit; NaN: not known."""
-    in_fault = said.state == _FAULT
-    timed_out = in_fault and said.fault == _WATCHDOG
-    if name == MODE:
-        mode = POSITION if said.state == _RUN else STOPPED
-        return float(TIMED_OUT if timed_out else FAULTED if in_fault else mode)
-    if name == FAULT:
-        return float(drives.ear_at(d.ear).codes[said.fault]) if in_fault and not timed_out else 0.0
-    if name in (PLACE, SPEED):
-        return np.nan if said.lost else float(said.turns if name == PLACE else said.speed)
-    if name == TORQUE:
-        return float(said.torque)
-    if name in (VOLTAGE, TEMPERATURE):
-        return 24.0 if name == VOLTAGE else 30.0
-    if name == SERIAL_NUMBER:
-        return float(d.nodes[said.leg])
-    if name == FIRMWARE:
-        return float(VERSION)
-    return 0.0 if name in (TRAJECTORY_COMPLETE, HOME_STATE) or _known(name) else np.nan
-
-
-@helper
-def _put(frame: Any, number: int) -> None:
-    """Put a byte at the end of a frame, if there is room."""
-    if frame.length < LENGTHS[-1]:
-        frame.data[frame.length] = number
-        frame.length += 1
-
-
-@helper
-def _put_register(frame: Any, name: int) -> None:
-    while name > 0x7F:
-        _put(frame, name & 0x7F | 0x80)
-        name >>= 7
-    _put(frame, name)
-
-
-@helper
-def _put_value(frame: Any, number: float, name: int, width: int) -> None:
-    """Put a value as a float, or as an integer of its scale, within the largest; the smallest for NaN."""
-    size, raw = SIZES[width], 0
-    if width == FLOAT:
-        word = np.empty(1, np.float32)
-        word[0] = number
-        raw = int(word.view(np.uint32)[0])
-    else:
-        most = (1 << (8 * size - 1)) - 1
-        scale = scale_of(name, width)
-        scaled = number / (scale if scale != 0.0 else 1.0)
-        raw = int(min(max(scaled, -float(most)), float(most))) if np.isfinite(number) else -most - 1
-    for k in range(size):
-        _put(frame, raw >> 8 * k & 0xFF)
-
-
-@helper
-def _together(d: Any, leg: int, at: int) -> int:
-    """Return how many of the registers that are asked for, from a place on, one group answers; 0: none."""
-    first, width, count = d.wanted[leg, at], d.widths[leg, at], 0
-    while at + count < d.asked[leg]:
-        name = d.wanted[leg, at + count]
-        if name != first + count or d.widths[leg, at + count] != width:
-            break
-        if (first < READABLE <= name) or (name >= READABLE and not _known(name)):
-            break
-        count += 1
-    return count
-
-
-@pointed(record(drives.DEVICES), record(drives.SAID), record(FRAME))
-def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in what a drive answers to what it was asked, to whoever asked; it ends where a frame is full.
-
-    A state that the drive does not know is NaN, or the smallest integer; another register that is not among
-    what it says is an error.
-    """
-    leg, at = said.leg, 0
-    identifier = d.nodes[leg] << 8 | d.host[leg]
-    flags = FD | BRS | (EXTENDED if identifier > 0x7FF else 0)
-    begin_sent(frame, identifier, 0, flags, d.bus_of[leg])
-    while at < d.asked[leg]:
-        first, width, count = d.wanted[leg, at], d.widths[leg, at], _together(d, leg, at)
-        if count == 0:
-            _put(frame, READ_ERROR)
-            _put_register(frame, first)
-            _put(frame, NO_REGISTER)
-            at += 1
-            continue
-        _put(frame, REPLY | width << 2 | (count if count < 4 else 0))
-        if count > 3:
-            _put(frame, count)
-        _put_register(frame, first)
-        for name in range(first, first + count):
-            _put_value(frame, _held(d, said, name), name, width)
-        at += count
-    for length in LENGTHS:
-        if length >= frame.length:
-            break
-    while frame.length < length:
-        _put(frame, NOP)
-    return 0

@@ -15,7 +15,7 @@ from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, records_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, code, frames_at, whole
-from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
+from drivers.signals import LEGS, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
 
@@ -56,7 +56,14 @@ EAR = np.dtype(
         ("faults", "<i8"),  # bit k: the drives have a fault of code k
         ("silence", "<i8"),  # fault code of a drive's own watchdog; -1: none
         ("registers", "<i8"),  # 1: it answers readings of registers
-        ("codes", "<i8", (len(DriveFault),)),  # what an emulated drive sends for a fault of its own
+        # what all families need
+        ("hear", "<i8"),  # address of the function
+        ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
+        ("mask", "<i8"),
+        ("requests", "<i8"),  # identifier of requests that name a drive in their data; -1: none
+        ("buses", "<i8"),  # how many; 0: one, and frames of others are not ours
+        ("bus_of", "<i8", (LEGS,)),
+        ("heard", "<f8", (HEARD.itemsize // 8,)),  # scratch: an element of HEARD
     ]
 )
 """What a family's `hear` works on: each family uses what it needs."""
@@ -106,6 +113,8 @@ MOTORS = np.dtype(
 _MOTORS = record(MOTORS)
 _TICK = record(TICK, "tick", *part("measurement"))
 heard_at = records_at(record(HEARD))
+hearing = pointed(record(EAR), record(FRAME), record(HEARD))
+"""What compiles a family's `hear`."""
 _FRAME_BYTES = FRAME.itemsize
 _BOOT, _OFF, _READY = int(DriveState.BOOT), int(DriveState.OFF), int(DriveState.READY)
 _RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)

@@ -13,18 +13,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers import motor_device_kernels as devices
 from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
-from drivers.compiled.pointed import Pointed, data_at
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import Pointed, address_of, call, data_at, pointed
 from drivers.controller_end import CompiledController
-from drivers.ends import Family
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
-from drivers.frame_pointers import code, value
-from drivers.motor_device_kernels import MotorDrivesEnd
+from drivers.frame_pointers import code, frame_at, value
 from drivers.motor_kernels import EAR, FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
-from drivers.protocol import ALL_LEGS, DeviceMessage, DriveSetup, Frame, Resolution, Said, Traits, off_bus
+from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Said, Traits, off_bus
 from drivers.signals import LEGS, NEVER, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
@@ -145,14 +144,47 @@ class MotorController(CompiledController):
         )
 
 
+_EAR = record(kernels.EAR)
+
+
+@pointed(_EAR, INTEGER, INTEGER, INTEGER)
+def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
+    """Return the leg, from 1 on, of a feedback to this tick's poll on its own bus; else 0: its time tells."""
+    frame = frame_at(frame_address)
+    at = np.int64(e.heard.ctypes.data)
+    if frame.t_ns < since_ns or frame.bus >= max(e.buses, 1):
+        return 0
+    if not call(e.hear, (address_of(e), frame_address, at)):
+        return 0
+    heard = kernels.heard_at(at, 1)[0]
+    return heard.leg + 1 if heard.has & kernels.FEEDBACK and e.bus_of[heard.leg] == frame.bus else 0
+
+
+@pointed(_EAR, INTEGER)
+def addressed(e: Any, frame_address: int) -> int:
+    """Return which legs a frame of the controller's end is for, bit i: leg i."""
+    frame = frame_at(frame_address)
+    identifier = np.int64(frame.id)
+    number = identifier >> e.shift & e.mask
+    if identifier == e.requests:
+        number = np.int64(frame.data[0]) | np.int64(frame.data[1]) << 8 if frame.length > 1 else -1
+    legs = 0
+    for leg in range(LEGS):
+        if number == e.nodes[leg] and (not e.buses or frame.bus == e.bus_of[leg]):
+            legs |= 1 << leg
+    return legs
+
+
+ANY = 0x1FFFFFFF
+"""Bits of an identifier."""
+
+
 class MotorProtocol(Family):
     """The tables of such a family."""
 
     ear: Pointed
-    obey: Pointed
-    encode: Pointed
-    """The family's functions: see `drivers.motor_kernels` and `drivers.motor_device_kernels`."""
-    reporting, fresh_by, addressed_by = devices.silent, devices.fresh, devices.addressed
+    """The family's `hear`, see `drivers.motor_kernels`."""
+    fresh_by, addressed_by = fresh, addressed
     rule = KEEPS
     """What a drive is sent, see `drivers.motor_kernels`."""
     clears = False
@@ -163,12 +195,8 @@ class MotorProtocol(Family):
     """What starts a tick, where that is not the command."""
     number_at: tuple[int, int]
     """Where an identifier has the number of a drive, and its bits there."""
-    everyone = requests_id = -1
-    """The number of all drives; the identifier of requests whose data name a drive. -1: there is none."""
     delivered_s = 1e6
     """The watchdog of a drive as it is delivered."""
-    rejections: tuple[str, ...]
-    """Why a frame is rejected, by the number of its kernel: of the number that is wrong, size and kind."""
     fault_names: Mapping[int, str] = {}
     """What the family's fault codes mean, less OWN_CODE."""
     fault_bits = False
@@ -194,7 +222,9 @@ class MotorProtocol(Family):
         self.legs_of = {node: leg for leg, node in enumerate(nodes)}
         self.tables: Record = np.zeros((), EAR)
         """What `ear` works on."""
-        self.tables["nodes"] = nodes
+        self.tables["nodes"], self.tables["hear"], self.tables["requests"] = nodes, self.ear.address, -1
+        self.tables["shift"], self.tables["mask"] = self.number_at
+        self.tables["buses"], self.tables["bus_of"] = self.buses, self.bus_of
         self.wanted = tuple(answers)
 
     # what a family gives
@@ -214,16 +244,6 @@ class MotorProtocol(Family):
     def said_by(self, _frame: Frame) -> Said | None:
         """Return what a frame, as it is on bus 0, says of who sends it; None for any other frame."""
         return None
-
-    def power_up(self, d: Record) -> None:
-        """Put what six drives remember that have heard nothing into their record: nothing."""
-
-    def converse(self, _d: Record, _leg: int | None, _frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Decode what is not compiled: what sets drives up, asks who they are or stops them.
-
-        d: the drives' record; leg: whom the frame is for, None: nobody; the frame is as it is on bus 0.
-        """
-        raise NotImplementedError
 
     # what is the same in all
 
@@ -271,10 +291,6 @@ class MotorProtocol(Family):
     def controller_end(self, setup: DriveSetup) -> MotorController:
         """Return the controller's end. Raises ProtocolError if the set-up does not fit."""
         return MotorController(self, setup)
-
-    def drives_end(self) -> MotorDrivesEnd:
-        """Return the drives' end, powered up."""
-        return MotorDrivesEnd(self)
 
     def _heard(self, frame: Frame) -> Any:
         """Return what a drive's frame says, an element of HEARD; None for a frame that is nobody's."""

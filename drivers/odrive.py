@@ -21,34 +21,18 @@ from typing import Any
 
 import numpy as np
 
-from drivers import motor_device_kernels as drives_end
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import FAILED, pointed
 from drivers.config import BusSettings, DriveSettings
-from drivers.ends import frame_at
 from drivers.errors import ConfigurationError
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_sent, place_of, whole
-from drivers.motor_device_kernels import ANY, codes_of
+from drivers.frame_pointers import place_of, whole
 from drivers.motor_kernels import OWN_CODE, PREPARES, RETRY_TICKS
 from drivers.motor_settings import Options, refuse_torque
-from drivers.motors import MotorProtocol
-from drivers.protocol import (
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    SERIAL,
-    Answer,
-    DeviceMessage,
-    EmergencyStop,
-    Frame,
-    Said,
-    Traits,
-)
+from drivers.motors import ANY, MotorProtocol
+from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, Frame, Said, Traits
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
-from drivers.tick_columns import Record
 
 ADDRESS = 0x06
 """Asked for by a remote frame it is answered with node number, serial number and connection."""
@@ -57,10 +41,6 @@ IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
 TORQUE_CONTROL = 1
 """Control mode."""
-_STATE, _CONTROL_MODE = 0, 1
-"""Of the registers of an emulated axis: the state last asked for, and the control mode; 0: none yet."""
-STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
-"""Why a frame is rejected."""
 COMMANDS = sum(
     1 << kind
     for kind in {
@@ -68,7 +48,7 @@ COMMANDS = sum(
         0x04, ADDRESS, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F,
     }
 )  # fmt: skip
-"""Bits of what a controller sends with data; the emulated axis has the first five."""
+"""Bits of what a controller sends with data."""
 WATCHDOG_EXPIRED, STOP_REQUESTED = 0x1000000, 0x2000000
 """Errors of an axis that have a DriveFault of their own."""
 STRANGE = EXTENDED | FD | ERROR
@@ -79,7 +59,7 @@ _ASKS_RUN, _ASKS_RESET = int(DriveMode.RUN), int(DriveMode.RESET)
 _FRAME_BYTES = FRAME.itemsize
 
 
-@pointed(record(motors.EAR), record(FRAME), record(motors.HEARD))
+@motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
     """Take estimates or a heartbeat."""
     identifier, data = int(frame.id), frame.data
@@ -143,86 +123,6 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
     return sent
 
 
-@helper
-def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
-    """Take an axis state that is asked for."""
-    state, held, count = whole(data, 0), d.registers[leg], 0
-    if state not in (IDLE, CLOSED_LOOP):
-        return drives_end.rejects(leg, NO_STATE, state, messages)
-    first = held[_STATE] == 0.0
-    if state == IDLE:
-        count = drives_end.commands(d, leg, drives_end.OFF, 0.0, messages, 0)
-        count = drives_end.configures(d, leg, d.watchdog_ns, messages, count)
-    else:
-        if held[_CONTROL_MODE] != TORQUE_CONTROL:
-            return drives_end.rejects(leg, NO_TORQUE_CONTROL, 0.0, messages)
-        if first:
-            count = drives_end.configures(d, leg, d.watchdog_ns, messages, 0)
-        if not d.enabled[leg]:
-            count = drives_end.enables(d, leg, 0.0, messages, count)
-    if state == IDLE or first:
-        held[_STATE] = state
-    return count
-
-
-@pointed(record(drives_end.DEVICES), INTEGER, record(FRAME), INTEGER)
-def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command, or the question for estimates."""
-    kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
-    if frame.flags & STRANGE:
-        return 0
-    if frame.flags & REMOTE:
-        if kind == ADDRESS and size == 0:
-            return FAILED
-        return drives_end.answers(leg, messages, 0) if kind == ESTIMATES and size == 0 else 0
-    if kind == ESTOP:
-        return FAILED
-    if not COMMANDS >> kind & 1:
-        return 0
-    if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
-        return drives_end.rejects(leg, NO_COMMAND, 0.0, messages)
-    fits = size <= 1 if kind == CLEAR else size == 8 or (size == 4 and kind != MODES)
-    if not fits:
-        return drives_end.rejects(leg, STRANGE_SIZE, 0.0, messages)
-    if kind == AXIS_STATE:
-        return _ask_state(d, leg, data, messages)
-    if kind == CLEAR:
-        return drives_end.commands(d, leg, drives_end.RESET, 0.0, messages, 0)
-    if kind == MODES:
-        d.registers[leg, _CONTROL_MODE] = whole(data, 0)
-    elif d.enabled[leg]:
-        torque = motors.single(data, 0)
-        if not np.isfinite(torque):
-            return drives_end.rejects(leg, NO_TORQUE, 0.0, messages)
-        return drives_end.commands(d, leg, drives_end.RUN, torque, messages, 0)
-    return 0
-
-
-@pointed(record(drives_end.DEVICES), record(drives_end.SAID), record(FRAME))
-def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in estimates; a lost encoder has none: they are NaN."""
-    begin_sent(frame, d.nodes[said.leg] << 5 | ESTIMATES, 8, 0, d.bus_of[said.leg])
-    motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
-    motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
-    return 0
-
-
-@pointed(record(drives_end.DEVICES), *[INTEGER] * 7)
-def beat(
-    d: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, due: int, into: int
-) -> int:
-    """Fill in a heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
-    if not due:
-        return 0
-    frame = frame_at(into)
-    begin_sent(frame, d.nodes[leg] << 5 | HEARTBEAT, 8, 0, d.bus_of[leg])
-    error = drives_end.ear_at(d.ear).codes[fault]
-    for k in range(4):
-        frame.data[k] = error >> 8 * k & 0xFF
-    frame.data[4] = CLOSED_LOOP if state == _RUN else IDLE
-    return 1
-
-
 PASSTHROUGH = 1
 """Input mode."""
 UNASKED = "encoder_msg_rate_ms"
@@ -256,13 +156,6 @@ ERRORS = {
     0x10000000: "thermistor disconnected",
     0x40000000: "calibration error",
 }
-_FAULTS = {
-    DriveFault.WATCHDOG: WATCHDOG_EXPIRED,
-    DriveFault.ESTOP: STOP_REQUESTED,
-    DriveFault.OVERFORCE: 0x1000,
-    DriveFault.SENSOR: 0x8,
-    DriveFault.STROKE: 0x10000,
-}
 _MAX_TORQUE = 1e4
 """N m: more is a mistake, whatever a single can hold."""
 _BRAKES = (
@@ -282,15 +175,7 @@ class ODriveProtocol(MotorProtocol):
     """The tables of six axes."""
 
     ear, commanding, rule = hear, push, PREPARES
-    obey, encode, reporting = obey, encode, beat
     number_at = 5, ANY
-    rejections = (
-        "command {kind:#x} of {size} bytes",
-        "command {kind:#x} is not emulated",
-        "axis state {0:.0f}",
-        "closed loop without torque control",
-        "torque that is no number",
-    )
     torque_limit = _MAX_TORQUE
     fault_names, fault_bits = ERRORS, True
 
@@ -309,7 +194,6 @@ class ODriveProtocol(MotorProtocol):
         super().__init__(transmission, nodes, (0, 32, 0.0), bus.legs, answers)
         self.delivered_s, self._heartbeat_s = 1e-3 * drives.watchdog_ms, 1e-3 * drives.heartbeat_ms
         self.refuse_nodes(0, 62, "odrive")  # 63 is "not set"
-        self.tables["codes"] = codes_of(_FAULTS, 0)
         self.polls = self._to_each(ESTIMATES, b"", REMOTE)
 
     def _to_each(self, command: int, data: bytes, flags: int = 0) -> tuple[Frame, ...]:
@@ -322,6 +206,7 @@ class ODriveProtocol(MotorProtocol):
         """Those of axes: Estop latches, an address is asked for by a remote frame."""
         return self.traits_of(
             self._to_each(ESTIMATES, bytes(8)),
+            family="odrive",
             emergency_stop=self._to_each(ESTOP, b""),
             identity_requests=(self._to_each(ADDRESS, b"", REMOTE),),
             unasked_s=self._unasked_s,
@@ -352,15 +237,3 @@ class ODriveProtocol(MotorProtocol):
         if leg is None or identifier & 0x1F != ADDRESS or flags & (STRANGE | REMOTE) or len(data) != 8:
             return None
         return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None
-
-    # drives' end
-
-    def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Take Estop, or the question for the address."""
-        assert leg is not None
-        node = self.nodes[leg]
-        if frame.id & 0x1F == ADDRESS:
-            said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
-            return (Answer(leg, self.to_leg(leg, Frame(frame.id, said))),)
-        d["enabled"][leg] = 0
-        return (EmergencyStop((leg,)),)

@@ -64,79 +64,6 @@ class DriveSetup(NamedTuple):
     rate_Hz: float
 
 
-class Sync(NamedTuple):
-    """The drives of `legs` latch their encoders and answer."""
-
-    counter: int
-    """What the answers carry to tell this SYNC from others; 0 in a protocol without."""
-    legs: tuple[int, ...] = ALL_LEGS
-
-
-class DeviceCommand(NamedTuple):
-    """A command as the drives decode it. `legs` lists the legs that this frame addresses."""
-
-    legs: tuple[int, ...]
-    mode: int
-    force: Array
-    """N, one per addressed leg."""
-    counter: int
-    """Another one than in the leg's command before; else the command is a repetition and does not count.
-
-    Whether it is that of the present SYNC has been checked: an older one, or a future one, is Rejected."""
-
-
-class UnwatchedCommand(DeviceCommand):
-    """A command that does not feed the drives' watchdogs: `Alive` does."""
-
-
-class Alive(NamedTuple):
-    """What the watchdogs of the drives of `legs` wait for, where that is not the command itself."""
-
-    legs: tuple[int, ...] = ALL_LEGS
-
-
-class Configure(NamedTuple):
-    """Set-up of one drive (leg 0..5)."""
-
-    leg: int
-    watchdog_s: float
-    reaction: Reaction
-
-
-class EmergencyStop(NamedTuple):
-    """The drives of `legs` fault at once."""
-
-    legs: tuple[int, ...] = ALL_LEGS
-
-
-class Answer(NamedTuple):
-    """A drive's own part of the start-up dialogue, sent at once."""
-
-    leg: int
-    frame: Frame
-
-
-class Rejected(NamedTuple):
-    """A frame of ours that cannot be trusted."""
-
-    reason: str
-
-
-DeviceMessage = Sync | DeviceCommand | Alive | Configure | EmergencyStop | Answer | Rejected
-
-
-class Status(NamedTuple):
-    """What a drive is in: for its heartbeat, when it is set up, and when state or fault change."""
-
-    leg: int
-    state: int
-    fault: int
-    set_up: Configure | None = None
-    """What holds in the drive; None before it has been set up."""
-    due: bool = True
-    """The heartbeat's period is over; else something has changed, which some drives do not send at once."""
-
-
 SERIAL, REVISION = "serial number", "revision"
 """What a drive may say of itself, by which one is told from another of the same node number."""
 
@@ -206,6 +133,8 @@ class Resolution(NamedTuple):
 class Traits:
     """What a family of drives is, as data: no frame changes it."""
 
+    family: str
+    """Names the emulated drives in `plant_fmu.drives.FAMILIES`."""
     resolution: Resolution
     """How far readings and commands are off by the steps of the frames."""
     sent: tuple[Frame, ...]
@@ -262,8 +191,7 @@ class Traits:
 class DriveProtocol(Protocol):
     """Traits, and the codec of the controller's end. Implementations inherit it and are shared.
 
-    What an end remembers is its owner's: the cycle has a `drivers.controller_end.ControllerEnd`, the emulated
-    drives a `drivers.ends.DrivesEnd`. Only frames and ticks change them.
+    What that end remembers is its owner's, the cycle's. The emulated drives' end is in `plant_fmu.drives`.
     """
 
     @cached_property
@@ -300,7 +228,3 @@ class DriveProtocol(Protocol):
     def identity(self, _frame: Frame) -> Said | None:
         """Return the serial number or revision that a frame reports; None for any other frame."""
         return None
-
-    # drives' end
-    def drives_end(self) -> Any:
-        """Return the drives' end, powered up, see `drivers.ends`."""

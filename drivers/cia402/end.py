@@ -14,12 +14,15 @@ import numpy as np
 from drivers.arrays import Array, Rows
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL
+from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL, STRANGE
 from drivers.cia402.objects import Key
 from drivers.cia402.states import ENABLED, UNHEARD
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import pointed
 from drivers.controller_end import CompiledController
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, sent_array
+from drivers.frame_pointers import frame_at, place_of
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record
@@ -168,6 +171,40 @@ def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tupl
 def max_torque(force_limit_N: float, N_per_permille: list[float]) -> int:
     """Return the max torque, permille, that lets each drive give the rated force of its leg."""
     return min(ceil(force_limit_N / min(map(abs, N_per_permille)) * (1 - 1e-12)), 0xFFFF)
+
+
+_DRIVES = record(kernels.DRIVES)
+_NODE = 0x7F
+
+
+@pointed(_DRIVES, INTEGER, INTEGER, INTEGER)
+def fresh(c: Any, frame_address: int, _tick: int, since_ns: int) -> int:
+    """Return the leg, from 1 on, plus LEGS for TPDO2, of a TPDO since this tick's SYNC on its bus; else 0."""
+    frame = frame_at(frame_address)
+    identifier = int(frame.id)
+    leg = place_of(identifier & _NODE, c.nodes)
+    if leg < 0 or frame.flags & STRANGE or frame.bus != c.bus_of[leg] or frame.t_ns < since_ns:
+        return 0
+    base = identifier & ~_NODE
+    if base == o.TPDO_ID[0]:
+        return leg + 1 if frame.length == 8 else 0
+    return leg + LEGS + 1 if base == o.TPDO_ID[1] and c.velocity and frame.length == 4 else 0
+
+
+@pointed(_DRIVES, INTEGER)
+def addressed(c: Any, frame_address: int) -> int:
+    """Return which legs a frame is for, bit i: that of a PDO, SDO or NMT command to one node; else all."""
+    frame = frame_at(frame_address)
+    identifier = int(frame.id)
+    base = identifier & ~_NODE
+    node = identifier & _NODE if base in o.RPDO_ID or base == o.SDO_REQUEST_ID else 0
+    if identifier == o.NMT_ID:
+        node = int(frame.data[1]) if frame.length > 1 else -1
+    legs = 0
+    for leg in range(LEGS):
+        if (node == 0 or c.nodes[leg] == node) and (not c.buses or frame.bus == c.bus_of[leg]):
+            legs |= 1 << leg
+    return legs
 
 
 PATIENCE_S = 0.05

@@ -12,25 +12,25 @@ from functools import cached_property
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.cia402 import device_kernels, kernels
+from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.drives_end import Cia402Drives
 from drivers.cia402.end import (
     FAULT_REACTIONS,
     MOST_REQUESTS,
     Cia402End,
     Step,
+    addressed,
+    fresh,
     max_torque,
     plan,
 )
 from drivers.cia402.kernels import FROM_DRIVES, STRANGE
-from drivers.cia402.states import CODES, STOP_QUICKLY, meaning
+from drivers.cia402.states import STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
-from drivers.ends import Family
 from drivers.errors import ConfigurationError
+from drivers.family import Family
 from drivers.motor_settings import Options
 from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said, Traits
-from drivers.signals import DriveFault
 
 MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")
@@ -56,7 +56,7 @@ _DIFFERENCE = (
 class Cia402Protocol(Family):
     """Six CiA 402 drives. Holds tables only."""
 
-    fresh_by, addressed_by = device_kernels.fresh, device_kernels.addressed
+    fresh_by, addressed_by = fresh, addressed
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
@@ -82,18 +82,14 @@ class Cia402Protocol(Family):
         self.max_torque_permille = max_torque(force_N, N_per_permille)
         self.heartbeat_ms = min(max(round(drives.heartbeat_ms), 1), 0xFFFF)
         self.tables: Rows = np.zeros((), kernels.DRIVES)
-        self._devices: Rows = np.zeros((), device_kernels.DEVICES)
-        c, d = self.tables, self._devices
-        for each in (c, d):
-            each["nodes"], each["velocity"] = self.node_ids, velocity
-            each["N_per_permille"], each["buses"], each["bus_of"] = N_per_permille, self.buses, self.bus_of
-            transmission.fill(each)
+        c = self.tables
+        c["nodes"], c["velocity"] = self.node_ids, velocity
+        c["N_per_permille"], c["buses"], c["bus_of"] = N_per_permille, self.buses, self.bus_of
+        transmission.fill(c)
         c["controller"], c["permille_Nm"] = self.controller_node, self._permille_Nm
         c["permille_per_N"] = [1.0 / scale for scale in N_per_permille]
         c["m_per_count"] = transmission.m_per_turn / transmission.counts
         c["lossless"] = (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
-        d["rated_mNm"] = self.rated_torque_mNm
-        d["codes"] = [CODES.get(fault, 0) for fault in DriveFault]
         self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
         own = tuple(enumerate(self.node_ids))
         self.senders = {base + node: leg for base in FROM_DRIVES for leg, node in own}
@@ -111,6 +107,7 @@ class Cia402Protocol(Family):
         ends = t.length(-float(1 << 31) / t.counts), t.length(float((1 << 31) - 1) / t.counts)
         answers = zip(*(self._to_each(kind, bytes(size)) for kind, size in sizes), strict=True)
         return Traits(
+            family="cia402",
             resolution=Resolution.of(
                 count, count, 0.5 * t.N_per_Nm * self._permille_Nm, differences=not self.velocity
             ),
@@ -132,7 +129,7 @@ class Cia402Protocol(Family):
         """Return what the code of an EMCY means, with the code as the documents write it."""
         return f"EMCY 0x{code:04X}, {meaning(code)}"
 
-    # both ends
+    # controller's end
 
     def plans(self, setup: DriveSetup) -> tuple[tuple[Step, ...], ...]:
         """Return the steps of each drive's start-up dialogue.
@@ -146,10 +143,6 @@ class Cia402Protocol(Family):
     def controller_end(self, setup: DriveSetup) -> Cia402End:
         """Return the controller's end, compiled; see `plans`."""
         return Cia402End(self, setup, self.plans(setup))
-
-    def drives_end(self) -> Cia402Drives:
-        """Return the drives' end, powered up."""
-        return Cia402Drives(self._devices)
 
     # which drive a frame concerns
 

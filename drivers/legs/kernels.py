@@ -63,6 +63,8 @@ scale and range, SI; of a force step and range, in steps where it is rounded, el
 What the controller remembers: the checksum of each leg's set-up, what its last status has said of it, how
 often it was sent its CONFIG; bit i: the last status of drive i has confirmed it; the ticks from one CONFIG of
 a drive to its next. What the drives remember: Cycle of the present SYNC of each bus."""
+NO_SYNC = -1
+"""Of drives that have heard no SYNC yet."""
 CHANGED = 1
 """Status of `decode`: not all drives have confirmed their set-up, or one has just done so."""
 ends: Any = record(ENDS)

@@ -13,11 +13,11 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, DriveSettings
-from drivers.ends import Family
 from drivers.errors import ConfigurationError, ProtocolError
+from drivers.family import Family
 from drivers.frame_array import sent_array, sent_frames
-from drivers.legs.ends import NO_SYNC, LegsController, LegsDrives, addressed, fresh
-from drivers.legs.kernels import COMMAND, ENDS, EXACT, QUANTITIES
+from drivers.legs.end import LegsController, addressed, fresh
+from drivers.legs.kernels import COMMAND, ENDS, EXACT, NO_SYNC, QUANTITIES
 from drivers.legs.messages import COMMANDS, SHORT, read_messages
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Traits
 from drivers.signals import LEGS, Command, DriveMode, Reaction
@@ -116,6 +116,7 @@ class LegsProtocol(Family):
         length, rate, *_ = (0.0 if self.exact else 0.5 * each for each in of.scale)
         force = 0.0 if self.exact else 0.5 * self.commands[0][0].scale[0]
         return Traits(
+            family="legs",
             resolution=Resolution.of(length, rate, force),
             sent=sent,
             feedbacks=self.to_each(Frame(each, bytes(of.length), of.flags) for each in self.wanted),
@@ -131,15 +132,9 @@ class LegsProtocol(Family):
             latches_together=True,
         )
 
-    # both ends
-
     def controller_end(self, setup: DriveSetup) -> LegsController:
         """Return the controller's end. Raises ProtocolError if the watchdog does not fit."""
         return LegsController(self, setup)
-
-    def drives_end(self) -> LegsDrives:
-        """Return the drives' end, powered up."""
-        return LegsDrives(self)
 
     # frames
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from drivers.compiled.compiler import helper
 from drivers.frame_pointers import code, value
-from drivers.signals import DriveFault
 
 TURN = 2.0 * pi
 """rad."""
@@ -56,28 +55,6 @@ def unpack_motion(data: bytes, r: Ranges) -> tuple[int, float, float, float]:
         value(v, -r.velocity, r.velocity, 12),
         value(t, -r.torque, r.torque, 12),
     )
-
-
-@helper
-def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
-    """Return the code of a number in a symmetric field, as a drive packs it."""
-    at = min(max(x, -end), end) if clamps else x
-    return int((at + end) * ((1 << bits) - 1) / (2.0 * end))
-
-
-@helper
-def device_motion(
-    position: float, velocity: float, torque: float, r: Ranges, clamps: bool
-) -> tuple[int, int, int, int, int]:
-    """Return the five bytes of a reply as a drive packs them.
-
-    Without clamping, as Katz's firmware: a position past its range wraps, the velocity loses its high bits,
-    and the torque carries into the velocity's low ones.
-    """
-    p = scaled(position, r.position, 16, clamps)
-    v = scaled(velocity, r.velocity, 12, clamps)
-    t = scaled(torque, r.torque, 12, clamps)
-    return p >> 8 & 0xFF, p & 0xFF, v >> 4 & 0xFF, ((v & 0xF) << 4) + (t >> 8) & 0xFF, t & 0xFF
 
 
 P = 12.5
@@ -166,15 +143,3 @@ VARIANTS = {
     ),
 }
 """`drives.options.variant`."""
-
-DRIVE_FAULT_CODES = {
-    "cubemars": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 5},
-    "damiao": {
-        DriveFault.WATCHDOG: 13,
-        DriveFault.OVERFORCE: 10,
-        DriveFault.SENSOR: 8,
-        DriveFault.STROKE: 14,
-    },
-    "robstride": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 8, DriveFault.STROKE: 16},
-}
-"""What an emulated drive sends for a fault of its own."""

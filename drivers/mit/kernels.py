@@ -2,15 +2,10 @@
 
 from typing import Any
 
-import numpy as np
-
-from drivers import motor_device_kernels as drives
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import pointed
-from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_sent, place_of, value, whole
-from drivers.mit.fields import TURN, device_motion, unpack_motion
+from drivers.compiled.compiler import helper
+from drivers.frame_pointers import place_of, whole
+from drivers.mit.fields import TURN, unpack_motion
 from drivers.motor_kernels import OWN_CODE
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import DriveFault, DriveState
@@ -20,16 +15,10 @@ REGISTERS = 0x7FF
 """Identifier of Damiao's requests."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
-HELD = CTRL_MODE, TIMEOUT, PMAX, VMAX, TMAX, SN, SW_VER
-"""The registers of an emulated drive, in the order of its record."""
-_TIMEOUT_AT = HELD.index(TIMEOUT)
 ENABLE, DISABLE, CLEAR, ZERO = 0xFC, 0xFD, 0xFB, 0xFE
 """After seven FF."""
-_SPECIAL = (1 << 56) - 1
 TICKS_PER_S = 20_000
 """Of Damiao's TIMEOUT."""
-CUT, ZEROES = 1, 2
-"""Why a frame is rejected."""
 _OFF, _RUN, _FAULT = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
 _WATCHDOG = int(DriveFault.WATCHDOG)
 
@@ -63,7 +52,7 @@ def _motion(ear: Any, data: Any, leg: int, power: int, code: int, heard: Any) ->
     return 1
 
 
-@pointed(record(motors.EAR), record(FRAME), record(motors.HEARD))
+@motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
     """Take a reply: position turns, velocity turns/s, torque N m, status."""
     identifier, size, data = int(frame.id), int(frame.length), frame.data
@@ -94,57 +83,3 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     if status > 1:
         return _motion(ear, data, first, _FAULT, status, heard)
     return _motion(ear, data, first, _RUN if status else _OFF, 0, heard)
-
-
-@pointed(record(drives.DEVICES), INTEGER, record(FRAME), INTEGER)
-def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command. Every frame to a drive is answered by its feedback."""
-    if frame.flags & STRANGE:
-        return 0
-    if frame.length != 8:
-        return drives.rejects(leg, CUT, 0.0, messages)
-    ear, data, count = drives.ear_at(d.ear), frame.data, 0
-    special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
-    if special == ZERO:
-        count = drives.rejects(leg, ZEROES, 0.0, messages)
-    elif special == ENABLE:
-        if not d.enabled[leg]:
-            # set to what it was delivered with where no controller has set it up
-            ticks = d.registers[leg, _TIMEOUT_AT] if ear.registers else 0.0
-            watchdog_ns: Any = d.watchdog_ns
-            if ticks > 0.0:
-                watchdog_ns = np.int64(np.rint(ticks / TICKS_PER_S * 1e9))
-            count = drives.configures(d, leg, watchdog_ns, messages, 0)
-            count = drives.enables(d, leg, 0.0, messages, count)
-    elif special == DISABLE:
-        count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
-        if not ear.registers:
-            count = drives.configures(d, leg, d.watchdog_ns, messages, count)
-    elif special == CLEAR and ear.registers:
-        count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
-    elif d.enabled[leg]:
-        number = (int(data[6]) & 0xF) << 8 | int(data[7])
-        torque = value(number, -ear.torque, ear.torque, 12)
-        count = drives.commands(d, leg, drives.RUN, torque, messages, 0)
-    return drives.answers(leg, messages, count)
-
-
-@pointed(record(drives.DEVICES), record(drives.SAID), record(FRAME))
-def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in a reply. A lost encoder reads the lower end of the range: no field says so."""
-    ear, leg = drives.ear_at(d.ear), said.leg
-    begin_sent(frame, ear.replies[leg], ear.longest, 0, d.bus_of[leg])
-    data, node = frame.data, d.nodes[leg]
-    position = -ear.position if said.lost else said.turns * TURN
-    motion = device_motion(position, said.speed * TURN, said.torque, ear, ear.clamps != 0)
-    for k in range(5):
-        data[1 + k] = motion[k]
-    code = ear.codes[said.fault] if said.state == _FAULT else 0
-    if ear.registers:
-        status = code or int(said.state == _RUN)
-        data[0], data[6], data[7] = status << 4 | node, 30, 30
-    elif ear.longest == 8:
-        data[0], data[6], data[7] = node, 30, code
-    else:
-        data[0], data[6] = node, 0x99
-    return 0

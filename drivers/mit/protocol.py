@@ -13,25 +13,17 @@ from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.mit import kernels as k
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import DRIVE_FAULT_CODES, TOP_COMMAND, VARIANTS, pack_command
-from drivers.motor_device_kernels import ANY, codes_of
+from drivers.mit.fields import TOP_COMMAND, VARIANTS, pack_command
 from drivers.motor_settings import unwatched
-from drivers.motors import NO_BRAKE, Exchange
+from drivers.motors import ANY, NO_BRAKE, Exchange
 from drivers.protocol import (
     REVISION,
     SERIAL,
-    Answer,
-    Configure,
-    DeviceMessage,
     DriveSetup,
     Frame,
-    Rejected,
     Said,
-    Sync,
     Traits,
 )
-from drivers.signals import Reaction
-from drivers.tick_columns import Record
 
 ENABLE, DISABLE, CLEAR, ZERO = (
     b"\xff" * 7 + bytes((last,)) for last in (k.ENABLE, k.DISABLE, k.CLEAR, k.ZERO)
@@ -41,9 +33,8 @@ ENABLE, DISABLE, CLEAR, ZERO = (
 class MitProtocol(MitFamily):
     """One variant's tables."""
 
-    ear, obey, encode = k.hear, k.obey, k.encode
+    ear = k.hear
     number_at = 0, ANY
-    rejections = "command of {size} bytes", "the zero of the position is not emulated"
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
@@ -51,21 +42,20 @@ class MitProtocol(MitFamily):
         variant, host, end = self.variant, self.host, self.ranges.torque
         known, damiao = VARIANTS[variant], variant == "damiao"
         self.damiao = self.clears = damiao
-        self.requests_id = k.REGISTERS if damiao else -1
         self.fault_names = known.faults
         self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as its reply names the node")
-        self._replies = [node + host if damiao else host for node in self.nodes]
-        for reply in self._replies:
+        self.replies = [node + host if damiao else host for node in self.nodes]
+        for reply in self.replies:
             if not 0 <= reply < k.REGISTERS or reply in self.nodes:
                 raise ConfigurationError(
                     f"drives.options: host_id {host} makes replies come on {reply:#x}, a drive's own "
                     "identifier or none; allowed: one that keeps them apart"
                 )
         t = self.tables
-        t["replies"], t["registers"], t["clamps"] = self._replies, damiao, known.clamps
+        t["replies"], t["registers"], t["clamps"] = self.replies, damiao, known.clamps
         t["shortest"], t["longest"] = known.reply_bytes[0], known.reply_bytes[-1]
         t["faults"] = sum(1 << code for code in known.faults)
-        t["codes"] = codes_of(DRIVE_FAULT_CODES.get(variant, {}), 0)
+        t["requests"] = k.REGISTERS if damiao else -1
         t["silence"] = -1 if known.silence is None else known.silence
         self.torque_limit = TOP_COMMAND * (2.0 * end / 0xFFF) - end
         self.refuse_force(drives.force_limit_N)
@@ -76,13 +66,14 @@ class MitProtocol(MitFamily):
     def traits(self) -> Traits:
         """Those of a variant: a Damiao alone says whether it is enabled and who it is; no stop latches."""
         size = VARIANTS[self.variant].reply_bytes[-1] - 1
-        replies = zip(self._replies, self.nodes, strict=True)
+        replies = zip(self.replies, self.nodes, strict=True)
         return self.traits_of(
             (Frame(reply, bytes((node, *bytes(size)))) for reply, node in replies),
+            family="mit",
             emergency_stop=self.to_each(Frame(node, DISABLE) for node in self.nodes),
             identity_requests=tuple(
                 self.to_each(_exchange(node, "", k.READ, register, 0.0).frames[0] for node in self.nodes)
-                for register in (_SAID if self.damiao else ())
+                for register in (SAID if self.damiao else ())
             ),
             set_up_frames=int(self.damiao),
             has_watchdog=self.damiao,
@@ -112,12 +103,12 @@ class MitProtocol(MitFamily):
     def said_by(self, frame: Frame) -> Said | None:
         """Return what such a reading is answered with."""
         identifier, data, flags = frame
-        if not self.damiao or flags & k.STRANGE or identifier not in self._replies or len(data) != 8:
+        if not self.damiao or flags & k.STRANGE or identifier not in self.replies or len(data) != 8:
             return None
-        leg = self._replies.index(identifier)
-        if data[:3] != bytes((self.nodes[leg], 0, k.READ)) or data[3] not in _SAID:
+        leg = self.replies.index(identifier)
+        if data[:3] != bytes((self.nodes[leg], 0, k.READ)) or data[3] not in SAID:
             return None
-        return Said(leg, _SAID[data[3]], int.from_bytes(data[4:], "little"))
+        return Said(leg, SAID[data[3]], int.from_bytes(data[4:], "little"))
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return DISABLE, what clears a fault, ENABLE, and torque: polls, all of them."""
@@ -125,47 +116,17 @@ class MitProtocol(MitFamily):
         rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, nothing
         return tuple(tuple(Frame(node, data) for node in self.nodes) for data in rows)
 
-    # drives' end
 
-    def power_up(self, d: Record) -> None:
-        """Let the registers hold what a drive was delivered with."""
-        r = self.ranges
-        for leg, node in enumerate(self.nodes):
-            d["registers"][leg, : len(k.HELD)] = 0, 0, r.position, r.velocity, r.torque, node, 1
-
-    def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Take the request of a Damiao's register."""
-        data = frame.data
-        if frame.flags & k.STRANGE:
-            return ()
-        if len(data) == 8 and data[2] == k.REFRESH and leg is not None:
-            return (Sync(0, (leg,)),)
-        if (
-            len(data) != 8
-            or data[2] not in (k.READ, k.WRITE)
-            or data[3] not in _KIND
-            or (data[2] == k.WRITE and data[3] in _SAID)
-        ):
-            return (Rejected("register request"),)
-        if leg is None:
-            return ()
-        register, kind, held = k.HELD.index(data[3]), _KIND[data[3]], d["registers"][leg]
-        messages: tuple[DeviceMessage, ...] = ()
-        if data[2] == k.WRITE:
-            (held[register],) = struct.unpack(kind, data[4:])
-            if data[3] == k.TIMEOUT and held[register] > 0:
-                messages = (Configure(leg, held[register] / k.TICKS_PER_S, Reaction.BRAKE),)
-        body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
-        reply = self.to_leg(leg, Frame(self._replies[leg], data[:4] + body))
-        return (*messages, Answer(leg, reply))
-
-
-_SAID = {k.SN: SERIAL, k.SW_VER: REVISION}
-_KIND = {each: "<f" if each in (k.PMAX, k.VMAX, k.TMAX) else "<I" for each in k.HELD}
+SAID = {k.SN: SERIAL, k.SW_VER: REVISION}
+KIND = {
+    register: "<f" if register in (k.PMAX, k.VMAX, k.TMAX) else "<I"
+    for register in (k.CTRL_MODE, k.TIMEOUT, k.PMAX, k.VMAX, k.TMAX, k.SN, k.SW_VER)
+}
+"""Format of a register."""
 
 
 def _exchange(node: int, name: str, kind: int, register: int, value: float) -> Exchange:
     asked = value if kind == k.WRITE else 0
-    body = struct.pack(_KIND[register], int(asked) if _KIND[register] == "<I" else asked)
+    body = struct.pack(KIND[register], int(asked) if KIND[register] == "<I" else asked)
     data = bytes((node & 0xFF, node >> 8, kind, register)) + body
     return Exchange(name, register, (Frame(k.REGISTERS, data),), float(value))

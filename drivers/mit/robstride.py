@@ -14,26 +14,18 @@ from drivers.errors import ConfigurationError
 from drivers.frame_pointers import code
 from drivers.mit import robstride_kernels as k
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import DRIVE_FAULT_CODES, ROBSTRIDE_FAULTS
-from drivers.motor_device_kernels import codes_of
+from drivers.mit.fields import ROBSTRIDE_FAULTS
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
     EXTENDED,
     SERIAL,
-    Answer,
-    Configure,
-    DeviceMessage,
     DriveSetup,
     Frame,
-    Rejected,
     Said,
-    Sync,
     Traits,
 )
-from drivers.signals import Reaction
-from drivers.tick_columns import Record
 
 ASKED_WHO = 0xFE
 """Whom the answer to the request for the processor's number is for."""
@@ -46,9 +38,8 @@ _ZEROS = bytes(8)
 class RobStrideProtocol(MitFamily):
     """The tables of six drives."""
 
-    ear, obey, encode = k.hear, k.obey, k.encode
+    ear = k.hear
     number_at = 0, 0xFF
-    rejections = ("frame of {size} bytes",)
     clears = True
     fault_names, fault_bits = ROBSTRIDE_FAULTS, True
 
@@ -62,7 +53,6 @@ class RobStrideProtocol(MitFamily):
                 f"drives.options: host_id out of range, allowed: 128 to 255, given: {host}"
             )
         self.tables["host"] = host
-        self.tables["codes"] = codes_of(DRIVE_FAULT_CODES["robstride"], 4)
         self.refuse_force(drives.force_limit_N)
 
     def _to_each(self, kind: int, data: bytes = _ZEROS, middle: int | None = None) -> tuple[Frame, ...]:
@@ -77,6 +67,7 @@ class RobStrideProtocol(MitFamily):
         answers = (k.FEEDBACK << 24 | k.RUNNING << 22 | node << 8 | self.host for node in self.nodes)
         return self.traits_of(
             (Frame(each, _ZEROS, EXTENDED) for each in answers),
+            family="robstride",
             emergency_stop=self._to_each(k.STOP),
             identity_requests=(self._to_each(k.WHO),),
             set_up_frames=2,
@@ -107,25 +98,3 @@ class RobStrideProtocol(MitFamily):
         clear = bytes((1, *bytes(7)))
         asked = (k.STOP, _ZEROS), (k.STOP, clear), (k.ENABLE, _ZEROS), (k.CONTROL, torque, 0)
         return tuple(self._to_each(*each) for each in asked)
-
-    # drives' end
-
-    def converse(self, d: Record, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Take the request for the processor's number, or a register's; all but its reading has feedback."""
-        identifier, data, _ = frame
-        assert leg is not None
-        kind = identifier >> 24
-        if kind == k.WHO:
-            said = self.nodes[leg].to_bytes(8, "little")
-            return (Answer(leg, self._from(k.WHO, leg, said, ASKED_WHO)),)
-        register, number = struct.unpack("<HxxI", data)
-        if register != RUN_MODE:
-            return (Rejected(f"register {register:#x}"),)
-        if kind == k.WRITE:
-            d["registers"][leg, 0] = number
-            return (Configure(leg, self.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
-        said = struct.pack("<HxxI", register, int(d["registers"][leg, 0]))
-        return (Answer(leg, self._from(k.READ, leg, said, self.host)),)
-
-    def _from(self, kind: int, leg: int, data: bytes, to: int) -> Frame:
-        return self.to_leg(leg, Frame(kind << 24 | self.nodes[leg] << 8 | to, data, EXTENDED))

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from drivers.arrays import ZERO6, Rows
 from drivers.can.bus import Bus
-from drivers.ends import Hearing, hearing
 from drivers.errors import BusError, HilError
+from drivers.family import Hearing, hearing
 from drivers.frame_array import joined, sent_at
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake

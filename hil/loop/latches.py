@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER, direct, records
 from drivers.compiled.pointed import address_of, call
-from drivers.ends import Hearing
+from drivers.family import Hearing
 from drivers.frame_array import FRAME, received_frames, sent_frames
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import LEGS

@@ -9,9 +9,8 @@ from typing import Any
 from drivers.compiled.compiler import compiled_of, helper, record
 from drivers.compiled.pointed import call, integers_at, record_at
 from drivers.controller_end import MOST_FRAMES
-from drivers.ends import frame_at
 from drivers.frame_array import FRAME, SENT
-from drivers.frame_pointers import frames_at
+from drivers.frame_pointers import frame_at, frames_at
 from drivers.tick_columns import TICK
 from hil.loop import compiled_pass
 from hil.loop.compiled_pass import ALL, CONTROL

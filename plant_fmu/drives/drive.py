@@ -14,17 +14,18 @@ from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.config import DriveSettings, HomingSettings
-from drivers.ends import MESSAGE, READING, DrivesEnd, put_messages
 from drivers.frame_array import FRAME, timed_array
-from drivers.protocol import Configure, DeviceMessage, Frame, Status
+from drivers.protocol import Frame
 from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd, put_messages
 from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
 from plant_fmu.drives.live import due_ns
 from plant_fmu.drives.record import MESSAGES, NODES, ROOM
 from plant_fmu.faults.fault import Present
+from plant_fmu.messages import Configure, DeviceMessage, Status
 from plant_fmu.plant import Moved, Plant, Truth
 
 _NO_COUNTER = -1

@@ -6,8 +6,8 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import helper
-from drivers.ends import COMMAND
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.drives.ends import COMMAND
 
 BOOT, OFF, READY, RUN, FAULT = map(int, DriveState)
 BRAKE, DAMP, HOLD, ZERO = map(int, Reaction)

@@ -11,7 +11,11 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
 from drivers.compiled.pointed import call, integers_at, pointed
-from drivers.ends import (
+from drivers.frame_array import FRAME, SENT
+from drivers.frame_pointers import frame_at, in_order
+from drivers.signals import LEGS
+from drivers.transmission import fill_loss
+from plant_fmu.drives.ends import (
     ALIVE,
     COMMAND,
     CONFIGURE,
@@ -19,14 +23,9 @@ from drivers.ends import (
     REJECTED,
     SYNC,
     UNWATCHED,
-    frame_at,
     message_at,
     reading_at,
 )
-from drivers.frame_array import FRAME, SENT
-from drivers.frame_pointers import in_order
-from drivers.signals import LEGS
-from drivers.transmission import fill_loss
 from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, feed, next_move_ns, obey
 from plant_fmu.drives.record import (
     AFTER_READING,

@@ -15,22 +15,13 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
-from drivers.ends import drives_end
 from drivers.errors import PlantError, ProtocolError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
-from drivers.protocol import (
-    Answer,
-    DeviceMessage,
-    DriveProtocol,
-    EmergencyStop,
-    Frame,
-    Received,
-    Sync,
-)
+from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives import record
+from plant_fmu.drives import drives_end, record
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, Turns, at_motor, moved
 from plant_fmu.drives.kernels import (
     BRAKE,
@@ -49,6 +40,7 @@ from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
+from plant_fmu.messages import Answer, DeviceMessage, EmergencyStop, Sync
 from plant_fmu.plant import Plant, Truth
 
 
@@ -103,7 +95,7 @@ class Nodes:
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._heard: Sequence[DeviceMessage] = ()
         self._schedule = Schedule(self._faults, t0_ns)
-        gateway = Gateway(self._schedule, self._protocol, t0_ns)
+        gateway = Gateway(self._schedule, self._protocol, drives_end(self._protocol), t0_ns)
         self._gateway = gateway if self._faults.touches_frames else None
         self._spoiled = Reading()
         self._missed: list[Rows] = []

@@ -8,8 +8,8 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, helper, record
 from drivers.compiled.pointed import pointed, reals_at, record_at
-from drivers.ends import frame_at
 from drivers.frame_array import FRAME
+from drivers.frame_pointers import frame_at
 from drivers.legs.kernels import STRANGE, intact
 from drivers.sensor_kernels import IMU, QUANTITIES, SENSORS, TRACKER, put_sample
 

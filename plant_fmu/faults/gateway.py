@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from operator import itemgetter
+from typing import Any
 
-from drivers.ends import drives_end
-from drivers.protocol import DriveProtocol, Frame, Received, Sync
+from drivers.protocol import DriveProtocol, Frame, Received
 from plant_fmu.faults.kinds import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
 from plant_fmu.faults.stranger import forged
+from plant_fmu.messages import Sync
 
 _TIME = itemgetter(0)
 AHEAD_NS = 2_000_000
@@ -23,10 +24,11 @@ class Gateway:
     of the last step, what the protocol remembers at the drives' end.
     """
 
-    def __init__(self, schedule: Schedule, protocol: DriveProtocol, t0_ns: int) -> None:
+    def __init__(self, schedule: Schedule, protocol: DriveProtocol, end: Any, t0_ns: int) -> None:
+        """Take the schedule, and the protocol with a drives' end of its own, powered up."""
         self._schedule = schedule
         self._protocol = protocol
-        self._end = drives_end(protocol)
+        self._end = end
         self._later: list[Timed] = []
         self._added: list[Timed] = []
         self._until_ns = t0_ns

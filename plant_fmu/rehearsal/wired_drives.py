@@ -8,19 +8,11 @@ from typing import Any, cast
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.ends import DrivesEnd, drives_end
-from drivers.protocol import (
-    Answer,
-    Configure,
-    DeviceCommand,
-    DeviceMessage,
-    DriveProtocol,
-    Frame,
-    Rejected,
-    Status,
-    Sync,
-)
+from drivers.protocol import DriveProtocol, Frame
 from drivers.signals import LEGS
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.messages import Answer, Configure, DeviceCommand, DeviceMessage, Rejected, Status, Sync
 from plant_fmu.rehearsal.wiring import OWN, Wiring
 
 NEVER_S = 1e6

@@ -12,11 +12,13 @@ import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
 from drivers.controller_end import ControllerEnd, controller_end
-from drivers.ends import DrivesEnd, drives_end
 from drivers.frame_array import sent_array, sent_frames
-from drivers.protocol import ALWAYS, DeviceMessage, DriveSetup, Frame, Status, Sync
+from drivers.protocol import ALWAYS, DriveSetup, Frame
 from drivers.signals import Command
 from drivers.tick_columns import Record
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.messages import DeviceMessage, Status, Sync
 
 
 class Remembered:

@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import PLACE, fill_pdos
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import State
 from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
-from drivers.ends import drives_end
 from drivers.protocol import ALL_LEGS, DriveSetup
 from drivers.signals import DriveState, Reaction
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.cia402_dictionary import PLACE, fill_pdos
 from tests.drivers.by_value import Remembered
 
 

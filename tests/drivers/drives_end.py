@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 
 from drivers.arrays import Array, Ints
-from drivers.ends import drives_end
-from drivers.protocol import DeviceCommand, DeviceMessage, DriveProtocol, Frame, Status, Sync
+from drivers.protocol import DriveProtocol, Frame
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import DeviceCommand, DeviceMessage, Status, Sync
 
 
 def answers(

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from drivers.controller_end import ControllerEnd, controller_end
-from drivers.ends import DrivesEnd, drives_end
 from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import ALWAYS, DeviceMessage, DriveSetup, Frame, Received, Sync
+from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record, new_record
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.messages import DeviceMessage, Sync
 from tests.drivers.drives_end import answers
 
 SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.moteus_kernels import read
-from drivers.protocol import BRS, EXTENDED, FD, Frame, Sync
+from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import DriveState, Reaction
+from plant_fmu.messages import Sync
 from tests.drivers.motor_families import MoteusProtocol
 from tests.drivers.test_odrive import UNIT
 

@@ -11,13 +11,13 @@ from drivers import motor_kernels as kernels
 from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
 from drivers.controller_end import ControllerEnd
-from drivers.ends import DrivesEnd
 from drivers.frame_array import FRAME, sent_frames
 from drivers.frame_pointers import value
 from drivers.mit.fields import VARIANTS, Ranges
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame
 from drivers.signals import LEGS, Reaction
+from plant_fmu.drives.ends import DrivesEnd
 from tests.drivers.by_value import ByValue, Remembered
 
 

@@ -19,18 +19,7 @@ from drivers.can.bus_time import frame_bits
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, received_array
-from drivers.protocol import (
-    ALWAYS,
-    BUS,
-    ERROR,
-    EXTENDED,
-    REMOTE,
-    DriveProtocol,
-    DriveSetup,
-    Frame,
-    Received,
-    Sync,
-)
+from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveProtocol, DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from plant_fmu.config import DriveEmulation
@@ -38,6 +27,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveSilence, FramesLoss
 from plant_fmu.faults.plan import FaultPlan
+from plant_fmu.messages import Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import answers
 

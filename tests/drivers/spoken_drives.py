@@ -40,8 +40,6 @@ SINCE_NS = 1_000
 class SpokenProtocol(MotorProtocol):
     """Frames are numbers of what they say."""
 
-    obey: Any = SimpleNamespace(address=0)
-    encode: Any = SimpleNamespace(address=0)
     number_at = 0, 0
     torque_limit = 2.0
 
@@ -53,9 +51,9 @@ class SpokenProtocol(MotorProtocol):
         unasked_s: float = 0.0,
         transmission: Any = UNLIKE,
     ) -> None:
-        super().__init__(transmission, (0,) * 6, (1, 32, 2.0))
         address, self._keeps = of_python(self._hear, INTEGER, INTEGER, INTEGER)
         self.ear: Any = SimpleNamespace(address=address)
+        super().__init__(transmission, (0,) * 6, (1, 32, 2.0))
         self._given = reports, unasked_s
         self.counts = (exchanges,) * 6 if isinstance(exchanges, int) else tuple(exchanges)
         self.words: list[Heard | None] = []
@@ -64,6 +62,7 @@ class SpokenProtocol(MotorProtocol):
     def traits(self) -> Traits:
         return self.traits_of(
             (),
+            family="spoken",
             emergency_stop=(),
             command_delay_ticks=1,
             set_up_frames=1,

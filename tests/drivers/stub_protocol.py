@@ -18,7 +18,6 @@ import numpy as np
 from drivers.arrays import Array, Ints, Rows
 from drivers.config import BusSettings, DriveSettings
 from drivers.controller_end import ControllerEnd
-from drivers.ends import DrivesEnd
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_frames, sent_array
 from drivers.protocol import (
@@ -27,19 +26,11 @@ from drivers.protocol import (
     EXTENDED,
     REMOTE,
     SINGLE,
-    Answer,
-    Configure,
-    DeviceCommand,
-    DeviceMessage,
     DriveProtocol,
     DriveSetup,
-    EmergencyStop,
     Frame,
     Received,
-    Rejected,
     Resolution,
-    Status,
-    Sync,
     Traits,
 )
 from drivers.signals import (
@@ -52,6 +43,17 @@ from drivers.signals import (
     Reaction,
 )
 from drivers.tick_columns import Record
+from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.messages import (
+    Answer,
+    Configure,
+    DeviceCommand,
+    DeviceMessage,
+    EmergencyStop,
+    Rejected,
+    Status,
+    Sync,
+)
 
 STOP, POLL, PLACE, LOAD, SET, DONE, BEAT = range(7)
 """Kinds of frames, in the order of arbitration."""
@@ -122,6 +124,7 @@ class StubProtocol(DriveProtocol):
         zeros = np.zeros(LEGS)
         answers = self.answer(self.power_up(), Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))[1]
         return Traits(
+            family="stub",
             resolution=Resolution.of(_STEP_m, _STEP_m, SINGLE),
             sent=self._polls(DriveMode.OFF, (0.0,) * LEGS),
             feedbacks=tuple(frame for _, frame in answers),

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import ENTRIES, PLACE, missing, refused, signed
 from drivers.cia402.states import State
-from drivers.protocol import Alive, Answer, Configure, EmergencyStop, Frame, Rejected, Status, Sync
+from drivers.protocol import Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, missing, refused, signed
+from plant_fmu.messages import Alive, Answer, Configure, EmergencyStop, Rejected, Status, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import changed, drives, holding
 from tests.drivers.drives_end import plain

@@ -8,23 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402 import dictionary
 from drivers.cia402 import objects as o
 from drivers.cia402.states import State, commanded, meaning
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
-from drivers.protocol import (
-    Answer,
-    DeviceCommand,
-    DriveSetup,
-    Frame,
-    Received,
-    Status,
-    Sync,
-    UnwatchedCommand,
-)
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
+from plant_fmu.messages import Answer, DeviceCommand, Status, Sync, UnwatchedCommand
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import (
     PERMILLE_N,
@@ -213,7 +205,7 @@ def test_another_rated_torque_keeps_the_set_up_from_its_end_and_is_named():
 def test_an_abort_is_named_with_object_code_and_meaning(monkeypatch, key, code, named):
     honest = dictionary.refused
     monkeypatch.setattr(
-        "drivers.cia402.drives_end.refused",
+        "plant_fmu.drives.cia402.refused",
         lambda values, k, v, n: code if k == key else honest(values, k, v, n),
     )
     ends = Ends(drives())
@@ -227,7 +219,7 @@ def test_a_drive_may_lack_what_is_optional(monkeypatch):
     honest = dictionary.missing
     optional = {0x1029, 0x60C2, 0x1802, 0x1803, 0x6502, 0x608F}
     monkeypatch.setattr(
-        "drivers.cia402.drives_end.missing", lambda key: o.NO_OBJECT if key[0] in optional else honest(key)
+        "plant_fmu.drives.cia402.missing", lambda key: o.NO_OBJECT if key[0] in optional else honest(key)
     )
     Ends(drives()).until_set_up()
 
@@ -235,7 +227,7 @@ def test_a_drive_may_lack_what_is_optional(monkeypatch):
 def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(monkeypatch):
     honest = dictionary.refused
     monkeypatch.setattr(
-        "drivers.cia402.drives_end.refused",
+        "plant_fmu.drives.cia402.refused",
         lambda values, k, v, n: 0x06090030 if k == o.COMMUNICATION_ERROR else honest(values, k, v, n),
     )
     ends = Ends(drives())
@@ -249,7 +241,7 @@ def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(mon
 def test_a_value_that_a_drive_does_not_keep_is_found_when_read_back(monkeypatch):
     honest = dictionary.signed
     monkeypatch.setattr(
-        "drivers.cia402.drives_end.signed",
+        "plant_fmu.drives.cia402.signed",
         lambda key, value: 40 if key == o.PRODUCER_HEARTBEAT else honest(key, value),
     )
     ends = Ends(drives())

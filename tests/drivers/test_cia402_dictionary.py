@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.device_kernels import DEVICE
-from drivers.cia402.dictionary import ENTRIES, PLACE, defaults, fill_pdos, refused
+from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, defaults, fill_pdos, refused
+from plant_fmu.drives.cia402_kernels import DEVICE
 
 NODE = 5
 NEW = defaults(NODE, 9000, 4096, 2)

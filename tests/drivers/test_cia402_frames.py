@@ -15,9 +15,10 @@ from drivers.cia402.end import plan
 from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array
-from drivers.protocol import DriveSetup, Frame, Received, Status, Sync
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
+from plant_fmu.messages import Status, Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, changed, drives, holding
 

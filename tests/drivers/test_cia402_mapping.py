@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import MAPPED, PDOS, PLACE, defaults, refused
+from plant_fmu.drives.cia402_dictionary import MAPPED, PDOS, PLACE, defaults, refused
 
 NODE = 5
 

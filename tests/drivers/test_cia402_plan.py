@@ -6,14 +6,15 @@ import pytest
 
 from drivers import PROTOCOLS
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import signed
 from drivers.cia402.end import TRIES
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import received_array
-from drivers.protocol import DriveSetup, EmergencyStop, Frame, Received
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
+from plant_fmu.drives.cia402_dictionary import signed
+from plant_fmu.messages import EmergencyStop
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import COUNTS, NODES, drives, holding, settings
 from tests.drivers.protocol_contract import SETUP, Ends
@@ -71,7 +72,7 @@ def test_a_drive_that_allows_no_remote_frames_on_its_pdos_is_set_up(monkeypatch)
         seen.append(is_cob)
         return signed(key, raw) | ON_ITS_OWN * is_cob
 
-    monkeypatch.setattr("drivers.cia402.drives_end.signed", kept)
+    monkeypatch.setattr("plant_fmu.drives.cia402.signed", kept)
     Ends(drives()).until_set_up()
     assert any(seen)
 

@@ -6,9 +6,10 @@ import pytest
 
 from drivers.cia402 import objects as o
 from drivers.frame_array import received_array
-from drivers.protocol import DriveSetup, Frame, Received, Status
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
+from plant_fmu.messages import Status
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import NODES, drives, holding
 

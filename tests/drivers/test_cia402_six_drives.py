@@ -9,8 +9,9 @@ import pytest
 
 from drivers.cia402.states import State
 from drivers.errors import ProtocolError
-from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Alive, Answer, Frame, Sync
+from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import DriveState
+from plant_fmu.messages import Alive, Answer, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import changed, drives, holding, made
 from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR

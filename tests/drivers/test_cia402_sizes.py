@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import ENTRIES, signed
 from drivers.cia402.objects import ABORTS, mapped, read_value
+from plant_fmu.drives.cia402_dictionary import ENTRIES, signed
 
 BYTES = "78563412"
 

@@ -20,25 +20,11 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.messages import LAYOUTS
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import (
-    BRS,
-    ERROR,
-    ESI,
-    EXTENDED,
-    FD,
-    REMOTE,
-    Configure,
-    DeviceCommand,
-    EmergencyStop,
-    Frame,
-    Received,
-    Rejected,
-    Status,
-    Sync,
-)
+from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
+from plant_fmu.messages import Configure, DeviceCommand, EmergencyStop, Rejected, Status, Sync
 from tests.drivers.drives_end import answers, reports
 from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, opening, parse
 from tests.drivers.protocol_contract import at_tick

@@ -15,20 +15,9 @@ import pytest
 
 from drivers.mit.fields import Ranges, pack_command, unpack_motion
 from drivers.moteus_kernels import COMMAND, MODE, TIMEOUT, WRITE
-from drivers.protocol import (
-    BRS,
-    EXTENDED,
-    FD,
-    REMOTE,
-    Answer,
-    Configure,
-    DeviceCommand,
-    EmergencyStop,
-    Frame,
-    Rejected,
-    Sync,
-)
+from drivers.protocol import BRS, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import LEGS, DriveMode, Reaction
+from plant_fmu.messages import Answer, Configure, DeviceCommand, EmergencyStop, Rejected, Sync
 from tests.drivers.moteus_ends import asked, registers
 from tests.drivers.motor_families import (
     MitProtocol,

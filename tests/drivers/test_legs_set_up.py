@@ -11,22 +11,11 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import (
-    ALL_LEGS,
-    BUS,
-    ERROR,
-    EXTENDED,
-    REMOTE,
-    Configure,
-    DriveSetup,
-    Frame,
-    Received,
-    Rejected,
-    Status,
-    Sync,
-)
+from drivers.protocol import ALL_LEGS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import Configure, Rejected, Status, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, opening, parse
@@ -284,7 +273,7 @@ def test_drives_say_why_they_refuse_a_frame():
         (command, -1, "command 7 while the present SYNC is -1"),
         (P.configure(0.0125, Reaction.HOLD)[2]._replace(data=bytes(9)), 7, "length or CRC of CONFIG"),
     ):
-        end = P.drives_end()
+        end: Any = drives_end(P)
         end.record["present"] = present
         assert end.hear(frame) == (Rejected(reason),)
         assert end.record["present"].tolist() == [present] * 6
@@ -305,7 +294,7 @@ def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_t
     force = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     frames = command_frames(protocol, Command(DriveMode.RUN, force), 7)
     assert [frame.bus for frame in frames] == [0, 1]
-    end = protocol.drives_end()
+    end = drives_end(protocol)
     for frame in opening(protocol, 7):
         end.hear(frame)
     found = [end.hear(frame)[0] for frame in frames]
@@ -318,7 +307,7 @@ def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_t
 def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
     ones = np.ones(6)
-    answers = protocol.drives_end().reply(Sync(7), ones, ones, ones, np.ones(6, np.int64))
+    answers = drives_end(protocol).reply(Sync(7), ones, ones, ones, np.ones(6, np.int64))
     assert sorted(leg for leg, _ in answers) == list(range(6))
     last, tick = new_record(), new_record()
     tick["tick"] = 7

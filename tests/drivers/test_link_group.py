@@ -14,8 +14,9 @@ from drivers.can.bus import DEAD_AFTER_NS, Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
-from drivers.protocol import BUS, Alive, EmergencyStop, Frame, Sync
+from drivers.protocol import BUS, Frame
 from drivers.signals import Command, DriveMode, DriveState
+from plant_fmu.messages import Alive, EmergencyStop, Sync
 from tests.drivers.cia402_drives import holding
 from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, fakes, family
 

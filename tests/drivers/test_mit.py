@@ -16,20 +16,15 @@ from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array
-from drivers.mit.fields import (
-    TURN,
-    VARIANTS,
-    Ranges,
-    device_motion,
-    pack_command,
-    unpack_motion,
-)
+from drivers.mit.fields import TURN, VARIANTS, Ranges, pack_command, unpack_motion
 from drivers.mit.protocol import ENABLE
-from drivers.protocol import EXTENDED, DriveSetup, Frame, Received, Sync
+from drivers.protocol import EXTENDED, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.mit import device_motion
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.messages import Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.drives_end import answers
 from tests.drivers.motor_families import Heard, MitProtocol, RobStrideProtocol, unpack_command

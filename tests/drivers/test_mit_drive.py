@@ -11,19 +11,9 @@ import pytest
 from drivers.errors import ProtocolError
 from drivers.mit.fields import Ranges
 from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, ZERO
-from drivers.protocol import (
-    BUS,
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    Answer,
-    Configure,
-    Frame,
-    Rejected,
-    Sync,
-)
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.messages import Answer, Configure, Rejected, Sync
 from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
 from tests.drivers.motor_families import MitProtocol

@@ -19,20 +19,10 @@ from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.moteus import QUERY, STOP, torque_command
 from drivers.moteus_kernels import pad
-from drivers.protocol import (
-    BRS,
-    EXTENDED,
-    FD,
-    Configure,
-    DeviceCommand,
-    DriveSetup,
-    Frame,
-    Rejected,
-    Said,
-    Sync,
-)
+from drivers.protocol import BRS, EXTENDED, FD, DriveSetup, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
+from plant_fmu.messages import Configure, DeviceCommand, Rejected, Sync
 from tests.drivers import moteus_foreign as foreign
 from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import Heard, MoteusProtocol

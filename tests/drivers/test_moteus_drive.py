@@ -12,20 +12,9 @@ import pytest
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.moteus import STOP, torque_command
 from drivers.moteus_kernels import pad
-from drivers.protocol import (
-    BRS,
-    BUS,
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    Configure,
-    DriveSetup,
-    Frame,
-    Rejected,
-    Sync,
-)
+from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.messages import Configure, Rejected, Sync
 from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
 from tests.drivers.moteus_ends import asked, registers

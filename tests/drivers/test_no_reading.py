@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.mit.fields import Ranges
-from drivers.protocol import Frame, Sync
+from drivers.protocol import Frame
 from drivers.signals import INVALID, LEGS, DriveState, Reaction
+from plant_fmu.messages import Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import drives, holding
 from tests.drivers.drives_end import answers

@@ -16,19 +16,10 @@ from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import received_array
-from drivers.protocol import (
-    REMOTE,
-    Configure,
-    DeviceCommand,
-    DriveSetup,
-    Frame,
-    Received,
-    Rejected,
-    Status,
-    Sync,
-)
+from drivers.protocol import REMOTE, DriveSetup, Frame, Received
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
+from plant_fmu.messages import Configure, DeviceCommand, Rejected, Status, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import answers, reports
 from tests.drivers.motor_families import ODriveProtocol

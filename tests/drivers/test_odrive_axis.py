@@ -9,24 +9,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import (
-    BUS,
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    Answer,
-    Configure,
-    DeviceMessage,
-    DriveSetup,
-    EmergencyStop,
-    Frame,
-    Rejected,
-    Said,
-    Status,
-    Sync,
-)
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Said
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, Status, Sync
 from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
 from tests.drivers.motor_families import ODriveProtocol

@@ -14,11 +14,10 @@ from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
-from drivers.ends import drives_end
 from drivers.errors import ConfigurationError
 from drivers.frame_array import received_array, received_frames, sent_frames
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import EXTENDED, FD, DeviceCommand, Frame, Received
+from drivers.protocol import EXTENDED, FD, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
@@ -28,6 +27,8 @@ from hil.loop.clock import Deadlines
 from hil.loop.daemon import switch_off
 from hil.loop.report import waiting_text
 from hil.record.log import Log
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import DeviceCommand
 from tests.drivers.protocol_contract import Ends, ProtocolContract
 from tests.drivers.stub_protocol import MOST_SET_UP, StubProtocol, stub
 from tests.drivers.trouble_contract import TroubleContract

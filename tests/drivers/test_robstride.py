@@ -10,21 +10,9 @@ import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.mit.fields import Ranges
-from drivers.protocol import (
-    BUS,
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    Answer,
-    Configure,
-    DriveSetup,
-    Frame,
-    Rejected,
-    Said,
-    Sync,
-)
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Said
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.messages import Answer, Configure, Rejected, Sync
 from tests.drivers.by_value import Remembered
 from tests.drivers.drives_end import command, plain
 from tests.drivers.motor_families import Heard, RobStrideProtocol

@@ -18,20 +18,12 @@ from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettin
 from drivers.errors import BusError, ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import (
-    BUS,
-    Answer,
-    Configure,
-    DeviceCommand,
-    DriveSetup,
-    Frame,
-    Received,
-    Sync,
-    off_bus,
-)
+from drivers.protocol import BUS, DriveSetup, Frame, Received, off_bus
 from drivers.sensors import SensorProtocol
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import Answer, Configure, DeviceCommand, Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import holding
 from tests.drivers.frames_heard import got
@@ -203,7 +195,7 @@ def test_what_the_drives_answer_is_on_their_bus_and_counts_there_alone(name):
 )
 def test_every_leg_gets_its_own_force_whatever_the_assignment(layout, legs):
     protocol = LegsProtocol(layout, NODES, 100.0, [sorted(there) for there in legs])
-    end = protocol.drives_end()
+    end = drives_end(protocol)
     got: dict[int, float] = {}
     for frame in opening(protocol, 9) + command_frames(protocol, Command(DriveMode.RUN, FORCE), 9):
         for message in end.hear(frame):
@@ -225,7 +217,7 @@ def test_a_drive_is_told_its_slot_in_the_command_of_its_bus():
 def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it():
     protocol = LegsProtocol("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
     first, second = opening(protocol, 4)
-    end = protocol.drives_end()
+    end = drives_end(protocol)
     assert end.hear(second) == (Sync(4, (3, 4, 5)),)
     commands = command_frames(protocol, Command(DriveMode.OFF, np.zeros(6)), 4)
     kinds = [type(end.hear(frame)[0]).__name__ for frame in commands]

@@ -15,19 +15,10 @@ import pytest
 import drivers
 from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import (
-    BRS,
-    FD,
-    Configure,
-    DeviceCommand,
-    EmergencyStop,
-    Frame,
-    Received,
-    Status,
-    Sync,
-)
+from drivers.protocol import BRS, FD, Frame, Received
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
+from plant_fmu.messages import Configure, DeviceCommand, EmergencyStop, Status, Sync
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, decode, one_feedback, opening, parse
 

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.config import WrenchSensorSettings
 from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import Configure, DeviceCommand, EmergencyStop, Frame, Received, Status
+from drivers.protocol import Frame, Received
 from drivers.sensor_kernels import NEVER
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import copy_of
@@ -22,6 +22,7 @@ from hil.loop.sight import Sight
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import Operator, TickInput
 from hil.trajectory.path import PoseSample
+from plant_fmu.messages import Configure, DeviceCommand, EmergencyStop, Status
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import one_feedback, parse
 from tests.stories import fault_text

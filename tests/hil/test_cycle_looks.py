@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.protocol import Status
 from drivers.signals import DriveState, Fault, Mode, Stop
 from hil.app.compose import build_cycle
 from hil.loop.cycle import Cycle
@@ -16,6 +15,7 @@ from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator
 from hil.trajectory.move import GeodesicMove
+from plant_fmu.messages import Status
 from tests.drivers.by_value import ByValue, InPython
 from tests.drivers.drives_end import reports
 from tests.hil.test_cycle import Bench, held_to
@@ -98,9 +98,6 @@ class Uncompiled:
 
     def __init__(self, family: Any) -> None:
         self._family = family
-
-    def drives_end(self) -> Any:
-        return self._family.drives_end()
 
     def controller_end(self, setup: Any) -> InPython:
         return InPython(self._family, setup)

@@ -11,10 +11,10 @@ import pytest
 
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
-from drivers.ends import drives_end, hearing
 from drivers.errors import BusError
+from drivers.family import hearing
 from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import DeviceCommand, Frame, Received, Sync
+from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
@@ -22,6 +22,8 @@ from hil.loop.clock import Deadlines
 from hil.loop.daemon import Shell, _answers, run, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import DeviceCommand, Sync
 from tests.drivers.drives_end import answers
 from tests.drivers.frames_heard import got
 

@@ -7,12 +7,13 @@ import pytest
 
 from drivers.arrays import Rows
 from drivers.frame_array import sent_frames
-from drivers.legs.ends import TRIES
+from drivers.legs.end import TRIES
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Configure, EmergencyStop, Frame, Received, Status
+from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
 from hil.loop.report import waiting_text
 from hil.signals import Operator
+from plant_fmu.messages import Configure, EmergencyStop, Status
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
 from tests.hil.test_cycle import PERIOD_NS, Bench

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from drivers import build_protocol
-from drivers.ends import drives_end, hearing
+from drivers.family import hearing
 from drivers.frame_array import received_array, sent_array
-from drivers.protocol import BUS, Frame, Received, Sync
+from drivers.protocol import BUS, Frame, Received
 from drivers.tick_columns import row_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
@@ -21,6 +21,8 @@ from hil.loop import latches
 from hil.loop.replay import recorded_input
 from hil.record.log import Tick
 from hil.signals import TickInput
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import Sync
 from tests.drivers.legs_frames import opening
 from tests.records import record_of
 

@@ -18,7 +18,7 @@ from drivers.can.bus_time import BitTiming
 from drivers.config import TrackerSettings
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Received, Status
+from drivers.protocol import Received
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
 from hil.app.compose import build_cycle, build_nodes, build_sensors
@@ -40,6 +40,7 @@ from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from hil.signals import Operator
+from plant_fmu.messages import Status
 from tests import sensed
 from tests.broad import broad
 from tests.drivers.drives_end import reports

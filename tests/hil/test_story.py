@@ -14,7 +14,7 @@ import pytest
 
 from drivers.config import TrackerSettings
 from drivers.legs.messages import set_up_checksum
-from drivers.protocol import Configure, DriveSetup, Status
+from drivers.protocol import DriveSetup
 from drivers.signals import DriveFault, DriveState, Fault, Foreign, Mode, Reaction, Stop, Warn
 from hil.app.configuration.configuration import load
 from hil.loop.story.faults import FAULTS
@@ -22,6 +22,7 @@ from hil.loop.story.narrator import Narrator, said
 from hil.loop.story.told import DONE, GLOSSARY, DriveSaid, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
+from plant_fmu.messages import Configure, Status
 from tests.drivers.drives_end import reports
 from tests.hil.test_cycle import Bench
 from tests.hil.test_frames import OURS

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from drivers.arrays import Rows
-from drivers.ends import drives_end, hearing
 from drivers.errors import BusError
+from drivers.family import hearing
 from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
-from drivers.protocol import DeviceCommand, Frame, Received
+from drivers.protocol import Frame, Received
 from drivers.signals import BusState, DriveMode, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
@@ -21,6 +21,8 @@ from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.operate.channel import Heard
 from hil.signals import Operator, Order, TickInput
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import DeviceCommand
 from tests.loop.test_run_end_daemon import Wire
 
 LATE_NS, OUT_NS = 70_000, 123_000

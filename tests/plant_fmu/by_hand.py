@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.ends import COMMAND, UNWATCHED
 from plant_fmu.drives import kernels
 from plant_fmu.drives.drive import Drives
+from plant_fmu.drives.ends import COMMAND, UNWATCHED
 from plant_fmu.drives.kernels import NEVER_NS
 
 

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from drivers.config import DriveSettings
-from drivers.legs.ends import LegsDrives
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Alive, Answer, Configure, DeviceMessage, Frame, Received, Status, Traits
+from drivers.protocol import Frame, Received, Traits
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.legs import LegsDrives
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
+from plant_fmu.messages import Alive, Answer, Configure, DeviceMessage, Status
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.test_nodes import MS, Masses, Rig

@@ -11,6 +11,7 @@ import pytest
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
+from plant_fmu.drives import drives_end
 from plant_fmu.faults.fault import NEVER_NS, Fault, Occurrence, Passage
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.kinds import (
@@ -27,6 +28,9 @@ from plant_fmu.faults.kinds import (
     SenderFault,
 )
 from plant_fmu.faults.plan import FaultPlan, Schedule
+
+PROTOCOL = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+
 
 MS = 1_000_000
 FAULTS = (
@@ -90,7 +94,7 @@ def test_foreign_frame_stays_foreign_through_further_faults():
 def test_two_senders_count_each_its_own_frames_and_a_late_frame_is_heard_once_at_its_time():
     floods = [BusFlood(rate_Hz=1000.0, identifier=1), BusFlood(rate_Hz=500.0, identifier=2, at_s=1e-3)]
     late = FramesDelay(by_ms=2.0, identifier=9)
-    gateway = Gateway(Schedule(FaultPlan([*floods, late]), 0), LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), 0)
+    gateway = Gateway(Schedule(FaultPlan([*floods, late]), 0), PROTOCOL, drives_end(PROTOCOL), 0)
     heard: list[tuple[int, int]] = []
     for t_ms in range(6):
         received = [Received(t_ms * MS, Frame(9, b""))] if t_ms == 1 else []
@@ -129,7 +133,7 @@ def test_each_fault_remembers_the_frames_that_have_reached_it_and_no_others():
 
 
 def test_a_frame_that_waits_for_the_next_one_to_the_drives_is_not_freed_by_one_from_them():
-    gateway = Gateway(Schedule(FaultPlan([FramesReorder()]), 0), LegsProtocol("fd", (1, 2, 3, 4, 5, 6)), 0)
+    gateway = Gateway(Schedule(FaultPlan([FramesReorder()]), 0), PROTOCOL, drives_end(PROTOCOL), 0)
     frames = [Frame(9, bytes([k])) for k in range(3)]
     assert gateway.hear([Received(0, frames[0])], 0) == []
     assert gateway.send([(0, frames[1])]) == []

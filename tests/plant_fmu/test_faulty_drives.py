@@ -11,12 +11,12 @@ import pytest
 
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
-from drivers.legs.ends import LegsDrives
 from drivers.protocol import Received
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import Drives, Reading
+from plant_fmu.drives.legs import LegsDrives
 from plant_fmu.faults.fault import Present
 from plant_fmu.faults.kinds import DriveReset, EncoderJump, FramesForgedFeedback, PlantCrash, PlantHang
 from tests.drivers.legs_frames import decode, opening

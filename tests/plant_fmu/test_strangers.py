@@ -15,6 +15,7 @@ from drivers.controller_end import controller_end
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveProtocol, DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
+from plant_fmu.drives import drives_end
 from plant_fmu.faults import stranger
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
@@ -92,7 +93,9 @@ def test_drives_that_are_ready_run_with_his_force_but_those_that_wait_for_a_fram
 @EACH
 def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus(name):
     protocol = codec(name, BUSES)
-    gateway = Gateway(Schedule(FaultPlan([FramesForgedCommand(force_N=FORCE_N)]), 0), protocol, 0)
+    gateway = Gateway(
+        Schedule(FaultPlan([FramesForgedCommand(force_N=FORCE_N)]), 0), protocol, drives_end(protocol), 0
+    )
     end = controller_end(protocol, DriveSetup(0.05, protocol.traits.reactions[0], 250.0))
     polls = sent_frames(end.begin(0))
     assert {frame.bus for frame in polls} == {0, 1}

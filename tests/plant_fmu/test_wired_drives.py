@@ -11,24 +11,14 @@ import numpy as np
 import pytest
 
 from drivers.config import TransmissionSettings
-from drivers.ends import DrivesEnd
 from drivers.legs.protocol import LegsProtocol
 from drivers.mit.fields import Ranges
-from drivers.protocol import (
-    EXTENDED,
-    REMOTE,
-    Alive,
-    Answer,
-    Configure,
-    DeviceCommand,
-    EmergencyStop,
-    Frame,
-    Received,
-    Status,
-    Sync,
-)
+from drivers.protocol import EXTENDED, REMOTE, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.messages import Alive, Answer, Configure, DeviceCommand, EmergencyStop, Status, Sync
 from plant_fmu.rehearsal.wired_drives import WiredEnd, wired_drives
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.by_value import ByValue
@@ -135,7 +125,8 @@ def test_a_watchdog_takes_its_multiple_of_what_the_drive_was_told_and_the_drive_
     factors = (1.0, 8.0, 0.3, inf, 2.5, 0.5)
     protocol = ByValue(LegsProtocol("fd", NODES))
     given = wired_drives(protocol.protocol, Wiring(answers_as=number, watchdog=factors), NODES)
-    wired, wired_end = ByValue(given), given.drives_end()
+    wired = ByValue(given)
+    wired_end: Any = drives_end(given)
     memory = protocol.power_up()
     for frame in protocol.configure(0.01, Reaction.DAMP):
         ((_, (said,)), (_, heard)) = protocol.parse(memory, frame), wired.parse(memory, frame)
@@ -296,7 +287,7 @@ def test_a_drive_confirms_every_time_in_ms_as_it_was_told_it(factor):
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_all_that_one_frame_says_reaches_its_drive_in_its_order(leg):
     protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR).protocol
-    wired: Any = wired_drives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES).drives_end()
+    wired: Any = drives_end(wired_drives(protocol, Wiring(watchdog=(8.0,) * LEGS), NODES))
     held, *commands, poll = wired.hear(Frame(NODES[leg], b"\xff" * 7 + b"\xfc"))
     assert isinstance(held, Configure)
     assert held.leg == leg

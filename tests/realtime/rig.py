@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from drivers.can.bus import Bus
-from drivers.protocol import DeviceCommand, Sync
 from drivers.signals import LEGS, NEVER, DriveMode
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.loop.clock import fifo_allowed
+from plant_fmu.messages import DeviceCommand, Sync
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import decode, parse
 

@@ -15,12 +15,13 @@ import pytest
 from drivers.can.bus import Bus
 from drivers.frame_array import sent_array
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import Frame, Sync
+from drivers.protocol import Frame
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from hil.app.check.command import stopping_distances_m
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration, load
 from hil.record.log import Log
+from plant_fmu.messages import Sync
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
 from tests.realtime.rig import Listener, Process, configuration, gone

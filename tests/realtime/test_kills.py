@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.protocol import DeviceCommand
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Fault
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.record.log import Log
 from hil.record.salvage import salvage
+from plant_fmu.messages import DeviceCommand
 from tests.drivers.legs_frames import parse
 from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
 

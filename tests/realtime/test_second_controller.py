@@ -11,10 +11,11 @@ import pytest
 
 from drivers.can.bus import Bus
 from drivers.frame_array import sent_array
-from drivers.protocol import Frame, Sync
+from drivers.protocol import Frame
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
+from plant_fmu.messages import Sync
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, opening, parse
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone

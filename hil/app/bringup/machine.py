@@ -5,9 +5,8 @@ import contextlib
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.ends import drives_end
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import DriveProtocol, Status
+from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS, DriveState
 from drivers.transmission import forgotten_length
 from hil.app.configuration.configuration import Configuration
@@ -16,6 +15,8 @@ from hil.bringup.context import Machine
 from hil.config.values import Pose
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
+from plant_fmu.drives import drives_end
+from plant_fmu.messages import Status
 
 TILT_deg = (3.0, 2.0, 4.0)
 """Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""

@@ -6,9 +6,10 @@ from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, Status, off_bus
+from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, off_bus
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, DriveFault, DriveState
+from plant_fmu.messages import Status
 
 _SET_UP_BYTES = 8
 """Of a frame that sets up, in every family: CONFIG, an SDO, a parameter."""
@@ -57,7 +58,7 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
 
     Rarer ones are left to the free part of the bus, as is what sets the drives up: see `set_up_ns`.
     """
-    from drivers.ends import drives_end  # noqa: PLC0415 - as above
+    from plant_fmu.drives import drives_end  # noqa: PLC0415 - as above
 
     found: list[Frame] = []
     for turn in range(floor(LEGS / (heartbeat_s * rate_Hz) * (1 + 1e-9))):

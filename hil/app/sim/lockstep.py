@@ -13,8 +13,8 @@ from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
 from drivers.compiled.pointed import data_at
 from drivers.controller_end import array_at
-from drivers.ends import hearing
 from drivers.errors import PlantError
+from drivers.family import hearing
 from drivers.frame_array import FRAME, NO_FRAMES
 from drivers.signals import BusState, Mode
 from hil.app.sim import tick_kernels as at

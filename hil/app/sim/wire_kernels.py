@@ -22,8 +22,8 @@ from drivers.can.arbitration import (
 from drivers.can.arbitration import SENT as GONE
 from drivers.compiled.compiler import INTEGER, direct, helper, record, records
 from drivers.compiled.pointed import address_of, call, integers_at
-from drivers.ends import frame_at
 from drivers.frame_array import FRAME, RECEIVED
+from drivers.frame_pointers import frame_at
 from drivers.protocol import ALWAYS
 from drivers.signals import LEGS
 

@@ -9,8 +9,8 @@ import numpy as np
 from drivers.arrays import Ints, Rows
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.compiled.pointed import data_at
-from drivers.ends import Hearing
 from drivers.errors import BusError
+from drivers.family import Hearing
 from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import ALWAYS
 from hil.app.sim.wire_kernels import FLAGS, FULL, LENGTHS, ROW, WIRES

@@ -8,7 +8,7 @@ import pytest
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
 from drivers.controller_end import array_at
-from drivers.ends import Hearing
+from drivers.family import Hearing
 from drivers.frame_array import FRAME, NO_FRAMES, timed_array
 from drivers.protocol import Frame
 from hil.app.sim.wire_kernels import DONE, answer, begin

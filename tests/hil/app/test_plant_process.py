@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from drivers import build_protocol
 from drivers.errors import PlantError
-from drivers.protocol import Configure, DriveSetup
+from drivers.protocol import DriveSetup
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app import plant
 from hil.app.configuration.changes import with_changes
@@ -26,6 +26,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import plant_process
 from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
 from hil.cli import main
+from plant_fmu.messages import Configure
 from tests.drivers.by_value import ByValue
 from tests.hil.bringup.families import FAMILIES
 

@@ -7,15 +7,17 @@ import copy
 import pytest
 
 from drivers.cia402 import objects
-from drivers.cia402.dictionary import PLACE, defaults
 from drivers.mit.protocol import MitProtocol
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, Frame, Rejected, Said
+from drivers.protocol import EXTENDED, REMOTE, Frame, Said
 from hil.app.bringup.checklist import checklist
 from hil.app.bringup.store import refuse_malformed
 from hil.app.compose import build_protocol
 from hil.bringup.procedure import STEPS
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.cia402_dictionary import PLACE, defaults
+from plant_fmu.messages import Rejected
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
 from tests.drivers.motor_families import Motors
@@ -39,7 +41,7 @@ def with_another(monkeypatch, node, key, value):
             values[PLACE[key]] = value
         return values
 
-    monkeypatch.setattr("drivers.cia402.drives_end.defaults", of_one)
+    monkeypatch.setattr("plant_fmu.drives.cia402.defaults", of_one)
 
 
 @pytest.mark.parametrize(
@@ -122,12 +124,12 @@ def test_a_damiao_is_asked_by_its_registers_15_and_14():
     serial, version = damiao.traits.identity_requests
     assert serial[4] == Frame(0x7FF, bytes.fromhex("0500330f00000000"))
     assert version[0] == Frame(0x7FF, bytes.fromhex("0100330e00000000"))
-    answer = Frame(damiao._replies[4], bytes.fromhex("0500330f785634f2"))
+    answer = Frame(damiao.replies[4], bytes.fromhex("0500330f785634f2"))
     assert damiao.identity(answer) == Said(4, "serial number", 0xF2345678)
     heard = Motors(damiao).hear(answer)
     assert heard is not None
     assert heard.answer is None, "no answer to the set-up"
     for other in ("0500550f785634f2", "0600330f785634f2", "0500330a785634f2", "0500330f7856"):
         assert damiao.identity(answer._replace(data=bytes.fromhex(other))) is None
-    refused = damiao.drives_end().hear(Frame(0x7FF, bytes.fromhex("0500550f00000000")))
+    refused = drives_end(damiao).hear(Frame(0x7FF, bytes.fromhex("0500550f00000000")))
     assert isinstance(refused[0], Rejected)

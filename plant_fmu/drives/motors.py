@@ -1,8 +1,8 @@
 """The drives' end of single-motor drives: one record and one compiled end, which every family shares.
 
-A family gives `obey(d, leg, frame, messages)`, which puts what a frame tells one drive into MESSAGEs at an
-address and returns how many they are, plus ALONE where no other drive looks at it, or FAILED to leave it to
-the protocol; and `encode(d, said, frame)`, which fills in its feedback.
+A family is a subclass of `MotorDrives`. It gives `obey(d, leg, frame, messages)`, which puts what a frame
+tells one drive into MESSAGEs at an address and returns how many they are, plus ALONE where no other drive
+looks at it, or FAILED to leave it to `request`; and `encode(d, said, frame)`, which fills in its feedback.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,19 +10,29 @@ from typing import Any
 
 import numpy as np
 
-from drivers import ends
 from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import FAILED, address_of, call, data_at, integers_at, pointed, record_at
+from drivers.compiled.pointed import (
+    FAILED,
+    Pointed,
+    address_of,
+    call,
+    data_at,
+    integers_at,
+    pointed,
+    record_at,
+)
 from drivers.frame_array import FRAME
-from drivers.motor_kernels import EAR, FEEDBACK, HEARD, heard_at
-from drivers.protocol import DeviceMessage, Frame, off_bus
+from drivers.frame_pointers import frame_at
+from drivers.motor_kernels import EAR
+from drivers.protocol import Frame, off_bus
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode
+from drivers.tick_columns import Record
 from drivers.transmission import FIELDS, loss_of
+from plant_fmu.drives import ends
+from plant_fmu.messages import Answer, DeviceMessage
 
 MOST_REGISTERS, MOST_ASKED = 8, 64
 """That a drive remembers; and that one frame asks for."""
-ANY = 0x1FFFFFFF
-"""Bits of an identifier."""
 ALONE = 1 << 8
 SAID = np.dtype(
     [
@@ -34,11 +44,9 @@ SAID = np.dtype(
 DEVICES = np.dtype(
     [
         # the family
-        *((name, "<i8") for name in ("obey", "encode", "hear", "ear")),
-        ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
-        ("mask", "<i8"),
+        *((name, "<i8") for name in ("obey", "encode", "ear")),
         ("everyone", "<i8"),  # number that addresses all drives; -1: none does
-        ("requests", "<i8"),  # identifier of requests that name a drive in their data; -1: none
+        ("codes", "<i8", (len(DriveFault),)),  # sent for each fault of its own
         ("watchdog_ns", "<i8"),  # as the drives are delivered
         ("reaction", "<i8"),
         ("buses", "<i8"),  # how many; 0: one
@@ -53,14 +61,17 @@ DEVICES = np.dtype(
         ("asked", "<i8", (LEGS,)),  # how many registers
         ("wanted", "<i8", (LEGS, MOST_ASKED)),
         ("widths", "<i8", (LEGS, MOST_ASKED)),
-        # scratch: an element of HEARD or of SAID
-        ("scratch", "<f8", (16,)),
+        ("said", "<f8", (SAID.itemsize // 8,)),  # scratch: an element of SAID
     ]
 )
 """Six emulated drives."""
 _DEVICES = record(DEVICES)
 ear_at = record_at(record(EAR))
 _said_at = record_at(record(SAID))
+obeying = pointed(_DEVICES, INTEGER, record(FRAME), INTEGER)
+encoding = pointed(_DEVICES, record(SAID), record(FRAME))
+reporting = pointed(_DEVICES, *[INTEGER] * 7)
+"""What compiles a family's functions."""
 _FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 OFF, READY, RUN, RESET = map(int, DriveMode)
 
@@ -102,19 +113,20 @@ def answers(leg: int, messages: int, count: int) -> int:
     return ends.put_message(messages, count, leg, ends.SYNC, 0, 0, 0.0)
 
 
-# both ends
+# the end
 
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(d: Any, frame_address: int, messages: int) -> int:
     """Decode a frame at the drives of its bus, see `DrivesEnd`."""
-    frame = ends.frame_at(frame_address)
+    frame = frame_at(frame_address)
     identifier = np.int64(frame.id)
     if frame.bus >= max(d.buses, 1):
         return 0
-    if identifier == d.requests:
+    ear = ear_at(d.ear)
+    if identifier == ear.requests:
         return FAILED
-    number, count = identifier >> d.shift & d.mask, 0
+    number, count = identifier >> ear.shift & ear.mask, 0
     for leg in range(LEGS):
         if (number != d.nodes[leg] and number != d.everyone) or frame.bus != d.bus_of[leg]:
             continue
@@ -143,7 +155,7 @@ def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
 def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
     """Fill in what the drives of a SYNC answer, each on its own bus; FAILED for what is no number."""
     sync, reading = ends.message_at(sync_address), ends.reading_at(reading_address)
-    at = np.int64(d.scratch.ctypes.data)
+    at = np.int64(d.said.ctypes.data)
     said, legs, count = _said_at(at), integers_at(senders, LEGS), 0
     for bus in range(max(d.buses, 1)):
         for k in range(sync.count):
@@ -158,7 +170,7 @@ def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: 
     return count
 
 
-@pointed(_DEVICES, *[INTEGER] * 7)
+@reporting
 def silent(
     _d: Any, _leg: int, _state: int, _fault: int, _watchdog_ns: int, _reaction: int, _due: int, _into: int
 ) -> int:
@@ -166,76 +178,66 @@ def silent(
     return 0
 
 
-@pointed(_DEVICES, INTEGER, INTEGER, INTEGER)
-def fresh(d: Any, frame_address: int, _tick: int, since_ns: int) -> int:
-    """Return the leg, from 1 on, of a feedback to this tick's poll on its own bus; else 0: its time tells."""
-    frame = ends.frame_at(frame_address)
-    at = np.int64(d.scratch.ctypes.data)
-    if frame.t_ns < since_ns or frame.bus >= max(d.buses, 1) or not call(d.hear, (d.ear, frame_address, at)):
-        return 0
-    heard = heard_at(at, 1)[0]
-    return heard.leg + 1 if heard.has & FEEDBACK and d.bus_of[heard.leg] == frame.bus else 0
-
-
-@pointed(_DEVICES, INTEGER)
-def addressed(d: Any, frame_address: int) -> int:
-    """Return which legs a frame of the controller's end is for, bit i: leg i."""
-    frame = ends.frame_at(frame_address)
-    identifier = np.int64(frame.id)
-    number = identifier >> d.shift & d.mask
-    if identifier == d.requests:
-        number = np.int64(frame.data[0]) | np.int64(frame.data[1]) << 8 if frame.length > 1 else -1
-    legs = 0
-    for leg in range(LEGS):
-        if number == d.nodes[leg] and (not d.buses or frame.bus == d.bus_of[leg]):
-            legs |= 1 << leg
-    return legs
-
-
-assert max(HEARD.itemsize, SAID.itemsize) <= DEVICES["scratch"].itemsize
-
-
 _MEMORY = ("heard", "enabled", "registers", "host", "asked", "wanted", "widths")
 
 
-def codes_of(codes: Mapping[DriveFault, int], otherwise: int) -> list[int]:
-    """Return what a drive sends for each fault of its own."""
-    return [codes.get(fault, otherwise) for fault in DriveFault]
-
-
-class MotorDrivesEnd(ends.CompiledDrives):
+class MotorDrives(ends.CompiledDrives):
     """Six drives. Mutable state: the record."""
+
+    obey: Pointed
+    encode: Pointed
+    """The family's functions, see above."""
+    beat: Pointed = silent
+    """`DrivesEnd.report`."""
+    everyone = -1
+    """The number of all drives; -1: there is none."""
+    rejections: tuple[str, ...]
+    """Why a frame is rejected, by the number of its kernel: of the number that is wrong, size and kind."""
+    codes: Mapping[DriveFault, int] = {}
+    otherwise = 0
+    """What is sent for a fault of the drive's own, and for others."""
 
     def __init__(self, family: Any) -> None:
         """Power the drives of a `drivers.motors.MotorProtocol` up."""
         d: Any = np.zeros((), DEVICES)
-        super().__init__(d, parse, answer, family.reporting)
-        self._family = family
-        d["obey"], d["encode"] = family.obey.address, family.encode.address
-        d["hear"], d["ear"] = family.ear.address, data_at(family.tables)
-        d["nodes"], (d["shift"], d["mask"]) = family.tables["nodes"], family.number_at
-        d["everyone"], d["requests"] = family.everyone, family.requests_id
+        super().__init__(d, parse, answer, self.beat)
+        self.family = family
+        d["obey"], d["encode"] = self.obey.address, self.encode.address
+        d["ear"], d["everyone"] = data_at(family.tables), self.everyone
         d["watchdog_ns"], d["reaction"] = round(family.delivered_s * 1e9), family.traits.reactions[0]
-        d["buses"], d["bus_of"] = family.buses, family.bus_of
+        for name in ("nodes", "buses", "bus_of"):
+            d[name] = family.tables[name]
+        d["codes"] = [self.codes.get(fault, self.otherwise) for fault in DriveFault]
         family.transmission.fill(d)
-        family.power_up(d)
+        self.power_up(d)
+
+    def power_up(self, d: Record) -> None:
+        """Put what six drives remember that have heard nothing into a record: nothing."""
+
+    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Decode what is not compiled: what sets drives up, asks who they are or stops them.
+
+        leg: whom the frame is for, None: nobody; the frame is as it is on bus 0.
+        """
+        raise NotImplementedError
+
+    def answer_of(self, leg: int, frame: Frame) -> Answer:
+        """Return a drive's own part of a dialogue."""
+        return Answer(leg, self.family.to_leg(leg, frame))
 
     def reason(self, why: int, _counter: int, number: float, frame: Frame) -> str:
         """Return why a frame is rejected, in the family's words."""
         identifier, data, _ = frame
-        reason: str = self._family.rejections[why - 1]
-        return reason.format(number, size=len(data), kind=identifier & 0x1F)
+        return self.rejections[why - 1].format(number, size=len(data), kind=identifier & 0x1F)
 
     def converse(self, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Let the family decode what sets drives up, asks who they are or stops them."""
-        legs: tuple[int, ...] = self._family.addressed(frame)
-        leg = legs[0] if legs else None
-        messages: tuple[DeviceMessage, ...] = self._family.converse(self.record, leg, off_bus(frame))
-        return messages
+        """Let the family decode what is not compiled."""
+        legs: tuple[int, ...] = self.family.addressed(frame)
+        return self.request(legs[0] if legs else None, off_bus(frame))
 
     def restart(self, legs: Sequence[int]) -> None:
         """Disable drives that were switched off and on, with nothing written in them."""
-        fresh = np.zeros((), DEVICES)
-        self._family.power_up(fresh)
+        fresh: Any = np.zeros((), DEVICES)
+        self.power_up(fresh)
         for name in _MEMORY:
             self.record[name][list(legs)] = fresh[name][list(legs)]

@@ -1,31 +1,33 @@
 """The drives' end of CiA 402: NMT, SDO, and what is rejected, of six emulated drives; the rest is compiled.
 
 A drive follows the documents, not our controller: CiA 301 for communication, IEC 61800-7-201 for the drive.
-What it has of both is in `dictionary`. Its brake is its own. Quick stop and NMT stop end in the brake at
-once, as the emulated power stage has no ramps.
+What it has of both is in `cia402_dictionary`. Its brake is its own. Quick stop and NMT stop end in the brake
+at once, as the emulated power stage has no ramps.
 """
+
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Rows
-from drivers.cia402 import device_kernels as kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.dictionary import ENTRIES, PDOS, PLACE, defaults, fill_pdos, missing, refused, signed
 from drivers.cia402.objects import Key
-from drivers.cia402.states import DISABLED, ENABLED, QUICK_STOP, STATUSWORDS
+from drivers.cia402.states import CODES, DISABLED, ENABLED, QUICK_STOP, STATUSWORDS
 from drivers.compiled.pointed import data_at
-from drivers.ends import CompiledDrives, device_message
-from drivers.protocol import (
-    BUS,
-    Answer,
-    Configure,
-    DeviceMessage,
-    EmergencyStop,
-    Frame,
-    Rejected,
-    UnwatchedCommand,
+from drivers.protocol import BUS, Frame
+from drivers.signals import LEGS, DriveFault, DriveMode, Reaction
+from plant_fmu.drives import cia402_kernels as kernels
+from plant_fmu.drives.cia402_dictionary import (
+    ENTRIES,
+    PDOS,
+    PLACE,
+    defaults,
+    fill_pdos,
+    missing,
+    refused,
+    signed,
 )
-from drivers.signals import LEGS, DriveMode, Reaction
+from plant_fmu.drives.ends import CompiledDrives, device_message
+from plant_fmu.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, UnwatchedCommand
 
 NO_WATCHDOG_s = 1e6
 """Time after which a drive without a consumer heartbeat time reacts."""
@@ -38,13 +40,18 @@ Messages = tuple[DeviceMessage, ...]
 class Cia402Drives(CompiledDrives):
     """Six drives. Mutable state: their elements of DEVICE."""
 
-    def __init__(self, tables: Rows) -> None:
-        """Take an element of DEVICES, which is copied."""
-        super().__init__(tables.copy(), kernels.parse, kernels.answer, kernels.report)
-        self.nodes, self._bus_of = tables["nodes"].tolist(), tables["bus_of"].tolist()
+    def __init__(self, family: Any) -> None:
+        """Power the drives of a `drivers.cia402.protocol.Cia402Protocol` up."""
+        d: Any = np.zeros((), kernels.DEVICES)
+        super().__init__(d, kernels.parse, kernels.answer, kernels.report)
+        for name in ("nodes", "N_per_permille", "buses", "bus_of"):
+            d[name] = family.tables[name]
+        family.transmission.fill(d)
+        d["rated_mNm"], d["codes"] = family.rated_torque_mNm, [CODES.get(fault, 0) for fault in DriveFault]
+        self.nodes, self._bus_of = d["nodes"].tolist(), d["bus_of"].tolist()
         self._new = np.zeros(LEGS, kernels.DEVICE)
-        for row, node, counts in zip(self._new, self.nodes, tables["counts"].tolist(), strict=True):
-            row["values"] = defaults(node, int(tables["rated_mNm"]), round(counts), 1)
+        for row, node, counts in zip(self._new, self.nodes, d["counts"].tolist(), strict=True):
+            row["values"] = defaults(node, family.rated_torque_mNm, round(counts), 1)
             fill_pdos(row)
         self.state = self._new.copy()
         self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)

@@ -1,6 +1,6 @@
 """The drives' end of CiA 402, compiled: SYNC, PDOs, heartbeats and EMCY of six emulated drives.
 
-NMT, SDO, and what is rejected are left to `drives_end`.
+NMT, SDO, and what is rejected are left to `plant_fmu.drives.cia402`.
 """
 
 from typing import Any
@@ -9,16 +9,16 @@ import numpy as np
 
 from drivers.cia402 import objects as o
 from drivers.cia402 import states as s
-from drivers.cia402.dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
 from drivers.cia402.kernels import STRANGE
 from drivers.cia402.states import HEARTBEAT_LOST
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, record_at
-from drivers.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, frame_at, message_at, put_message, reading_at
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_sent, place_of, signed, whole
+from drivers.frame_pointers import begin_sent, frame_at, place_of, signed, whole
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.transmission import loss_of
+from plant_fmu.drives.cia402_dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
+from plant_fmu.drives.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, message_at, put_message, reading_at
 
 _WORD, _TARGET, _MODE, _SHOWN = (PLACE[key] for key in (o.CONTROLWORD, o.TARGET_TORQUE, o.MODE, o.MODE_SHOWN))
 _POSITION, _VELOCITY, _TORQUE, _STATUS = (
@@ -53,7 +53,6 @@ DEVICES = np.dtype(
         ("buses", "<i8"),  # how many; 0: one
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
-        ("velocity", "<i8"),  # 1: the controller waits for TPDO2
         ("codes", "<i8", (len(DriveFault),)),  # of an EMCY, by fault
         ("rated_mNm", "<f8"),
         *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "counts", "N_per_Nm")),
@@ -71,8 +70,6 @@ _OFF, _READY, _RUN, _RESET = map(int, DriveMode)
 _NODE = 0x7F
 _LEAST_WORD, _MOST_WORD = -float(1 << 31), float((1 << 31) - 1)
 _LEAST_SHORT, _MOST_SHORT = -float(1 << 15), float((1 << 15) - 1)
-_TPDO1, _TPDO2 = o.TPDO_ID[0], o.TPDO_ID[1]
-_RPDOS = o.RPDO_ID
 
 
 @helper
@@ -201,7 +198,7 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(c: Any, frame_address: int, messages: int) -> int:
-    """Decode a SYNC, a PDO or a heartbeat, else leave it to `drives_end`."""
+    """Decode a SYNC, a PDO or a heartbeat, else leave it to Python."""
     frame = frame_at(frame_address)
     if frame.flags & STRANGE or frame.bus >= max(c.buses, 1):
         return 0
@@ -332,36 +329,3 @@ def report(
     begin_sent(beat, o.HEARTBEAT_ID + c.nodes[leg], 1, 0, c.bus_of[leg])
     beat.data[0] = d.nmt
     return count + 1
-
-
-# the controller's end, as far as it hears
-
-
-@pointed(_DEVICES, INTEGER, INTEGER, INTEGER)
-def fresh(c: Any, frame_address: int, _tick: int, since_ns: int) -> int:
-    """Return the leg, from 1 on, plus LEGS for TPDO2, of a TPDO since this tick's SYNC on its bus; else 0."""
-    frame = frame_at(frame_address)
-    identifier = int(frame.id)
-    leg = place_of(identifier & _NODE, c.nodes)
-    if leg < 0 or frame.flags & STRANGE or frame.bus != c.bus_of[leg] or frame.t_ns < since_ns:
-        return 0
-    base = identifier & ~_NODE
-    if base == _TPDO1:
-        return leg + 1 if frame.length == 8 else 0
-    return leg + LEGS + 1 if base == _TPDO2 and c.velocity and frame.length == 4 else 0
-
-
-@pointed(_DEVICES, INTEGER)
-def addressed(c: Any, frame_address: int) -> int:
-    """Return which legs a frame is for, bit i: that of a PDO, SDO or NMT command to one node; else all."""
-    frame = frame_at(frame_address)
-    identifier = int(frame.id)
-    base = identifier & ~_NODE
-    node = identifier & _NODE if base in _RPDOS or base == o.SDO_REQUEST_ID else 0
-    if identifier == o.NMT_ID:
-        node = int(frame.data[1]) if frame.length > 1 else -1
-    legs = 0
-    for leg in range(LEGS):
-        if (node == 0 or c.nodes[leg] == node) and (not c.buses or frame.bus == c.bus_of[leg]):
-            legs |= 1 << leg
-    return legs

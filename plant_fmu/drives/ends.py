@@ -1,39 +1,29 @@
-"""Both ends of a drive family by address: what compiled passes call, and the records that go between.
-
-A protocol returns a `DrivesEnd` from `drives_end()`. A `Family` has both ends compiled, and returns a
-`CompiledDrives`.
-"""
+"""The drives' end of a family: what the emulated drives call, and the records that go between."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple, cast
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
-from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import FAILED, Pointed, data_at, of_python, record_at
-from drivers.controller_end import array_at
+from drivers.compiled.compiler import helper, record
+from drivers.compiled.pointed import FAILED, Pointed, data_at, record_at
 from drivers.errors import ProtocolError
-from drivers.frame_array import FRAME, received_array, received_frames, sent_array, sent_frames
-from drivers.protocol import (
-    ALL_LEGS,
-    BUS,
+from drivers.frame_array import FRAME, sent_array, sent_frames
+from drivers.protocol import Frame
+from drivers.signals import LEGS, Reaction
+from plant_fmu.messages import (
     Alive,
     Configure,
     DeviceCommand,
     DeviceMessage,
-    DriveProtocol,
     EmergencyStop,
-    Frame,
-    Received,
     Rejected,
     Status,
     Sync,
     UnwatchedCommand,
 )
-from drivers.signals import LEGS, Reaction
 
 SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, OTHER = range(8)
 """Kinds of a message; STOP, which an end in the pass leaves to the protocol, and OTHER are for its owner."""
@@ -55,7 +45,6 @@ READING = np.dtype(
 )
 """What six drives read, as `DrivesEnd.reply` takes it."""
 _MESSAGE = MESSAGE.itemsize
-frame_at: Any = record_at(record(FRAME))
 message_at: Any = record_at(record(MESSAGE))
 reading_at: Any = record_at(record(READING))
 
@@ -110,11 +99,6 @@ class DrivesEnd(ABC):
     @abstractmethod
     def remember(self, memory: Any) -> None:
         """Go back to what was `remembered`."""
-
-
-def drives_end(protocol: DriveProtocol) -> DrivesEnd:
-    """Return the drives' end of a protocol, powered up."""
-    return cast("DrivesEnd", protocol.drives_end())
 
 
 def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
@@ -201,104 +185,6 @@ class CompiledDrives(DrivesEnd):
     def remember(self, memory: Rows) -> None:
         """Go back to what was `remembered`."""
         self.state[...] = memory
-
-
-class Hearing(NamedTuple):
-    """What the controller's end makes of frames, by address."""
-
-    fresh: int
-    """(context, frame, tick, since_ns) -> the place in `wanted` of a frame that is `fresh`, from 1 on; 0 for
-    one that is not."""
-    addressed: int
-    """(context, frame) -> bit i: a frame is for leg i."""
-    context: int
-    wanted: tuple[int, ...]
-    """`DriveProtocol.feedback_ids`."""
-    keeps: Any
-
-
-class Family(DriveProtocol):
-    """What the codecs of all families share: each frame goes on the bus of the leg that it is for.
-
-    Holds tables only. A drive's frame counts on its own bus alone.
-    """
-
-    fresh_by: Pointed
-    """`Hearing.fresh`, of the record of the drives' end."""
-    addressed_by: Pointed
-    """`Hearing.addressed`, of the same."""
-    wanted: tuple[int, ...]
-    """`feedback_ids`, in an order."""
-    senders: Mapping[int, int]
-    """Identifier -> the leg whose drive sends it."""
-
-    def __init__(self, legs: Sequence[Sequence[int]] = (ALL_LEGS,)) -> None:
-        """Take the legs of each bus, which together are all legs, each once."""
-        self.legs = tuple(map(tuple, legs))
-        self.buses = len(legs) if len(legs) > 1 else 0
-        """How many there are; 0: one, and frames of others are nobody's."""
-        self.bus_of = tuple(next(bus for bus, own in enumerate(legs) if leg in own) for leg in range(LEGS))
-        """Index of each leg's bus."""
-
-    @cached_property
-    def _hears(self) -> Rows:
-        return cast("CompiledDrives", drives_end(self)).record
-
-    def hearing(self) -> Hearing:
-        """Return the controller's end by address, as far as it hears."""
-        by = self.fresh_by.address, self.addressed_by.address
-        return Hearing(*by, data_at(self._hears), self.wanted, self)
-
-    def to_leg(self, leg: int, frame: Frame) -> Frame:
-        """Return a frame on the bus of a leg."""
-        return frame._replace(flags=frame.flags % BUS + BUS * self.bus_of[leg])
-
-    def to_each(self, frames: Iterable[Frame]) -> tuple[Frame, ...]:
-        """Return frames for the drives, leg order, each on the bus of its leg."""
-        return tuple(self.to_leg(leg, frame) for leg, frame in enumerate(frames))
-
-    def to_all(self, frame: Frame) -> tuple[Frame, ...]:
-        """Return a frame that is for all drives, on each bus."""
-        return tuple(frame._replace(flags=frame.flags + BUS * bus) for bus in sorted(set(self.bus_of)))
-
-    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
-        """Tell whether a frame is feedback of this tick that can be trusted."""
-        return self.fresh_by(self._hears, received_array([received]), tick, since_ns) > 0
-
-    def addressed(self, frame: Frame) -> tuple[int, ...]:
-        """Return the legs that a frame of the controller's end is for."""
-        legs = self.addressed_by(self._hears, sent_array([frame]))
-        return tuple(leg for leg in range(LEGS) if legs >> leg & 1)
-
-    def sender(self, frame: Frame) -> int:
-        """Return the leg whose drive sends a frame on its own bus, -1 for any other frame."""
-        leg = self.senders.get(frame.id, -1)
-        return leg if leg >= 0 and self.bus_of[leg] == frame.bus else -1
-
-
-def hearing(protocol: DriveProtocol) -> Hearing:
-    """Return the controller's end of a protocol, as far as it hears."""
-    compiled = getattr(protocol, "hearing", None)
-    return _python_hearing(protocol) if compiled is None else cast("Hearing", compiled())
-
-
-def _python_hearing(protocol: DriveProtocol) -> Hearing:
-    wanted = tuple(sorted(protocol.traits.feedback_ids))
-    places = {each: place for place, each in enumerate(wanted, 1)}
-
-    def fresh(_context: int, frame: int, tick: int, since_ns: int) -> int:
-        (received,) = received_frames(array_at(frame, 1, FRAME))
-        if not protocol.fresh(received, tick, since_ns):
-            return 0
-        return places.get(protocol.awaited(received.frame), len(wanted) + 1)
-
-    def addressed(_context: int, frame: int) -> int:
-        (received,) = received_frames(array_at(frame, 1, FRAME))
-        return sum(1 << leg for leg in protocol.addressed(received.frame))
-
-    looks, keeps_fresh = of_python(fresh, *[INTEGER] * 4)
-    asks, keeps_addressed = of_python(addressed, *[INTEGER] * 2)
-    return Hearing(looks, asks, 0, wanted, (keeps_fresh, keeps_addressed))
 
 
 _KINDS = {

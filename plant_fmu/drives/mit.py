@@ -1,0 +1,157 @@
+"""Emulated drives of MIT framing on 11-bit identifiers: mini-cheetah, CubeMars, and Damiao with registers."""
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from drivers.compiled.compiler import helper
+from drivers.frame_pointers import begin_sent, value, whole
+from drivers.mit import kernels as k
+from drivers.mit.fields import TURN, Ranges
+from drivers.mit.protocol import KIND, SAID
+from drivers.protocol import Frame
+from drivers.signals import DriveFault, DriveState, Reaction
+from drivers.tick_columns import Record
+from plant_fmu.drives import motors as drives
+from plant_fmu.messages import Configure, DeviceMessage, Rejected, Sync
+
+HELD = tuple(KIND)
+"""The registers of an emulated drive, in the order of its record."""
+_TIMEOUT_AT = HELD.index(k.TIMEOUT)
+_SPECIAL = (1 << 56) - 1
+CUT, ZEROES = 1, 2
+"""Why a frame is rejected."""
+_RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
+
+
+@helper
+def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
+    """Return the code of a number in a symmetric field, as a drive packs it."""
+    at = min(max(x, -end), end) if clamps else x
+    return int((at + end) * ((1 << bits) - 1) / (2.0 * end))
+
+
+@helper
+def device_motion(
+    position: float, velocity: float, torque: float, r: Ranges, clamps: bool
+) -> tuple[int, int, int, int, int]:
+    """Return the five bytes of a reply as a drive packs them.
+
+    Without clamping, as Katz's firmware: a position past its range wraps, the velocity loses its high bits,
+    and the torque carries into the velocity's low ones.
+    """
+    p = scaled(position, r.position, 16, clamps)
+    v = scaled(velocity, r.velocity, 12, clamps)
+    t = scaled(torque, r.torque, 12, clamps)
+    return p >> 8 & 0xFF, p & 0xFF, v >> 4 & 0xFF, ((v & 0xF) << 4) + (t >> 8) & 0xFF, t & 0xFF
+
+
+@drives.obeying
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
+    """Take a command. Every frame to a drive is answered by its feedback."""
+    if frame.flags & k.STRANGE:
+        return 0
+    if frame.length != 8:
+        return drives.rejects(leg, CUT, 0.0, messages)
+    ear, data, count = drives.ear_at(d.ear), frame.data, 0
+    special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
+    if special == k.ZERO:
+        count = drives.rejects(leg, ZEROES, 0.0, messages)
+    elif special == k.ENABLE:
+        if not d.enabled[leg]:
+            # set to what it was delivered with where no controller has set it up
+            ticks = d.registers[leg, _TIMEOUT_AT] if ear.registers else 0.0
+            watchdog_ns: Any = d.watchdog_ns
+            if ticks > 0.0:
+                watchdog_ns = np.int64(np.rint(ticks / k.TICKS_PER_S * 1e9))
+            count = drives.configures(d, leg, watchdog_ns, messages, 0)
+            count = drives.enables(d, leg, 0.0, messages, count)
+    elif special == k.DISABLE:
+        count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
+        if not ear.registers:
+            count = drives.configures(d, leg, d.watchdog_ns, messages, count)
+    elif special == k.CLEAR and ear.registers:
+        count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
+    elif d.enabled[leg]:
+        number = (int(data[6]) & 0xF) << 8 | int(data[7])
+        torque = value(number, -ear.torque, ear.torque, 12)
+        count = drives.commands(d, leg, drives.RUN, torque, messages, 0)
+    return drives.answers(leg, messages, count)
+
+
+@drives.encoding
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in a reply. A lost encoder reads the lower end of the range: no field says so."""
+    ear, leg = drives.ear_at(d.ear), said.leg
+    begin_sent(frame, ear.replies[leg], ear.longest, 0, d.bus_of[leg])
+    data, node = frame.data, d.nodes[leg]
+    position = -ear.position if said.lost else said.turns * TURN
+    motion = device_motion(position, said.speed * TURN, said.torque, ear, ear.clamps != 0)
+    for n in range(5):
+        data[1 + n] = motion[n]
+    code = d.codes[said.fault] if said.state == _FAULT else 0
+    if ear.registers:
+        status = code or int(said.state == _RUN)
+        data[0], data[6], data[7] = status << 4 | node, 30, 30
+    elif ear.longest == 8:
+        data[0], data[6], data[7] = node, 30, code
+    else:
+        data[0], data[6] = node, 0x99
+    return 0
+
+
+class MitDrives(drives.MotorDrives):
+    """Six drives of one variant."""
+
+    obey, encode = obey, encode
+    rejections = "command of {size} bytes", "the zero of the position is not emulated"
+
+    def __init__(self, family: Any) -> None:
+        """Power them up."""
+        self.codes = _CODES.get(family.variant, {})
+        super().__init__(family)
+
+    def power_up(self, d: Record) -> None:
+        """Let the registers hold what a drive was delivered with."""
+        r = self.family.ranges
+        for leg, node in enumerate(self.family.nodes):
+            d["registers"][leg, : len(HELD)] = 0, 0, r.position, r.velocity, r.torque, node, 1
+
+    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Take the request of a Damiao's register."""
+        data = frame.data
+        if frame.flags & k.STRANGE:
+            return ()
+        if len(data) == 8 and data[2] == k.REFRESH and leg is not None:
+            return (Sync(0, (leg,)),)
+        if (
+            len(data) != 8
+            or data[2] not in (k.READ, k.WRITE)
+            or data[3] not in KIND
+            or (data[2] == k.WRITE and data[3] in SAID)
+        ):
+            return (Rejected("register request"),)
+        if leg is None:
+            return ()
+        register, kind, held = HELD.index(data[3]), KIND[data[3]], self.record["registers"][leg]
+        messages: tuple[DeviceMessage, ...] = ()
+        if data[2] == k.WRITE:
+            (held[register],) = struct.unpack(kind, data[4:])
+            if data[3] == k.TIMEOUT and held[register] > 0:
+                messages = (Configure(leg, held[register] / k.TICKS_PER_S, Reaction.BRAKE),)
+        body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
+        return (*messages, self.answer_of(leg, Frame(self.family.replies[leg], data[:4] + body)))
+
+
+_CODES = {
+    "cubemars": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 5},
+    "damiao": {
+        DriveFault.WATCHDOG: 13,
+        DriveFault.OVERFORCE: 10,
+        DriveFault.SENSOR: 8,
+        DriveFault.STROKE: 14,
+    },
+    "robstride": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 8, DriveFault.STROKE: 16},
+}
+"""What an emulated drive sends for a fault of its own."""

@@ -1,0 +1,147 @@
+"""Emulated ODrive axes: they have the first five of `COMMANDS`."""
+
+from typing import Any
+
+import numpy as np
+
+from drivers import motor_kernels as motors
+from drivers.compiled.compiler import helper
+from drivers.compiled.pointed import FAILED
+from drivers.frame_pointers import begin_sent, frame_at, whole
+from drivers.odrive import (
+    ADDRESS,
+    AXIS_STATE,
+    CLEAR,
+    CLOSED_LOOP,
+    COMMANDS,
+    ESTIMATES,
+    ESTOP,
+    HEARTBEAT,
+    IDLE,
+    MODES,
+    STOP_REQUESTED,
+    STRANGE,
+    TORQUE,
+    TORQUE_CONTROL,
+    WATCHDOG_EXPIRED,
+)
+from drivers.protocol import REMOTE, Frame
+from drivers.signals import DriveFault, DriveState
+from plant_fmu.drives import motors as drives
+from plant_fmu.messages import DeviceMessage, EmergencyStop
+
+_RUN = int(DriveState.RUN)
+_STATE, _CONTROL_MODE = 0, 1
+"""Of the registers of an emulated axis: the state last asked for, and the control mode; 0: none yet."""
+STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
+"""Why a frame is rejected."""
+
+
+@helper
+def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
+    """Take an axis state that is asked for."""
+    state, held, count = whole(data, 0), d.registers[leg], 0
+    if state not in (IDLE, CLOSED_LOOP):
+        return drives.rejects(leg, NO_STATE, state, messages)
+    first = held[_STATE] == 0.0
+    if state == IDLE:
+        count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
+        count = drives.configures(d, leg, d.watchdog_ns, messages, count)
+    else:
+        if held[_CONTROL_MODE] != TORQUE_CONTROL:
+            return drives.rejects(leg, NO_TORQUE_CONTROL, 0.0, messages)
+        if first:
+            count = drives.configures(d, leg, d.watchdog_ns, messages, 0)
+        if not d.enabled[leg]:
+            count = drives.enables(d, leg, 0.0, messages, count)
+    if state == IDLE or first:
+        held[_STATE] = state
+    return count
+
+
+@drives.obeying
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
+    """Take a command, or the question for estimates."""
+    kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
+    if frame.flags & STRANGE:
+        return 0
+    if frame.flags & REMOTE:
+        if kind == ADDRESS and size == 0:
+            return FAILED
+        return drives.answers(leg, messages, 0) if kind == ESTIMATES and size == 0 else 0
+    if kind == ESTOP:
+        return FAILED
+    if not COMMANDS >> kind & 1:
+        return 0
+    if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
+        return drives.rejects(leg, NO_COMMAND, 0.0, messages)
+    fits = size <= 1 if kind == CLEAR else size == 8 or (size == 4 and kind != MODES)
+    if not fits:
+        return drives.rejects(leg, STRANGE_SIZE, 0.0, messages)
+    if kind == AXIS_STATE:
+        return _ask_state(d, leg, data, messages)
+    if kind == CLEAR:
+        return drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
+    if kind == MODES:
+        d.registers[leg, _CONTROL_MODE] = whole(data, 0)
+    elif d.enabled[leg]:
+        torque = motors.single(data, 0)
+        if not np.isfinite(torque):
+            return drives.rejects(leg, NO_TORQUE, 0.0, messages)
+        return drives.commands(d, leg, drives.RUN, torque, messages, 0)
+    return 0
+
+
+@drives.encoding
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in estimates; a lost encoder has none: they are NaN."""
+    begin_sent(frame, d.nodes[said.leg] << 5 | ESTIMATES, 8, 0, d.bus_of[said.leg])
+    motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
+    motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
+    return 0
+
+
+@drives.reporting
+def beat(
+    d: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, due: int, into: int
+) -> int:
+    """Fill in a heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
+    if not due:
+        return 0
+    frame = frame_at(into)
+    begin_sent(frame, d.nodes[leg] << 5 | HEARTBEAT, 8, 0, d.bus_of[leg])
+    error = d.codes[fault]
+    for k in range(4):
+        frame.data[k] = error >> 8 * k & 0xFF
+    frame.data[4] = CLOSED_LOOP if state == _RUN else IDLE
+    return 1
+
+
+class ODriveDrives(drives.MotorDrives):
+    """Six axes."""
+
+    obey, encode, beat = obey, encode, beat
+    rejections = (
+        "command {kind:#x} of {size} bytes",
+        "command {kind:#x} is not emulated",
+        "axis state {0:.0f}",
+        "closed loop without torque control",
+        "torque that is no number",
+    )
+    codes = {
+        DriveFault.WATCHDOG: WATCHDOG_EXPIRED,
+        DriveFault.ESTOP: STOP_REQUESTED,
+        DriveFault.OVERFORCE: 0x1000,
+        DriveFault.SENSOR: 0x8,
+        DriveFault.STROKE: 0x10000,
+    }
+
+    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Take Estop, or the question for the address."""
+        assert leg is not None
+        node = self.family.nodes[leg]
+        if frame.id & 0x1F == ADDRESS:
+            said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
+            return (self.answer_of(leg, Frame(frame.id, said)),)
+        self.record["enabled"][leg] = 0
+        return (EmergencyStop((leg,)),)

@@ -1,0 +1,94 @@
+"""Emulated RobStride drives: they have the run mode among registers."""
+
+import struct
+from typing import Any
+
+from drivers.compiled.compiler import helper
+from drivers.compiled.pointed import FAILED
+from drivers.frame_pointers import begin_sent
+from drivers.mit import robstride_kernels as k
+from drivers.mit.fields import TURN
+from drivers.mit.robstride import ASKED_WHO, RUN_MODE
+from drivers.protocol import EXTENDED, Frame
+from drivers.signals import DriveFault, DriveState, Reaction
+from plant_fmu.drives import motors as drives
+from plant_fmu.drives.mit import scaled
+from plant_fmu.messages import Answer, Configure, DeviceMessage, Rejected, Sync
+
+_RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
+
+
+@drives.obeying
+def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
+    """Take a command, which is answered by feedback."""
+    identifier = int(frame.id)
+    kind, count = identifier >> 24, 0
+    if not frame.flags & EXTENDED or frame.flags & k.STRANGE:
+        return 0
+    if kind not in (k.WHO, k.CONTROL, k.ENABLE, k.STOP, k.READ, k.WRITE):
+        return 0
+    if kind != k.WHO and frame.length != 8:
+        return drives.rejects(leg, 1, 0.0, messages)
+    if kind in (k.WHO, k.READ, k.WRITE):
+        return FAILED
+    if kind == k.ENABLE:
+        if not d.enabled[leg]:
+            count = drives.configures(d, leg, d.watchdog_ns, messages, 0)
+            count = drives.enables(d, leg, 0.0, messages, count)
+    elif kind == k.STOP:
+        mode = drives.RESET if frame.data[0] == 1 else drives.OFF
+        count = drives.commands(d, leg, mode, 0.0, messages, 0)
+    elif d.enabled[leg]:
+        end = drives.ear_at(d.ear).torque
+        torque = (identifier >> 8 & 0xFFFF) * 2.0 * end / 0xFFFF - end
+        count = drives.commands(d, leg, drives.RUN, torque, messages, 0)
+    return drives.answers(leg, messages, count)
+
+
+@helper
+def _put(data: Any, at: int, number: int) -> None:
+    data[at], data[at + 1] = number >> 8, number & 0xFF
+
+
+@drives.encoding
+def encode(d: Any, said: Any, frame: Any) -> int:
+    """Fill in a feedback; it saturates, a lost encoder reads the lower end."""
+    ear, leg = drives.ear_at(d.ear), said.leg
+    faults = d.codes[said.fault] if said.state == _FAULT else 0
+    mode = k.RUNNING if said.state == _RUN else k.RESETTING
+    identifier = k.FEEDBACK << 24 | mode << 22 | faults << 16 | d.nodes[leg] << 8 | ear.host
+    begin_sent(frame, identifier, 8, EXTENDED, d.bus_of[leg])
+    position = -ear.position if said.lost else said.turns * TURN
+    _put(frame.data, 0, scaled(position, ear.position, 16, True))
+    _put(frame.data, 2, scaled(said.speed * TURN, ear.velocity, 16, True))
+    _put(frame.data, 4, scaled(said.torque, ear.torque, 16, True))
+    _put(frame.data, 6, 250)
+    return 0
+
+
+class RobStrideDrives(drives.MotorDrives):
+    """Six drives."""
+
+    obey, encode = obey, encode
+    rejections = ("frame of {size} bytes",)
+    codes, otherwise = {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 8, DriveFault.STROKE: 16}, 4
+
+    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+        """Take the request for the processor's number, or a register's; all but its reading has feedback."""
+        identifier, data, _ = frame
+        assert leg is not None
+        kind = identifier >> 24
+        if kind == k.WHO:
+            said = self.family.nodes[leg].to_bytes(8, "little")
+            return (self._from(k.WHO, leg, said, ASKED_WHO),)
+        register, number = struct.unpack("<HxxI", data)
+        if register != RUN_MODE:
+            return (Rejected(f"register {register:#x}"),)
+        if kind == k.WRITE:
+            self.record["registers"][leg, 0] = number
+            return (Configure(leg, self.family.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
+        said = struct.pack("<HxxI", register, int(self.record["registers"][leg, 0]))
+        return (self._from(k.READ, leg, said, self.family.host),)
+
+    def _from(self, kind: int, leg: int, data: bytes, to: int) -> Answer:
+        return self.answer_of(leg, Frame(kind << 24 | self.family.nodes[leg] << 8 | to, data, EXTENDED))

@@ -15,7 +15,7 @@ from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, records_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, code, frames_at, whole
-from drivers.signals import LEGS, DriveMode, DriveState, Foreign
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
 
@@ -55,6 +55,7 @@ EAR = np.dtype(
         ("clamps", "<i8"),
         ("faults", "<i8"),  # bit k: the drives have a fault of code k
         ("silence", "<i8"),  # fault code of a drive's own watchdog; -1: none
+        ("stopped", "<i8"),  # of an emergency stop
         ("registers", "<i8"),  # 1: it answers readings of registers
         # what all families need
         ("hear", "<i8"),  # address of the function
@@ -119,6 +120,7 @@ _FRAME_BYTES = FRAME.itemsize
 _BOOT, _OFF, _READY = int(DriveState.BOOT), int(DriveState.OFF), int(DriveState.READY)
 _RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
 _ASKS_READY, _ASKS_RUN, _ASKS_RESET = int(DriveMode.READY), int(DriveMode.RUN), int(DriveMode.RESET)
+_WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
 _FOREIGN_COMMAND = int(Foreign.COMMAND)
 
 
@@ -131,6 +133,17 @@ def says(heard: Any, leg: int, has: int) -> int:
     heard.leg, heard.has = leg, has
     heard.turns = heard.speed = heard.torque = heard.value = 0.0
     heard.power = heard.fault = heard.register = 0
+    return 1
+
+
+@helper
+def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
+    """Say whether a drive is enabled, or in a fault of a code that is not 0; return 1."""
+    heard.power = _FAULT if code else _RUN if enabled else _OFF
+    if code in (ear.silence, ear.stopped):
+        heard.fault = _WATCHDOG if code == ear.silence else _ESTOP
+    elif code:
+        heard.fault = OWN_CODE + code
     return 1
 
 

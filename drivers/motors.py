@@ -16,7 +16,7 @@ import numpy as np
 from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import Pointed, address_of, call, data_at, pointed
+from drivers.compiled.pointed import FAILED, Pointed, address_of, call, data_at, pointed
 from drivers.controller_end import CompiledController
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
@@ -32,7 +32,9 @@ NO_BRAKE = (
     "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
     "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
 )
-_RUN = DriveState.RUN
+_OFF, _RUN = int(DriveState.OFF), int(DriveState.RUN)
+_ASKS_RUN, _ASKS_RESET = int(DriveMode.RUN), int(DriveMode.RESET)
+_FRAME_BYTES = FRAME.itemsize
 
 
 class Exchange(NamedTuple):
@@ -175,6 +177,35 @@ def addressed(e: Any, frame_address: int) -> int:
     return legs
 
 
+@pointed(record(kernels.MOTORS), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
+    """Put one frame a drive at an address, and one more to enable it or clear its fault; see `command`.
+
+    For drives of which a heartbeat alone tells whether they are enabled.
+    """
+    before = m.mode
+    if not kernels.remember(m, mode, force_at):
+        return FAILED
+    begins = mode == _ASKS_RUN and before != _ASKS_RUN
+    sent = 0
+    for leg in range(LEGS):
+        # a heartbeat of before RUN ended may have said that it was off
+        if before == _ASKS_RUN and mode != _ASKS_RUN and m.power[leg] == _OFF:
+            m.power[leg] = _RUN
+        has_had_time = m.said[leg] - m.asked[leg] >= kernels.RETRY_TICKS
+        idle = has_had_time and m.power[leg] == _OFF and not m.ran[leg]
+        if begins or (mode == _ASKS_RUN and idle):
+            m.asked[leg] = number
+            kernels.send(m, kernels.ENABLE, leg, into + sent * _FRAME_BYTES)
+            sent += 1
+        kernels.send(m, kernels.row_of(m, leg), leg, into + sent * _FRAME_BYTES)
+        sent += 1
+        if mode == _ASKS_RESET:
+            kernels.send(m, kernels.CLEAR, leg, into + sent * _FRAME_BYTES)
+            sent += 1
+    return sent
+
+
 ANY = 0x1FFFFFFF
 """Bits of an identifier."""
 
@@ -201,6 +232,8 @@ class MotorProtocol(Family):
     """What the family's fault codes mean, less OWN_CODE."""
     fault_bits = False
     """Whether a fault code is a sum of those."""
+    silence = stopped = -1
+    """Fault code of a drive's own watchdog, and of an emergency stop; -1: it has none."""
     torque_limit: float
     """N m, the largest that a command carries."""
 
@@ -223,6 +256,7 @@ class MotorProtocol(Family):
         self.tables: Record = np.zeros((), EAR)
         """What `ear` works on."""
         self.tables["nodes"], self.tables["hear"], self.tables["requests"] = nodes, self.ear.address, -1
+        self.tables["silence"], self.tables["stopped"] = self.silence, self.stopped
         self.tables["shift"], self.tables["mask"] = self.number_at
         self.tables["buses"], self.tables["bus_of"] = self.buses, self.bus_of
         self.wanted = tuple(answers)

@@ -1,4 +1,4 @@
-"""ODrive CAN Simple of firmware 0.6, both ends: torque control of axes that are asked for their encoders.
+"""ODrive CAN Simple of firmware 0.6: torque control of axes that are asked for their encoders.
 
 Identifier: node << 5 | command. Each tick asks for Get_Encoder_Estimates by a remote frame, and sends
 Set_Input_Torque, which feeds the axis' watchdog. The heartbeat has state and error, Estop latches,
@@ -22,17 +22,13 @@ from typing import Any
 import numpy as np
 
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import FAILED, pointed
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_array import FRAME
 from drivers.frame_pointers import place_of, whole
-from drivers.motor_kernels import OWN_CODE, PREPARES, RETRY_TICKS
+from drivers.motor_kernels import PREPARES
 from drivers.motor_settings import Options, refuse_torque
-from drivers.motors import ANY, MotorProtocol
+from drivers.motors import ANY, MotorProtocol, push
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, Frame, Said, Traits
-from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 
 ADDRESS = 0x06
 """Asked for by a remote frame it is answered with node number, serial number and connection."""
@@ -53,10 +49,6 @@ WATCHDOG_EXPIRED, STOP_REQUESTED = 0x1000000, 0x2000000
 """Errors of an axis that have a DriveFault of their own."""
 STRANGE = EXTENDED | FD | ERROR
 _UNHEARD = STRANGE | REMOTE
-_OFF, _RUN, _FAULT = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
-_WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
-_ASKS_RUN, _ASKS_RESET = int(DriveMode.RUN), int(DriveMode.RESET)
-_FRAME_BYTES = FRAME.itemsize
 
 
 @motors.hearing
@@ -77,50 +69,13 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         return motors.says(heard, leg, motors.BROKEN)
     if kind == HEARTBEAT:
         motors.says(heard, leg, motors.POWER)
-        error = whole(data, 0)
-        heard.power = _FAULT if error else _RUN if data[4] == CLOSED_LOOP else _OFF
-        if error == WATCHDOG_EXPIRED:
-            heard.fault = _WATCHDOG
-        elif error == STOP_REQUESTED:
-            heard.fault = _ESTOP
-        elif error:
-            heard.fault = OWN_CODE + error
-        return 1
+        return motors.powers(ear, heard, whole(data, 0), data[4] == CLOSED_LOOP)
     turns, speed = motors.single(data, 0), motors.single(data, 4)
     if not (np.isfinite(turns) and np.isfinite(speed)):
         return motors.says(heard, leg, motors.FEEDBACK)
     motors.says(heard, leg, motors.FEEDBACK | motors.MOTION)
     heard.turns, heard.speed = turns, speed
     return 1
-
-
-@pointed(record(motors.MOTORS), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
-def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
-    """Put one frame an axis at an address, and one more where its loop is to be closed or errors cleared.
-
-    Returns how many they are, or FAILED: a force does not fit.
-    """
-    before = m.mode
-    if not motors.remember(m, mode, force_at):
-        return FAILED
-    begins = mode == _ASKS_RUN and before != _ASKS_RUN
-    sent = 0
-    for leg in range(LEGS):
-        # a heartbeat of before RUN ended may have said that it was off
-        if before == _ASKS_RUN and mode != _ASKS_RUN and m.power[leg] == _OFF:
-            m.power[leg] = _RUN
-        has_had_time = m.said[leg] - m.asked[leg] >= RETRY_TICKS
-        idle = has_had_time and m.power[leg] == _OFF and not m.ran[leg]
-        if begins or (mode == _ASKS_RUN and idle):
-            m.asked[leg] = number
-            motors.send(m, motors.ENABLE, leg, into + sent * _FRAME_BYTES)
-            sent += 1
-        motors.send(m, motors.row_of(m, leg), leg, into + sent * _FRAME_BYTES)
-        sent += 1
-        if mode == _ASKS_RESET:
-            motors.send(m, motors.CLEAR, leg, into + sent * _FRAME_BYTES)
-            sent += 1
-    return sent
 
 
 PASSTHROUGH = 1
@@ -175,6 +130,7 @@ class ODriveProtocol(MotorProtocol):
     """The tables of six axes."""
 
     ear, commanding, rule = hear, push, PREPARES
+    silence, stopped = WATCHDOG_EXPIRED, STOP_REQUESTED
     number_at = 5, ANY
     torque_limit = _MAX_TORQUE
     fault_names, fault_bits = ERRORS, True

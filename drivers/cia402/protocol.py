@@ -12,18 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.cia402 import kernels
+from drivers.cia402 import end, kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.end import (
-    FAULT_REACTIONS,
-    MOST_REQUESTS,
-    Cia402End,
-    Step,
-    addressed,
-    fresh,
-    max_torque,
-    plan,
-)
 from drivers.cia402.kernels import FROM_DRIVES, STRANGE
 from drivers.cia402.states import STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
@@ -56,7 +46,7 @@ _DIFFERENCE = (
 class Cia402Protocol(Family):
     """Six CiA 402 drives. Holds tables only."""
 
-    fresh_by, addressed_by = fresh, addressed
+    fresh_by, addressed_by = end.fresh, end.addressed
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
@@ -79,7 +69,7 @@ class Cia402Protocol(Family):
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
         self.rated_torque_mNm = round(1e3 * rated_Nm)
         force_N = drives.force_limit_N / float(transmission.driving.min())
-        self.max_torque_permille = max_torque(force_N, N_per_permille)
+        self.max_torque_permille = end.max_torque(force_N, N_per_permille)
         self.heartbeat_ms = min(max(round(drives.heartbeat_ms), 1), 0xFFFF)
         self.tables: Rows = np.zeros((), kernels.DRIVES)
         c = self.tables
@@ -116,9 +106,9 @@ class Cia402Protocol(Family):
             emergency_stop=self._to_each(o.RPDO_ID[0], _RPDO.pack(STOP_QUICKLY, 0)),
             feedback_ids=frozenset(self.wanted),
             identity_requests=tuple(self._to_each(o.SDO_REQUEST_ID, o.upload(key)) for key in _IDENTITY),
-            set_up_frames=MOST_REQUESTS,
+            set_up_frames=end.MOST_REQUESTS,
             reset_ticks=6,
-            reactions=tuple(FAULT_REACTIONS),
+            reactions=tuple(end.FAULT_REACTIONS),
             dangers=(_BRAKES,) if self.velocity else (_BRAKES, _DIFFERENCE),
             stop_latches=True,
             latches_together=True,
@@ -131,18 +121,18 @@ class Cia402Protocol(Family):
 
     # controller's end
 
-    def plans(self, setup: DriveSetup) -> tuple[tuple[Step, ...], ...]:
+    def plans(self, setup: DriveSetup) -> tuple[tuple[end.Step, ...], ...]:
         """Return the steps of each drive's start-up dialogue.
 
         Raises ProtocolError if the watchdog does not fit or is too short for the rate, and for a reaction
         that such drives do not have.
         """
         own = zip(self.node_ids, self._increments, strict=True)
-        return tuple(plan(node, setup, self, increments) for node, increments in own)
+        return tuple(end.plan(node, setup, self, increments) for node, increments in own)
 
-    def controller_end(self, setup: DriveSetup) -> Cia402End:
+    def controller_end(self, setup: DriveSetup) -> end.Cia402End:
         """Return the controller's end, compiled; see `plans`."""
-        return Cia402End(self, setup, self.plans(setup))
+        return end.Cia402End(self, setup, self.plans(setup))
 
     # which drive a frame concerns
 

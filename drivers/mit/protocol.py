@@ -8,15 +8,22 @@ silence in units of 50 us, and the ranges, which are compared with the configure
 
 import struct
 from functools import cached_property
+from typing import Any
 
+from drivers import motor_kernels as motors
+from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.mit import kernels as k
+from drivers.frame_pointers import place_of, whole
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import TOP_COMMAND, VARIANTS, pack_command
+from drivers.mit.fields import TOP_COMMAND, TURN, VARIANTS, pack_command, unpack_motion
 from drivers.motor_settings import unwatched
 from drivers.motors import ANY, NO_BRAKE, Exchange
 from drivers.protocol import (
+    ERROR,
+    EXTENDED,
+    FD,
+    REMOTE,
     REVISION,
     SERIAL,
     DriveSetup,
@@ -25,15 +32,80 @@ from drivers.protocol import (
     Traits,
 )
 
-ENABLE, DISABLE, CLEAR, ZERO = (
-    b"\xff" * 7 + bytes((last,)) for last in (k.ENABLE, k.DISABLE, k.CLEAR, k.ZERO)
-)
+STRANGE = EXTENDED | FD | REMOTE | ERROR
+REGISTERS = 0x7FF
+"""Identifier of Damiao's requests."""
+READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
+TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
+ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
+TICKS_PER_S = 20_000
+"""Of Damiao's TIMEOUT."""
+
+
+@helper
+def _answer(data: Any, leg: int, heard: Any) -> int:
+    """Take the answer of a Damiao's register; of one that nobody here asks for the leg alone."""
+    register = int(data[3])
+    is_single = register in (PMAX, VMAX, TMAX)
+    if not is_single and register not in (CTRL_MODE, TIMEOUT):
+        return motors.says(heard, leg, 0)
+    motors.says(heard, leg, motors.ANSWER)
+    heard.register = register
+    heard.value = motors.single(data, 4) if is_single else float(whole(data, 4))
+    return 1
+
+
+@helper
+def _motion(ear: Any, data: Any, leg: int, enabled: int, code: int, heard: Any) -> int:
+    """Take the motion in a reply; enabled: 0 or 1, -1 where it does not say."""
+    place, position, velocity, torque = unpack_motion(data[1:6], ear)
+    at_end = ear.clamps and place in (0, 0xFFFF)
+    motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE)
+    if code or enabled >= 0:
+        heard.has |= motors.POWER
+        motors.powers(ear, heard, code, enabled > 0)
+    if not at_end:
+        heard.has |= motors.MOTION
+        heard.turns, heard.speed = position / TURN, velocity / TURN
+    heard.torque = torque
+    return 1
+
+
+@motors.hearing
+def hear(ear: Any, frame: Any, heard: Any) -> int:
+    """Take a reply: position turns, velocity turns/s, torque N m, status."""
+    identifier, size, data = int(frame.id), int(frame.length), frame.data
+    if frame.flags & STRANGE:
+        return 0
+    to = place_of(identifier, ear.nodes)
+    if to >= 0 or (ear.registers and identifier == REGISTERS):
+        return motors.says(heard, max(to, 0), motors.FOREIGN)
+    first = place_of(identifier, ear.replies)
+    if first < 0:
+        return 0
+    if not ear.shortest <= size <= ear.longest:
+        return motors.says(heard, first, motors.BROKEN)
+    head = int(data[0])
+    if not ear.registers:
+        leg, fault = place_of(head, ear.nodes), int(data[7]) if size == 8 else 0
+        if leg < 0:
+            return motors.says(heard, first, motors.BROKEN)
+        return _motion(ear, data, leg, -1, fault, heard)
+    node = ear.nodes[first]
+    # A status is 0, 1 or above 7, so only a disabled drive near the lower end of its position could look
+    # like a register's answer: it has the position code 0x0033 or 0x0055 there.
+    if head == node and data[1] == 0 and data[2] in (READ, WRITE):
+        return _answer(data, first, heard)
+    status = head >> 4
+    if head & 0xF != node or (status > 1 and not ear.faults >> status & 1):
+        return motors.says(heard, first, motors.BROKEN)
+    return _motion(ear, data, first, status & 1, status if status > 1 else 0, heard)
 
 
 class MitProtocol(MitFamily):
     """One variant's tables."""
 
-    ear = k.hear
+    ear = hear
     number_at = 0, ANY
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
@@ -46,7 +118,7 @@ class MitProtocol(MitFamily):
         self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as its reply names the node")
         self.replies = [node + host if damiao else host for node in self.nodes]
         for reply in self.replies:
-            if not 0 <= reply < k.REGISTERS or reply in self.nodes:
+            if not 0 <= reply < REGISTERS or reply in self.nodes:
                 raise ConfigurationError(
                     f"drives.options: host_id {host} makes replies come on {reply:#x}, a drive's own "
                     "identifier or none; allowed: one that keeps them apart"
@@ -55,7 +127,7 @@ class MitProtocol(MitFamily):
         t["replies"], t["registers"], t["clamps"] = self.replies, damiao, known.clamps
         t["shortest"], t["longest"] = known.reply_bytes[0], known.reply_bytes[-1]
         t["faults"] = sum(1 << code for code in known.faults)
-        t["requests"] = k.REGISTERS if damiao else -1
+        t["requests"] = REGISTERS if damiao else -1
         t["silence"] = -1 if known.silence is None else known.silence
         self.torque_limit = TOP_COMMAND * (2.0 * end / 0xFFF) - end
         self.refuse_force(drives.force_limit_N)
@@ -72,7 +144,7 @@ class MitProtocol(MitFamily):
             family="mit",
             emergency_stop=self.to_each(Frame(node, DISABLE) for node in self.nodes),
             identity_requests=tuple(
-                self.to_each(_exchange(node, "", k.READ, register, 0.0).frames[0] for node in self.nodes)
+                self.to_each(_exchange(node, "", READ, register, 0.0).frames[0] for node in self.nodes)
                 for register in (SAID if self.damiao else ())
             ),
             set_up_frames=int(self.damiao),
@@ -85,17 +157,17 @@ class MitProtocol(MitFamily):
         """Return Damiao's registers; the others have none. Raises ProtocolError for too short a watchdog."""
         if not self.damiao:
             return super().exchanges(setup)
-        ticks = round(setup.watchdog_s * k.TICKS_PER_S)
+        ticks = round(setup.watchdog_s * TICKS_PER_S)
         if ticks < 1:
             raise ProtocolError(f"drive watchdog of {setup.watchdog_s} s: Damiao counts it in 50 us")
         r = self.ranges
         return tuple(
             (
-                _exchange(node, "CTRL_MODE (register 10)", k.WRITE, k.CTRL_MODE, 1),
-                _exchange(node, "TIMEOUT (register 9)", k.WRITE, k.TIMEOUT, ticks),
-                _exchange(node, "PMAX (register 21)", k.READ, k.PMAX, r.position),
-                _exchange(node, "VMAX (register 22)", k.READ, k.VMAX, r.velocity),
-                _exchange(node, "TMAX (register 23)", k.READ, k.TMAX, r.torque),
+                _exchange(node, "CTRL_MODE (register 10)", WRITE, CTRL_MODE, 1),
+                _exchange(node, "TIMEOUT (register 9)", WRITE, TIMEOUT, ticks),
+                _exchange(node, "PMAX (register 21)", READ, PMAX, r.position),
+                _exchange(node, "VMAX (register 22)", READ, VMAX, r.velocity),
+                _exchange(node, "TMAX (register 23)", READ, TMAX, r.torque),
             )
             for node in self.nodes
         )
@@ -103,10 +175,10 @@ class MitProtocol(MitFamily):
     def said_by(self, frame: Frame) -> Said | None:
         """Return what such a reading is answered with."""
         identifier, data, flags = frame
-        if not self.damiao or flags & k.STRANGE or identifier not in self.replies or len(data) != 8:
+        if not self.damiao or flags & STRANGE or identifier not in self.replies or len(data) != 8:
             return None
         leg = self.replies.index(identifier)
-        if data[:3] != bytes((self.nodes[leg], 0, k.READ)) or data[3] not in SAID:
+        if data[:3] != bytes((self.nodes[leg], 0, READ)) or data[3] not in SAID:
             return None
         return Said(leg, SAID[data[3]], int.from_bytes(data[4:], "little"))
 
@@ -117,16 +189,16 @@ class MitProtocol(MitFamily):
         return tuple(tuple(Frame(node, data) for node in self.nodes) for data in rows)
 
 
-SAID = {k.SN: SERIAL, k.SW_VER: REVISION}
+SAID = {SN: SERIAL, SW_VER: REVISION}
 KIND = {
-    register: "<f" if register in (k.PMAX, k.VMAX, k.TMAX) else "<I"
-    for register in (k.CTRL_MODE, k.TIMEOUT, k.PMAX, k.VMAX, k.TMAX, k.SN, k.SW_VER)
+    register: "<f" if register in (PMAX, VMAX, TMAX) else "<I"
+    for register in (CTRL_MODE, TIMEOUT, PMAX, VMAX, TMAX, SN, SW_VER)
 }
 """Format of a register."""
 
 
 def _exchange(node: int, name: str, kind: int, register: int, value: float) -> Exchange:
-    asked = value if kind == k.WRITE else 0
+    asked = value if kind == WRITE else 0
     body = struct.pack(KIND[register], int(asked) if KIND[register] == "<I" else asked)
     data = bytes((node & 0xFF, node >> 8, kind, register)) + body
-    return Exchange(name, register, (Frame(k.REGISTERS, data),), float(value))
+    return Exchange(name, register, (Frame(REGISTERS, data),), float(value))

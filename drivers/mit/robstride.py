@@ -8,24 +8,72 @@ host. Positions and torques are big-endian, registers and that number little-end
 
 import struct
 from functools import cached_property
+from typing import Any
 
+from drivers import motor_kernels as motors
+from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_pointers import code
-from drivers.mit import robstride_kernels as k
+from drivers.frame_pointers import code, place_of, value, whole
 from drivers.mit.family import MitFamily
-from drivers.mit.fields import ROBSTRIDE_FAULTS
+from drivers.mit.fields import ROBSTRIDE_FAULTS, TURN
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
 from drivers.protocol import (
+    ERROR,
     EXTENDED,
+    FD,
+    REMOTE,
     SERIAL,
     DriveSetup,
     Frame,
     Said,
     Traits,
 )
+
+WHO, CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 0, 1, 2, 3, 4, 17, 18
+RESETTING, CALIBRATING, RUNNING = range(3)
+"""Mode of a feedback."""
+STRANGE = FD | REMOTE | ERROR
+
+
+@helper
+def _feedback(ear: Any, data: Any, leg: int, mode: int, faults: int, heard: Any) -> int:
+    """Take a feedback."""
+    p, v = int(data[0]) << 8 | int(data[1]), int(data[2]) << 8 | int(data[3])
+    t = int(data[4]) << 8 | int(data[5])
+    at_end = p in (0, 0xFFFF)
+    motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE | motors.POWER | (0 if at_end else motors.MOTION))
+    if not at_end:
+        heard.turns = value(p, -ear.position, ear.position, 16) / TURN
+        heard.speed = value(v, -ear.velocity, ear.velocity, 16) / TURN
+    heard.torque = value(t, -ear.torque, ear.torque, 16)
+    return motors.powers(ear, heard, faults, mode == RUNNING)
+
+
+@motors.hearing
+def hear(ear: Any, frame: Any, heard: Any) -> int:
+    """Take a feedback, or a register's answer."""
+    if not frame.flags & EXTENDED or frame.flags & STRANGE:
+        return 0
+    identifier = int(frame.id)
+    kind, middle, target = identifier >> 24, identifier >> 8 & 0xFFFF, identifier & 0xFF
+    to = place_of(target, ear.nodes)
+    if to >= 0 and kind in (CONTROL, ENABLE, STOP, READ, WRITE):
+        return motors.says(heard, to, motors.FOREIGN)
+    leg = place_of(middle & 0xFF, ear.nodes)
+    if target != ear.host or leg < 0 or kind not in (FEEDBACK, READ):
+        return 0
+    if frame.length != 8:
+        return motors.says(heard, leg, motors.BROKEN)
+    data = frame.data
+    if kind == READ:
+        motors.says(heard, leg, motors.ANSWER)
+        heard.register, heard.value = whole(data, 0, 2), float(data[4])
+        return 1
+    return _feedback(ear, data, leg, middle >> 14, middle >> 8 & 0x3F, heard)
+
 
 ASKED_WHO = 0xFE
 """Whom the answer to the request for the processor's number is for."""
@@ -38,7 +86,7 @@ _ZEROS = bytes(8)
 class RobStrideProtocol(MitFamily):
     """The tables of six drives."""
 
-    ear = k.hear
+    ear = hear
     number_at = 0, 0xFF
     clears = True
     fault_names, fault_bits = ROBSTRIDE_FAULTS, True
@@ -64,12 +112,12 @@ class RobStrideProtocol(MitFamily):
     @cached_property
     def traits(self) -> Traits:
         """Those of drives that answer each command; a stop does not latch."""
-        answers = (k.FEEDBACK << 24 | k.RUNNING << 22 | node << 8 | self.host for node in self.nodes)
+        answers = (FEEDBACK << 24 | RUNNING << 22 | node << 8 | self.host for node in self.nodes)
         return self.traits_of(
             (Frame(each, _ZEROS, EXTENDED) for each in answers),
             family="robstride",
-            emergency_stop=self._to_each(k.STOP),
-            identity_requests=(self._to_each(k.WHO),),
+            emergency_stop=self._to_each(STOP),
+            identity_requests=(self._to_each(WHO),),
             set_up_frames=2,
             has_watchdog=False,
             dangers=(NO_BRAKE, unwatched("robstride")),
@@ -79,15 +127,15 @@ class RobStrideProtocol(MitFamily):
         """Return that number."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 8 & 0xFFFF)
-        answers = identifier >> 24 == k.WHO and identifier & 0xFF in (ASKED_WHO, self.host) and len(data) == 8
-        if leg is None or not answers or not flags & EXTENDED or flags & k.STRANGE:
+        answers = identifier >> 24 == WHO and identifier & 0xFF in (ASKED_WHO, self.host) and len(data) == 8
+        if leg is None or not answers or not flags & EXTENDED or flags & STRANGE:
             return None
         return Said(leg, SERIAL, int.from_bytes(data, "little"))
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
         """Return the writing and reading back of the run mode."""
-        writes = self._to_each(k.WRITE, struct.pack("<HxxI", RUN_MODE, OPERATION))
-        reads = self._to_each(k.READ, struct.pack("<HxxI", RUN_MODE, 0))
+        writes = self._to_each(WRITE, struct.pack("<HxxI", RUN_MODE, OPERATION))
+        reads = self._to_each(READ, struct.pack("<HxxI", RUN_MODE, 0))
         frames = zip(writes, reads, strict=True)
         return tuple((Exchange("run_mode (0x7005)", RUN_MODE, both, OPERATION),) for both in frames)
 
@@ -96,5 +144,5 @@ class RobStrideProtocol(MitFamily):
         zeros = [code(0.0, -end, end, 16) for end in (self.ranges.position, self.ranges.velocity)]
         torque = struct.pack(">HHHH", *zeros, 0, 0)
         clear = bytes((1, *bytes(7)))
-        asked = (k.STOP, _ZEROS), (k.STOP, clear), (k.ENABLE, _ZEROS), (k.CONTROL, torque, 0)
+        asked = (STOP, _ZEROS), (STOP, clear), (ENABLE, _ZEROS), (CONTROL, torque, 0)
         return tuple(self._to_each(*each) for each in asked)

@@ -16,9 +16,19 @@ from drivers.compiled.pointed import FAILED, integers_at, pointed, record_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, frame_at, place_of, signed, whole
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
-from drivers.transmission import loss_of
+from drivers.transmission import FIELDS
 from plant_fmu.drives.cia402_dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
-from plant_fmu.drives.ends import ALIVE, MESSAGE, STOP, SYNC, UNWATCHED, message_at, put_message, reading_at
+from plant_fmu.drives.ends import (
+    ALIVE,
+    MESSAGE,
+    STOP,
+    SYNC,
+    UNWATCHED,
+    at_motor,
+    message_at,
+    put_message,
+    reading_at,
+)
 
 _WORD, _TARGET, _MODE, _SHOWN = (PLACE[key] for key in (o.CONTROLWORD, o.TARGET_TORQUE, o.MODE, o.MODE_SHOWN))
 _POSITION, _VELOCITY, _TORQUE, _STATUS = (
@@ -55,9 +65,8 @@ DEVICES = np.dtype(
         ("nodes", "<i8", (LEGS,)),
         ("codes", "<i8", (len(DriveFault),)),  # of an EMCY, by fault
         ("rated_mNm", "<f8"),
-        *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "counts", "N_per_Nm")),
-        *((name, "<f8", (LEGS,)) for name in ("N_per_permille", "driving", "back_driving")),
-        ("full_loss_m_s", "<f8"),
+        *FIELDS,
+        *((name, "<f8", (LEGS,)) for name in ("counts", "N_per_permille")),
     ]
 )
 """Six emulated drives."""
@@ -236,11 +245,8 @@ def _whole(number: float, least: float, most: float) -> int:
 @helper
 def _measure(c: Any, leg: int, reading: Any) -> bool:
     """Take what a drive reads; tell whether these are numbers."""
-    d, force, rate = _device(c, leg), reading.force[leg], reading.rate[leg]
-    loss = loss_of(force, rate, c.driving[leg], c.back_driving[leg], c.full_loss_m_s)
-    position = (reading.length[leg] - c.offset[leg]) / c.m_per_turn[leg] * c.counts[leg]
-    velocity = rate / c.m_per_turn[leg] * c.counts[leg]
-    torque = loss * force / c.N_per_Nm[leg] * 1e6 / c.rated_mNm
+    d, (turns, speed, torque) = _device(c, leg), at_motor(c, leg, reading)
+    position, velocity, torque = turns * c.counts[leg], speed * c.counts[leg], torque * 1e6 / c.rated_mNm
     if np.isnan(position) or np.isnan(velocity) or np.isnan(torque):
         return False
     d.values[_POSITION] = _whole(position, _LEAST_WORD, _MOST_WORD)

@@ -13,6 +13,7 @@ from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import LEGS, Reaction
+from drivers.transmission import loss_of
 from plant_fmu.messages import (
     Alive,
     Configure,
@@ -47,6 +48,15 @@ READING = np.dtype(
 _MESSAGE = MESSAGE.itemsize
 message_at: Any = record_at(record(MESSAGE))
 reading_at: Any = record_at(record(READING))
+
+
+@helper
+def at_motor(of: Any, leg: int, reading: Any) -> tuple[float, float, float]:
+    """Return turns, turns/s and N m of a leg's motor, of its length, rate and force; of: has `FIELDS`."""
+    force, rate = reading.force[leg], reading.rate[leg]
+    loss = loss_of(force, rate, of.driving[leg], of.back_driving[leg], of.full_loss_m_s)
+    turns = (reading.length[leg] - of.offset[leg]) / of.m_per_turn[leg]
+    return turns, rate / of.m_per_turn[leg], loss * force / of.N_per_Nm[leg]
 
 
 @helper

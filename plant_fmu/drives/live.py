@@ -15,6 +15,7 @@ from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import frame_at, in_order
 from drivers.signals import LEGS
 from drivers.transmission import fill_loss
+from plant_fmu.drives import record as r
 from plant_fmu.drives.ends import (
     ALIVE,
     COMMAND,
@@ -27,31 +28,8 @@ from plant_fmu.drives.ends import (
     reading_at,
 )
 from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, feed, next_move_ns, obey
-from plant_fmu.drives.record import (
-    AFTER_READING,
-    ANSWER,
-    BEFORE_READING,
-    DONE,
-    EDGE,
-    FORGE,
-    FORGES,
-    FULL,
-    HEAR,
-    LOOKS_AFTER,
-    LOOKS_BEFORE,
-    MESSAGE_OTHER,
-    MESSAGES,
-    NODES,
-    PARSE,
-    PLANT,
-    REPORT,
-    ROOM,
-    TIME,
-    UNSORTED,
-    WATCHDOG,
-)
 
-NODES_RECORD: Any = record(NODES)
+NODES_RECORD: Any = record(r.NODES)
 _FRAME, _MESSAGE = FRAME.itemsize, MESSAGE.itemsize
 _FRAME_WORDS, _MESSAGE_WORDS = _FRAME // 8, _MESSAGE // 8
 
@@ -88,13 +66,13 @@ def _move(n: Any, steps: int) -> int:
     force, brake, wrench = n.at_leg.ctypes.data, n.brake.ctypes.data, n.wrench.ctypes.data
     n.refusal = call(n.move, (n.plant, force, brake, wrench, steps, measured.ctypes.data))
     if n.refusal != 0:
-        return PLANT
+        return r.PLANT
     n.length[:] = measured[:LEGS]
     n.rate[:] = measured[LEGS:]
     if n.not_finite:
         n.length[:] = np.nan
     n.k += steps
-    return DONE
+    return r.DONE
 
 
 @helper
@@ -102,15 +80,15 @@ def move_to(n: Any, t_ns: int) -> int:
     """Bring the plant to the grid point nearest to `t_ns`."""
     steps = np.int64(np.floor((t_ns - n.t0_ns) / n.h_ns + 0.5)) - n.k
     if steps <= 0:
-        return DONE
+        return r.DONE
     if not n.lags and not n.controls:
         return _move(n, steps)
     for _ in range(steps):
         actuate(n, n.lags != 0, _grid_ns(n))
         status = _move(n, 1)
-        if status != DONE:
+        if status != r.DONE:
             return status
-    return DONE
+    return r.DONE
 
 
 @pointed(NODES_RECORD, INTEGER)
@@ -134,17 +112,17 @@ def _happen(n: Any, t_ns: int) -> int:
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
         n.at_ns = watchdog
-        return WATCHDOG
+        return r.WATCHDOG
     if other > t_ns:
         n.calm_ns = min(max(watchdog, t_ns + 1), other)
     elif moved == other:
         status = move_to(n, moved)
-        if status != DONE:
+        if status != r.DONE:
             return status
         actuate(n, False, moved)
     elif n.edge_ns == other:
         n.at_ns = other
-        return EDGE
+        return r.EDGE
     elif n.beat_ns == other:
         n.reports[0], n.reported, n.pending, n.due, n.t_ns = n.beat % LEGS, 0, 1, 1, other
         n.beat += 1
@@ -155,7 +133,7 @@ def _happen(n: Any, t_ns: int) -> int:
         n.spoken += 1
         n.reading_ns = due_ns(n.t0_ns, n.spoken + 1, n.reading_share)
         _begin_latch(n, other)
-    return DONE
+    return r.DONE
 
 
 @helper
@@ -168,8 +146,8 @@ def _pass_time(n: Any, frames: int, count: int) -> int:
         return _happen(n, t_ns)
     n.now_ns = n.t_ns = t_ns
     if not is_end:
-        n.place = HEAR
-        return DONE
+        n.place = r.HEAR
+        return r.DONE
     n.frame += 1
     return move_to(n, t_ns)
 
@@ -180,7 +158,7 @@ def _pass_time(n: Any, frames: int, count: int) -> int:
 @helper
 def _put(n: Any, count: int, leg: int) -> None:
     """Send frames that are filled in, of one drive, or for -1 of those in `senders`; none of silent ones."""
-    senders = integers_at(n.senders, ROOM)
+    senders = integers_at(n.senders, r.ROOM)
     words = _FRAME_WORDS
     first = n.sent
     for k in range(first, first + count):
@@ -198,20 +176,20 @@ def _put(n: Any, count: int, leg: int) -> None:
 @helper
 def _report(n: Any) -> int:
     """Send what one drive is in."""
-    if n.sent + ROOM > n.room:
-        return FULL
+    if n.sent + r.ROOM > n.room:
+        return r.FULL
     if n.report == 0:
-        return REPORT
+        return r.REPORT
     leg = n.reports[n.reported]
     watchdog = n.watchdog_ns[leg] if n.configured[leg] else -1
     state, fault, reaction = n.state[leg], n.fault[leg], n.reaction[leg]
     into = n.out + n.sent * _FRAME
     count = call(n.report, (n.end, leg, state, fault, watchdog, reaction, n.due, into))
     if count < 0:
-        return REPORT
+        return r.REPORT
     _put(n, count, leg)
     n.reported += 1
-    return DONE
+    return r.DONE
 
 
 @helper
@@ -221,13 +199,13 @@ def _read(n: Any) -> int:
     known = call(n.applied, (n.plant, reading.force.ctypes.data))
     if known < 0:
         n.refusal = known
-        return PLANT
+        return r.PLANT
     if known == 0:
         _at_leg(n, reading.force)
     dt_s = (n.t_ns - _grid_ns(n)) * 1e-9
     encoders(n, dt_s, reading.length, reading.rate, reading.state)
     reading.fault[:] = n.fault
-    return DONE
+    return r.DONE
 
 
 @helper
@@ -235,36 +213,36 @@ def _latch(n: Any) -> int:
     """Latch the encoders and answer, up to what somebody else has to do in between."""
     if n.part == 0:
         status = move_to(n, n.t_ns)
-        if status != DONE:
+        if status != r.DONE:
             return status
         n.part = 1
-        if n.look & LOOKS_BEFORE:
-            return BEFORE_READING
+        if n.look & r.LOOKS_BEFORE:
+            return r.BEFORE_READING
     if n.part == 1:
         status = _read(n)
-        if status != DONE:
+        if status != r.DONE:
             return status
         n.part = 2
-        if n.look & LOOKS_AFTER:
-            return AFTER_READING
+        if n.look & r.LOOKS_AFTER:
+            return r.AFTER_READING
     if n.part == 2:
         reading_at(n.reading).length[:] -= n.uncounted
         n.part = 3
-    if n.sent + ROOM > n.room:
-        return FULL
+    if n.sent + r.ROOM > n.room:
+        return r.FULL
     into = n.out + n.sent * _FRAME
     count = call(n.answer, (n.end, n.asked, n.reading, into, n.senders)) if n.answer != 0 else -1
     if count < 0:
-        return ANSWER
+        return r.ANSWER
     _put(n, count, -1)
     n.latching = 0
-    return FORGE if n.look & FORGES else DONE
+    return r.FORGE if n.look & r.FORGES else r.DONE
 
 
 @helper
 def _obey(n: Any, command: Any) -> int:
     status = move_to(n, n.t_ns)
-    if status != DONE:
+    if status != r.DONE:
         return status
     entered = obey(n, command, n.t_ns)
     n.pending = n.reported = n.due = 0
@@ -272,16 +250,16 @@ def _obey(n: Any, command: Any) -> int:
         if entered >> command.legs[k] & 1:
             n.reports[n.pending] = command.legs[k]
             n.pending += 1
-    return DONE
+    return r.DONE
 
 
 @helper
 def _hear(n: Any) -> int:
     """Do what the next message says."""
     if n.message == n.heard:
-        n.place = TIME
+        n.place = r.TIME
         n.frame += 1
-        return DONE
+        return r.DONE
     at = n.messages + n.message * _MESSAGE
     message = message_at(at)
     kind = message.kind
@@ -292,7 +270,7 @@ def _hear(n: Any) -> int:
         _begin_latch(n, n.t_ns)
     elif kind in (COMMAND, UNWATCHED):
         status = _obey(n, message)
-        if status != DONE:
+        if status != r.DONE:
             return status
     elif kind == ALIVE:
         feed(n, message.legs[: message.count], n.t_ns)
@@ -301,18 +279,18 @@ def _hear(n: Any) -> int:
     elif kind in (CONFIGURE, REJECTED):
         n.rejected += 1
     else:
-        return MESSAGE_OTHER
+        return r.MESSAGE_OTHER
     n.message += 1
-    return DONE
+    return r.DONE
 
 
 @helper
 def _parse(n: Any, frame: int) -> int:
     count = call(n.parse, (n.end, frame, n.messages)) if n.parse != 0 else -1
     if count < 0:
-        return PARSE
-    n.heard, n.message, n.place = count, 0, MESSAGES
-    return DONE
+        return r.PARSE
+    n.heard, n.message, n.place = count, 0, r.MESSAGES
+    return r.DONE
 
 
 @direct(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
@@ -324,18 +302,18 @@ def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
         n.until_ns = until_ns
         n.frame = n.place = n.heard = n.message = n.latching = n.pending = n.reported = n.sent = 0
         if not in_order(received):
-            return UNSORTED
+            return r.UNSORTED
     while n.frame <= count:
         if n.reported < n.pending:
             status = _report(n)
         elif n.latching:
             status = _latch(n)
-        elif n.place == MESSAGES:
+        elif n.place == r.MESSAGES:
             status = _hear(n)
-        elif n.place == HEAR:
+        elif n.place == r.HEAR:
             status = _parse(n, frames + n.frame * _FRAME)
         else:
             status = _pass_time(n, frames, count)
-        if status != DONE:
+        if status != r.DONE:
             return status
-    return DONE
+    return r.DONE

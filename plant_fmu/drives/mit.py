@@ -7,22 +7,21 @@ import numpy as np
 
 from drivers.compiled.compiler import helper
 from drivers.frame_pointers import begin_sent, value, whole
-from drivers.mit import kernels as k
+from drivers.mit import protocol as k
 from drivers.mit.fields import TURN, Ranges
-from drivers.mit.protocol import KIND, SAID
 from drivers.protocol import Frame
-from drivers.signals import DriveFault, DriveState, Reaction
+from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
 from plant_fmu.drives import motors as drives
 from plant_fmu.messages import Configure, DeviceMessage, Rejected, Sync
 
-HELD = tuple(KIND)
+HELD = tuple(k.KIND)
 """The registers of an emulated drive, in the order of its record."""
 _TIMEOUT_AT = HELD.index(k.TIMEOUT)
 _SPECIAL = (1 << 56) - 1
+_ENABLE, _DISABLE, _CLEAR, _ZERO = (each[-1] for each in (k.ENABLE, k.DISABLE, k.CLEAR, k.ZERO))
 CUT, ZEROES = 1, 2
 """Why a frame is rejected."""
-_RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
 
 
 @helper
@@ -56,9 +55,9 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
         return drives.rejects(leg, CUT, 0.0, messages)
     ear, data, count = drives.ear_at(d.ear), frame.data, 0
     special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
-    if special == k.ZERO:
+    if special == _ZERO:
         count = drives.rejects(leg, ZEROES, 0.0, messages)
-    elif special == k.ENABLE:
+    elif special == _ENABLE:
         if not d.enabled[leg]:
             # set to what it was delivered with where no controller has set it up
             ticks = d.registers[leg, _TIMEOUT_AT] if ear.registers else 0.0
@@ -67,11 +66,11 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
                 watchdog_ns = np.int64(np.rint(ticks / k.TICKS_PER_S * 1e9))
             count = drives.configures(d, leg, watchdog_ns, messages, 0)
             count = drives.enables(d, leg, 0.0, messages, count)
-    elif special == k.DISABLE:
+    elif special == _DISABLE:
         count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
         if not ear.registers:
             count = drives.configures(d, leg, d.watchdog_ns, messages, count)
-    elif special == k.CLEAR and ear.registers:
+    elif special == _CLEAR and ear.registers:
         count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
     elif d.enabled[leg]:
         number = (int(data[6]) & 0xF) << 8 | int(data[7])
@@ -90,12 +89,11 @@ def encode(d: Any, said: Any, frame: Any) -> int:
     motion = device_motion(position, said.speed * TURN, said.torque, ear, ear.clamps != 0)
     for n in range(5):
         data[1 + n] = motion[n]
-    code = d.codes[said.fault] if said.state == _FAULT else 0
     if ear.registers:
-        status = code or int(said.state == _RUN)
+        status = said.code or said.runs
         data[0], data[6], data[7] = status << 4 | node, 30, 30
     elif ear.longest == 8:
-        data[0], data[6], data[7] = node, 30, code
+        data[0], data[6], data[7] = node, 30, said.code
     else:
         data[0], data[6] = node, 0x99
     return 0
@@ -128,13 +126,13 @@ class MitDrives(drives.MotorDrives):
         if (
             len(data) != 8
             or data[2] not in (k.READ, k.WRITE)
-            or data[3] not in KIND
-            or (data[2] == k.WRITE and data[3] in SAID)
+            or data[3] not in k.KIND
+            or (data[2] == k.WRITE and data[3] in k.SAID)
         ):
             return (Rejected("register request"),)
         if leg is None:
             return ()
-        register, kind, held = HELD.index(data[3]), KIND[data[3]], self.record["registers"][leg]
+        register, kind, held = HELD.index(data[3]), k.KIND[data[3]], self.record["registers"][leg]
         messages: tuple[DeviceMessage, ...] = ()
         if data[2] == k.WRITE:
             (held[register],) = struct.unpack(kind, data[4:])

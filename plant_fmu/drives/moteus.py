@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from drivers import moteus_kernels as k
+from drivers import moteus as k
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.frame_pointers import begin_sent
-from drivers.moteus import QUERY
 from drivers.protocol import BRS, EXTENDED, FD
-from drivers.signals import LEGS, DriveFault, DriveState
+from drivers.signals import LEGS, DriveFault
 from drivers.tick_columns import Record
 from plant_fmu.drives import motors as drives
 
@@ -27,7 +26,6 @@ VERSION = 0x010000
 UNKNOWN_MODE, NO_TORQUE_COMMAND, UNFINISHED = range(1, 4)
 """Why a frame is rejected."""
 _LONGEST_NS = float(1 << 61)
-_RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
 _WATCHDOG = int(DriveFault.WATCHDOG)
 
 
@@ -98,13 +96,12 @@ def _is_known(name: int) -> bool:
 @helper
 def _held(d: Any, said: Any, name: int) -> float:
     """Return the value of a register of a drive, in its own unit; NaN: not known."""
-    in_fault = said.state == _FAULT
-    timed_out = in_fault and said.fault == _WATCHDOG
+    timed_out = said.fails and said.fault == _WATCHDOG
     if name == k.MODE:
-        mode = k.POSITION if said.state == _RUN else k.STOPPED
-        return float(k.TIMED_OUT if timed_out else k.FAULTED if in_fault else mode)
+        mode = k.POSITION if said.runs else k.STOPPED
+        return float(k.TIMED_OUT if timed_out else k.FAULTED if said.fails else mode)
     if name == k.FAULT:
-        return float(d.codes[said.fault]) if in_fault and not timed_out else 0.0
+        return 0.0 if timed_out else float(said.code)
     if name in (k.PLACE, k.SPEED):
         return np.nan if said.lost else float(said.turns if name == k.PLACE else said.speed)
     if name == k.TORQUE:
@@ -210,4 +207,4 @@ class MoteusDrives(drives.MotorDrives):
     def power_up(self, d: Record) -> None:
         """Let drives that have heard nothing answer our query."""
         for leg in range(LEGS):
-            ask(d.view(np.recarray), leg, self.family.host, QUERY, len(QUERY))
+            ask(d.view(np.recarray), leg, self.family.host, k.QUERY, len(k.QUERY))

@@ -25,9 +25,9 @@ from drivers.frame_array import FRAME
 from drivers.frame_pointers import frame_at
 from drivers.motor_kernels import EAR
 from drivers.protocol import Frame, off_bus
-from drivers.signals import INVALID, LEGS, DriveFault, DriveMode
+from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import Record
-from drivers.transmission import FIELDS, loss_of
+from drivers.transmission import FIELDS
 from plant_fmu.drives import ends
 from plant_fmu.messages import Answer, DeviceMessage
 
@@ -36,11 +36,12 @@ MOST_REGISTERS, MOST_ASKED = 8, 64
 ALONE = 1 << 8
 SAID = np.dtype(
     [
-        *((name, "<i8") for name in ("leg", "state", "lost", "fault")),
+        *((name, "<i8") for name in ("leg", "runs", "fails", "lost", "fault", "code")),
         *((name, "<f8") for name in ("turns", "speed", "torque")),
     ]
 )
-"""What one drive reads: turns, turns/s and N m of its motor; its state without INVALID, which is `lost`."""
+"""What one drive reads: turns, turns/s and N m of its motor; whether it runs, is in fault, has lost its
+encoder; and its fault, in fault with the family's code."""
 DEVICES = np.dtype(
     [
         # the family
@@ -74,6 +75,7 @@ reporting = pointed(_DEVICES, *[INTEGER] * 7)
 """What compiles a family's functions."""
 _FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 OFF, READY, RUN, RESET = map(int, DriveMode)
+_RUNS, _FAILS = int(DriveState.RUN), int(DriveState.FAULT)
 
 
 # what a family uses
@@ -142,12 +144,11 @@ def parse(d: Any, frame_address: int, messages: int) -> int:
 @helper
 def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
     """Fill in what a drive reads; tell whether these are numbers."""
-    force, rate = reading.force[leg], reading.rate[leg]
-    loss = loss_of(force, rate, d.driving[leg], d.back_driving[leg], d.full_loss_m_s)
-    said.leg, said.state, said.fault = leg, reading.state[leg] & ~INVALID, reading.fault[leg]
+    state = reading.state[leg] & ~INVALID
+    said.leg, said.runs, said.fails, said.fault = leg, state == _RUNS, state == _FAILS, reading.fault[leg]
+    said.code = d.codes[said.fault] if said.fails else 0
     said.lost = reading.state[leg] & INVALID != 0
-    said.turns = (reading.length[leg] - d.offset[leg]) / d.m_per_turn[leg]
-    said.speed, said.torque = rate / d.m_per_turn[leg], loss * force / d.N_per_Nm[leg]
+    said.turns, said.speed, said.torque = ends.at_motor(d, leg, reading)
     return bool(np.isfinite(said.turns) and np.isfinite(said.speed) and np.isfinite(said.torque))
 
 

@@ -21,22 +21,9 @@ from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import DriveFault
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives import drives_end, record
+from plant_fmu.drives import drives_end, kernels, record
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, Turns, at_motor, moved
-from plant_fmu.drives.kernels import (
-    BRAKE,
-    DAMP,
-    FAULT,
-    HOLD,
-    NEVER_NS,
-    RUN,
-    actuate,
-    encoder,
-    enter,
-    next_move_ns,
-)
 from plant_fmu.drives.live import advance, live
-from plant_fmu.drives.record import FORGES, LOOKS_AFTER, LOOKS_BEFORE
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
@@ -256,7 +243,7 @@ class Nodes:
         self._disturb(t)
 
     def _note_edge(self) -> None:
-        self._record["edge_ns"] = self._edges[0] if self._edges else NEVER_NS
+        self._record["edge_ns"] = self._edges[0] if self._edges else kernels.NEVER_NS
 
     def _advance(self, t: int) -> None:
         """Bring the plant to the grid point nearest to t."""
@@ -290,36 +277,36 @@ class Nodes:
             raise PlantError("the plant crashed: fault plant_crash")
         n["silent"] = sum(1 << leg for leg, silent in enumerate(present.silent) if silent)
         n["not_finite"] = present.not_finite
-        before = LOOKS_BEFORE * bool(present.masses or present.drifts)
-        after = LOOKS_AFTER * bool(present.noise or any(present.late_ns))
-        n["look"] = before | after | FORGES * any(by_m is not None for by_m in present.forged_m)
+        before = record.LOOKS_BEFORE * bool(present.masses or present.drifts)
+        after = record.LOOKS_AFTER * bool(present.noise or any(present.late_ns))
+        n["look"] = before | after | record.FORGES * any(by_m is not None for by_m in present.forged_m)
         self._drives.disturb(present, t)
         self._spoiled.begin(present)
         self._turns.switch_on(present.reset, n["length"])
         n["uncounted"] = self._turns.uncounted_m
         self._end.restart(np.flatnonzero(present.reset).tolist())
         self._weigh()
-        actuate(self._drives.seen, False, t)
+        kernels.actuate(self._drives.seen, False, t)
 
     def _fail(self, leg: int, fault: DriveFault, t: int) -> None:
         """Latch a fault; the first one stays, but for an emergency stop."""
         n = self._drives.seen
         self._advance(t)
-        brakes = fault is DriveFault.ESTOP or n.state[leg] != RUN or self._present.lost[leg]
-        if n.state[leg] != FAULT:
-            n.acting[leg] = BRAKE if brakes else n.reaction[leg]
-            n.held_m[leg] = encoder(n, leg)[0]
-            enter(n, leg, FAULT, fault)
-            if n.acting[leg] in (DAMP, HOLD):
+        brakes = fault is DriveFault.ESTOP or n.state[leg] != kernels.RUN or self._present.lost[leg]
+        if n.state[leg] != kernels.FAULT:
+            n.acting[leg] = kernels.BRAKE if brakes else n.reaction[leg]
+            n.held_m[leg] = kernels.encoder(n, leg)[0]
+            kernels.enter(n, leg, kernels.FAULT, fault)
+            if n.acting[leg] in (kernels.DAMP, kernels.HOLD):
                 n.deadline_ns[leg] = t + self._brake_after_ns
             self._send_status(leg, t)
         elif brakes:
-            n.acting[leg], n.deadline_ns[leg] = BRAKE, NEVER_NS
+            n.acting[leg], n.deadline_ns[leg] = kernels.BRAKE, kernels.NEVER_NS
             if fault is DriveFault.ESTOP and n.fault[leg] != fault:
                 n.fault[leg] = fault
                 self._send_status(leg, t)
-        actuate(n, False, t)
-        n.calm_ns = min(int(n.calm_ns), next_move_ns(n))
+        kernels.actuate(n, False, t)
+        n.calm_ns = min(int(n.calm_ns), kernels.next_move_ns(n))
 
     # frames
 
@@ -361,7 +348,7 @@ class Nodes:
         for leg, frame in frames:
             self._send(leg, t, (frame,))
         self._record["latching"] = False
-        if self._record["look"] & FORGES:
+        if self._record["look"] & record.FORGES:
             self._forge(t)
 
     def _forge(self, t: int) -> None:

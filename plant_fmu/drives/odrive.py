@@ -1,30 +1,14 @@
-"""Emulated ODrive axes: they have the first five of `COMMANDS`."""
+"""Emulated ODrive axes: they have the first five of `drivers.odrive.COMMANDS`."""
 
 from typing import Any
 
 import numpy as np
 
 from drivers import motor_kernels as motors
+from drivers import odrive as o
 from drivers.compiled.compiler import helper
 from drivers.compiled.pointed import FAILED
 from drivers.frame_pointers import begin_sent, frame_at, whole
-from drivers.odrive import (
-    ADDRESS,
-    AXIS_STATE,
-    CLEAR,
-    CLOSED_LOOP,
-    COMMANDS,
-    ESTIMATES,
-    ESTOP,
-    HEARTBEAT,
-    IDLE,
-    MODES,
-    STOP_REQUESTED,
-    STRANGE,
-    TORQUE,
-    TORQUE_CONTROL,
-    WATCHDOG_EXPIRED,
-)
 from drivers.protocol import REMOTE, Frame
 from drivers.signals import DriveFault, DriveState
 from plant_fmu.drives import motors as drives
@@ -41,20 +25,20 @@ STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
 def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
     """Take an axis state that is asked for."""
     state, held, count = whole(data, 0), d.registers[leg], 0
-    if state not in (IDLE, CLOSED_LOOP):
+    if state not in (o.IDLE, o.CLOSED_LOOP):
         return drives.rejects(leg, NO_STATE, state, messages)
     first = held[_STATE] == 0.0
-    if state == IDLE:
+    if state == o.IDLE:
         count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
         count = drives.configures(d, leg, d.watchdog_ns, messages, count)
     else:
-        if held[_CONTROL_MODE] != TORQUE_CONTROL:
+        if held[_CONTROL_MODE] != o.TORQUE_CONTROL:
             return drives.rejects(leg, NO_TORQUE_CONTROL, 0.0, messages)
         if first:
             count = drives.configures(d, leg, d.watchdog_ns, messages, 0)
         if not d.enabled[leg]:
             count = drives.enables(d, leg, 0.0, messages, count)
-    if state == IDLE or first:
+    if state == o.IDLE or first:
         held[_STATE] = state
     return count
 
@@ -63,26 +47,26 @@ def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command, or the question for estimates."""
     kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
-    if frame.flags & STRANGE:
+    if frame.flags & o.STRANGE:
         return 0
     if frame.flags & REMOTE:
-        if kind == ADDRESS and size == 0:
+        if kind == o.ADDRESS and size == 0:
             return FAILED
-        return drives.answers(leg, messages, 0) if kind == ESTIMATES and size == 0 else 0
-    if kind == ESTOP:
+        return drives.answers(leg, messages, 0) if kind == o.ESTIMATES and size == 0 else 0
+    if kind == o.ESTOP:
         return FAILED
-    if not COMMANDS >> kind & 1:
+    if not o.COMMANDS >> kind & 1:
         return 0
-    if kind not in (AXIS_STATE, MODES, TORQUE, CLEAR):
+    if kind not in (o.AXIS_STATE, o.MODES, o.TORQUE, o.CLEAR):
         return drives.rejects(leg, NO_COMMAND, 0.0, messages)
-    fits = size <= 1 if kind == CLEAR else size == 8 or (size == 4 and kind != MODES)
+    fits = size <= 1 if kind == o.CLEAR else size == 8 or (size == 4 and kind != o.MODES)
     if not fits:
         return drives.rejects(leg, STRANGE_SIZE, 0.0, messages)
-    if kind == AXIS_STATE:
+    if kind == o.AXIS_STATE:
         return _ask_state(d, leg, data, messages)
-    if kind == CLEAR:
+    if kind == o.CLEAR:
         return drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
-    if kind == MODES:
+    if kind == o.MODES:
         d.registers[leg, _CONTROL_MODE] = whole(data, 0)
     elif d.enabled[leg]:
         torque = motors.single(data, 0)
@@ -95,7 +79,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
     """Fill in estimates; a lost encoder has none: they are NaN."""
-    begin_sent(frame, d.nodes[said.leg] << 5 | ESTIMATES, 8, 0, d.bus_of[said.leg])
+    begin_sent(frame, d.nodes[said.leg] << 5 | o.ESTIMATES, 8, 0, d.bus_of[said.leg])
     motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
     motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
     return 0
@@ -109,11 +93,11 @@ def beat(
     if not due:
         return 0
     frame = frame_at(into)
-    begin_sent(frame, d.nodes[leg] << 5 | HEARTBEAT, 8, 0, d.bus_of[leg])
+    begin_sent(frame, d.nodes[leg] << 5 | o.HEARTBEAT, 8, 0, d.bus_of[leg])
     error = d.codes[fault]
     for k in range(4):
         frame.data[k] = error >> 8 * k & 0xFF
-    frame.data[4] = CLOSED_LOOP if state == _RUN else IDLE
+    frame.data[4] = o.CLOSED_LOOP if state == _RUN else o.IDLE
     return 1
 
 
@@ -129,8 +113,8 @@ class ODriveDrives(drives.MotorDrives):
         "torque that is no number",
     )
     codes = {
-        DriveFault.WATCHDOG: WATCHDOG_EXPIRED,
-        DriveFault.ESTOP: STOP_REQUESTED,
+        DriveFault.WATCHDOG: o.WATCHDOG_EXPIRED,
+        DriveFault.ESTOP: o.STOP_REQUESTED,
         DriveFault.OVERFORCE: 0x1000,
         DriveFault.SENSOR: 0x8,
         DriveFault.STROKE: 0x10000,
@@ -140,7 +124,7 @@ class ODriveDrives(drives.MotorDrives):
         """Take Estop, or the question for the address."""
         assert leg is not None
         node = self.family.nodes[leg]
-        if frame.id & 0x1F == ADDRESS:
+        if frame.id & 0x1F == o.ADDRESS:
             said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
             return (self.answer_of(leg, Frame(frame.id, said)),)
         self.record["enabled"][leg] = 0

@@ -6,16 +6,13 @@ from typing import Any
 from drivers.compiled.compiler import helper
 from drivers.compiled.pointed import FAILED
 from drivers.frame_pointers import begin_sent
-from drivers.mit import robstride_kernels as k
+from drivers.mit import robstride as k
 from drivers.mit.fields import TURN
-from drivers.mit.robstride import ASKED_WHO, RUN_MODE
 from drivers.protocol import EXTENDED, Frame
-from drivers.signals import DriveFault, DriveState, Reaction
+from drivers.signals import DriveFault, Reaction
 from plant_fmu.drives import motors as drives
 from plant_fmu.drives.mit import scaled
 from plant_fmu.messages import Answer, Configure, DeviceMessage, Rejected, Sync
-
-_RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
 
 
 @drives.obeying
@@ -54,9 +51,8 @@ def _put(data: Any, at: int, number: int) -> None:
 def encode(d: Any, said: Any, frame: Any) -> int:
     """Fill in a feedback; it saturates, a lost encoder reads the lower end."""
     ear, leg = drives.ear_at(d.ear), said.leg
-    faults = d.codes[said.fault] if said.state == _FAULT else 0
-    mode = k.RUNNING if said.state == _RUN else k.RESETTING
-    identifier = k.FEEDBACK << 24 | mode << 22 | faults << 16 | d.nodes[leg] << 8 | ear.host
+    mode = k.RUNNING if said.runs else k.RESETTING
+    identifier = k.FEEDBACK << 24 | mode << 22 | said.code << 16 | d.nodes[leg] << 8 | ear.host
     begin_sent(frame, identifier, 8, EXTENDED, d.bus_of[leg])
     position = -ear.position if said.lost else said.turns * TURN
     _put(frame.data, 0, scaled(position, ear.position, 16, True))
@@ -80,9 +76,9 @@ class RobStrideDrives(drives.MotorDrives):
         kind = identifier >> 24
         if kind == k.WHO:
             said = self.family.nodes[leg].to_bytes(8, "little")
-            return (self._from(k.WHO, leg, said, ASKED_WHO),)
+            return (self._from(k.WHO, leg, said, k.ASKED_WHO),)
         register, number = struct.unpack("<HxxI", data)
-        if register != RUN_MODE:
+        if register != k.RUN_MODE:
             return (Rejected(f"register {register:#x}"),)
         if kind == k.WRITE:
             self.record["registers"][leg, 0] = number

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.moteus_kernels import read
+from drivers.moteus import read
 from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import DriveState, Reaction
 from plant_fmu.messages import Sync

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drivers.mit.fields import Ranges, pack_command, unpack_motion
-from drivers.moteus_kernels import COMMAND, MODE, TIMEOUT, WRITE
+from drivers.moteus import COMMAND, MODE, TIMEOUT, WRITE
 from drivers.protocol import BRS, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import LEGS, DriveMode, Reaction
 from plant_fmu.messages import Answer, Configure, DeviceCommand, EmergencyStop, Rejected, Sync

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.moteus import QUERY, STOP, torque_command
-from drivers.moteus_kernels import pad
+from drivers.moteus import QUERY, STOP, pad, torque_command
 from drivers.protocol import BRS, EXTENDED, FD, DriveSetup, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.moteus import STOP, torque_command
-from drivers.moteus_kernels import pad
+from drivers.moteus import STOP, pad, torque_command
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.messages import Configure, Rejected, Sync

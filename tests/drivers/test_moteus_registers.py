@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers.moteus_kernels import READ, REPLY, WRITE, pad
+from drivers.moteus import READ, REPLY, WRITE, pad
 from drivers.signals import INVALID, DriveState
 from tests.drivers.moteus_ends import asked, registers, replied
 

@@ -7,8 +7,7 @@ import pytest
 
 from drivers.arrays import Rows
 from drivers.frame_array import sent_frames
-from drivers.legs.end import TRIES
-from drivers.legs.protocol import LegsProtocol
+from drivers.legs.protocol import TRIES, LegsProtocol
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
 from hil.loop.report import waiting_text

@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.moteus import MoteusProtocol
-from drivers.moteus_kernels import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, pad
+from drivers.moteus import FAULT, MODE, PLACE, SERIAL_NUMBER, SPEED, TORQUE, MoteusProtocol, pad
 from drivers.motors import MotorProtocol
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, REVISION, SERIAL, Frame, Said
 from hil.app.compose import build_protocol

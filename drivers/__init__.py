@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:  # the processes that only log need no sections
     from collections.abc import Callable
@@ -12,27 +12,27 @@ if TYPE_CHECKING:  # the processes that only log need no sections
     from drivers.protocol import DriveProtocol
 
 
-def _row(module: str, name: str) -> Callable[[BusSettings, DriveSettings], DriveProtocol]:
+def row(module: str, name: str) -> Callable[..., Any]:
     """Return a row that imports its family when it is used: processes that only log need no compiled code."""
 
-    def made(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
-        return cast("DriveProtocol", getattr(import_module(f"drivers.{module}"), name)(bus, drives))
+    def made(*given: Any) -> Any:
+        return getattr(import_module(module), name)(*given)
 
     return made
 
 
 def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
     is_robstride = drives.options.get("variant") == "robstride"
-    of = ("mit.robstride", "RobStrideProtocol") if is_robstride else ("mit.protocol", "MitProtocol")
-    return _row(*of)(bus, drives)
+    of = ("robstride", "RobStrideProtocol") if is_robstride else ("protocol", "MitProtocol")
+    return cast("DriveProtocol", row(f"drivers.mit.{of[0]}", of[1])(bus, drives))
 
 
 PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
-    "legs": _row("legs.protocol", "legs"),
-    "cia402": _row("cia402.protocol", "Cia402Protocol"),
+    "legs": row("drivers.legs.protocol", "legs"),
+    "cia402": row("drivers.cia402.protocol", "Cia402Protocol"),
     "mit": _mit,
-    "moteus": _row("moteus", "MoteusProtocol"),
-    "odrive": _row("odrive", "ODriveProtocol"),
+    "moteus": row("drivers.moteus", "MoteusProtocol"),
+    "odrive": row("drivers.odrive", "ODriveProtocol"),
 }
 """`drives.protocol` -> the codec made from the sections `bus` and `drives`.
 

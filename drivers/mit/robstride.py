@@ -15,8 +15,8 @@ from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_pointers import code, place_of, value, whole
-from drivers.mit.family import MitFamily
 from drivers.mit.fields import ROBSTRIDE_FAULTS, TURN
+from drivers.mit.protocol import MitFamily
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import TYPE_CHECKING, cast
+
+from drivers import row
 
 if TYPE_CHECKING:
     from drivers.protocol import DriveProtocol
     from plant_fmu.drives.ends import DrivesEnd
 
 
-def _row(module: str, name: str) -> Callable[[DriveProtocol], DrivesEnd]:
-    """Return a row that imports its family when it is used."""
-
-    def made(protocol: DriveProtocol) -> DrivesEnd:
-        return cast("DrivesEnd", getattr(import_module(f"plant_fmu.drives.{module}"), name)(protocol))
-
-    return made
-
-
 FAMILIES: dict[str, Callable[[DriveProtocol], DrivesEnd]] = {
-    "legs": _row("legs", "LegsDrives"),
-    "cia402": _row("cia402", "Cia402Drives"),
-    "mit": _row("mit", "MitDrives"),
-    "robstride": _row("robstride", "RobStrideDrives"),
-    "moteus": _row("moteus", "MoteusDrives"),
-    "odrive": _row("odrive", "ODriveDrives"),
+    "legs": row("plant_fmu.drives.legs", "LegsDrives"),
+    "cia402": row("plant_fmu.drives.cia402", "Cia402Drives"),
+    "mit": row("plant_fmu.drives.mit", "MitDrives"),
+    "robstride": row("plant_fmu.drives.robstride", "RobStrideDrives"),
+    "moteus": row("plant_fmu.drives.moteus", "MoteusDrives"),
+    "odrive": row("plant_fmu.drives.odrive", "ODriveDrives"),
 }
 """`Traits.family` -> the drives' end."""
 

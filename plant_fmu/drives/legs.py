@@ -12,23 +12,12 @@ from drivers.compiled.pointed import FAILED, integers_at, pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, frame_at, place_of, whole
 from drivers.legs import kernels
-from drivers.legs.kernels import (
-    EXACT,
-    NO_SYNC,
-    QUANTITIES,
-    STRANGE,
-    check_of,
-    ends,
-    intact,
-    natural,
-    read,
-    write,
-)
 from drivers.protocol import Frame
 from drivers.signals import LEGS, DriveMode, Reaction
 from plant_fmu.drives.ends import COMMAND, REJECTED, SYNC, CompiledDrives, message_at, reading_at
 from plant_fmu.messages import Configure, DeviceMessage, EmergencyStop, Rejected
 
+_ENDS = kernels.ends
 _REASONS = (
     "length or CRC of SYNC",
     "repeated SYNC",
@@ -53,7 +42,7 @@ def _reject(message: Any, why: int) -> int:
 
 @helper
 def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
-    if frame.length != e.sync_length or not intact(frame):
+    if frame.length != e.sync_length or not kernels.intact(frame):
         return _reject(message, SYNC_BROKEN)
     counter = np.int64(frame.data[0])
     if counter == e.present[bus]:
@@ -73,30 +62,30 @@ def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
     data, at, width = frame.data, of.check[0] >> 3, of.check[1] >> 3
     if frame.length != of.length:
         return _reject(message, LENGTH)
-    if check_of(of.id, data, at, width) != whole(data, at, width):
+    if kernels.check_of(of.id, data, at, width) != whole(data, at, width):
         return _reject(message, BROKEN)
     for k in range(at + width, of.length):
         if data[k]:
             return _reject(message, BROKEN)
-    mode = natural(data, of.mode[0], of.mode[1])
+    mode = kernels.natural(data, of.mode[0], of.mode[1])
     if mode >= _MODES:
         return _reject(message, UNKNOWN_MODE)
     word = np.empty(1, np.int64)
     for k in range(of.forces):
-        value = read(data, of.first + k * of.bits, of.bits, word)
+        value = kernels.read(data, of.first + k * of.bits, of.bits, word)
         if not e.least <= value <= e.most:
             return _reject(message, UNFIT)
-        message.force[k] = value if of.bits == EXACT else value * e.step
-    present, counter = e.present[of.bus], natural(data, of.counter[0], of.counter[1])
+        message.force[k] = value if of.bits == kernels.EXACT else value * e.step
+    present, counter = e.present[of.bus], kernels.natural(data, of.counter[0], of.counter[1])
     message.counter = counter
-    if present == NO_SYNC or counter != present & ((1 << of.counter[1]) - 1):
+    if present == kernels.NO_SYNC or counter != present & ((1 << of.counter[1]) - 1):
         return _reject(message, NOT_PRESENT)
     message.kind, message.mode, message.count = COMMAND, mode, of.legs
     message.legs[:] = of.leg
     return 1
 
 
-@pointed(ends, INTEGER, INTEGER)
+@pointed(_ENDS, INTEGER, INTEGER)
 def parse(e: Any, frame_address: int, message_address: int) -> int:
     """Decode a SYNC or a command; FAILED for a CONFIG or an E-stop.
 
@@ -106,7 +95,7 @@ def parse(e: Any, frame_address: int, message_address: int) -> int:
     frame, message = frame_at(frame_address), message_at(message_address)
     identifier: Any = np.int64(frame.id)
     bus: Any = np.int64(frame.bus)
-    if frame.flags & STRANGE or bus >= e.buses:
+    if frame.flags & kernels.STRANGE or bus >= e.buses:
         return 0
     if identifier == e.sync:
         return _parse_sync(e, frame, bus, message)
@@ -117,7 +106,7 @@ def parse(e: Any, frame_address: int, message_address: int) -> int:
     return FAILED if identifier == e.estop or place_of(identifier, e.config) >= 0 else 0
 
 
-@pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER)
+@pointed(_ENDS, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
     """Fill in the feedbacks to a SYNC and the leg of each, leg order on each bus; FAILED for a NaN.
 
@@ -128,7 +117,7 @@ def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: 
     asked, count, last = 0, 0, e.feedback_length - 1
     for k in range(sync.count):
         asked |= 1 << sync.legs[k]
-    for k in range(QUANTITIES):
+    for k in range(kernels.QUANTITIES):
         for leg in range(LEGS):
             if e.bits[k] > 0 and np.isnan(values[k][leg]):
                 return FAILED
@@ -140,19 +129,19 @@ def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: 
             frame = frame_at(into + count * _FRAME)
             begin_sent(frame, e.feedback[leg], e.feedback_length, e.feedback_flags, bus)
             data = frame.data
-            for k in range(QUANTITIES):
+            for k in range(kernels.QUANTITIES):
                 if e.bits[k] > 0:
                     value = min(max(values[k][leg], e.low[k]), e.high[k])
-                    steps = value if e.bits[k] == EXACT else np.rint(value / e.scale[k])
-                    write(steps, data, e.start[k], e.bits[k], word)
+                    steps = value if e.bits[k] == kernels.EXACT else np.rint(value / e.scale[k])
+                    kernels.write(steps, data, e.start[k], e.bits[k], word)
             data[e.counter_at] = reading.state[leg] << 4 | sync.counter & 0xF
-            data[last] = check_of(e.feedback[leg], data, last, 1)
+            data[last] = kernels.check_of(e.feedback[leg], data, last, 1)
             legs[count] = leg
             count += 1
     return count
 
 
-@pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+@pointed(_ENDS, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def report(
     e: Any, leg: int, state: int, fault: int, watchdog_ns: int, reaction: int, _due: int, into: int
 ) -> int:
@@ -164,12 +153,12 @@ def report(
         said[4], said[5], said[6] = reaction, e.place[leg], e.version
         for k in range(4):
             said[k], said[7 + k] = watchdog >> 8 * k & 0xFF, e.rated_mN >> 8 * k & 0xFF
-        checksum = check_of(e.config[leg], said, 11, 2)
+        checksum = kernels.check_of(e.config[leg], said, 11, 2)
     frame = frame_at(into)
     begin_sent(frame, e.status[leg], e.status_length, e.status_flags, e.home[leg])
     data = frame.data
     data[0], data[1], data[2], data[3] = state, fault, checksum & 0xFF, checksum >> 8
-    data[last] = check_of(e.status[leg], data, last, 1)
+    data[last] = kernels.check_of(e.status[leg], data, last, 1)
     return 1
 
 

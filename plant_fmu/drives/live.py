@@ -15,22 +15,12 @@ from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import frame_at, in_order
 from drivers.signals import LEGS
 from drivers.transmission import fill_loss
+from plant_fmu.drives import ends
 from plant_fmu.drives import record as r
-from plant_fmu.drives.ends import (
-    ALIVE,
-    COMMAND,
-    CONFIGURE,
-    MESSAGE,
-    REJECTED,
-    SYNC,
-    UNWATCHED,
-    message_at,
-    reading_at,
-)
 from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, feed, next_move_ns, obey
 
 NODES_RECORD: Any = record(r.NODES)
-_FRAME, _MESSAGE = FRAME.itemsize, MESSAGE.itemsize
+_FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 _FRAME_WORDS, _MESSAGE_WORDS = _FRAME // 8, _MESSAGE // 8
 
 
@@ -128,8 +118,8 @@ def _happen(n: Any, t_ns: int) -> int:
         n.beat += 1
         n.beat_ns = due_ns(n.t0_ns, n.beat, n.beat_share)
     else:
-        asked = message_at(n.asked)
-        asked.kind, asked.counter, asked.count, asked.legs[0] = SYNC, 0, 1, n.spoken % LEGS
+        asked = ends.message_at(n.asked)
+        asked.kind, asked.counter, asked.count, asked.legs[0] = ends.SYNC, 0, 1, n.spoken % LEGS
         n.spoken += 1
         n.reading_ns = due_ns(n.t0_ns, n.spoken + 1, n.reading_share)
         _begin_latch(n, other)
@@ -195,7 +185,7 @@ def _report(n: Any) -> int:
 @helper
 def _read(n: Any) -> int:
     """Read the encoders, as late as the plant's grid point lies back, and the forces."""
-    reading = reading_at(n.reading)
+    reading = ends.reading_at(n.reading)
     known = call(n.applied, (n.plant, reading.force.ctypes.data))
     if known < 0:
         n.refusal = known
@@ -226,7 +216,7 @@ def _latch(n: Any) -> int:
         if n.look & r.LOOKS_AFTER:
             return r.AFTER_READING
     if n.part == 2:
-        reading_at(n.reading).length[:] -= n.uncounted
+        ends.reading_at(n.reading).length[:] -= n.uncounted
         n.part = 3
     if n.sent + r.ROOM > n.room:
         return r.FULL
@@ -261,22 +251,22 @@ def _hear(n: Any) -> int:
         n.frame += 1
         return r.DONE
     at = n.messages + n.message * _MESSAGE
-    message = message_at(at)
+    message = ends.message_at(at)
     kind = message.kind
-    if kind == SYNC:
+    if kind == ends.SYNC:
         n.syncs += 1
         words = _MESSAGE_WORDS
         integers_at(n.asked, words)[:] = integers_at(at, words)
         _begin_latch(n, n.t_ns)
-    elif kind in (COMMAND, UNWATCHED):
+    elif kind in (ends.COMMAND, ends.UNWATCHED):
         status = _obey(n, message)
         if status != r.DONE:
             return status
-    elif kind == ALIVE:
+    elif kind == ends.ALIVE:
         feed(n, message.legs[: message.count], n.t_ns)
-    elif kind == CONFIGURE and configure(n, message):
+    elif kind == ends.CONFIGURE and configure(n, message):
         n.reports[0], n.reported, n.pending, n.due = message.legs[0], 0, 1, 0
-    elif kind in (CONFIGURE, REJECTED):
+    elif kind in (ends.CONFIGURE, ends.REJECTED):
         n.rejected += 1
     else:
         return r.MESSAGE_OTHER

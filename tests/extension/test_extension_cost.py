@@ -59,7 +59,7 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
     ],
     "protocol": [
         ("drivers/stub.py", NEW, (ROOT / "tests/drivers/stub_protocol.py").read_text()),
-        ("drivers/__init__.py", '    "legs": _row(', '    "stub": _row("stub", "stub"),\n'),
+        ("drivers/__init__.py", '    "legs": row(', '    "stub": row("drivers.stub", "stub"),\n'),
     ],
     "plant fault": [
         ("plant_fmu/faults/derated.py", NEW, (PARTS / "fault.py").read_text()),

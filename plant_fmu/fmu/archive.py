@@ -1,7 +1,7 @@
 """Guarded extraction of an .fmu file.
 
 A foreign archive is hostile until each member has been looked at; nothing is loaded. `zipfile` writes nothing
-outside the given folder, and a link as a file of text. Of two members with one name the last one counts.
+outside the given folder, and a link as a file of text.
 """
 
 import zipfile
@@ -40,15 +40,21 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 def check_members(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
     """Refuse too many, too large or too strongly packed members, and descriptions too large to be parsed.
 
+    Of two members with one name, also on a file system that ignores case, it could not be said which counts.
+
     Raises PlantError naming the member.
     """
     if len(members) > MAX_MEMBERS:
         raise PlantError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are allowed")
+    seen: dict[str, tuple[int, int]] = {}
     for member in members:
-        bad = None
-        if member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):
+        place = "/".join(part for part in member.filename.split("/") if part not in {"", ".", ".."})
+        content, bad = (member.CRC, member.file_size), None
+        if seen.setdefault(place.casefold(), content) != content:
+            bad = "its name occurs twice"
+        elif member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):
             bad = f"it unpacks to more than {MAX_RATIO} times its packed size"
-        elif member.filename in _PARSED and member.file_size > MAX_XML_BYTES:
+        elif place in _PARSED and member.file_size > MAX_XML_BYTES:
             bad = f"it unpacks to {member.file_size} bytes; at most {MAX_XML_BYTES} are read"
         if bad:
             raise PlantError(f"{path}: member {member.filename!r} refused: {bad}")

@@ -56,7 +56,7 @@ def test_a_directory_that_cannot_be_read_is_refused_in_one_sentence(
 
 def of_size(size: int, name: str) -> list[zipfile.ZipInfo]:
     member = zipfile.ZipInfo(name)
-    member.file_size = member.compress_size = size
+    member.CRC, member.file_size, member.compress_size = 0, size, size
     return [member]
 
 
@@ -92,7 +92,7 @@ def listed(*sizes: tuple[int, int]) -> list[zipfile.ZipInfo]:
     members = []
     for k, (size, packed) in enumerate(sizes):
         member = zipfile.ZipInfo(f"resources/{k}")
-        member.file_size, member.compress_size = size, packed
+        member.CRC, member.file_size, member.compress_size = 0, size, packed
         members.append(member)
     return members
 
@@ -117,3 +117,14 @@ def test_20_000_members_are_not_too_many() -> None:
     check_members(listed(*sizes), FMU)
     with pytest.raises(PlantError, match="20001 members; at most 20000 are allowed"):
         check_members(listed(*sizes, (0, 0)), FMU)
+
+
+@pytest.mark.parametrize("second", ["resources/0", "resources/../0", "./Resources/0"])
+def test_a_name_may_be_listed_twice_for_the_same_content_alone(second: str) -> None:
+    both = [*listed((4, 4)), *listed((4, 4))]
+    both[1].filename = second
+    both[0].CRC = both[1].CRC = 7
+    check_members(both, FMU)
+    both[1].CRC = 8
+    with pytest.raises(PlantError, match="its name occurs twice"):
+        check_members(both, FMU)

@@ -90,7 +90,7 @@ def run_plant(
         bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
         ours = supervisor is not None or bench is not None  # a foreign controller does not hold time
         if ours and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
-            bus.clock.hold()
+            bus.clock.holds = True
         served = bench or Bench(*build_nodes(c), _no_hands)
         stack.callback(served.plant.close)
         recording = None

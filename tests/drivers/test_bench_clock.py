@@ -24,7 +24,7 @@ import os, signal, sys, time
 from drivers.can.localcan.participant import Participant
 node = Participant("t")
 clock = node.clock
-clock.hold()
+clock.holds = True
 print("ready", flush=True)
 sys.stdin.readline()
 """
@@ -58,13 +58,13 @@ def held(join):
     """Return the clock of a participant on whose wire time may stand still, and who holds it."""
     node = join()
     node.clock.begin(WAKE_NS, WORK_NS)
-    node.clock.hold()
+    node.clock.holds = True
     return node.clock
 
 
 def test_without_a_beginning_it_is_the_monotonic_clock(join):
     clock = join().clock
-    clock.hold()
+    clock.holds = True
     clock.working()
     time.sleep(0.02)
     before = time.monotonic_ns()
@@ -100,7 +100,7 @@ def test_who_comes_back_in_time_stretches_nothing(held):
 
 def test_time_stands_for_the_earliest_of_several(held, join):
     second = join().clock
-    second.hold()
+    second.holds = True
     second.waiting(held.now() + 10_000_000)
     held.waiting(held.now() + 500_000_000)
     time.sleep(0.03)
@@ -186,7 +186,7 @@ def test_who_leaves_holds_time_no_longer(held, join):
 
 def test_a_frame_ends_in_bench_time(held, join):
     sender, reader = join(), join()
-    sender.clock.hold()
+    sender.clock.holds = True
     held.working()
     time.sleep(0.02)
     sender.send(sent_array([Frame(0x10, bytes(8))]))
@@ -229,8 +229,8 @@ while True:
 
 def test_a_ring_does_not_lock_out_who_sleeps_until_a_time_of_its_own(held, join):
     sleeper, sender = join(), join()
-    sleeper.clock.hold()
-    sender.clock.hold()
+    sleeper.clock.holds = True
+    sender.clock.holds = True
     for node in (sleeper, sender):
         node.clock.waiting(held.now() + 10**10)
     held.leave()

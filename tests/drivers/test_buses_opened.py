@@ -71,7 +71,7 @@ def test_all_channels_of_one_bus_go_by_one_clock(holder):
         assert all(isinstance(link, Participant) for link in links)
         # 1 ns to wake up, 1 ns to work: from now on bench time stands still on all of them
         links[holder].clock.begin(1, 1)
-        links[holder].clock.hold()
+        links[holder].clock.holds = True
         links[holder].clock.working()
         stood = bus.clock.now()
         for k in range(3):

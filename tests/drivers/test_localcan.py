@@ -260,7 +260,7 @@ def test_frames_that_this_bus_cannot_carry_are_refused(join):
 def test_timing_is_fixed_by_the_first_who_states_it(join):
     viewer = join(None, None)
     join(FAST)
-    assert viewer.timing == FAST
+    assert viewer.mode.timing == FAST
     with pytest.raises(BusError, match=r"CAN FD 1000000/5000000.*asked for was CAN FD 500000/2000000"):
         join(BitTiming(500_000, 2_000_000))
     with pytest.raises(BusError, match=f"classic CAN 1000000.*{os.getpid()}"):

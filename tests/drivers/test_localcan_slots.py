@@ -39,26 +39,26 @@ def test_a_wire_that_another_user_owns_is_refused_whatever_its_mode(tmp_path, mo
 def test_a_wire_of_this_users_alone_is_the_bus_as_often_as_it_is_opened(tmp_path):
     for _ in range(2):
         wire = Wire(tmp_path / "t.wire")
-        assert wire.timing is None
+        assert wire.mode is None
         wire.close()
 
 
 def test_who_does_not_take_the_rings_at_its_doorbell_is_not_taken_for_dead(runtime):
     listener = Wire(runtime / "t.wire")
+    serial = listener.enter()
     listener.unlock()
     caller = Wire(runtime / "t.wire")
-    listener.bind(65)
     try:
-        assert {caller.ring(65) for _ in range(3000)} == {True}
+        assert {caller.ring(serial) for _ in range(3000)} == {True}
         with pytest.raises(BlockingIOError):  # there is no room for more
-            caller.bell.sendto(b"", caller.bell_of(65))
+            caller.bell.sendto(b"", caller.bell_of(serial))
         listener.silence()
-        assert caller.ring(65)
+        assert caller.ring(serial)
         listener.bell.close()
-        assert not caller.ring(65), "its socket has gone with it"
-        Path(listener.bell_of(65)).unlink()
-        assert not caller.ring(65), "nor is its name there any more"
-        assert not caller.ring(66), "nobody ever had that one"
+        assert not caller.ring(serial), "its socket has gone with it"
+        Path(listener.bell_of(serial)).unlink()
+        assert not caller.ring(serial), "nor is its name there any more"
+        assert not caller.ring(serial + 1), "nobody ever had that one"
     finally:
         listener.close()
         caller.close()
@@ -68,7 +68,7 @@ def test_who_takes_the_slot_of_one_killed_while_it_held_time_does_not_hold_it(jo
     viewer, killed = join(), join()
     # 1 ns to wake up, 1 ns to work: who does so holds time up at once
     killed.clock.begin(1, 1)
-    killed.clock.hold()
+    killed.clock.holds = True
     killed.clock.working()
     assert viewer.clock.stands()
     words = viewer._wire.words

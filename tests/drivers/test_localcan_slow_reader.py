@@ -30,7 +30,8 @@ KEPT = LOG - 1024
 def test_each_start_is_read_or_lost_and_a_reader_goes_on_with_the_last_of_a_log_that_has_gone_round(
     behind, slot
 ):
-    words, state_and_queue = np.zeros(SIZE // WORD, np.int64), log.new_state(3)
+    words, state = np.zeros(SIZE // WORD, np.int64), np.array([3, FIRST, 0, 0])
+    queue = np.zeros((log.QUEUE_ROWS, log.ENTRY + 1), np.int64)
     for index in range(FIRST + max(0, behind - LOG), FIRST + behind):
         number = index - FIRST
         words[LOG_AT + index % LOG] = index // LOG << LAP_SHIFT | slot << NUMBER_BITS | number
@@ -38,8 +39,6 @@ def test_each_start_is_read_or_lost_and_a_reader_goes_on_with_the_last_of_a_log_
         # number, end, queued, priority, duration, sender
         words[record + NUMBER : record + NUMBER + 6] = [number, 1 + number, 0, 1, 1, slot]
     words[HINT_AT] = FIRST + behind
-    state, queue = state_and_queue
-    state[log.CURSOR] = FIRST
     frames = np.zeros((LOG, log.FRAME_WORDS), np.int64)
     taken = log.look(words, state, queue, 1 << 40, 0, frames)
     assert taken == min(behind, OUTBOX)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from drivers.can.bus_time import BitTiming
 from drivers.can.link import collect
 from drivers.can.localcan import layout
 from drivers.can.localcan.participant import Participant
-from drivers.can.localcan.wire import Wire
+from drivers.can.localcan.wire import Mode, Wire
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import ERROR, EXTENDED, FD, Frame
@@ -34,33 +35,36 @@ def wire(tmp_path: Path) -> Iterator[Wire]:
 )
 def test_both_rates_and_whether_there_is_can_fd_are_one_word(wire, rates, fd):
     assert wire.present() == {}
-    wire.fix(BitTiming(*rates), fd)
-    assert (wire.timing, wire.fd) == (BitTiming(*rates), fd)
-    wire.fix(BitTiming(7, 9), not fd)
-    assert (wire.timing, wire.fd) == (BitTiming(7, 9), not fd)
+    for mode in (Mode(BitTiming(*rates), fd), Mode(BitTiming(7, 9), not fd)):
+        wire.fix(mode)
+        assert wire.mode == mode
 
 
 def test_a_newcomer_has_the_first_empty_slot_and_a_number_that_none_had_before(wire):
+    pid = os.getpid()
+    wires: list[Wire] = [wire]
+
+    def come() -> int:
+        wires[-1].unlock()
+        wires.append(Wire(wire.path))
+        return wires[-1].enter()
+
     assert wire.present() == {}
-    serials = []
-    for pid in (11, 12, 13):
-        serials.append(wire.reserve())
-        wire.register(serials[-1], pid)
-    assert serials == [1 * 64 + 0, 2 * 64 + 1, 3 * 64 + 2]
-    assert wire.present() == {64: 11, 129: 12, 194: 13}
+    assert [come() for _ in range(3)] == [1 * 64 + 0, 2 * 64 + 1, 3 * 64 + 2]
+    assert wire.present() == {64: pid, 129: pid, 194: pid}
     wire.words[layout.slot_at(129) + layout.SLOT_SERIAL] = 0
-    again = wire.reserve()
-    assert again == 4 * 64 + 1
-    wire.register(again, 14)
-    assert wire.present() == {64: 11, 257: 14, 194: 13}
+    assert come() == 4 * 64 + 1
+    assert wire.present() == {64: pid, 257: pid, 194: pid}
+    for each in wires[1:]:
+        each.close()
 
 
 def test_who_takes_a_slot_has_never_been_rung_and_holds_no_time(wire):
-    at = layout.slot_at(wire.reserve())
+    at = layout.slot_at(64)
     wire.words[at + layout.SLOT_RUNG] = wire.words[at + layout.SLOT_DUE] = 9
     wire.words[at + layout.SLOT_COUNT] = wire.words[at + layout.SLOT_FIRST] = 5
-    wire.register(64, 11)
-    assert wire.words[at : at + 6].tolist() == [64, 11, 0, 5, 0, 5]
+    assert wire.enter() == 64
+    assert wire.words[at : at + 6].tolist() == [64, os.getpid(), 0, 5, 0, 5]
 
 
 def test_the_sixty_fifth_participant_finds_no_room(wire):
@@ -68,30 +72,21 @@ def test_the_sixty_fifth_participant_finds_no_room(wire):
         wire.words[layout.slot_at(index) + layout.SLOT_SERIAL] = 64 + index
     wire.words[layout.USED_AT] = 64
     with pytest.raises(BusError, match=r"^localcan: t\.wire3 has 64 participants, no more fit; close one$"):
-        wire.reserve()
+        wire.enter()
     wire.words[layout.slot_at(63) + layout.SLOT_SERIAL] = 0
-    assert wire.reserve() % 64 == 63
+    assert wire.enter() % 64 == 63
 
 
-def test_a_new_bus_has_nobody_no_timing_and_no_log(wire):
-    wire.register(wire.reserve(), 11)
-    wire.fix(BitTiming(1, 2), fd=True)
-    wire.words[layout.LOG_AT + layout.LOG - 1] = 7
-    wire.clear()
-    assert (wire.present(), wire.timing, wire.words[layout.MAGIC_AT]) == ({}, None, layout.MAGIC)
-    assert not wire.words[1 : layout.OUTBOX_AT].any()
-
-
-def test_what_is_no_wire_of_this_layout_is_begun_anew_and_a_wire_goes_on(tmp_path):
-    first = Wire(tmp_path / "t.wire3")
-    first.fix(BitTiming(7, 9), fd=True)
-    first.close()
-    second = Wire(tmp_path / "t.wire3")
-    assert second.timing == BitTiming(7, 9)
-    second.words[layout.MAGIC_AT] += 1
-    second.close()
-    third = Wire(tmp_path / "t.wire3")
-    assert third.timing is None
+def test_a_bus_of_which_nobody_is_left_is_begun_anew_and_one_with_somebody_goes_on(runtime):
+    first, second = Participant("t", BitTiming(7, 9)), Participant("t")
+    words, path = first._wire.words, first._wire.path
+    assert second.mode == Mode(BitTiming(7, 9), fd=True)
+    words[layout.LOG_AT + layout.LOG - 1] = 7
+    for killed in (first, second):
+        killed._wire.close()
+    third = Participant("t")
+    assert (third._wire.path, list(third._wire.present()), third._wire.mode) == (path, [64], None)
+    assert not words[layout.LOG_AT : layout.OUTBOX_AT].any()
     third.close()
 
 
@@ -137,7 +132,7 @@ def test_an_identifier_fits_its_kind_of_frame(node, identifier, flags, fits):
 def test_a_classic_bus_takes_no_frame_of_can_fd_and_says_how_it_runs(node):
     with pytest.raises(BusError, match=r"localcan t is a classic CAN bus: frame 0x12 needs CAN FD"):
         node.send(sent_array([Frame(0x12, b"", FD)]))
-    assert (node.timing, node.fd) == (BitTiming(1_000_000, 5_000_000), False)
+    assert node.mode == Mode(BitTiming(1_000_000, 5_000_000), fd=False)
     text = r"localcan t runs as classic CAN 1000000 bit/s, asked for was {}: use the timing of the others "
     for rates, fd, asked in (
         (None, True, r"CAN FD 1000000/5000000 bit/s"),

@@ -31,10 +31,11 @@ _ASK_NS = 2_000_000
 NAP_S = 2e-4
 """Between two looks while time stands still."""
 _NEVER = 1 << 62
-_AT, NOW, _BEHIND, _FREE, _OVERDUE, _CLOCK_ID, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(10)
+_CLOCK_ID = time.CLOCK_MONOTONIC
+_AT, NOW, _BEHIND, _FREE, _OVERDUE, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(9)
 """Of a clock's `state`: the word of its own due; bench time; by how much it stands back; CLOCK_MONOTONIC;
-slot of the participant with the earliest due, -1: none; CLOCK_MONOTONIC's number; where clock_gettime puts
-seconds and nanoseconds; its address, and that of the seconds."""
+slot of the participant with the earliest due, -1: none; where clock_gettime puts seconds and nanoseconds;
+its address, and that of the seconds."""
 
 _slot_at = helper(at.slot_at)
 
@@ -58,7 +59,7 @@ def read_clock(words: Ints, state: Ints) -> None:
         # was brought forward counts if it was there when the clock was read
         cap, slot = _earliest(words)
         offset = load(words, at.OFFSET_AT)
-        foreign(state[_GETTIME], (state[_CLOCK_ID], state[_RESULT]))
+        foreign(state[_GETTIME], (_CLOCK_ID, state[_RESULT]))
         later_cap, later_slot = _earliest(words)
         if load(words, at.OFFSET_AT) == offset:
             break
@@ -126,7 +127,7 @@ def share(other: Ints, words: Ints) -> bool:
 
 
 class BenchClock(Clock):
-    """The clock of one participant on a localcan wire.
+    """The clock of one participant on a localcan wire. `holds`: it holds time, where that may stand still.
 
     Mutable state: the shared words, and those of other wires that go by it; the last reading; whether this
     participant holds time, and for how long it has waited for another one that holds time back.
@@ -136,8 +137,8 @@ class BenchClock(Clock):
         self._words = wire.words
         self._serial = serial
         self._ring = wire.ring
-        self._state = state = np.zeros(10, np.int64)
-        state[_AT], state[_CLOCK_ID] = at.slot_at(serial) + at.SLOT_DUE, time.CLOCK_MONOTONIC
+        self._state = state = np.zeros(_RESULT + 1, np.int64)
+        state[_AT] = at.slot_at(serial) + at.SLOT_DUE
         state[_GETTIME] = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
         state[_RESULT] = state.ctypes.data + 8 * _SECONDS
         self.arguments = wire.words, state
@@ -176,10 +177,6 @@ class BenchClock(Clock):
         for each in (*self._lent, words):
             each[at.OFFSET_AT] = words[at.OFFSET_AT]
             each[at.CLOCK_AT] = HELD
-
-    def hold(self) -> None:
-        """Hold time as soon as it may stand still on this wire."""
-        self.holds = True
 
     def working(self, allowed_ns: int = 0) -> None:
         """Say that this participant will wait again within so long, or 0: within what work may take."""

@@ -55,10 +55,9 @@ class LocalCanBus(can.BusABC):
         except HilError as error:
             raise can.CanInitializationError(str(error)) from error
         self.channel_info = f"localcan {channel}"
-        self._channel = str(channel)
         self._inbox: deque[Any] = deque()
         self._epoch_ns = time.time_ns() - self._node.clock.now()
-        self._can_protocol = can.CanProtocol.CAN_FD if self._node.fd else can.CanProtocol.CAN_20
+        self._can_protocol = can.CanProtocol.CAN_FD if self._node.mode.fd else can.CanProtocol.CAN_20
         super().__init__(channel, can_filters, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -66,7 +65,7 @@ class LocalCanBus(can.BusABC):
         if not inbox:
             deadline = _FOREVER_NS if timeout is None else self._node.clock.now() + int(timeout * 1e9)
             inbox.extend(unpack_frames(collect(self._node, deadline).tobytes()))
-        message = to_message(inbox.popleft(), self._epoch_ns, self._channel) if inbox else None
+        message = to_message(inbox.popleft(), self._epoch_ns, self._node.channel) if inbox else None
         # select() on fileno() has to return as long as there is something to take
         if inbox or not self._node.arm():
             self._node.ring()
@@ -80,7 +79,7 @@ class LocalCanBus(can.BusABC):
             while not self._node.send(frames):
                 if time.monotonic() >= end:
                     raise can.CanOperationError(
-                        f"localcan {self._channel}: no room in the transmit queue, the bus is too busy",
+                        f"localcan {self._node.channel}: no room in the transmit queue, the bus is too busy",
                         error_code=errno.ENOBUFS,
                     )
                 time.sleep(1e-4)

@@ -5,9 +5,8 @@ atomic operations alone; a frame is written into its sender's outbox before the 
 that is stopped or killed between any two instructions leaves nothing half done, and nobody waits for it.
 """
 
-VERSION = 3
+VERSION = 4
 """Part of the file's name: programs with another layout meet on another wire."""
-MAGIC = int.from_bytes(b"hilwire3", "little")
 SLOTS = 64
 """Participants at most."""
 LOG = 1 << 15
@@ -16,8 +15,8 @@ OUTBOX = 1 << 13
 """Frames of one sender that a slow reader can lag behind: 1.2 s at 7000 frames/s."""
 WORD = 8
 
-MAGIC_AT, TIMING_AT, SERIAL_AT, USED_AT, CLOCK_AT, WAKE_AT, WORK_AT = range(7)
-"""Header: magic; bit timing, 0 while nobody has stated one; participants so far; slots ever used; and for
+TIMING_AT, SERIAL_AT, USED_AT, CLOCK_AT, WAKE_AT, WORK_AT = range(6)
+"""Header: bit timing, 0 while nobody has stated one; participants so far; slots ever used; and for
 `bench_clock` whether it may stand still, and the two times that it allows, ns."""
 HINT_AT, OFFSET_AT, LATEST_AT = 16, 24, 32
 """Words that change all the time, far from each other: an index near the log's end; bench time lags

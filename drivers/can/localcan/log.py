@@ -8,8 +8,6 @@ Whoever reads the entry first writes the end into the record, always before the 
 order and one time for each frame. A frame that its sender was slow to count has missed the starts before it.
 """
 
-import numpy as np
-
 from drivers.arrays import Ints
 from drivers.can import arbitration as bus
 from drivers.can.link import OWN
@@ -246,10 +244,3 @@ def to_ring(words: Ints, state: Ints, now_ns: int, again_ns: int, serials: Ints)
             serials[found] = serial
             found += 1
     return found
-
-
-def new_state(serial: int) -> tuple[Ints, Ints]:
-    """Return state and queue of a reader."""
-    state = np.zeros(LOST + 1, np.int64)
-    state[SERIAL] = serial
-    return state, np.zeros((QUEUE_ROWS, ENTRY + 1), np.int64)

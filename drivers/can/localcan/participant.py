@@ -1,6 +1,5 @@
 """One participant on a localcan channel: elements of FRAME, nanoseconds of the channel's clock."""
 
-import os
 import threading
 from collections.abc import Set as AbstractSet
 from functools import lru_cache
@@ -15,13 +14,14 @@ from drivers.can.link import Link
 from drivers.can.localcan import layout as at
 from drivers.can.localcan import log
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.can.localcan.wire import LEAVE_S, Wire
+from drivers.can.localcan.wire import LEAVE_S, Mode, Wire
 from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, unpack_frames
 from drivers.protocol import EXTENDED, FD
 
 DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
+DEFAULT_MODE = Mode(DEFAULT_TIMING, fd=True)
 TX_LIMIT = 64
 """Frames that one participant can have waiting for the bus."""
 QUEUE_LIMIT = 4096
@@ -57,7 +57,7 @@ def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: st
 class Participant(Link):
     """A node on the channel.
 
-    The timing (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
+    The mode (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
     `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
     `tx_limit`: frames that may wait for the bus before `send` takes no more. `clock`: of a participant on
     another channel, whose time is this one's too; by default the channel has its own. Who joins this channel
@@ -116,34 +116,25 @@ class Participant(Link):
                 self._remove(serial)
         others = wire.present()
         if not others:
-            wire.clear()
-        self._agree(timing, fd, others)
-        self.serial = wire.reserve()
-        self._state, self._queue = log.new_state(self.serial)
+            wire.words[: at.OUTBOX_AT] = 0
+        agreed = self.mode
+        wanted = Mode(timing or agreed.timing, agreed.fd if fd is None else fd)
+        if wire.mode is not None and str(wanted) != str(agreed):
+            raise BusError(
+                f"localcan {self.channel} runs as {agreed}, asked for was {wanted}: "
+                f"use the timing of the others (processes {', '.join(map(str, others.values()))}) "
+                "or another channel"
+            )
+        if wire.mode is None and (timing, fd) != (None, None):
+            wire.fix(wanted)
+        self.serial = wire.enter()
+        self._state = np.array([self.serial, 0, 0, 0])
+        self._queue = np.zeros((log.QUEUE_ROWS, log.ENTRY + 1), np.int64)
         self._frames = np.zeros((BATCH, log.FRAME_WORDS), np.int64)
         self._serials = np.zeros(at.SLOTS, np.int64)
-        wire.bind(self.serial)
-        wire.register(self.serial, os.getpid())
         self.clock = self._lent_clock or BenchClock(wire, self.serial)
         if self._lent_clock is not None:
             self._lent_clock.lend(wire.words)
-
-    def _agree(self, timing: BitTiming | None, fd: bool | None, others: dict[int, int]) -> None:
-        wire = self._wire
-        agreed = wire.timing
-        if agreed is None:
-            if timing is not None or fd is not None:
-                wire.fix(timing or DEFAULT_TIMING, fd is not False)
-            return
-        wanted_fd = wire.fd if fd is None else fd
-        wanted = timing or agreed
-        same_rates = wanted == agreed if wanted_fd else wanted.bitrate == agreed.bitrate
-        if wanted_fd != wire.fd or not same_rates:
-            raise BusError(
-                f"localcan {self.channel} runs as {_describe(agreed, wire.fd)}, asked for was "
-                f"{_describe(wanted, wanted_fd)}: use the timing of the others "
-                f"(processes {', '.join(map(str, others.values()))}) or another channel"
-            )
 
     def close(self) -> None:
         """Leave the bus; frames still queued are sent. The last one takes the wire with it."""
@@ -164,29 +155,24 @@ class Participant(Link):
 
     # sending
     @property
-    def timing(self) -> BitTiming:
-        """Bit timing of the channel."""
-        return self._wire.timing or DEFAULT_TIMING
-
-    @property
-    def fd(self) -> bool:
-        """Whether the channel carries CAN FD frames."""
-        return self._wire.fd or self._wire.timing is None
+    def mode(self) -> Mode:
+        """Bit timing of the channel, and whether it carries CAN FD."""
+        return self._wire.mode or DEFAULT_MODE
 
     def send(self, frames: Rows) -> int:
         """Queue frames at this node and return how many it took: fewer when `tx_limit` frames wait already.
 
         Returns at once. Raises BusError for a frame that this bus cannot carry.
         """
-        timing, content = self.timing, frames.tobytes()
-        classic = "" if self.fd else self.channel
+        mode, content = self.mode, frames.tobytes()
+        classic = "" if mode.fd else self.channel
         costs = [
-            _cost(identifier, flags, size, timing, classic)
+            _cost(identifier, flags, size, mode.timing, classic)
             for _, identifier, _, size, flags, _ in unpack_frames(content)
         ]
         wire, state = self._wire, self._state
-        if wire.timing is None:
-            wire.fix(timing, fd=True)
+        if wire.mode is None:
+            wire.fix(mode)
         with self._thread:
             self._look()
             number = int(wire.words[at.slot_at(self.serial) + at.SLOT_COUNT])
@@ -301,9 +287,3 @@ class Participant(Link):
     def ring(self) -> None:
         """Make `fileno` readable: frames were received that the reader has not taken yet."""
         self._wire.ring(self.serial)
-
-
-def _describe(timing: BitTiming, fd: bool) -> str:
-    if fd:
-        return f"CAN FD {timing.bitrate}/{timing.data_bitrate} bit/s"
-    return f"classic CAN {timing.bitrate} bit/s"

@@ -11,6 +11,7 @@ import select
 import socket
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,17 @@ JOIN_S = 2.0
 """Joining waits no longer for others that join or leave; each takes a few ms."""
 LEAVE_S = 0.2
 _AGAIN_S = 0.001
+
+
+class Mode(NamedTuple):
+    """How a channel runs: bit rates, and whether it carries CAN FD. Channels with the same text agree."""
+
+    timing: BitTiming
+    fd: bool
+
+    def __str__(self) -> str:
+        rate, fast = self.timing
+        return f"CAN FD {rate}/{fast} bit/s" if self.fd else f"classic CAN {rate} bit/s"
 
 
 class Wire:
@@ -72,8 +84,6 @@ class Wire:
             ) from error
         self.words: Ints = np.frombuffer(self.memory, np.int64)
         self._slots = self.words[at.SLOTS_AT :][: at.SLOTS * at.SLOT].reshape(at.SLOTS, at.SLOT)
-        if self.words[at.MAGIC_AT] != at.MAGIC:
-            self.clear()
         self.bell = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.bell.setblocking(False)
 
@@ -81,14 +91,12 @@ class Wire:
         """Wait for others that join or leave, for so long at most; tell whether the lock was had."""
         until = time.monotonic() + seconds
         while True:
-            try:
+            with contextlib.suppress(BlockingIOError):
                 fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() > until:
-                    return False
-                time.sleep(_AGAIN_S)
-            else:
                 return True
+            if time.monotonic() > until:
+                return False
+            time.sleep(_AGAIN_S)
 
     def _claim(self, start: int, length: int) -> None:
         """Have memory for a part of the file: a full file system would kill the process at a first write."""
@@ -111,26 +119,17 @@ class Wire:
         self.unlock()  # said, not left to close(): the mapping has a descriptor of its own
         os.close(self._fd)
 
-    def clear(self) -> None:
-        """Start a new bus: nobody on it, nothing sent, timing open."""
-        self.words[: at.OUTBOX_AT] = 0
-        self.words[at.MAGIC_AT] = at.MAGIC
-
-    # timing
     @property
-    def timing(self) -> BitTiming | None:
-        """Bit timing that the participants agreed on, None while none has stated one."""
+    def mode(self) -> Mode | None:
+        """What the participants agreed on, None while none has stated any."""
         packed = int(self.words[at.TIMING_AT])
-        return BitTiming(packed & 0x7FFFFFFF, packed >> 31 & 0x7FFFFFFF) if packed else None
+        rates = BitTiming(packed & 0x7FFFFFFF, packed >> 31 & 0x7FFFFFFF)
+        return Mode(rates, bool(packed >> 62)) if packed else None
 
-    @property
-    def fd(self) -> bool:
-        """Whether CAN FD frames may be sent; meaningful with `timing`."""
-        return bool(self.words[at.TIMING_AT] >> 62 & 1)
-
-    def fix(self, timing: BitTiming, fd: bool) -> None:
-        """Set the timing for the life of this bus, in one word: two who do so at once cannot mix theirs."""
-        self.words[at.TIMING_AT] = timing.bitrate | timing.data_bitrate << 31 | int(fd) << 62
+    def fix(self, mode: Mode) -> None:
+        """Set the mode for the life of this bus, in one word: two who do so at once cannot mix theirs."""
+        (rate, fast), fd = mode
+        self.words[at.TIMING_AT] = rate | fast << 31 | int(fd) << 62
 
     # participants
     def present(self) -> dict[int, int]:
@@ -138,40 +137,37 @@ class Wire:
         pairs = self._slots[:, [at.SLOT_SERIAL, at.SLOT_PID]].tolist()
         return {serial: pid for serial, pid in pairs if serial}
 
-    def reserve(self) -> int:
-        """Choose a newcomer's serial number (with the lock held). Raises BusError without a free slot."""
+    def enter(self) -> int:
+        """Take a slot and its doorbell, with the lock held; return the serial number.
+
+        Raises BusError without a free slot, without memory, or where there can be no socket.
+        """
         empty = np.flatnonzero(self._slots[:, at.SLOT_SERIAL] == 0)
         if not len(empty):
             raise BusError(f"localcan: {self.path.name} has {at.SLOTS} participants, no more fit; close one")
         self.words[at.SERIAL_AT] += 1
         serial = int(self.words[at.SERIAL_AT]) * at.SLOTS + int(empty[0])
         self._claim(at.record_at(serial, 0) * at.WORD, at.OUTBOX * at.RECORD_WORDS * at.WORD)
-        return serial
-
-    def register(self, serial: int, pid: int) -> None:
-        """Take the slot; from now on the others ring this participant, so its doorbell has to be there."""
-        slot = self._slots[serial % at.SLOTS]
-        slot[[at.SLOT_PID, at.SLOT_RUNG, at.SLOT_DUE]] = pid, 0, 0
+        bell, slot = Path(self.bell_of(serial)), self._slots[empty[0]]
+        try:
+            bell.unlink(missing_ok=True)
+            self.bell.bind(str(bell))
+            bell.chmod(0o600)
+        except OSError as error:
+            raise BusError(
+                f"localcan: cannot open the socket {bell}: {error}; "
+                "set XDG_RUNTIME_DIR to a folder of your own with a short path"
+            ) from error
+        slot[[at.SLOT_PID, at.SLOT_RUNG, at.SLOT_DUE]] = os.getpid(), 0, 0
+        # from here on the others ring this participant
         slot[at.SLOT_SERIAL] = serial
-        self.words[at.USED_AT] = max(int(self.words[at.USED_AT]), serial % at.SLOTS + 1)
+        self.words[at.USED_AT] = max(int(self.words[at.USED_AT]), int(empty[0]) + 1)
+        return serial
 
     # doorbells
     def bell_of(self, serial: int) -> str:
         """Return where the doorbell of a participant is."""
         return f"{self._prefix}.{serial}"
-
-    def bind(self, serial: int) -> None:
-        """Take the doorbell of this participant. Raises BusError where there can be no socket."""
-        path = Path(self.bell_of(serial))
-        try:
-            path.unlink(missing_ok=True)
-            self.bell.bind(str(path))
-            path.chmod(0o600)
-        except OSError as error:
-            raise BusError(
-                f"localcan: cannot open the socket {path}: {error}; "
-                "set XDG_RUNTIME_DIR to a folder of your own with a short path"
-            ) from error
 
     def ring(self, serial: int) -> bool:
         """Ring a participant; return whether anybody lives there."""

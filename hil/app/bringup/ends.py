@@ -80,6 +80,6 @@ def _unheld(clock: BenchClock, agree: Agree) -> Agree:
         try:
             return agree(title, will, stop)
         finally:
-            clock.hold()
+            clock.holds = True
 
     return freely

@@ -45,7 +45,7 @@ def begin(
     )
     spare_ns = max(window_ns - bus_ns, _LEAST_NS)
     clock.begin(wake_ns=spare_ns // 6, work_ns=spare_ns // 3)
-    clock.hold()
+    clock.holds = True
 
 
 def stretches(stood_ns: Ints) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class BusEvents(NamedTuple):
 
 
 class Bus(Source):
-    """An open bus, or several as one: then each frame says by its flags on which it is.
+    """An open bus, or several as one; each frame says on which it is.
 
     `clock` is that of its frames' times and of all deadlines: of the links, where all have the same.
 
@@ -118,23 +118,18 @@ class Bus(Source):
         (BusError): the others still get theirs, which may be an emergency stop.
         """
         self._order = frames["bus"].tolist()
-        taken, several = 0, len(self._links) > 1
+        taken = 0
         failed: Exception | None = None
         for bus, link in enumerate(self._links):
-            if bus not in self._order:
+            own, took = frames[frames["bus"] == bus], 0
+            if not len(own):
                 continue
-            own, took = frames, 0
-            if several:
-                own = frames[frames["bus"] == bus]
-                own["bus"] = 0
             try:
                 took = link.send(own)
             except Exception as error:  # noqa: BLE001 - raised when all have theirs
                 failed = failed or error
             taken += took
-            if several or not took:
-                self._taken_ns[bus] = self.clock.now()
-            now = self._taken_ns[bus]
+            now = self._taken_ns[bus] = self.clock.now()
             self._refused_since[bus] = since = 0 if took else self._refused_since[bus] or now
             self._dead[bus] = not took and now - since >= DEAD_AFTER_NS
         if failed is not None:

@@ -37,7 +37,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from drivers.errors import BusError, ConfigurationError
-from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 
 if TYPE_CHECKING:
     from drivers.config import BusSettings
@@ -108,15 +108,15 @@ def frame_time_ns(length: int, flags: int, timing: BitTiming, *, least: bool = F
 
 
 class BusBudget(NamedTuple):
-    """What one tick's frames take of the bus; of several, of the one that is occupied longest."""
+    """What one tick's frames take of a bus."""
 
     frames: Counter[tuple[int, int]]
-    """How many of each data length and flags, as in `Frame`, the bus index among these."""
+    """How many of each data length and flags, as in `Frame`."""
     timing: BitTiming
     rate_Hz: float
     max_load_percent: float
     total_ns: int
-    """All frames of one tick on that bus."""
+    """All frames of one tick."""
 
     @property
     def load_percent(self) -> float:
@@ -141,15 +141,13 @@ class BusBudget(NamedTuple):
     def table(self) -> str:
         """Write the arithmetic out, one line per frame shape."""
         lines = []
-        several = any(flags >= BUS for _, flags in self.frames)
         for (length, flags), count in self.frames.items():
             slow, fast = frame_bits(length, flags)
             ns = frame_time_ns(length, flags, self.timing)
-            bus = f"bus {flags // BUS} " if several else ""
             kind = "CAN FD" if flags & FD else "classic"
             fast_bits = f" + {fast} fast bit" if fast else ""
             lines.append(
-                f"  {bus}{count:3d} x {kind:7s} {length:2d} byte: {slow} bit{fast_bits} = "
+                f"  {count:3d} x {kind:7s} {length:2d} byte: {slow} bit{fast_bits} = "
                 f"{ns / 1e3:.1f} us each, {count * ns / 1e3:.1f} us"
             )
         lines.append(
@@ -162,16 +160,14 @@ class BusBudget(NamedTuple):
 def budget(
     frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
 ) -> BusBudget:
-    """Add up the worst-case bus time of one tick's frames, each bus by itself.
+    """Add up the worst-case time of one tick's frames on their bus.
 
     frames: one example of every frame sent in a tick, repeated as often as it is sent.
     Raises BusError for a frame that cannot be on the bus.
     """
     shapes = Counter((len(frame.data), frame.flags) for frame in frames)
-    totals: Counter[int] = Counter()
-    for (length, flags), count in shapes.items():
-        totals[flags // BUS] += count * frame_time_ns(length, flags, timing)
-    return BusBudget(shapes, timing, rate_Hz, max_load_percent, max(totals.values(), default=0))
+    total_ns = sum(count * frame_time_ns(*shape, timing) for shape, count in shapes.items())
+    return BusBudget(shapes, timing, rate_Hz, max_load_percent, total_ns)
 
 
 def check(

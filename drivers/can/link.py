@@ -55,7 +55,7 @@ class Link(Source):
         return False
 
     def send(self, frames: Rows) -> int:
-        """Return how many elements of FRAME were taken, from the first on; their bus is 0."""
+        """Return how many elements of FRAME were taken, from the first on; all are for this interface."""
         raise NotImplementedError
 
     def first_sent_ns(self) -> int | None:

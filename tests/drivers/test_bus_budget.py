@@ -9,7 +9,7 @@ import pytest
 
 from drivers.can.bus_time import BitTiming, BusBudget, budget, check, frame_bits, frame_time_ns
 from drivers.errors import BusError, ConfigurationError
-from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 
 RATES = BitTiming(1_000_000, 5_000_000)
 FRAMES = [Frame(1, bytes(8))] * 2 + [Frame(2, bytes(12), FD | BRS)] * 3 + [Frame(3, bytes(4))]
@@ -59,18 +59,6 @@ def test_the_frames_of_a_tick_are_counted_by_shape_and_written_out():
         "    1 x classic  4 byte: 95 bit = 95.0 us each, 95.0 us\n"
         "  total 558.8 us of a 2000.0 us period = 27.9 % at 500 Hz (allowed 60 %)"
     )
-
-
-def test_of_several_buses_the_fullest_one_counts_and_each_row_names_its_own():
-    there = [Frame(1, bytes(8), 2 * BUS)] * 3
-    found = budget([*FRAMES, *there], RATES, 500.0)
-    assert found.total_ns == 558_800
-    assert budget([*FRAMES, *there, *there], RATES, 500.0).total_ns == 810_000
-    assert found.table().splitlines()[::3] == [
-        "  bus 0   2 x classic  8 byte: 135 bit = 135.0 us each, 270.0 us",
-        "  bus 2   3 x classic  8 byte: 135 bit = 135.0 us each, 405.0 us",
-    ]
-    assert found.max_load_percent == 70.0
 
 
 def test_a_bus_without_frames_is_never_full():

@@ -21,7 +21,7 @@ from drivers.can.bus_time import (
 )
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from tests.drivers.arbitrated import arbitrate
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
@@ -311,14 +311,3 @@ def test_looking_in_between_changes_nothing(frames, looks):
         queued = [each for each in queued if each[2] not in dict(sent)]
         pieces += sent
     assert pieces == at_once
-
-
-def test_each_bus_has_its_own_time_and_the_fuller_one_counts():
-    first, second = Frame(0x100, bytes(8)), Frame(0x100, bytes(4), BUS)
-    both = budget([first, first, second], BitTiming(1_000_000, 1_000_000), 1000.0)
-    # classic, 8 bytes 135 us, 4 bytes 95 us: see the module's docstring
-    assert both.total_ns == 2 * 135_000
-    assert [line.split(":")[0].split()[:2] for line in both.table().splitlines()[:2]] == [
-        ["bus", "0"],
-        ["bus", "1"],
-    ]

@@ -193,7 +193,7 @@ def test_a_loop_that_fails_switches_the_drives_off_also_where_the_poll_is_the_co
 def test_the_lockstep_waits_to_its_deadline_for_what_the_protocol_does_not_call_fresh(row, change):
     c = configuration(change)
     nodes, plant = build_nodes(c)
-    lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, BitTiming.of(c.bus), 0.01)
+    lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, (BitTiming.of(c.bus),), 0.01)
     try:
         wanted, wires = lockstep.cycle.parts.protocol.traits.feedback_ids, lockstep.wires
         assert set(lockstep.step()[0].frames["id"]) >= wanted

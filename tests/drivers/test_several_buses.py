@@ -320,7 +320,7 @@ def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_
     group = Bus(links)
     assert group.send(sent_array([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)])) == 0
     assert links[0].sent == [Frame(1, b"a")]
-    assert links[1].sent == [Frame(1, b"b"), Frame(2, b"c", 2)]
+    assert links[1].sent == [Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)]
     links[0].inbox, links[1].inbox = [Received(20, Frame(7, b"x"))], [Received(10, Frame(8, b"y", 2))]
     assert got(group.receive()) == [Received(10, Frame(8, b"y", BUS | 2)), Received(20, Frame(7, b"x"))]
     group.block(99, {7, 8})

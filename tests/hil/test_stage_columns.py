@@ -287,7 +287,7 @@ def rows_of_a_run(configuration, after_each=lambda _cycle: None, ticks=1500):
     nodes, plant = build_nodes(configuration)
     try:
         timing = BitTiming.of(configuration.bus) if build_sensors(configuration) else None
-        lockstep = Lockstep(cycle, nodes, timing, configuration.loop.window_s(rate))
+        lockstep = Lockstep(cycle, nodes, (timing,), configuration.loop.window_s(rate))
         rows = []
         for _ in range(ticks):
             operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()

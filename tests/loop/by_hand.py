@@ -15,7 +15,7 @@ class ByHand(Lockstep):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.window_ns = round(self.feedback_window_s * 1e9)
-        self.compute_ns = round(self.compute_us * 1e3) if self.timing else 0
+        self.compute_ns = round(self.compute_us * 1e3) if self.timings[0] else 0
 
     def step(
         self,

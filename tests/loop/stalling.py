@@ -93,7 +93,5 @@ class Stalling(ByHand):
 
 def build_stalling(c: Configuration, nodes: Nodes, cycle: Cycle, **stalls: Any) -> Stalling:
     """Return a bench that stalls, on as many wires as the configuration has buses."""
-    timings = tuple(map(BitTiming.of, c.bus.buses))
-    timing = None if c.bus.layout == "ideal" else timings[0]
-    window_s = c.loop.window_s(c.loop.rate_Hz)
-    return Stalling(cycle, nodes, timing, window_s, timings=timings if c.bus.channels else (), **stalls)
+    timings = [None if c.bus.layout == "ideal" else BitTiming.of(each) for each in c.bus.buses]
+    return Stalling(cycle, nodes, timings, c.loop.window_s(c.loop.rate_Hz), **stalls)

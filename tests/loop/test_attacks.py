@@ -50,7 +50,7 @@ def virtual():
 
 def begin(virtual, mode: Mode) -> Attacked:
     c, nodes = virtual
-    bench = Attacked(build_cycle(c, 1000.0, 0.01), nodes, BitTiming.of(c.bus), c.loop.window_s(1000.0))
+    bench = Attacked(build_cycle(c, 1000.0, 0.01), nodes, (BitTiming.of(c.bus),), c.loop.window_s(1000.0))
     while bench.cycle.mode is not mode:
         engage = (Operator.ENGAGE,) if bench.cycle.mode is Mode.IDLE else ()
         bench.step(engage)

@@ -104,7 +104,7 @@ def track(configuration, seconds, faults=None, prepare=None):
     try:
         if prepare is not None:
             cycle = prepare(cycle, plant) or cycle
-        lockstep = Lockstep(cycle, nodes, None, configuration.loop.window_s(rate))
+        lockstep = Lockstep(cycle, nodes, (None,), configuration.loop.window_s(rate))
         operator: tuple[Operator, ...] = ()
         while len(rows) < round(seconds * rate):
             row = lockstep.step(operator)[2].row

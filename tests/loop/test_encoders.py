@@ -61,7 +61,7 @@ def run(c: Configuration, *faults: PlantFault, stop_s: float | None = None, seed
         true.append(nodes.snapshot().length)
 
     try:
-        ending = Lockstep(cycle, nodes, timing, c.loop.window_s(rate)).run(stop_s, observe)
+        ending = Lockstep(cycle, nodes, (timing,), c.loop.window_s(rate)).run(stop_s, observe)
     finally:
         plant.close()
     return Ran(ending, np.array(rows, rows[0].dtype), np.array(true))

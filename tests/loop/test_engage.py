@@ -154,7 +154,7 @@ def both_ends(configuration):
     rate = configuration.loop.rate_Hz
     cycle = build_cycle(configuration, rate, configuration.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(configuration)
-    lockstep = Lockstep(cycle, nodes, BitTiming.of(configuration.bus), configuration.loop.window_s(rate))
+    lockstep = Lockstep(cycle, nodes, (BitTiming.of(configuration.bus),), configuration.loop.window_s(rate))
     return lockstep, plant.close
 
 

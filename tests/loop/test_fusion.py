@@ -170,7 +170,7 @@ def test_on_shut_brakes_the_pose_stays_and_no_further_encoder_is_blamed():
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, FaultPlan([EncoderJump(leg=2, at_s=MOVING_S, by_m=2e-3)], 1))
-    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate))
+    lockstep = Lockstep(cycle, nodes, (BitTiming.of(c.bus),), c.loop.window_s(rate))
     operator: tuple[Operator, ...] = (Operator.RESET,)
     for _ in range(1200):
         row = lockstep.step(operator)[2].row

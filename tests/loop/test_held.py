@@ -57,7 +57,7 @@ def run(c: Configuration, *faults: PlantFault, duration_s: float | None = DURATI
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, FaultPlan(faults))
     timing = None if c.bus.layout == "ideal" else BitTiming.of(c.bus)
-    lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(rate))
+    lockstep = Lockstep(cycle, nodes, (timing,), c.loop.window_s(rate))
     kept: list[Any] = []
     true: list[Any] = []
     inputs: list[TickInput] = []
@@ -247,7 +247,7 @@ def held(fault: PlantFault, *changes: tuple[str, str]) -> tuple[Lockstep, Any, C
     c = configuration("virtual", *changes)
     cycle = build_cycle(c, 1000.0, 0.01)
     nodes, plant = build_nodes(c, FaultPlan([fault]))
-    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(1000.0))
+    lockstep = Lockstep(cycle, nodes, (BitTiming.of(c.bus),), c.loop.window_s(1000.0))
     course = Course(cycle, DURATION_S, stays=True)
     while cycle.mode is not Mode.HELD:
         lockstep.step(course.commands(lockstep.tick + 1))

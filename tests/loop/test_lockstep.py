@@ -94,7 +94,7 @@ def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monk
         text = text.replace(old, new)
     c = loads(text, virtual.name, virtual.folder)
     cycle, (nodes, plant), timing = build_cycle(c, 400.0, 0.025), build_nodes(c), BitTiming.of(c.bus)
-    lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(400.0))
+    lockstep = Lockstep(cycle, nodes, (timing,), c.loop.window_s(400.0))
     live = nodes.advance
     answers: list[tuple[int, Frame]] = []
     got: set[tuple[int, Frame]] = set()

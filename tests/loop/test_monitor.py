@@ -63,7 +63,7 @@ def run(c, faults, until_s):
     nodes, plant = build_nodes(c, FaultPlan(faults))
     rate = c.loop.rate_Hz
     timing = None if bus_budget(c.bus, c.drives, c.sensors, rate) is None else BitTiming.of(c.bus)
-    lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(rate))
+    lockstep = Lockstep(cycle, nodes, (timing,), c.loop.window_s(rate))
     rows, engaged = [], False
     operator: tuple[Operator, ...] = ()
     try:

@@ -21,7 +21,7 @@ from numba.core import dispatcher
 c = load("virtual")
 cycle = build_cycle(c, c.loop.rate_Hz, 0.01)
 nodes, plant = build_nodes(c)
-lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(c.loop.rate_Hz))
+lockstep = Lockstep(cycle, nodes, (BitTiming.of(c.bus),), c.loop.window_s(c.loop.rate_Hz))
 
 
 def refuse(self, sig):

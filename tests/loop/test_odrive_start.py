@@ -49,7 +49,7 @@ def started() -> Started:
         axes.append(nodes.snapshot())
 
     try:
-        Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate)).run(DURATION_S, observe)
+        Lockstep(cycle, nodes, (BitTiming.of(c.bus),), c.loop.window_s(rate)).run(DURATION_S, observe)
     finally:
         plant.close()
     found = np.array(rows, rows[0].dtype)

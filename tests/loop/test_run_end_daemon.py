@@ -100,7 +100,7 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
 
     here, nodes, plant = ends()
     rows = []
-    stepped = Lockstep(here, nodes, None, 0.0).run(duration_s, lambda *args: rows.append(args[2].row))
+    stepped = Lockstep(here, nodes, (None,), 0.0).run(duration_s, lambda *args: rows.append(args[2].row))
     plant.close()
 
     there, nodes, plant = ends()

@@ -136,7 +136,7 @@ def test_drives_that_a_forged_command_switched_off_are_named():
     """Our controller does not hear it, behind a gateway; before: `DRIVE`, without a leg."""
     c = load("virtual")
     nodes, plant = build_nodes(c)
-    bench = Attacked(build_cycle(c, 1000.0, 0.01), nodes, BitTiming.of(c.bus), c.loop.window_s(1000.0))
+    bench = Attacked(build_cycle(c, 1000.0, 0.01), nodes, (BitTiming.of(c.bus),), c.loop.window_s(1000.0))
     course = Course(bench.cycle)
     while bench.cycle.mode is not Mode.APPROACH:
         bench.step(course.commands(bench.tick + 1))

@@ -35,7 +35,7 @@ def track(c, *faults, seed=1, seen=lambda cycle, row: None):
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, plant = build_nodes(c, FaultPlan(faults, seed))
-    lockstep = Lockstep(cycle, nodes, BitTiming.of(c.bus), c.loop.window_s(rate))
+    lockstep = Lockstep(cycle, nodes, (BitTiming.of(c.bus),), c.loop.window_s(rate))
     rows, truths = [], []
 
     def observe(inp, opening, out):

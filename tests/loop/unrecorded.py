@@ -29,7 +29,7 @@ def run(
     nodes, plant = build_nodes(plant_of or c, faults)
     try:
         timing = None if bus_budget(c.bus, c.drives, c.sensors, rate) is None else BitTiming.of(c.bus)
-        lockstep = Lockstep(cycle, nodes, timing, c.loop.window_s(rate))
+        lockstep = Lockstep(cycle, nodes, (timing,), c.loop.window_s(rate))
         kept: list[np.ndarray] = []
         with collector_paused():
             ending = lockstep.run(None, lambda inp, opening, out: kept.append(out.row))

@@ -4,7 +4,6 @@ from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.python_can import unknown_interface
 from drivers.controller_end import controller_end
 from drivers.frame_array import sent_frames
-from drivers.protocol import off_bus
 from hil.app.check.findings import Report
 from hil.app.compose import build_protocol, drive_setup
 from hil.app.configuration.bus_budget import bus_budgets, bus_names, set_up_ns
@@ -66,11 +65,7 @@ def answered_ns(c: Configuration) -> list[int]:
         answers = {frame.bus: frame for frame in counted if (frame.id, frame.flags) not in asked}
         counted += answers.values()
     return [
-        sum(
-            frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))
-            for f in counted
-            if f.bus == index
-        )
+        sum(frame_time_ns(len(f.data), f.flags, BitTiming.of(each)) for f in counted if f.bus == index)
         for index, each in enumerate(c.bus.buses)
     ]
 

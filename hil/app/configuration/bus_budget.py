@@ -6,7 +6,7 @@ from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame, off_bus
+from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, DriveFault, DriveState
 from plant_fmu.messages import Status
@@ -42,7 +42,7 @@ def bus_budgets(
     frames += unasked_readings(protocol, rate_Hz)
     return tuple(
         check(
-            [off_bus(frame) for frame in frames if frame.bus == index],
+            [frame for frame in frames if frame.bus == index],
             BitTiming.of(each),
             rate_Hz,
             each.max_load_percent,
@@ -106,7 +106,7 @@ def bus_budget(
 def shortest_answer_ns(bus: BusSettings, protocol: DriveProtocol) -> int:
     """Return the least time, ns, from the end of SYNC or a poll to that of a feedback to it on its bus."""
     return min(
-        frame_time_ns(len(frame.data), off_bus(frame).flags, BitTiming.of(bus.buses[frame.bus]), least=True)
+        frame_time_ns(len(frame.data), frame.flags, BitTiming.of(bus.buses[frame.bus]), least=True)
         for frame in protocol.traits.feedbacks
     )
 

@@ -9,7 +9,7 @@ from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.frame_array import sent_frames
-from drivers.protocol import DriveProtocol, off_bus
+from drivers.protocol import DriveProtocol
 from hil.app.configuration.configuration import Configuration
 from hil.safety.signals import HARMFUL_STRETCH_NS
 
@@ -37,7 +37,7 @@ def begin(
     """
     bus_ns = max(
         sum(
-            frame_time_ns(len(f.data), off_bus(f).flags, BitTiming.of(each))
+            frame_time_ns(len(f.data), f.flags, BitTiming.of(each))
             for f in (*sent_frames(opening), *protocol.traits.feedbacks)
             if f.bus == index
         )

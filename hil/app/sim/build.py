@@ -21,8 +21,5 @@ def build_lockstep(
         raise ConfigurationError(
             f"{c.source}: operator: nobody gives commands here, allowed: without start, deadman_s and stays"
         )
-    timings = tuple(map(BitTiming.of, c.bus.buses))
-    timing = None if c.bus.layout == "ideal" else timings[0]
-    window_s = c.loop.window_s(c.loop.rate_Hz)
-    several = timings if c.bus.channels else ()
-    return Lockstep(cycle, nodes, timing, window_s, tick=first - 1, timings=several)
+    timings = [None if c.bus.layout == "ideal" else BitTiming.of(each) for each in c.bus.buses]
+    return Lockstep(cycle, nodes, timings, c.loop.window_s(c.loop.rate_Hz), tick=first - 1)

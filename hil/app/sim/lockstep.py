@@ -70,14 +70,13 @@ class Lockstep:
 
     cycle: Cycle
     nodes: Nodes
-    timing: BitTiming | None
-    """None is the ideal bus: no frame takes time, the force acts at the instant of the measurement."""
+    timings: Sequence[BitTiming | None]
+    """Of each bus; None is an ideal one: no frame takes time, the force acts at the instant of the
+    measurement."""
     feedback_window_s: float
     compute_us: float = COMPUTE_US
     tick: int = -1
     """The last one; both ends begin with the next."""
-    timings: tuple[BitTiming, ...] = ()
-    """Of each bus, where there are several; not used where `timing` is None, which is layout ideal."""
     _mode: Mode = Mode.WAITING
     _rests: int = 0
     """How many ticks in a row the reference has stood still in TRACKING."""
@@ -85,14 +84,13 @@ class Lockstep:
     def __post_init__(self) -> None:
         cycle, protocol = self.cycle, self.cycle.parts.protocol
         self.period_ns = round(1e9 / cycle.parts.rate_Hz)
-        several = self.timings or (self.timing,)
-        self.wires = Wires([each if self.timing else None for each in several], hearing(protocol))
-        self._all_buses = (1 << len(several)) - 1
+        self.wires = Wires(self.timings, hearing(protocol))
+        self._all_buses = (1 << len(self.timings)) - 1
         self.row = TickRow(cycle, LOCKSTEP, advance, self._attend)
         s: Any = self.row.record
         s["wires"] = data_at(self.wires.record)
         s["period_ns"], s["window_ns"] = self.period_ns, round(self.feedback_window_s * 1e9)
-        s["compute_ns"] = round(self.compute_us * 1e3) if self.timing else 0
+        s["compute_ns"] = round(self.compute_us * 1e3) if self.timings[0] else 0
         s["unasked"], s["tick"] = protocol.traits.unasked_s > 0.0, self.tick + 1
         self._replies = NO_FRAMES
         self.nodes.start((self.tick + 1) * self.period_ns)

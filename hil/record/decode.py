@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
+from drivers.frame_array import FRAME
 from drivers.tick_columns import Column
-from hil.record import ring
 from hil.record.layout import RECORD_HEADER, frame_table
 from hil.record.mcap_read import MessageTable
 from hil.record.row import RowCodec
-from hil.record.schema import message_class, operator_schema
+from hil.record.schema import CAN_TOPIC, EVENTS_TOPIC, OPERATOR_TOPIC, message_class, operator_schema
 from hil.record.unpack import ITEM_WORDS, Kernels, constants_of, kernels_for, words_of
 
-CAN, OPERATOR, EVENTS = "/can", "/operator", "/events"
-ITEM = np.dtype([("frame", ring.ITEM), ("tick", "<i8"), ("index", "<i8")])
+ITEM = np.dtype([("frame", FRAME), ("tick", "<i8"), ("index", "<i8")])
 """A frame as the recorder has it, and its place: its tick, and its number in it."""
 REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 """What protobuf, NumPy and Python raise of tables and messages of unknown making."""
@@ -48,7 +47,7 @@ class Decoder:
         self._name = name
         self._log_bytes = log_bytes
         self._topics: dict[int, str] = {}
-        self._classes = {OPERATOR: message_class(operator_schema()), EVENTS: Log}
+        self._classes = {OPERATOR_TOPIC: message_class(operator_schema()), EVENTS_TOPIC: Log}
 
     def learn(self, channel: Channel) -> None:
         """Take note of a channel."""
@@ -111,7 +110,7 @@ class Decoder:
 
     def frames(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
-        mine = self.messages_of(table, CAN)
+        mine = self.messages_of(table, CAN_TOPIC)
         items = np.zeros(len(mine), ITEM)
         matrix = items.view(np.int64).reshape(len(mine), ITEM_WORDS)
         with np.errstate(over="ignore"):  # of damaged times
@@ -119,5 +118,5 @@ class Decoder:
                 words_of(data), table.offset[mine], table.length[mine], *self._frame, matrix
             )
         if read < len(mine):
-            raise self._other(CAN, _OTHER_LAYOUT)
+            raise self._other(CAN_TOPIC, _OTHER_LAYOUT)
         return items

@@ -20,7 +20,17 @@ from hil.record.recording import VIEW_EVERY, Scene
 from hil.record.ring import EVENT, OPERATOR, SENT, Batch, unpack_numbers
 from hil.record.row import RowCodec, Table, row_schema
 from hil.record.scene import SceneDrawer, transforms
-from hil.record.schema import Schema, files, frame_schema, message_class, operator_schema, schema_of
+from hil.record.schema import (
+    CAN_TOPIC,
+    EVENTS_TOPIC,
+    OPERATOR_TOPIC,
+    Schema,
+    files,
+    frame_schema,
+    message_class,
+    operator_schema,
+    schema_of,
+)
 
 TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
 """Channel ids."""
@@ -60,9 +70,9 @@ def channels_of(table: Table, can_channels: Sequence[str]) -> dict[int, tuple[st
     """Return topic, schema and metadata of each channel of a log."""
     return {
         TICK: (table.topic, row_schema(table), {}),
-        CAN: ("/can", frame_schema(), {"channel": ", ".join(can_channels)}),
-        COMMANDS: ("/operator", operator_schema(), {}),
-        EVENTS: ("/events", _foxglove(Log), {}),
+        CAN: (CAN_TOPIC, frame_schema(), {"channel": ", ".join(can_channels)}),
+        COMMANDS: (OPERATOR_TOPIC, operator_schema(), {}),
+        EVENTS: (EVENTS_TOPIC, _foxglove(Log), {}),
         TF: ("/tf", _foxglove(FrameTransform), {}),
         SCENE: ("/scene", _foxglove(SceneUpdate), {}),
     }

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
+from drivers.frame_array import FRAME, received_array, received_frames, sent_array, sent_frames, unpack_frames
 from drivers.protocol import BUS, Frame, Received
-from hil.record.ring import ITEM, SENT, unpack_items
+from hil.record.ring import SENT
 from hil.record.selection import as_bytes
 from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
@@ -64,7 +64,7 @@ class Tick:
 
     @cached_property
     def received_items(self) -> Rows:
-        """The frames received as elements of `hil.record.ring.ITEM`, read-only."""
+        """The frames received as elements of FRAME, read-only."""
         return received_array(self.received)
 
     @cached_property
@@ -124,8 +124,8 @@ class LoggedFrame(NamedTuple):
 
 
 def logged(items: Rows) -> Iterator[LoggedFrame]:
-    """Yield the frames of `items` (elements of `hil.record.decode.ITEM`) one by one."""
-    frames = unpack_items(items["frame"].tobytes())
+    """Yield the frames of `items` (elements of `hil.record.decode.FRAME`) one by one."""
+    frames = unpack_frames(items["frame"].tobytes())
     for (t_ns, can_id, kind, length, flags, data), tick in zip(frames, items["tick"].tolist(), strict=True):
         yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)
 
@@ -134,7 +134,7 @@ def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
     """Yield the ticks of `rows`, with their items."""
     key = items["tick"] * 2 + (items["frame"]["kind"] == SENT)
     order = np.lexsort((items["index"], key))
-    key, frames = key[order], as_bytes(items["frame"])[order].view(ITEM)
+    key, frames = key[order], as_bytes(items["frame"])[order].view(FRAME)
     frames.flags.writeable = False
     wanted = rows["tick"] * 2
     first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in range(3))

@@ -14,11 +14,11 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
-from hil.record.decode import CAN, EVENTS, ITEM, OPERATOR
+from hil.record.decode import ITEM
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
 from hil.record.mcap_read import MessageTable, read_summary
-from hil.record.schema import SUMMARY
+from hil.record.schema import CAN_TOPIC, EVENTS_TOPIC, LEVEL_NAMES, OPERATOR_TOPIC, SUMMARY
 from hil.record.selection import Selection, together
 from hil.signals import NUMBERS, Operator
 
@@ -31,7 +31,6 @@ _BATCH, _LOOKAHEAD = 256, 64
 """Ticks read before any is handed out, and how far other writers may have moved a message."""
 _SETTLED_NS = 1_000_000_000
 """A frame is handed out when one so much later has been read."""
-_LEVELS = {1: "debug", 3: "warning", 4: "error", 5: "error"}
 """Of events by number; any other is `info`."""
 
 
@@ -151,7 +150,7 @@ class Log(LogFile):
         dropped = closing.get("dropped", "0")
         return LogStatistics(
             ticks=counts.get(self.topic, 0),
-            frames=counts.get(CAN, 0),
+            frames=counts.get(CAN_TOPIC, 0),
             duration_s=(statistics.message_end_time - statistics.message_start_time) * 1e-9,
             dropped=int(dropped) if dropped.isdecimal() and len(dropped) < 19 else 0,
             closed=closing.get("closed", "unknown"),
@@ -162,7 +161,7 @@ class Log(LogFile):
         first, last = 1 << 64, 0
         for _, table in self._buffers():
             ticks += len(self._decoder.messages_of(table, self.topic))
-            frames += len(self._decoder.messages_of(table, CAN))
+            frames += len(self._decoder.messages_of(table, CAN_TOPIC))
             if len(table.log_time):
                 first, last = min(first, int(table.log_time.min())), max(last, int(table.log_time.max()))
         return LogStatistics(ticks, frames, max(last - first, 0) * 1e-9, 0, "cut")
@@ -278,9 +277,9 @@ class Log(LogFile):
         """Return all events, in the order of the file."""
         found = []
         for data, table in self._buffers():
-            for message in self._decoder.messages(data, table, EVENTS):
+            for message in self._decoder.messages(data, table, EVENTS_TOPIC):
                 t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
-                found.append(Event(t_ns, _LEVELS.get(message.level, "info"), message.message))
+                found.append(Event(t_ns, LEVEL_NAMES.get(message.level, "info"), message.message))
         return found
 
     def can_frames(self) -> Iterator[LoggedFrame]:
@@ -349,8 +348,8 @@ class Log(LogFile):
 
     def _read_commands(self, data: bytes, table: MessageTable, commands: Commands) -> None:
         """Add the operator's commands in a buffer to those found before."""
-        for message in self._decoder.messages(data, table, OPERATOR):
-            with self._decoder.understood(OPERATOR):
+        for message in self._decoder.messages(data, table, OPERATOR_TOPIC):
+            with self._decoder.understood(OPERATOR_TOPIC):
                 tick, command = int(message.tick), Operator(message.command)
                 numbers = tuple(map(float, message.setpoint))
                 commands.setdefault(tick, []).append((int(message.index), command, numbers))

@@ -6,6 +6,7 @@ The recorder runs its machine code and imports neither this file nor Numba.
 from drivers.arrays import Bytes, Ints
 from drivers.can.bus_time import FD_LENGTHS
 from drivers.compiled.compiler import BYTE_POINTER, POINTER, helper, kernel
+from drivers.frame_array import FRAME
 from hil.record.layout import (
     BUS,
     DIRECTION,
@@ -19,13 +20,13 @@ from hil.record.layout import (
     SECONDS,
     TICK,
 )
-from hil.record.ring import ITEM, RECEIVED, SENT
+from hil.record.ring import RECEIVED, SENT
 from hil.record.row import NAMED, UNNAMED, WHOLE
 from hil.record.schema import RX, TX
 
 _BITS = tuple(FRAME_FLAGS.values())
 _FRAME_COLUMNS = FLAGS + len(_BITS)
-_WORDS = ITEM.itemsize // 8
+_WORDS = FRAME.itemsize // 8
 _S = 1_000_000_000
 
 

@@ -13,8 +13,8 @@ from drivers.arrays import Rows
 from drivers.signals import Warn
 from hil.record.encode import event_text
 from hil.record.mirror import FIGURES, Mirror
-from hil.record.recording import LEVELS
 from hil.record.ring import DROPPED, EVENT, READ, Batch, Ring
+from hil.record.schema import LEVEL_NAMES
 
 LAST_EVENTS = 40
 LONGEST_EVENT = 600
@@ -22,7 +22,6 @@ LONGEST_EVENT = 600
 _EVENTS_BYTES = 24000
 _WINDOW_NS = 1_000_000_000
 _PEAKS = {"late_ns": "lateness_ns", "compute_ns": "compute_ns"}
-_LEVELS = {number: name for name, number in LEVELS.items()}
 
 
 class Publisher:
@@ -67,7 +66,7 @@ class Publisher:
                 {
                     "number": self._heard,
                     "t_ns": int(item["t_ns"]),
-                    "level": _LEVELS.get(int(item["flags"]), "info"),
+                    "level": LEVEL_NAMES.get(int(item["flags"]), "info"),
                     "text": text if len(text) <= LONGEST_EVENT else f"{text[:LONGEST_EVENT]} …",
                 }
             )

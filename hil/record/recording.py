@@ -19,7 +19,7 @@ from drivers.arrays import Ints, Rows
 from drivers.clock import MONOTONIC, Clock
 from drivers.compiled.machine_code import machine_code
 from drivers.errors import LogError
-from drivers.frame_array import received_array, sent_array, sent_at
+from drivers.frame_array import FRAME, frame_bytes, received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, send, spawn
 from hil.record.environment import environment, scheduling
@@ -28,24 +28,20 @@ from hil.record.ring import (
     DROPPED,
     EVENT,
     EVENTS,
-    ITEM,
     OPERATOR,
     READ,
     READ_ITEMS,
     WRITTEN,
     Ring,
     fence,
-    item_of,
     pack_numbers,
 )
 from hil.record.row import TICKS, Table, describe
-from hil.record.schema import CONFIGURATION
+from hil.record.schema import CONFIGURATION, LEVELS
 from hil.signals import Operator, Order, SetPoint
 
 LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
 """2000-01-01T00:00:00Z: the UTC of t_ns = 0 in lockstep."""
-LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
-"""Levels of events, as foxglove.Log counts them."""
 _SETPOINT = int(Operator.SETPOINT)
 _START_S = 20.0
 _PIECE = MAX_DATA
@@ -224,15 +220,15 @@ class Recording:
         setpoints: Sequence[SetPoint] = (),
         orders: Sequence[Order] = (),
     ) -> None:
-        """Record one tick as `tick` does, its frames as elements of ITEM: kind, time and bus are theirs."""
+        """Record one tick as `tick` does, its frames as elements of FRAME: kind, time and bus are theirs."""
         data = received.tobytes() + sent.tobytes()
         if operator or setpoints or orders:
             now = int(row["t_ns"])
             bare, poses = [(each, ()) for each in operator], [(_SETPOINT, each) for each in setpoints]
             for command, numbers in (*bare, *poses, *orders):
                 content = pack_numbers(numbers)
-                data += item_of(now, command, OPERATOR, len(content), 0, content)
-        count, ring = len(data) // ITEM.itemsize, self._ring
+                data += frame_bytes(now, command, OPERATOR, len(content), 0, content)
+        count, ring = len(data) // FRAME.itemsize, self._ring
         if not self._has_room(count):
             self.dropped += 1
             self._counters[DROPPED] = self.dropped
@@ -272,7 +268,7 @@ class Recording:
         if not self._has_room(len(pieces)):
             return
         for left, piece in zip(range(len(pieces) - 1, -1, -1), pieces, strict=True):
-            self._ring.put(self._items, item_of(t_ns, left, EVENT, len(piece), LEVELS[level], piece))
+            self._ring.put(self._items, frame_bytes(t_ns, left, EVENT, len(piece), LEVELS[level], piece))
             self._items += 1
         fence()
         self._counters[EVENTS] = self._items

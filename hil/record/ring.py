@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Ints, Rows
-from drivers.frame_array import FRAME, frame_bytes, unpack_frames
+from drivers.frame_array import FRAME
 
-ITEM = FRAME
-"""Frames as they are; commands of the operator and pieces of events in the same form."""
-item_of, unpack_items = frame_bytes, unpack_frames
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
-"""Kinds of item. Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces
+"""Kinds of item: a frame, a command of the operator or a piece of an event, each in the form of a frame.
+
+Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces
 follow, flags the level."""
 
 
@@ -84,7 +83,7 @@ class Ring:
         ends = _HEADER
         rows = ends + _aligned(8 * capacity)
         items = rows + _aligned(dtype.itemsize * capacity)
-        size = items + ITEM.itemsize * self.item_capacity
+        size = items + FRAME.itemsize * self.item_capacity
         if os.fstat(fd).st_size < size:
             os.ftruncate(fd, size)
         # all pages mapped now: a first touch in the loop would cost a fault each
@@ -94,7 +93,7 @@ class Ring:
         self.ends = self._view[ends : ends + 8 * capacity].cast("q")
         self._ends_array: Ints = np.ndarray(capacity, np.int64, self._map, ends)
         self.rows: Rows = np.ndarray(capacity, dtype, self._map, rows)
-        self._items: Rows = np.ndarray(self.item_capacity, ITEM, self._map, items)
+        self._items: Rows = np.ndarray(self.item_capacity, FRAME, self._map, items)
         self.item_bytes = self._view[items:size]
 
     @classmethod
@@ -113,7 +112,7 @@ class Ring:
 
     def put(self, number: int, data: bytes) -> None:
         """Copy bytes of items to their places from `number` on; there is room for them."""
-        first = number % self.item_capacity * ITEM.itemsize
+        first = number % self.item_capacity * FRAME.itemsize
         here = min(len(data), len(self.item_bytes) - first)
         self.item_bytes[first : first + here] = data[:here]
         self.item_bytes[: len(data) - here] = data[here:]

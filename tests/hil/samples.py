@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from drivers.frame_array import FRAME
 from drivers.protocol import BRS, BUS, ESI, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.encode import TICK, Encoder
 from hil.record.layout import RECORD_HEADER
 from hil.record.log import Tick
-from hil.record.ring import ITEM, Batch
+from hil.record.ring import Batch
 from hil.signals import Operator, Order, SetPoint
 
 FLAGS = (0, EXTENDED, FD, FD | BRS, FD | BRS | ESI | EXTENDED, BUS, 127 * BUS | FD)
@@ -29,7 +30,7 @@ def random_rows(count, seed=1, dtype=ROW):
 def packed_rows(table, rows):
     """Return the messages of rows as the recorder packs them, without the heads of their records."""
     encoder = Encoder(table, epoch_ns=0, can_channels=["can0"], scene=None)
-    made = encoder.encode(Batch(rows, np.zeros(0, ITEM), np.zeros(0, np.int64)))
+    made = encoder.encode(Batch(rows, np.zeros(0, FRAME), np.zeros(0, np.int64)))
     records = [bytes(each) for each in made.records()]
     return [each[RECORD_HEADER:] for each in records if each[9] == TICK]
 

@@ -10,12 +10,13 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers.errors import LogError
+from drivers.frame_array import FRAME
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record.layout import frame_table
 from hil.record.log import Log, Tick
 from hil.record.mcap_read import decompress, split
-from hil.record.ring import ITEM, RECEIVED, SENT
+from hil.record.ring import RECEIVED, SENT
 from hil.record.row import TICKS, RowCodec
 from hil.record.schema import Schema, message_class
 from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, kernels_for, words_of
@@ -113,7 +114,7 @@ def test_ticks_have_their_frames_as_items_of_the_recorder_and_as_tuples(log, mes
                 struct.pack("<qIBBH64s", t_ns, frame.id, kind, len(frame.data), frame.flags, frame.data)
                 for t_ns, frame in frames
             )
-            assert (items.dtype, items.tobytes()) == (ITEM, packed)
+            assert (items.dtype, items.tobytes()) == (FRAME, packed)
             assert not items.flags.writeable
             assert items.flags.c_contiguous
 

@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 from drivers.compiled.machine_code import machine_code
+from drivers.frame_array import FRAME
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE
 from drivers.tick_columns import Column
 from hil.record import Recording
 from hil.record.encode import CAN, TICK, Encoder
 from hil.record.layout import RECORD_HEADER
 from hil.record.packer import pack
-from hil.record.ring import ITEM, Batch, Ring
+from hil.record.ring import Batch, Ring
 from hil.record.row import TICKS, Table
 from hil.record.schema import message_class
 from tests.hil.samples import random_rows, random_ticks, record
@@ -135,7 +136,7 @@ def test_whatever_columns_a_table_has_the_same_kernel_packs_them(columns):
             rows[c.name] = np.resize(numbers, rows[c.name].shape)
     encoder = Encoder(table, epoch_ns=EPOCH, can_channels=["can0"], scene=None)
     kind = message_class(encoder.channels[TICK][1])
-    batch = Batch(rows, np.zeros(0, ITEM), np.zeros(0, np.int64))
+    batch = Batch(rows, np.zeros(0, FRAME), np.zeros(0, np.int64))
     assert messages_of(encoder, batch, TICK) == [row_message(kind, table, row) for row in rows]
     assert len(pack.overloads) == 1  # type: ignore[attr-defined]
 
@@ -146,12 +147,12 @@ OTHER = """
 import hashlib, json, sys
 import numpy as np
 from hil.record.encode import Encoder
-from hil.record.ring import ITEM, Batch
+from hil.record.ring import FRAME, Batch
 from hil.record.row import TICKS
 import hil.record.recorder
 code, rows, items = json.load(sys.stdin)
 rows = np.frombuffer(bytes.fromhex(rows), TICKS.dtype)
-items = np.frombuffer(bytes.fromhex(items), ITEM)
+items = np.frombuffer(bytes.fromhex(items), FRAME)
 batch = Batch(rows, items, np.arange(5))
 encoder = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None, packer=code)
 print(hashlib.sha256(encoder.encode(batch).data).hexdigest(), "numba" in sys.modules)
@@ -161,7 +162,7 @@ print(hashlib.sha256(encoder.encode(batch).data).hexdigest(), "numba" in sys.mod
 @pytest.mark.parametrize("plain", [False, True], ids=["machine code", "plain Python"])
 def test_another_process_packs_the_same_from_machine_code_alone_or_as_plain_python(plain):
     rows = random_rows(5)
-    items = np.frombuffer(np.random.default_rng(1).bytes(5 * ITEM.itemsize), ITEM).copy()
+    items = np.frombuffer(np.random.default_rng(1).bytes(5 * FRAME.itemsize), FRAME).copy()
     items["kind"], items["length"], items["bus"] = [0, 1, 0, 1, 0], [0, 8, 64, 3, 12], 0
     items["t_ns"] = np.arange(5) * S
     here = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None)

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from drivers.frame_array import FRAME
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 from hil.record.encode import Encoder, event_text
 from hil.record.recording import Scene
-from hil.record.ring import EVENT, ITEM, OPERATOR, RECEIVED, SENT, Batch
+from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, Batch
 from hil.record.row import TICKS
 from hil.record.schema import message_class
 
@@ -40,7 +41,7 @@ def batch(rows, *items):
     made = np.zeros(rows, TICKS.dtype)
     made["tick"] += TICK + np.arange(rows)
     made["t_ns"] += T_NS + S * np.arange(rows)
-    table = np.zeros(len(items), ITEM)
+    table = np.zeros(len(items), FRAME)
     for each, (_, t_ns, number, kind, data, flags, bus) in zip(table, items, strict=True):
         each["t_ns"], each["id"], each["kind"], each["length"] = t_ns, number, kind, len(data)
         each["flags"], each["bus"] = flags, bus

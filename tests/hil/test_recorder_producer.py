@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
+from drivers.frame_array import FRAME
 from drivers.frame_array import pack_frame as pack_item
 from drivers.protocol import BUS, EXTENDED, FD, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import recording as module
 from hil.record.recording import RecorderEndedError, Recording
-from hil.record.ring import DROPPED, ITEM, RECEIVED, SENT, WRITTEN, Ring
+from hil.record.ring import DROPPED, RECEIVED, SENT, WRITTEN, Ring
 from hil.signals import Operator, Order, SetPoint
 
 
@@ -98,7 +99,7 @@ def test_frames_as_arrays_go_into_the_ring_as_those_that_are_tuples_also_when_it
         one.tick(row_of(number), received, sent, *more)
         kinds = [(t_ns, frame, RECEIVED) for t_ns, frame in received]
         kinds += [(1000 * number, frame, SENT) for frame in sent]
-        items = np.zeros(len(kinds), ITEM)
+        items = np.zeros(len(kinds), FRAME)
         for k, (t_ns, (can_id, data, flags), kind) in enumerate(kinds):
             pack_item(items.view(np.uint8).data, 80 * k, t_ns, can_id, kind, len(data), flags, data)
         other.tick_of_items(row_of(number), items[: len(received)], items[len(received) :], *more)

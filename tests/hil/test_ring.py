@@ -8,13 +8,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from drivers.frame_array import FRAME
 from drivers.frame_array import pack_frame as pack_item
 from drivers.protocol import Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record import recording as producer
 from hil.record import ring as module
-from hil.record.ring import DROPPED, EVENT, EVENTS, ITEM, READ, READ_ITEMS, SENT, WRITTEN, Ring
+from hil.record.ring import DROPPED, EVENT, EVENTS, READ, READ_ITEMS, SENT, WRITTEN, Ring
 from hil.signals import Operator, Order, SetPoint
 
 DTYPE = np.dtype([("tick", "<i8"), ("t_ns", "<i8"), ("x", "<f8", (3,))])
@@ -32,7 +33,7 @@ class Writer:
         self.ring, self.rows, self.items = ring, 0, 0
 
     def item(self, kind, value):
-        offset = self.items % self.ring.item_capacity * ITEM.itemsize
+        offset = self.items % self.ring.item_capacity * FRAME.itemsize
         pack_item(self.ring.item_bytes, offset, value, value, kind, 1, 0, b"\x01")
         self.items += 1
 
@@ -55,7 +56,7 @@ def test_rows_and_their_items_come_out_once_and_in_order_over_many_turns(ring):
     while writer.rows < 3000:
         for _ in range(rng.randrange(200)):
             if ring.counters[WRITTEN] - ring.counters[READ] < ring.capacity:
-                counts.append(rng.randrange(ITEM.itemsize // 10))
+                counts.append(rng.randrange(FRAME.itemsize // 10))
                 writer.row(counts[-1])
         batch = ring.take(rng.randrange(1, 220))
         assert (batch.rows["x"] == batch.rows["tick"][:, None]).all()
@@ -176,10 +177,10 @@ def test_a_second_mapping_of_the_descriptor_sees_the_same_memory(ring):
 
 
 ROW_0 = np.zeros((), ROW)
-FRAME = Frame(1, b"", 0)
+EMPTY = Frame(1, b"", 0)
 ITEMS: dict[str, tuple[Any, ...]] = {
-    "received": ([Received(0, FRAME)], (), (), (), ()),
-    "sent": ((), [FRAME], (), (), ()),
+    "received": ([Received(0, EMPTY)], (), (), (), ()),
+    "sent": ((), [EMPTY], (), (), ()),
     "command": ((), (), [int(Operator.STOP)], (), ()),
     "set-point": ((), (), (), [SetPoint(*range(6))], ()),
     "order": ((), (), (), (), [Order(Operator.HOLD)]),

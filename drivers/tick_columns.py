@@ -242,6 +242,7 @@ WORKING = (
         "force sent less the force asked for, of the last command: limits acted",
         *PER_LEG,
     ),
+    _("effort", "probe_force", float, "N", "leg force added to see whether the leg moves", *PER_LEG),
     _("effort", "tau_asked", float, "N", "the law's force with what was learned and the ramps", *PER_LEG),
 )
 """What lives for one tick."""

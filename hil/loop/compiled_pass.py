@@ -19,11 +19,12 @@ from hil.estimation.pose import ESTIMATOR, estimate_pose
 from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
 from hil.loop.motion import MOTION, advance, ahead, ended, place_reference
+from hil.loop.probe import fill_probe
 from hil.loop.ramps import holding_share, smoothstep
 from hil.loop.reference import fill_sample
 from hil.robot.force_path import path_at
 from hil.robot.force_path import send as send_force
-from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge
+from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge, limit, powered
 from hil.trajectory.override import OVERRIDE, is_full, time_at
 from hil.trajectory.path import SAMPLE
 
@@ -292,12 +293,16 @@ def within(value: float, low: float, high: float) -> float:
 
 @helper
 def judge_pass(c: Any, tick: Any) -> None:
-    """Let safety judge a tick: its verdict, and tau."""
+    """Let safety judge a tick, and limit the force asked for with that of the probe: its verdict, and tau."""
     tick.mode = c.mode
     window, watched = matrix_at(c.window, c.window_rows, 6), matrix_at(c.watched, c.watched_rows, 6)
     limits, memory = _limits_at(c.limits), _memory_at(c.memory)
-    c.verdict[0], c.verdict[1], c.verdict[2] = judge(_seen_at(c.tick), limits, memory, window, watched)
-    c.verdict[1] |= c.sensor_late
+    seen = _seen_at(c.tick)
+    faults, warnings, c.verdict[2] = judge(seen, limits, memory, window, watched)
+    if powered(c.mode):
+        fill_probe(tick, _tick_at(c.last), limits, memory)
+    law, limited = limit(seen, limits, memory, window, watched)
+    c.verdict[0], c.verdict[1] = faults | law, warnings | limited | c.sensor_late
 
 
 @helper

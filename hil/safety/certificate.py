@@ -152,7 +152,7 @@ def watch(
 
     Return whether an axis has broken its certificate for the configured number of ticks.
 
-    e, de, and rate and acceleration of the reference as of `hil.control.error_axes`. whole: since the last
+    e, de, and rate and acceleration of the reference as of `hil.safety.error_axes`. whole: since the last
     tick nothing happened that the certificate knows nothing of; where it is false the watch starts anew.
     late_s: how late the encoders were read; periods: since the last tick.
     """

@@ -1,4 +1,4 @@
-"""The rules on encoders of one tick: which leg is doubted, and which is pushed to see whether it moves."""
+"""The rules on encoders of one tick: which leg is doubted, and which is suspected: see `hil.loop.probe`."""
 
 from math import inf, isnan
 from typing import Any
@@ -18,11 +18,26 @@ LEAST_m_s = 1e-9
 """A rate that leaps by less does not."""
 RATE_MOVES = 3.0
 """So many times its noise make a rate that is not zero."""
-(
-    _DT, _GAP, _RATE, _BOUND, _RANGE, _LEAPED, _EXCESS, _DEVIATION, _SWING, _NOISE, _SAY, _LATE, _LAG, _LEAPS,
-    _STRAY,
-) = range(15)  # fmt: skip
-"""Rows of a tick's scratch."""
+COMPARED = np.dtype(
+    [
+        ("elapsed", "<f8"),  # s, between two latches
+        ("gap", "<f8"),  # m, length less what the rates make of it; nan: the leg was not heard
+        ("say", "<f8"),  # m, the gap of a leg that bears witness of a delay; nan: it does not
+        ("rate", "<f8"),  # m/s, the mean one
+        ("bound", "<f8"),  # m, of the gap
+        ("late", "<f8"),  # m, of it, by a latch that is late by itself
+        ("stray", "<f8"),  # s, by which the answer may be that to another SYNC or poll
+        ("swing", "<f8"),  # N, largest less smallest force that acts meanwhile
+        ("range", "<f8"),  # m/s^2, over which the acceleration may vary
+        ("noise", "<f8"),  # m/s, of a rate
+        ("lag", "<f8"),  # s, of a rate that is a difference
+        ("leap", "<f8"),  # m/s, of the rate; nan: unknown
+        ("leap_bound", "<f8"),
+        ("excess", "<f8"),  # the leap over its bound
+        ("deviation", "<f8"),  # m, length less reference
+    ]
+)
+"""What a tick compares of each leg."""
 
 
 @helper
@@ -75,7 +90,7 @@ def latched(tick: Any, leg: int) -> int:
 
 
 @helper
-def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
+def compare(tick: Any, limits: Any, memory: Any, x: Any) -> float:
     """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
 
     The bounds allow for what a delay that is not shared may make of each gap: a whole period where no leg
@@ -83,101 +98,105 @@ def compare(tick: Any, limits: Any, memory: Any, x: Array) -> float:
     Returns how much later than the clock says the latch was, over the legs heard the last time any was.
     """
     for i in range(6):
-        x[_GAP, i] = x[_SAY, i] = np.nan
+        x["gap"][i] = x["say"][i] = np.nan
         lost = memory.heard[i] == 0 or tick.tick + 1 - memory.heard[i] > LONGEST_GAP
         if tick.age[i] != 0 or lost:
             continue
         T = 1e-9 * (latched(tick, i) - memory.latched_ns[i])
-        x[_DT, i] = T
-        x[_RANGE, i] = residuals.acceleration_range(limits.mobility, x[_SWING], limits.disturbance_m_s2, i)
-        lively = x[_RANGE, i] + abs(memory.acceleration[i])
-        x[_NOISE, i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
+        x["elapsed"][i] = T
+        x["range"][i] = residuals.acceleration_range(limits.mobility, x["swing"], limits.disturbance_m_s2, i)
+        lively = x["range"][i] + abs(memory.acceleration[i])
+        x["noise"][i] = limits.rate_noise_m_s + limits.rate_skew_s * lively
         rates = tick.rate[i] + memory.rate_was[i]
-        x[_GAP, i] = tick.length[i] - memory.length_was[i] - 0.5 * T * rates  # trapezoidal rule
+        x["gap"][i] = tick.length[i] - memory.length_was[i] - 0.5 * T * rates  # trapezoidal rule
         # A late latch moves a length by the mean rate; where rates are made of lengths by the one before: a
         # jump of the length must not be what excuses it.
-        x[_RATE, i] = memory.rate_was[i] if limits.differences != 0 else 0.5 * rates
+        x["rate"][i] = memory.rate_was[i] if limits.differences != 0 else 0.5 * rates
         # Where no feedback names its SYNC or poll, the answer may be that to the one of the tick before: from
         # a tick on in which the leg was missed, or any where one SYNC serves all, until what was under way
         # then has been heard: each drive was late by itself.
         unsure = limits.unnamed != 0 and 0 < tick.tick + 1 - memory.missed_tick[i] <= LONGEST_GAP
-        x[_STRAY, i] = STRAYS * limits.period_s if unsure else 0.0
-        longest = T + x[_STRAY, i]
-        x[_BOUND, i] = residuals.gap_bound(limits.length_noise_m, x[_NOISE, i], x[_RANGE, i], longest)
+        x["stray"][i] = STRAYS * limits.period_s if unsure else 0.0
+        longest = T + x["stray"][i]
+        x["bound"][i] = residuals.gap_bound(limits.length_noise_m, x["noise"][i], x["range"][i], longest)
         if limits.differences != 0:
-            x[_LAG, i] = residuals.lag_of(T, memory.spacing_s[i])
-            x[_BOUND, i] += 0.5 * T * (x[_LAG, i] + memory.lag_s[i]) * x[_RANGE, i]
+            x["lag"][i] = residuals.lag_of(T, memory.spacing_s[i])
+            x["bound"][i] += 0.5 * T * (x["lag"][i] + memory.lag_s[i]) * x["range"][i]
         if memory.heard[i] == memory.heard_tick:
-            x[_SAY, i] = x[_GAP, i]
-    delay, shared = residuals.shared_delay(x[_SAY], x[_RATE], x[_BOUND])
+            x["say"][i] = x["gap"][i]
+    delay, shared = residuals.shared_delay(x["say"], x["rate"], x["bound"])
     for i in range(6):
-        if not isnan(x[_GAP, i]):
+        if not isnan(x["gap"][i]):
             late = memory.delay_s + delay - memory.latched_delay_s[i]
-            x[_DT, i] += late
-            x[_GAP, i] -= late * x[_RATE, i]
+            x["elapsed"][i] += late
+            x["gap"][i] -= late * x["rate"][i]
     for i in range(6):
-        period = limits.period_s * abs(x[_RATE, i])
-        x[_LATE, i] = max(limits.unshared * limits.period_s, x[_STRAY, i]) * abs(x[_RATE, i])
-        beyond = not shared and abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]
-        if beyond and residuals.explained(i, x[_GAP], x[_RATE], x[_BOUND], x[_SAY]):
-            x[_LATE, i] = period
+        period = limits.period_s * abs(x["rate"][i])
+        x["late"][i] = max(limits.unshared * limits.period_s, x["stray"][i]) * abs(x["rate"][i])
+        beyond = not shared and abs(x["gap"][i]) > x["bound"][i] + x["late"][i]
+        if beyond and residuals.explained(i, x["gap"], x["rate"], x["bound"], x["say"]):
+            x["late"][i] = period
     for i in range(6):
-        if not shared or x[_STRAY, i] > 0.0 or isnan(x[_SAY, i]):
-            x[_BOUND, i] += x[_LATE, i]
+        if not shared or x["stray"][i] > 0.0 or isnan(x["say"][i]):
+            x["bound"][i] += x["late"][i]
     return delay
 
 
 @helper
-def fill_leaps(tick: Any, limits: Any, memory: Any, x: Array) -> None:
+def fill_leaps(tick: Any, limits: Any, memory: Any, x: Any) -> None:
     """Fill how far each rate leaps, and as a share of what forces explain; nan and 0: not known."""
-    x[_LEAPED] = np.nan
+    x["leap"][:] = np.nan
     for i in range(6):
-        if not isnan(x[_GAP, i]) and memory.spacing_s[i] > 0.0 and x[_STRAY, i] == 0.0:
-            leap = tick.rate[i] - memory.rate_was[i] - x[_DT, i] * memory.acceleration[i]
-            bound = residuals.leap_bound(x[_NOISE, i], x[_RANGE, i], x[_DT, i], memory.spacing_s[i])
+        if not isnan(x["gap"][i]) and memory.spacing_s[i] > 0.0 and x["stray"][i] == 0.0:
+            leap = tick.rate[i] - memory.rate_was[i] - x["elapsed"][i] * memory.acceleration[i]
+            bound = residuals.leap_bound(x["noise"][i], x["range"][i], x["elapsed"][i], memory.spacing_s[i])
             if limits.differences != 0:
-                lag = residuals.lag_of_leap(x[_LAG, i], memory.lag_s[i], x[_DT, i], memory.spacing_s[i])
-                bound += lag * x[_RANGE, i]
-            x[_LEAPS, i] = max(bound, LEAST_m_s)
-            x[_LEAPED, i], x[_EXCESS, i] = leap, abs(leap) / x[_LEAPS, i]
+                lag = residuals.lag_of_leap(
+                    x["lag"][i], memory.lag_s[i], x["elapsed"][i], memory.spacing_s[i]
+                )
+                bound += lag * x["range"][i]
+            x["leap_bound"][i] = max(bound, LEAST_m_s)
+            x["leap"][i], x["excess"][i] = leap, abs(leap) / x["leap_bound"][i]
 
 
 @helper
-def judge_lengths(tick: Any, limits: Any, memory: Any, x: Array) -> None:
+def judge_lengths(tick: Any, limits: Any, memory: Any, x: Any) -> None:
     """Doubt legs whose length and rate contradict each other: at once, or within a while."""
     closed = tick.mode in (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
     for i in range(6):
-        gap, T = x[_GAP, i], x[_DT, i]
+        gap, T = x["gap"][i], x["elapsed"][i]
         if isnan(gap):
             continue
-        if x[_EXCESS, i] > 1.0 and not closed:
-            gap = residuals.beside(gap, x[_LEAPED, i], T)
-        if abs(gap) > x[_BOUND, i]:
-            doubt_leg(tick, limits, memory, i, Doubt.JUMP.value, gap, x[_BOUND, i])
+        if x["excess"][i] > 1.0 and not closed:
+            gap = residuals.beside(gap, x["leap"][i], T)
+        if abs(gap) > x["bound"][i]:
+            doubt_leg(tick, limits, memory, i, Doubt.JUMP.value, gap, x["bound"][i])
         keep = max(1.0 - T / residuals.WINDOW_S, 0.0)
         memory.gaps[i] = keep * memory.gaps[i] + gap
-        memory.travel[i] = keep * memory.travel[i] + abs(x[_RATE, i]) * T
+        memory.travel[i] = keep * memory.travel[i] + abs(x["rate"][i]) * T
         noise, share = limits.length_noise_m, limits.rate_error
-        bound = residuals.slip_bound(noise, x[_NOISE, i], x[_RANGE, i], T, share, memory.travel[i])
+        bound = residuals.slip_bound(noise, x["noise"][i], x["range"][i], T, share, memory.travel[i])
         left, period = keep * memory.excused[i], limits.period_s
-        bound += x[_LATE, i] + left
-        calm = residuals.slip_bound(noise, x[_NOISE, i], x[_RANGE, i], 0.0, share, memory.travel[i])
+        bound += x["late"][i] + left
+        calm = residuals.slip_bound(noise, x["noise"][i], x["range"][i], 0.0, share, memory.travel[i])
         memory.excused[i] = residuals.excused(left, memory.gaps[i], calm, T, period)
         if abs(memory.gaps[i]) > bound:
             doubt_leg(tick, limits, memory, i, Doubt.SLIP.value, memory.gaps[i], bound)
         if limits.watched_legs >> i & 1:
-            tick.encoder_share[i] = max(abs(gap) / x[_BOUND, i], abs(memory.gaps[i]) / bound)
+            tick.encoder_share[i] = max(abs(gap) / x["bound"][i], abs(memory.gaps[i]) / bound)
 
 
 @helper
-def judge_rates(tick: Any, limits: Any, memory: Any, x: Array) -> None:
+def judge_rates(tick: Any, limits: Any, memory: Any, x: Any) -> None:
     """Doubt the one leg whose rate leaps; not where a late latch makes a difference of lengths leap."""
-    leg = residuals.sole(x[_EXCESS])
+    leg = residuals.sole(x["excess"])
     if leg < 0:
         return
-    if limits.differences != 0 and residuals.is_time(leg, x[_LEAPED], x[_RATE], x[_LEAPS], limits.unshared):
+    if limits.differences != 0 and residuals.is_time(
+        leg, x["leap"], x["rate"], x["leap_bound"], limits.unshared
+    ):
         return
-    doubt_leg(tick, limits, memory, leg, Doubt.LEAP.value, x[_LEAPED, leg], x[_LEAPS, leg])
+    doubt_leg(tick, limits, memory, leg, Doubt.LEAP.value, x["leap"][leg], x["leap_bound"][leg])
 
 
 @helper
@@ -194,9 +213,9 @@ def let_settle(memory: Any, deviation: Array, period_s: float) -> None:
 
 
 @helper
-def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
-    """Push legs whose reading stands still while they or others stray, and doubt those that do not move."""
-    deviation = x[_DEVIATION]
+def judge_stillness(tick: Any, limits: Any, memory: Any, x: Any) -> None:
+    """Suspect legs whose reading stands still while they or others stray; doubt those that no probe moves."""
+    deviation = x["deviation"]
     for i in range(6):
         deviation[i] = tick.length[i] - tick.q_d[i]
     let_settle(memory, deviation, limits.period_s)
@@ -218,7 +237,7 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Array) -> None:
 
 
 @helper
-def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Array) -> None:
+def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Any) -> None:
     """Keep what the next tick is compared with, and in which one each leg, or any, was last missed."""
     memory.delay_s += delay
     for i in range(6):
@@ -228,14 +247,14 @@ def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Arra
             else:
                 memory.missed_tick[:] = tick.tick + 1
             continue
-        if not isnan(x[_GAP, i]):
-            memory.acceleration[i] = (tick.rate[i] - memory.rate_was[i]) / x[_DT, i]
-            memory.spacing_s[i] = 0.0 if x[_STRAY, i] > 0.0 else x[_DT, i]
+        if not isnan(x["gap"][i]):
+            memory.acceleration[i] = (tick.rate[i] - memory.rate_was[i]) / x["elapsed"][i]
+            memory.spacing_s[i] = 0.0 if x["stray"][i] > 0.0 else x["elapsed"][i]
         else:
             memory.gaps[i] = memory.travel[i] = memory.excused[i] = 0.0
             memory.acceleration[i] = memory.spacing_s[i] = 0.0
         memory.length_was[i], memory.rate_was[i] = tick.length[i], tick.rate[i]
-        memory.lag_s[i] = x[_LAG, i]
+        memory.lag_s[i] = x["lag"][i]
         memory.latched_ns[i], memory.latched_delay_s[i] = latched(tick, i), memory.delay_s
         memory.heard[i] = memory.heard_tick = tick.tick + 1
 
@@ -253,8 +272,8 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
         return 0
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
-    x = np.zeros((15, 6))
-    swings(tick, limits, memory, window, x[_SWING])
+    x = np.zeros(6, COMPARED)
+    swings(tick, limits, memory, window, x["swing"])
     delay = compare(tick, limits, memory, x)
     if tick.mode < Mode.IDLE:
         forget_doubt(memory)
@@ -271,25 +290,3 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
     return Fault.ENCODER.value if memory.doubted != 0 else 0
-
-
-@helper
-def pushing(memory: Any) -> bool:
-    """Tell whether a leg is being pushed."""
-    for i in range(6):  # noqa: SIM110 - compiled
-        if memory.push[i] != 0 or memory.pushed_N[i] != 0.0:
-            return True
-    return False
-
-
-@helper
-def push_legs(tau: Array, limits: Any, memory: Any) -> None:
-    """Add the pushes to tau (6,) N."""
-    for i in range(6):
-        rise, ticks = limits.rise_ticks, limits.push_ticks
-        force = residuals.push_of(memory.push[i], ticks, limits.push_N[i], limits.sticks != 0, rise)
-        most = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
-        if limits.sticks != 0 and memory.push[i] != 0:
-            most = max(most, 2.0 * limits.push_N[i] / (2 * rise - 1))
-        memory.pushed_N[i] = min(max(force, memory.pushed_N[i] - most), memory.pushed_N[i] + most)
-        tau[i] += memory.pushed_N[i]

@@ -83,6 +83,5 @@ ENCODER_MEMORY = [
     ("began", "<f8", (LEGS, LEGS)),  # m, deviations of all legs then
     ("push", "<i8", (LEGS,)),  # ticks, see `hil.safety.encoder_kernels.judge_stillness`
     ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
-    ("pushed_N", "<f8", (LEGS,)),  # what was added to the force in the last tick
 ]
 """Fields of what the rules remember of encoders."""

@@ -1,6 +1,7 @@
 """Safety: all rules of one tick in a fixed order, between the law and the bus."""
 
 import math
+from collections.abc import Callable
 from typing import Literal, NamedTuple, Self
 
 import numpy as np
@@ -23,7 +24,7 @@ from hil.safety.certificate import (
 )
 from hil.safety.encoder_limits import NONE, EncoderLimits
 from hil.safety.force_limits import BLOCK
-from hil.safety.kernels import LIMITS, MEMORY, judge_tick
+from hil.safety.kernels import LIMITS, MEMORY, judge_tick, limit_tick
 
 WINDOW_S = 0.25
 """Length of the force window."""
@@ -146,9 +147,15 @@ class Safety:
         moved: Array = np.abs(tick["length"] - self.memory["still"])
         return moved
 
-    def judge(self, tick: Record) -> Verdict:
+    def judge(self, tick: Record, probe: Callable[[], object] | None = None) -> Verdict:
         """Fill the verdict columns of a tick, once; return what warns, faults or asks for a stop.
 
-        Mutates the state named in the class.
+        probe: fills probe_force as the rules have made it of this tick, before the limits hold. Mutates the
+        state named in the class.
         """
-        return Verdict.of(*judge_tick(tick, self.limits, self.memory, self._window, self._watched))
+        given = (tick, self.limits, self.memory, self._window, self._watched)
+        faults, warnings, stop = judge_tick(*given)
+        if probe is not None:
+            probe()
+        law, limited = limit_tick(*given)
+        return Verdict.of(faults | law, warnings | limited, stop)

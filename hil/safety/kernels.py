@@ -10,10 +10,10 @@ from drivers.compiled.compiler import OUT_MATRIX, entry, helper, kernel, record
 from drivers.signals import LEGS, DriveState, Fault, Foreign, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.config.limits import LimitSettings
-from hil.control.error_axes import error_axes
 from hil.safety import certificate
-from hil.safety.encoder_kernels import judge_encoders, push_legs, pushing
+from hil.safety.encoder_kernels import judge_encoders
 from hil.safety.encoder_limits import ENCODER_LIMITS, ENCODER_MEMORY
+from hil.safety.error_axes import error_axes
 from hil.safety.force_limits import clamp, remember, window_extremes
 from hil.safety.motion import HOP, REST_m_s, at_rest, lagging, moved_legs, overspeed, too_fast_for_end
 from hil.safety.signals import (
@@ -179,7 +179,7 @@ def judge_frames(tick: Any, memory: Any) -> int:
 
 @helper
 def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[int, int]:
-    """Fill tau with what the limits leave of tau_asked; return fault bits and warning bits.
+    """Fill tau with what the limits leave of tau_asked and probe_force; return fault bits and warning bits.
 
     window: see `hil.safety.force_limits`, a ring of the forces sent, its newest row `memory.newest`; the
     forces held during skipped periods and the new ones are written into it. Asked for anything that is not
@@ -191,7 +191,8 @@ def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[in
     if not all_finite(tau):
         faults = Fault.LAW.value
         tau[:] = 0.0
-    push_legs(tau, limits, memory)
+    for i in range(LEGS):
+        tau[i] += tick.probe_force[i]
     rows, newest = limits.window_ticks, memory.newest
     last = window[newest].copy()
     for _ in range(min(tick.skipped, rows)):
@@ -270,13 +271,22 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
     return warnings
 
 
+@helper
+def probed(tick: Any, memory: Any) -> bool:
+    """Tell whether a leg is being probed."""
+    for i in range(LEGS):  # noqa: SIM110 - compiled
+        if memory.push[i] != 0 or tick.probe_force[i] != 0.0:
+            return True
+    return False
+
+
 @kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)
 def judge(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) -> tuple[int, int, int]:
-    """Fill tau, no force where the drives are off, and the Lyapunov columns.
+    """Fill the verdict's columns but tau: see `limit`, which comes next.
 
     Returns fault bits, warning bits and why to stop. Takes the tick whole but for what is sent: the rules
-    look at all of it. Changes memory, the force window and what is watched; see `Safety`. A tick is late that
-    woke up by more than a fifth of a period too late, or whose buses had their SYNC too far apart.
+    look at all of it. Changes memory and what is watched; see `Safety`. A tick is late that woke up by more
+    than a fifth of a period too late, or whose buses had their SYNC too far apart.
     """
     late = 5 * tick.lateness_ns > limits.period_ns or tick.sync_skew_ns > limits.sync_skew_ns
     losing = tick.recorder_alive == 0 or tick.recorder_dropped > memory.dropped
@@ -291,23 +301,36 @@ def judge(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) ->
     faults |= broken
     warnings |= more
     if not powered(tick.mode):
-        window[:] = 0.0
-        tick.tau[:] = 0.0
         return faults, warnings, Stop.NONE.value
     faults |= tick.fusion_faults
     if bus_down(tick.bus_off != 0, memory.refused):
         faults |= Fault.BUS.value
-    law, more = limit_effort(tick, limits, memory, window)
-    if watched.size:
-        certificate.settle(watched[certificate.CONSTANTS :], more != 0 or pushing(memory))
     stop = Stop.MISSED.value if memory.missed >= limits.missed_stop_ticks else Stop.NONE.value
     may_stand_ns = STRETCH_FREE_NS + 0.01 * limits.stretch_percent * (tick.tick * limits.period_ns)
     if memory.stretched_ns > may_stand_ns:
         stop = Stop.STRETCHED.value
     if losing and limits.stop_on_recorder_loss != 0:
         stop = Stop.RECORDER.value
-    return faults | law, warnings | more, stop
+    return faults, warnings, stop
+
+
+@kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)
+def limit(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) -> tuple[int, int]:
+    """Fill tau, no force where the drives are off; return fault bits and warning bits.
+
+    Changes the force window, and lets the certificate settle where a force is not the law's.
+    """
+    if not powered(tick.mode):
+        window[:] = 0.0
+        tick.tau[:] = 0.0
+        return 0, 0
+    faults, warnings = limit_effort(tick, limits, memory, window)
+    if watched.size:
+        certificate.settle(watched[certificate.CONSTANTS :], warnings != 0 or probed(tick, memory))
+    return faults, warnings
 
 
 judge_tick = entry(judge)
 """`judge`, from the interpreter."""
+limit_tick = entry(limit)
+"""`limit`, from the interpreter."""

@@ -227,19 +227,3 @@ def strayed(deviation: Array, began: Array, age: Ints) -> float:
         if age[j] == 0:
             farthest = max(farthest, abs(deviation[j] - began[j]))
     return farthest
-
-
-@helper
-def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
-    """Return what is added to a leg, N; 0: no push.
-
-    For `ticks` its first way, then the other: along straight lines, where it sticks within `rise` ticks to
-    the whole force and as steeply to the other one; 1: at once.
-    """
-    if so_far == 0:
-        return 0.0
-    first, k = copysign(force, so_far), abs(so_far)
-    if sticks:
-        whole = 2 * rise - 1
-        return first * min(k / rise, 1.0, max(whole - 2 * (k - ticks), -whole) / whole)
-    return first * min(2 * k, ticks, max(3 * ticks - 2 * k, -ticks)) / ticks

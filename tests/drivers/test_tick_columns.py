@@ -102,5 +102,12 @@ def test_replay_reads_the_inputs_back_and_compares_the_rest():
     assert not {"frames_received", "frames_crc32", "mode", "tau"} & set(t.INPUT_COLUMNS)
     assert sorted(t.INPUT_COLUMNS + t.COMPUTED_COLUMNS) == sorted(c.name for c in t.RECORDED)
     assert len(t.INPUT_COLUMNS) + 5 == t.INPUT_ELEMENTS, "one of them has an element a leg"
-    assert t.part("effort") == ("tau_law", "tau_learned", "legs_refused", "shortfall", "tau_asked")
+    assert t.part("effort") == (
+        "tau_law",
+        "tau_learned",
+        "legs_refused",
+        "shortfall",
+        "probe_force",
+        "tau_asked",
+    )
     assert t.part("measurement", "verdict")[:2] == ("rejected", "foreign")

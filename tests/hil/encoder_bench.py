@@ -10,8 +10,10 @@ import pytest
 
 from drivers.signals import Doubt, DriveState, Mode
 from hil.config.limits import LimitSettings
+from hil.loop.probe import fill_probe
 from hil.safety import guard
 from hil.safety.encoder_limits import EncoderLimits
+from hil.safety.kernels import powered
 from tests.records import record_of
 
 T = 1.0 / 64.0
@@ -38,6 +40,29 @@ def six(value, leg=None, other=0.0, dtype=float):
     return x
 
 
+class Columns:
+    """A record as compiled code sees it: columns are attributes."""
+
+    def __init__(self, record):
+        vars(self)["record"] = record
+
+    def __getattr__(self, name):
+        return self.record[name][()]
+
+    def __setattr__(self, name, value):
+        self.record[name] = value
+
+
+def probed(safety, tick, last):
+    """Let safety judge a tick and the probe push what it suspects; return the verdict."""
+
+    def probe():
+        if powered(int(tick["mode"])):
+            fill_probe(Columns(tick), Columns(last), Columns(safety.limits), Columns(safety.memory))
+
+    return safety.judge(tick, probe)
+
+
 class Bench:
     """Six legs that move as their rates say, and what safety makes of that."""
 
@@ -52,7 +77,7 @@ class Bench:
             WIDE, drive_force_limit=1e6, length_min=-1e6, length_max=1e6, rate_Hz=64.0,
             encoders=quiet._replace(**limits),
         )  # fmt: skip
-        self.n = -1
+        self.n, self.last = -1, record_of()
         self.length, self.rate, self.latched_s = six(length), six(0.0), 0.0
 
     def tick(self, rate=None, jump=0.0, unseen=(), late_s=0.0, lateness=0, mode=Mode.TRACKING, **columns):
@@ -74,7 +99,8 @@ class Bench:
             "R_d": np.eye(3), "legs_doubted": 7, "doubt": 2, "doubt_value": 1.0, "doubt_limit": 1.0,
         }  # fmt: skip
         tick = record_of(**{**healthy, **columns})
-        self.faults = self.safety.judge(tick).faults
+        self.faults = probed(self.safety, tick, self.last).faults
+        self.last = tick
         return tick
 
     def ticks(self, count, **columns):

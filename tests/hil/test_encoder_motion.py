@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Mode
-from hil.safety import encoder_kernels
+from hil.loop.probe import fill_probe
+from hil.safety import encoder_kernels, kernels
 from hil.safety.residuals import SETTLES_S
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
 
@@ -289,20 +290,18 @@ def test_encoders_a_push_ends_as_fast_as_it_turns_however_slowly_it_rose(ticks, 
     limits = SimpleNamespace(
         push_ticks=ticks + 2 * (rise - 1), push_N=six(300.0), sticks=sticks, rise_ticks=rise
     )
-    memory = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(900.0))
-    tau = six(7.0)
-    encoder_kernels.push_legs(tau, limits, memory)
-    assert tau == pytest.approx(six(907.0 - fall))
-    assert memory.pushed_N == pytest.approx(six(900.0 - fall))
+    memory, tick = SimpleNamespace(push=six(0, dtype=int)), SimpleNamespace(probe_force=six(900.0))
+    fill_probe(tick, tick, limits, memory)
+    assert tick.probe_force == pytest.approx(six(900.0 - fall))
 
 
 def forces(limits, pushes, left_N=0.0):
     """Return what is added to leg 2 while its push goes on by these ticks."""
-    memory, found = SimpleNamespace(push=six(0), pushed_N=six(left_N, 2)), []
+    memory, tick, found = SimpleNamespace(push=six(0)), SimpleNamespace(probe_force=six(left_N, 2)), []
     for push in pushes:
-        memory.push[2], tau = push, six(0.0)
-        encoder_kernels.push_legs(tau, limits, memory)
-        found.append(float(tau[2]))
+        memory.push[2] = push
+        fill_probe(tick, tick, limits, memory)
+        found.append(float(tick.probe_force[2]))
     return found
 
 
@@ -337,11 +336,13 @@ def test_encoders_a_push_of_a_leg_that_sticks_turns_at_once_where_it_comes_at_on
 
 
 @ON_ONE_LEG
-def test_encoders_a_leg_is_being_pushed_until_nothing_is_left_of_it(leg):
-    pushing = encoder_kernels.pushing
-    assert not pushing(SimpleNamespace(push=six(0), pushed_N=six(0.0)))
-    assert pushing(SimpleNamespace(push=six(-1, leg), pushed_N=six(0.0)))
-    assert pushing(SimpleNamespace(push=six(0), pushed_N=six(0.5, leg)))
+def test_encoders_a_leg_is_being_probed_until_nothing_is_left_of_it(leg):
+    def probed(push, force):
+        return kernels.probed(SimpleNamespace(probe_force=force), SimpleNamespace(push=push))
+
+    assert not probed(six(0), six(0.0))
+    assert probed(six(-1, leg), six(0.0))
+    assert probed(six(0), six(0.5, leg))
 
 
 # -- answers that do not say what they answer

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.safety import encoder_kernels
+from hil.loop.probe import fill_probe
 from tests.hil.encoder_bench import BOTH_SIGNS, six
 
 FORCES_N = np.array([300.0, 150.0, 420.0, 80.0, 260.0, 510.0])
@@ -21,14 +21,13 @@ def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(sign,
     """Where it comes at once, in its first tick; where it rises over eight ticks, in the fourth."""
     pushed = np.isin(np.arange(6), legs)
     limits = SimpleNamespace(push_ticks=8, push_N=FORCES_N, sticks=sticks, rise_ticks=1)
-    memory, tau = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(0.0)), six(7.0)
-    for tick in range(1, 5):
-        memory.push[pushed] = sign * tick
-        tau = six(7.0)
-        encoder_kernels.push_legs(tau, limits, memory)
+    memory, tick = SimpleNamespace(push=six(0, dtype=int)), SimpleNamespace(probe_force=six(0.0))
+    for k in range(1, 5):
+        memory.push[pushed] = sign * k
+        fill_probe(tick, tick, limits, memory)
         if sticks:
-            np.testing.assert_allclose(memory.pushed_N, np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
-    np.testing.assert_allclose(tau, 7.0 + np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
+            np.testing.assert_allclose(tick.probe_force, np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
+    np.testing.assert_allclose(tick.probe_force, np.where(pushed, sign * FORCES_N, 0.0), rtol=1e-12)
 
 
 @BOTH_SIGNS
@@ -38,11 +37,11 @@ def test_a_leg_that_sticks_turns_round_as_steeply_as_its_own_push_rises(sign, le
     """From the whole force to the other one in 2 x rise - 1 ticks, whatever the other legs are pushed by."""
     ticks = 20
     limits = SimpleNamespace(push_ticks=ticks, push_N=FORCES_N, sticks=1, rise_ticks=rise)
-    memory, pushes = SimpleNamespace(push=six(0, dtype=int), pushed_N=six(0.0)), []
-    for tick in range(1, 2 * ticks + 1):
-        memory.push[leg], tau = sign * tick, six(0.0)
-        encoder_kernels.push_legs(tau, limits, memory)
-        pushes.append(sign * tau)
+    memory, tick, pushes = SimpleNamespace(push=six(0, dtype=int)), SimpleNamespace(probe_force=six(0.0)), []
+    for k in range(1, 2 * ticks + 1):
+        memory.push[leg] = sign * k
+        fill_probe(tick, tick, limits, memory)
+        pushes.append(sign * tick.probe_force)
     whole, there = FORCES_N[leg], np.arange(6) == leg
     found = np.array(pushes)
     np.testing.assert_allclose(found[:, ~there], 0.0)
@@ -59,7 +58,7 @@ def test_a_leg_that_sticks_turns_round_as_steeply_as_its_own_push_rises(sign, le
 def test_a_push_begins_turns_and_ends_by_no_more_than_allowed(sign, last, ticks, now):
     """5 N over 5 ticks: 2 N a tick; in the third one the push is whole."""
     limits = SimpleNamespace(push_ticks=5, push_N=six(5.0), sticks=0, rise_ticks=1)
-    memory, tau = SimpleNamespace(push=six(sign * ticks), pushed_N=six(sign * float(last))), six(7.0)
-    encoder_kernels.push_legs(tau, limits, memory)
-    np.testing.assert_allclose(memory.pushed_N, sign * now)
-    np.testing.assert_allclose(tau, 7.0 + sign * now)
+    memory, tick = SimpleNamespace(push=six(sign * ticks)), SimpleNamespace(probe_force=six(0.0))
+    before = SimpleNamespace(probe_force=six(sign * float(last)))
+    fill_probe(tick, before, limits, memory)
+    np.testing.assert_allclose(tick.probe_force, sign * now)

@@ -14,7 +14,6 @@ from hil.config.delay import DelayCompensation
 from hil.config.limits import LimitSettings
 from hil.config.monitor import MonitorSettings
 from hil.control import LAWS
-from hil.control.error_axes import error_axes
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.law import LawSettings
 from hil.control.pd import PDSettings
@@ -26,6 +25,7 @@ from hil.mathematics.rotations import rotation_from_vector, rotation_vector
 from hil.robot.kinematics import jacobian
 from hil.safety import Safety
 from hil.safety.certificate import NO_WATCH
+from hil.safety.error_axes import error_axes
 from hil.stability.monitor import build_watch, certified
 from tests.records import record_of
 

@@ -11,6 +11,7 @@ from hil.config.limits import LimitSettings
 from hil.safety import guard
 from hil.safety.certificate import Watch
 from hil.safety.encoder_limits import NONE
+from tests.hil.encoder_bench import probed
 from tests.records import record_of
 
 POWERED = (
@@ -65,6 +66,7 @@ class Bench:
     def __init__(self, **options):
         settings = {"drive_force_limit": 1000.0, "length_min": 1.0, "length_max": 9.0, "rate_Hz": RATE_HZ}
         self.safety = guard.Safety(LIMITS, **{**settings, **options})
+        self.record = record_of()
 
     def tick(self, mode=Mode.TRACKING, tau=0.0, **columns):
         healthy = {
@@ -74,7 +76,7 @@ class Bench:
             "tau": 77.0, "legs_moved": 0b111111,
         }  # fmt: skip
         tick = record_of(**{**healthy, **columns})
-        verdict = self.safety.judge(tick)
+        verdict: guard.Verdict = probed(self.safety, tick, self.record)
         self.record, self.moved_m = tick, self.safety.moved_m(tick)
         certificate = tuple(float(tick[f"lyapunov{name}"]) for name in ("", "_rate", "_bound", "_share"))
         return Judged(*verdict, tick["tau"], certificate, tick["tau_asked"])
@@ -374,7 +376,7 @@ def test_guard_pushes_a_leg_that_stands_still_once_all_drives_run_and_faults_for
     astray, ready = leg(5.2, 5.0), leg(DriveState.READY, DriveState.RUN, np.int64)
     for q_d in (5.0, astray, astray):
         bench.tick(Mode.LOADING, q_d=q_d, drive_state=ready)
-        assert not bench.safety.memory["pushed_N"].any()
+        assert not bench.record["probe_force"].any()
     verdicts = [bench.tick(q_d=q_d) for q_d in (5.0, *[astray] * 5)]
     np.testing.assert_allclose([v.tau[3] for v in verdicts[:5]], [0.0, 8.0, 8.0, 0.0, -8.0])
     assert [v.faults for v in verdicts] == [Fault.NONE] * 5 + [Fault.ENCODER]

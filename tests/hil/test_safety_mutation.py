@@ -10,7 +10,7 @@ import functools
 import importlib.util
 import inspect
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 
 import hil.safety
-from drivers.tick_columns import Record
-from hil.control.error_axes import error_axes
+from hil.safety.error_axes import error_axes
 from tests.hil import encoder_bench
+from tests.hil.encoder_bench import Columns
 
 PACKAGE = Path(hil.safety.__file__).parent
 FAMILIES = ["signals", "motion", "force_limits", "certificate"]
@@ -31,9 +31,9 @@ EQUIVALENT = {
     "kernels '<i8' if field.annotation is int else '<f8': swap the branches": "the limits judged have their own type",
     "kernels 6: 6 one more": "six elements are filled and read of an array of seven, too",
     "residuals shared_delay: 0.0: 0.0 one more": "sums are compared with sums; without a leg that moves nobody bears witness",
-    "encoder_kernels 15: 15 one more": "a row of scratch that nobody uses",
+    "encoder_kernels 6: 6 one more": "a leg that nobody looks at",
     "encoder_kernels 1e-09: 1e-09 less": "any number that is small beside every noise",
-    "encoder_kernels abs(x[_GAP, i]) > x[_BOUND, i] + x[_LATE, i]: Gt to GtE": "there it is allowed anyway",
+    "encoder_kernels abs(x['gap'][i]) > x['bound'][i] + x['late'][i]: Gt to GtE": "there it is allowed anyway",
     "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",
 }
 """Changes that no test can notice, by their name, with the reason."""
@@ -161,26 +161,17 @@ def plain_links() -> dict[str, Any]:
         module = load(name, source_of(name), links)
         links.update({k: v for k, v in vars(module).items() if inspect.isfunction(v)})
         links[name] = module
-    links["judge_tick"] = by_name(links["judge_tick"])
-    return links
-
-
-class Columns:
-    """A record as compiled code sees it: columns are attributes."""
-
-    def __init__(self, record: Record) -> None:
-        vars(self)["record"] = record
-
-    def __getattr__(self, name: str) -> Any:
-        return self.record[name][()]
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        self.record[name] = value
+    return links | entries(links)
 
 
 def by_name(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return an uncompiled kernel that takes records and returns integers."""
     return lambda *given: tuple(map(int, function(*(Columns(x) if x.dtype.names else x for x in given))))
+
+
+def entries(links: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
+    """Return the two entries of the kernels, uncompiled."""
+    return {name: by_name(links[name]) for name in ("judge_tick", "limit_tick")}
 
 
 def claims(path: str) -> ModuleType:
@@ -283,8 +274,7 @@ def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
     links = plain_links()
 
     def exchange(kernels: ModuleType) -> None:
-        judge_tick = by_name(kernels.judge_tick)
-        module.guard = load("guard", source_of("guard"), {**links, "judge_tick": judge_tick})  # type: ignore[attr-defined]
+        module.guard = load("guard", source_of("guard"), {**links, **entries(vars(kernels))})  # type: ignore[attr-defined]
 
     left = survivors("kernels", module, exchange, "test_guard_")
     assert not left, "\n".join(left)
@@ -299,8 +289,7 @@ def test_the_tests_of_encoders_notice_every_change_of_their_fused_rules(monkeypa
     def exchange(changed: ModuleType) -> None:
         functions = {k: v for k, v in vars(changed).items() if inspect.isfunction(v)}
         kernels = load("kernels", source_of("kernels"), {**links, **functions})
-        judge_tick = by_name(kernels.judge_tick)
-        linked = load("guard", source_of("guard"), {**links, "judge_tick": judge_tick})
+        linked = load("guard", source_of("guard"), {**links, **entries(vars(kernels))})
         monkeypatch.setattr(encoder_bench, "guard", linked)
         motion.encoder_kernels = changed  # type: ignore[attr-defined]
 

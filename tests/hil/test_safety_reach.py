@@ -14,7 +14,8 @@ from tests.hil.test_safety_mutation import plain_links
 @pytest.fixture(scope="module")
 def judge_as_written():
     """The rules of a tick as they are written: where compiled ones would read on behind an array, these stop."""
-    return plain_links()["judge_tick"]
+    links = plain_links()
+    return {name: links[name] for name in ("judge_tick", "limit_tick")}
 
 
 def encoders(**limits):
@@ -76,5 +77,6 @@ def test_the_rules_of_a_tick_reach_nothing_that_is_not_there_and_say_the_same_co
     ticks, judge_as_written, monkeypatch
 ):
     compiled = [tick.tobytes() for tick in ticks()]
-    monkeypatch.setattr(guard, "judge_tick", judge_as_written)
+    for name, entry in judge_as_written.items():
+        monkeypatch.setattr(guard, name, entry)
     assert [tick.tobytes() for tick in ticks()] == compiled

@@ -59,6 +59,7 @@ SAFETY_READS = (
     *(
         "mode",
         "tau_asked",
+        "probe_force",
         "rejected",
         "foreign",
         "doubled",

@@ -77,9 +77,9 @@ def test_a_leg_that_does_not_follow_is_told_with_the_pushes_of_its_tick(moving, 
     bench = moving
     bench.cycle.faults, bench.cycle.mode = Fault.NONE, Mode.APPROACH
     kept, memory = bench.cycle.tick, bench.cycle.parts.safety.memory.copy()
-    columns = {"q": 1.4, "q_d": legs(1.4, leg_2=1.4131), "dq_d": 0.0, "dq": 0.0}
+    columns = {"q": 1.4, "q_d": legs(1.4, leg_2=1.4131), "dq_d": 0.0, "dq": 0.0, "probe_force": pushed}
     try:
-        story = told(strike(bench, Case(Fault.FOLLOWING, columns, [], (), {"pushed_N": pushed}))[0])
+        story = told(strike(bench, Case(Fault.FOLLOWING, columns, [], ()))[0])
     finally:
         bench.cycle.tick, bench.cycle.parts.safety.memory[()] = kept, memory
     assert (

@@ -283,9 +283,8 @@ def speed(m: Moment) -> Iterator[Seen]:
 
 
 def _pushes(m: Moment) -> str:
-    """Say which legs were being pushed, as `hil.safety.residuals` does."""
-    forces = m.cycle.parts.safety.memory["pushed_N"].tolist()
-    pushed = [(leg, force) for leg, force in enumerate(forces) if force != 0.0]
+    """Say which legs were being pushed, as `hil.loop.probe` does."""
+    pushed = [(leg, force) for leg, force in enumerate(m.legs("probe_force")) if force != 0.0]
     if not pushed:
         return ""
     (leg, force), *others = pushed

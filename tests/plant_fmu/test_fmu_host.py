@@ -229,11 +229,12 @@ def test_a_zip_bomb_is_refused_and_writes_nothing(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_of_two_members_with_one_name_the_last_one_counts(tmp_path):
+def test_two_descriptions_of_one_name_are_refused(tmp_path):
     with zipfile.ZipFile(build("3.0")) as source:
         real = source.read(XML)
     first = rewritten(build("3.0"), tmp_path / "a.fmu", lambda n, d: b"<no/>" if n == XML else d)
-    FmuHost(spec(rewritten(first, tmp_path / "b.fmu", extra=[(XML, real)]))).close()
+    with pytest.raises(PlantError, match="occurs twice"):
+        FmuHost(spec(rewritten(first, tmp_path / "b.fmu", extra=[(XML, real)])))
 
 
 @pytest.mark.parametrize("reference", [-1, 2**32, 10**20])

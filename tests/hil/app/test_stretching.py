@@ -29,13 +29,10 @@ def ends() -> Any:
 def shares(ends: Any, window_ns: int) -> tuple[int, int]:
     """Return for how long each may wake up and work, of such a window."""
     told: list[tuple[int, int]] = []
-    held: list[bool] = []
-    clock: Any = SimpleNamespace(
-        begin=lambda wake_ns, work_ns: told.append((wake_ns, work_ns)), hold=lambda: held.append(True)
-    )
+    clock: Any = SimpleNamespace(begin=lambda wake_ns, work_ns: told.append((wake_ns, work_ns)), holds=False)
     c, protocol, opening = ends
     begin(clock, c, protocol, opening, window_ns)
-    assert held == [True]
+    assert clock.holds
     (found,) = told
     return found
 

@@ -290,3 +290,12 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit
     return Fault.ENCODER.value if memory.doubted != 0 else 0
+
+
+@helper
+def probed(tick: Any, memory: Any) -> bool:
+    """Tell whether a leg is being probed."""
+    for i in range(6):  # noqa: SIM110 - compiled
+        if memory.push[i] != 0 or tick.probe_force[i] != 0.0:
+            return True
+    return False

@@ -11,7 +11,7 @@ from drivers.signals import LEGS, DriveState, Fault, Foreign, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.config.limits import LimitSettings
 from hil.safety import certificate
-from hil.safety.encoder_kernels import judge_encoders
+from hil.safety.encoder_kernels import judge_encoders, probed
 from hil.safety.encoder_limits import ENCODER_LIMITS, ENCODER_MEMORY
 from hil.safety.error_axes import error_axes
 from hil.safety.force_limits import clamp, remember, window_extremes
@@ -269,15 +269,6 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
     if tick.bus_errors > 0 or tick.bus_overflow > 0 or tick.sends_failed > 0:
         warnings |= Warn.BUS.value
     return warnings
-
-
-@helper
-def probed(tick: Any, memory: Any) -> bool:
-    """Tell whether a leg is being probed."""
-    for i in range(LEGS):  # noqa: SIM110 - compiled
-        if memory.push[i] != 0 or tick.probe_force[i] != 0.0:
-            return True
-    return False
 
 
 @kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)

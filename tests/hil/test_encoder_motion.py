@@ -9,7 +9,7 @@ import pytest
 
 from drivers.signals import Doubt, Mode
 from hil.loop.probe import fill_probe
-from hil.safety import encoder_kernels, kernels
+from hil.safety import encoder_kernels
 from hil.safety.residuals import SETTLES_S
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
 
@@ -337,12 +337,10 @@ def test_encoders_a_push_of_a_leg_that_sticks_turns_at_once_where_it_comes_at_on
 
 @ON_ONE_LEG
 def test_encoders_a_leg_is_being_probed_until_nothing_is_left_of_it(leg):
-    def probed(push, force):
-        return kernels.probed(SimpleNamespace(probe_force=force), SimpleNamespace(push=push))
-
-    assert not probed(six(0), six(0.0))
-    assert probed(six(-1, leg), six(0.0))
-    assert probed(six(0), six(0.5, leg))
+    probed = encoder_kernels.probed
+    assert not probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(0)))
+    assert probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(-1, leg)))
+    assert probed(SimpleNamespace(probe_force=six(0.5, leg)), SimpleNamespace(push=six(0)))
 
 
 # -- answers that do not say what they answer

@@ -1,11 +1,11 @@
-"""moteus: registers over CAN FD, the query in the frame of the command, both ends.
+"""moteus: registers over CAN FD, the query in the frame of the command: the codec.
 
 Identifier: source << 8 | destination, bit 15 where a reply is wanted; extended where it is over 0x7FF, so
 commands are, and replies of the ids from 8 on. Torque goes as
 feed-forward of position mode without position and gains. Every such command carries the time after which the
 drive gives up (mode 11, until a stop), and a stop clears faults: outside RUN the polls are stops. A drive
 that restarts obeys the next command, and may answer it as enabled: then nobody sees the restart. One that
-says that it is stopped is not commanded again until RUN is asked for anew. Source: the
+says that it is stopped is not commanded until RUN is requested again. Source: the
 reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
 Subframes are mjlib multiplex: a head says kind, width (int8, int16, int32, float) and count, 0 for a count
 that follows; counts and registers are varuints, values little-endian. The smallest integer of a width stands

@@ -3,8 +3,8 @@
 A drive of such a family knows "enabled" and "disabled". DriveMode.READY leaves it disabled, its brake shut;
 RUN enables it. The controller's end calls a disabled drive READY while READY is asked for, so a force cannot
 build up against the brake: it comes with the enabling, or a tick later. A drive that was enabled and falls
-back by itself while RUN is asked for has restarted: BOOT. It is not enabled again until RUN is asked for
-anew, where it says so: a moteus may have obeyed the next command before it answers.
+back by itself while RUN is asked for has restarted: BOOT. It is not enabled again until RUN is
+requested again, where it says so: a moteus may have obeyed the next command before it answers.
 """
 
 from abc import abstractmethod

@@ -1,1 +1,1 @@
-"""Our own protocol, defined by legs.dbc: codec, both ends, compiled."""
+"""Our own protocol, defined by legs.dbc: the controller's end, compiled."""

@@ -1,4 +1,4 @@
-"""MIT framing on 11-bit identifiers: mini-cheetah, CubeMars and Damiao, both ends.
+"""MIT framing on 11-bit identifiers: mini-cheetah, CubeMars and Damiao: the codec.
 
 A command to a drive is its poll; it answers with position, velocity and torque. Gains are sent as zero: the
 law is the controller's. Special frames are seven FF and FC enable, FD disable, FE zero (never sent), FB clear

@@ -29,7 +29,7 @@ def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> None:
 
 @helper
 def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
-    """Return what is added to a leg, N; 0: no push.
+    """Return the force that is added to a leg, N; 0 where it is not pushed.
 
     For `ticks` its first way, then the other: along straight lines, where it sticks within `rise` ticks to
     the whole force and as steeply to the other one; 1: at once.

@@ -40,7 +40,7 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 def check_members(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
     """Refuse too many, too large or too strongly packed members, and descriptions too large to be parsed.
 
-    Of two members with one name, also on a file system that ignores case, it could not be said which counts.
+    Also refused: members of one name, upper and lower case alike, whose contents differ.
 
     Raises PlantError naming the member.
     """

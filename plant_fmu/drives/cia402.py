@@ -56,13 +56,6 @@ class Cia402Drives(CompiledDrives):
         self.state = self._new.copy()
         self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)
 
-    def hear(self, frame: Frame) -> Messages:
-        """Return what a frame says to the drives, also what stops one quickly."""
-        self.record["stops"] = True
-        messages = super().hear(frame)
-        self.record["stops"] = False
-        return messages
-
     def converse(self, frame: Frame) -> Messages:
         """Decode an NMT command, an SDO request, and what is rejected.
 

@@ -59,7 +59,6 @@ DEVICES = np.dtype(
     [
         ("devices", "<i8"),  # address of six elements of DEVICE
         ("new", "<i8"),  # of six that have just been powered up
-        ("stops", "<i8"),  # 1: it takes what stops a drive quickly, else that is left to its owner
         ("buses", "<i8"),  # how many; 0: one
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
@@ -150,20 +149,15 @@ def _listens(c: Any, leg: int, k: int, frame: Any) -> bool:
 
 @helper
 def _listeners(c: Any, frame: Any) -> int:
-    """Return bits of the legs whose RPDO a frame is; FAILED for one that is cut, or stops a drive quickly."""
+    """Return bits of the legs whose RPDO a frame is; FAILED for one that is cut."""
     found = 0
     for leg in range(LEGS):
         for k in range(PDOS):
             if not _listens(c, leg, k, frame):
                 continue
-            d, again = _device(c, leg), found >> leg & 1
+            d = _device(c, leg)
             found |= 1 << leg
-            if d.nmt != o.OPERATES:
-                continue
-            if frame.length < d.sizes[0, k]:
-                return FAILED
-            stops = _following(d, _carried(d, k, frame.data)[0]) == s.QUICK_STOP != d.state
-            if (stops or again) and not c.stops:
+            if d.nmt == o.OPERATES and frame.length < d.sizes[0, k]:
                 return FAILED
     return found
 

@@ -27,7 +27,7 @@ from plant_fmu.messages import (
 )
 
 SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, OTHER = range(8)
-"""Kinds of a message; STOP, which an end in the pass leaves to the protocol, and OTHER are for its owner."""
+"""Kinds of a message; STOP and OTHER are for the owner of the pass."""
 MESSAGE = np.dtype(
     [
         *((name, "<i8") for name in ("kind", "mode", "counter", "count")),
@@ -102,14 +102,6 @@ class DrivesEnd(ABC):
     def restart(self, legs: Sequence[int]) -> None:
         """Forget what drives remember that were switched off and on, where their state does not tell."""
 
-    @abstractmethod
-    def remembered(self) -> Any:
-        """Return a copy of what the drives remember, for `remember`."""
-
-    @abstractmethod
-    def remember(self, memory: Any) -> None:
-        """Go back to what was `remembered`."""
-
 
 def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
     """Return an element of MESSAGE as a DeviceMessage; force (6,) N."""
@@ -126,7 +118,7 @@ def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, for
     return EmergencyStop(legs)
 
 
-MOST_MESSAGES, MOST_ANSWERS = 32, 4 * LEGS
+MOST_MESSAGES, MOST_ANSWERS = 64, 4 * LEGS
 """Of one frame, and to one SYNC, at an end that is compiled."""
 
 
@@ -188,14 +180,6 @@ class CompiledDrives(DrivesEnd):
     def restart(self, legs: Sequence[int]) -> None:
         """Forget nothing: the state of a drive tells."""
 
-    def remembered(self) -> Rows:
-        """Return a copy of what the drives remember, for `remember`."""
-        return self.state.copy()
-
-    def remember(self, memory: Rows) -> None:
-        """Go back to what was `remembered`."""
-        self.state[...] = memory
-
 
 _KINDS = {
     Sync: SYNC,
@@ -204,6 +188,7 @@ _KINDS = {
     Alive: ALIVE,
     Configure: CONFIGURE,
     Rejected: REJECTED,
+    EmergencyStop: STOP,
 }
 
 
@@ -212,7 +197,7 @@ def put_messages(messages: Sequence[DeviceMessage], into: Rows) -> None:
     for k, message in enumerate(messages):
         each: Any = into[k]
         each["kind"] = _KINDS.get(type(message), OTHER)
-        if isinstance(message, Sync | Alive | DeviceCommand):
+        if isinstance(message, Sync | Alive | DeviceCommand | EmergencyStop):
             count = each["count"] = len(message.legs)
             each["legs"][:count] = message.legs
         if isinstance(message, Sync | DeviceCommand):

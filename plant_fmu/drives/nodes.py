@@ -23,11 +23,12 @@ from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import drives_end, kernels, record
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, Turns, at_motor, moved
+from plant_fmu.drives.ends import STOP
 from plant_fmu.drives.live import advance, live
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
-from plant_fmu.messages import Answer, DeviceMessage, EmergencyStop, Sync
+from plant_fmu.messages import DeviceMessage, Sync
 from plant_fmu.plant import Plant, Truth
 
 
@@ -151,8 +152,8 @@ class Nodes:
             case record.PARSE:
                 self._parse()
             case record.MESSAGE_OTHER:
-                self._do(self._heard[int(n["message"])], int(n["t_ns"]))
-                self._record["message"] += 1
+                self._do(int(n["message"]), int(n["t_ns"]))
+                n["message"] += 1
             case record.BEFORE_READING:
                 self._look_before(int(n["t_ns"]))
             case record.AFTER_READING:
@@ -316,14 +317,15 @@ class Nodes:
         self._heard = self._end.hear(frame)
         self._drives.hear(self._heard)
 
-    def _do(self, message: DeviceMessage, t: int) -> None:
+    def _do(self, number: int, t: int) -> None:
         """Do what a message says that is not of every tick."""
-        match message:
-            case EmergencyStop(legs=legs):
-                for leg in legs:
-                    self._fail(leg, DriveFault.ESTOP, t)
-            case Answer():
-                self._send(message.leg, t, (message.frame,))
+        message = self._drives.messages[number]
+        if message["kind"] == STOP:
+            for leg in message["legs"][: message["count"]].tolist():
+                self._fail(leg, DriveFault.ESTOP, t)
+        else:
+            answer: Any = self._heard[number]
+            self._send(answer.leg, t, (answer.frame,))
 
     def _look_before(self, t: int) -> None:
         """Let act what does before the encoders are read."""
@@ -352,13 +354,13 @@ class Nodes:
             self._forge(t)
 
     def _forge(self, t: int) -> None:
-        """Send what others send under the name of a drive."""
+        """Send what others send under the name of a drive, which then remembers its own reading again."""
+        length = self._drives.reading["length"]
         for leg, by_m in enumerate(self._present.forged_m):
             if by_m is not None:
-                before = self._end.remembered()
-                other = self._answered(self._drives.reading["length"] + by_m)
-                self._end.remember(before)
+                other = self._answered(length + by_m)
                 self._drives.queue(t, [frame for k, frame in other if k == leg])
+        self._answered(length)
 
     def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
         self._send(leg, t, self._end.announce(self._drives.status(leg, due=due)))

@@ -108,11 +108,3 @@ class WiredEnd(DrivesEnd):
     def restart(self, legs: Sequence[int]) -> None:
         """Forget what drives remember that were switched off and on."""
         self._end.restart([self._wiring.answers_as[k] for k in legs])
-
-    def remembered(self) -> Any:
-        """Return a copy of what the drives remember."""
-        return self._end.remembered()
-
-    def remember(self, memory: Any) -> None:
-        """Go back to what was `remembered`."""
-        self._end.remember(memory)

@@ -19,6 +19,7 @@ from drivers.tick_columns import Record
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
 from plant_fmu.messages import DeviceMessage, Status, Sync
+from tests.drivers.drives_end import go_back, memory_of
 
 
 class Remembered:
@@ -141,13 +142,13 @@ class ByValue:
         return self._memory(self._drives)
 
     def _memory(self, end: DrivesEnd) -> Remembered:
-        return Remembered(end.remembered())
+        return Remembered(memory_of(end))
 
     def _at(self, memory: Remembered) -> DrivesEnd:
         if self._drives is None:
             self.power_up()
         assert self._drives is not None
-        self._drives.remember(memory.state)
+        go_back(self._drives, memory.state)
         return self._drives
 
     def parse(self, memory: Remembered, frame: Frame) -> tuple[Remembered, tuple[DeviceMessage, ...]]:

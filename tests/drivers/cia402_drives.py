@@ -13,6 +13,7 @@ from drivers.signals import DriveState, Reaction
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.cia402_dictionary import PLACE, fill_pdos
 from tests.drivers.by_value import Remembered
+from tests.drivers.drives_end import memory_of
 
 
 class Slope(NamedTuple):
@@ -89,7 +90,7 @@ def changed(memory: Remembered, leg: int, objects: Any = None, **fields: Any) ->
 
 def holding(protocol: Any, states: Any) -> Remembered:
     """Return the memory of six drives that hold our set-up, in the contract's states (6,)."""
-    memory = Remembered(drives_end(protocol).remembered())
+    memory = Remembered(memory_of(drives_end(protocol)))
     setup = DriveSetup(1.0, Reaction.BRAKE, 100.0)
     for leg, steps in enumerate(protocol.plans(setup)):
         objects = {step.key: step.value for step in steps if step.kind == "write"}

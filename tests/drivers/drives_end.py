@@ -1,10 +1,12 @@
 """What drives send that have just been powered up."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from drivers.arrays import Array, Ints
 from drivers.protocol import DriveProtocol, Frame
 from plant_fmu.drives import drives_end
+from plant_fmu.drives.ends import CompiledDrives
 from plant_fmu.messages import DeviceCommand, DeviceMessage, Status, Sync
 
 
@@ -23,6 +25,21 @@ def answers(
 def reports(protocol: DriveProtocol, status: Status) -> tuple[Frame, ...]:
     """Return what a drive sends of its state."""
     return drives_end(protocol).announce(status)
+
+
+def memory_of(end: Any) -> Any:
+    """Return a copy of what six drives remember."""
+    end = getattr(end, "_end", end)
+    return end.state.copy() if isinstance(end, CompiledDrives) else end.memory
+
+
+def go_back(end: Any, before: Any) -> None:
+    """Let six drives remember what they did before."""
+    end = getattr(end, "_end", end)
+    if isinstance(end, CompiledDrives):
+        end.state[...] = before
+    else:
+        end.memory = before
 
 
 def plain(messages: Sequence[DeviceMessage]) -> tuple[DeviceMessage, ...]:

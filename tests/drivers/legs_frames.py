@@ -16,7 +16,7 @@ from drivers.tick_columns import Record, new_record
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
 from plant_fmu.messages import DeviceMessage, Sync
-from tests.drivers.drives_end import answers
+from tests.drivers.drives_end import answers, go_back, memory_of
 
 SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
@@ -33,7 +33,7 @@ def _controller(protocol: Any) -> tuple[ControllerEnd, Any]:
 @cache
 def _drives(protocol: Any) -> tuple[DrivesEnd, Any]:
     end = drives_end(protocol)
-    return end, end.remembered()
+    return end, memory_of(end)
 
 
 def decode(
@@ -66,7 +66,7 @@ def heard(protocol: Any, frame: Frame, present: int = -1) -> tuple[DeviceMessage
     """Return what the drives make of a frame after the SYNC `present` on each bus; -1: after none."""
     end, start = _drives(protocol)
     start["present"] = present
-    end.remember(start)
+    go_back(end, start)
     return end.hear(frame)
 
 

@@ -19,6 +19,7 @@ from drivers.protocol import ALL_LEGS, DriveSetup, Frame
 from drivers.signals import LEGS, Reaction
 from plant_fmu.drives.ends import DrivesEnd
 from tests.drivers.by_value import ByValue, Remembered
+from tests.drivers.drives_end import memory_of
 
 
 class Heard(NamedTuple):
@@ -82,7 +83,7 @@ class Motors(ByValue):
         return MotorDialogue(end.remembered(), setup, "mode")
 
     def _memory(self, end: DrivesEnd) -> Remembered:
-        return MotorMemory(end.remembered())
+        return MotorMemory(memory_of(end))
 
     def hear(self, frame: Frame) -> Heard | None:
         """Return what a drive's frame says; None for a frame that is nobody's."""

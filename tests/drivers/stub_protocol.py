@@ -398,12 +398,6 @@ class StubDrives(DrivesEnd):
     def restart(self, _legs: Sequence[int]) -> None:
         """Forget nothing."""
 
-    def remembered(self) -> StubMemory:
-        return self.memory
-
-    def remember(self, memory: StubMemory) -> None:
-        self.memory = memory
-
 
 def stub(bus: BusSettings, drives: DriveSettings) -> StubProtocol:
     """Return the codec of a configuration: the stub's row."""

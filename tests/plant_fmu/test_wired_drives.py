@@ -205,12 +205,6 @@ class Family(DrivesEnd):
     def announce(self, _status: Status) -> Any:
         raise NotImplementedError
 
-    def remembered(self) -> Any:
-        raise NotImplementedError
-
-    def remember(self, _memory: Any) -> None:
-        raise NotImplementedError
-
 
 CROSSED = Wiring(
     answers_as=(1, 0, 3, 3, 4, 5),

@@ -7,14 +7,15 @@ from typing import Any
 from drivers.section import Section
 from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, StewartPlant
-from plant_fmu.fmu.child import fmu_plant
+from plant_fmu.fmu.check import fmu_spec
+from plant_fmu.fmu.child import host
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.stewart.plant import stewart_plant
 
 PLANTS: dict[type[Section], Callable[[Any, Robot, Path], Plant]] = {
     StewartPlant: lambda settings, robot, _: stewart_plant(settings, robot),
     BenchPlant: lambda settings, *_: Bench(settings),
-    FmuPlant: lambda settings, _, folder: fmu_plant(settings, folder),
+    FmuPlant: lambda settings, _, folder: host(fmu_spec(settings, folder)),
 }
 """Section of the configuration -> plant; arguments as for `open_plant`."""
 

@@ -33,7 +33,11 @@ def open_archive(path: Path) -> zipfile.ZipFile:
         archive = zipfile.ZipFile(path)
     except Exception as error:  # zipfile raises what it likes on a damaged directory
         raise PlantError(f"{path}: not an FMU (a ZIP archive with modelDescription.xml): {error}") from error
-    check_members(archive.infolist(), path)
+    try:
+        check_members(archive.infolist(), path)
+    except PlantError:
+        archive.close()
+        raise
     return archive
 
 

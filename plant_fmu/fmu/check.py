@@ -4,10 +4,10 @@ Each refusal says what the FMU offers.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import fmpy
 from fmpy.model_description import read_model_description
@@ -30,41 +30,22 @@ _SPELLINGS = {"N.m": {"N.m", "Nm", "N*m", "N m"}, "m/s": {"m/s", "m.s-1", "m*s-1
 Parameter = float | int | bool | str | list[float]
 
 
-@dataclass(frozen=True)
-class FmuSpec:
-    """An FMU, six legs' variables, parameters and the step that all communication steps are multiples of."""
+class FmuSpec(FmuPlant):
+    """The settings of an FMU to host; its path does not depend on a folder."""
 
-    path: Path
-    force: tuple[str, ...]
-    length: tuple[str, ...]
-    rate: tuple[str, ...]
-    step_s: float
-    brake: tuple[str, ...] = ()
-    wrench: tuple[str, ...] = ()
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    truth: tuple[str, ...] = ()
+    type: Literal["fmu"] = "fmu"
+    truth: list[str] = []
     """Outputs that hold position, rotation, twist and applied forces; empty where they are not known."""
-    assume_unit: Mapping[str, str] = field(default_factory=dict)
-    """Variable, or one of force, length, rate, wrench -> its unit where the description states none."""
-    allow_execution_tool: bool = False
-    """Take an FMU that needs the tool that made it."""
-    memory_GB: float = 4.0
-    """Most that a child process may have of its own."""
+
+    @property
+    def step_s(self) -> float:
+        """All communication steps are multiples of this."""
+        return self.step_us / 1e6
 
 
 def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
     """Return what to host; a relative path starts at `folder`, the configuration's."""
-    given = settings.model_dump(exclude={"type", "path", "isolation", "step_us"})
-    legs = {key: tuple(given[key]) for key in ("force", "length", "rate", "brake", "wrench")}
-    return FmuSpec(**given | legs, path=folder / settings.path, step_s=settings.step_us / 1e6)
-
-
-@dataclass(frozen=True)
-class Channel:
-    """Some of our values, in order, and the value references that carry them."""
-
-    references: tuple[int, ...]
-    count: int
+    return FmuSpec(**settings.model_dump() | {"path": str(folder / settings.path)})
 
 
 @dataclass(frozen=True)
@@ -87,8 +68,10 @@ class Interface:
     major: int
     library: str
     """Path of the shared library inside the archive."""
-    inputs: dict[str, Channel]
-    outputs: dict[str, Channel]
+    inputs: dict[str, tuple[int, ...]]
+    """force, and brake and wrench where there are -> value references that carry six values."""
+    outputs: dict[str, tuple[int, ...]]
+    """length, rate and the truth, where it is known -> the same."""
     starts: tuple[Start, ...]
     assumed: dict[str, str]
     """Variable -> unit, where the description states none and the configuration does."""
@@ -179,8 +162,8 @@ class _Reader:
 
     def channel(
         self, key: str, names: Sequence[str], causality: str, units: Sequence[str], count: int = 6
-    ) -> Channel:
-        """Map `names` to `count` values."""
+    ) -> tuple[int, ...]:
+        """Return the value references of `names`, which carry `count` values."""
         found = [v for name in names for v in self.find(name)]
         for variable in found:
             if variable.causality != causality:
@@ -204,7 +187,7 @@ class _Reader:
         references = tuple(map(self.reference, found))
         if len(set(references)) != len(references):
             raise PlantError(f"{self.path}: {key}: one variable is mapped twice in {list(names)}")
-        return Channel(references, count)
+        return references
 
     def start(self, name: str, value: Parameter) -> Start:
         """Resolve one parameter and convert its value to the variable's type."""
@@ -324,8 +307,9 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     FMI version, co-simulation, a binary for this machine, existence, causality, type, unit and number of
     elements of each mapped variable, parameters.
     """
-    description = described(spec.path)
-    binary = library(description, members, spec.path)
+    path = Path(spec.path)
+    description = described(path)
+    binary = library(description, members, path)
     _refuse_tool(description, spec)
     reader = _Reader(description, spec)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}

@@ -15,7 +15,6 @@ import sys
 import tempfile
 import threading
 from multiprocessing.connection import Connection, Pipe
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.child_process import start
 from drivers.errors import HilError, PlantError
-from plant_fmu.config import FmuPlant
-from plant_fmu.fmu.check import FmuSpec, fmu_spec
+from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.plant import Plant, Truth
 
@@ -146,14 +144,9 @@ class ChildHost:
         self._folder.cleanup()
 
 
-def host(spec: FmuSpec, isolation: str) -> Plant:
-    """Load an FMU `in_process` or in a `child_process`. Raises PlantError."""
-    return FmuHost(spec) if isolation == "in_process" else ChildHost(spec)
-
-
-def fmu_plant(settings: FmuPlant, folder: Path) -> Plant:
-    """Host a configured FMU; a relative path starts at `folder`, the configuration's. Raises PlantError."""
-    return host(fmu_spec(settings, folder), settings.isolation)
+def host(spec: FmuSpec) -> Plant:
+    """Load an FMU where its isolation says. Raises PlantError."""
+    return FmuHost(spec) if spec.isolation == "in_process" else ChildHost(spec)
 
 
 def _follow(child: int) -> None:

@@ -54,9 +54,10 @@ class FmuHost(PointedPlant):
         self._messages: list[str] = []
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         try:
-            with open_archive(spec.path) as archive:
+            path = Path(spec.path)
+            with open_archive(path) as archive:
                 self._interface: Interface = read_interface(archive.namelist(), spec)
-                extract(archive, spec.path, Path(self._folder.name))
+                extract(archive, path, Path(self._folder.name))
             self._load()
             if spec.truth:
                 self._folder.cleanup()
@@ -118,14 +119,13 @@ class FmuHost(PointedPlant):
         three = face.major >= 3
         reals = ("fmi3SetFloat64", "fmi3GetFloat64") if three else ("fmi2SetReal", "fmi2GetReal")
         functions = (*reals, "fmi3DoStep" if three else "fmi2DoStep")
-        self._inputs = np.zeros(sum(c.count for c in face.inputs.values()))
+        self._inputs = np.zeros(LEGS * len(face.inputs))
         places = {key: LEGS * n for n, key in enumerate(face.inputs)}
-        self._outputs = np.zeros(sum(c.count for c in face.outputs.values()))
-        self._applied = self._outputs[fmu_call.APPLIED :]
+        self._outputs = np.zeros(fmu_call.APPLIED + LEGS if self.spec.truth else fmu_call.MEASURED)
         self._held = np.zeros(self._inputs.size, np.int64)
         record, self._references = self._record, []
         for verb, channels in (("set", face.inputs), ("get", face.outputs)):
-            references = np.array([r for c in channels.values() for r in c.references], np.uint32)
+            references = np.array([each for some in channels.values() for each in some], np.uint32)
             record[f"{verb}_references"], record[f"{verb}_count"] = data_at(references), references.size
             self._references.append(references)
         for name, function in zip(("set", "get", "step"), functions, strict=True):
@@ -232,7 +232,7 @@ class FmuHost(PointedPlant):
 
     def applied_force(self) -> Array | None:
         """Return the forces behind the drives' lag; None where the FMU is not known to have them."""
-        return self._applied if self.spec.truth else None
+        return self._outputs[fmu_call.APPLIED :] if self.spec.truth else None
 
     def close(self) -> None:
         """Terminate, free, unload, remove the unpacked files. A second call does nothing."""

@@ -54,14 +54,15 @@ def stewart_plant(settings: StewartPlant, robot: Robot) -> Plant:
     Raises PlantError: no compiler, a robot without meaning, an initial pose outside the strokes.
     """
     spec = FmuSpec(
-        path=build(settings.fmi_version),
-        force=("force",),
-        length=("length",),
-        rate=("rate",),
-        brake=("brake",),
-        wrench=("wrench",),
+        path=str(build(settings.fmi_version)),
+        isolation=settings.isolation,
+        force=["force"],
+        length=["length"],
+        rate=["rate"],
+        brake=["brake"],
+        wrench=["wrench"],
         parameters=stewart_parameters(settings, robot),
-        step_s=settings.internal_step_us / 1e6,
-        truth=("position", "rotation", "twist", "applied_force"),
+        step_us=settings.internal_step_us,
+        truth=["position", "rotation", "twist", "applied_force"],
     )
-    return host(spec, settings.isolation)
+    return host(spec)

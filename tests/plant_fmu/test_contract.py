@@ -72,13 +72,15 @@ def test_every_kind_of_plant_in_the_configuration_can_be_opened():
 
 
 def test_a_plant_is_opened_from_its_section_with_the_robot_or_the_folder_that_its_kind_needs(monkeypatch):
-    for name in ("stewart_plant", "Bench", "fmu_plant"):
+    monkeypatch.setattr(plants, "fmu_spec", lambda settings, folder: (settings, folder))
+    for name in ("stewart_plant", "Bench"):
         monkeypatch.setattr(plants, name, lambda *given, name=name: (name, *given))
+    monkeypatch.setattr(plants, "host", lambda spec: ("host", *spec))
     robot, folder = "the robot", Path("/etc")
     for section, opened in (
         (StewartPlant(type="stewart"), ("stewart_plant", robot)),
         (BenchPlant(type="bench"), ("Bench",)),
-        (FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]), ("fmu_plant", folder)),
+        (FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]), ("host", folder)),
     ):
         found: Any = plants.open_plant(section, robot, folder)  # type: ignore[arg-type]
         assert found == (opened[0], section, *opened[1:])

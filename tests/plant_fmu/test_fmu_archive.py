@@ -22,7 +22,7 @@ ENTRY = b"PK\1\2"
 
 
 def host(path: Path) -> None:
-    FmuHost(FmuSpec(path, step_s=1e-3, force=("force",), length=("length",), rate=("rate",)))
+    FmuHost(FmuSpec(path=str(path), force=["force"], length=["length"], rate=["rate"]))
 
 
 def entry(at: int, *values: int) -> bytes:
@@ -81,6 +81,21 @@ def test_who_only_looks_at_an_fmu_parses_no_more_than_who_runs_it(
     with pytest.raises(PlantError, match=r"modelDescription\.xml' refused: .*; at most 1000 are read"):
         read(build("3.0"))
     assert not parsed
+
+
+def test_an_archive_that_is_refused_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[zipfile.ZipFile] = []
+
+    class Archive(zipfile.ZipFile):
+        def __init__(self, path: Path) -> None:
+            super().__init__(path)
+            opened.append(self)
+
+    monkeypatch.setattr(zipfile, "ZipFile", Archive)
+    monkeypatch.setattr(limits, "MAX_MEMBERS", 1)
+    with pytest.raises(PlantError, match="at most 1 are allowed"):
+        open_archive(build("3.0"))
+    assert [archive.fp for archive in opened] == [None]
 
 
 FMU = Path("a.fmu")

@@ -12,7 +12,6 @@ import sys
 import tempfile
 import time
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ STEP_LINE = "const Status status = instance_step(instance, time, dt);"
 
 
 def spec(path):
-    return FmuSpec(Path(path), ("force",), ("length",), ("rate",), 1e-3, ("brake",))
+    return FmuSpec(path=str(path), force=["force"], length=["length"], rate=["rate"], brake=["brake"])
 
 
 FACE = "fmi3.c"
@@ -112,7 +111,7 @@ GREEDY = "for (int k = 0; k < 4096; k++) { char *p = malloc(1 << 20); if (!p) %s
 def test_an_fmu_that_eats_memory_ends_at_its_limit(tmp_path, monkeypatch, then):
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 60)
     path = altered(tmp_path, f"{GREEDY % then} {STEP_LINE}")
-    limited = replace(spec(path), memory_GB=1.0)
+    limited = spec(path).model_copy(update={"memory_GB": 1.0})
     said = r"may have 1 GB of memory \(plant\.model\.memory_GB\)" if then == "abort()" else "refused to step"
     with contextlib.closing(ChildHost(limited)) as host, pytest.raises(PlantError, match=said):
         host.step(FORCE, OPEN, OPEN, 1e-3)
@@ -246,7 +245,7 @@ from pathlib import Path
 from plant_fmu.fmu import child
 from plant_fmu.fmu.check import FmuSpec
 child.STEP_TIMEOUT_S = 60
-host = child.ChildHost(FmuSpec(Path({str(path)!r}), ("force",), ("length",), ("rate",), 1e-3))
+host = child.ChildHost(FmuSpec(path={str(path)!r}, force=["force"], length=["length"], rate=["rate"]))
 print(host._process.pid, flush=True)
 while True:
     host.step(np.zeros(6), np.ones(6), np.zeros(6), 1e-3)

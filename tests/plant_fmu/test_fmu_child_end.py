@@ -6,7 +6,6 @@ import os
 import pickle
 import subprocess
 from multiprocessing.connection import Pipe
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +15,7 @@ from plant_fmu.fmu import child
 from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.child import ChildHost
 
-SPEC = FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3)
+SPEC = FmuSpec(path="a.fmu", force=["f"], length=["q"], rate=["v"])
 
 
 @pytest.mark.parametrize("hangs", [False, True])
@@ -79,19 +78,18 @@ def test_a_child_ends_with_its_parent_whoever_holds_the_line_and_removes_its_fil
 
 def test_what_to_host_crosses_to_a_process_to_the_bit():
     spec = FmuSpec(
-        path=Path("a b/\u00e4.fmu"),
-        force=("f1", "f2"),
-        length=("q",),
-        rate=("v",),
-        step_s=0.1 + 0.2,
-        brake=("b",),
-        wrench=("w",),
+        path="a b/\u00e4.fmu",
+        force=["f1"],
+        length=["q"],
+        rate=["v"],
+        step_us=0.1 + 0.2,
+        brake=["b"],
+        wrench=["w"],
         parameters={"m": 1e-17, "n": 3, "on": True, "name": "x", "com": [0.1, 0.2]},
-        truth=("p", "R"),
+        truth=["p", "R"],
         assume_unit={"f1": "N"},
         allow_execution_tool=True,
         memory_GB=0.3,
     )
     for each in (spec, SPEC):
         assert pickle.loads(pickle.dumps(each)) == each
-    assert FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3, (), (), {}, (), {}, False, 4.0) == SPEC

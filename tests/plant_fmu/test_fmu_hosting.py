@@ -93,7 +93,7 @@ def served(monkeypatch: pytest.MonkeyPatch, error: Exception) -> str:
     monkeypatch.setattr(child, "_bound_memory", lambda _: None)
     monkeypatch.setattr(child, "_end_with_parent", lambda *_: None)
     ours, theirs = Pipe()
-    ours.send(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
+    ours.send(FmuSpec(path=str(FMU), force=["f"], length=["q"], rate=["v"]))
     ours.send(None)
     child.serve(theirs, 1, "no folder")
     return str(ours.recv())
@@ -130,7 +130,7 @@ def test_a_process_that_cannot_be_started_leaves_nothing_open_and_would_not_have
     monkeypatch.setattr(child, "start", refuse)
     before = sorted(Path("/proc/self/fd").iterdir())
     with pytest.raises(PlantError, match=r"a\.fmu: no child process for the FMU: no more of them"):
-        child.ChildHost(FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3))
+        child.ChildHost(FmuSpec(path=str(FMU), force=["f"], length=["q"], rate=["v"]))
     assert sorted(Path("/proc/self/fd").iterdir()) == before
     line, parent, folder = asked["arguments"]
     assert (asked["module"], int(parent), Path(folder).exists()) == (
@@ -167,7 +167,7 @@ def hosting(fmu: Instance | None, *, initialised: bool) -> tuple[FmuHost, list[s
     """A host of this instance, and what it removes."""
     removed: list[str] = []
     host = object.__new__(FmuHost)
-    host.spec, host.internal_step_s = FmuSpec(FMU, ("f",), ("q",), ("v",), 1e-3), 1e-3
+    host.spec, host.internal_step_s = FmuSpec(path=str(FMU), force=["f"], length=["q"], rate=["v"]), 1e-3
     host._fmu, host._messages = fmu, ["why"]
     host._record = np.zeros((), fmu_call.FMU)
     host._record["ready"] = initialised

@@ -6,7 +6,6 @@ import ctypes as ct
 import errno
 import os
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +18,7 @@ from drivers.errors import PlantError
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import child
 from plant_fmu.fmu import host as hosting
-from plant_fmu.fmu.check import Channel, FmuSpec
+from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.stewart.build import build
 
@@ -31,11 +30,11 @@ ADDRESSES = {
     "fmi3GetFloat64": 32,
     "fmi3DoStep": 33,
 }
-SPEC = FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3, truth=("p", "R", "twist", "applied"))
+SPEC = FmuSpec(path="a.fmu", force=["f"], length=["q"], rate=["v"], truth=["p", "R", "twist", "applied"])
 OUTPUTS = {
-    "length": Channel((50,), 6),
-    "rate": Channel((60, 61, 62, 63, 64, 65), 6),
-    **{name: Channel((70 + k,), k) for name, k in (("p", 3), ("R", 9), ("twist", 6), ("applied", 6))},
+    "length": (50,),
+    "rate": (60, 61, 62, 63, 64, 65),
+    **{name: (70 + k,) for name, k in (("p", 3), ("R", 9), ("twist", 6), ("applied", 6))},
 }
 
 
@@ -43,7 +42,7 @@ def prepared(monkeypatch: pytest.MonkeyPatch, major: int, *inputs: str) -> Any:
     host: Any = object.__new__(FmuHost)
     host.spec, host.internal_step_s, host._fmu = SPEC, SPEC.step_s, SimpleNamespace(component=77)
     host._record = np.zeros((), fmu_call.FMU)
-    channels = {name: Channel((10 * k + 1,), 6) for k, name in enumerate(inputs)}
+    channels = {name: (10 * k + 1,) for k, name in enumerate(inputs)}
     host._interface = SimpleNamespace(major=major, inputs=channels, outputs=OUTPUTS)
     monkeypatch.setattr(hosting, "_address", lambda fmu, name: ADDRESSES[name] * (fmu is host._fmu))
     host._prepare_calls()
@@ -67,7 +66,7 @@ def test_a_call_has_the_functions_of_its_standard_and_where_each_input_and_outpu
     record = host._record
     functions = [int(record[name]) for name in ("instance", "counted", "set", "get", "step")]
     assert functions == [77, major == 3, *(10 * major + k for k in (1, 2, 3))]
-    outputs = [reference for channel in OUTPUTS.values() for reference in channel.references]
+    outputs = [reference for references in OUTPUTS.values() for reference in references]
     wanted = (("set", [10 * k + 1 for k in range(len(inputs))]), ("get", outputs))
     for name, references in wanted:
         assert record[f"{name}_count"] == len(references)
@@ -94,7 +93,7 @@ def test_pose_twist_and_forces_follow_one_another_among_the_outputs(monkeypatch)
     assert host.applied_force().tolist() == [0.0] * 6, "as it is now"
     kept = (truth.p, truth.R, truth.twist, truth.applied_force)
     assert [float(np.max(each)) for each in kept] == [14.0, 23.0, 29.0, 35.0], "the caller's to keep"
-    host.spec = FmuSpec(Path("a.fmu"), ("f",), ("q",), ("v",), 1e-3)
+    host.spec = FmuSpec(path="a.fmu", force=["f"], length=["q"], rate=["v"])
     assert (host.truth(), host.applied_force()) == (None, None)
 
 
@@ -108,7 +107,7 @@ def test_an_fmu_that_was_just_loaded_is_reset_before_its_second_use_alone(monkey
         reset(fmu)
 
     monkeypatch.setattr(kind, "reset", noted)
-    host = FmuHost(FmuSpec(build(version), ("force",), ("length",), ("rate",), 1e-3))
+    host = FmuHost(FmuSpec(path=str(build(version)), force=["force"], length=["length"], rate=["rate"]))
     assert resets == []
     host.reset()
     assert len(resets) == 1
@@ -123,7 +122,7 @@ def test_unpacked_files_that_cannot_be_removed_are_no_error(monkeypatch, tmp_pat
     tried: list[int] = []
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr(os, "rmdir", busy)
-    spec = FmuSpec(build("3.0"), ("force",), ("length",), ("rate",), 1e-3)
+    spec = FmuSpec(path=str(build("3.0")), force=["force"], length=["length"], rate=["rate"])
     FmuHost(spec).close()
 
     def refuse(*_given: object, **_named: object) -> None:
@@ -155,5 +154,5 @@ def test_an_fmu_that_was_loaded_and_not_initialised_is_freed_without_being_termi
 
     monkeypatch.setattr(FmuHost, "_prepare_calls", refuse)
     with pytest.raises(PlantError, match="it is not prepared"):
-        FmuHost(FmuSpec(build("3.0"), ("force",), ("length",), ("rate",), 1e-3))
+        FmuHost(FmuSpec(path=str(build("3.0")), force=["force"], length=["length"], rate=["rate"]))
     assert calls == ["freeInstance"]

@@ -9,8 +9,7 @@ import pytest
 
 from plant_fmu.config import FmuPlant
 from plant_fmu.fmu import child
-from plant_fmu.fmu.check import FmuSpec, fmu_spec
-from plant_fmu.fmu.child import fmu_plant
+from plant_fmu.fmu.check import fmu_spec
 
 SIX = ("1", "2", "3", "4", "5", "6")
 SECTION: dict[str, Any] = {
@@ -25,29 +24,25 @@ SECTION: dict[str, Any] = {
 }
 
 
-def test_every_setting_of_an_fmu_has_its_place_in_what_is_hosted():
-    names = {key: tuple(SECTION[key]) for key in ("force", "length", "rate", "brake", "wrench")}
-    assert fmu_spec(FmuPlant.model_validate(SECTION), Path("/etc/robot")) == FmuSpec(
-        path=Path("/etc/robot/models/a.fmu"),
-        step_s=250e-6,
-        **names,
-        parameters=SECTION["parameters"],
-        assume_unit=SECTION["assume_unit"],
-        allow_execution_tool=True,
-        memory_GB=2.5,
-    )
+def test_what_is_configured_is_hosted_with_a_path_from_the_folder() -> None:
+    settings = FmuPlant.model_validate(SECTION)
+    spec = fmu_spec(settings, Path("/etc/robot"))
+    assert spec.model_dump() == {**settings.model_dump(), "path": "/etc/robot/models/a.fmu", "truth": []}
+    assert spec.step_s == 250e-6
 
 
-def test_a_whole_path_stays_where_it_is():
+def test_a_whole_path_stays_where_it_is() -> None:
     settings = FmuPlant.model_validate({**SECTION, "path": "/models/a.fmu"})
-    assert fmu_spec(settings, Path("/etc/robot")).path == Path("/models/a.fmu")
+    assert fmu_spec(settings, Path("/etc/robot")).path == "/models/a.fmu"
 
 
 @pytest.mark.parametrize(("isolation", "where"), [("in_process", "here"), ("child_process", "apart")])
-def test_an_fmu_runs_in_the_process_that_is_asked_for(monkeypatch, isolation, where):
+def test_an_fmu_runs_in_the_process_that_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, isolation: str, where: str
+) -> None:
     monkeypatch.setattr(child, "FmuHost", lambda spec: ("here", spec))
     monkeypatch.setattr(child, "ChildHost", lambda spec: ("apart", spec))
     settings = FmuPlant.model_validate({**SECTION, "isolation": isolation, "allow_execution_tool": False})
-    folder = Path("/etc")
-    found: Any = fmu_plant(settings, folder)
-    assert found == (where, fmu_spec(settings, folder))
+    spec = fmu_spec(settings, Path("/etc"))
+    found: Any = child.host(spec)
+    assert found == (where, spec)

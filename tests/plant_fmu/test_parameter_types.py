@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.fmu.check import FmuSpec, Parameter, Start, _Reader
 
-SPEC = FmuSpec(Path("a.fmu"), ("force",), ("length",), ("rate",), 1e-3)
+SPEC = FmuSpec(path="a.fmu", force=["force"], length=["length"], rate=["rate"])
 INTEGERS = ["Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"]
 FLOATS = ["Real", "Float32", "Float64"]
 

@@ -16,7 +16,7 @@ from hil.app.fmu import show_fmu
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu import host
 from plant_fmu.fmu.archive import open_archive
-from plant_fmu.fmu.check import Channel, FmuSpec, Interface, library_candidates
+from plant_fmu.fmu.check import FmuSpec, Interface, library_candidates
 from plant_fmu.fmu.host import FmuHost
 
 FOLDER = os.environ.get("HIL_REFERENCE_FMUS", "")
@@ -31,7 +31,7 @@ def mapped_by_its_own_names(members, spec):
     major = int(description.fmiVersion[0])
     reals = [v for v in description.modelVariables if v.type in {"Real", "Float64"} and not v.shape]
     outputs = [int(v.valueReference) for v in reals if v.causality in {"output", "local"}][:1]
-    found = Channel(tuple(outputs), len(outputs))
+    found = tuple(outputs)
     (library,) = [
         n for n in library_candidates(major, description.coSimulation.modelIdentifier) if n in members
     ]
@@ -49,11 +49,11 @@ def test_a_reference_fmu_is_read_shown_loaded_and_stepped(path, monkeypatch):
     lines, summary = show_fmu(path)
     assert summary["missing"], "no hexapod is among them"
     assert len(lines) > 5
-    spec = FmuSpec(path, ("force",), ("length",), ("rate",), 0.01)
+    spec = FmuSpec(path=str(path), force=["force"], length=["length"], rate=["rate"], step_us=10000)
     with pytest.raises(PlantError, match="no variable 'force'"):
         FmuHost(spec)
     monkeypatch.setattr(host, "read_interface", mapped_by_its_own_names)
-    monkeypatch.setattr(fmu_call, "MEASURED", 0)
+    monkeypatch.setattr(fmu_call, "MEASURED", 1)
     with contextlib.closing(FmuHost(spec)) as plant:
         for _ in range(10):
             plant.step(NOTHING, NOTHING, NOTHING, 0.01)

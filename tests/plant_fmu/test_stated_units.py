@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.fmu.check import FmuSpec, _Reader
 
-SPEC = FmuSpec(Path("a.fmu"), ("force",), ("length",), ("rate",), 1e-3)
+SPEC = FmuSpec(path="a.fmu", force=["force"], length=["length"], rate=["rate"])
 EXPONENTS = {"N": (1, 1, -2), "N.m": (1, 2, -2), "m": (0, 1, 0), "m/s": (0, 1, -1)}
 """Of kg, m and s."""
 SPELLED = {

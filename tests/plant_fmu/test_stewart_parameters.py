@@ -83,18 +83,19 @@ def test_legs_do_not_spin_by_default():
 
 def test_our_fmu_is_hosted_by_its_own_names_with_its_parameters_its_step_and_its_truth(monkeypatch):
     monkeypatch.setattr(plant, "build", lambda version: Path(f"{version}.fmu"))
-    monkeypatch.setattr(plant, "host", lambda spec, isolation: (spec, isolation))
+    monkeypatch.setattr(plant, "host", lambda spec: spec)
     settings = SETTINGS.model_copy(update={"fmi_version": "2.0", "isolation": "child_process"})
     found: Any = plant.stewart_plant(settings, ROBOT)
     expected = FmuSpec(
-        path=Path("2.0.fmu"),
-        force=("force",),
-        length=("length",),
-        rate=("rate",),
-        brake=("brake",),
-        wrench=("wrench",),
+        path="2.0.fmu",
+        isolation="child_process",
+        force=["force"],
+        length=["length"],
+        rate=["rate"],
+        brake=["brake"],
+        wrench=["wrench"],
         parameters=stewart_parameters(SETTINGS, ROBOT),
-        step_s=5e-5,
-        truth=("position", "rotation", "twist", "applied_force"),
+        step_us=50.0,
+        truth=["position", "rotation", "twist", "applied_force"],
     )
-    assert found == (expected, "child_process")
+    assert (found, found.step_s) == (expected, 5e-5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from drivers.errors import PlantError
 from plant_fmu.fmu.check import FmuSpec, _Reader
 
-SPEC = FmuSpec(Path("a.fmu"), ("force",), ("length",), ("rate",), 1e-3)
+SPEC = FmuSpec(path="a.fmu", force=["force"], length=["length"], rate=["rate"])
 ELEMENTS = [f"leg.force[{k}]" for k in (1, 2, 3, 4, 5, 6)]
 
 

@@ -1,6 +1,7 @@
 """What `hil check` and `hil sim` say of an FMU as plant: units taken on trust, tool, brakes, coupling."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +26,7 @@ def report_fmu(report: Report, c: Configuration) -> None:
         return
     model = c.plant.model
     spec = fmu_spec(model, c.folder)
-    with open_archive(spec.path) as archive:
+    with open_archive(Path(spec.path)) as archive:
         face = read_interface(archive.namelist(), spec)
     description = face.description
     tool = shown(description.generationTool or "an unknown tool")

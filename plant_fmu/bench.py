@@ -29,41 +29,34 @@ NOT_FINITE, DIVERGED = 1, 2
 
 
 @helper
-def _acceleration(x: float, v: float, f: float, m: float, b: float, k0: float, k1: float) -> float:
+def _acceleration(b: Any, i: int, f: float, damping: float, x: float, v: float) -> float:
     """Solve m a + b v|v| + k0 x + k1 x^3 = f for a."""
-    return (f - b * v * abs(v) - k0 * x - k1 * x * x * x) / m
+    a = (f - damping * v * abs(v) - b.stiffness[i] * x - b.hardening[i] * x * x * x) / b.mass[i]
+    return float(a)
 
 
 @helper
-def advance_leg(
-    x: float,
-    v: float,
-    force: float,
-    friction: float,
-    h: float,
-    n: int,
-    m: float,
-    b: float,
-    k0: float,
-    k1: float,
+def _advanced(
+    b: Any, i: int, steps: int, force: float, friction: float, damping: float
 ) -> tuple[float, float]:
-    """Take n Runge-Kutta 4 steps of h seconds on one leg; return its x and v.
+    """Take Runge-Kutta 4 steps on one leg; return its x, from where its springs are relaxed, and v.
 
     friction: largest force of its engaged brake. Over a step it applies the force that brings the rate to
     zero at its end, or its largest one.
     """
-    for _ in range(n):
+    x, v, h = b.x[i] - b.origin[i], b.v[i], b.step_s
+    for _ in range(steps):
         f = force
         if friction > 0.0:
-            stop = -m * (v / h + _acceleration(x, v, f, m, b, k0, k1))
+            stop = -b.mass[i] * (v / h + _acceleration(b, i, f, damping, x, v))
             f += min(max(stop, -friction), friction)
-        a1 = _acceleration(x, v, f, m, b, k0, k1)
+        a1 = _acceleration(b, i, f, damping, x, v)
         v2 = v + 0.5 * h * a1
-        a2 = _acceleration(x + 0.5 * h * v, v2, f, m, b, k0, k1)
+        a2 = _acceleration(b, i, f, damping, x + 0.5 * h * v, v2)
         v3 = v + 0.5 * h * a2
-        a3 = _acceleration(x + 0.5 * h * v2, v3, f, m, b, k0, k1)
+        a3 = _acceleration(b, i, f, damping, x + 0.5 * h * v2, v3)
         v4 = v + h * a3
-        a4 = _acceleration(x + h * v3, v4, f, m, b, k0, k1)
+        a4 = _acceleration(b, i, f, damping, x + h * v3, v4)
         x += h / 6.0 * (v + 2.0 * (v2 + v3) + v4)
         v += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
     return x, v
@@ -85,11 +78,10 @@ def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int
         return NOT_FINITE
     x, v = np.empty(LEGS), np.empty(LEGS)
     for i in range(LEGS):
-        hand, origin = b.hand[i], b.origin[i]
-        friction, damping = b.friction[i] + brakes[i] * b.brake[i], max(b.damping[i], abs(hand) / HAND_m_s**2)
-        at, f_i, springs = b.x[i] - origin, f[i] + hand, (b.stiffness[i], b.hardening[i])
-        x[i], v[i] = advance_leg(at, b.v[i], f_i, friction, b.step_s, steps, b.mass[i], damping, *springs)
-        x[i] += origin
+        friction = b.friction[i] + brakes[i] * b.brake[i]
+        damping = max(b.damping[i], abs(b.hand[i]) / HAND_m_s**2)
+        x[i], v[i] = _advanced(b, i, steps, f[i] + b.hand[i], friction, damping)
+        x[i] += b.origin[i]
     if not (_all_finite(x) and _all_finite(v)):
         return DIVERGED
     for i in range(LEGS):

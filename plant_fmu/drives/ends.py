@@ -13,6 +13,7 @@ from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import LEGS, Reaction
+from drivers.tick_columns import Record
 from drivers.transmission import loss_of
 from plant_fmu.messages import (
     Alive,
@@ -44,7 +45,8 @@ READING = np.dtype(
         *((name, "<i8", (LEGS,)) for name in ("state", "fault")),
     ]
 )
-"""What six drives read, as `DrivesEnd.reply` takes it."""
+"""What six drives read: length m, rate m/s, force N; state DriveState, plus INVALID where length and rate are
+of no use; fault DriveFault, for protocols whose feedback names it."""
 _MESSAGE = MESSAGE.itemsize
 message_at: Any = record_at(record(MESSAGE))
 reading_at: Any = record_at(record(READING))
@@ -85,13 +87,10 @@ class DrivesEnd(ABC):
         """Return what a frame says to the drives; no messages when it is not for them."""
 
     @abstractmethod
-    def reply(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        """Return what the drives of `sync.legs` answer, each frame with its leg.
+    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
+        """Return what the drives of `sync.legs` answer to a reading, an element of READING, frames with legs.
 
-        length m, rate m/s, force N, each (6,); state (6,) DriveState, plus INVALID where length and rate are
-        of no use; fault (6,) DriveFault, for protocols whose feedback names it. Raises ProtocolError on NaN.
+        Raises ProtocolError on NaN.
         """
 
     @abstractmethod
@@ -130,7 +129,7 @@ class CompiledDrives(DrivesEnd):
         self._parse, self._answer, self._report = parse, answer, report
         self.parse, self.answer, self.report = parse.address, answer.address, report.address
         self.context = data_at(record)
-        self._messages, self._reading = np.zeros(MOST_MESSAGES, MESSAGE), np.zeros((), READING)
+        self._messages = np.zeros(MOST_MESSAGES, MESSAGE)
         self._frames, self._legs = np.zeros(MOST_ANSWERS, FRAME), np.zeros(MOST_ANSWERS, np.int64)
 
     def reason(self, why: int, counter: int, number: float, frame: Frame) -> str:
@@ -156,14 +155,12 @@ class CompiledDrives(DrivesEnd):
             else device_message(*message)
         )
 
-    def reply(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        """Return what the drives of `sync.legs` answer, each frame with its leg; see `DrivesEnd.reply`."""
-        self._reading[()] = length, rate, force, state, 0 if fault is None else fault
+    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
+        """Return what the drives of `sync.legs` answer, see `DrivesEnd.reply`."""
         put_messages([sync], self._messages)
-        count = self._answer(self.record, self._messages, self._reading, self._frames, self._legs)
+        count = self._answer(self.record, self._messages, reading, self._frames, self._legs)
         if count == FAILED:
+            length, rate, force = (reading[name] for name in ("length", "rate", "force"))
             leg = int((~np.isfinite(length + rate + force)).argmax())
             raise ProtocolError(
                 f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"

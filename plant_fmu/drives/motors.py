@@ -211,6 +211,7 @@ class MotorDrives(ends.CompiledDrives):
         d["codes"] = [self.codes.get(fault, self.otherwise) for fault in DriveFault]
         family.transmission.fill(d)
         self.power_up(d)
+        self._new = d.copy()
 
     def power_up(self, d: Record) -> None:
         """Put what six drives remember that have heard nothing into a record: nothing."""
@@ -238,7 +239,5 @@ class MotorDrives(ends.CompiledDrives):
 
     def restart(self, legs: Sequence[int]) -> None:
         """Disable drives that were switched off and on, with nothing written in them."""
-        fresh: Any = np.zeros((), DEVICES)
-        self.power_up(fresh)
         for name in _MEMORY:
-            self.record[name][list(legs)] = fresh[name][list(legs)]
+            self.record[name][list(legs)] = self._new[name][list(legs)]

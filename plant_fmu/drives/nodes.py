@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Rows
+from drivers.arrays import Rows
 from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import DriveFault
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import drives_end, kernels, record
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, Turns, at_motor, moved
 from plant_fmu.drives.ends import STOP
 from plant_fmu.drives.live import advance, live
-from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
 from plant_fmu.messages import DeviceMessage, Sync
@@ -82,15 +82,15 @@ class Nodes:
         n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._heard: Sequence[DeviceMessage] = ()
-        self._schedule = Schedule(self._faults, t0_ns)
-        gateway = Gateway(self._schedule, self._protocol, drives_end(self._protocol), t0_ns)
+        self.schedule = Schedule(self._faults, t0_ns)
+        gateway = Gateway(self.schedule, self._protocol, drives_end(self._protocol), t0_ns)
         self._gateway = gateway if self._faults.touches_frames else None
         self._spoiled = Reading()
         self._missed: list[Rows] = []
         self._frames = NO_FRAMES
-        self.waiting = self._schedule.waiting
+        self.waiting = self.schedule.waiting
         """Faults whose mode the controller has not reached."""
-        self._edges, self._present = self._schedule.edges_ns(t0_ns + 1), self._schedule.present(t0_ns)
+        self._edges, self._present = self.schedule.edges_ns(t0_ns + 1), self.schedule.present(t0_ns)
         self._truth: Truth | None = None
         self._truth_k = -1
         self._disturb(t0_ns)
@@ -113,7 +113,7 @@ class Nodes:
             raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self.now_ns} ns")
         if self._present.hangs:
             self._missed.append(received.copy())
-            if self._schedule.present(t_ns).hangs:
+            if self.schedule.present(t_ns).hangs:
                 return NO_FRAMES
             received, self._missed = np.concatenate(self._missed, dtype=FRAME), []
         if self._gateway is not None:
@@ -175,11 +175,11 @@ class Nodes:
     def reached(self, mode: str) -> None:
         """Let the time of the faults count that wait for a mode of the controller: it has been reached."""
         now_ns = self.now_ns
-        if self._schedule.reached(mode, now_ns):
-            self._edges = self._schedule.edges_ns(now_ns)
+        if self.schedule.reached(mode, now_ns):
+            self._edges = self.schedule.edges_ns(now_ns)
             self._record["calm_ns"] = now_ns
             self._note_edge()
-        self.waiting = self._schedule.waiting
+        self.waiting = self.schedule.waiting
 
     @property
     def now_ns(self) -> int:
@@ -195,15 +195,6 @@ class Nodes:
     def syncs(self) -> int:
         """SYNC frames or polls heard since the start."""
         return int(self._record["syncs"])
-
-    def starts_ns(self, fault: Fault) -> int:
-        """Return when a fault begins; `NEVER_NS` where it will not, as things stand."""
-        return self._schedule.starts_ns(fault)
-
-    @property
-    def begun(self) -> tuple[Fault, ...]:
-        """Faults that have begun."""
-        return self._schedule.begun(self.now_ns)
 
     def snapshot(self) -> Snapshot:
         """Return the plant's end as it is now; arrays are copies. A plant that has failed tells no truth."""
@@ -240,7 +231,7 @@ class Nodes:
         del self._edges[0]
         self._advance(t)
         n["now_ns"] = max(int(n["now_ns"]), t)
-        self._present = self._schedule.present(t)
+        self._present = self.schedule.present(t)
         self._disturb(t)
 
     def _note_edge(self) -> None:
@@ -334,17 +325,16 @@ class Nodes:
         if self._present.drifts:
             self._drives.drift(self._present, t)
 
-    def _answered(self, length: Array) -> list[tuple[int, Frame]]:
-        """Return what the drives answer that read lengths (6,) m."""
-        asked, reading = self._drives.asked, self._drives.reading
+    def _answered(self, reading: Record) -> list[tuple[int, Frame]]:
+        """Return what the drives answer to a reading."""
+        asked = self._drives.asked
         sync = Sync(int(asked["counter"]), tuple(asked["legs"][: asked["count"]].tolist()))
-        read = (reading["rate"], reading["force"], reading["state"], self._record["fault"])
-        return self._end.reply(sync, length, *read)
+        return self._end.reply(sync, reading)
 
     def _answer(self, t: int) -> None:
         """Let the protocol answer."""
         try:
-            frames = self._answered(self._drives.reading["length"])
+            frames = self._answered(self._drives.reading)
         except ProtocolError as error:
             raise PlantError(f"the plant gave what is no measurement: {error}") from error
         for leg, frame in frames:
@@ -355,12 +345,12 @@ class Nodes:
 
     def _forge(self, t: int) -> None:
         """Send what others send under the name of a drive, which then remembers its own reading again."""
-        length = self._drives.reading["length"]
         for leg, by_m in enumerate(self._present.forged_m):
             if by_m is not None:
-                other = self._answered(length + by_m)
-                self._drives.queue(t, [frame for k, frame in other if k == leg])
-        self._answered(length)
+                other = self._drives.reading.copy()
+                other["length"] += by_m
+                self._drives.queue(t, [frame for k, frame in self._answered(other) if k == leg])
+        self._answered(self._drives.reading)
 
     def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
         self._send(leg, t, self._end.announce(self._drives.status(leg, due=due)))

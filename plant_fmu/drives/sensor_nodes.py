@@ -133,7 +133,7 @@ class SensedNodes(Nodes):
             raise ProtocolError(f"sample of {KINDS[kind]} is not a number: {n['values'].tolist()}")
         sent = [(int(frame["t_ns"][0]), frame)]
         if self._gateway is not None:
-            carried = self._schedule.carry(sent[0][0], sent_frames(frame)[0], to_drives=False)
+            carried = self.schedule.carry(sent[0][0], sent_frames(frame)[0], to_drives=False)
             sent = [(at_ns, timed_array([(at_ns, arriving)])) for at_ns, arriving, _ in carried]
         self._waiting += sent
         self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)

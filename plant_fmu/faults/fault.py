@@ -172,9 +172,9 @@ class Passage(LastingFault):
     """Whether frames after the first are sent by somebody else, and heard by both ends."""
 
     def concerns(self, frame: Frame) -> bool:
-        """Tell whether the fault may strike this frame."""
-        del frame
-        return True
+        """Tell whether the fault may strike this frame: by its own identifier and bus, where it has them."""
+        identifier, bus = getattr(self, "identifier", None), getattr(self, "bus", None)
+        return identifier in (None, frame.id) and bus in (None, frame.bus)
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Return when and as what a frame arrives that was due at `t_ns`. Changes `own`."""
@@ -192,10 +192,6 @@ class FrameFault(Passage):
     """Of the frames that may be struck; default: all."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Decides which frames are struck."""
-
-    def concerns(self, frame: Frame) -> bool:
-        """Tell whether the fault may strike this frame."""
-        return self.identifier in (None, frame.id)
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Strike at random."""

@@ -228,10 +228,6 @@ class BusOff(Passage, kind="bus_off"):
         """Cut the bus."""
         present.bus_off |= EVERY_BUS if self.bus is None else 1 << self.bus
 
-    def concerns(self, frame: Frame) -> bool:
-        """Tell whether a frame is on the bus that is cut."""
-        return self.bus in (None, frame.bus)
-
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Lose every frame."""
         del t_ns, frame, place, own

@@ -6,13 +6,13 @@ The FMU shares our process: it can crash it. FMUs that we did not build belong i
 import contextlib
 import ctypes as ct
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-from fmpy.fmi3 import FMU3Slave
+from fmpy.simulation import instantiate_fmu
 
 from drivers.arrays import Array
 from drivers.compiled.pointed import data_at
@@ -68,42 +68,25 @@ class FmuHost(PointedPlant):
             raise
 
     def _load(self) -> None:
-        description = self._interface.description
-        simulation = description.coSimulation
-        library = Path(self._folder.name) / self._interface.library
-        common = {
-            "guid": description.guid,
-            "unzipDirectory": self._folder.name,
-            "modelIdentifier": simulation.modelIdentifier,
-            "instanceName": "plant",
-        }
+        description, folder = self._interface.description, self._folder.name
         here = Path.cwd()
         try:
-            if self._interface.major == 2:
-                fmu = FMU2Slave(**common, libraryPath=str(library))
-                fmu.instantiate(callbacks=self._callbacks_2())
-            else:
-                fmu = FMU3Slave(**common)
-                fmu.instantiate(logMessage=lambda _env, _status, _category, message: self._log(message))
+            with contextlib.redirect_stdout(sys.stderr):  # fmpy prints where it cannot fill messages in
+                self._fmu = instantiate_fmu(
+                    folder,
+                    description,
+                    "CoSimulation",
+                    logger=lambda *said: self._log(said[-1]),
+                    library_path=str(Path(folder) / self._interface.library),
+                )
         except AttributeError as error:
             raise PlantError(
                 f"{self.spec.path}: the binary lacks a function of FMI {description.fmiVersion}: {error}"
             ) from error
         except Exception as error:
-            raise PlantError(f"{self.spec.path}: the FMU cannot be loaded: {error}{self._said()}") from error
+            raise self._error(f"the FMU cannot be loaded: {error}") from error
         finally:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
-        self._fmu = fmu
-
-    def _callbacks_2(self) -> Any:
-        log = fmi2CallbackLoggerTYPE(lambda _env, _name, _status, _category, message: self._log(message))
-        callbacks = fmi2CallbackFunctions(log, defaultCallbacks.allocateMemory, defaultCallbacks.freeMemory)
-        try:
-            from fmpy.logging import addLoggerProxy  # noqa: PLC0415 - a binary that not every machine has
-        except (ImportError, OSError):
-            return callbacks  # messages then come without their arguments filled in
-        addLoggerProxy(ct.byref(callbacks))
-        return callbacks
 
     def _log(self, message: bytes | None) -> None:
         self._messages.append((message or b"").decode("utf-8", "replace").strip())
@@ -113,6 +96,9 @@ class FmuHost(PointedPlant):
         reported = "; ".join(m for m in self._messages if m)
         self._messages.clear()
         return f": {reported}" if reported else ""
+
+    def _error(self, what: str) -> PlantError:
+        return PlantError(f"{self.spec.path}: {what}{self._said()}")
 
     def _prepare_calls(self) -> None:
         face, fmu = self._interface, self._fmu
@@ -139,16 +125,17 @@ class FmuHost(PointedPlant):
 
     def _refused(self, status: int, what: str) -> PlantError:
         label = _LABELS.get(status, f"status {status}, which FMI does not have")
-        return PlantError(f"{self.spec.path}: the FMU refused to {what} ({label}){self._said()}")
+        return self._error(f"the FMU refused to {what} ({label})")
 
     def _initialise(self) -> None:
         fmu = self._fmu
         if fmu is None:
             raise PlantError(f"{self.spec.path}: the FMU is closed; open it again")
+        self._record["ready"] = False
         try:
             if self._used:
                 fmu.reset()
-            self._record["ready"], self._used = False, True
+            self._used = True
             if self._interface.major == 2:
                 fmu.setupExperiment(startTime=0.0)
             for start in self._interface.starts:
@@ -163,9 +150,7 @@ class FmuHost(PointedPlant):
         except PlantError:
             raise
         except Exception as error:
-            raise PlantError(
-                f"{self.spec.path}: the FMU cannot be initialised: {error}{self._said()}"
-            ) from error
+            raise self._error(f"the FMU cannot be initialised: {error}") from error
         if not fmu_call.succeeded(status):
             raise self._refused(status, "take its inputs")
         self._record["ready"] = True
@@ -190,44 +175,39 @@ class FmuHost(PointedPlant):
         self._record["ticks"] = 0
         ended = fmu_call.fetch(self._record)
         if ended != fmu_call.DONE:
-            raise self._failed(ended, int(self._record["status"]), "")
+            raise self._failed(ended)
         y = self._outputs[: fmu_call.MEASURED].copy()
         return y[:LEGS], y[LEGS:]
 
-    def _failed(self, ended: int, status: int, what: str) -> PlantError:
+    def _failed(self, ended: int, step: str = "") -> PlantError:
         if ended == fmu_call.CLOSED:
             return PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
         if ended == fmu_call.OUTPUT_NOT_FINITE:
             y = self._outputs[: fmu_call.MEASURED]
-            return PlantError(f"{self.spec.path}: the FMU gave a value that is not finite: {y}{self._said()}")
+            return self._error(f"the FMU gave a value that is not finite: {y}")
         if ended == fmu_call.INTERRUPTED:
             did = "ended the simulation" if self._record["flags"][1] else "returned early"
-            at_s = self._record["last"][0]
-            return PlantError(f"{self.spec.path}: the FMU {did} at {at_s:.9g} s{self._said()}")
-        return self._refused(status, _REFUSED.get(ended, what))
+            return self._error(f"the FMU {did} at {self._record['last'][0]:.9g} s")
+        return self._refused(int(self._record["status"]), _REFUSED.get(ended, step))
 
     def _did_not_step(self, ended: int, force: Array, brake: Array, wrench: Array, steps: int) -> PlantError:
         if ended == fmu_call.NOT_FINITE:
             return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
-        step = self.internal_step_s
-        begun = int(self._record["ticks"]) * step
-        return self._failed(
-            ended, int(self._record["status"]), f"step from {begun:.9g} s by {steps * step:.9g} s"
-        )
+        step_s = self.internal_step_s
+        begun_s = int(self._record["ticks"]) * step_s
+        return self._failed(ended, f"step from {begun_s:.9g} s by {steps * step_s:.9g} s")
 
     def moved(self) -> Moved:
         """Return this plant by address."""
-        record = self._record
-        return Moved(
-            fmu_call.move.address, fmu_call.applied.address, data_at(record), self._did_not_step, self
-        )
+        move, applied = fmu_call.move.address, fmu_call.applied.address
+        return Moved(move, applied, data_at(self._record), self._did_not_step, self)
 
     def truth(self) -> Truth | None:
         """Pose, twist and applied forces now; None where the FMU is not known to have them."""
         if not self.spec.truth:
             return None
         if not self._record["ready"]:
-            raise self._failed(fmu_call.CLOSED, 0, "")
+            raise self._failed(fmu_call.CLOSED)
         return truth_of(self._outputs[fmu_call.MEASURED :].copy())
 
     def applied_force(self) -> Array | None:
@@ -246,8 +226,6 @@ class FmuHost(PointedPlant):
                         fmu.terminate()
                 fmu.freeInstance()
         except Exception as error:
-            raise PlantError(
-                f"{self.spec.path}: the FMU failed while closing: {error}{self._said()}"
-            ) from error
+            raise self._error(f"the FMU failed while closing: {error}") from error
         finally:
             self._folder.cleanup()

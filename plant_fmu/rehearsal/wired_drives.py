@@ -7,11 +7,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
 from drivers.protocol import DriveProtocol, Frame
 from drivers.signals import LEGS
+from drivers.tick_columns import Record
 from plant_fmu.drives import drives_end
-from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.drives.ends import READING, DrivesEnd
 from plant_fmu.messages import Answer, Configure, DeviceCommand, DeviceMessage, Rejected, Status, Sync
 from plant_fmu.rehearsal.wiring import OWN, Wiring
 
@@ -73,23 +73,18 @@ class WiredEnd(DrivesEnd):
         factor = self._wiring.watchdog[drive]
         return round(watchdog_s - NEVER_S, 9) if isinf(factor) else watchdog_s / factor
 
-    def reply(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
+    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
         """Return what the drives answer, each under the number that it was given."""
         if self._plain:
-            return self._end.reply(sync, length, rate, force, state, fault)
+            return self._end.reply(sync, reading)
         frames = []
         for drive in sync.legs:
             if drive in self._mute:
                 continue
-            as_leg = self._wiring.answers_as[drive]
-            measured = (length, rate, force, state, fault)
-            given: list[Any] = [None if each is None else each.copy() for each in measured]
-            for values in given:
-                if values is not None:
-                    values[as_leg] = values[drive]
-            answers = self._end.reply(sync._replace(legs=(as_leg,)), *given)
+            as_leg, given = self._wiring.answers_as[drive], reading.copy()
+            for name in READING.fields or ():
+                given[name][as_leg] = reading[name][drive]
+            answers = self._end.reply(sync._replace(legs=(as_leg,)), given)
             frames += [(drive, frame) for leg, frame in answers if leg == as_leg]
         return frames
 

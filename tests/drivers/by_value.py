@@ -19,7 +19,7 @@ from drivers.tick_columns import Record
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
 from plant_fmu.messages import DeviceMessage, Status, Sync
-from tests.drivers.drives_end import go_back, memory_of
+from tests.drivers.drives_end import go_back, memory_of, reading_of
 
 
 class Remembered:
@@ -169,7 +169,7 @@ class ByValue:
     ) -> tuple[Remembered, list[tuple[int, Frame]]]:
         """Encode what the drives answer."""
         end = self._at(memory)
-        frames = end.reply(sync, length, rate, force, state, fault)
+        frames = end.reply(sync, reading_of(length, rate, force, state, 0 if fault is None else fault))
         return self._memory(end), frames
 
     def report(self, memory: Remembered, status: Status) -> tuple[Remembered, tuple[Frame, ...]]:

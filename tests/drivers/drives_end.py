@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from drivers.arrays import Array, Ints
 from drivers.protocol import DriveProtocol, Frame
 from plant_fmu.drives import drives_end
-from plant_fmu.drives.ends import CompiledDrives
+from plant_fmu.drives.ends import READING, CompiledDrives
 from plant_fmu.messages import DeviceCommand, DeviceMessage, Status, Sync
 
 
@@ -19,7 +21,14 @@ def answers(
     state: Ints,
 ) -> list[tuple[int, Frame]]:
     """Return what the drives answer to a SYNC or poll, each frame with its leg."""
-    return drives_end(protocol).reply(sync, length, rate, force, state)
+    return drives_end(protocol).reply(sync, reading_of(length, rate, force, state))
+
+
+def reading_of(length: Array, rate: Array, force: Array, state: Ints, fault: Ints | int = 0) -> Any:
+    """Return what six drives read, as one record."""
+    reading: Any = np.zeros((), READING)
+    reading[()] = length, rate, force, state, fault
+    return reading
 
 
 def reports(protocol: DriveProtocol, status: Status) -> tuple[Frame, ...]:

@@ -385,10 +385,8 @@ class StubDrives(DrivesEnd):
         self.memory, messages = self._protocol.parse(self.memory, frame)
         return messages
 
-    def reply(
-        self, sync: Sync, length: Array, rate: Array, force: Array, state: Ints, fault: Ints | None = None
-    ) -> list[tuple[int, Frame]]:
-        self.memory, frames = self._protocol.answer(self.memory, sync, length, rate, force, state, fault)
+    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
+        self.memory, frames = self._protocol.answer(self.memory, sync, *reading.tolist())
         return frames
 
     def announce(self, status: Status) -> tuple[Frame, ...]:

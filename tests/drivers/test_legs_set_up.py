@@ -17,7 +17,7 @@ from drivers.tick_columns import Record, new_record
 from plant_fmu.drives import drives_end
 from plant_fmu.messages import Configure, Rejected, Status, Sync
 from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.drives_end import reports
+from tests.drivers.drives_end import reading_of, reports
 from tests.drivers.legs_frames import command_frames, opening, parse
 
 NODES = (127, 20, 30, 40, 50, 1)
@@ -307,7 +307,7 @@ def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_t
 def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
     ones = np.ones(6)
-    answers = drives_end(protocol).reply(Sync(7), ones, ones, ones, np.ones(6, np.int64))
+    answers = drives_end(protocol).reply(Sync(7), reading_of(ones, ones, ones, np.ones(6, np.int64)))
     assert sorted(leg for leg, _ in answers) == list(range(6))
     last, tick = new_record(), new_record()
     tick["tick"] = 7

@@ -128,7 +128,7 @@ def run(case: Case) -> Trace:
     finally:
         plant.close()
     assert c.plant is not None
-    unmet = [show_fault(fault) for fault in c.plant.faults if fault not in nodes.begun]
+    unmet = [show_fault(fault) for fault in c.plant.faults if fault not in nodes.schedule.begun(nodes.now_ns)]
     unmet += [f"{script.left} commands"] if script.left else []
     if case.altered:
         cycle = new_cycle(c)

@@ -200,8 +200,8 @@ def modes_at_fault(words: str) -> tuple[Mode, float]:
             lockstep.step(course.commands(lockstep.tick + 1))
             if cycle.mode is not mode:
                 entered, mode = lockstep.tick, cycle.mode
-            if nodes.starts_ns(fault) < 1e9 * (lockstep.tick + 1) * 1e-3:
-                return mode, 1e-9 * nodes.starts_ns(fault) - 1e-3 * entered
+            if nodes.schedule.starts_ns(fault) < 1e9 * (lockstep.tick + 1) * 1e-3:
+                return mode, 1e-9 * nodes.schedule.starts_ns(fault) - 1e-3 * entered
     finally:
         plant.close()
     raise AssertionError(words)

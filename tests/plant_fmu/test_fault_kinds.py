@@ -447,7 +447,7 @@ def test_a_fault_of_a_mode_begins_when_the_nodes_are_told_so():
     assert read(rig, 3) == pytest.approx(motion(3))
     rig.nodes.reached("APPROACH")
     rig.nodes.reached("TRACKING")
-    assert rig.nodes.starts_ns(fault) == 5 * MS
+    assert rig.nodes.schedule.starts_ns(fault) == 5 * MS
     assert not rig.nodes.waiting
     assert read(rig, 4) == pytest.approx(motion(4))
     assert read(rig, 6) == pytest.approx((motion(5)[0], 0.0))

@@ -79,7 +79,7 @@ def test_a_fault_has_begun_where_the_plant_fails_with_it_and_not_where_it_failed
     rig = accelerating(crash)
     with pytest.raises(PlantError, match="plant_crash"):
         rig.at(3 * MS)
-    assert (rig.nodes.begun, rig.nodes.now_ns) == ((crash,), 2 * MS)
+    assert (rig.nodes.schedule.begun(rig.nodes.now_ns), rig.nodes.now_ns) == ((crash,), 2 * MS)
 
     def refuse(*_given: object) -> None:
         raise PlantError("refused")
@@ -88,7 +88,7 @@ def test_a_fault_has_begun_where_the_plant_fails_with_it_and_not_where_it_failed
     monkeypatch.setattr(rig.plant, "step", refuse)
     with pytest.raises(PlantError, match="refused"):
         rig.at(3 * MS)
-    assert rig.nodes.begun == ()
+    assert rig.nodes.schedule.begun(rig.nodes.now_ns) == ()
 
 
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])

@@ -6,8 +6,6 @@ import re
 import sys
 import zipfile
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import fmpy
 import numpy as np
@@ -308,20 +306,35 @@ def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(ended, s
 
 
 @pytest.mark.parametrize("proxy", [True, False], ids=["filled in", "as they are"])
-def test_an_fmu_of_fmi_2_is_given_memory_that_is_zero_and_its_messages_are_heard(monkeypatch, proxy):
+def test_an_fmu_of_fmi_2_is_given_memory_that_is_zero_and_its_messages_are_heard(monkeypatch, proxy, capsys):
     """The library that fills in what messages leave out is not on every machine."""
     if not proxy:
         monkeypatch.setitem(sys.modules, "fmpy.logging", None)
-    said: list[bytes] = []
-    host: Any = SimpleNamespace(_log=said.append)
-    callbacks = FmuHost._callbacks_2(host)
+    host = FmuHost(spec(build("2.0")))
+    callbacks = host._fmu.callbacks
     assert all((callbacks.allocateMemory, callbacks.freeMemory, callbacks.logger)), "none is a null pointer"
     memory = callbacks.allocateMemory(3, 8)
     assert memory
     assert bytes((ct.c_char * 24).from_address(memory)) == bytes(24)
     callbacks.freeMemory(memory)
     callbacks.logger(None, b"plant", 3, b"category", b"it fails")
-    assert said == [b"it fails"]
+    assert host._messages == ["it fails"]
+    host.close()
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_after_a_reset_that_the_fmu_refuses_it_takes_no_step(monkeypatch, version):
+    def refuse() -> None:
+        raise RuntimeError("reset fails")
+
+    host = FmuHost(spec(build(version)))
+    monkeypatch.setattr(host._fmu, "reset", refuse)
+    with pytest.raises(PlantError, match="cannot be initialised: reset fails"):
+        host.reset()
+    with pytest.raises(PlantError, match="failed to initialise; reset it"):
+        host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
+    host.close()
 
 
 @pytest.mark.parametrize("version", VERSIONS)

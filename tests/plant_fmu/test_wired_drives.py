@@ -15,6 +15,7 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.mit.fields import Ranges
 from drivers.protocol import EXTENDED, REMOTE, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
+from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
@@ -23,6 +24,7 @@ from plant_fmu.rehearsal.wired_drives import WiredEnd, wired_drives
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import drives
+from tests.drivers.drives_end import reading_of
 from tests.drivers.legs_frames import command_frames, decode, opening
 from tests.drivers.motor_families import MitProtocol, ODriveProtocol, RobStrideProtocol
 
@@ -195,8 +197,8 @@ class Family(DrivesEnd):
     def hear(self, _frame: Frame) -> tuple[Any, ...]:
         return self.messages
 
-    def reply(self, sync: Sync, *given: Any) -> list[tuple[int, Frame]]:
-        self.given.append((sync.legs, *(None if each is None else each.tolist() for each in given)))
+    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
+        self.given.append((sync.legs, *(each.tolist() for each in reading.tolist())))
         return [(leg, Frame(leg, b"")) for leg in range(LEGS)]
 
     def restart(self, legs: Sequence[int]) -> None:
@@ -243,7 +245,7 @@ def test_drives_that_are_wired_right_answer_with_what_they_measure_as_it_is():
     wired, family = wired_to(Wiring(scale=(2.0,) * 6))
     length, rate, force = (10.0 * k + np.arange(6.0) for k in range(3))
     state, fault = np.arange(6), 6 - np.arange(6)
-    answers = wired.reply(Sync(9, (0, 2, 4)), length, rate, force, state, fault)
+    answers = wired.reply(Sync(9, (0, 2, 4)), reading_of(length, rate, force, state, fault))
     assert len(answers) == LEGS
     given = (length, rate, force, state, fault)
     assert family.given == [((0, 2, 4), *(each.tolist() for each in given))]
@@ -260,15 +262,13 @@ def test_drives_that_start_again_are_those_of_their_numbers_and_the_period_is_th
 def test_what_a_drive_measures_and_its_fault_stand_at_the_number_that_it_answers_to():
     figures = [10.0 * k + np.arange(6.0) for k in range(1, 4)]
     state, fault = np.arange(6), 6 - np.arange(6)
-    cases: tuple[tuple[Any, ...], ...] = ((*figures, state), (*figures, state, fault))
-    for given in cases:
-        wired, family = wired_to(CROSSED)
-        answers = wired.reply(Sync(9, (0, 2, 4)), *given)
-        assert [(drive, frame.id) for drive, frame in answers] == [(0, 1), (2, 3)]
-        for (drive, number), (legs, *seen) in zip(((0, 1), (2, 3)), family.given, strict=True):
-            assert legs == (number,)
-            of_it = [None if each is None else each[number] for each in seen]
-            assert of_it == [each[drive] for each in given] + [None] * (5 - len(given))
+    given = (*figures, state, fault)
+    wired, family = wired_to(CROSSED)
+    answers = wired.reply(Sync(9, (0, 2, 4)), reading_of(figures[0], figures[1], figures[2], state, fault))
+    assert [(drive, frame.id) for drive, frame in answers] == [(0, 1), (2, 3)]
+    for (drive, number), (legs, *seen) in zip(((0, 1), (2, 3)), family.given, strict=True):
+        assert legs == (number,)
+        assert [each[number] for each in seen] == [each[drive] for each in given]
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0, 0.5, inf])

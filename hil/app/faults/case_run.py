@@ -182,7 +182,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
             tick = lockstep.tick + 1
             tracked += cycle.mode is Mode.TRACKING
             stop = (Operator.STOP,) if tracked == last else ()
-            starts_ns = nodes.starts_ns(case.fault)
+            starts_ns = nodes.schedule.starts_ns(case.fault)
             try:
                 lockstep.step(course.commands(tick, stop))
             except PlantError as error:

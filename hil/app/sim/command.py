@@ -264,7 +264,7 @@ def simulate(
 def _injected(c: Configuration, nodes: Nodes) -> dict[str, Any]:
     """Return which faults have struck, and which could not."""
     assert c.plant is not None
-    injected, unmet = nodes.begun, nodes.waiting
+    injected, unmet = nodes.schedule.begun(nodes.now_ns), nodes.waiting
     late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
     found = {"injected": injected, "mode_not_reached": unmet, "time_not_reached": late}
     return {key: [show_fault(fault) for fault in which] for key, which in found.items() if which}

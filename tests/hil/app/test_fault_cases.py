@@ -44,7 +44,7 @@ def refuses(monkeypatch):
             step, moved = plant.step, plant.moved
 
             def refuse(*given: Any) -> Any:
-                if nodes.begun if at_s is None else nodes.now_ns >= 1e9 * at_s:
+                if nodes.schedule.begun(nodes.now_ns) if at_s is None else nodes.now_ns >= 1e9 * at_s:
                     raise PlantError(REFUSED)
                 plant.moved = moved
                 answer = step(*given)

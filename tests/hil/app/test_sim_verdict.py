@@ -239,7 +239,7 @@ def test_each_fault_has_struck_or_waits_for_its_mode_or_for_its_time_and_is_told
     monkeypatch, begun, waiting, expected
 ):
     monkeypatch.setattr(command, "show_fault", str)
-    nodes: Any = SimpleNamespace(begun=begun, waiting=waiting)
+    nodes: Any = SimpleNamespace(schedule=SimpleNamespace(begun=lambda _: begun), now_ns=0, waiting=waiting)
     assert command._injected(faulty("a", "b", "c"), nodes) == expected
 
 

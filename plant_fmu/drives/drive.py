@@ -163,30 +163,13 @@ class Drives:
             n.drift[leg] += by_m_s
 
 
-class Turns:
-    """Six encoders that count turns only while they are powered.
+def forgotten_m(settings: HomingSettings, transmission: Transmission, length: Array) -> Array:
+    """Leg lengths (6,) m that encoders do not count which are switched on at lengths (6,) m.
 
     Each begins within half of `forgotten_turns` of zero, whatever the motor has done before.
-
-    Mutable state: the leg lengths that are not counted.
     """
-
-    def __init__(
-        self, settings: HomingSettings | None, transmission: Transmission | None, length: Array
-    ) -> None:
-        """Switch on at lengths (6,) m; encoders without settings forget nothing."""
-        self.uncounted_m = np.zeros(LEGS)
-        """(6,) m that the drives do not report."""
-        self._transmission = None if settings is None else transmission
-        self._forgets = np.broadcast_to(1.0 if settings is None else settings.forgotten_turns, LEGS)
-        self.switch_on([True] * LEGS, length)
-
-    def switch_on(self, which: Sequence[bool], length: Array) -> None:
-        """Switch on the drives marked in `which`, the legs having lengths (6,) m."""
-        if self._transmission is not None and any(which):
-            whole = np.round(self._transmission.turns(length) / self._forgets) * self._forgets
-            uncounted_m = self._transmission.m_per_turn * whole
-            self.uncounted_m = np.where(which, uncounted_m, self.uncounted_m)
+    whole = np.round(transmission.turns(length) / settings.forgotten_turns) * settings.forgotten_turns
+    return transmission.m_per_turn * whole
 
 
 class Reading:

@@ -18,12 +18,12 @@ from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import DriveProtocol, Frame, Received
-from drivers.signals import DriveFault
+from drivers.signals import LEGS, DriveFault
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import drives_end, kernels, record
-from plant_fmu.drives.drive import Drives, Reading, Snapshot, Turns, at_motor, moved
+from plant_fmu.drives.drive import Drives, Reading, Snapshot, at_motor, forgotten_m, moved
 from plant_fmu.drives.ends import STOP
 from plant_fmu.drives.live import advance, live
 from plant_fmu.faults.gateway import Gateway
@@ -69,9 +69,8 @@ class Nodes:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
         length, rate = self._plant.reset()
         gear = self._settings.transmission
-        transmission = None if gear is None else Transmission.of(gear)
+        self._transmission = transmission = None if gear is None else Transmission.of(gear)
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
-        self._turns = Turns(self._settings.homing, transmission, length)
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
         often_ns = 1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.traits.unasked_s
         self._drives.connect(t0_ns, self._end, self._moved, *often_ns)
@@ -81,6 +80,7 @@ class Nodes:
             n["driving"], n["back_driving"] = transmission.driving, transmission.back_driving
         n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
+        self._switch_on([True] * LEGS)
         self._heard: Sequence[DeviceMessage] = ()
         self.schedule = Schedule(self._faults, t0_ns)
         gateway = Gateway(self.schedule, self._protocol, drives_end(self._protocol), t0_ns)
@@ -274,11 +274,16 @@ class Nodes:
         n["look"] = before | after | record.FORGES * any(by_m is not None for by_m in present.forged_m)
         self._drives.disturb(present, t)
         self._spoiled.begin(present)
-        self._turns.switch_on(present.reset, n["length"])
-        n["uncounted"] = self._turns.uncounted_m
+        self._switch_on(present.reset)
         self._end.restart(np.flatnonzero(present.reset).tolist())
         self._weigh()
         kernels.actuate(self._drives.seen, False, t)
+
+    def _switch_on(self, which: Sequence[bool]) -> None:
+        """Let the encoders of drives that are switched on forget their turns."""
+        n, homing, transmission = self._record, self._settings.homing, self._transmission
+        if homing is not None and transmission is not None and any(which):
+            n["uncounted"] = np.where(which, forgotten_m(homing, transmission, n["length"]), n["uncounted"])
 
     def _fail(self, leg: int, fault: DriveFault, t: int) -> None:
         """Latch a fault; the first one stays, but for an emergency stop."""

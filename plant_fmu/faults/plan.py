@@ -30,8 +30,7 @@ class FaultPlan:
 class Schedule:
     """When the faults of a plan begin and end in one run.
 
-    Mutable state: the faults as they occur; those that were present when last asked, and from when until when
-    these are the ones.
+    Mutable state: the faults as they occur.
     """
 
     def __init__(self, plan: FaultPlan, t0_ns: int) -> None:
@@ -43,8 +42,6 @@ class Schedule:
             )
             for n, fault in enumerate(plan.faults)
         ]
-        self._present: tuple[Occurrence, ...] = ()
-        self._from_ns = self._until_ns = 0
 
     def starts_ns(self, fault: Fault) -> int:
         """Return when a fault of the plan begins; NEVER_NS where it will not, as things stand."""
@@ -64,24 +61,16 @@ class Schedule:
         found = [each for each in self._occurrences if each.start_ns == NEVER_NS and each.fault.mode == mode]
         for each in found:
             each.start_ns = t_ns + round(each.fault.at_s * 1e9)
-        self._from_ns = self._until_ns = 0
         return bool(found)
-
-    def _edges(self) -> list[int]:
-        return [edge for each in self._occurrences for edge in (each.start_ns, each.stop_ns)]
 
     def edges_ns(self, since_ns: int) -> list[int]:
         """Return the instants from `since_ns` on at which a fault begins or ends, rising."""
-        return sorted({edge for edge in self._edges() if since_ns <= edge < NEVER_NS})
+        edges = {edge for each in self._occurrences for edge in (each.start_ns, each.stop_ns)}
+        return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
 
     def active(self, t_ns: int) -> tuple[Occurrence, ...]:
         """Return the faults that are present at an instant."""
-        if not self._from_ns <= t_ns < self._until_ns:
-            edges = self._edges()
-            self._from_ns = max((edge for edge in edges if edge <= t_ns), default=t_ns)
-            self._until_ns = min((edge for edge in edges if edge > t_ns), default=NEVER_NS)
-            self._present = tuple(each for each in self._occurrences if each.start_ns <= t_ns < each.stop_ns)
-        return self._present
+        return tuple(each for each in self._occurrences if each.start_ns <= t_ns < each.stop_ns)
 
     def present(self, t_ns: int) -> Present:
         """Return the faults of drives and plant at this instant."""

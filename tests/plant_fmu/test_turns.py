@@ -11,7 +11,7 @@ from drivers.protocol import Received
 from drivers.tick_columns import new_record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.drive import Turns
+from plant_fmu.drives.drive import forgotten_m
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import DriveReset
 from plant_fmu.faults.plan import FaultPlan
@@ -29,8 +29,7 @@ def turns_of(length: np.ndarray) -> np.ndarray:
 
 
 def test_each_encoder_begins_within_half_of_what_it_forgets_and_is_off_by_whole_multiples():
-    turns = Turns(HOMING, Transmission.of(GEAR), REST)
-    counted = turns_of(REST - turns.uncounted_m)
+    counted = turns_of(REST - forgotten_m(HOMING, Transmission.of(GEAR), REST))
     assert (np.abs(counted) <= FORGETS / 2 + 1e-9).all()
     forgotten = (turns_of(REST) - counted) / FORGETS
     np.testing.assert_allclose(forgotten, np.round(forgotten), rtol=0, atol=1e-9)
@@ -63,17 +62,10 @@ def test_a_drive_that_starts_anew_in_motion_reports_the_turns_since_then():
 
 @pytest.mark.parametrize("gear", [None, GEAR])
 def test_absolute_encoders_report_the_length_of_their_legs_whatever_moves_them(gear):
-    turns = Turns(None, None if gear is None else Transmission.of(gear), REST)
-    assert (REST - turns.uncounted_m).tolist() == REST.tolist()
-    turns.switch_on([True] * 6, REST + 0.1)
-    assert (REST - turns.uncounted_m).tolist() == REST.tolist()
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_a_drive_that_is_switched_on_again_forgets_its_own_turns_alone(leg):
-    turns = Turns(HOMING, Transmission.of(GEAR), REST)
-    before = REST - turns.uncounted_m
-    turns.switch_on([k == leg for k in range(6)], REST + 10 * LEADS)
-    gone = 10 * LEADS[leg]
-    after = np.where(np.arange(6) == leg, before - gone, before)
-    np.testing.assert_allclose((REST - turns.uncounted_m), after, rtol=0, atol=1e-12)
+    protocol = LegsProtocol("ideal", (1, 2, 3, 4, 5, 6))
+    faults = FaultPlan([DriveReset(leg=4, at_s=0.5)])
+    nodes = Nodes(Masses(), protocol, DriveEmulation(), DriveSettings(transmission=gear), faults)
+    for t_ms, tick in ((1, 0), (501, 1)):
+        sent = nodes.step(t_ms * MS, [Received(t_ms * MS, opening(protocol, tick)[0])])
+        read = decode(protocol, [Received(t, frame) for t, frame in sent], tick)["length"]
+        np.testing.assert_allclose(read, REST, rtol=0, atol=1e-6)

@@ -15,17 +15,8 @@ from drivers.cia402.states import CODES, DISABLED, ENABLED, QUICK_STOP, STATUSWO
 from drivers.compiled.pointed import data_at
 from drivers.protocol import BUS, Frame
 from drivers.signals import LEGS, DriveFault, DriveMode, Reaction
+from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.drives import cia402_kernels as kernels
-from plant_fmu.drives.cia402_dictionary import (
-    ENTRIES,
-    PDOS,
-    PLACE,
-    defaults,
-    fill_pdos,
-    missing,
-    refused,
-    signed,
-)
 from plant_fmu.drives.ends import CompiledDrives, device_message
 from plant_fmu.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, UnwatchedCommand
 
@@ -51,8 +42,8 @@ class Cia402Drives(CompiledDrives):
         self.nodes, self._bus_of = d["nodes"].tolist(), d["bus_of"].tolist()
         self._new = np.zeros(LEGS, kernels.DEVICE)
         for row, node, counts in zip(self._new, self.nodes, d["counts"].tolist(), strict=True):
-            row["values"] = defaults(node, family.rated_torque_mNm, round(counts), 1)
-            fill_pdos(row)
+            row["values"] = dictionary.defaults(node, family.rated_torque_mNm, round(counts), 1)
+            dictionary.fill_pdos(row)
         self.state = self._new.copy()
         self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)
 
@@ -111,8 +102,8 @@ class Cia402Drives(CompiledDrives):
 
     def _configure(self, leg: int) -> Configure:
         values = self.state["values"][leg]
-        time_ms = int(values[PLACE[o.CONSUMER_HEARTBEAT]]) & 0xFFFF
-        at_once = values[PLACE[o.FAULT_REACTION]] == 0
+        time_ms = int(values[dictionary.PLACE[o.CONSUMER_HEARTBEAT]]) & 0xFFFF
+        at_once = values[dictionary.PLACE[o.FAULT_REACTION]] == 0
         watchdog_s = time_ms * 1e-3 if time_ms else NO_WATCHDOG_s
         return Configure(leg, watchdog_s, Reaction.BRAKE if at_once else Reaction.DAMP)
 
@@ -123,11 +114,11 @@ class Cia402Drives(CompiledDrives):
         if d["nmt"] in (o.BOOTS, o.STOPPED) or kind == 4:
             return ()
         messages: Messages = ()
-        code, answer = missing(key) if kind in (1, 2) else o.BAD_COMMAND, b""
+        code, answer = dictionary.missing(key) if kind in (1, 2) else o.BAD_COMMAND, b""
         if not code and kind == 2:
-            d["values"][PLACE[o.STATUSWORD]] = STATUSWORDS[d["state"]]
-            size = ENTRIES[key].size
-            value = int(d["values"][PLACE[key]]) & (1 << 8 * size) - 1
+            d["values"][dictionary.PLACE[o.STATUSWORD]] = STATUSWORDS[d["state"]]
+            size = dictionary.ENTRIES[key].size
+            value = int(d["values"][dictionary.PLACE[key]]) & (1 << 8 * size) - 1
             answer = o.head(0x43 | 4 - size << 2, key) + value.to_bytes(4, "little")
         elif not code:
             messages, code = self._written(leg, key, specifier, data[4:])
@@ -139,17 +130,17 @@ class Cia402Drives(CompiledDrives):
         if not specifier & 2:
             return (), o.TOO_LONG
         d, said = self.state[leg], 4 - (specifier >> 2 & 3) if specifier & 1 else 0
-        value = int.from_bytes(data[: said or ENTRIES[key].size], "little")
-        code = refused(d["values"], key, value, said)
+        value = int.from_bytes(data[: said or dictionary.ENTRIES[key].size], "little")
+        code = dictionary.refused(d["values"], key, value, said)
         if code:
             return (), code
         if key == o.CONTROLWORD:
             count = kernels.control(self.record, leg, value, data_at(self._messages))
             return tuple(device_message(*each) for each in self._messages[:count].tolist()), 0
-        d["values"][PLACE[key]] = signed(key, value)
+        d["values"][dictionary.PLACE[key]] = dictionary.signed(key, value)
         if key == o.MODE:  # it is in force at once, and shown
-            d["values"][PLACE[o.MODE_SHOWN]] = d["values"][PLACE[key]]
-        if o.RPDO <= key[0] < o.TPDO_MAP + PDOS:
-            fill_pdos(d)
+            d["values"][dictionary.PLACE[o.MODE_SHOWN]] = d["values"][dictionary.PLACE[key]]
+        if o.RPDO <= key[0] < o.TPDO_MAP + dictionary.PDOS:
+            dictionary.fill_pdos(d)
         acts = key in (o.CONSUMER_HEARTBEAT, o.FAULT_REACTION) and d["started"]
         return (self._configure(leg),) if acts else (), 0

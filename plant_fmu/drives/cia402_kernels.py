@@ -17,18 +17,8 @@ from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, frame_at, place_of, signed, whole
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.transmission import FIELDS
+from plant_fmu.drives import ends
 from plant_fmu.drives.cia402_dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
-from plant_fmu.drives.ends import (
-    ALIVE,
-    MESSAGE,
-    STOP,
-    SYNC,
-    UNWATCHED,
-    at_motor,
-    message_at,
-    put_message,
-    reading_at,
-)
 
 _WORD, _TARGET, _MODE, _SHOWN = (PLACE[key] for key in (o.CONTROLWORD, o.TARGET_TORQUE, o.MODE, o.MODE_SHOWN))
 _POSITION, _VELOCITY, _TORQUE, _STATUS = (
@@ -71,7 +61,7 @@ DEVICES = np.dtype(
 """Six emulated drives."""
 _DEVICES = record(DEVICES)
 _device_at: Any = record_at(record(DEVICE))
-_ROW, _FRAME, _MESSAGE = DEVICE.itemsize, FRAME.itemsize, MESSAGE.itemsize
+_ROW, _FRAME, _MESSAGE = DEVICE.itemsize, FRAME.itemsize, ends.MESSAGE.itemsize
 _STATUSWORDS = np.array([*s.STATUSWORDS.values()])
 _BOOT, _FAULT = int(DriveState.BOOT), int(DriveState.FAULT)
 _OFF, _READY, _RUN, _RESET = map(int, DriveMode)
@@ -104,15 +94,15 @@ def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
         most = d.values[_MOST] if d.values[_MODE] else 0
         force = min(max(torque, -most), most) * c.N_per_permille[leg]
         if before != s.ENABLED:
-            count = put_message(messages, count, leg, UNWATCHED, _READY, n + 1, force)
-        count = put_message(messages, count, leg, UNWATCHED, _RUN, n + 2, force)
+            count = ends.put_message(messages, count, leg, ends.UNWATCHED, _READY, n + 1, force)
+        count = ends.put_message(messages, count, leg, ends.UNWATCHED, _RUN, n + 2, force)
     elif state == s.QUICK_STOP:
         if before != s.QUICK_STOP:
-            count = put_message(messages, count, leg, STOP, 0, 0, 0.0)
+            count = ends.put_message(messages, count, leg, ends.STOP, 0, 0, 0.0)
     elif before == s.ENABLED:
-        count = put_message(messages, count, leg, UNWATCHED, _OFF, n + 1, 0.0)
+        count = ends.put_message(messages, count, leg, ends.UNWATCHED, _OFF, n + 1, 0.0)
     elif before in (s.IN_FAULT, s.DISABLED) and state != before:
-        count = put_message(messages, count, leg, UNWATCHED, _RESET, n + 1, 0.0)
+        count = ends.put_message(messages, count, leg, ends.UNWATCHED, _RESET, n + 1, 0.0)
     d.stops = d.stops != 0 and state == s.QUICK_STOP
     d.values[_WORD], d.values[_TARGET], d.state, d.commands = word, torque, state, n + 2
     return count
@@ -180,12 +170,12 @@ def _obey(c: Any, frame: Any, messages: int) -> int:
 @helper
 def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
     """Put a SYNC, or a heartbeat of a node for the drives that watch it, into a message."""
-    message, count = message_at(messages), 0
+    message, count = ends.message_at(messages), 0
     for leg in range(LEGS):
         d = _device(c, leg)
         if c.bus_of[leg] != bus:
             continue
-        if kind == SYNC:
+        if kind == ends.SYNC:
             hears = d.nmt == o.OPERATES and d.counts[1, 0] > 0
             if d.state == s.FAULT_REACTION:
                 d.state = s.IN_FAULT
@@ -196,7 +186,7 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
             message.legs[count] = leg
             count += 1
     message.kind, message.counter, message.count = kind, 0, count
-    return 1 if count or kind == SYNC else 0
+    return 1 if count or kind == ends.SYNC else 0
 
 
 @pointed(_DEVICES, INTEGER, INTEGER)
@@ -211,11 +201,11 @@ def parse(c: Any, frame_address: int, messages: int) -> int:
     identifier = int(frame.id)
     node = identifier & _NODE
     if identifier == o.SYNC_ID:
-        return _to_all(c, SYNC, frame.bus, 0, messages)
+        return _to_all(c, ends.SYNC, frame.bus, 0, messages)
     if identifier == o.NMT_ID:
         return FAILED
     if identifier - node == o.HEARTBEAT_ID:
-        return _to_all(c, ALIVE, frame.bus, node, messages) if frame.length == 1 else FAILED
+        return _to_all(c, ends.ALIVE, frame.bus, node, messages) if frame.length == 1 else FAILED
     return FAILED if identifier - node == o.SDO_REQUEST_ID and place_of(node, c.nodes) >= 0 else 0
 
 
@@ -239,7 +229,7 @@ def _whole(number: float, least: float, most: float) -> int:
 @helper
 def _measure(c: Any, leg: int, reading: Any) -> bool:
     """Take what a drive reads; tell whether these are numbers."""
-    d, (turns, speed, torque) = _device(c, leg), at_motor(c, leg, reading)
+    d, (turns, speed, torque) = _device(c, leg), ends.at_motor(c, leg, reading)
     position, velocity, torque = turns * c.counts[leg], speed * c.counts[leg], torque * 1e6 / c.rated_mNm
     if np.isnan(position) or np.isnan(velocity) or np.isnan(torque):
         return False
@@ -266,7 +256,7 @@ def _send(d: Any, bus: int, k: int, frame: Any) -> None:
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
     """Fill in the TPDOs of a SYNC and the leg of each; FAILED for a NaN."""
-    sync, reading = message_at(sync_address), reading_at(reading_address)
+    sync, reading = ends.message_at(sync_address), ends.reading_at(reading_address)
     legs, asked, buses, count = integers_at(senders, LEGS * PDOS), 0, 0, 0
     for k in range(sync.count):
         asked |= 1 << sync.legs[k]

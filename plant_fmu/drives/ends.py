@@ -15,17 +15,7 @@ from drivers.protocol import Frame
 from drivers.signals import LEGS, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import loss_of
-from plant_fmu.messages import (
-    Alive,
-    Configure,
-    DeviceCommand,
-    DeviceMessage,
-    EmergencyStop,
-    Rejected,
-    Status,
-    Sync,
-    UnwatchedCommand,
-)
+from plant_fmu import messages as m
 
 SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, OTHER = range(8)
 """Kinds of a message; STOP and OTHER are for the owner of the pass."""
@@ -83,18 +73,18 @@ class DrivesEnd(ABC):
     parse = answer = report = context = 0
 
     @abstractmethod
-    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def hear(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
         """Return what a frame says to the drives; no messages when it is not for them."""
 
     @abstractmethod
-    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
+    def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
         """Return what the drives of `sync.legs` answer to a reading, an element of READING, frames with legs.
 
         Raises ProtocolError on NaN.
         """
 
     @abstractmethod
-    def announce(self, status: Status) -> tuple[Frame, ...]:
+    def announce(self, status: m.Status) -> tuple[Frame, ...]:
         """Return what a drive sends of what it is in, at its heartbeat and at each change."""
 
     @abstractmethod
@@ -102,19 +92,19 @@ class DrivesEnd(ABC):
         """Forget what drives remember that were switched off and on, where their state does not tell."""
 
 
-def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> DeviceMessage:
+def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> m.DeviceMessage:
     """Return an element of MESSAGE as a DeviceMessage; force (6,) N."""
     legs = tuple(at[:count].tolist())
     if kind == SYNC:
-        return Sync(counter, legs)
+        return m.Sync(counter, legs)
     if kind in (COMMAND, UNWATCHED):
-        made = DeviceCommand if kind == COMMAND else UnwatchedCommand
+        made = m.DeviceCommand if kind == COMMAND else m.UnwatchedCommand
         return made(legs, mode, np.array(force[:count]), counter)
     if kind == ALIVE:
-        return Alive(legs)
+        return m.Alive(legs)
     if kind == CONFIGURE:
-        return Configure(legs[0], counter / 1e9, Reaction(mode))
-    return EmergencyStop(legs)
+        return m.Configure(legs[0], counter / 1e9, Reaction(mode))
+    return m.EmergencyStop(legs)
 
 
 MOST_MESSAGES, MOST_ANSWERS = 64, 4 * LEGS
@@ -136,26 +126,26 @@ class CompiledDrives(DrivesEnd):
         """Return why a frame is rejected: what its message has as mode, counter and first force."""
         raise NotImplementedError
 
-    def converse(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def converse(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
         """Decode what is not compiled: what sets drives up, asks who they are or stops them."""
         raise NotImplementedError
 
-    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def hear(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
         """Return what a frame says to the drives; no messages when it is not for them."""
         count = self._parse(self.record, sent_array([frame]), self._messages)
         if count == FAILED:
             return self.converse(frame)
         return tuple(self._message(each, frame) for each in self._messages[:count].tolist())
 
-    def _message(self, message: Any, frame: Frame) -> DeviceMessage:
+    def _message(self, message: Any, frame: Frame) -> m.DeviceMessage:
         kind, mode, counter, _, _, force = message
         return (
-            Rejected(self.reason(mode, counter, force[0], frame))
+            m.Rejected(self.reason(mode, counter, force[0], frame))
             if kind == REJECTED
             else device_message(*message)
         )
 
-    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
+    def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
         """Return what the drives of `sync.legs` answer, see `DrivesEnd.reply`."""
         put_messages([sync], self._messages)
         count = self._answer(self.record, self._messages, reading, self._frames, self._legs)
@@ -167,7 +157,7 @@ class CompiledDrives(DrivesEnd):
             )
         return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
 
-    def announce(self, status: Status) -> tuple[Frame, ...]:
+    def announce(self, status: m.Status) -> tuple[Frame, ...]:
         """Return what a drive sends of what it is in, at its heartbeat and at each change."""
         leg, state, fault, holds, due = status
         watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
@@ -179,29 +169,29 @@ class CompiledDrives(DrivesEnd):
 
 
 _KINDS = {
-    Sync: SYNC,
-    DeviceCommand: COMMAND,
-    UnwatchedCommand: UNWATCHED,
-    Alive: ALIVE,
-    Configure: CONFIGURE,
-    Rejected: REJECTED,
-    EmergencyStop: STOP,
+    m.Sync: SYNC,
+    m.DeviceCommand: COMMAND,
+    m.UnwatchedCommand: UNWATCHED,
+    m.Alive: ALIVE,
+    m.Configure: CONFIGURE,
+    m.Rejected: REJECTED,
+    m.EmergencyStop: STOP,
 }
 
 
-def put_messages(messages: Sequence[DeviceMessage], into: Rows) -> None:
+def put_messages(messages: Sequence[m.DeviceMessage], into: Rows) -> None:
     """Fill elements of MESSAGE with messages; what is none of the kinds here is OTHER."""
     for k, message in enumerate(messages):
         each: Any = into[k]
         each["kind"] = _KINDS.get(type(message), OTHER)
-        if isinstance(message, Sync | Alive | DeviceCommand | EmergencyStop):
+        if isinstance(message, m.Sync | m.Alive | m.DeviceCommand | m.EmergencyStop):
             count = each["count"] = len(message.legs)
             each["legs"][:count] = message.legs
-        if isinstance(message, Sync | DeviceCommand):
+        if isinstance(message, m.Sync | m.DeviceCommand):
             each["counter"] = message.counter
-        if isinstance(message, DeviceCommand):
+        if isinstance(message, m.DeviceCommand):
             each["mode"] = message.mode
             each["force"][:count] = message.force
-        if isinstance(message, Configure):
+        if isinstance(message, m.Configure):
             each["count"], each["legs"][0] = 1, message.leg
             each["counter"], each["mode"] = round(message.watchdog_s * 1e9), message.reaction

@@ -101,7 +101,7 @@ def _happen(n: Any, t_ns: int) -> int:
     watchdog, moved = n.deadline_ns.min(), next_move_ns(n)
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
-        n.at_ns = watchdog
+        n.t_ns = watchdog
         return r.WATCHDOG
     if other > t_ns:
         n.calm_ns = min(max(watchdog, t_ns + 1), other)
@@ -111,7 +111,7 @@ def _happen(n: Any, t_ns: int) -> int:
             return status
         actuate(n, False, moved)
     elif n.edge_ns == other:
-        n.at_ns = other
+        n.t_ns = other
         return r.EDGE
     elif n.beat_ns == other:
         n.reports[0], n.reported, n.pending, n.due, n.t_ns = n.beat % LEGS, 0, 1, 1, other

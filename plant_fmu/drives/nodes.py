@@ -146,9 +146,9 @@ class Nodes:
             case record.FULL:
                 self._drives.reserve(2 * len(self._drives.out))
             case record.WATCHDOG:
-                self._end_watchdogs(int(n["at_ns"]))
+                self._end_watchdogs(int(n["t_ns"]))
             case record.EDGE:
-                self._pass_edge(int(n["at_ns"]))
+                self._pass_edge(int(n["t_ns"]))
             case record.PARSE:
                 self._parse()
             case record.MESSAGE_OTHER:

@@ -20,7 +20,7 @@ from drivers.signals import LEGS
     REPORT,
 ) = range(13)
 """Why the pass ends: all is done; the plant refuses; the frames are not in the order of time; there is no
-room for what is sent; a watchdog is over, or a fault of the plan begins or ends, at `at_ns`; a frame, a
+room for what is sent; a watchdog is over, or a fault of the plan begins or ends, at `t_ns`; a frame, a
 message, an answer or a report is for the owner; something acts before or after the encoders are read."""
 LOOKS_BEFORE, LOOKS_AFTER, FORGES = 1, 2, 4
 """Bits of `look`."""
@@ -97,7 +97,6 @@ NODES = np.dtype(
         ("reported", "<i8"),  # reports sent
         ("due", "<i8"),  # 1: they are heartbeats
         ("t_ns", "<i8"),  # the instant now
-        ("at_ns", "<i8"),  # the instant of what stops the pass
         ("steps", "<i8"),  # of the plant
         ("refusal", "<i8"),  # why the plant refused them
         # Of time.

@@ -3,19 +3,20 @@
 What it answers is the plant's truth. It knows no configuration but the figures that it is built from.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
 from drivers.config import DriveSettings
+from drivers.errors import PlantError
 from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS
+from plant_fmu.bench import UncoupledLegs
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant
-from plant_fmu.rehearsal.legs import TrestleLegs
 from plant_fmu.rehearsal.wired_drives import wired_drives
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
@@ -30,6 +31,47 @@ HAND_SHARE = 0.05
 """A hand, with a lever where it has to, pushes with this share of the rated force."""
 USUAL_FRICTION = 0.001
 """Of legs whose friction is not known, as a share of the rated force."""
+
+GAUGE_YIELD_M = 5e-5
+"""How far a gauge gives way under its force."""
+_DAMPING_N_s2_m2 = 2_000.0
+_STEP_S = 1e-4
+
+
+class TrestleLegs(UncoupledLegs):
+    """Plant: six uncoupled legs on trestles, at rest, x their lengths.
+
+    A hand on a leg is a force. A lever on its brake lets it be moved anywhere. A gauge holds its end by a
+    spring.
+    """
+
+    def __init__(self, gauge_N: float, **figures: Any) -> None:
+        """Take the force at which a gauge gives way by GAUGE_YIELD_M, and fields of BENCH."""
+        super().__init__(_STEP_S, damping=_DAMPING_N_s2_m2, **figures)
+        self._gauge_N_m = gauge_N / GAUGE_YIELD_M
+
+    def place(self, leg: int, length: float) -> None:
+        """Move a leg there, as far as it goes, with a lever on its brake."""
+        at = self.legs
+        at["x"][leg] = min(max(length, at["shortest"][leg]), at["longest"][leg])
+        at["v"][leg] = 0.0
+
+    def push(self, leg: int, force: float) -> None:
+        """Lay a hand on a leg with so many N; it follows for HAND_M at most. 0 takes it away."""
+        self.legs["hand"][leg], self.legs["hand_from"][leg] = force, self.legs["x"][leg]
+
+    def hold_at_gauge(self, leg: int | None) -> None:
+        """Clamp the end of a leg to the force gauge; None takes it away."""
+        self.legs["stiffness"] = self.legs["origin"] = 0.0
+        if leg is not None:
+            self.legs["stiffness"][leg], self.legs["origin"][leg] = self._gauge_N_m, self.legs["x"][leg]
+
+    def gauge(self) -> float:
+        """Return what the gauge reads, N, > 0 where the leg pushes. Raises PlantError without a leg there."""
+        legs = self.legs
+        if not legs["stiffness"].any():
+            raise PlantError("rehearsal: no leg is clamped to the force gauge")
+        return float(np.sum(legs["stiffness"] * (legs["x"] - legs["origin"])))
 
 
 class Stand(NamedTuple):

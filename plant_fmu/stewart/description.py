@@ -4,17 +4,7 @@ from collections.abc import Sequence
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from plant_fmu.stewart.variables import (
-    INTERNAL_STEP,
-    LEG_SPIN,
-    STEP_SIZE,
-    TYPES,
-    UNITS,
-    VARIABLES,
-    Causality,
-    element_name,
-    type_of,
-)
+from plant_fmu.stewart import variables as table
 
 FmiVersion = Literal["2.0", "3.0"]
 MODEL_IDENTIFIER = "stewart"
@@ -48,15 +38,15 @@ def _typed(
 
 def _types(root: ET.Element, version: FmiVersion) -> None:
     units = ET.SubElement(root, "UnitDefinitions")
-    for name, exponents in UNITS.items():
+    for name, exponents in table.UNITS.items():
         unit = ET.SubElement(units, "Unit", name=name)
         ET.SubElement(unit, "BaseUnit", {base: str(n) for base, n in exponents.items()})
     types = ET.SubElement(root, "TypeDefinitions")
-    for name, kind in TYPES.items():
+    for name, kind in table.TYPES.items():
         about = {"name": name, "description": kind.description}
         if name == "LegSpin":
             items = _typed(types, version, ("SimpleType", "Enumeration", "EnumerationType"), about, {})
-            for value, item in enumerate(LEG_SPIN, start=1):
+            for value, item in enumerate(table.LEG_SPIN, start=1):
                 ET.SubElement(items, "Item", name=item, value=str(value))
         elif name != "Mixed":
             bounds = {"unit": kind.unit, "min": kind.min, "max": kind.max}
@@ -64,7 +54,7 @@ def _types(root: ET.Element, version: FmiVersion) -> None:
             _typed(types, version, ("SimpleType", "Real", "Float64Type"), about, of)
 
 
-_VARIABILITY: dict[Causality, dict[str, str]] = {
+_VARIABILITY: dict[table.Causality, dict[str, str]] = {
     "independent": {"variability": "continuous"},
     "parameter": {"variability": "fixed", "initial": "exact"},
     "input": {"variability": "continuous"},
@@ -75,7 +65,7 @@ _VARIABILITY: dict[Causality, dict[str, str]] = {
 def _value(kind: str, start: Sequence[float] | None) -> dict[str, str]:
     """Return type, unit and start value of a variable or an element."""
     value = {} if kind == "Mixed" else {"declaredType": kind}
-    if unit := TYPES[kind].unit:
+    if unit := table.TYPES[kind].unit:
         value["unit"] = unit
     if start is not None:
         value["start"] = " ".join(str(int(x)) if kind == "LegSpin" else repr(float(x)) for x in start)
@@ -112,11 +102,11 @@ def model_description(version: FmiVersion, token: str, sources: Sequence[str]) -
         for name in sources:
             ET.SubElement(files, "File", name=name)
     else:
-        ET.SubElement(root, "CoSimulation", {**about, "fixedInternalStepSize": repr(INTERNAL_STEP)})
+        ET.SubElement(root, "CoSimulation", {**about, "fixedInternalStepSize": repr(table.INTERNAL_STEP)})
     _types(root, version)
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="Why a call was refused")
-    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(STEP_SIZE))
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(table.STEP_SIZE))
     _structure(root, version, _variables(root, version))
     return _text(root)
 
@@ -126,11 +116,11 @@ def _variables(root: ET.Element, version: FmiVersion) -> dict[str, list[str]]:
     two = version == "2.0"
     variables = ET.SubElement(root, "ModelVariables")
     keys: dict[str, list[str]] = {}
-    for v in VARIABLES:
+    for v in table.VARIABLES:
         parts = [(v.name, v.type, v.start)]
         if two:
             each = [None if v.start is None else v.start[k : k + 1] for k in range(v.size)]
-            parts = [(element_name(v, k), type_of(v, k), start) for k, start in enumerate(each)]
+            parts = [(table.element_name(v, k), table.type_of(v, k), start) for k, start in enumerate(each)]
         tag = "Enumeration" if v.type == "LegSpin" else "Real" if two else "Float64"
         first = sum(map(len, keys.values()))
         # The index of FMI 2.0 counts from 1.
@@ -147,8 +137,8 @@ def _variables(root: ET.Element, version: FmiVersion) -> dict[str, list[str]]:
 def _structure(root: ET.Element, version: FmiVersion, keys: dict[str, list[str]]) -> None:
     two = version == "2.0"
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [v for v in VARIABLES if v.causality == "output"]
-    parameters = tuple(v.name for v in VARIABLES if v.causality == "parameter")
+    outputs = [v for v in table.VARIABLES if v.causality == "output"]
+    parameters = tuple(v.name for v in table.VARIABLES if v.causality == "parameter")
     for tag in ("Output", "InitialUnknown"):
         unknowns = ET.SubElement(structure, f"{tag}s") if two else structure
         for v in outputs:

@@ -205,7 +205,7 @@ def test_another_rated_torque_keeps_the_set_up_from_its_end_and_is_named():
 def test_an_abort_is_named_with_object_code_and_meaning(monkeypatch, key, code, named):
     honest = dictionary.refused
     monkeypatch.setattr(
-        "plant_fmu.drives.cia402.refused",
+        "plant_fmu.drives.cia402_dictionary.refused",
         lambda values, k, v, n: code if k == key else honest(values, k, v, n),
     )
     ends = Ends(drives())
@@ -219,7 +219,8 @@ def test_a_drive_may_lack_what_is_optional(monkeypatch):
     honest = dictionary.missing
     optional = {0x1029, 0x60C2, 0x1802, 0x1803, 0x6502, 0x608F}
     monkeypatch.setattr(
-        "plant_fmu.drives.cia402.missing", lambda key: o.NO_OBJECT if key[0] in optional else honest(key)
+        "plant_fmu.drives.cia402_dictionary.missing",
+        lambda key: o.NO_OBJECT if key[0] in optional else honest(key),
     )
     Ends(drives()).until_set_up()
 
@@ -227,7 +228,7 @@ def test_a_drive_may_lack_what_is_optional(monkeypatch):
 def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(monkeypatch):
     honest = dictionary.refused
     monkeypatch.setattr(
-        "plant_fmu.drives.cia402.refused",
+        "plant_fmu.drives.cia402_dictionary.refused",
         lambda values, k, v, n: 0x06090030 if k == o.COMMUNICATION_ERROR else honest(values, k, v, n),
     )
     ends = Ends(drives())
@@ -241,7 +242,7 @@ def test_an_optional_object_that_is_there_and_refuses_its_value_is_a_refusal(mon
 def test_a_value_that_a_drive_does_not_keep_is_found_when_read_back(monkeypatch):
     honest = dictionary.signed
     monkeypatch.setattr(
-        "plant_fmu.drives.cia402.signed",
+        "plant_fmu.drives.cia402_dictionary.signed",
         lambda key, value: 40 if key == o.PRODUCER_HEARTBEAT else honest(key, value),
     )
     ends = Ends(drives())

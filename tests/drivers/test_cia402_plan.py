@@ -72,7 +72,7 @@ def test_a_drive_that_allows_no_remote_frames_on_its_pdos_is_set_up(monkeypatch)
         seen.append(is_cob)
         return signed(key, raw) | ON_ITS_OWN * is_cob
 
-    monkeypatch.setattr("plant_fmu.drives.cia402.signed", kept)
+    monkeypatch.setattr("plant_fmu.drives.cia402_dictionary.signed", kept)
     Ends(drives()).until_set_up()
     assert any(seen)
 

@@ -9,8 +9,7 @@ from drivers.arrays import Array
 from drivers.errors import PlantError
 from plant_fmu.bench import HAND_M, HAND_m_s
 from plant_fmu.plant import Truth
-from plant_fmu.rehearsal.bench import joints_of
-from plant_fmu.rehearsal.legs import GAUGE_YIELD_M, TrestleLegs
+from plant_fmu.rehearsal.bench import GAUGE_YIELD_M, TrestleLegs, joints_of
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
 

@@ -41,7 +41,7 @@ def with_another(monkeypatch, node, key, value):
             values[PLACE[key]] = value
         return values
 
-    monkeypatch.setattr("plant_fmu.drives.cia402.defaults", of_one)
+    monkeypatch.setattr("plant_fmu.drives.cia402_dictionary.defaults", of_one)
 
 
 @pytest.mark.parametrize(

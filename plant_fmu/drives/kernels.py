@@ -65,28 +65,15 @@ def encoder(n: Any, leg: int) -> tuple[float, float]:
 
 
 @helper
-def _move_brake(n: Any, leg: int, opens: bool, t_ns: int) -> None:
-    """Begin or end the opening or closing of a brake; one that is called back has not moved."""
-    wanted = 0.0 if opens else 1.0
-    if n.shut[leg] == wanted:
-        n.moved_ns[leg] = NEVER_NS
+def _move_brake(at: Array, due_ns: Ints, leg: int, wanted: float, takes_ns: int, t_ns: int) -> None:
+    """Begin or end the movement of a leg's brake; one that is called back has not moved."""
+    if at[leg] == wanted:
+        due_ns[leg] = NEVER_NS
         return
-    if n.moved_ns[leg] == NEVER_NS:
-        n.moved_ns[leg] = t_ns + (n.opening_ns if opens else n.closing_ns)
-    if n.moved_ns[leg] <= t_ns:
-        n.shut[leg], n.moved_ns[leg] = wanted, NEVER_NS
-
-
-@helper
-def _follow(n: Any, leg: int, t_ns: int) -> None:
-    """Let a brake do what its drive counts, later by what it is slow."""
-    if n.truly_shut[leg] == n.shut[leg]:
-        n.followed_ns[leg] = NEVER_NS
-        return
-    if n.followed_ns[leg] == NEVER_NS:
-        n.followed_ns[leg] = t_ns + n.slow_ns[leg]
-    if n.followed_ns[leg] <= t_ns:
-        n.truly_shut[leg], n.followed_ns[leg] = n.shut[leg], NEVER_NS
+    if due_ns[leg] == NEVER_NS:
+        due_ns[leg] = t_ns + takes_ns
+    if due_ns[leg] <= t_ns:
+        at[leg], due_ns[leg] = wanted, NEVER_NS
 
 
 @helper
@@ -102,8 +89,9 @@ def actuate(n: Any, lag: bool, t_ns: int) -> None:
         state = n.state[leg]
         acting = n.acting[leg] if state == FAULT else BRAKE
         opens = state == RUN or acting != BRAKE
-        _move_brake(n, leg, opens, t_ns)
-        _follow(n, leg, t_ns)
+        wanted, takes_ns = (0.0, n.opening_ns) if opens else (1.0, n.closing_ns)
+        _move_brake(n.shut, n.moved_ns, leg, wanted, takes_ns, t_ns)
+        _move_brake(n.truly_shut, n.followed_ns, leg, n.shut[leg], n.slow_ns[leg], t_ns)
         if not opens and state != READY and n.shut[leg] == 0.0:
             f = n.kept[leg]
         if acting in (DAMP, HOLD):

@@ -30,8 +30,9 @@ Moment = Literal[
 ]
 """Modes of the controller; HOLD: the reference is at rest in TRACKING."""
 NEVER_NS = 1 << 62
-Effect = tuple[str, Callable[[Any, Any], Any], object]
-"""An entry of `Present`; what makes its new value of the old one and a figure; that figure or its field."""
+Effect = tuple[str, Callable[[Any, Any], Any] | None, object]
+"""An entry of `Present`; what makes its new value of the old one and a figure, None where it lists figures
+with their leg and since when; that figure or its field."""
 
 
 class Present:
@@ -109,7 +110,9 @@ class Fault(Section):
             return
         (entry, join, figure), fault = self.effect, cast("Any", self)
         value = getattr(fault, figure) if isinstance(figure, str) else figure
-        if hasattr(fault, "leg"):
+        if join is None:
+            getattr(present, entry).append((fault.leg, value, present.since_ns))
+        elif hasattr(fault, "leg"):
             entries = getattr(present, entry)
             entries[fault.leg] = join(entries[fault.leg], value)
         else:

@@ -38,14 +38,10 @@ class EncoderFreeze(LegFault, kind="encoder_freeze", effect=("frozen", last, Tru
     """The encoder keeps the length of the moment the fault begins, at rate zero."""
 
 
-class EncoderDrift(LegFault, kind="encoder_drift"):
+class EncoderDrift(LegFault, kind="encoder_drift", effect=("drifts", None, "by_m_s")):
     """The encoder creeps away: its length at this rate, which its rate contains."""
 
     by_m_s: float
-
-    def act(self, present: Present) -> None:
-        """Several drifts add up."""
-        present.drifts.append((self.leg, self.by_m_s, present.since_ns))
 
 
 class EncoderNoise(LegFault, kind="encoder_noise"):
@@ -66,22 +62,14 @@ class EncoderLate(LegFault, kind="encoder_late", effect=("late_ns", later, "by_m
     by_ms: Annotated[float, Field(gt=0, le=1000)] = 1.0
 
 
-class EncoderScale(LegFault, kind="encoder_scale"):
+class EncoderScale(LegFault, kind="encoder_scale", effect=("scales", None, "factor")):
     """The encoder counts this multiple of the motion since the fault began; its rate is scaled as well."""
 
     factor: float
 
-    def act(self, present: Present) -> None:
-        """Several factors multiply."""
-        present.scales.append((self.leg, self.factor, present.since_ns))
 
-
-class EncoderSign(LegFault, kind="encoder_sign"):
+class EncoderSign(LegFault, kind="encoder_sign", effect=("scales", None, -1.0)):
     """The encoder counts backwards from where it is when the fault begins."""
-
-    def act(self, present: Present) -> None:
-        """Turn it round."""
-        present.scales.append((self.leg, -1.0, present.since_ns))
 
 
 class EncoderLost(LegFault, kind="encoder_lost", effect=("lost", last, True)):

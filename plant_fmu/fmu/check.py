@@ -4,6 +4,7 @@ Each refusal says what the FMU offers.
 """
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ _INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64
     "Integer",
     "Enumeration",
 }
+_INDEX = re.compile(r"[0-9]{1,9}")
 _SI = {"N": (1, 1, -2), "N.m": (1, 2, -2), "m": (0, 1, 0), "m/s": (0, 1, -1)}
 """Unit -> exponents of kg, m, s."""
 _SPELLINGS = {"N.m": {"N.m", "Nm", "N*m", "N m"}, "m/s": {"m/s", "m.s-1", "m*s-1"}}
@@ -100,12 +102,12 @@ class _Reader:
         self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
 
     def find(self, name: str) -> list[Any]:
-        """Return the variable, or in FMI 2 the elements ``name[..]`` of an array written out."""
+        """Return the variable, or in FMI 2 the elements ``name[..]`` of an array written out, by index."""
         if name in self.by_name:
             return [self.by_name[name]]
         elements = [v for n, v in self.by_name.items() if self.major < 3 and n.startswith(f"{name}[")]
         if elements:
-            return elements
+            return sorted(elements, key=lambda v: [int(n) for n in _INDEX.findall(v.name, len(name))])
         close = sorted(n for n in self.by_name if name.lower().split("[")[0] in n.lower())[:8]
         some = shown(", ".join(close or sorted(self.by_name)[:12]))
         hint = f"; close to it: {some}" if close else f"; it has {some} ..."

@@ -28,6 +28,9 @@ def test_a_variable_is_found_by_its_own_name_before_any_element(version):
 
 def test_the_elements_of_an_array_are_found_together_in_fmi_2_which_has_no_arrays():
     assert found("2.0", ["leg.forces[1]", *ELEMENTS, "force[1]"], "leg.force") == ELEMENTS
+    assert found("2.0", ELEMENTS[::-1], "leg.force") == ELEMENTS, "by index, however they are listed"
+    matrix = ["R[1,2]", "R[2,1]", "R[2,10]", "R[2,2]"]
+    assert found("2.0", matrix, "R") == ["R[1,2]", "R[2,1]", "R[2,2]", "R[2,10]"]
     with pytest.raises(
         PlantError, match=r"no variable 'leg.force'; close to it: leg.force\[1\], leg.force\[2\]"
     ):

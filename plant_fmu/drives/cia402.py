@@ -42,7 +42,7 @@ class Cia402Drives(CompiledDrives):
         self.nodes, self._bus_of = d["nodes"].tolist(), d["bus_of"].tolist()
         self._new = np.zeros(LEGS, kernels.DEVICE)
         for row, node, counts in zip(self._new, self.nodes, d["counts"].tolist(), strict=True):
-            row["values"] = dictionary.defaults(node, family.rated_torque_mNm, round(counts), 1)
+            row["values"] = dictionary.defaults(node, family.rated_torque_mNm, round(counts))
             dictionary.fill_pdos(row)
         self.state = self._new.copy()
         self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)

@@ -71,14 +71,13 @@ PLACE = {key: place for place, key in enumerate(ENTRIES)}
 _INDICES = {index for index, _ in ENTRIES}
 
 
-def defaults(node: int, rated_torque_mNm: int, increments: int, revolutions: int) -> Ints:
+def defaults(node: int, rated_torque_mNm: int, increments: int) -> Ints:
     """Return the values of a drive that has just been powered up."""
     own = {
         (0x1014, 0): o.EMCY_ID + node,
         o.SERIAL: node,
         o.RATED_TORQUE: rated_torque_mNm,
         o.ENCODER_INCREMENTS: increments,
-        o.MOTOR_REVOLUTIONS: revolutions,
     }
     for n in range(PDOS):
         own |= {(o.RPDO + n, 1): o.RPDO_ID[n] + node | (o.NOT_VALID if n else 0)}

@@ -15,8 +15,6 @@ COUPLED = 1e-3
 class Probe(NamedTuple):
     """How a plant answers small pushes from its initial state, brakes open."""
 
-    lengths: Array
-    """(6,) m, at the start."""
     acceleration: Array
     """(6,) m/s^2, of the legs without any force."""
     mobility: Array
@@ -38,7 +36,6 @@ def probe(plant: Plant, force_N: float, dt_s: float) -> Probe:
     The mobility counts what the push adds to the motion without any force. The plant is reset before each
     step and at the end. Raises PlantError.
     """
-    lengths, _ = plant.reset()
     open_, calm = np.zeros(LEGS), np.zeros(6)
 
     def accelerations(force: Array) -> Array:
@@ -51,4 +48,4 @@ def probe(plant: Plant, force_N: float, dt_s: float) -> Probe:
     pushed = [accelerations(force_N * np.eye(LEGS)[j]) for j in range(LEGS)]
     plant.reset()
     mobility = np.column_stack([(a - free) / force_N for a in pushed])
-    return Probe(lengths, free, mobility)
+    return Probe(free, mobility)

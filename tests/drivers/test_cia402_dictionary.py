@@ -10,7 +10,7 @@ from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, defaults, fill_pd
 from plant_fmu.drives.cia402_kernels import DEVICE
 
 NODE = 5
-NEW = defaults(NODE, 9000, 4096, 2)
+NEW = defaults(NODE, 9000, 4096)
 TAKEN = {
     (0x1029, 1): {0, 1},
     (0x6007, 0): {1},

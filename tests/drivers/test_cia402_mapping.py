@@ -24,7 +24,7 @@ CASES = [
 
 def drive(parameters, *, valid):
     """Return a dictionary in which each PDO of a kind is on, or off."""
-    values = defaults(NODE, 1000, 4096, 1)
+    values = defaults(NODE, 1000, 4096)
     for n in range(PDOS):
         identifier = 0x200 + 0x100 * n + NODE
         values = with_value(values, (parameters + n, 1), identifier | (0 if valid else o.NOT_VALID))
@@ -76,7 +76,7 @@ def test_the_identifier_of_a_pdo_is_another_one_only_while_it_is_off(parameters)
 
 @pytest.mark.parametrize("node", [1, 5, 127])
 def test_a_drive_begins_with_the_identifiers_of_the_predefined_set_and_the_first_pdo_of_a_direction_on(node):
-    values = defaults(node, 1000, 4096, 1)
+    values = defaults(node, 1000, 4096)
     for parameters, base in ((0x1400, 0x200), (0x1800, 0x180)):
         found = [values[PLACE[parameters + n, 1]] for n in range(4)]
         off = [0, 1 << 31, 1 << 31, 1 << 31]

@@ -50,10 +50,9 @@ class Answers:
 def test_each_leg_is_pushed_once_from_the_start_and_the_plant_stands_there_afterwards(force_N):
     plant = Answers()
     found = probe(plant, force_N, DT)
-    np.testing.assert_allclose(found.lengths, np.arange(6.0) + 1.0)
     np.testing.assert_allclose(found.acceleration, FALL, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.mobility, MOBILITY, rtol=0, atol=1e-12)
-    assert plant.calls == ["reset", *["reset", "step"] * 7, "reset"]
+    assert plant.calls == [*["reset", "step"] * 7, "reset"]
 
 
 @pytest.mark.parametrize("place", [(0, 5), (5, 0), (2, 3)])
@@ -63,8 +62,8 @@ def test_legs_are_single_whose_answers_to_others_are_below_a_thousandth_of_the_l
     for share, single in ((0.9e-3, True), (1e-3, False), (1.1e-3, False), (1.0, False)):
         mobility = np.diag(own)
         mobility[place] = sign * share * 0.01
-        assert Probe(CALM, CALM, mobility).uncoupled is single
-    assert Probe(CALM, CALM, np.diag(own)).uncoupled is True
+        assert Probe(CALM, mobility).uncoupled is single
+    assert Probe(CALM, np.diag(own)).uncoupled is True
 
 
 @pytest.mark.parametrize("leg", range(6))
@@ -72,4 +71,4 @@ def test_where_one_push_moves_nothing_nobody_can_tell(leg):
     for answer in (0.0, np.nan):
         own = np.ones(6)
         own[leg] = answer
-        assert Probe(CALM, CALM, np.diag(own)).uncoupled is None
+        assert Probe(CALM, np.diag(own)).uncoupled is None

@@ -40,7 +40,7 @@ def configured(folder, brake, path=None):
 
 
 def answer(mobility):
-    return Probe(np.ones(6), np.zeros(6), mobility)
+    return Probe(np.zeros(6), mobility)
 
 
 def test_single_legs_under_a_law_with_a_model_are_pointed_to_pd_with_the_heaviest_legs_mass():

@@ -139,11 +139,9 @@ class CompiledDrives(DrivesEnd):
 
     def _message(self, message: Any, frame: Frame) -> m.DeviceMessage:
         kind, mode, counter, _, _, force = message
-        return (
-            m.Rejected(self.reason(mode, counter, force[0], frame))
-            if kind == REJECTED
-            else device_message(*message)
-        )
+        if kind == REJECTED:
+            return m.Rejected(self.reason(mode, counter, force[0], frame))
+        return device_message(*message)
 
     def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
         """Return what the drives of `sync.legs` answer, see `DrivesEnd.reply`."""

@@ -107,7 +107,7 @@ class MitDrives(drives.MotorDrives):
 
     def __init__(self, family: Any) -> None:
         """Power them up."""
-        self.codes = _CODES.get(family.variant, {})
+        self.codes = CODES.get(family.variant, {})
         super().__init__(family)
 
     def power_up(self, d: Record) -> None:
@@ -142,7 +142,7 @@ class MitDrives(drives.MotorDrives):
         return (*messages, self.answer_of(leg, Frame(self.family.replies[leg], data[:4] + body)))
 
 
-_CODES = {
+CODES = {
     "cubemars": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 5},
     "damiao": {
         DriveFault.WATCHDOG: 13,

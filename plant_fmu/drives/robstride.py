@@ -9,9 +9,9 @@ from drivers.frame_pointers import begin_sent
 from drivers.mit import robstride as k
 from drivers.mit.fields import TURN
 from drivers.protocol import EXTENDED, Frame
-from drivers.signals import DriveFault, Reaction
+from drivers.signals import Reaction
 from plant_fmu.drives import motors as drives
-from plant_fmu.drives.mit import scaled
+from plant_fmu.drives.mit import CODES, scaled
 from plant_fmu.messages import Answer, Configure, DeviceMessage, Rejected, Sync
 
 
@@ -67,7 +67,7 @@ class RobStrideDrives(drives.MotorDrives):
 
     obey, encode = obey, encode
     rejections = ("frame of {size} bytes",)
-    codes, otherwise = {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 8, DriveFault.STROKE: 16}, 4
+    codes, otherwise = CODES["robstride"], 4
 
     def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
         """Take the request for the processor's number, or a register's; all but its reading has feedback."""

@@ -128,16 +128,14 @@ class _Reader:
         if name is None:
             self._assume(key, variable, allowed)
             return
-        unit = self.units.get(name)
-        base = unit.baseUnit if unit is not None else None
-        for want in allowed:
-            if base is None:
-                if name in _SPELLINGS.get(want, {want}):
-                    return
-                continue
+        base = getattr(self.units.get(name), "baseUnit", None)
+        if base is None:
+            fits = any(name in _SPELLINGS.get(want, {want}) for want in allowed)
+        else:
             scaled = (base.factor, base.offset) != (1, 0) or any((base.A, base.K, base.mol, base.cd))
-            if (base.kg, base.m, base.s) == _SI[want] and not scaled:
-                return
+            fits = not scaled and (base.kg, base.m, base.s) in {_SI[want] for want in allowed}
+        if fits:
+            return
         raise PlantError(
             f"{self.path}: variable {variable.name!r} is in {name!r}; {' or '.join(allowed)} is needed. "
             "Convert it inside the FMU: units are not converted on the way"

@@ -63,8 +63,7 @@ class Bus(Source):
 
     Mutable state: the links, in the order of their buses; the error count since the last `events`, which
     buses were off then, and the worst state of each; since when each refuses frames, and whether it is dead;
-    on which each identifier was last received, and each frame of the last `send` went; when each had taken
-    what was its.
+    on which each identifier was last received, and each frame of the last `send` went.
     """
 
     def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
@@ -77,7 +76,6 @@ class Bus(Source):
         self._errors = self._overflow_seen = self._was_off = 0
         self._home: dict[int, int] = {}
         self._order: list[int] = []
-        self._taken_ns = [0] * len(self._links)
         self._refused_since = [0] * len(self._links)
         self._dead = [False] * len(self._links)
         self._states = [BusState.UNKNOWN] * len(self._links)
@@ -129,7 +127,7 @@ class Bus(Source):
             except Exception as error:  # noqa: BLE001 - raised when all have theirs
                 failed = failed or error
             taken += took
-            now = self._taken_ns[bus] = self.clock.now()
+            now = self.clock.now()
             self._refused_since[bus] = since = 0 if took else self._refused_since[bus] or now
             self._dead[bus] = not took and now - since >= DEAD_AFTER_NS
         if failed is not None:
@@ -236,12 +234,12 @@ class Bus(Source):
     def skew_ns(self) -> int:
         """Return the time between the first frames of the last `send` on the buses; 0 of a single bus.
 
-        Their ends on the wire where every link knows them, else the instants at which the interfaces had
-        taken what was for them.
+        Each as in `sent_ns`; a bus that took none does not count.
         """
-        ends = [end for link in self._links if (end := link.first_sent_ns()) is not None]
-        times = ends if len(ends) == len(self._links) else self._taken_ns
-        return max(times) - min(times)
+        if len(self._links) == 1:
+            return 0
+        first = [times[0] for link in self._links if (times := link.sent_ns())]
+        return max(first, default=0) - min(first, default=0)
 
     def sent_ns(self) -> Sequence[int | None]:
         """Return when each frame of the last `send` ended on its wire, where the interface knows it.

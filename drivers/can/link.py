@@ -58,10 +58,6 @@ class Link(Source):
         """Return how many elements of FRAME were taken, from the first on; all are for this interface."""
         raise NotImplementedError
 
-    def first_sent_ns(self) -> int | None:
-        """Return when the first frame of the last `send` ended on the wire; None where that is not known."""
-        return None
-
     def sent_ns(self) -> Sequence[int]:
         """Return when each frame that the last `send` took ended on the wire, else when it was taken."""
         return self._taken_ns

@@ -92,5 +92,5 @@ def test_each_time_that_stands_is_waited_for_anew(watched):
 
 def test_one_whose_process_is_gone_is_dismissed_at_the_first_ring(watched):
     watched.bell.alive = False
-    assert watched.looks(300, MS) == 4, "after more than 2 ms"
+    assert watched.looks(300, MS) == 1
     assert watched.bell.rung == [OTHER]

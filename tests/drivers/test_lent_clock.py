@@ -117,14 +117,6 @@ def test_a_run_begins_anew_whatever_the_one_before_has_left_on_the_second_channe
     assert words[CLOCK_AT] == bench.first._wire.words[CLOCK_AT]
 
 
-def test_a_channel_that_was_left_is_kept_to_no_clock(bench):
-    words = bench.second._wire.words
-    bench.first.clock.begin(1, 1)
-    bench.second.close()
-    stand(bench)
-    assert words[OFFSET_AT] == 0
-
-
 def test_a_channel_that_stays_is_kept_to_the_clock_that_another_one_has_left(bench):
     third = Participant("c", clock=bench.first.clock)
     bench.first.clock.begin(1, 1)

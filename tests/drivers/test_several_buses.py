@@ -274,9 +274,9 @@ class Still(Clock):
 class FakeLink(Link):
     off, overflow, knows_ends, virtual = False, 3, False, False
 
-    def __init__(self, clock, end_ns=None):
-        self.clock, self.sent, self.inbox, self.end_ns, self.blocked = clock, [], [], end_ns, []
-        self.out_ns = []
+    def __init__(self, clock, *out_ns):
+        self.clock, self.sent, self.inbox, self.blocked = clock, [], [], []
+        self.out_ns = out_ns
 
     def send(self, frames):
         self.sent += sent_frames(frames)
@@ -288,9 +288,6 @@ class FakeLink(Link):
     def receive(self):
         found, self.inbox = self.inbox, []
         return received_array(found)
-
-    def first_sent_ns(self):
-        return self.end_ns
 
     def block(self, deadline_ns, missing):
         self.blocked.append(set(missing))
@@ -330,13 +327,14 @@ def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_
     assert group.events().overflow == 6
 
 
-def test_the_skew_is_that_of_the_ends_on_the_wire_else_of_the_instants_at_which_the_links_had_their_frames():
+def test_the_skew_is_that_of_the_first_frames_of_the_buses_that_took_one():
     clock = Still()
-    known = Bus([FakeLink(clock, 75_000), FakeLink(clock, 151_000), FakeLink(clock, 80_000)])
-    assert known.skew_ns() == 76_000
-    unknown = Bus([FakeLink(clock, 75_000), FakeLink(clock)])
-    unknown.send(sent_array([Frame(1, b""), Frame(1, b"", BUS)]))
-    assert unknown.skew_ns() == 1_000
+    assert (
+        Bus([FakeLink(clock, 75_000, 900_000), FakeLink(clock, 151_000), FakeLink(clock, 80_000)]).skew_ns()
+        == 76_000
+    )
+    assert Bus([FakeLink(clock, 75_000), FakeLink(clock), FakeLink(clock, 76_000)]).skew_ns() == 1_000
+    assert Bus([FakeLink(clock), FakeLink(clock)]).skew_ns() == 0
 
 
 def test_each_frame_has_the_time_of_its_own_bus_and_none_where_that_did_not_take_it():

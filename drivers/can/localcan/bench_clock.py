@@ -26,8 +26,8 @@ PLAIN, HELD, FOREIGN = range(3)
 """What stands at CLOCK_AT: time never stands still; it may; it did, until somebody sent who does not hold."""
 DISMISS_NS = 250_000_000
 """Time does not stand longer than this, as far as somebody runs to see it, for one who does not come back."""
-_ASK_NS = 2_000_000
-"""Time has to stand so long before somebody looks whether the process it stands for is gone."""
+_LOOK_NS = 2_000_000
+"""Of the time between two looks so much counts at most: while nobody runs, nobody is late."""
 NAP_S = 2e-4
 """Between two looks while time stands still."""
 _NEVER = 1 << 62
@@ -129,8 +129,10 @@ def share(other: Ints, words: Ints) -> bool:
 class BenchClock(Clock):
     """The clock of one participant on a localcan wire. `holds`: it holds time, where that may stand still.
 
-    Mutable state: the shared words, and those of other wires that go by it; the last reading; whether this
-    participant holds time, and for how long it has waited for another one that holds time back.
+    `wires`: the words of its own, and of others that go by it, too; a stranger there goes by theirs.
+
+    Mutable state: the shared words; the last reading; whether this participant holds time, and for how long
+    it has waited for another one that holds time back.
     """
 
     def __init__(self, wire: Wire, serial: int) -> None:
@@ -142,29 +144,14 @@ class BenchClock(Clock):
         state[_GETTIME] = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
         state[_RESULT] = state.ctypes.data + 8 * _SECONDS
         self.arguments = wire.words, state
-        self._lent: list[Ints] = []
+        self.wires: list[Ints] = []
         self._waiting_for = (0, 0)
-        self._waited_ns = self._asked_ns = self._looked_ns = 0
+        self._waited_ns = self._looked_ns = 0
         self.holds = False
 
     def now(self) -> int:
         """Return bench time."""
         return int(read(*self.arguments))
-
-    # other wires
-    def lend(self, words: Ints) -> None:
-        """Be the clock of another wire, too: a stranger there goes by the words of that."""
-        self._lent.append(words)
-        self._share()
-
-    def take_back(self, words: Ints) -> None:
-        """Be the clock of another wire no more."""
-        self._lent = [each for each in self._lent if each is not words]
-
-    def _share(self) -> None:
-        for words in self._lent:
-            if share(words, self._words):
-                interrupt(*self.arguments)
 
     # holding time
     def begin(self, wake_ns: int, work_ns: int) -> None:
@@ -174,7 +161,7 @@ class BenchClock(Clock):
         """
         words = self._words
         words[at.WAKE_AT], words[at.WORK_AT] = max(1, wake_ns), max(1, work_ns)
-        for each in (*self._lent, words):
+        for each in self.wires[::-1]:
             each[at.OFFSET_AT] = words[at.OFFSET_AT]
             each[at.CLOCK_AT] = HELD
 
@@ -189,7 +176,9 @@ class BenchClock(Clock):
     def _promise(self, due_ns: int) -> None:
         if self.holds:
             promise(*self.arguments, due_ns)
-            self._share()
+            for words in self.wires[1:]:
+                if share(words, self._words):
+                    interrupt(*self.arguments)
 
     def sends(self) -> None:
         """Take note that this participant sends: time does not stand still for a stranger."""
@@ -220,21 +209,15 @@ class BenchClock(Clock):
         now = self.now()
         if not self._state[_BEHIND]:
             return False
-        other = int(self._state[_OVERDUE])
-        real_ns = int(self._state[_FREE])
+        other, real_ns = int(self._state[_OVERDUE]), int(self._state[_FREE])
         if (other, now) != self._waiting_for:
-            self._waiting_for, self._waited_ns, self._asked_ns = (other, now), 0, 0
+            self._waiting_for, self._waited_ns = (other, now), 0
         else:
-            # while nobody runs, nobody is late
-            self._waited_ns += min(real_ns - self._looked_ns, _ASK_NS)
+            self._waited_ns += min(real_ns - self._looked_ns, _LOOK_NS)
         self._looked_ns = real_ns
-        if self._waited_ns > DISMISS_NS:
+        serial = int(self._words[at.slot_at(other) + at.SLOT_SERIAL])
+        if self._waited_ns > DISMISS_NS or (serial != self._serial and not self._ring(serial)):
             dismiss(*self.arguments)
-        elif self._waited_ns - self._asked_ns > _ASK_NS:
-            self._asked_ns = self._waited_ns
-            serial = int(self._words[at.slot_at(other) + at.SLOT_SERIAL])
-            if serial != self._serial and not self._ring(serial):
-                dismiss(*self.arguments)
         return True
 
     def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:

@@ -86,16 +86,6 @@ def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
     return record, number, load(words, record + at.END)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS)
-def join(words: Ints, state: Ints) -> None:
-    """Begin to read at the log's end."""
-    index, free = max(at.FIRST, load(words, at.HINT_AT) - at.OUTBOX // 8), 0
-    while _started(words, index):
-        _, _, end = _settle(words, index, free)
-        index, free = index + 1, max(free, end)
-    state[CURSOR], state[FREE] = index, free
-
-
 @direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, INTEGER, OUT_INTEGER_MATRIX)
 def look(words: Ints, state: Ints, queue: Ints, now_ns: int, own: int, frames: Ints) -> int:
     """Start what is due by now; fill `frames`, elements of FRAME, with what has ended; return how many.

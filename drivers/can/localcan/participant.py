@@ -60,8 +60,8 @@ class Participant(Link):
     The mode (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
     `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
     `tx_limit`: frames that may wait for the bus before `send` takes no more. `clock`: of a participant on
-    another channel, whose time is this one's too; by default the channel has its own. Who joins this channel
-    by itself goes by the channel's, which is kept to the lent one's.
+    another channel, whose time is this one's too, and who leaves with it; by default the channel has its own.
+    Who joins this channel by itself goes by the channel's, which is kept to the lent one's.
 
     Mutable state: the shared wire; what this reader knows of its log; frames received by a look that was
     not for them; the kinds of frames that have passed the check, with priority and duration.
@@ -92,24 +92,21 @@ class Participant(Link):
         self._thread = threading.RLock()
         """Users of python-can send and receive in several threads."""
         self.channel = channel
-        self._closed = True
-        self._lent_clock = clock
+        self._closed = False
         self._wire = Wire(runtime_folder() / f"{safe_name(channel)}.wire{at.VERSION}")
         try:
-            self._join(timing, fd)
+            self._join(timing, fd, clock)
         except BaseException:
             self._wire.close()
             raise
         self._wire.unlock()
-        log.join(self._wire.words, self._state)
-        self._closed = False
 
     # joining and leaving
     def _remove(self, serial: int) -> None:
         if log.change(self._wire.words, at.slot_at(serial) + at.SLOT_SERIAL, serial, 0):
             Path(self._wire.bell_of(serial)).unlink(missing_ok=True)
 
-    def _join(self, timing: BitTiming | None, fd: bool | None) -> None:
+    def _join(self, timing: BitTiming | None, fd: bool | None, clock: BenchClock | None) -> None:
         wire = self._wire
         for serial in wire.present():
             if not wire.ring(serial):
@@ -128,23 +125,24 @@ class Participant(Link):
         if wire.mode is None and (timing, fd) != (None, None):
             wire.fix(wanted)
         self.serial = wire.enter()
-        self._state = np.array([self.serial, 0, 0, 0])
+        # a little before the log's end, to find out when the bus falls free
+        begun = max(at.FIRST, int(wire.words[at.HINT_AT]) - at.OUTBOX // 8)
+        self._state = np.array([self.serial, begun, 0, 0])
         self._queue = np.zeros((log.QUEUE_ROWS, log.ENTRY + 1), np.int64)
         self._frames = np.zeros((BATCH, log.FRAME_WORDS), np.int64)
         self._serials = np.zeros(at.SLOTS, np.int64)
-        self.clock = self._lent_clock or BenchClock(wire, self.serial)
-        if self._lent_clock is not None:
-            self._lent_clock.lend(wire.words)
+        self.clock = clock or BenchClock(wire, self.serial)
+        self.clock.wires.append(wire.words)
+        self.receive()  # what has ended before
+        self.overflow = self._state[log.LOST] = 0
+        wire.words[at.slot_at(self.serial) + at.SLOT_SERIAL] = self.serial
 
     def close(self) -> None:
         """Leave the bus; frames still queued are sent. The last one takes the wire with it."""
         if self._closed:
             return
         self._closed = True
-        if self._lent_clock is None:
-            self.clock.leave()
-        else:
-            self._lent_clock.take_back(self._wire.words)
+        self.clock.leave()
         alone = self._wire.lock(LEAVE_S)
         try:
             self._remove(self.serial)
@@ -203,22 +201,13 @@ class Participant(Link):
             self._look()
             return int(log.withdraw(self._wire.words, self._state, self._queue))
 
-    def first_sent_ns(self) -> int | None:
-        """Return when the first frame of the last `send` ended, as far as this node has looked; else None."""
-        return self._ended_ns(self._sent[0]) if self._sent else None
-
-    def _ended_ns(self, number: int) -> int | None:
-        """Return when a frame of this node ended; None where that is not known."""
-        record = at.record_at(self.serial, number)
-        end = int(self._wire.words[record + at.END])
-        return end if end > 0 and int(self._wire.words[record + at.NUMBER]) == number else None
-
     def sent_ns(self) -> list[int]:
         """Return when each frame that the last `send` took ended, as far as this node has looked.
 
         Else when it was taken.
         """
-        return [self._ended_ns(number) or self._queued_ns for number in self._sent]
+        ends = self._wire.words[[at.record_at(self.serial, number) + at.END for number in self._sent]]
+        return [end if end > 0 else self._queued_ns for end in ends.tolist()]
 
     # receiving
     def receive(self) -> Rows:

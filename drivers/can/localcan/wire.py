@@ -140,6 +140,7 @@ class Wire:
     def enter(self) -> int:
         """Take a slot and its doorbell, with the lock held; return the serial number.
 
+        Who writes it into the slot is on the bus from then on.
         Raises BusError without a free slot, without memory, or where there can be no socket.
         """
         empty = np.flatnonzero(self._slots[:, at.SLOT_SERIAL] == 0)
@@ -159,8 +160,6 @@ class Wire:
                 "set XDG_RUNTIME_DIR to a folder of your own with a short path"
             ) from error
         slot[[at.SLOT_PID, at.SLOT_RUNG, at.SLOT_DUE]] = os.getpid(), 0, 0
-        # from here on the others ring this participant
-        slot[at.SLOT_SERIAL] = serial
         self.words[at.USED_AT] = max(int(self.words[at.USED_AT]), int(empty[0]) + 1)
         return serial
 

@@ -1,12 +1,11 @@
 """Where this user's running programs meet: the runtime folder, and one lock per role on a bus."""
 
 import errno
-import fcntl
 import hashlib
 import os
 import socket
+import struct
 import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import quote
 
@@ -14,10 +13,12 @@ from drivers.errors import BusError, RunError
 from drivers.files import own_folder
 
 NAME = "hexapod-hil"
+_PEER = struct.Struct("=3i")
+"""struct ucred: process, user, group."""
 
 
 def runtime_folder() -> Path:
-    """Return the folder for sockets, locks and shared memory, made if need be, mode 0700.
+    """Return the folder for sockets and shared memory, made if need be, mode 0700.
 
     It lies under XDG_RUNTIME_DIR; without one it is a folder of the user's own in /dev/shm (memory, so that
     no page of it is ever written to a disk) or, failing that, in the temporary directory.
@@ -55,58 +56,46 @@ def address(*words: str) -> bytes:
     return b"\0hexapod-hil." + name.encode()
 
 
-def role_is_held(interface: str, channel: str, role: str) -> bool:
-    """Tell whether a process of this machine, of any user, has a role on a channel.
+def _role(interface: str, channel: str, role: str) -> bytes:
+    folder = [str(runtime_folder().resolve())] if interface == "localcan" else []
+    return address(interface, channel, role, *folder)
 
-    Not on one of localcan, which lies in the runtime folder: another folder has another one.
+
+def role_holder(interface: str, channel: str, role: str) -> int | None:
+    """Process of this machine, of any user, that has a role on a channel; 0: unknown; None: nobody has it.
+
+    A channel of localcan lies in the runtime folder: another folder has another one.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
         try:
-            probe.connect(address(interface, channel, role))
+            probe.connect(_role(interface, channel, role))
+        except BlockingIOError:  # it has been asked so often that no more may wait for an answer
+            return 0
         except OSError:
-            return False
-    return True
+            return None
+        return int(_PEER.unpack(probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))[0])
 
 
 class RoleLock:
     """Holds a role (controller, plant) on a channel for as long as the process lives or until `close`.
 
-    A lock file in the runtime folder names the process. Other users, and who has another XDG_RUNTIME_DIR, do
-    not see it; so a role on any interface but localcan is an abstract socket, too. The kernel drops both with
-    the process, however it ends. Mutable state: the open lock file and the socket, which `close` gives back.
+    It is a socket, which the kernel drops with the process, however it ends: mutable state.
+    Raises RunError when another process has the role.
     """
 
     def __init__(self, interface: str, channel: str, role: str) -> None:
-        bus = f"bus {interface}:{channel}"
-        path = runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.{safe_name(role)}.lock"
-        with ExitStack() as held:
-            try:
-                fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-            except OSError as error:
-                raise BusError(
-                    f"lock file {path}: {error.strerror}; remove it or set XDG_RUNTIME_DIR"
-                ) from error
-            held.callback(os.close, fd)
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                other = os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
-                raise RunError(
-                    f"{bus} already has a {role}, process {other}; "
-                    "stop it first, or choose another bus.channel"
-                ) from None
-            mark = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
-            try:
-                if interface != "localcan":
-                    mark.bind(address(interface, channel, role))
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise BusError(f"{bus}: no lock of the {role}: {error.strerror}") from error
-                raise RunError(
-                    f"{bus} already has a {role}, which runs as another user or with another XDG_RUNTIME_DIR "
-                    "(sudo, a service, a session that has ended); stop it first, or choose another "
-                    "bus.channel"
-                ) from None
-            os.ftruncate(fd, 0)
-            os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
-            self.close = held.pop_all().close
+        name, held = _role(interface, channel, role), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            held.bind(name)
+            held.listen()
+        except OSError as error:
+            held.close()
+            bus = f"bus {interface}:{channel}"
+            if error.errno != errno.EADDRINUSE:
+                raise BusError(f"{bus}: no lock of the {role}: {error.strerror}") from error
+            raise RunError(
+                f"{bus} already has a {role}, process {role_holder(interface, channel, role) or 'unknown'}; "
+                "stop it first, or choose another bus.channel"
+            ) from None
+        self.close = held.close

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from drivers.can.runtime_folder import role_is_held, runtime_folder, safe_name
+from drivers.can.runtime_folder import role_holder, runtime_folder, safe_name
 from drivers.errors import RunError
 from hil.operate.answers import REFUSED, TAKEN
 
@@ -84,7 +84,7 @@ class OperatorClient:
             self._socket.connect(str(path))
         except OSError:
             self._socket.close()
-            if role_is_held(interface, channel, "controller"):
+            if role_holder(interface, channel, "controller") is not None:
                 raise RunError(
                     f"{self._where} has a controller, but none that listens here: it runs as another user or "
                     "with another XDG_RUNTIME_DIR (sudo, a service, a session that has ended), is starting, "

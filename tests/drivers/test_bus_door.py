@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import read_error
 from drivers.can.link import Link, collect
 from drivers.can.netlink import attributes
-from drivers.can.runtime_folder import runtime_folder
+from drivers.can.runtime_folder import role_holder
 from drivers.clock import Clock
 from drivers.config import BusSettings
 from drivers.errors import BusError
@@ -318,9 +319,9 @@ def test_a_bus_of_the_kernel_has_one_option():
 
 def test_a_role_is_locked_by_interface_channel_and_role(runtime):
     with Bus.open(BusSettings(interface="localcan", channel="t"), "plant"):
-        assert [path.name for path in runtime_folder().glob("*.lock")] == ["localcan.t.plant.lock"]
+        assert role_holder("localcan", "t", "plant") == os.getpid()
     with Bus.open(BusSettings(interface="localcan", channel="u"), "listener"):
-        assert not list(runtime_folder().glob("localcan.u.*.lock"))
+        assert role_holder("localcan", "u", "listener") is None
 
 
 def test_an_attribute_without_content_is_there_and_a_cut_one_ends_them():

@@ -11,8 +11,7 @@ import pytest
 
 from drivers.can.bus_time import BitTiming
 from drivers.can.localcan.participant import Participant
-from drivers.can.localcan.wire import Wire
-from drivers.can.runtime_folder import RoleLock, runtime_folder
+from drivers.can.runtime_folder import RoleLock
 from drivers.errors import BusError, RunError
 from drivers.files import open_regular, read_regular
 
@@ -37,13 +36,6 @@ def test_what_is_no_regular_file_or_too_large_is_closed(tmp_path):
     for path in (tmp_path, pipe):
         assert refused(partial(open_regular, path), OSError, "no regular file") == 0
     assert refused(lambda: read_regular(large, 10), OSError, "more than the 10 bytes") == 0
-
-
-def test_the_memory_of_a_bus_that_is_not_the_users_alone_is_closed(runtime):
-    path = Path(runtime_folder()) / "strange.wire"
-    path.touch()
-    path.chmod(0o640)
-    assert refused(lambda: Wire(path), BusError, "not this user's alone") == 0
 
 
 def test_who_cannot_join_a_bus_or_has_its_role_refused_keeps_nothing(runtime):

@@ -9,31 +9,10 @@ import pytest
 
 from drivers.can.localcan.layout import SLOT_DUE, SLOT_PID, SLOT_RUNG, SLOT_SERIAL, SLOTS, slot_at
 from drivers.can.localcan.wire import Wire
-from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
 
 pytestmark = pytest.mark.usefixtures("runtime")
-
-
-@pytest.mark.parametrize("mode", [0o601, 0o602, 0o604, 0o610, 0o620, 0o640, 0o666, 0o777])
-def test_a_wire_that_others_may_use_is_refused(tmp_path, mode):
-    path = tmp_path / "t.wire"
-    path.touch()
-    path.chmod(mode)
-    with pytest.raises(BusError, match=r"t\.wire is not this user's alone; remove it"):
-        Wire(path)
-
-
-@pytest.mark.parametrize("mode", [0o600, 0o660])
-def test_a_wire_that_another_user_owns_is_refused_whatever_its_mode(tmp_path, monkeypatch, mode):
-    path = tmp_path / "t.wire"
-    path.touch()
-    path.chmod(mode)
-    other = os.getuid() + 1
-    monkeypatch.setattr(os, "getuid", lambda: other)
-    with pytest.raises(BusError, match=r"t\.wire is not this user's alone; remove it"):
-        Wire(path)
 
 
 def test_a_wire_of_this_users_alone_is_the_bus_as_often_as_it_is_opened(tmp_path):

@@ -40,7 +40,8 @@ class Mode(NamedTuple):
 class Wire:
     """One channel's shared memory, made with the lock held, and the doorbells of its participants.
 
-    A doorbell is a datagram socket, by which others say that there is something to see.
+    A doorbell is a datagram socket, by which others say that there is something to see. Both lie in a folder
+    of this user's alone.
     Mutable state: the mapping, shared with every participant, whether this process holds the lock, and the
     doorbell.
     """
@@ -56,7 +57,7 @@ class Wire:
                     f"localcan: {path}: {error.strerror}; remove it or set XDG_RUNTIME_DIR"
                 ) from error
             locked, status = self.lock(JOIN_S), os.fstat(self._fd)
-            if locked and status.st_uid == os.getuid() and not status.st_mode & 0o077 and status.st_nlink:
+            if locked and status.st_nlink:
                 break
             # without a link: the last participant removed the file between our open and our lock
             os.close(self._fd)
@@ -65,8 +66,6 @@ class Wire:
                     f"localcan: a process has held {path} for {JOIN_S:g} s, stopped while it joined or left: "
                     f"let it go on (`fuser {path}` names the processes, `kill -CONT` wakes one) or end it"
                 )
-            if status.st_nlink:
-                raise BusError(f"localcan: {path} is not this user's alone; remove it")
         new = status.st_size != at.SIZE
         try:
             if new:
@@ -153,7 +152,6 @@ class Wire:
         try:
             bell.unlink(missing_ok=True)
             self.bell.bind(str(bell))
-            bell.chmod(0o600)
         except OSError as error:
             raise BusError(
                 f"localcan: cannot open the socket {bell}: {error}; "

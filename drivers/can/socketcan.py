@@ -33,7 +33,8 @@ _SO_TIMESTAMPNS, _SO_RXQ_OVFL, _SO_MEMINFO = 35, 40, 55
 _WMEM = struct.Struct("=8xI")
 """What SO_MEMINFO begins with, up to SK_MEMINFO_WMEM_ALLOC."""
 _SOL_CAN_RAW, _RAW_ERR_FILTER, _RAW_FD_FRAMES, _ERR_MASK = 101, 2, 5, 0x1FFFFFFF
-_GONE = frozenset({errno.ENXIO, errno.ENODEV})
+_DOWN = frozenset({errno.ENETDOWN, errno.ENXIO, errno.ENODEV})
+"""The interface is down, or gone."""
 _BATCH = 512
 _RECEIVE_BUFFER = 1 << 20
 _FLUSH_S = 0.05
@@ -53,9 +54,9 @@ class SocketCan(Link):
     """A raw CAN socket.
 
     Mutable state: the socket, `overflow` (frames lost so far in the kernel or the controller), whether the
-    interface is down, gone or not the configured one any more and since when, whether the controller is
-    bus-off, its worst state since it was asked for, since when our frames wait, and when the kernel had
-    taken the last ones.
+    interface is down or gone, whether it could not be cleared or is not the configured one any more, whether
+    the controller is bus-off, its worst state since it was asked for, since when our frames wait, and when
+    the kernel had taken the last ones.
     Raises BusError when the kernel has no CAN, or the channel does not exist, is down or differs from
     the section `bus`.
     """
@@ -65,8 +66,8 @@ class SocketCan(Link):
     def __init__(self, settings: BusSettings) -> None:
         self.channel = settings.channel
         self._settings = settings
-        self._down = self._gone = self._refused = self._bus_off = self._stuck = self._dropped = False
-        self._since_ns = self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
+        self._down = self._refused = self._bus_off = self._stuck = self._dropped = False
+        self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
         self._taken_ns = []
         self._socket, self._interface = self._open()
         self._state = self._worst = self._interface.state
@@ -168,8 +169,7 @@ class SocketCan(Link):
                         f"({size} bytes): {error.strerror}; see bus.layout"
                     ) from error
                 # no buffer: the bus is busy, or nobody acknowledges
-                if error.errno == errno.ENETDOWN or error.errno in _GONE:
-                    self._set_down(error)
+                self._down = error.errno in _DOWN
                 break
             self._taken_ns.append(time.monotonic_ns())
         return len(self._taken_ns)
@@ -177,11 +177,6 @@ class SocketCan(Link):
     def fileno(self) -> int:
         """Return the socket's descriptor, readable when something has come."""
         return self._socket.fileno()
-
-    def _set_down(self, error: OSError) -> None:
-        self._down = True
-        self._gone = self._gone or error.errno in _GONE
-        self._since_ns = time.time_ns()
 
     def _is_back(self) -> bool:
         """Look now and then whether an interface that was down or deleted is there again."""
@@ -194,16 +189,14 @@ class SocketCan(Link):
 
     def _come_back(self) -> None:
         """Go on with an interface that is up again. Raises BusError where it is not the configured one."""
-        if not self._gone:
-            self._interface = self._look()
-            # the socket keeps one error of the time when it was down
-            self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        else:
+        if self._down:
             sock, self._interface = self._open()
             self._socket.close()
             self._socket = sock
             self._waited = self._kernel_lost = 0
-        self._down = self._gone = self._bus_off = False
+        else:
+            self._interface = self._look()
+        self._down = self._bus_off = False
         self._state = self._interface.state
 
     def receive(self) -> Rows:
@@ -215,8 +208,8 @@ class SocketCan(Link):
                 raw, ancillary, _, _ = self._socket.recvmsg(FD_MTU, 64)
             except BlockingIOError:
                 break
-            except OSError as error:
-                self._set_down(error)
+            except OSError:
+                self._down = True
                 break
             t_ns = time.time_ns()
             for _, kind, value in ancillary:
@@ -232,9 +225,6 @@ class SocketCan(Link):
                 self._note(identifier, data)
             else:
                 self._dropped = False
-                if t_ns > self._since_ns:
-                    # it proves that the interface is up; a controller that is bus-off may have had it before
-                    self._down = False
                 if self._bus_off and self._interface.controller is None:
                     # a virtual interface never says that it was restarted
                     self._bus_off, self._state = False, BusState.UNKNOWN
@@ -283,7 +273,7 @@ class SocketCan(Link):
         """
         self._refused = True
         try:
-            if not self._gone and self._to_drop():
+            if not self._down and self._to_drop():
                 self._drop()
         except PermissionError as error:
             raise BusError(
@@ -298,13 +288,11 @@ class SocketCan(Link):
 
     def _to_drop(self) -> bool:
         """Tell whether a controller is bus-off, or frames still wait after a while."""
-        interface = parse(self.channel, netlink.get_link(self.channel))
-        if not interface.up:
-            return False
-        if interface.state is BusState.OFF:
+        self._interface = parse(self.channel, netlink.get_link(self.channel))
+        if self._interface.state is BusState.OFF:
             return True
         end = time.monotonic() + _FLUSH_S
-        while netlink.queued(interface.number):
+        while netlink.queued(self._interface.number):
             if time.monotonic() >= end:
                 return True
             time.sleep(_FLUSH_S / 10)

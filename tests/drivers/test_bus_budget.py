@@ -7,9 +7,10 @@ from math import inf
 
 import pytest
 
-from drivers.can.bus_time import BitTiming, BusBudget, budget, check, frame_bits, frame_time_ns
+from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
 from drivers.errors import BusError, ConfigurationError
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from hil.app.configuration.bus_budget import BusBudget, budget, check
 
 RATES = BitTiming(1_000_000, 5_000_000)
 FRAMES = [Frame(1, bytes(8))] * 2 + [Frame(2, bytes(12), FD | BRS)] * 3 + [Frame(3, bytes(4))]

@@ -13,15 +13,13 @@ from drivers.can.arbitration import priority
 from drivers.can.bus_time import (
     FD_LENGTHS,
     BitTiming,
-    BusBudget,
-    budget,
-    check,
     frame_bits,
     frame_time_ns,
 )
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from hil.app.configuration.bus_budget import BusBudget, budget, check
 from tests.drivers.arbitrated import arbitrate
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)

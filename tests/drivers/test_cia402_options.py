@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from drivers import PROTOCOLS
-from drivers.can.bus_time import BitTiming, budget
+from drivers.can.bus_time import BitTiming
 from drivers.cia402.objects import check_eds
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.protocol import DriveSetup
 from drivers.signals import Command, DriveMode, Reaction
+from hil.app.configuration.bus_budget import budget
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import PERMILLE_N, drives, settings
 from tests.drivers.cia402_sheet import sheet

@@ -1,18 +1,116 @@
-"""The bus time that a configuration's frames take."""
+"""The bus time that a configuration's frames take, and whether those of a tick fit."""
 
+from collections import Counter
+from collections.abc import Iterable
 from math import floor
+from typing import NamedTuple
 
 from drivers import build_protocol
-from drivers.can.bus_time import BitTiming, BusBudget, check, frame_time_ns
+from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import EXTENDED, DriveProtocol, DriveSetup, Frame
+from drivers.protocol import EXTENDED, FD, DriveProtocol, DriveSetup, Frame
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, DriveFault, DriveState
 from plant_fmu.messages import Status
 
 _SET_UP_BYTES = 8
 """Of a frame that sets up, in every family: CONFIG, an SDO, a parameter."""
+
+
+class BusBudget(NamedTuple):
+    """What one tick's frames take of a bus."""
+
+    frames: Counter[tuple[int, int]]
+    """How many of each data length and flags, as in `Frame`."""
+    timing: BitTiming
+    rate_Hz: float
+    max_load_percent: float
+    total_ns: int
+    """All frames of one tick."""
+
+    @property
+    def load_percent(self) -> float:
+        """Share of the tick's period that the frames take."""
+        return self.total_ns * 1e-9 * self.rate_Hz * 100.0
+
+    @property
+    def highest_rate_Hz(self) -> float:
+        """Rate at which the frames fill the bus."""
+        return 1e9 / self.total_ns if self.total_ns else float("inf")
+
+    @property
+    def allowed_rate_Hz(self) -> float:
+        """Rate at which the frames reach the allowed load."""
+        return self.highest_rate_Hz * self.max_load_percent / 100.0
+
+    @property
+    def fits(self) -> bool:
+        """Whether the load is within what is allowed."""
+        return self.load_percent <= self.max_load_percent * (1 + 1e-12)
+
+    def table(self) -> str:
+        """Write the arithmetic out, one line per frame shape."""
+        lines = []
+        for (length, flags), count in self.frames.items():
+            slow, fast = frame_bits(length, flags)
+            ns = frame_time_ns(length, flags, self.timing)
+            kind = "CAN FD" if flags & FD else "classic"
+            fast_bits = f" + {fast} fast bit" if fast else ""
+            lines.append(
+                f"  {count:3d} x {kind:7s} {length:2d} byte: {slow} bit{fast_bits} = "
+                f"{ns / 1e3:.1f} us each, {count * ns / 1e3:.1f} us"
+            )
+        lines.append(
+            f"  total {self.total_ns / 1e3:.1f} us of a {1e6 / self.rate_Hz:.1f} us period = "
+            f"{self.load_percent:.1f} % at {self.rate_Hz:g} Hz (allowed {self.max_load_percent:g} %)"
+        )
+        return "\n".join(lines)
+
+
+def budget(
+    frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
+) -> BusBudget:
+    """Add up the worst-case time of one tick's frames on their bus.
+
+    frames: one example of every frame sent in a tick, repeated as often as it is sent.
+    Raises BusError for a frame that cannot be on the bus.
+    """
+    shapes = Counter((len(frame.data), frame.flags) for frame in frames)
+    total_ns = sum(count * frame_time_ns(*shape, timing) for shape, count in shapes.items())
+    return BusBudget(shapes, timing, rate_Hz, max_load_percent, total_ns)
+
+
+def check(
+    frames: Iterable[Frame],
+    timing: BitTiming,
+    rate_Hz: float,
+    max_load_percent: float = 70.0,
+    where: str = "bus",
+    *,
+    either_layout: bool = False,
+) -> BusBudget:
+    """Return the budget, or refuse it with the arithmetic shown; `where` is the key of the bus.
+
+    either_layout: the drives know frames of CAN FD and classic ones.
+
+    Raises ConfigurationError when the frames take more than `max_load_percent` of the period, BusError for
+    a frame that cannot be on the bus.
+    """
+    frames = list(frames)
+    result = budget(frames, timing, rate_Hz, max_load_percent)
+    if not result.fits:
+        data_phase, instead = "", ", or use bus.layout: fd" if either_layout else ""
+        if any(frame.flags & FD for frame in frames):
+            instead, data_phase = "", f" (data phase {timing.data_bitrate / 1e6:g} Mbit/s)"
+        raise ConfigurationError(
+            f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s"
+            f"{data_phase}, worst-case stuffing:\n{result.table()}\n"
+            f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
+            "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
+            f"(bus.channels){instead}"
+        )
+    return result
 
 
 def bus_budgets(

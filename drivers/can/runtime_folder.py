@@ -29,10 +29,7 @@ def runtime_folder() -> Path:
         folder = Path(session) / NAME
     else:
         memory = Path("/dev/shm")  # noqa: S108 - a folder of our own in it, checked below
-        try:
-            base = memory if os.access(memory, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
-        except FileNotFoundError as error:
-            raise BusError("no folder can be written to; set XDG_RUNTIME_DIR to one of your own") from error
+        base = memory if os.access(memory, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
         folder = base / f"{NAME}-{os.getuid()}"
     try:
         return own_folder(folder)

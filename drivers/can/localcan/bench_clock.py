@@ -19,7 +19,7 @@ from drivers.can.localcan import layout as at
 from drivers.can.localcan.wire import Wire
 from drivers.clock import Clock
 from drivers.compiled.atomics import load, raise_to, replace, store
-from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, direct, foreign, helper
+from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, compiled_of, direct, foreign, helper
 
 _libc: Any = ctypes.CDLL(None)
 PLAIN, HELD, FOREIGN = range(3)
@@ -32,12 +32,10 @@ NAP_S = 2e-4
 """Between two looks while time stands still."""
 _NEVER = 1 << 62
 _CLOCK_ID = time.CLOCK_MONOTONIC
-_AT, NOW, _BEHIND, _FREE, _OVERDUE, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(9)
+_AT, _NOW, _BEHIND, _FREE, _OVERDUE, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(9)
 """Of a clock's `state`: the word of its own due; bench time; by how much it stands back; CLOCK_MONOTONIC;
 slot of the participant with the earliest due, -1: none; where clock_gettime puts seconds and nanoseconds;
 its address, and that of the seconds."""
-
-_slot_at = helper(at.slot_at)
 
 
 @helper
@@ -45,15 +43,15 @@ def _earliest(words: Ints) -> tuple[int, int]:
     """Return the earliest due and whose slot has it; -1 where nobody holds time."""
     cap, slot = _NEVER, -1
     for each in range(load(words, at.USED_AT)):
-        due = load(words, _slot_at(each) + at.SLOT_DUE)
-        if 0 < due < cap and load(words, _slot_at(each) + at.SLOT_SERIAL) != 0:
+        due = load(words, at.slot_at(each) + at.SLOT_DUE)
+        if 0 < due < cap and load(words, at.slot_at(each) + at.SLOT_SERIAL) != 0:
             cap, slot = due, each
     return cap, slot
 
 
-@helper
-def read_clock(words: Ints, state: Ints) -> None:
-    """Read bench time into `state`."""
+@direct(OUT_INTEGERS, OUT_INTEGERS)
+def read(words: Ints, state: Ints) -> int:
+    """Read the clock into `state`; return bench time, ns."""
     while True:
         # who sets a later due has advanced the offset before: first the due, then the offset; and a due that
         # was brought forward counts if it was there when the clock was read
@@ -69,33 +67,31 @@ def read_clock(words: Ints, state: Ints) -> None:
     state[_FREE] = load(state, _SECONDS) * 1_000_000_000 + load(state, _NANOSECONDS)
     free = state[_FREE] - offset
     now = min(free, cap) if held else free
-    state[NOW] = max(now, raise_to(words, at.LATEST_AT, now))
-    state[_BEHIND] = max(0, free - state[NOW])
+    state[_NOW] = max(now, raise_to(words, at.LATEST_AT, now))
+    state[_BEHIND] = max(0, free - state[_NOW])
     state[_OVERDUE] = slot if held else -1
+    return int(state[_NOW])
+
+
+read_clock = compiled_of(read)
+"""The same for kernels."""
 
 
 @helper
 def _go_on(words: Ints, state: Ints) -> None:
     """Let time go on from where it stands."""
-    raise_to(words, at.OFFSET_AT, state[_FREE] - state[NOW])
-
-
-@direct(OUT_INTEGERS, OUT_INTEGERS)
-def read(words: Ints, state: Ints) -> int:
-    """Read the clock into `state`; return bench time, ns."""
-    read_clock(words, state)
-    return int(state[NOW])
+    raise_to(words, at.OFFSET_AT, state[_FREE] - state[_NOW])
 
 
 @direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER)
 def promise(words: Ints, state: Ints, due_ns: int) -> None:
     """Set the own due; 0 or less: so long from now. Where time stood for this participant, it goes on."""
     read_clock(words, state)
-    if 0 < load(words, state[_AT]) <= state[NOW]:
+    if 0 < load(words, state[_AT]) <= state[_NOW]:
         _go_on(words, state)
     if due_ns <= 0:
-        due_ns = state[NOW] - due_ns
-    store(words, state[_AT], max(due_ns, state[NOW]) if load(words, at.CLOCK_AT) == HELD else 0)
+        due_ns = state[_NOW] - due_ns
+    store(words, state[_AT], max(due_ns, state[_NOW]) if load(words, at.CLOCK_AT) == HELD else 0)
 
 
 @direct(OUT_INTEGERS, OUT_INTEGERS)
@@ -104,9 +100,9 @@ def dismiss(words: Ints, state: Ints) -> None:
     read_clock(words, state)
     if state[_OVERDUE] < 0:
         return
-    place = _slot_at(state[_OVERDUE]) + at.SLOT_DUE
+    place = at.slot_at(state[_OVERDUE]) + at.SLOT_DUE
     due = load(words, place)
-    if 0 < due <= state[NOW]:
+    if 0 < due <= state[_NOW]:
         _go_on(words, state)
         replace(words, place, due, 0)
 

@@ -5,6 +5,8 @@ atomic operations alone; a frame is written into its sender's outbox before the 
 that is stopped or killed between any two instructions leaves nothing half done, and nobody waits for it.
 """
 
+from drivers.compiled.compiler import helper
+
 VERSION = 4
 """Part of the file's name: programs with another layout meet on another wire."""
 SLOTS = 64
@@ -43,11 +45,13 @@ FIRST = LOG
 """Index of the first entry ever: the words of an empty log are entries of the lap before."""
 
 
+@helper
 def slot_at(serial: int) -> int:
     """Return where the slot of a participant begins."""
     return SLOTS_AT + serial % SLOTS * SLOT
 
 
+@helper
 def record_at(serial: int, number: int) -> int:
     """Return where a participant's frame of this number is."""
     return OUTBOX_AT + (serial % SLOTS * OUTBOX + number % OUTBOX) * RECORD_WORDS

@@ -12,7 +12,7 @@ from drivers.arrays import Ints
 from drivers.can import arbitration as bus
 from drivers.can.link import OWN
 from drivers.can.localcan import layout as at
-from drivers.can.localcan.bench_clock import NOW, read_clock
+from drivers.can.localcan.bench_clock import read_clock
 from drivers.compiled.atomics import load, lower_to, raise_to, replace, store
 from drivers.compiled.compiler import (
     INTEGER,
@@ -39,18 +39,16 @@ _LENGTH, _FLAGS = 40, 48
 """Where they are in the word of a record that has identifier, kind, length, flags and bus."""
 _SENT_AS_IT_IS = 0xFFFFFFFF | (0xFF & ~OWN) << _FLAGS
 
-_record_at, _slot_at, _transmit = helper(at.record_at), helper(at.slot_at), bus.transmit
-
 
 @helper
 def _gather(words: Ints, queue: Ints) -> int:
     """Fill in what waits in all outboxes; return how many."""
     rows = 0
     for slot in range(load(words, at.USED_AT)):
-        place = _slot_at(slot)
+        place = at.slot_at(slot)
         count, first, begun = load(words, place + at.SLOT_COUNT), -1, load(words, place + at.SLOT_FIRST)
         for number in range(begun, count):
-            record = _record_at(slot, number)
+            record = at.record_at(slot, number)
             if load(words, record + at.END) != -1 - number:
                 continue
             first = number if first < 0 else first
@@ -67,16 +65,10 @@ def _gather(words: Ints, queue: Ints) -> int:
 
 
 @helper
-def _started(words: Ints, index: int) -> bool:
-    """Tell whether there is an entry of this index."""
-    return bool(load(words, at.LOG_AT + index % at.LOG) >> at.LAP_SHIFT == index // at.LOG)
-
-
-@helper
 def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
     """Return record, number and end of the frame that starts; end 0: taken back, less: overwritten."""
     entry = load(words, at.LOG_AT + index % at.LOG)
-    record = _record_at(entry >> at.NUMBER_BITS, entry & _NUMBERS)
+    record = at.record_at(entry >> at.NUMBER_BITS, entry & _NUMBERS)
     number = load(words, record + at.NUMBER)
     if number & _NUMBERS != entry & _NUMBERS:
         return record, number, -1
@@ -98,7 +90,7 @@ def look(words: Ints, state: Ints, queue: Ints, now_ns: int, own: int, frames: I
         entry = load(words, at.LOG_AT + index % at.LOG)
         lap = entry >> at.LAP_SHIFT
         if lap < index // at.LOG:
-            row, _ = _transmit(queue, _gather(words, queue), 0, state[FREE], now_ns)
+            row, _ = bus.transmit(queue, _gather(words, queue), 0, state[FREE], now_ns)
             if row < 0:
                 break
             start = index // at.LOG << at.LAP_SHIFT | queue[row, ENTRY]
@@ -136,14 +128,14 @@ def foresee(words: Ints, state: Ints, queue: Ints, own: int, missing: Ints) -> i
     """
     index, free, rows, left = state[CURSOR], state[FREE], -1, missing.shape[0]
     while True:
-        if rows < 0 and _started(words, index):
+        if rows < 0 and load(words, at.LOG_AT + index % at.LOG) >> at.LAP_SHIFT == index // at.LOG:
             record, _, end = _settle(words, index, free)
             index += 1
             if end <= 0:
                 continue
         else:
             rows = _gather(words, queue) if rows < 0 else rows
-            row, end = _transmit(queue, rows, 0, free, bus.FOREVER)
+            row, end = bus.transmit(queue, rows, 0, free, bus.FOREVER)
             if row < 0:
                 return -1
             record, queue[row, bus.WIRE] = queue[row, PLACE], bus.SENT
@@ -180,12 +172,12 @@ def put(
     slot, rows, own = state[SERIAL] % at.SLOTS, _gather(words, queue), 0
     for row in range(rows):
         own += words[queue[row, PLACE] + at.SENDER] == state[SERIAL]
-    count_at = _slot_at(slot) + at.SLOT_COUNT
+    count_at = at.slot_at(slot) + at.SLOT_COUNT
     count = words[count_at]
-    unread = count - load(words, _slot_at(slot) + at.SLOT_FIRST)
+    unread = count - load(words, at.slot_at(slot) + at.SLOT_FIRST)
     room = max(0, min(frames.shape[0], limit - own, limit_of_all - rows, at.OUTBOX - unread))
     for row in range(room):
-        number, record = count + row, _record_at(slot, count + row)
+        number, record = count + row, at.record_at(slot, count + row)
         # who still reads the frame that was there finds out by its number
         store(words, record + at.NUMBER, number)
         store(words, record + at.END, -1 - number)
@@ -193,8 +185,7 @@ def put(
         words[record + at.SENDER] = state[SERIAL]
         words[record + at.DETAIL : record + at.RECORD_WORDS] = frames[row, 1:]
         words[record + at.DETAIL] = frames[row, 1] & _SENT_AS_IT_IS | costs[row, 2] << _LENGTH
-        read_clock(clock_words, clock)
-        words[record + at.QUEUED] = clock[NOW]
+        words[record + at.QUEUED] = read_clock(clock_words, clock)
         store(words, count_at, number + 1)
     return int(room)
 
@@ -224,7 +215,7 @@ def to_ring(words: Ints, state: Ints, now_ns: int, again_ns: int, serials: Ints)
     """
     found = 0
     for slot in range(load(words, at.USED_AT)):
-        place = _slot_at(slot)
+        place = at.slot_at(slot)
         serial, rung = load(words, place + at.SLOT_SERIAL), load(words, place + at.SLOT_RUNG)
         if serial == 0 or serial == state[SERIAL] or (rung != 0 and now_ns - rung <= again_ns):
             continue

@@ -45,8 +45,7 @@ class Family(DriveProtocol):
     def __init__(self, legs: Sequence[Sequence[int]] = (ALL_LEGS,)) -> None:
         """Take the legs of each bus, which together are all legs, each once."""
         self.legs = tuple(map(tuple, legs))
-        self.buses = len(legs) if len(legs) > 1 else 0
-        """How many there are; 0: one, and frames of others are nobody's."""
+        self.buses = len(legs)
         self.bus_of = tuple(next(bus for bus, own in enumerate(legs) if leg in own) for leg in range(LEGS))
         """Index of each leg's bus."""
 

@@ -62,7 +62,7 @@ EAR = np.dtype(
         ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
         ("mask", "<i8"),
         ("requests", "<i8"),  # identifier of requests that name a drive in their data; -1: none
-        ("buses", "<i8"),  # how many; 0: one, and frames of others are not ours
+        ("buses", "<i8"),  # how many
         ("bus_of", "<i8", (LEGS,)),
         ("heard", "<f8", (HEARD.itemsize // 8,)),  # scratch: an element of HEARD
     ]
@@ -87,7 +87,7 @@ MOTORS = np.dtype(
         ("torque_limit", "<f8"),  # N m
         ("unasked", "<i8"),  # 1: drives send readings by a timer, too
         ("reports", "<i8"),  # 1: drives say whether they are enabled
-        ("buses", "<i8"),  # how many; 0: one, and frames of others are not ours
+        ("buses", "<i8"),  # how many
         ("bus_of", "<i8", (LEGS,)),
         *FIELDS,
         # start-up dialogue
@@ -281,8 +281,8 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     taken = 0
     for n in range(count):
         bus = int(received[n].bus)
-        if bus >= max(m.buses, 1):
-            tick.rejected += m.buses > 0
+        if bus >= m.buses:
+            tick.rejected += m.buses > 1
             continue
         if not call(m.hear, (m.ear, frames + n * _FRAME_BYTES, at)):
             continue

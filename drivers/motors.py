@@ -154,7 +154,7 @@ def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
     """Return the leg, from 1 on, of a feedback to this tick's poll on its own bus; else 0: its time tells."""
     frame = frame_at(frame_address)
     at = np.int64(e.heard.ctypes.data)
-    if frame.t_ns < since_ns or frame.bus >= max(e.buses, 1):
+    if frame.t_ns < since_ns or frame.bus >= e.buses:
         return 0
     if not call(e.hear, (address_of(e), frame_address, at)):
         return 0
@@ -172,7 +172,7 @@ def addressed(e: Any, frame_address: int) -> int:
         number = np.int64(frame.data[0]) | np.int64(frame.data[1]) << 8 if frame.length > 1 else -1
     legs = 0
     for leg in range(LEGS):
-        if number == e.nodes[leg] and (not e.buses or frame.bus == e.bus_of[leg]):
+        if number == e.nodes[leg] and frame.bus == e.bus_of[leg]:
             legs |= 1 << leg
     return legs
 

@@ -202,7 +202,7 @@ def addressed(c: Any, frame_address: int) -> int:
         node = int(frame.data[1]) if frame.length > 1 else -1
     legs = 0
     for leg in range(LEGS):
-        if (node == 0 or c.nodes[leg] == node) and (not c.buses or frame.bus == c.bus_of[leg]):
+        if (node == 0 or c.nodes[leg] == node) and frame.bus == c.bus_of[leg]:
             legs |= 1 << leg
     return legs
 

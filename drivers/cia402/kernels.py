@@ -35,7 +35,7 @@ DRIVES = np.dtype(
         ("nodes", "<i8", (LEGS,)),
         ("controller", "<i8"),  # its node
         ("velocity", "<i8"),  # 1: it comes in TPDO2
-        ("buses", "<i8"),  # how many; 0: one, and frames of others are not ours
+        ("buses", "<i8"),  # how many
         ("bus_of", "<i8", (LEGS,)),
         ("beat", "<i8"),  # ticks from one heartbeat of ours to the next
         ("lossless", "<i8"),
@@ -291,9 +291,9 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         identifier, bus = int(frame.id), int(frame.bus)
         base, leg = identifier & ~_NODE, place_of(identifier & _NODE, c.nodes)
         away = leg >= 0 and base in FROM_DRIVES and bus != c.bus_of[leg]
-        if c.buses and (away or bus >= c.buses):
+        if c.buses > 1 and (away or bus >= c.buses):
             tick.rejected += 1
-        elif frame.flags & STRANGE or bus >= max(c.buses, 1):
+        elif frame.flags & STRANGE or bus >= c.buses:
             continue
         elif leg < 0:
             tick.foreign |= _foreign(c, identifier)
@@ -349,7 +349,7 @@ def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int)
     late = c.resets & done
     c.resets &= ~late
     c.mode = mode
-    sent = frames_at(into, LEGS + max(c.buses, 1))
+    sent = frames_at(into, LEGS + c.buses)
     for leg in range(LEGS):
         frame, state, halted = sent[leg], c.states[leg], c.stopped >> leg & 1 != 0
         word = s.controlword(mode, state, number & 1 == 0, halted)
@@ -361,7 +361,7 @@ def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int)
             frame.data[k], frame.data[2 + k] = word >> 8 * k & 0xFF, torque >> 8 * k & 0xFF
     if number % c.beat:
         return LEGS
-    for bus in range(max(c.buses, 1)):
+    for bus in range(c.buses):
         begin_sent(sent[LEGS + bus], o.HEARTBEAT_ID + c.controller, 1, 0, bus)
         sent[LEGS + bus].data[0] = o.OPERATES
-    return LEGS + int(max(c.buses, 1))
+    return LEGS + int(c.buses)

@@ -49,7 +49,7 @@ DEVICES = np.dtype(
     [
         ("devices", "<i8"),  # address of six elements of DEVICE
         ("new", "<i8"),  # of six that have just been powered up
-        ("buses", "<i8"),  # how many; 0: one
+        ("buses", "<i8"),  # how many
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
         ("codes", "<i8", (len(DriveFault),)),  # of an EMCY, by fault
@@ -193,7 +193,7 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
 def parse(c: Any, frame_address: int, messages: int) -> int:
     """Decode a SYNC, a PDO or a heartbeat, else leave it to Python."""
     frame = frame_at(frame_address)
-    if frame.flags & STRANGE or frame.bus >= max(c.buses, 1):
+    if frame.flags & STRANGE or frame.bus >= c.buses:
         return 0
     found = _listeners(c, frame)
     if found != 0:
@@ -261,16 +261,16 @@ def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: 
     for k in range(sync.count):
         asked |= 1 << sync.legs[k]
         buses |= 1 << c.bus_of[sync.legs[k]]
-    if c.buses and not asked:
+    if c.buses > 1 and not asked:
         return 0
     for leg in range(LEGS):
-        if c.buses and not buses >> c.bus_of[leg] & 1:
+        if c.buses > 1 and not buses >> c.bus_of[leg] & 1:
             continue
         if reading.state[leg] & ~INVALID == _BOOT and _device(c, leg).started:
             _restart(c, leg)
         if not _measure(c, leg, reading):
             return FAILED
-    for bus in range(max(c.buses, 1)):
+    for bus in range(c.buses):
         for leg in range(LEGS):
             d, state = _device(c, leg), reading.state[leg]
             if c.bus_of[leg] != bus or not asked >> leg & 1 or d.nmt != o.OPERATES:

@@ -50,7 +50,7 @@ DEVICES = np.dtype(
         ("codes", "<i8", (len(DriveFault),)),  # sent for each fault of its own
         ("watchdog_ns", "<i8"),  # as the drives are delivered
         ("reaction", "<i8"),
-        ("buses", "<i8"),  # how many; 0: one
+        ("buses", "<i8"),  # how many
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
         *FIELDS,
@@ -123,7 +123,7 @@ def parse(d: Any, frame_address: int, messages: int) -> int:
     """Decode a frame at the drives of its bus, see `DrivesEnd`."""
     frame = frame_at(frame_address)
     identifier = np.int64(frame.id)
-    if frame.bus >= max(d.buses, 1):
+    if frame.bus >= d.buses:
         return 0
     ear = ear_at(d.ear)
     if identifier == ear.requests:
@@ -158,7 +158,7 @@ def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: 
     sync, reading = ends.message_at(sync_address), ends.reading_at(reading_address)
     at = np.int64(d.said.ctypes.data)
     said, legs, count = _said_at(at), integers_at(senders, LEGS), 0
-    for bus in range(max(d.buses, 1)):
+    for bus in range(d.buses):
         for k in range(sync.count):
             leg = sync.legs[k]
             if d.bus_of[leg] != bus:

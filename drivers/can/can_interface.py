@@ -28,25 +28,8 @@ RESTART_MS = "restart_ms"
 """The option that says what restart-ms has to be."""
 
 
-class Controller(NamedTuple):
-    """What a CAN controller is set to, and how it fares."""
-
-    bitrate_bit_s: int | None
-    """None where the kernel does not know it."""
-    data_bitrate_bit_s: int | None
-    """Of CAN FD; None where it is off or not known."""
-    state: BusState
-    """UNKNOWN while it is down."""
-    restart_ms: int
-    """It comes back by itself so long after bus-off; 0: it does not."""
-    modes: int
-    """CAN_CTRLMODE_* bits."""
-    errors: tuple[int, int] | None
-    """Transmit and receive error counters, where it tells them."""
-
-
 class CanInterface(NamedTuple):
-    """One network interface."""
+    """One network interface, and what its CAN controller is set to and how it fares."""
 
     name: str
     number: int
@@ -55,27 +38,34 @@ class CanInterface(NamedTuple):
     mtu: int
     kind: str
     """can, vcan, vxcan; empty where the kernel says none."""
-    controller: Controller | None
-    """None of a virtual interface."""
-
-    @property
-    def state(self) -> BusState:
-        """State of its controller; UNKNOWN where there is no controller, or the interface is down."""
-        return BusState.UNKNOWN if self.controller is None else self.controller.state
+    has_controller: bool = False
+    """A virtual interface has none, and nothing of what follows."""
+    bitrate_bit_s: int | None = None
+    """None where the kernel does not know it."""
+    data_bitrate_bit_s: int | None = None
+    """Of CAN FD; None where it is off or not known."""
+    state: BusState = BusState.UNKNOWN
+    """UNKNOWN while the controller is down, too."""
+    restart_ms: int = 0
+    """It comes back by itself so long after bus-off; 0: it does not."""
+    modes: int = 0
+    """CAN_CTRLMODE_* bits."""
+    errors: tuple[int, int] | None = None
+    """Transmit and receive error counters, where it tells them."""
 
     @property
     def facts(self) -> str:
         """What was read, in one line."""
-        c = self.controller
-        if c is None:
+        if not self.has_controller:
             return (
                 f"{self.name} is {self.kind or 'of no known kind'}: it has no bit rate, no controller state "
                 "and no restart-ms, so nothing was compared"
             )
-        rate = "unknown bit rate" if c.bitrate_bit_s is None else f"{c.bitrate_bit_s} bit/s"
-        fast = "" if c.data_bitrate_bit_s is None else f", data {c.data_bitrate_bit_s} bit/s"
-        errors = "" if c.errors is None else f", error counters {c.errors[0]} (tx) and {c.errors[1]} (rx)"
-        return f"{self.name}: {rate}{fast}, state {c.state.name}, restart-ms {c.restart_ms}{errors}"
+        rate = "unknown bit rate" if self.bitrate_bit_s is None else f"{self.bitrate_bit_s} bit/s"
+        fast = "" if self.data_bitrate_bit_s is None else f", data {self.data_bitrate_bit_s} bit/s"
+        tx_rx = self.errors
+        errors = "" if tx_rx is None else f", error counters {tx_rx[0]} (tx) and {tx_rx[1]} (rx)"
+        return f"{self.name}: {rate}{fast}, state {self.state.name}, restart-ms {self.restart_ms}{errors}"
 
 
 def parse(name: str, answer: bytes) -> CanInterface:
@@ -84,18 +74,19 @@ def parse(name: str, answer: bytes) -> CanInterface:
     info = attributes(link.get(_IFLA_LINKINFO, b""))
     kind = info.get(_INFO_KIND, b"").rstrip(b"\0").decode(errors="replace")
     data = attributes(info.get(_INFO_DATA, b""))
-    controller = None
-    if _STATE in data:
-        state, errors = _word(data[_STATE]), data.get(_BERR_COUNTER, b"")
-        controller = Controller(
-            _rate(data.get(_BITTIMING)),
-            _rate(data.get(_DATA_BITTIMING)),
-            _STATES[state] if state < len(_STATES) else BusState.UNKNOWN,
-            _word(data.get(_RESTART_MS)),
-            _word(data.get(_CTRLMODE, b"")[4:]),
-            struct.unpack_from("=HH", errors) if len(errors) >= 4 else None,
-        )
-    return CanInterface(name, index, bool(flags & IFF_UP), _word(link.get(_IFLA_MTU)), kind, controller)
+    found = CanInterface(name, index, bool(flags & IFF_UP), _word(link.get(_IFLA_MTU)), kind)
+    if _STATE not in data:
+        return found
+    state, errors = _word(data[_STATE]), data.get(_BERR_COUNTER, b"")
+    return found._replace(
+        has_controller=True,
+        bitrate_bit_s=_rate(data.get(_BITTIMING)),
+        data_bitrate_bit_s=_rate(data.get(_DATA_BITTIMING)),
+        state=_STATES[state] if state < len(_STATES) else BusState.UNKNOWN,
+        restart_ms=_word(data.get(_RESTART_MS)),
+        modes=_word(data.get(_CTRLMODE, b"")[4:]),
+        errors=struct.unpack_from("=HH", errors) if len(errors) >= 4 else None,
+    )
 
 
 def _word(raw: bytes | None) -> int:
@@ -131,32 +122,30 @@ def refusal(found: CanInterface, settings: BusSettings) -> str:
     name, fd = found.name, settings.layout == "fd"
     if not found.up:
         return f"is down: 'ip link set {name} up' (bit rates first)"
-    c = found.controller
-    lacks_fd = found.mtu < FD_MTU or (c is not None and not c.modes & _FD)
-    if fd and lacks_fd:
+    if fd and (found.mtu < FD_MTU or (found.has_controller and not found.modes & _FD)):
         return (
             f"carries classic CAN only: 'ip link set {name} mtu 72' (vcan) or "
             f"'ip link set {name} type can ... fd on', or use bus.layout: classic"
         )
     asked = settings.options.get(RESTART_MS)
-    if c is None:
-        if asked is not None:
-            return f"has no restart-ms, bus.options.{RESTART_MS} is {asked}: leave that option out"
-        return ""
+    if not found.has_controller:
+        if asked is None:
+            return ""
+        return f"has no restart-ms, bus.options.{RESTART_MS} is {asked}: leave that option out"
     rates = [
-        ("bitrate", "bus.bitrate_bit_s", c.bitrate_bit_s, settings.bitrate_bit_s),
-        ("dbitrate", "bus.data_bitrate_bit_s", c.data_bitrate_bit_s, settings.data_bitrate_bit_s),
+        ("bitrate", "bus.bitrate_bit_s", found.bitrate_bit_s, settings.bitrate_bit_s),
+        ("dbitrate", "bus.data_bitrate_bit_s", found.data_bitrate_bit_s, settings.data_bitrate_bit_s),
     ][: 1 + fd]
     wrong = [
         f"runs at {word} {has}, {key} is {wants}"
         for word, key, has, wants in rates
         if has not in (None, wants)
     ]
-    if asked is not None and asked != c.restart_ms:
-        wrong.append(f"has restart-ms {c.restart_ms}, bus.options.{RESTART_MS} is {asked}")
-    if c.modes & _LISTEN_ONLY:
+    if asked is not None and asked != found.restart_ms:
+        wrong.append(f"has restart-ms {found.restart_ms}, bus.options.{RESTART_MS} is {asked}")
+    if found.modes & _LISTEN_ONLY:
         wrong.append("only listens (listen-only on)")
-    if c.modes & _LOOPBACK:
+    if found.modes & _LOOPBACK:
         wrong.append("sends to itself alone (loopback on)")
     if wrong:
         word = " ".join(f"{word} {wants}" for word, _, _, wants in rates)
@@ -165,6 +154,6 @@ def refusal(found: CanInterface, settings: BusSettings) -> str:
         return (
             f"{'; '.join(wrong)}: 'ip link set {name} down', '{mend}' and '... up', or mend the configuration"
         )
-    if c.state is BusState.OFF:
+    if found.state is BusState.OFF:
         return f"is bus-off: find out why, then 'ip link set {name} type can restart', or down and up"
     return ""

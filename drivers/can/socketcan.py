@@ -225,7 +225,7 @@ class SocketCan(Link):
                 self._note(identifier, data)
             else:
                 self._dropped = False
-                if self._bus_off and self._interface.controller is None:
+                if self._bus_off and not self._interface.has_controller:
                     # a virtual interface never says that it was restarted
                     self._bus_off, self._state = False, BusState.UNKNOWN
             received += frame_bytes(t_ns + real_to_monotonic, identifier, RECEIVED, len(data), flags, data)
@@ -248,8 +248,7 @@ class SocketCan(Link):
 
         A controller that is to stay bus-off is left so: its driver drops the frames when it is restarted.
         """
-        controller = self._interface.controller
-        stays_off = self._bus_off and controller is not None and not controller.restart_ms
+        stays_off = self._bus_off and self._interface.has_controller and not self._interface.restart_ms
         if self._dropped or self._down or stays_off:
             return
         self._dropped = True

@@ -13,7 +13,7 @@ import pytest
 
 from drivers.can import netlink, socketcan
 from drivers.can.bus import Bus
-from drivers.can.can_interface import CanInterface, Controller
+from drivers.can.can_interface import CanInterface
 from drivers.can.socketcan import SocketCan, pack
 from drivers.config import BusSettings
 from drivers.errors import BusError
@@ -23,8 +23,7 @@ from drivers.signals import BusState
 from tests.drivers.frames_heard import got
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0", layout="classic")
-CONTROLLER = Controller(1_000_000, None, BusState.ACTIVE, 0, 0, None)
-CAN0 = CanInterface("can0", 5, up=True, mtu=16, kind="can", controller=CONTROLLER)
+CAN0 = CanInterface("can0", 5, True, 16, "can", True, 1_000_000, None, BusState.ACTIVE, 0, 0, None)
 FRAME = Frame(0x80, b"\x01")
 BUS_OFF, CONTROLLER_PROBLEM = 0x20000040, 0x20000004
 TIMESTAMP, LOST = 35, 40
@@ -188,8 +187,7 @@ def test_the_kernel_is_asked_for_errors_of_all_classes_time_stamps_losses_and_fd
 
     monkeypatch.setattr(socket, "socket", Socket)
     # CAN_CTRLMODE_FD is 0x20 of linux/can/netlink.h
-    controller = CONTROLLER._replace(data_bitrate_bit_s=5_000_000, modes=0x20)
-    kernel[1]["interface"] = CAN0._replace(mtu=72, controller=controller)
+    kernel[1]["interface"] = CAN0._replace(mtu=72, data_bitrate_bit_s=5_000_000, modes=0x20)
     SocketCan(SETTINGS.model_copy(update={"layout": layout}))
     assert bound == [("can0",)]
     # linux/can.h and linux/can/raw.h: SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK, CAN_RAW_FD_FRAMES
@@ -262,7 +260,7 @@ def test_bus_off_lasts_until_the_controller_says_that_it_is_back(made, back):
 
 def test_a_virtual_interface_is_back_with_the_next_frame(made):
     can, sock = made
-    can._interface = CAN0._replace(kind="vcan", controller=None)
+    can._interface = CAN0._replace(kind="vcan", has_controller=False)
     sock.hears(BUS_OFF)
     got(can.receive())
     assert can.off
@@ -349,7 +347,7 @@ def test_an_interface_that_was_down_is_used_again_once_it_is_up_as_configured(
     assert can.send(sent_array([FRAME])) == 0
     assert can.off
     sock.refuses = None
-    for wrong in (CAN0._replace(up=False), CAN0._replace(controller=CONTROLLER._replace(bitrate_bit_s=1))):
+    for wrong in (CAN0._replace(up=False), CAN0._replace(bitrate_bit_s=1)):
         state["interface"] = wrong
         clock.ns += 100_000_000
         assert can.send(sent_array([FRAME])) == 0
@@ -423,7 +421,7 @@ def test_a_controller_that_is_to_stay_bus_off_is_not_restarted_by_its_death(
     made, kernel, restart_ms, dropped
 ):
     can, sock = made
-    can._interface = CAN0._replace(controller=CONTROLLER._replace(restart_ms=restart_ms))
+    can._interface = CAN0._replace(restart_ms=restart_ms)
     sock.hears(BUS_OFF)
     got(can.receive())
     assert can.off
@@ -458,7 +456,7 @@ def test_a_new_try_drops_stale_frames_and_restarts_the_controller(made, kernel, 
     else:
         sock.hears(BUS_OFF)
         got(can.receive())
-        state["interface"] = CAN0._replace(controller=CONTROLLER._replace(state=BusState.OFF))
+        state["interface"] = CAN0._replace(state=BusState.OFF)
     can.flush_tx()
     assert calls == [False, True]
     assert not can.off
@@ -483,7 +481,7 @@ def test_stale_frames_that_may_not_be_dropped_keep_the_bus_off(made, kernel):
 
 def test_an_interface_with_another_bit_rate_by_now_keeps_the_bus_off(made, kernel):
     can, _ = made
-    kernel[1]["interface"] = CAN0._replace(controller=CONTROLLER._replace(bitrate_bit_s=500_000))
+    kernel[1]["interface"] = CAN0._replace(bitrate_bit_s=500_000)
     with pytest.raises(BusError, match="500000"):
         can.flush_tx()
     assert can.off

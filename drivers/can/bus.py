@@ -35,8 +35,6 @@ _FIRST_LOOK_NS = 200_000
 """Between two looks at a link that cannot be waited for together with others."""
 _LOOK_S = 1e-3
 """Between two looks while time stands still, or a bus is off."""
-EXCLUSIVE_ROLES = frozenset({"controller", "plant"})
-"""At most one of each on a channel of this machine; on one of localcan, in its runtime folder."""
 
 
 class BusEvents(NamedTuple):
@@ -89,18 +87,15 @@ class Bus(Source):
     def open(cls, settings: BusSettings, role: str) -> Bus:
         """Open the bus of the configuration.
 
-        role: `controller` and `plant` are exclusive on a channel of this machine, any other name is not.
-        Several `localcan` channels go by the clock of the first.
+        role: at most one process has it on a channel of this machine; on one of localcan, in its runtime
+        folder. Several `localcan` channels go by the clock of the first.
         Raises RunError when another process has the role, BusError when the bus cannot be opened.
         """
-        if settings.layout == "ideal":
-            raise BusError("bus.layout: ideal takes no bus time and is for hil sim only; use classic or fd")
         links: list[Link] = []
         with ExitStack() as roles, ExitStack() as opened:
             clock: BenchClock | None = None
             for each in settings.buses:
-                if role in EXCLUSIVE_ROLES:
-                    roles.callback(RoleLock(each.interface, each.channel, role).close)
+                roles.callback(RoleLock(each.interface, each.channel, role).close)
                 link = _open(each, clock)
                 opened.callback(link.close)
                 links.append(link)
@@ -282,11 +277,6 @@ def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
     """Open one interface; clock: that of another localcan channel, which this one is to go by."""
     interface = settings.interface
     options: dict[str, Any] = settings.options
-    if interface == "virtual":
-        raise BusError(
-            f"bus.interface: virtual ({settings.channel}) lives inside one process, "
-            "and controller and drives are two; use localcan, or hil sim for both in one process"
-        )
     known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS,)}.get(interface)
     if known is None:
         return open_python_can(settings)

@@ -21,13 +21,6 @@ from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, RECEIVED, frame_bytes, unpack_frames
 
-_STAMPING = frozenset({"neousys", "udp_multicast"})
-"""Interfaces that read this machine's clock as each frame comes, before they are asked for it.
-
-Others do so when asked, or go by the adapter's own clock from when the bus was opened: that one drifts, and
-does not know when this machine's is set. A stamp that lags by more than a drive takes to answer makes each
-answer one to an older SYNC.
-"""
 _WIRELESS = frozenset({"udp_multicast"})
 _BATCH = 512
 """Looks of one `receive`: where frames come all the time it ends, too."""
@@ -50,7 +43,6 @@ class PythonCan(Link):
     def __init__(self, bus: can.BusABC, interface: str = "") -> None:
         self._failures = 0
         self.virtual = interface in _WIRELESS
-        self._stamps = interface in _STAMPING
         self._bus = bus
         self._held = bytearray()
         self._taken_ns = []
@@ -101,10 +93,8 @@ class PythonCan(Link):
             return "nothing"
         if not message.is_rx:
             return "frame"
-        now = time.monotonic_ns()
-        age = time.time_ns() - int(message.timestamp * 1e9) if self._stamps else 0
-        # an older stamp is one from before the clock was set
-        t_ns = now - age if 0 <= age < 1_000_000_000 else now
+        # not its own stamp: the clock of an adapter drifts, and lags by more than a drive takes to answer
+        t_ns = time.monotonic_ns()
         identifier, data, flags = from_message(message)
         self._held += frame_bytes(t_ns, identifier, RECEIVED, len(data), flags, data)
         return "frame"

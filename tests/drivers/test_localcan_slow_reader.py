@@ -30,7 +30,7 @@ KEPT = LOG - 1024
 def test_each_start_is_read_or_lost_and_a_reader_goes_on_with_the_last_of_a_log_that_has_gone_round(
     behind, slot
 ):
-    words, state = np.zeros(SIZE // WORD, np.int64), np.array([3, FIRST, 0, 0])
+    words, state = np.zeros(SIZE // WORD, np.int64), np.array([3, FIRST, 0, 0, 0])
     queue = np.zeros((log.QUEUE_ROWS, log.ENTRY + 1), np.int64)
     for index in range(FIRST + max(0, behind - LOG), FIRST + behind):
         number = index - FIRST
@@ -40,7 +40,7 @@ def test_each_start_is_read_or_lost_and_a_reader_goes_on_with_the_last_of_a_log_
         words[record + NUMBER : record + NUMBER + 6] = [number, 1 + number, 0, 1, 1, slot]
     words[HINT_AT] = FIRST + behind
     frames = np.zeros((LOG, log.FRAME_WORDS), np.int64)
-    taken = log.look(words, state, queue, 1 << 40, 0, frames)
+    taken = log.look(words, state, queue, 1 << 40, frames)
     assert taken == min(behind, OUTBOX)
     assert frames[:taken, 0].tolist() == list(range(behind - taken + 1, behind + 1))
     assert (state[log.CURSOR], state[log.LOST]) == (FIRST + behind, behind - taken)

@@ -124,17 +124,11 @@ def stamp_ns(monkeypatch: pytest.MonkeyPatch, interface: str, age_s: float) -> i
 
 
 @pytest.mark.parametrize("age_s", [0.0, 3e-4, 0.9, 1.1, -3e-4])
-@pytest.mark.parametrize("interface", ["kvaser", "vector", "pcan", "ixxat", "gs_usb", "slcan"])
-def test_the_clock_of_an_adapter_which_drifts_from_this_machines_dates_no_frame(
+@pytest.mark.parametrize("interface", ["kvaser", "pcan", "slcan", "udp_multicast"])
+def test_a_frame_has_the_time_at_which_it_was_taken_whatever_its_own_stamp_says(
     monkeypatch, interface, age_s
 ):
     assert stamp_ns(monkeypatch, interface, age_s) == 0
-
-
-@pytest.mark.parametrize("interface", ["neousys", "udp_multicast"])
-@pytest.mark.parametrize(("age_s", "found_ns"), [(3e-4, 300_000), (0.9, 900_000_000), (1.1, 0), (-3e-4, 0)])
-def test_a_stamp_by_the_clock_of_this_machine_dates_its_frame(monkeypatch, interface, age_s, found_ns):
-    assert abs(stamp_ns(monkeypatch, interface, age_s) - found_ns) < 1_000
 
 
 def test_no_answer_on_a_bus_without_a_wire_takes_its_time():

@@ -99,34 +99,6 @@ def test_an_interface_without_a_descriptor_has_none_and_one_whose_descriptor_is_
     assert link.foresee() is None
 
 
-@pytest.mark.parametrize(
-    ("interface", "age_ns", "dated"),
-    [
-        ("udp_multicast", 0, 5_000),
-        ("udp_multicast", 1_000, 4_000),
-        ("udp_multicast", 999_999_488, 5_000 - 999_999_488),
-        ("udp_multicast", 1_000_000_000, 5_000),
-        ("udp_multicast", -1_000, 5_000),
-        ("pcan", 1_000, 5_000),
-    ],
-)
-def test_a_frame_is_as_old_as_a_stamp_of_this_machine_says_up_to_a_second(
-    monkeypatch, interface, age_ns, dated
-):
-    real_ns = 1 << 60
-    clocks = SimpleNamespace(monotonic_ns=lambda: 5_000, time_ns=lambda: real_ns)
-    monkeypatch.setattr(python_can, "time", clocks)
-
-    class Stamp(float):
-        def __mul__(self, _factor: Any) -> Any:
-            return real_ns - age_ns
-
-    message = can.Message(arbitration_id=5, timestamp=Stamp(0.0))
-    bus, _ = opened(message, interface=interface)
-    assert [each.t_ns for each in got(bus.receive())] == [dated]
-    assert bus.virtual == (interface == "udp_multicast")
-
-
 # frames of the kernel, and their order on the wire
 
 

@@ -24,9 +24,9 @@ from drivers.compiled.compiler import (
 )
 from drivers.protocol import ERROR
 
-SERIAL, CURSOR, FREE, LOST = range(4)
+SERIAL, CURSOR, FREE, LOST, HEARS_OWN = range(5)
 """Of a reader's `state`: its serial number; next entry to read; when the bus falls free after those before,
-ns; frames that reading too slowly has lost."""
+ns; frames that reading too slowly has lost; not 0 where frames of its own count, too."""
 PLACE, ENTRY = bus.WIRE + 1, bus.WIRE + 2
 """Columns of a reader's `queue` after those of `arbitration`: where the record is; its entry without lap."""
 QUEUE_ROWS = 8192
@@ -78,11 +78,11 @@ def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
     return record, number, load(words, record + at.END)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, INTEGER, OUT_INTEGER_MATRIX)
-def look(words: Ints, state: Ints, queue: Ints, now_ns: int, own: int, frames: Ints) -> int:
+@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, OUT_INTEGER_MATRIX)
+def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> int:
     """Start what is due by now; fill `frames`, elements of FRAME, with what has ended; return how many.
 
-    own: not 0 where frames of this reader's own count, too. Call again when `frames` is full.
+    Call again when `frames` is full.
     """
     taken = 0
     while taken < frames.shape[0]:
@@ -114,17 +114,16 @@ def look(words: Ints, state: Ints, queue: Ints, now_ns: int, own: int, frames: I
             frame[1] |= OWN << _FLAGS
         if end < 0 or load(words, record + at.NUMBER) != number:
             state[LOST] += 1
-        elif foreign or own:
+        elif foreign or state[HEARS_OWN]:
             taken += 1
     return taken
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, OUT_INTEGERS)
-def foresee(words: Ints, state: Ints, queue: Ints, own: int, missing: Ints) -> int:
+@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, OUT_INTEGERS)
+def foresee(words: Ints, state: Ints, queue: Ints, missing: Ints) -> int:
     """Return when all missing identifiers (none: the next foreign frame) will have ended, ns; -1: unknown.
 
-    A frame queued later can only push this instant back, unless it is itself awaited. own: not 0 where
-    frames of this reader's own count, too. Overwrites `missing`.
+    A frame queued later can only push this instant back, unless it is itself awaited. Overwrites `missing`.
     """
     index, free, rows, left = state[CURSOR], state[FREE], -1, missing.shape[0]
     while True:
@@ -140,7 +139,7 @@ def foresee(words: Ints, state: Ints, queue: Ints, own: int, missing: Ints) -> i
                 return -1
             record, queue[row, bus.WIRE] = queue[row, PLACE], bus.SENT
         free = end
-        if words[record + at.SENDER] == state[SERIAL] and not own:
+        if words[record + at.SENDER] == state[SERIAL] and not state[HEARS_OWN]:
             continue
         detail = words[record + at.DETAIL]
         for k in range(missing.shape[0]):

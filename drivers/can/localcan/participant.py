@@ -82,7 +82,6 @@ class Participant(Link):
         tx_limit: float = TX_LIMIT,
         clock: BenchClock | None = None,
     ) -> None:
-        self._own = own
         self._spin_ns = int(spin_us * 1000)
         self._tx_limit = min(int(tx_limit), at.OUTBOX // 2)
         self._inbox = bytearray()
@@ -100,6 +99,7 @@ class Participant(Link):
             self._wire.close()
             raise
         self._wire.unlock()
+        self._state[log.HEARS_OWN] = own
 
     # joining and leaving
     def _remove(self, serial: int) -> None:
@@ -127,7 +127,7 @@ class Participant(Link):
         self.serial = wire.enter()
         # a little before the log's end, to find out when the bus falls free
         begun = max(at.FIRST, int(wire.words[at.HINT_AT]) - at.OUTBOX // 8)
-        self._state = np.array([self.serial, begun, 0, 0])
+        self._state = np.array([self.serial, begun, 0, 0, 0])
         self._queue = np.zeros((log.QUEUE_ROWS, log.ENTRY + 1), np.int64)
         self._frames = np.zeros((BATCH, log.FRAME_WORDS), np.int64)
         self._serials = np.zeros(at.SLOTS, np.int64)
@@ -221,7 +221,7 @@ class Participant(Link):
         """Take what has ended into the inbox."""
         words, now, taken = self._wire.words, self.clock.now(), BATCH
         while taken == BATCH:
-            taken = log.look(words, self._state, self._queue, now, self._own, self._frames)
+            taken = log.look(words, self._state, self._queue, now, self._frames)
             self._inbox += self._frames[:taken].tobytes()
         self.overflow = int(self._state[log.LOST])
 
@@ -255,7 +255,7 @@ class Participant(Link):
         """
         awaited = np.fromiter(missing, np.int64, len(missing))
         with self._thread:
-            end = log.foresee(self._wire.words, self._state, self._queue, self._own, awaited)
+            end = log.foresee(self._wire.words, self._state, self._queue, awaited)
         return None if end < 0 else end
 
     def _ask_for_ring(self) -> None:

@@ -206,8 +206,8 @@ class Participant(Link):
 
         Else when it was taken.
         """
-        ends = self._wire.words[[at.record_at(self.serial, number) + at.END for number in self._sent]]
-        return [end if end > 0 else self._queued_ns for end in ends.tolist()]
+        words, places = self._wire.words, [at.record_at(self.serial, number) for number in self._sent]
+        return [int(end) if (end := words[place + at.END]) > 0 else self._queued_ns for place in places]
 
     # receiving
     def receive(self) -> Rows:

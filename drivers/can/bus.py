@@ -18,7 +18,7 @@ from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import RESTART_MS
 from drivers.can.link import Link, Source, collect
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.can.localcan.participant import Participant
+from drivers.can.localcan.participant import LOOK_S, Participant
 from drivers.can.python_can import open_python_can
 from drivers.can.runtime_folder import RoleLock
 from drivers.can.socketcan import SocketCan
@@ -33,8 +33,6 @@ DEAD_AFTER_NS = 50_000_000
 """A bus that takes no frame at all for this long is dead; for less, it is busy."""
 _FIRST_LOOK_NS = 200_000
 """Between two looks at a link that cannot be waited for together with others."""
-_LOOK_S = 1e-3
-"""Between two looks while time stands still, or a bus is off."""
 
 
 class BusEvents(NamedTuple):
@@ -170,7 +168,7 @@ class Bus(Source):
         left_s = (deadline_ns - clock.now()) * 1e-9
         if all(quiet) and left_s > 0:
             stands = self._off_bits() != 0 or clock.stands()
-            select.select(files, [], [], min(left_s, _LOOK_S) if stands else left_s)
+            select.select(files, [], [], min(left_s, LOOK_S) if stands else left_s)
         clock.working()
 
     def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> Rows:

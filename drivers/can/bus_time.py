@@ -6,7 +6,6 @@ stuffed region of g bits can hold, floor((g - 1) / 4):
 Classic, 11-bit identifier, n data bytes: 44 + 8n + 3 + floor((34 + 8n - 1) / 4)
     n = 8: 44 + 64 + 3 + floor(97 / 4) = 111 + 24 = 135 bits
     n = 4: 44 + 32 + 3 + floor(65 / 4) = 79 + 16 = 95 bits
-    at 1 Mbit/s: 12 x 135 us = 1620 us (617 Hz);  2 x 135 + 6 x 95 = 840 us
 Classic, 29-bit identifier: 64 + 8n + 3 + floor((54 + 8n - 1) / 4);  n = 8: 131 + 29 = 160 bits
 
 CAN FD with bit-rate switch, 11-bit identifier. At the arbitration rate: SOF 1, identifier 11, RRS, IDE, FDF,
@@ -17,8 +16,6 @@ stuff bits, one before the stuff count and one after every fourth bit: 1 + floor
 1 + floor(25 / 4) = 7.
     n = 12: 34 bits + (5 + 96 + 25 + 4 + 17 + 6 = 153 bits);  at 1M/5M 34 + 30.6 = 64.6 us
     n = 32: 34 bits + (5 + 256 + 65 + 4 + 21 + 7 = 358 bits);  at 1M/5M 34 + 71.6 = 105.6 us
-    one 32-byte command + six 12-byte feedbacks = 105.6 + 6 x 64.6 = 493.2 us (2028 Hz);
-    with a SYNC of 2 bytes, 44 + 16 + 3 + floor(49 / 4) = 75 bits, 568.2 us (1759 Hz)
 BRS and CRC delimiter straddle the two rates; both are counted at the slow one. Without the switch all are.
 
 At least: no stuff bits but the fixed ones, and of BRS and CRC delimiter together one bit at each rate.

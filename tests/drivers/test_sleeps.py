@@ -22,15 +22,15 @@ def test_until_its_time_a_clock_sleeps_and_does_not_spin(join):
     [
         (False, 5, 0.005),
         (False, 5000, participant._SLICE_S),
-        (True, 5, participant._LOOK_S),
-        (True, 5000, participant._LOOK_S),
+        (True, 5, participant.LOOK_S),
+        (True, 5000, participant.LOOK_S),
     ],
 )
 def test_a_participant_sleeps_to_its_deadline_in_slices_and_in_short_ones_while_time_stands(
     join, monkeypatch, stands, left_ms, expected_s
 ):
     node, waited = join(), list[float]()
-    assert participant._LOOK_S < 0.005 < participant._SLICE_S < 5.0
+    assert participant.LOOK_S < 0.005 < participant._SLICE_S < 5.0
     monkeypatch.setattr(node._wire, "wait", waited.append)
     monkeypatch.setattr(node.clock, "stands", lambda: stands)
     node.block(node.clock.now() + 1_000_000 * left_ms, frozenset())

@@ -30,8 +30,8 @@ BATCH = 512
 """Frames taken from the wire at once."""
 _AGAIN_NS = 20_000_000
 _SLICE_S = 0.1
-_LOOK_S = 1e-3
-"""Between two looks while time stands still."""
+LOOK_S = 1e-3
+"""Between two looks while time stands still, or a bus is off."""
 
 
 @lru_cache(1024)
@@ -243,7 +243,7 @@ class Participant(Link):
         left_ns = deadline_ns - clock.now()
         if left_ns > 0 and not self._inbox:
             # in slices: a ring can be lost when the one who rings is killed
-            self._wire.wait(_LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
+            self._wire.wait(LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
         # awake: a ring would change nothing but bring the promise forward
         self._wire.words[at.slot_at(self.serial) + at.SLOT_RUNG] = clock.now()
         clock.working()

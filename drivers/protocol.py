@@ -1,6 +1,6 @@
 """Frame, and DriveProtocol: the pure codec of one drive family.
 
-A new drive family is one file that implements `DriveProtocol` and one row in `drivers.PROTOCOLS`.
+`docs/guides/own-drives.md` shows how a new family is written.
 """
 
 from dataclasses import dataclass
@@ -138,7 +138,7 @@ class Traits:
     resolution: Resolution
     """How far readings and commands are off by the steps of the frames."""
     sent: tuple[Frame, ...]
-    """One example of every frame that the controller sends once per tick: lengths and flags count."""
+    """One example of every frame that the controller sends once per tick; lengths and flags count."""
     feedbacks: tuple[Frame, ...]
     """One example of every feedback of a tick."""
     emergency_stop: tuple[Frame, ...]
@@ -149,16 +149,16 @@ class Traits:
     The drain waits for these. They are identifiers, but where `shares_identifiers`.
     """
     shares_identifiers: bool = False
-    """Whether feedbacks share an identifier, or change it: then no interface can wait for them."""
+    """Whether feedbacks share an identifier, or change it; then no interface can wait for them."""
     identity_requests: tuple[tuple[Frame, ...], ...] = ()
-    """Requests for serial number and revision, one frame a drive, in rounds: each is answered before the
-    next is sent. Empty where no drive can be asked."""
+    """Requests for serial number and revision, one frame a drive, in rounds; each round is answered before
+    the next is sent. Empty where no drive can be asked."""
     database: tuple[str, str] | None = None
-    """Name and text of the DBC file that goes into the log; None: the family has none."""
+    """Name and text of the DBC file that goes into the log, if the family has one."""
     command_delay_ticks: int = 0
-    """Ticks from `command` to the frames that carry it: 0, or 1 where `begin` does."""
+    """Ticks from a command to the frames that carry it; 1 where these are the polls of the next tick."""
     set_up_frames: int = 0
-    """At most so many frames of a tick come from `set_up`."""
+    """The largest number of frames of the set-up in one tick."""
     reset_ticks: int = 3
     """For how many ticks DriveMode.RESET is commanded to clear the drives' faults."""
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
@@ -174,13 +174,13 @@ class Traits:
     latches_together: bool = False
     """Whether one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
     unasked_s: float = 0.0
-    """How often each drive sends its reading by a timer, too, as it answers a poll; 0: it does not."""
+    """Period of the readings that each drive sends by a timer as well as to a poll; 0 where it does not."""
     has_watchdog: bool = True
     """Whether `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
     power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
     """What tells that a drive is no longer enabled."""
     reported_lengths: tuple[Array, Array] | None = None
-    """The shortest and the longest leg lengths, (6,) m, that feedback carries; None: no matter."""
+    """The shortest and the longest leg lengths, (6,) m, that feedback carries; None where it carries any."""
 
     @property
     def cyclic_frames(self) -> tuple[Frame, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import FAILED, Pointed, data_at, integers_at, of_python, pointed
+from drivers.compiled.pointed import FAILED, Pointed, context_of, data_at, integers_at, of_python, pointed
 from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array
 from drivers.protocol import ALWAYS, DriveProtocol, DriveSetup
@@ -58,8 +58,8 @@ class ControllerEnd(ABC):
 
     For compiled passes ``decode(codec, frames, count, since_ns, last, tick)`` and ``command(codec, number,
     mode, stop, force, into)`` are `take` and `give` by address: of elements of FRAME, of records of TICK, of
-    six forces in N. `decode` returns a status, > 0 where `look` has to be called; `command` the number of
-    frames, FAILED where a force does not fit. ``opening(opener, number, into)`` is `begin`.
+    six forces in N. `decode` returns a status, > 0 where other drives are set up than before; `command` the
+    number of frames, FAILED where a force does not fit. ``opening(opener, number, into)`` is `begin`.
     """
 
     codec = 0
@@ -122,9 +122,6 @@ class ControllerEnd(ABC):
         """Return which of the six drives have been set up since `start`, on their own word."""
         return tuple(not each for each in self.lacks())
 
-    def look(self, frames: Rows) -> None:  # noqa: B027 - most leave nothing
-        """Take in what a decoder leaves to Python: nothing here."""
-
     def carried(self, force: Array) -> Array:
         """Return what a command of forces (6,) N gives legs at rest: a field may have steps."""
         return force
@@ -132,10 +129,14 @@ class ControllerEnd(ABC):
     def presume_running(self) -> None:  # noqa: B027 - some commands are the same to all
         """Take all drives for enabled, whether they have been heard or not."""
 
-    def refuse(self, force: Array, mode: DriveMode, number: int) -> None:
+    def refuse(self, force: Array) -> None:
         """Raise what a command met that does not fit, or a frame."""
         error, self.error = self.error, None
-        raise error or ProtocolError(f"command {mode.name} of {force.tolist()} N in tick {number}")
+        raise error or self.unfit(force)
+
+    def unfit(self, force: Array) -> ProtocolError:
+        """Return what is wrong with a force that does not fit."""
+        return ProtocolError(f"force command {force.tolist()} N")
 
     def _decode(self, _codec: int, at: int, count: int, since_ns: int, last: int, tick: int) -> int:
         frames = array_at(at, count, FRAME) if count else sent_array(())
@@ -173,17 +174,23 @@ class CompiledController(ControllerEnd):
     first: str
     """The first field of the record that is the dialogue's, as are all behind it."""
 
-    def __init__(self, begun: Rows, decode: Pointed, command: Pointed, openings: Rows) -> None:
-        """Take the record before any drive was heard, () of its dtype, and the two functions that work on it.
+    def __init__(self, begun: Rows, decode: Pointed, command: Pointed, openings: Rows | Pointed) -> None:
+        """Take the record before any drive was heard, () of its dtype, and the functions that work on it.
 
-        openings: elements of FRAME that start a tick (kinds, frames), one kind after the other.
+        openings: elements of FRAME that start a tick (kinds, frames), one kind after the other; or the
+        function that puts them.
         """
         self._begun, self.state, self._decoding, self._commanding = begun, begun.copy(), decode, command
         self.decode, self.command = decode.address, command.address
         self.codec = data_at(self.state)
-        self._openings, self._table = openings, np.zeros((), OPENINGS)
-        self._table["at"], (self._table["kinds"], self._table["frames"]) = data_at(openings), openings.shape
-        self.opening, self.opener = put_opening.address, data_at(self._table)
+        self._opens, self._openings, self.opener = put_opening, openings, self.codec
+        if isinstance(openings, Pointed):
+            self._opens = openings
+        else:
+            self._table = context_of(OPENINGS, at=openings)
+            self._table["kinds"], self._table["frames"] = openings.shape
+            self.opener = data_at(self._table)
+        self.opening = self._opens.address
 
     def start(self) -> None:
         """Begin the dialogue: no drive has been set up."""
@@ -199,21 +206,12 @@ class CompiledController(ControllerEnd):
 
     def begin(self, number: int) -> Rows:
         """Return the frames that start a tick."""
-        frames: Rows = self._openings[number % len(self._openings)]
-        return frames
-
-    def unfit(self, force: Array) -> ProtocolError:
-        """Return what is wrong with a force that does not fit."""
-        raise NotImplementedError
-
-    def refuse(self, force: Array, _mode: DriveMode, _number: int) -> None:
-        """Raise the ProtocolError of a command that does not fit."""
-        raise self.unfit(force)
+        into = np.empty(MOST_FRAMES, FRAME)
+        return into[: self._opens(self.opener, number, data_at(into))]
 
     def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
         """Fill the measurement of a tick from that of the last one and the frames since."""
-        if self._decoding(self.state, data_at(frames), len(frames), since_ns, last, tick):
-            self.look(frames)
+        self._decoding(self.state, data_at(frames), len(frames), since_ns, last, tick)
 
     def give(self, command: Command, number: int) -> Rows:
         """Return the frames of a tick's command. Raises ProtocolError if a force does not fit."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.arrays import Bytes
 from drivers.compiled.compiler import INTEGER, helper, record
-from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, records_at
+from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, record_at, records_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, code, frames_at, whole
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
@@ -76,7 +76,6 @@ IN_IDENTIFIER = -1
 MOTORS = np.dtype(
     [
         # the family
-        ("hear", "<i8"),
         ("ear", "<i8"),  # address of EAR
         ("frames", "<i8"),  # address of rows of six elements of FRAME
         ("rule", "<i8"),
@@ -87,8 +86,6 @@ MOTORS = np.dtype(
         ("torque_limit", "<f8"),  # N m
         ("unasked", "<i8"),  # 1: drives send readings by a timer, too
         ("reports", "<i8"),  # 1: drives say whether they are enabled
-        ("buses", "<i8"),  # how many
-        ("bus_of", "<i8", (LEGS,)),
         *FIELDS,
         # start-up dialogue
         ("exchanges", "<i8", (LEGS,)),  # how many each drive has to confirm
@@ -114,6 +111,7 @@ MOTORS = np.dtype(
 _MOTORS = record(MOTORS)
 _TICK = record(TICK, "tick", *part("measurement"))
 heard_at = records_at(record(HEARD))
+ear_at = record_at(record(EAR))
 hearing = pointed(record(EAR), record(FRAME), record(HEARD))
 """What compiles a family's `hear`."""
 _FRAME_BYTES = FRAME.itemsize
@@ -139,6 +137,7 @@ def says(heard: Any, leg: int, has: int) -> int:
 @helper
 def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
     """Say whether a drive is enabled, or in a fault of a code that is not 0; return 1."""
+    heard.has |= POWER
     heard.power = _FAULT if code else _RUN if enabled else _OFF
     if code in (ear.silence, ear.stopped):
         heard.fault = _WATCHDOG if code == ear.silence else _ESTOP
@@ -180,19 +179,6 @@ def _confirm(m: Any, heard: Any) -> None:
         return
     m.done[leg], m.asked[leg] = step + 2, -RETRY_TICKS
     m.read[leg], m.has_read[leg] = 0.0, 0
-
-
-@helper
-def _differ(one: Any, other: Any) -> bool:
-    """Tell whether two answers of a drive say different things."""
-    return bool(
-        one.has != other.has
-        or one.turns != other.turns
-        or one.speed != other.speed
-        or one.torque != other.torque
-        or one.power != other.power
-        or one.fault != other.fault
-    )
 
 
 @helper
@@ -275,27 +261,26 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         m.owed[leg] = m.owed[leg] + 1 if m.done[leg] else 2
     power, said = m.power.copy(), m.said.copy()
     at = np.int64(m.scratch.ctypes.data)
-    kept = heard_at(at, 1 + 2 * LEGS)
-    heard = kept[0]
+    heard, ear = heard_at(at, 1)[0], ear_at(m.ear)
     received = frames_at(frames, count)
     taken = 0
     for n in range(count):
         bus = int(received[n].bus)
-        if bus >= m.buses:
-            tick.rejected += m.buses > 1
+        if bus >= ear.buses:
+            tick.rejected += ear.buses > 1
             continue
-        if not call(m.hear, (m.ear, frames + n * _FRAME_BYTES, at)):
+        if not call(ear.hear, (m.ear, frames + n * _FRAME_BYTES, at)):
             continue
         leg, has = heard.leg, heard.has
         early = received[n].t_ns < since_ns
-        if not has & FOREIGN and (has & BROKEN or bus != m.bus_of[leg]):
+        if not has & FOREIGN and (has & BROKEN or bus != ear.bus_of[leg]):
             tick.rejected += 1
         elif has & FOREIGN:
             tick.foreign = _FOREIGN_COMMAND
         elif has & ANSWER:
             _confirm(m, heard)
         elif has & FEEDBACK and not early and taken >> leg & 1 and m.owed[leg] <= 0 and not m.unasked:
-            tick.doubled |= int(_differ(kept[1 + leg], heard)) << leg
+            tick.doubled |= int(np.any(m.scratch[1 + leg] != m.scratch[0])) << leg
         else:
             place = _take(m, heard, early, last, tick)
             if place:
@@ -373,7 +358,7 @@ def send(m: Any, row: int, leg: int, into: int) -> None:
     words = _FRAME_BYTES // 8
     integers_at(into, words)[:] = integers_at(m.frames + (row * LEGS + leg) * _FRAME_BYTES, words)
     frame = frames_at(into, 1)[0]
-    frame.bus = m.bus_of[leg]
+    frame.bus = ear_at(m.ear).bus_of[leg]
     if row != DRIVE:
         return
     at, end = m.torque_at, m.torque_end

@@ -66,12 +66,11 @@ class MotorController(CompiledController):
         self._family, self._exchanges = family, family.exchanges(setup)
         self._frames = sent_array([frame for row in family.requests(setup.watchdog_s) for frame in row])
         m = np.zeros((), MOTORS)
-        m["hear"], m["ear"], m["frames"] = family.ear.address, data_at(family.tables), data_at(self._frames)
+        m["ear"], m["frames"] = data_at(family.tables), data_at(self._frames)
         m["rule"], m["clears"] = family.rule, family.clears
         m["torque_at"], m["torque_bits"], m["torque_end"] = family.torque_field
         m["torque_limit"], m["unasked"] = family.torque_limit, family.traits.unasked_s > 0.0
         m["reports"] = family.traits.power_told != "never"
-        m["buses"], m["bus_of"] = family.buses, family.bus_of
         family.transmission.fill(m)
         for leg, exchanges in enumerate(self._exchanges):
             n = m["exchanges"][leg] = len(exchanges)
@@ -79,19 +78,8 @@ class MotorController(CompiledController):
             m["values"][leg, :n] = [each.value for each in exchanges]
         m["power"], m["asked"] = DriveState.BOOT, -RETRY_TICKS
         m["patience_ticks"] = family.patience_ticks(setup.rate_Hz)
-        polls = sent_array(family.polls)[np.newaxis]
+        polls = sent_array(family.polls)[np.newaxis] if family.polls else kernels.begin
         super().__init__(m, kernels.decode, family.commanding, polls)
-        self._polls_by_command = not polls.size
-        if self._polls_by_command:
-            self.opening, self.opener = kernels.begin.address, self.codec
-
-    def begin(self, number: int) -> Rows:
-        """Return one poll a drive: it carries the command of the tick before, where `polls` are none."""
-        if not self._polls_by_command:
-            return super().begin(number)
-        into = np.empty(LEGS, FRAME)
-        kernels.begin(self.state, number, data_at(into))
-        return into
 
     def set_up(self, tick: Record) -> Rows:
         """Return the next request of one drive, if it is heard and disabled."""

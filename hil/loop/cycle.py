@@ -146,9 +146,7 @@ class Cycle:
         """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
         parts, number = self.parts, inp.tick
         if look & compiled_pass.BROKEN:
-            self.end.refuse(ZERO6, DriveMode.OFF, number)
-        if look & compiled_pass.DIALOGUE:
-            self.end.look(inp.frames)
+            self.end.refuse(ZERO6)
         if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
             self.control.load(tick)
@@ -178,7 +176,7 @@ class Cycle:
         control.settle()
         record["command_mode"], record["stops"] = self._command_mode(tick), stops
         if act(record, tick, into, COMMAND):
-            self.end.refuse(tick["tau"], DriveMode(int(record["command_mode"])), inp.tick)
+            self.end.refuse(tick["tau"])
         frames = [into[: record["sent"]]]
         record["stops"] = 0
         self.effort.last_tau = tick["tau"]

@@ -9,7 +9,6 @@ from drivers.arrays import ZERO6, Ints, Rows
 from drivers.compiled.pointed import data_at
 from drivers.controller_end import MOST_FRAMES
 from drivers.frame_array import FRAME
-from drivers.signals import DriveMode
 from drivers.tick_columns import ROW, TICK, Record, new_record
 from hil.loop.cycle import Cycle
 from hil.loop.tick_input import input_of, put_input
@@ -136,7 +135,7 @@ class TickRow:
     def _stop(self, stage: int, stopped: int) -> None:
         """Do what a stage has stopped for."""
         if stage == START:
-            self._cycle.end.refuse(ZERO6, DriveMode.OFF, int(self._cycle.tick["tick"]) + 1)
+            self._cycle.end.refuse(ZERO6)
         elif stage == OBSERVE and stopped == NO_ROOM:
             frames = self.ticks.frames
             self._hold(np.concatenate((frames, np.empty(self.record["heard"] + len(frames), FRAME))))

@@ -68,7 +68,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     if frame.length != 8:
         return motors.says(heard, leg, motors.BROKEN)
     if kind == HEARTBEAT:
-        motors.says(heard, leg, motors.POWER)
+        motors.says(heard, leg, 0)
         return motors.powers(ear, heard, whole(data, 0), data[4] == CLOSED_LOOP)
     turns, speed = motors.single(data, 0), motors.single(data, 4)
     if not (np.isfinite(turns) and np.isfinite(speed)):

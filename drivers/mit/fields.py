@@ -7,9 +7,6 @@ CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range is no code: it i
 from math import pi
 from typing import NamedTuple
 
-from drivers.compiled.compiler import helper
-from drivers.frame_pointers import code, value
-
 TURN = 2.0 * pi
 """rad."""
 TOP_COMMAND = 0xFFB
@@ -29,32 +26,6 @@ class Ranges(NamedTuple):
     """N m s/rad."""
     torque: float
     """N m."""
-
-
-def pack_command(position: float, velocity: float, kp: float, kd: float, torque: float, r: Ranges) -> bytes:
-    """Return the eight bytes of a command: 16, 12, 12, 12 and 12 bits, most significant first."""
-    number = code(position, -r.position, r.position, 16)
-    for x, low, high in (
-        (velocity, -r.velocity, r.velocity),
-        (kp, 0.0, r.kp),
-        (kd, 0.0, r.kd),
-        (torque, -r.torque, r.torque),
-    ):
-        number = number << 12 | code(x, low, high, 12)
-    return number.to_bytes(8, "big")
-
-
-@helper
-def unpack_motion(data: bytes, r: Ranges) -> tuple[int, float, float, float]:
-    """Return the code of the position, rad, rad/s and N m of five bytes of a reply."""
-    p = data[0] << 8 | data[1]
-    v, t = data[2] << 4 | data[3] >> 4, (data[3] & 0xF) << 8 | data[4]
-    return (
-        p,
-        value(p, -r.position, r.position, 16),
-        value(v, -r.velocity, r.velocity, 12),
-        value(t, -r.torque, r.torque, 12),
-    )
 
 
 P = 12.5

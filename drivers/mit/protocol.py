@@ -17,8 +17,8 @@ from drivers import motor_kernels as motors
 from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_pointers import place_of, whole
-from drivers.mit.fields import TOP_COMMAND, TURN, VARIANTS, Ranges, pack_command, unpack_motion
+from drivers.frame_pointers import place_of, value, whole
+from drivers.mit.fields import TOP_COMMAND, TURN, VARIANTS, Ranges
 from drivers.motor_settings import Options, refuse_torque, unwatched
 from drivers.motors import ANY, NO_BRAKE, Exchange, MotorProtocol
 from drivers.protocol import (
@@ -42,6 +42,8 @@ REGISTERS = 0x7FF
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
 ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
+NOTHING = bytes.fromhex("7fff7ff000000000")
+"""Position and velocity in the middle of their ranges, no gains, the torque's code 0."""
 TICKS_PER_S = 20_000
 """Of Damiao's TIMEOUT."""
 
@@ -60,18 +62,14 @@ def _answer(data: Any, leg: int, heard: Any) -> int:
 
 
 @helper
-def _motion(ear: Any, data: Any, leg: int, enabled: int, code: int, heard: Any) -> int:
-    """Take the motion in a reply; enabled: 0 or 1, -1 where it does not say."""
-    place, position, velocity, torque = unpack_motion(data[1:6], ear)
-    at_end = ear.clamps and place in (0, 0xFFFF)
-    motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE)
-    if code or enabled >= 0:
-        heard.has |= motors.POWER
-        motors.powers(ear, heard, code, enabled > 0)
+def take_motion(ear: Any, leg: int, position: int, velocity: int, torque: int, bits: int, heard: Any) -> int:
+    """Take the codes in a reply; the ends of a position that saturates are no reading."""
+    at_end = ear.clamps and position in (0, 0xFFFF)
+    motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE | (0 if at_end else motors.MOTION))
     if not at_end:
-        heard.has |= motors.MOTION
-        heard.turns, heard.speed = position / TURN, velocity / TURN
-    heard.torque = torque
+        heard.turns = value(position, -ear.position, ear.position, 16) / TURN
+        heard.speed = value(velocity, -ear.velocity, ear.velocity, bits) / TURN
+    heard.torque = value(torque, -ear.torque, ear.torque, bits)
     return 1
 
 
@@ -89,12 +87,14 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         return 0
     if not ear.shortest <= size <= ear.longest:
         return motors.says(heard, first, motors.BROKEN)
-    head = int(data[0])
+    head, p, v, t = int(data[0]), int(data[1]) << 8 | int(data[2]), int(data[3]) << 4, int(data[5])
+    v, t = v | int(data[4]) >> 4, t | (int(data[4]) & 0xF) << 8
     if not ear.registers:
         leg, fault = place_of(head, ear.nodes), int(data[7]) if size == 8 else 0
         if leg < 0:
             return motors.says(heard, first, motors.BROKEN)
-        return _motion(ear, data, leg, -1, fault, heard)
+        take_motion(ear, leg, p, v, t, 12, heard)
+        return motors.powers(ear, heard, fault, False) if fault else 1
     node = ear.nodes[first]
     # A status is 0, 1 or above 7, so only a disabled drive near the lower end of its position could look
     # like a register's answer: it has the position code 0x0033 or 0x0055 there.
@@ -103,7 +103,8 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     status = head >> 4
     if head & 0xF != node or (status > 1 and not ear.faults >> status & 1):
         return motors.says(heard, first, motors.BROKEN)
-    return _motion(ear, data, first, status & 1, status if status > 1 else 0, heard)
+    take_motion(ear, first, p, v, t, 12, heard)
+    return motors.powers(ear, heard, status if status > 1 else 0, status == 1)
 
 
 _HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
@@ -129,6 +130,7 @@ class MitFamily(MotorProtocol):
         super().__init__(options.transmission, drives.node_ids, (*torque_field, ranges.torque), bus.legs)
         for name in ("position", "velocity", "torque"):
             self.tables[name] = getattr(ranges, name)
+        self.tables["clamps"] = VARIANTS[self.variant].clamps
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
         """Return the traits; steps of position, velocity and torque are truncated, at either end."""
@@ -172,7 +174,7 @@ class MitProtocol(MitFamily):
                     "identifier or none; allowed: one that keeps them apart"
                 )
         t = self.tables
-        t["replies"], t["registers"], t["clamps"] = self.replies, damiao, known.clamps
+        t["replies"], t["registers"] = self.replies, damiao
         t["shortest"], t["longest"] = known.reply_bytes[0], known.reply_bytes[-1]
         t["faults"] = sum(1 << code for code in known.faults)
         t["requests"] = REGISTERS if damiao else -1
@@ -232,8 +234,7 @@ class MitProtocol(MitFamily):
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Return DISABLE, what clears a fault, ENABLE, and torque: polls, all of them."""
-        nothing = pack_command(0.0, 0.0, 0.0, 0.0, -self.ranges.torque, self.ranges)
-        rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, nothing
+        rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, NOTHING
         return tuple(tuple(Frame(node, data) for node in self.nodes) for data in rows)
 
 

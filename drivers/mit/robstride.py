@@ -11,12 +11,11 @@ from functools import cached_property
 from typing import Any
 
 from drivers import motor_kernels as motors
-from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_pointers import code, place_of, value, whole
-from drivers.mit.fields import ROBSTRIDE_FAULTS, TURN
-from drivers.mit.protocol import MitFamily
+from drivers.frame_pointers import code, place_of, whole
+from drivers.mit.fields import ROBSTRIDE_FAULTS
+from drivers.mit.protocol import MitFamily, take_motion
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
@@ -36,20 +35,6 @@ WHO, CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 0, 1, 2, 3, 4, 17, 18
 RESETTING, CALIBRATING, RUNNING = range(3)
 """Mode of a feedback."""
 STRANGE = FD | REMOTE | ERROR
-
-
-@helper
-def _feedback(ear: Any, data: Any, leg: int, mode: int, faults: int, heard: Any) -> int:
-    """Take a feedback."""
-    p, v = int(data[0]) << 8 | int(data[1]), int(data[2]) << 8 | int(data[3])
-    t = int(data[4]) << 8 | int(data[5])
-    at_end = p in (0, 0xFFFF)
-    motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE | motors.POWER | (0 if at_end else motors.MOTION))
-    if not at_end:
-        heard.turns = value(p, -ear.position, ear.position, 16) / TURN
-        heard.speed = value(v, -ear.velocity, ear.velocity, 16) / TURN
-    heard.torque = value(t, -ear.torque, ear.torque, 16)
-    return motors.powers(ear, heard, faults, mode == RUNNING)
 
 
 @motors.hearing
@@ -72,7 +57,9 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         motors.says(heard, leg, motors.ANSWER)
         heard.register, heard.value = whole(data, 0, 2), float(data[4])
         return 1
-    return _feedback(ear, data, leg, middle >> 14, middle >> 8 & 0x3F, heard)
+    p, v = int(data[0]) << 8 | int(data[1]), int(data[2]) << 8 | int(data[3])
+    take_motion(ear, leg, p, v, int(data[4]) << 8 | int(data[5]), 16, heard)
+    return motors.powers(ear, heard, middle >> 8 & 0x3F, middle >> 14 == RUNNING)
 
 
 ASKED_WHO = 0xFE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,11 +13,12 @@ from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
 from drivers.controller_end import ControllerEnd
 from drivers.frame_array import FRAME, sent_frames
-from drivers.frame_pointers import value
-from drivers.mit.fields import VARIANTS, Ranges
+from drivers.frame_pointers import code, value
+from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame
 from drivers.signals import LEGS, Reaction
+from drivers.transmission import Transmission
 from plant_fmu.drives.ends import DrivesEnd
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import memory_of
@@ -110,6 +112,19 @@ class Motors(ByValue):
         return sent_frames(into)[leg]
 
 
+def pack_command(position: float, velocity: float, kp: float, kd: float, torque: float, r: Ranges) -> bytes:
+    """Return the eight bytes of a command: 16, 12, 12, 12 and 12 bits, most significant first."""
+    number = code(position, -r.position, r.position, 16)
+    for x, low, high in (
+        (velocity, -r.velocity, r.velocity),
+        (kp, 0.0, r.kp),
+        (kd, 0.0, r.kd),
+        (torque, -r.torque, r.torque),
+    ):
+        number = number << 12 | code(x, low, high, 12)
+    return number.to_bytes(8, "big")
+
+
 def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, float]:
     """Return position rad, velocity rad/s, kp, kd and torque N m of the eight bytes of a command."""
     number = int.from_bytes(data, "big")
@@ -157,6 +172,21 @@ class MitProtocol(Motors):
         made: Any = PROTOCOLS["mit"](*sections("mit", nodes, legs, options))
         made.transmission, made.ranges = gear, ranges
         super().__init__(made)
+
+
+@cache
+def _mini_cheetahs(r: Ranges) -> MitProtocol:
+    gear = Transmission.of(TransmissionSettings(lead_m=1.0))
+    return MitProtocol("mini_cheetah", r, (1, 2, 3, 4, 5, 6), 0, gear)
+
+
+def read_reply(data: bytes, r: Ranges) -> tuple[float, float, float]:
+    """Return rad, rad/s and N m that the controller reads in five bytes of a reply."""
+    heard = _mini_cheetahs(r).hear(Frame(0, b"\1" + data))
+    assert heard is not None
+    assert heard.motion is not None
+    assert heard.torque is not None
+    return heard.motion[0] * TURN, heard.motion[1] * TURN, heard.torque
 
 
 class RobStrideProtocol(MitProtocol):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.mit.fields import Ranges, pack_command, unpack_motion
+from drivers.mit.fields import Ranges
 from drivers.moteus import COMMAND, MODE, TIMEOUT, WRITE
 from drivers.protocol import BRS, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import LEGS, DriveMode, Reaction
@@ -25,6 +25,8 @@ from tests.drivers.motor_families import (
     Motors,
     ODriveProtocol,
     RobStrideProtocol,
+    pack_command,
+    read_reply,
 )
 from tests.drivers.test_odrive import UNIT
 
@@ -132,7 +134,7 @@ def packed_as_o2(v: Vector) -> bool:
 
 
 def read_as_o2(v: Vector) -> bool:
-    _, p, velocity, torque = unpack_motion(bytes.fromhex(v["data"])[1:6], o2(v))
+    p, velocity, torque = read_reply(bytes.fromhex(v["data"])[1:6], o2(v))
     said = [v["decoded"][key] for key in ("position_rad", "velocity_rad_s", "torque_Nm")]
     return bool(np.allclose((p, velocity, torque), said, rtol=3e-5, atol=1e-8))
 

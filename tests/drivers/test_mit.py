@@ -16,7 +16,7 @@ from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array
-from drivers.mit.fields import TURN, VARIANTS, Ranges, pack_command, unpack_motion
+from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.mit.protocol import ENABLE
 from drivers.protocol import EXTENDED, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
@@ -27,7 +27,14 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.messages import Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.drives_end import answers
-from tests.drivers.motor_families import Heard, MitProtocol, RobStrideProtocol, unpack_command
+from tests.drivers.motor_families import (
+    Heard,
+    MitProtocol,
+    RobStrideProtocol,
+    pack_command,
+    read_reply,
+    unpack_command,
+)
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, at_tick
 from tests.drivers.trouble_contract import TroubleContract
 
@@ -172,9 +179,7 @@ def test_replies_are_read_as_two_libraries_read_them(vector):
     r = ranges(_read("mit")["ranges"][vector["inputs"]["range"]])
     said, data = vector["decoded"], bytes.fromhex(vector["data"])
     names = "position_rad", "velocity_rad_s", "torque_or_current"
-    np.testing.assert_allclose(
-        unpack_motion(data[1:6], r)[1:], [said[name] for name in names], rtol=3e-5, atol=1e-8
-    )
+    np.testing.assert_allclose(read_reply(data[1:6], r), [said[name] for name in names], rtol=3e-5, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -481,7 +486,7 @@ def test_no_field_of_a_reply_or_command_is_off_by_more_than_the_resolution_and_s
     off = []
     for _ in range(30):
         p, v, t = chance.uniform(-0.99, 0.99, 3) * (WIDE.position, WIDE.velocity, WIDE.torque)
-        _, p1, v1, _ = unpack_motion(bytes(device_motion(p, v, t, WIDE, clamps=True)), WIDE)
+        p1, v1, _ = read_reply(bytes(device_motion(p, v, t, WIDE, clamps=True)), WIDE)
         t1 = unpack_command(pack_command(0.0, 0.0, 0.0, 0.0, t, WIDE), WIDE)[4]
         off.append(((p - p1) * LEAD_m / TURN, (v - v1) * LEAD_m / TURN, (t - t1) * NEWTONS))
     largest = np.abs(off).max(axis=0)

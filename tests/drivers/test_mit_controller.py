@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.mit.fields import pack_command
 from drivers.mit.protocol import CLEAR, DISABLE, ENABLE
 from drivers.protocol import FD, DriveSetup, Frame
 from drivers.signals import DriveFault, DriveMode, Reaction
-from tests.drivers.motor_families import Heard, MitProtocol
+from tests.drivers.motor_families import Heard, MitProtocol, pack_command
 from tests.drivers.spoken_drives import UNLIKE
 from tests.drivers.test_mit_drive import DAMIAO, FAULT, NODES, OFF, RANGES, RUN, VARIANTS, STEP_Nm
 

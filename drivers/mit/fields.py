@@ -37,14 +37,14 @@ class Variant(NamedTuple):
 
     models: dict[str, Ranges]
     """Ranges by name, as the drives leave the factory."""
-    reply_bytes: tuple[int, ...]
-    """Lengths of a reply that are accepted; an emulated drive sends the last."""
-    clamps: bool
-    """Its replies saturate; else they wrap."""
     faults: dict[int, str]
     """Fault codes, or bits."""
-    silence: int | None
+    silence: int | None = None
     """Fault code of its own watchdog; None: it has none that a controller can set, or does not report it."""
+    reply_bytes: tuple[int, ...] = (8,)
+    """Lengths of a reply that are accepted; an emulated drive sends the last."""
+    clamps: bool = True
+    """Its replies saturate; else they wrap."""
 
 
 CUBEMARS_FAULTS = {
@@ -74,7 +74,7 @@ ROBSTRIDE_FAULTS = {
 }
 VARIANTS = {
     "mini_cheetah": Variant(
-        {"mini_cheetah": Ranges(P, 65.0, 500.0, 5.0, 18.0)}, (6, 7), clamps=False, faults={}, silence=None
+        {"mini_cheetah": Ranges(P, 65.0, 500.0, 5.0, 18.0)}, {}, reply_bytes=(6, 7), clamps=False
     ),
     "cubemars": Variant(
         {
@@ -83,10 +83,7 @@ VARIANTS = {
             "AK80-6": Ranges(P, 76.0, 500.0, 5.0, 12.0),
             "AK80-64": Ranges(P, 8.0, 500.0, 5.0, 144.0),
         },
-        (8,),
-        clamps=True,
-        faults=CUBEMARS_FAULTS,
-        silence=None,
+        CUBEMARS_FAULTS,
     ),
     "damiao": Variant(
         {
@@ -97,9 +94,7 @@ VARIANTS = {
             "DM8009": Ranges(P, 45.0, 500.0, 5.0, 54.0),
             "DM3507": Ranges(P, 50.0, 500.0, 5.0, 5.0),
         },
-        (8,),
-        clamps=True,
-        faults=DAMIAO_FAULTS,
+        DAMIAO_FAULTS,
         silence=13,
     ),
     "robstride": Variant(
@@ -107,10 +102,7 @@ VARIANTS = {
             "rs-02": Ranges(FOUR_PI, 44.0, 500.0, 5.0, 17.0),
             "rs-03": Ranges(FOUR_PI, 50.0, 5000.0, 100.0, 60.0),
         },
-        (8,),
-        clamps=True,
-        faults=ROBSTRIDE_FAULTS,
-        silence=None,
+        ROBSTRIDE_FAULTS,
     ),
 }
 """`drives.options.variant`."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.arrays import ZERO6, Array, Rows
-from drivers.compiled.compiler import OUT_VECTOR, REAL, VECTOR, direct, helper
+from drivers.compiled.compiler import helper
 from drivers.signals import LEGS
 
 if TYPE_CHECKING:
@@ -67,9 +67,6 @@ def fill_loss(
     """Fill in F0 / F of six legs."""
     for leg in range(LEGS):
         loss[leg] = loss_of(force[leg], rate[leg], driving[leg], back_driving[leg], full_loss_m_s)
-
-
-_fill_loss = direct(VECTOR, VECTOR, VECTOR, VECTOR, REAL, OUT_VECTOR)(fill_loss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +153,7 @@ class Transmission:
 
     def _loss(self, force: Array, rate: Array) -> Array:
         """Return F0 / F: 1 / eta_d to eta_b, 1 at rest; of `force` only the sign counts."""
-        loss = np.empty(LEGS)
-        _fill_loss(force, rate, self.driving, self.back_driving, self.full_loss_m_s, loss)
-        return loss
+        each = zip(
+            force.tolist(), rate.tolist(), self.driving.tolist(), self.back_driving.tolist(), strict=True
+        )
+        return np.array([loss_of(f, dq, eta_d, eta_b, self.full_loss_m_s) for f, dq, eta_d, eta_b in each])

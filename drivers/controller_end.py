@@ -168,7 +168,7 @@ class ControllerEnd(ABC):
 class CompiledController(ControllerEnd):
     """A `ControllerEnd` that is compiled. Mutable state: its record, which has the dialogue.
 
-    A family gives `set_up`, `legs_set_up`, `lack` and `unfit`.
+    A family gives `set_up`, `lack` and `unfit`.
     """
 
     first: str

@@ -46,6 +46,7 @@ class Family(DriveProtocol):
         """Take the legs of each bus, which together are all legs, each once."""
         self.legs = tuple(map(tuple, legs))
         self.buses = len(legs)
+        """How many there are; frames of others are nobody's."""
         self.bus_of = tuple(next(bus for bus, own in enumerate(legs) if leg in own) for leg in range(LEGS))
         """Index of each leg's bus."""
 

@@ -41,6 +41,20 @@ def place_of(number: int, numbers: Any) -> int:
     return -1
 
 
+EVERYONE, NOBODY = -2, -1
+"""In place of the number of a drive."""
+
+
+@helper
+def legs_of(number: int, numbers: Any, bus: int, buses: Any) -> int:
+    """Return the legs of a bus, bit i: leg i, whose drives have a number; numbers and buses by leg."""
+    legs = 0
+    for leg in range(LEGS):
+        if bus == buses[leg] and number in (EVERYONE, numbers[leg]):
+            legs |= 1 << leg
+    return legs
+
+
 @helper
 def whole(data: Any, at: int, size: int = 4) -> int:
     """Return the number of so many bytes, little-endian, not signed up to seven and signed of eight."""

@@ -131,8 +131,6 @@ _STATE = 0b11111
 """The first five of them."""
 REPLY_WANTED = 0x8000
 """Bit of an identifier."""
-_OFF, _RUN, _FAULT = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
-_WATCHDOG = int(DriveFault.WATCHDOG)
 
 
 @helper
@@ -209,10 +207,10 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         return motors.says(heard, leg, motors.BROKEN)
     mode = int(values[_MODE])
     motors.says(heard, leg, motors.FEEDBACK | motors.POWER)
-    heard.power = _RUN if mode == POSITION else _OFF
+    heard.power = DriveState.RUN.value if mode == POSITION else DriveState.OFF.value
     if mode in (FAULTED, TIMED_OUT):
-        heard.power = _FAULT
-        heard.fault = _WATCHDOG if mode == TIMED_OUT else OWN_CODE + int(values[_FAULT_CODE])
+        heard.power = DriveState.FAULT.value
+        heard.fault = DriveFault.WATCHDOG.value if mode == TIMED_OUT else OWN_CODE + int(values[_FAULT_CODE])
     if not (np.isnan(place) or np.isnan(speed)):
         heard.has |= motors.MOTION
         heard.turns, heard.speed = place, speed
@@ -292,18 +290,13 @@ class MoteusProtocol(MotorProtocol):
         name = f"moteus, by drives.options: torque_N_m {most:g},"
         refuse_torque(transmission, drives.force_limit_N, most, name)
         self.host = host = options.whole("host_id", 0)
-        for leg, node in enumerate(nodes):
-            if not 1 <= node <= 126 or node == host:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: out of range, allowed with moteus: 1 to 126 but the "
-                    f"controller's {host}, given: {node}"
-                )
+        answers = tuple(node << 8 | host for node in nodes)
+        super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
+        self.refuse_nodes(1, 126, "moteus", f" but the controller's {host}", host)
         if not 0 <= host <= 126:
             raise ConfigurationError(
                 f"drives.options: host_id out of range, allowed: 0 to 126, given: {host}"
             )
-        answers = tuple(node << 8 | host for node in nodes)
-        super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
         self.tables["replies"] = answers
 
     # controller's end

@@ -62,7 +62,7 @@ EAR = np.dtype(
         ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
         ("mask", "<i8"),
         ("requests", "<i8"),  # identifier of requests that name a drive in their data; -1: none
-        ("buses", "<i8"),  # how many
+        ("buses", "<i8"),  # how many; frames of others are not ours
         ("bus_of", "<i8", (LEGS,)),
         ("heard", "<f8", (HEARD.itemsize // 8,)),  # scratch: an element of HEARD
     ]
@@ -115,11 +115,6 @@ ear_at = record_at(record(EAR))
 hearing = pointed(record(EAR), record(FRAME), record(HEARD))
 """What compiles a family's `hear`."""
 _FRAME_BYTES = FRAME.itemsize
-_BOOT, _OFF, _READY = int(DriveState.BOOT), int(DriveState.OFF), int(DriveState.READY)
-_RUN, _FAULT = int(DriveState.RUN), int(DriveState.FAULT)
-_ASKS_READY, _ASKS_RUN, _ASKS_RESET = int(DriveMode.READY), int(DriveMode.RUN), int(DriveMode.RESET)
-_WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
-_FOREIGN_COMMAND = int(Foreign.COMMAND)
 
 
 # what a family's `hear` uses
@@ -138,9 +133,11 @@ def says(heard: Any, leg: int, has: int) -> int:
 def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
     """Say whether a drive is enabled, or in a fault of a code that is not 0; return 1."""
     heard.has |= POWER
-    heard.power = _FAULT if code else _RUN if enabled else _OFF
+    heard.power = DriveState.RUN.value if enabled else DriveState.OFF.value
+    if code:
+        heard.power = DriveState.FAULT.value
     if code in (ear.silence, ear.stopped):
-        heard.fault = _WATCHDOG if code == ear.silence else _ESTOP
+        heard.fault = DriveFault.WATCHDOG.value if code == ear.silence else DriveFault.ESTOP.value
     elif code:
         heard.fault = OWN_CODE + code
     return 1
@@ -160,11 +157,11 @@ def single(data: Any, at: int) -> float:
 @helper
 def wire_state(power: int, mode: int, set_up: bool, ran: bool) -> int:
     """Return the DriveState of a drive that says only whether it is enabled; see `drivers.motors`."""
-    if power in (_FAULT, _RUN):
+    if power in (DriveState.FAULT, DriveState.RUN):
         return power
-    if not set_up or (ran and mode == _ASKS_RUN):
-        return _BOOT
-    return _READY if mode in (_ASKS_READY, _ASKS_RUN) else _OFF
+    if not set_up or (ran and mode == DriveMode.RUN):
+        return DriveState.BOOT.value
+    return DriveState.READY.value if mode in (DriveMode.READY, DriveMode.RUN) else DriveState.OFF.value
 
 
 @helper
@@ -202,9 +199,9 @@ def _measure(m: Any, here: int, late: int, tick: Any) -> None:
                     loss = loss_of(lossless, rate, m.driving[leg], m.back_driving[leg], m.full_loss_m_s)
                     tick.drive_force[leg] = lossless / loss
         power = m.power[leg]
-        set_up = m.done[leg] > m.exchanges[leg] and power != _BOOT
+        set_up = m.done[leg] > m.exchanges[leg] and power != DriveState.BOOT
         tick.drive_state[leg] = wire_state(power, m.mode, set_up, m.ran[leg] != 0)
-        m.ran[leg] = m.mode == _ASKS_RUN and (m.ran[leg] != 0 or power == _RUN)
+        m.ran[leg] = m.mode == DriveMode.RUN and (m.ran[leg] != 0 or power == DriveState.RUN)
     m.rate[:] = tick.rate
 
 
@@ -215,7 +212,7 @@ def _forget(m: Any, tick: Any) -> None:
         if tick.age[leg] > RESTART_TICKS:
             m.done[leg] = 0
         if tick.tick - m.said[leg] > m.patience_ticks:
-            m.power[leg] = _BOOT
+            m.power[leg] = DriveState.BOOT.value
 
 
 @helper
@@ -230,7 +227,7 @@ def _take(m: Any, heard: Any, early: bool, last: Any, tick: Any) -> int:
         measures = last.age[leg] > 0 and last.tick >= 0
         return 1 + LEGS + int(leg) if measures else 0
     if heard.has & POWER or not m.reports:
-        asked = _RUN if m.mode == _ASKS_RUN else _OFF
+        asked = DriveState.RUN.value if m.mode == DriveMode.RUN else DriveState.OFF.value
         m.power[leg] = heard.power if heard.has & POWER else asked
         tick.drive_fault[leg] = heard.fault
         m.said[leg] = tick.tick
@@ -245,7 +242,7 @@ def _set_up(m: Any) -> int:
     """Return bits of the drives that are set up and have said whether they are enabled."""
     legs = 0
     for leg in range(LEGS):
-        legs |= int(m.done[leg] > m.exchanges[leg] and m.power[leg] != _BOOT) << leg
+        legs |= int(m.done[leg] > m.exchanges[leg] and m.power[leg] != DriveState.BOOT) << leg
     return legs
 
 
@@ -276,7 +273,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         if not has & FOREIGN and (has & BROKEN or bus != ear.bus_of[leg]):
             tick.rejected += 1
         elif has & FOREIGN:
-            tick.foreign = _FOREIGN_COMMAND
+            tick.foreign = Foreign.COMMAND.value
         elif has & ANSWER:
             _confirm(m, heard)
         elif has & FEEDBACK and not early and taken >> leg & 1 and m.owed[leg] <= 0 and not m.unasked:
@@ -333,13 +330,13 @@ def command(m: Any, _number: int, mode: int, _stop: int, force_at: int, _into: i
 def row_of(m: Any, leg: int) -> int:
     """Return which row of frames has what a drive is sent in this tick, besides what enables an axis."""
     power, ran = m.power[leg], m.ran[leg]
-    if m.mode == _ASKS_RUN:
+    if m.mode == DriveMode.RUN:
         if m.rule == FALLS:
-            return IDLE if ran and power == _OFF else DRIVE
-        return ENABLE if m.rule == KEEPS and not ran and power != _RUN else DRIVE
+            return IDLE if ran and power == DriveState.OFF else DRIVE
+        return ENABLE if m.rule == KEEPS and not ran and power != DriveState.RUN else DRIVE
     if m.rule == PREPARES:
-        return PREPARE if m.mode == _ASKS_READY and power == _OFF else IDLE
-    return CLEAR if m.clears and m.mode == _ASKS_RESET and power == _FAULT else IDLE
+        return PREPARE if m.mode == DriveMode.READY and power == DriveState.OFF else IDLE
+    return CLEAR if m.clears and m.mode == DriveMode.RESET and power == DriveState.FAULT else IDLE
 
 
 @helper

@@ -21,7 +21,7 @@ from drivers.controller_end import CompiledController
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
-from drivers.frame_pointers import code, frame_at, value
+from drivers.frame_pointers import NOBODY, code, frame_at, legs_of, value, whole
 from drivers.motor_kernels import EAR, FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Said, Traits, off_bus
 from drivers.signals import LEGS, NEVER, DriveMode, DriveState
@@ -32,8 +32,6 @@ NO_BRAKE = (
     "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
     "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
 )
-_OFF, _RUN = int(DriveState.OFF), int(DriveState.RUN)
-_ASKS_RUN, _ASKS_RESET = int(DriveMode.RUN), int(DriveMode.RESET)
 _FRAME_BYTES = FRAME.itemsize
 
 
@@ -87,16 +85,11 @@ class MotorController(CompiledController):
         number, powered = int(tick["tick"]), m["mode"] in (DriveMode.READY, DriveMode.RUN)
         for leg, exchanges in enumerate(self._exchanges):
             step = m["done"][leg] - 1
-            waits = powered or m["power"][leg] == _RUN or number - m["asked"][leg] < RETRY_TICKS
+            waits = powered or m["power"][leg] == DriveState.RUN or number - m["asked"][leg] < RETRY_TICKS
             if 0 <= step < len(exchanges) and not waits and tick["age"][leg] <= 1:
                 m["asked"][leg] = number
                 return sent_array([self._family.to_leg(leg, each) for each in exchanges[step].frames])
         return NO_FRAMES
-
-    def legs_set_up(self) -> tuple[bool, ...]:
-        """Return which drives are heard and have confirmed all that was asked of them."""
-        m: Any = self.state
-        return tuple(((m["done"] > m["exchanges"]) & (m["power"] != DriveState.BOOT)).tolist())
 
     def lack(self, leg: int) -> str:
         """Return what is missing: the drive itself, or the register that is not confirmed."""
@@ -120,7 +113,7 @@ class MotorController(CompiledController):
 
     def presume_running(self) -> None:
         """Take all drives for enabled."""
-        self.state["power"] = _RUN
+        self.state["power"] = DriveState.RUN
 
     def unfit(self, force: Array) -> ProtocolError:
         """Return what is wrong with forces that do not fit."""
@@ -157,12 +150,8 @@ def addressed(e: Any, frame_address: int) -> int:
     identifier = np.int64(frame.id)
     number = identifier >> e.shift & e.mask
     if identifier == e.requests:
-        number = np.int64(frame.data[0]) | np.int64(frame.data[1]) << 8 if frame.length > 1 else -1
-    legs = 0
-    for leg in range(LEGS):
-        if number == e.nodes[leg] and frame.bus == e.bus_of[leg]:
-            legs |= 1 << leg
-    return legs
+        number = whole(frame.data, 0, 2) if frame.length > 1 else NOBODY
+    return legs_of(number, e.nodes, frame.bus, e.bus_of)
 
 
 @pointed(record(kernels.MOTORS), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
@@ -174,21 +163,21 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
     before = m.mode
     if not kernels.remember(m, mode, force_at):
         return FAILED
-    begins = mode == _ASKS_RUN and before != _ASKS_RUN
+    begins = mode == DriveMode.RUN and before != DriveMode.RUN
     sent = 0
     for leg in range(LEGS):
         # a heartbeat of before RUN ended may have said that it was off
-        if before == _ASKS_RUN and mode != _ASKS_RUN and m.power[leg] == _OFF:
-            m.power[leg] = _RUN
+        if before == DriveMode.RUN and mode != DriveMode.RUN and m.power[leg] == DriveState.OFF:
+            m.power[leg] = DriveState.RUN.value
         has_had_time = m.said[leg] - m.asked[leg] >= kernels.RETRY_TICKS
-        idle = has_had_time and m.power[leg] == _OFF and not m.ran[leg]
-        if begins or (mode == _ASKS_RUN and idle):
+        idle = has_had_time and m.power[leg] == DriveState.OFF and not m.ran[leg]
+        if begins or (mode == DriveMode.RUN and idle):
             m.asked[leg] = number
             kernels.send(m, kernels.ENABLE, leg, into + sent * _FRAME_BYTES)
             sent += 1
         kernels.send(m, kernels.row_of(m, leg), leg, into + sent * _FRAME_BYTES)
         sent += 1
-        if mode == _ASKS_RESET:
+        if mode == DriveMode.RESET:
             kernels.send(m, kernels.CLEAR, leg, into + sent * _FRAME_BYTES)
             sent += 1
     return sent
@@ -288,10 +277,10 @@ class MotorProtocol(Family):
         codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
 
-    def refuse_nodes(self, least: int, most: int, family: str, why: str = "") -> None:
-        """Raise ConfigurationError for a drive's number that is out of range."""
+    def refuse_nodes(self, least: int, most: int, family: str, why: str = "", but: int = -1) -> None:
+        """Raise ConfigurationError for a drive's number that is out of range, or `but`."""
         for leg, node in enumerate(self.nodes):
-            if not least <= node <= most:
+            if not least <= node <= most or node == but:
                 raise ConfigurationError(
                     f"drives.node_ids[{leg}]: out of range, allowed with {family}: {least} to {most}{why}, "
                     f"given: {node}"

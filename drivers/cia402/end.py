@@ -22,7 +22,7 @@ from drivers.compiled.pointed import pointed
 from drivers.controller_end import CompiledController
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, sent_array
-from drivers.frame_pointers import frame_at, place_of
+from drivers.frame_pointers import EVERYONE, NOBODY, frame_at, legs_of, place_of
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record
@@ -199,12 +199,8 @@ def addressed(c: Any, frame_address: int) -> int:
     base = identifier & ~_NODE
     node = identifier & _NODE if base in o.RPDO_ID or base == o.SDO_REQUEST_ID else 0
     if identifier == o.NMT_ID:
-        node = int(frame.data[1]) if frame.length > 1 else -1
-    legs = 0
-    for leg in range(LEGS):
-        if (node == 0 or c.nodes[leg] == node) and frame.bus == c.bus_of[leg]:
-            legs |= 1 << leg
-    return legs
+        node = int(frame.data[1]) if frame.length > 1 else NOBODY
+    return legs_of(node or EVERYONE, c.nodes, frame.bus, c.bus_of)
 
 
 PATIENCE_S = 0.05
@@ -270,7 +266,7 @@ class Cia402End(CompiledController):
         sent once, before us or into a loss, is asked why.
         """
         states, ages, codes = (tick[name].tolist() for name in ("drive_state", "age", "drive_fault"))
-        done = self.legs_set_up()
+        done = (self.state["at"] == self.state["steps"]).tolist()
         unknown = [state == DriveState.FAULT and not code for state, code in zip(states, codes, strict=True)]
         if all(ready and not fault for ready, fault in zip(done, unknown, strict=True)):
             return NO_FRAMES
@@ -304,14 +300,10 @@ class Cia402End(CompiledController):
             c["at"][leg], c["asked"][leg], c["tries"][leg] = c["at"][leg] + 1, NOT_ASKED, 0
         return Frame(o.NMT_ID, request.to_bytes(2, "little"))
 
-    def legs_set_up(self) -> tuple[bool, ...]:
-        """Return which drives hold on their own word what was set, and answer the SYNC."""
-        return tuple((self.state["at"] == self.state["steps"]).tolist())
-
     def lack(self, leg: int) -> str:
         """Return the object that a drive refused, reads otherwise or does not answer for."""
         c, refused = self.state, int(self.state["refused"][leg])
-        if self.legs_set_up()[leg]:
+        if c["at"][leg] == c["steps"][leg]:
             return ""
         step = refused - 1 if refused else int(c["at"][leg])
         request, value, mask = (int(c[name][leg, step]) for name in ("requests", "values", "masks"))

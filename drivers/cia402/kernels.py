@@ -14,7 +14,7 @@ from drivers.frame_pointers import begin_measurement, begin_sent, frames_at, pla
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
-from drivers.transmission import loss_of
+from drivers.transmission import FIELDS, loss_of
 
 OLDEST = 50
 """Ticks after which a difference of lengths says nothing of the rate."""
@@ -35,13 +35,13 @@ DRIVES = np.dtype(
         ("nodes", "<i8", (LEGS,)),
         ("controller", "<i8"),  # its node
         ("velocity", "<i8"),  # 1: it comes in TPDO2
-        ("buses", "<i8"),  # how many
+        ("buses", "<i8"),  # how many; frames of others are not ours
         ("bus_of", "<i8", (LEGS,)),
         ("beat", "<i8"),  # ticks from one heartbeat of ours to the next
         ("lossless", "<i8"),
-        *((name, "<f8") for name in ("period_s", "permille_Nm", "full_loss_m_s")),
-        *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_count", "N_per_permille", "permille_per_N")),
-        *((name, "<f8", (LEGS,)) for name in ("N_per_Nm", "driving", "back_driving")),
+        *((name, "<f8") for name in ("period_s", "permille_Nm")),
+        *((name, "<f8", (LEGS,)) for name in ("m_per_count", "N_per_permille", "permille_per_N")),
+        *FIELDS,
         # the start-up dialogue
         ("patience", "<i8"),  # ticks after which a request is repeated
         ("steps", "<i8", (LEGS,)),  # of each plan
@@ -82,11 +82,6 @@ _STATE_OF = np.array(s.STATE_OF)
 _DRIVE_STATE = np.array(s.DRIVE_STATE, np.int64)
 _NODE, _ALL_BITS = 0x7F, 0xFFFF_FFFF
 _WHY = o.ERROR_CODE[0] | o.ERROR_CODE[1] << 16
-_BOOT, _FAULT = int(DriveState.BOOT), int(DriveState.FAULT)
-_NONE, _ESTOP = int(DriveFault.NONE), int(DriveFault.ESTOP)
-_OFF, _READY, _RUN, _RESET = map(int, DriveMode)
-_FOREIGN_SYNC, _FOREIGN_COMMAND = int(Foreign.SYNC), int(Foreign.COMMAND)
-_FOREIGN_CONFIG = int(Foreign.CONFIG)
 _ALL = (1 << LEGS) - 1
 FROM_DRIVES = o.EMCY_ID, *o.TPDO_ID, o.SDO_REPLY_ID, o.HEARTBEAT_ID
 _TPDO1, _TPDO2, _RPDO = o.TPDO_ID[0], o.TPDO_ID[1], o.RPDO_ID[0]
@@ -148,8 +143,8 @@ def _answered(c: Any, leg: int, data: Any, tick: Any) -> bool:
         return False
     if reads and specifier & 1:
         value &= (1 << 8 * (4 - (specifier >> 2 & 3))) - 1
-    why = key == _WHY and tick.drive_state[leg] == _FAULT and tick.drive_fault[leg] == _NONE
-    if why and reads:
+    unknown = tick.drive_state[leg] == DriveState.FAULT and tick.drive_fault[leg] == DriveFault.NONE
+    if key == _WHY and reads and unknown:
         tick.drive_fault[leg] = value
     at = c.at[leg]
     if at == c.steps[leg] or c.asked[leg] == NOT_ASKED:
@@ -176,9 +171,9 @@ def _beat(c: Any, leg: int, state: int, tick: Any) -> bool:
     if state not in (o.BOOTS, o.STOPPED, o.OPERATES, o.PREPARES):
         return False
     if state == o.BOOTS or (state != o.OPERATES and c.at[leg] == c.steps[leg]):
-        tick.drive_state[leg], c.has[leg] = _BOOT, 0
+        tick.drive_state[leg], c.has[leg] = DriveState.BOOT.value, 0
         if state == o.BOOTS:
-            tick.drive_fault[leg] = _NONE
+            tick.drive_fault[leg] = DriveFault.NONE.value
         c.states[leg] = s.UNHEARD
         _move(c, leg, 0)
     return True
@@ -206,9 +201,9 @@ def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> 
     elif base == o.SDO_REPLY_ID:
         return size == _SDO_BYTES and _answered(c, leg, data, tick)
     elif base == _RPDO:
-        tick.foreign |= _FOREIGN_COMMAND
+        tick.foreign |= Foreign.COMMAND.value
     elif base == o.SDO_REQUEST_ID:
-        tick.foreign |= _FOREIGN_CONFIG
+        tick.foreign |= Foreign.CONFIG.value
     return True
 
 
@@ -216,10 +211,10 @@ def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> 
 def _foreign(c: Any, identifier: int) -> int:
     """Return which frame of a controller has an identifier without the number of a drive."""
     if identifier == o.SYNC_ID:
-        return _FOREIGN_SYNC
+        return Foreign.SYNC.value
     if identifier == o.NMT_ID:
-        return _FOREIGN_CONFIG
-    return _FOREIGN_COMMAND if identifier == o.HEARTBEAT_ID + c.controller else 0
+        return Foreign.CONFIG.value
+    return Foreign.COMMAND.value if identifier == o.HEARTBEAT_ID + c.controller else 0
 
 
 @helper
@@ -305,11 +300,11 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     for leg in range(LEGS):
         if c.stopped >> leg & 1:
             if c.states[leg] in (s.DISABLED, s.READY_TO_SWITCH_ON, s.QUICK_STOP):
-                tick.drive_state[leg] = _FAULT
-                if tick.drive_fault[leg] == _NONE:
-                    tick.drive_fault[leg] = _ESTOP
-        elif tick.drive_fault[leg] == _ESTOP:
-            tick.drive_fault[leg] = _NONE
+                tick.drive_state[leg] = DriveState.FAULT.value
+                if tick.drive_fault[leg] == DriveFault.NONE:
+                    tick.drive_fault[leg] = DriveFault.ESTOP.value
+        elif tick.drive_fault[leg] == DriveFault.ESTOP:
+            tick.drive_fault[leg] = DriveFault.NONE.value
         if not c.lossless:
             force = tick.drive_force[leg]
             tick.drive_force[leg] = force / loss_of(
@@ -342,7 +337,7 @@ def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int)
         if not (np.isfinite(force[leg]) and abs(_permille(c, leg, force[leg])) <= MOST_PERMILLE):
             return FAILED
     done = _set_up(c)
-    if mode == _RESET:
+    if mode == DriveMode.RESET:
         c.stopped, c.resets = 0, _ALL & ~done
     if stop:
         c.stopped = _ALL
@@ -353,9 +348,10 @@ def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int)
     for leg in range(LEGS):
         frame, state, halted = sent[leg], c.states[leg], c.stopped >> leg & 1 != 0
         word = s.controlword(mode, state, number & 1 == 0, halted)
-        if late >> leg & 1 and state == s.IN_FAULT and mode == _OFF:
+        if late >> leg & 1 and state == s.IN_FAULT and mode == DriveMode.OFF:
             word = s.RESET_FAULT
-        torque = int(_permille(c, leg, force[leg])) if mode in (_READY, _RUN) and not halted else 0
+        powers = mode in (DriveMode.READY, DriveMode.RUN) and not halted
+        torque = int(_permille(c, leg, force[leg])) if powers else 0
         begin_sent(frame, _RPDO + c.nodes[leg], 4, 0, c.bus_of[leg])
         for k in range(2):
             frame.data[k], frame.data[2 + k] = word >> 8 * k & 0xFF, torque >> 8 * k & 0xFF

@@ -71,10 +71,7 @@ ends: Any = record(ENDS)
 commands_at: Any = records_at(record(COMMAND))
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
-_BOOT = int(DriveState.BOOT)
 _ALL = (1 << LEGS) - 1
-_FOREIGN_SYNC, _FOREIGN_COMMAND = int(Foreign.SYNC), int(Foreign.COMMAND)
-_FOREIGN_CONFIG, _FOREIGN_ESTOP = int(Foreign.CONFIG), int(Foreign.ESTOP)
 _TICK = record(TICK, "tick", *part("measurement"))
 
 
@@ -206,9 +203,9 @@ def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
         return False
     tick.drive_fault[leg] = fault
     e.confirmed &= ~mine
-    if state != _BOOT and e.said[leg] == e.expected[leg]:
+    if state != DriveState.BOOT and e.said[leg] == e.expected[leg]:
         e.confirmed |= mine
-    elif state != _BOOT:
+    elif state != DriveState.BOOT:
         tick.altered |= mine
     return True
 
@@ -217,13 +214,13 @@ def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
 def _foreign(e: Any, identifier: int) -> int:
     """Return which frame of the controller has this identifier; the own ones are not received."""
     if identifier == e.sync:
-        return _FOREIGN_SYNC
+        return Foreign.SYNC.value
     if identifier == e.estop:
-        return _FOREIGN_ESTOP
+        return Foreign.ESTOP.value
     for k in range(COMMAND_IDS):
         if identifier == e.command_ids[k]:
-            return _FOREIGN_COMMAND
-    return _FOREIGN_CONFIG if place_of(identifier, e.config) >= 0 else 0
+            return Foreign.COMMAND.value
+    return Foreign.CONFIG.value if place_of(identifier, e.config) >= 0 else 0
 
 
 @pointed(ends, INTEGER, INTEGER, INTEGER, _TICK, _TICK)

@@ -18,7 +18,7 @@ from drivers.controller_end import CompiledController
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, sent_array, sent_frames
-from drivers.frame_pointers import frame_at, place_of
+from drivers.frame_pointers import EVERYONE, frame_at, legs_of, place_of
 from drivers.legs import kernels
 from drivers.legs.kernels import COMMAND, ENDS, EXACT, NO_SYNC, QUANTITIES, STRANGE, ends, intact
 from drivers.legs.messages import COMMANDS, SHORT, read_messages, set_up_checksum
@@ -52,11 +52,8 @@ def addressed(e: Any, frame_address: int) -> int:
     """Return which legs on its bus a frame is for, bit i: leg i. Only a CONFIG is for one."""
     frame = frame_at(frame_address)
     identifier: Any = np.int64(frame.id)
-    only, legs = place_of(identifier, e.config), 0
-    for leg in range(LEGS):
-        if frame.bus == e.home[leg] and only in (-1, leg):
-            legs |= 1 << leg
-    return legs
+    only = identifier if place_of(identifier, e.config) >= 0 else EVERYONE
+    return legs_of(only, e.config, frame.bus, e.home)
 
 
 class LegsController(CompiledController):
@@ -87,18 +84,13 @@ class LegsController(CompiledController):
         s["sent"][leg] += 1
         return self._configs[leg : leg + 1]
 
-    def legs_set_up(self) -> tuple[bool, ...]:
-        """Tell which drives have been sent their CONFIG and have confirmed it."""
-        confirmed, sent = int(self.state["confirmed"]), self.state["sent"].tolist()
-        return tuple([sent[leg] > 0 and confirmed >> leg & 1 == 1 for leg in ALL_LEGS])
-
     def lack(self, leg: int) -> str:
         """Return why a drive is not taken for set up; a status has a checksum of the set-up alone."""
         times, said, expected = (int(self.state[name][leg]) for name in ("sent", "said", "expected"))
-        if self.legs_set_up()[leg]:
-            return ""
         if not times:
             return "it was sent no CONFIG"
+        if int(self.state["confirmed"]) >> leg & 1:
+            return ""
         if said in (NOT_HEARD, expected):
             return f"no status of it was heard that confirms one of {times} CONFIG"
         if said == 0:

@@ -319,7 +319,7 @@ def test_a_version_of_the_firmware_is_a_revision_and_a_word_below_zero_its_two_c
 def test_an_identifier_that_a_frame_cannot_carry_or_the_controller_has_is_refused(nodes, host, named):
     text = rf"drives.node_ids\[{named}\]: .* 1 to 126 but the controller's {host}, given: {nodes[named]}$"
     with pytest.raises(ConfigurationError, match=text):
-        MoteusProtocol(nodes, host, Reaction.DAMP, 2.0, UNLIKE)
+        MoteusProtocol((*nodes, 11, 12, 13, 14), host, Reaction.DAMP, 2.0, UNLIKE)
 
 
 @pytest.mark.parametrize(("host", "taken"), [(-1, False), (0, True), (126, True), (127, False)])

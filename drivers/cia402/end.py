@@ -223,7 +223,8 @@ class Cia402End(CompiledController):
 
     def __init__(self, family: Any, setup: DriveSetup, plans: Sequence[Sequence[Step]]) -> None:
         """Take the `Cia402Protocol`, the set-up, and the steps of each drive's dialogue."""
-        self._family, rate_Hz, c = family, setup.rate_Hz, family.tables.copy()
+        self._family, self._plans = family, plans
+        rate_Hz, c = setup.rate_Hz, family.tables.copy()
         c["period_s"], c["beat"] = 1.0 / rate_Hz, max(2, int(setup.watchdog_s * rate_Hz) // _BEATS)
         c["patience"] = max(LEAST_PATIENCE, round(PATIENCE_S * rate_Hz))
         for leg, (node, steps) in enumerate(zip(c["nodes"].tolist(), plans, strict=True)):
@@ -292,28 +293,25 @@ class Cia402End(CompiledController):
             return Frame(o.SDO_REQUEST_ID + node, o.upload(o.ERROR_CODE))
         if c["tries"][leg] >= TRIES and c["at"][leg]:
             c["at"][leg] = c["tries"][leg] = 0
-        request, value = (int(c[name][leg, c["at"][leg]]) for name in ("requests", "values"))
+        step = self._plans[leg][c["at"][leg]]
         c["asked"][leg], c["tries"][leg] = number, c["tries"][leg] + 1
-        if request >> 16:
-            return Frame(o.SDO_REQUEST_ID + node, request.to_bytes(8, "little", signed=True))
-        if value != o.START:
+        if step.kind != "nmt":
+            return Frame(o.SDO_REQUEST_ID + node, step.request(node))
+        if step.value != o.START:
             c["at"][leg], c["asked"][leg], c["tries"][leg] = c["at"][leg] + 1, NOT_ASKED, 0
-        return Frame(o.NMT_ID, request.to_bytes(2, "little"))
+        return Frame(o.NMT_ID, step.request(node))
 
     def lack(self, leg: int) -> str:
         """Return the object that a drive refused, reads otherwise or does not answer for."""
         c, refused = self.state, int(self.state["refused"][leg])
         if c["at"][leg] == c["steps"][leg]:
             return ""
-        step = refused - 1 if refused else int(c["at"][leg])
-        request, value, mask = (int(c[name][leg, step]) for name in ("requests", "values", "masks"))
-        what = o.place((request >> 8 & 0xFFFF, request >> 24 & 0xFF))
+        step, abort = self._plans[leg][refused - 1 if refused else c["at"][leg]], int(c["abort"][leg])
+        what = o.place(step.key)
         if not refused:
             why = f"no answer to {c['tries'][leg]} requests for {what}"
-            return why if request >> 16 else "it sends no TPDO, although it was started by NMT"
-        abort, kind = int(c["abort"][leg]), "read" if request & 0xFF == o.UPLOAD else "write"
+            return why if step.kind != "nmt" else "it sends no TPDO, although it was started by NMT"
         if abort:
             text = o.ABORTS.get(abort, "a code of the device or of a newer document")
-            return f"{what}: {kind} refused with abort 0x{abort:08X} ({text})"
-        mask &= OPTIONAL - 1
-        return f"{what} is {int(c['read'][leg]) & mask}, expected {value & mask}"
+            return f"{what}: {step.kind} refused with abort 0x{abort:08X} ({text})"
+        return f"{what} is {int(c['read'][leg]) & step.mask}, expected {step.value & step.mask}"

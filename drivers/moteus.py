@@ -167,12 +167,6 @@ def _is_whole(number: float) -> bool:
 
 
 @helper
-def _is_code(number: float) -> bool:
-    """Tell whether this is a mode or a fault: both are asked for as int8."""
-    return 0.0 <= number < 128.0 and _is_whole(number)
-
-
-@helper
 def _names_drive(has: int, values: Array) -> bool:
     """Tell whether registers say who a drive is."""
     if has >> _FIRMWARE & 1:
@@ -202,8 +196,10 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     if has & _STATE != _STATE:
         return motors.says(heard, leg, 0 if _names_drive(has, values) else motors.BROKEN)
     place, speed, torque = values[_PLACE], values[_SPEED], values[_TORQUE]
-    infinite = np.isinf(place) or np.isinf(speed) or np.isinf(torque)
-    if not (_is_code(values[_MODE]) and _is_code(values[_FAULT_CODE])) or infinite:
+    broken = np.isinf(place) or np.isinf(speed) or np.isinf(torque)
+    for number in (values[_MODE], values[_FAULT_CODE]):  # both are asked for as int8
+        broken = broken or not (0.0 <= number < 128.0 and _is_whole(number))
+    if broken:
         return motors.says(heard, leg, motors.BROKEN)
     mode = int(values[_MODE])
     motors.says(heard, leg, motors.FEEDBACK | motors.POWER)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf, isfinite
+from typing import Any
 
 import numpy as np
 
@@ -39,43 +40,40 @@ class Options:
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
         """Return one of some words; the only one where nothing is given, or a default."""
         value = self._given.get(key, allowed[0] if len(allowed) == 1 else default)
-        if value not in allowed:
-            raise self._wrong(key, f"one of {', '.join(allowed)}")
-        return str(value)
+        return str(self._fitting(key, value, value in allowed, f"one of {', '.join(allowed)}"))
 
     def flag(self, key: str, *, default: bool) -> bool:
         """Return true or false."""
         value = self._given.get(key, default)
-        if not isinstance(value, bool):
-            raise self._wrong(key, "true, false")
-        return value
+        return bool(self._fitting(key, value, isinstance(value, bool), "true, false"))
 
     def positive(self, key: str, default: float) -> float:
         """Return a number above 0."""
         value = self._given.get(key, default)
-        if isinstance(value, (bool, str)) or not value > 0.0:
-            raise self._wrong(key, "a number greater than 0")
-        return float(value)
+        fits = not isinstance(value, bool | str) and value > 0.0
+        return float(self._fitting(key, value, fits, "a number greater than 0"))
 
     def within(self, key: str, least: float, most: float, what: str) -> float:
         """Return a number of a range, which has no default."""
         value = self._given.get(key)
-        if isinstance(value, bool | str | None) or not least <= value <= most:
-            raise self._wrong(key, f"{least:.12g} to {most:.12g}, {what}")
-        return float(value)
+        fits = not isinstance(value, bool | str | None) and least <= value <= most
+        return float(self._fitting(key, value, fits, f"{least:.12g} to {most:.12g}, {what}"))
 
     def whole(self, key: str, default: int, least: float = -inf, most: float = inf) -> int:
         """Return a whole number of a range."""
         value = self._given.get(key, default)
-        if type(value) is not int or not least <= value <= most:
-            raise self._wrong(key, "a whole number" + (f" of {least} to {most}" if isfinite(most) else ""))
-        return value
+        within = f" of {least} to {most}" if isfinite(most) else ""
+        fits = type(value) is int and least <= value <= most
+        return int(self._fitting(key, value, fits, f"a whole number{within}"))
 
-    def _wrong(self, key: str, allowed: str) -> ConfigurationError:
-        given = self._given.get(key, "nothing")
-        return ConfigurationError(
-            f"drives.options: {key} of protocol {self._protocol}: allowed: {allowed}, given: {given}"
-        )
+    def _fitting(self, key: str, value: Any, fits: bool, allowed: str) -> Any:
+        """Return a value. Raises ConfigurationError unless it fits."""
+        if not fits:
+            raise ConfigurationError(
+                f"drives.options: {key} of protocol {self._protocol}: allowed: {allowed}, given: "
+                f"{self._given.get(key, 'nothing')}"
+            )
+        return value
 
 
 def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, protocol: str) -> None:

@@ -135,7 +135,7 @@ class ControllerEnd(ABC):
         raise error or self.unfit(force)
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Return what is wrong with a force that does not fit."""
+        """Error for a force that the drives cannot represent."""
         return ProtocolError(f"force command {force.tolist()} N")
 
     def _decode(self, _codec: int, at: int, count: int, since_ns: int, last: int, tick: int) -> int:

@@ -241,7 +241,7 @@ class Cia402End(CompiledController):
         self.state["states"] = ENABLED
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Return what is wrong with a force that does not fit."""
+        """Error for a force that the drives cannot represent."""
         most = MOST_PERMILLE / np.abs(self.state["permille_per_N"]).max()
         return ProtocolError(
             f"force command {force.tolist()} N does not fit 0x6071: six of up to {most:.6g} N are "

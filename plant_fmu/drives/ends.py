@@ -74,18 +74,18 @@ class DrivesEnd(ABC):
 
     @abstractmethod
     def hear(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
-        """Return what a frame says to the drives; no messages when it is not for them."""
+        """Messages to the drives in a frame; empty when it addresses none of them."""
 
     @abstractmethod
     def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
-        """Return what the drives of `sync.legs` answer to a reading, an element of READING, frames with legs.
+        """Answers of the drives of `sync.legs` to a reading, an element of READING: frames with their legs.
 
         Raises ProtocolError on NaN.
         """
 
     @abstractmethod
     def announce(self, status: m.Status) -> tuple[Frame, ...]:
-        """Return what a drive sends of what it is in, at its heartbeat and at each change."""
+        """Frames that report a drive's state, at its heartbeat and at each change."""
 
     @abstractmethod
     def restart(self, legs: Sequence[int]) -> None:
@@ -131,7 +131,7 @@ class CompiledDrives(DrivesEnd):
         raise NotImplementedError
 
     def hear(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
-        """Return what a frame says to the drives; no messages when it is not for them."""
+        """Messages to the drives in a frame; empty when it addresses none of them."""
         count = self._parse(self.record, sent_array([frame]), self._messages)
         if count == FAILED:
             return self.converse(frame)
@@ -144,7 +144,7 @@ class CompiledDrives(DrivesEnd):
         return device_message(*message)
 
     def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
-        """Return what the drives of `sync.legs` answer, see `DrivesEnd.reply`."""
+        """Answers of the drives of `sync.legs`, see `DrivesEnd.reply`."""
         put_messages([sync], self._messages)
         count = self._answer(self.record, self._messages, reading, self._frames, self._legs)
         if count == FAILED:
@@ -156,7 +156,7 @@ class CompiledDrives(DrivesEnd):
         return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
 
     def announce(self, status: m.Status) -> tuple[Frame, ...]:
-        """Return what a drive sends of what it is in, at its heartbeat and at each change."""
+        """Frames that report a drive's state, at its heartbeat and at each change."""
         leg, state, fault, holds, due = status
         watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
         given = (leg, state, fault, watchdog_ns, int(reaction), int(due))
@@ -178,7 +178,7 @@ _KINDS = {
 
 
 def put_messages(messages: Sequence[m.DeviceMessage], into: Rows) -> None:
-    """Fill elements of MESSAGE with messages; what is none of the kinds here is OTHER."""
+    """Fill elements of MESSAGE with messages; any other kind becomes OTHER."""
     for k, message in enumerate(messages):
         each: Any = into[k]
         each["kind"] = _KINDS.get(type(message), OTHER)

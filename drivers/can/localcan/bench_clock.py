@@ -125,7 +125,7 @@ def share(other: Ints, words: Ints) -> bool:
 class BenchClock(Clock):
     """The clock of one participant on a localcan wire. `holds`: it holds time, where that may stand still.
 
-    `wires`: the words of its own, and of others that go by it, too; a stranger there goes by theirs.
+    `wires`: the mode words of its own wire and of all wires that follow this clock.
 
     Mutable state: the shared words; the last reading; whether this participant holds time, and for how long
     it has waited for another one that holds time back.

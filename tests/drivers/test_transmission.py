@@ -116,15 +116,19 @@ def test_losses_are_those_of_the_formula_to_the_last_bit(force, rate, eta_d, eta
     t = six(**SCREW | {"efficiency": eta_d, "back_driving_efficiency": eta_b}, sign=[1, -1] * 3)
     given_N, dq, driving, back = np.array(force), np.array(rate), np.array(eta_d), np.array(eta_b)
 
+    def bits(row: np.ndarray) -> bytes:
+        # the sign of a NaN that two NaNs give is the processor's choice
+        return np.where(np.isnan(row), np.nan, row).tobytes()
+
     def loss(f0: np.ndarray) -> np.ndarray:
         w: np.ndarray = np.sign(f0) * np.minimum(np.maximum(dq / 1e-3, -1.0), 1.0)
         return 1.0 + np.where(w > 0.0, w * (1.0 / driving - 1.0), w * (1.0 - back))
 
     with np.errstate(all="ignore"):
         torque = loss(given_N) * given_N / t.N_per_Nm
-        assert t.torque(given_N, dq).tobytes() == torque.tobytes()
+        assert bits(t.torque(given_N, dq)) == bits(torque)
         lossless = t.N_per_Nm * torque
-        assert t.force(torque, dq).tobytes() == (lossless / loss(lossless)).tobytes()
+        assert bits(t.force(torque, dq)) == bits(lossless / loss(lossless))
 
 
 @pytest.mark.parametrize(

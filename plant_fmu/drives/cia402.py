@@ -17,18 +17,15 @@ from drivers.protocol import BUS, Frame
 from drivers.signals import LEGS, DriveFault, DriveMode, Reaction
 from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.drives import cia402_kernels as kernels
-from plant_fmu.drives.ends import CompiledDrives, device_message
-from plant_fmu.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, UnwatchedCommand
+from plant_fmu.drives.ends import CONFIGURE, REJECTED, STOP, UNWATCHED, DrivesEnd
 
-NO_WATCHDOG_s = 1e6
+NO_WATCHDOG_NS = 10**15
 """Time after which a drive without a consumer heartbeat time reacts."""
 _SHORT_PDO = bytes.fromhex("1082010000000000")
 _NODE = 0x7F
 
-Messages = tuple[DeviceMessage, ...]
 
-
-class Cia402Drives(CompiledDrives):
+class Cia402Drives(DrivesEnd):
     """Six drives. Mutable state: their elements of DEVICE."""
 
     def __init__(self, family: Any) -> None:
@@ -47,8 +44,8 @@ class Cia402Drives(CompiledDrives):
         self.state = self._new.copy()
         self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)
 
-    def converse(self, frame: Frame) -> Messages:
-        """Decode an NMT command, an SDO request, and what is rejected.
+    def converse(self, frame: Frame) -> None:
+        """Take an NMT command, an SDO request, and what is rejected.
 
         Rejected: a PDO that is shorter than its mapping, an NMT or heartbeat frame of a wrong length, SDO
         requests of another length than 8.
@@ -57,63 +54,67 @@ class Cia402Drives(CompiledDrives):
         here = [leg for leg in range(LEGS) if self._bus_of[leg] == frame.bus]
         if identifier == o.NMT_ID:
             if len(data) != 2:
-                return (Rejected(f"NMT command of {len(data)} bytes"),)
-            addressed = [leg for leg in here if data[1] in (0, self.nodes[leg])]
-            return tuple(message for leg in addressed for message in self._on_nmt(leg, data[0]))
-        messages: Messages = ()
-        for leg, k in np.argwhere(self.state["pdos"][:, 0] == identifier).tolist():
-            if leg in here and self.state["nmt"][leg] == o.OPERATES:
-                why = f"PDO of {len(data)} bytes, mapped are {self.state['sizes'][leg, 0, k]}"
-                messages += Rejected(why), self._sent(leg, o.EMCY_ID, _SHORT_PDO)
-        if messages:
-            return messages
-        if identifier & ~_NODE == o.HEARTBEAT_ID:
-            return (Rejected(f"heartbeat of {len(data)} bytes"),)
-        if len(data) != 8:
-            return (Rejected(f"SDO request of {len(data)} bytes"),)
+                self.put(REJECTED)
+                return
+            for leg in here:
+                if data[1] in (0, self.nodes[leg]):
+                    self._on_nmt(leg, data[0])
+            return
+        cut = [
+            leg
+            for leg in np.argwhere(self.state["pdos"][:, 0] == identifier)[:, 0].tolist()
+            if leg in here and self.state["nmt"][leg] == o.OPERATES
+        ]
+        for leg in cut:
+            self.put(REJECTED)
+            self._send(leg, o.EMCY_ID, _SHORT_PDO)
+        if cut:
+            return
+        if identifier & ~_NODE == o.HEARTBEAT_ID or len(data) != 8:
+            self.put(REJECTED)
+            return
         leg = self.nodes.index(identifier & _NODE)
-        return self._on_sdo(leg, data) if leg in here else ()
+        if leg in here:
+            self._on_sdo(leg, data)
 
-    def _sent(self, leg: int, base: int, data: bytes) -> Answer:
-        return Answer(leg, Frame(base + self.nodes[leg], data, BUS * self._bus_of[leg]))
+    def _send(self, leg: int, base: int, data: bytes) -> None:
+        self.say(leg, Frame(base + self.nodes[leg], data, BUS * self._bus_of[leg]))
 
-    def _on_nmt(self, leg: int, command: int) -> Messages:
+    def _on_nmt(self, leg: int, command: int) -> None:
         """Follow an NMT command that addresses a drive."""
         d = self.state[leg]
         if d["nmt"] == o.BOOTS:
-            return ()
+            return
         if command == o.START:
             d["nmt"], d["started"] = o.OPERATES, True
-            return (self._configure(leg),)
+            self._configure(leg)
         if command == o.PRE_OPERATIONAL:
             d["nmt"] = o.PREPARES
         if command == o.STOP:
             d["nmt"] = o.STOPPED
             if d["state"] == ENABLED:
                 d["state"] = QUICK_STOP
-                return (EmergencyStop((leg,)),)
+                self.put(STOP, (leg,))
         if command in (o.RESET_NODE, o.RESET_COMMUNICATION):
             commands = int(d["commands"]) + 1
             self.state[leg] = self._new[leg]
             d["commands"], d["nmt"], d["state"] = commands, o.PREPARES, DISABLED
-            off = UnwatchedCommand((leg,), DriveMode.OFF, np.zeros(1), commands)
-            return off, self._sent(leg, o.HEARTBEAT_ID, bytes((o.BOOTS,)))
-        return ()
+            self.put(UNWATCHED, (leg,), DriveMode.OFF, commands)
+            self._send(leg, o.HEARTBEAT_ID, bytes((o.BOOTS,)))
 
-    def _configure(self, leg: int) -> Configure:
+    def _configure(self, leg: int) -> None:
         values = self.state["values"][leg]
         time_ms = int(values[dictionary.PLACE[o.CONSUMER_HEARTBEAT]]) & 0xFFFF
         at_once = values[dictionary.PLACE[o.FAULT_REACTION]] == 0
-        watchdog_s = time_ms * 1e-3 if time_ms else NO_WATCHDOG_s
-        return Configure(leg, watchdog_s, Reaction.BRAKE if at_once else Reaction.DAMP)
+        watchdog_ns = 1_000_000 * time_ms if time_ms else NO_WATCHDOG_NS
+        self.put(CONFIGURE, (leg,), Reaction.BRAKE if at_once else Reaction.DAMP, watchdog_ns)
 
-    def _on_sdo(self, leg: int, data: bytes) -> Messages:
+    def _on_sdo(self, leg: int, data: bytes) -> None:
         """Answer an SDO client; segmented and block transfers are refused, no object needs them."""
         d, specifier, key = self.state[leg], data[0], (data[1] | data[2] << 8, data[3])
         kind = specifier >> 5
         if d["nmt"] in (o.BOOTS, o.STOPPED) or kind == 4:
-            return ()
-        messages: Messages = ()
+            return
         code, answer = dictionary.missing(key) if kind in (1, 2) else o.BAD_COMMAND, b""
         if not code and kind == 2:
             d["values"][dictionary.PLACE[o.STATUSWORD]] = STATUSWORDS[d["state"]]
@@ -121,26 +122,27 @@ class Cia402Drives(CompiledDrives):
             value = int(d["values"][dictionary.PLACE[key]]) & (1 << 8 * size) - 1
             answer = o.head(0x43 | 4 - size << 2, key) + value.to_bytes(4, "little")
         elif not code:
-            messages, code = self._written(leg, key, specifier, data[4:])
+            code = self._write(leg, key, specifier, data[4:])
             answer = o.head(0x60, key) + bytes(4)
-        return *messages, self._sent(leg, o.SDO_REPLY_ID, o.abort(key, code) if code else answer)
+        self._send(leg, o.SDO_REPLY_ID, o.abort(key, code) if code else answer)
 
-    def _written(self, leg: int, key: Key, specifier: int, data: bytes) -> tuple[Messages, int]:
-        """Take a download; return what it does, and the abort code."""
+    def _write(self, leg: int, key: Key, specifier: int, data: bytes) -> int:
+        """Take a download and do what it says; return the abort code."""
         if not specifier & 2:
-            return (), o.TOO_LONG
+            return o.TOO_LONG
         d, said = self.state[leg], 4 - (specifier >> 2 & 3) if specifier & 1 else 0
         value = int.from_bytes(data[: said or dictionary.ENTRIES[key].size], "little")
         code = dictionary.refused(d["values"], key, value, said)
         if code:
-            return (), code
+            return code
         if key == o.CONTROLWORD:
-            count = kernels.control(self.record, leg, value, data_at(self._messages))
-            return tuple(device_message(*each) for each in self._messages[:count].tolist()), 0
+            self._count += kernels.control(self.record, leg, value, data_at(self.messages[self._count :]))
+            return 0
         d["values"][dictionary.PLACE[key]] = dictionary.signed(key, value)
         if key == o.MODE:  # it is in force at once, and shown
             d["values"][dictionary.PLACE[o.MODE_SHOWN]] = d["values"][dictionary.PLACE[key]]
         if o.RPDO <= key[0] < o.TPDO_MAP + dictionary.PDOS:
             dictionary.fill_pdos(d)
-        acts = key in (o.CONSUMER_HEARTBEAT, o.FAULT_REACTION) and d["started"]
-        return (self._configure(leg),) if acts else (), 0
+        if key in (o.CONSUMER_HEARTBEAT, o.FAULT_REACTION) and d["started"]:
+            self._configure(leg)
+        return 0

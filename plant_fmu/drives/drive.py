@@ -2,7 +2,6 @@
 
 import ctypes
 from collections import deque
-from collections.abc import Sequence
 from functools import cache
 from math import exp, inf, nan, pi
 from operator import itemgetter
@@ -14,18 +13,16 @@ from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, data_at, of_python
 from drivers.config import DriveSettings, HomingSettings
-from drivers.frame_array import FRAME, timed_array
-from drivers.protocol import Frame
+from drivers.frame_array import FRAME
 from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd, put_messages
+from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd
 from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
 from plant_fmu.drives.live import due_ns
-from plant_fmu.drives.record import MESSAGES, NODES, ROOM
+from plant_fmu.drives.record import NODES, ROOM
 from plant_fmu.faults.fault import Present
-from plant_fmu.messages import Configure, DeviceMessage, Status
 from plant_fmu.plant import Moved, Plant, Truth
 
 _NO_COUNTER = -1
@@ -42,8 +39,8 @@ def at_motor(settings: DriveSettings, transmission: Transmission | None) -> Driv
 class Drives:
     """Six drives that have just been powered up.
 
-    Mutable state: the record, see `record.NODES`; frames to send, messages heard, and the reading that is
-    answered; where legs stood when a fault began that scales what their encoders count.
+    Mutable state: the record, see `record.NODES`; frames to send, and the reading that is answered; where
+    legs stood when a fault began that scales what their encoders count.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
@@ -58,7 +55,8 @@ class Drives:
         n.counter, n.stuck, n.frozen, n.most = _NO_COUNTER, WORKS, nan, inf
         n.watchdog_ns = round(settings.watchdog_ms * 1e6)
         n.deadline_ns = n.moved_ns = n.followed_ns = NEVER_NS
-        n.shut = n.truly_shut = n.share = n.gain = n.scale = 1.0
+        n.number, n.forged = range(LEGS), nan
+        n.shut = n.truly_shut = n.share = n.gain = n.scale = n.waits = 1.0
         n.limit_N = settings.force_limit_N
         n.damping, n.stiffness = emulation.damping_N_s_m, emulation.hold_stiffness_N_m
         n.opening_ns, n.closing_ns = 1e6 * emulation.brake_open_ms, 1e6 * emulation.brake_close_ms
@@ -79,11 +77,12 @@ class Drives:
         self.address = data_at(n)
         self.out = np.zeros(ROOM, FRAME)
         """Frames to send: the first `sent`."""
-        self.messages, self.asked = np.zeros(ROOM, MESSAGE), np.zeros((), MESSAGE)
-        self.reading, self._senders = np.zeros((), READING), np.zeros(ROOM, np.int64)
+        self._asked, self._senders = np.zeros((), MESSAGE), np.zeros(ROOM, np.int64)
+        self.reading = np.zeros((), READING)
         n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
-        n["parse"], n["answer"], n["report"], n["end"] = end.parse, end.answer, end.report, end.context
-        n["messages"], n["asked"] = data_at(self.messages), data_at(self.asked)
+        n["parse"], n["answer"] = end.parse.address, end.answer.address
+        n["report"], n["end"] = end.report.address, data_at(end.record)
+        n["messages"], n["asked"] = data_at(end.messages), data_at(self._asked)
         n["reading"], n["senders"] = data_at(self.reading), data_at(self._senders)
         n["out"], n["room"] = data_at(self.out), ROOM
         n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
@@ -99,30 +98,6 @@ class Drives:
         self.out = out
         self.record["out"], self.record["room"] = data_at(out), room
 
-    def queue(self, t_ns: int, frames: Sequence[Frame]) -> None:
-        """Send frames, at an instant."""
-        before = int(self.record["sent"])
-        after = before + len(frames)
-        if after > len(self.out):
-            self.reserve(2 * after)
-        self.out[before:after] = timed_array([(t_ns, frame) for frame in frames])
-        self.record["sent"] = after
-
-    def hear(self, messages: Sequence[DeviceMessage]) -> None:
-        """Take what the present frame says."""
-        n: Any = self.record
-        if len(messages) > len(self.messages):
-            self.messages = np.zeros(2 * len(messages), MESSAGE)
-            n["messages"] = data_at(self.messages)
-        put_messages(messages, self.messages)
-        n["heard"], n["message"], n["place"] = len(messages), 0, MESSAGES
-
-    def status(self, leg: int, *, due: bool) -> Status:
-        """Return what a drive is in."""
-        n = self.seen
-        set_up = Configure(leg, int(n.watchdog_ns[leg]) * 1e-9, Reaction(int(n.reaction[leg])))
-        return Status(leg, int(n.state[leg]), int(n.fault[leg]), set_up if n.configured[leg] else None, due)
-
     def disturb(self, present: Present, t_ns: int) -> None:
         """Let the faults of this instant act, the plant being there.
 
@@ -137,6 +112,7 @@ class Drives:
         n.frozen = np.where(present.frozen, np.where(np.isnan(n.frozen), reads, n.frozen), nan)
         n.gain, n.most = present.gain, present.saturation_N
         n.stuck = [WORKS if stuck is None else stuck for stuck in present.stuck]
+        n.forged = [nan if by_m is None else by_m for by_m in present.forged_m]
         n.slow_ns, n.share = present.slow_ns, present.share
         for leg in np.flatnonzero(present.reset).tolist():
             enter(n, leg, BOOT, int(DriveFault.NONE))

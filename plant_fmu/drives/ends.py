@@ -1,24 +1,31 @@
 """The drives' end of a family: what the emulated drives call, and the records that go between."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Ints, Rows
+from drivers.arrays import Rows
 from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import FAILED, Pointed, data_at, record_at
-from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_array, sent_frames
 from drivers.protocol import Frame
-from drivers.signals import LEGS, Reaction
-from drivers.tick_columns import Record
+from drivers.signals import LEGS
 from drivers.transmission import loss_of
-from plant_fmu import messages as m
 
-SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, OTHER = range(8)
-"""Kinds of a message; STOP and OTHER are for the owner of the pass."""
+SYNC, COMMAND, UNWATCHED, ALIVE, CONFIGURE, REJECTED, STOP, ANSWER = range(8)
+"""Kinds of a message:
+
+- SYNC: the drives latch their encoders and answer; `counter` is in the answers, 0 in a protocol without one;
+- COMMAND: `mode`, `force` N for each leg; one with the `counter` of the leg's command before is a repetition
+  and does not count. Whether it is that of the present SYNC has been checked: another one is REJECTED;
+- UNWATCHED: the same, but it does not feed the watchdogs: ALIVE does;
+- ALIVE: what the watchdogs wait for, where that is not the command itself;
+- CONFIGURE: set-up; `mode` is the reaction, `counter` the watchdog in ns;
+- REJECTED: a frame of ours that cannot be trusted;
+- STOP: the drives fault at once;
+- ANSWER: a drive's own part of the start-up dialogue, sent at once; `counter` is the address of its FRAME.
+"""
 MESSAGE = np.dtype(
     [
         *((name, "<i8") for name in ("kind", "mode", "counter", "count")),
@@ -26,9 +33,7 @@ MESSAGE = np.dtype(
         ("force", "<f8", (LEGS,)),
     ]
 )
-"""A `DeviceMessage`: its first `count` legs, and of a command the force for each, N.
-
-Of a CONFIGURE `mode` is the reaction, `counter` the watchdog in ns; of a REJECTED `mode` says why."""
+"""What a frame of a controller says to the first `count` drives of `legs`."""
 READING = np.dtype(
     [
         *((name, "<f8", (LEGS,)) for name in ("length", "rate", "force")),
@@ -40,6 +45,8 @@ of no use; fault DriveFault, for protocols whose feedback names it."""
 _MESSAGE = MESSAGE.itemsize
 message_at: Any = record_at(record(MESSAGE))
 reading_at: Any = record_at(record(READING))
+MOST_MESSAGES = 64
+"""Of one frame."""
 
 
 @helper
@@ -60,136 +67,58 @@ def put_message(messages: int, count: int, leg: int, kind: int, mode: int, count
     return count + 1
 
 
-class DrivesEnd(ABC):
-    """The drives' end of a family. Mutable state: what six drives remember; powered up to begin with.
+class DrivesEnd:
+    """The drives' end of a family. Mutable state: what six drives remember, powered up to begin with.
 
-    For compiled passes the same by address, 0 where there is none: ``parse(context, frame, messages)`` ->
-    how many messages it fills in; ``answer(context, sync, reading, frames, legs)`` -> how many frames, with
-    the leg of each; ``report(context, leg, state, fault, watchdog or -1 before the drive is set up, reaction,
-    due, frames)`` -> how many frames. All arguments are integers: addresses of FRAME, MESSAGE, READING and
-    int64, and numbers; the watchdog in ns. FAILED leaves it to `hear`, `reply` and `announce`.
+    And the messages of the last frame, good until the next one.
+
+    Three functions go by address: ``parse(context, frame, messages)`` -> how many messages it fills in, or
+    FAILED to leave the frame to `converse`; ``answer(context, sync, reading, frames, legs)`` -> how many
+    frames, with the leg of each, or FAILED for what is not a number; ``report(context, leg, state, fault,
+    watchdog or -1 before the drive is set up, reaction, due, frames)`` -> how many frames. All arguments are
+    integers: addresses of FRAME, MESSAGE, READING and int64, and numbers; the watchdog in ns; due: 1 at a
+    heartbeat, 0 at a change.
     """
 
-    parse = answer = report = context = 0
-
-    @abstractmethod
-    def hear(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
-        """Messages to the drives in a frame; empty when it addresses none of them."""
-
-    @abstractmethod
-    def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
-        """Answers of the drives of `sync.legs` to a reading, an element of READING: frames with their legs.
-
-        Raises ProtocolError on NaN.
-        """
-
-    @abstractmethod
-    def announce(self, status: m.Status) -> tuple[Frame, ...]:
-        """Frames that report a drive's state, at its heartbeat and at each change."""
-
-    @abstractmethod
-    def restart(self, legs: Sequence[int]) -> None:
-        """Forget what drives remember that were switched off and on, where their state does not tell."""
-
-
-def device_message(kind: int, mode: int, counter: int, count: int, at: Ints, force: Array) -> m.DeviceMessage:
-    """Return an element of MESSAGE as a DeviceMessage; force (6,) N."""
-    legs = tuple(at[:count].tolist())
-    if kind == SYNC:
-        return m.Sync(counter, legs)
-    if kind in (COMMAND, UNWATCHED):
-        made = m.DeviceCommand if kind == COMMAND else m.UnwatchedCommand
-        return made(legs, mode, np.array(force[:count]), counter)
-    if kind == ALIVE:
-        return m.Alive(legs)
-    if kind == CONFIGURE:
-        return m.Configure(legs[0], counter / 1e9, Reaction(mode))
-    return m.EmergencyStop(legs)
-
-
-MOST_MESSAGES, MOST_ANSWERS = 64, 4 * LEGS
-"""Of one frame, and to one SYNC, at an end that is compiled."""
-
-
-class CompiledDrives(DrivesEnd):
-    """A `DrivesEnd` that is compiled. Mutable state: what the drives remember, in `state`."""
-
     def __init__(self, record: Rows, parse: Pointed, answer: Pointed, report: Pointed) -> None:
+        """Take what the three functions work on: it has what the drives remember, or where that is."""
         self.record = self.state = record
-        self._parse, self._answer, self._report = parse, answer, report
-        self.parse, self.answer, self.report = parse.address, answer.address, report.address
-        self.context = data_at(record)
-        self._messages = np.zeros(MOST_MESSAGES, MESSAGE)
-        self._frames, self._legs = np.zeros(MOST_ANSWERS, FRAME), np.zeros(MOST_ANSWERS, np.int64)
+        self.parse, self.answer, self.report = parse, answer, report
+        self.messages, self._frames = np.zeros(MOST_MESSAGES, MESSAGE), np.zeros(MOST_MESSAGES, FRAME)
+        self._count = 0
 
-    def reason(self, why: int, counter: int, number: float, frame: Frame) -> str:
-        """Return why a frame is rejected: what its message has as mode, counter and first force."""
+    def converse(self, frame: Frame) -> None:
+        """Take what is not compiled, with `put` and `say`: a set-up, a question who is there, a stop."""
         raise NotImplementedError
 
-    def converse(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
-        """Decode what is not compiled: what sets drives up, asks who they are or stops them."""
-        raise NotImplementedError
+    def put(
+        self, kind: int, legs: Sequence[int] = (), mode: int = 0, counter: int = 0, force: float = 0.0
+    ) -> None:
+        """Put a message behind those of the present frame."""
+        message: Any = self.messages[self._count]
+        message["kind"], message["mode"] = kind, mode
+        message["counter"], message["count"] = counter, len(legs)
+        message["legs"][: len(legs)], message["force"] = legs, force
+        self._count += 1
 
-    def hear(self, frame: Frame) -> tuple[m.DeviceMessage, ...]:
-        """Messages to the drives in a frame; empty when it addresses none of them."""
-        count = self._parse(self.record, sent_array([frame]), self._messages)
-        if count == FAILED:
-            return self.converse(frame)
-        return tuple(self._message(each, frame) for each in self._messages[:count].tolist())
+    def say(self, leg: int, frame: Frame) -> None:
+        """Let a drive send its own part of a dialogue."""
+        into = self._frames[self._count :]
+        into[:1] = sent_array([frame])
+        self.put(ANSWER, (leg,), counter=data_at(into))
 
-    def _message(self, message: Any, frame: Frame) -> m.DeviceMessage:
-        kind, mode, counter, _, _, force = message
-        if kind == REJECTED:
-            return m.Rejected(self.reason(mode, counter, force[0], frame))
-        return device_message(*message)
+    def hear(self, frame: Frame) -> Rows:
+        """Return the messages to drives in a frame; none when it addresses none of them."""
+        self._count = self.parse(self.record, sent_array([frame]), self.messages)
+        if self._count == FAILED:
+            self._count = 0
+            self.converse(frame)
+        return self.messages[: self._count]
 
-    def reply(self, sync: m.Sync, reading: Record) -> list[tuple[int, Frame]]:
-        """Answers of the drives of `sync.legs`, see `DrivesEnd.reply`."""
-        put_messages([sync], self._messages)
-        count = self._answer(self.record, self._messages, reading, self._frames, self._legs)
-        if count == FAILED:
-            length, rate, force = (reading[name] for name in ("length", "rate", "force"))
-            leg = int((~np.isfinite(length + rate + force)).argmax())
-            raise ProtocolError(
-                f"feedback of leg {leg} is not a number: {length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
-            )
-        return list(zip(self._legs[:count].tolist(), sent_frames(self._frames[:count]), strict=True))
-
-    def announce(self, status: m.Status) -> tuple[Frame, ...]:
-        """Frames that report a drive's state, at its heartbeat and at each change."""
-        leg, state, fault, holds, due = status
-        watchdog_ns, reaction = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), holds.reaction)
-        given = (leg, state, fault, watchdog_ns, int(reaction), int(due))
-        return sent_frames(self._frames[: self._report(self.record, *given, self._frames)])
+    def announce(self, leg: int, state: int, fault: int = 0) -> tuple[Frame, ...]:
+        """Return what a drive that is not set up sends at its heartbeat."""
+        count = self.report(self.record, leg, state, fault, -1, 0, 1, self._frames)
+        return sent_frames(self._frames[:count])
 
     def restart(self, legs: Sequence[int]) -> None:
-        """Forget nothing: the state of a drive tells."""
-
-
-_KINDS = {
-    m.Sync: SYNC,
-    m.DeviceCommand: COMMAND,
-    m.UnwatchedCommand: UNWATCHED,
-    m.Alive: ALIVE,
-    m.Configure: CONFIGURE,
-    m.Rejected: REJECTED,
-    m.EmergencyStop: STOP,
-}
-
-
-def put_messages(messages: Sequence[m.DeviceMessage], into: Rows) -> None:
-    """Fill elements of MESSAGE with messages; any other kind becomes OTHER."""
-    for k, message in enumerate(messages):
-        each: Any = into[k]
-        each["kind"] = _KINDS.get(type(message), OTHER)
-        if isinstance(message, m.Sync | m.Alive | m.DeviceCommand | m.EmergencyStop):
-            count = each["count"] = len(message.legs)
-            each["legs"][:count] = message.legs
-        if isinstance(message, m.Sync | m.DeviceCommand):
-            each["counter"] = message.counter
-        if isinstance(message, m.DeviceCommand):
-            each["mode"] = message.mode
-            each["force"][:count] = message.force
-        if isinstance(message, m.Configure):
-            each["count"], each["legs"][0] = 1, message.leg
-            each["counter"], each["mode"] = round(message.watchdog_s * 1e9), message.reaction
+        """Forget what drives remember that were switched off and on: nothing, where their state tells."""

@@ -12,6 +12,8 @@ from plant_fmu.drives.ends import COMMAND
 BOOT, OFF, READY, RUN, FAULT = map(int, DriveState)
 BRAKE, DAMP, HOLD, ZERO = map(int, Reaction)
 NEVER_NS = 1 << 62
+_LONGEST_NS = float(1 << 60)
+"""Of a watchdog, also one that never ends."""
 WORKS = -1
 """A brake that is not stuck."""
 
@@ -39,9 +41,8 @@ def enter(n: Any, leg: int, state: int, reason: int) -> None:
 
 
 @helper
-def configure(n: Any, message: Any) -> bool:
-    """Set the drive of a message CONFIGURE up, unless it is powered; tell whether it was."""
-    leg = message.legs[0]
+def configure(n: Any, leg: int, message: Any) -> bool:
+    """Set a drive of a message CONFIGURE up, unless it is powered; tell whether it was."""
     state = n.state[leg]
     if state in (READY, RUN):
         return False
@@ -123,6 +124,14 @@ def next_move_ns(n: Any) -> int:
 
 
 @helper
+def feed(n: Any, leg: int, t_ns: int) -> None:
+    """Feed the watchdog of a drive if it is powered."""
+    if n.state[leg] in (READY, RUN):
+        waits: Any = np.rint(min(n.waits[leg] * n.watchdog_ns[leg], _LONGEST_NS))
+        n.deadline_ns[leg] = t_ns + np.int64(waits)
+
+
+@helper
 def obey(n: Any, command: Any, t_ns: int) -> int:
     """Give drives a command, of MESSAGE, at `t_ns`, the plant being there, and actuate if it is new to one.
 
@@ -147,7 +156,7 @@ def obey(n: Any, command: Any, t_ns: int) -> int:
         if state in (READY, RUN):
             n.command[leg] = command.force[k]
             if command.kind == COMMAND or before not in (READY, RUN):
-                n.deadline_ns[leg] = t_ns + n.watchdog_ns[leg]
+                feed(n, leg, t_ns)
     if fresh:
         actuate(n, False, t_ns)
         n.calm_ns = min(n.calm_ns, n.deadline_ns.min(), next_move_ns(n))
@@ -155,15 +164,6 @@ def obey(n: Any, command: Any, t_ns: int) -> int:
     else:
         n.repeated += 1
     return entered
-
-
-@helper
-def feed(n: Any, legs: Ints, t_ns: int) -> None:
-    """Feed the watchdogs of drives that are powered."""
-    for k in range(legs.shape[0]):
-        leg = legs[k]
-        if n.state[leg] in (READY, RUN):
-            n.deadline_ns[leg] = t_ns + n.watchdog_ns[leg]
 
 
 @helper

@@ -14,39 +14,24 @@ from drivers.frame_pointers import begin_sent, frame_at, place_of, whole
 from drivers.legs import kernels
 from drivers.protocol import Frame
 from drivers.signals import LEGS, DriveMode, Reaction
-from plant_fmu.drives.ends import COMMAND, REJECTED, SYNC, CompiledDrives, message_at, reading_at
-from plant_fmu.messages import Configure, DeviceMessage, EmergencyStop, Rejected
+from plant_fmu.drives.ends import COMMAND, CONFIGURE, REJECTED, STOP, SYNC, DrivesEnd, message_at, reading_at
 
 _ENDS = kernels.ends
-_REASONS = (
-    "length or CRC of SYNC",
-    "repeated SYNC",
-    "command of {size} bytes",
-    "CRC of a command",
-    "unknown mode",
-    "force not finite or out of range",
-    "command {counter} while the present SYNC is {present}",
-)
-"""By the numbers of SYNC_BROKEN and what follows."""
-SYNC_BROKEN, SYNC_REPEATED, LENGTH, BROKEN, UNKNOWN_MODE, UNFIT, NOT_PRESENT = range(7)
-"""Why a frame cannot be trusted: `mode` of a message REJECTED; of the last one `counter` is the command's."""
 _MODES = len(DriveMode)
 _FRAME = FRAME.itemsize
 
 
 @helper
-def _reject(message: Any, why: int) -> int:
-    message.kind, message.mode, message.count = REJECTED, why, 0
+def _reject(message: Any) -> int:
+    message.kind, message.count = REJECTED, 0
     return 1
 
 
 @helper
 def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
-    if frame.length != e.sync_length or not kernels.intact(frame):
-        return _reject(message, SYNC_BROKEN)
     counter = np.int64(frame.data[0])
-    if counter == e.present[bus]:
-        return _reject(message, SYNC_REPEATED)
+    if frame.length != e.sync_length or not kernels.intact(frame) or counter == e.present[bus]:
+        return _reject(message)
     e.present[bus] = counter
     message.kind, message.counter, message.count = SYNC, counter, 0
     for leg in range(LEGS):
@@ -58,28 +43,26 @@ def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
 
 @helper
 def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
-    """Take a command; bytes behind the check, which it does not cover, are 0 or the frame is BROKEN."""
+    """Take a command; bytes behind the check, which it does not cover, have to be 0."""
     data, at, width = frame.data, of.check[0] >> 3, of.check[1] >> 3
-    if frame.length != of.length:
-        return _reject(message, LENGTH)
-    if kernels.check_of(of.id, data, at, width) != whole(data, at, width):
-        return _reject(message, BROKEN)
+    if frame.length != of.length or kernels.check_of(of.id, data, at, width) != whole(data, at, width):
+        return _reject(message)
     for k in range(at + width, of.length):
         if data[k]:
-            return _reject(message, BROKEN)
+            return _reject(message)
     mode = kernels.natural(data, of.mode[0], of.mode[1])
     if mode >= _MODES:
-        return _reject(message, UNKNOWN_MODE)
+        return _reject(message)
     word = np.empty(1, np.int64)
     for k in range(of.forces):
         value = kernels.read(data, of.first + k * of.bits, of.bits, word)
         if not e.least <= value <= e.most:
-            return _reject(message, UNFIT)
+            return _reject(message)
         message.force[k] = value if of.bits == kernels.EXACT else value * e.step
     present, counter = e.present[of.bus], kernels.natural(data, of.counter[0], of.counter[1])
     message.counter = counter
     if present == kernels.NO_SYNC or counter != present & ((1 << of.counter[1]) - 1):
-        return _reject(message, NOT_PRESENT)
+        return _reject(message)
     message.kind, message.mode, message.count = COMMAND, mode, of.legs
     message.legs[:] = of.leg
     return 1
@@ -162,35 +145,26 @@ def report(
     return 1
 
 
-class LegsDrives(CompiledDrives):
+class LegsDrives(DrivesEnd):
     """Six drives. Mutable state: Cycle of the present SYNC of each bus, in the record."""
 
     def __init__(self, family: Any) -> None:
         self._family = family
         super().__init__(family.tables.copy(), parse, answer, report)
 
-    def reason(self, why: int, counter: int, _number: float, frame: Frame) -> str:
-        """Return why a SYNC or a command is rejected."""
-        present = self.record["present"][frame.bus]
-        return _REASONS[why].format(size=len(frame.data), counter=counter, present=present)
-
-    def converse(self, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Take an E-stop, whatever its payload, or a CONFIG."""
+    def converse(self, frame: Frame) -> None:
+        """Take an E-stop, whatever its payload, or a CONFIG: of this version, for this leg."""
         there, config = self._family.legs[frame.bus], self.record["config"].tolist()
         if frame.id not in config:
-            return (EmergencyStop(tuple(sorted(there))),)
-        leg = config.index(frame.id)
-        said = self._configured(leg, frame)
-        return (said,) if leg in there or isinstance(said, Rejected) else ()
-
-    def _configured(self, leg: int, frame: Frame) -> DeviceMessage:
-        of, version = self._family.config, self.record["version"]
-        data = frame.data
+            self.put(STOP, sorted(there))
+            return
+        leg, of, data = config.index(frame.id), self._family.config, frame.data
         if len(data) != of.length or kernels.check(frame.id, data[:-1], 1) != data[-1]:
-            return Rejected("length or CRC of CONFIG")
-        watchdog, reaction, place, given, _ = of.unpack(frame.data)
-        if given != version:
-            return Rejected(f"CONFIG of version {given} of the protocol, this drive has {version}")
-        if watchdog < 1 or reaction >= len(Reaction) or place != self.record["place"][leg]:
-            return Rejected(f"CONFIG with watchdog {watchdog} us, reaction {reaction}, leg {place}")
-        return Configure(leg, watchdog * of.scale[0], Reaction(reaction))
+            self.put(REJECTED)
+            return
+        watchdog, reaction, place, version, _ = of.unpack(data)
+        ours = version == self.record["version"] and place == self.record["place"][leg]
+        if not ours or watchdog < 1 or reaction >= len(Reaction):
+            self.put(REJECTED)
+        elif leg in there:
+            self.put(CONFIGURE, (leg,), reaction, round(watchdog * of.scale[0] * 1e9))

@@ -12,7 +12,7 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
 from drivers.compiled.pointed import call, integers_at, pointed
 from drivers.frame_array import FRAME, SENT
-from drivers.frame_pointers import frame_at, in_order
+from drivers.frame_pointers import begin_sent, frame_at, in_order
 from drivers.signals import LEGS
 from drivers.transmission import fill_loss
 from plant_fmu.drives import ends
@@ -21,7 +21,9 @@ from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, fee
 
 NODES_RECORD: Any = record(r.NODES)
 _FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
-_FRAME_WORDS, _MESSAGE_WORDS = _FRAME // 8, _MESSAGE // 8
+_FRAME_WORDS, _MESSAGE_WORDS, _READING_WORDS = _FRAME // 8, _MESSAGE // 8, ends.READING.itemsize // 8
+_PRE_OPERATIONAL = 0x7F
+"""CiA 301: data of the heartbeat of a drive as delivered."""
 
 
 @helper
@@ -168,18 +170,28 @@ def _report(n: Any) -> int:
     """Send what one drive is in."""
     if n.sent + r.ROOM > n.room:
         return r.FULL
-    if n.report == 0:
-        return r.REPORT
     leg = n.reports[n.reported]
-    watchdog = n.watchdog_ns[leg] if n.configured[leg] else -1
-    state, fault, reaction = n.state[leg], n.fault[leg], n.reaction[leg]
-    into = n.out + n.sent * _FRAME
-    count = call(n.report, (n.end, leg, state, fault, watchdog, reaction, n.due, into))
-    if count < 0:
-        return r.REPORT
+    number, into, count = n.number[leg], n.out + n.sent * _FRAME, 0
+    if number != r.MUTE:
+        watchdog = n.watchdog_ns[leg] if n.configured[leg] else -1
+        state, fault, reaction = n.state[leg], n.fault[leg], n.reaction[leg]
+        count = call(n.report, (n.end, number, state, fault, watchdog, reaction, n.due, into))
+    elif n.strange[leg]:
+        begin_sent(frame_at(into), n.strange[leg], 1, 0, 0)
+        frame_at(into).data[0] = _PRE_OPERATIONAL
+        count = 1
     _put(n, count, leg)
     n.reported += 1
     return r.DONE
+
+
+@helper
+def to_report(n: Any, leg: int) -> None:
+    """Let a drive report that something has changed."""
+    if n.reported == n.pending:
+        n.pending = n.reported = n.due = 0
+    n.reports[n.pending] = leg
+    n.pending += 1
 
 
 @helper
@@ -196,6 +208,44 @@ def _read(n: Any) -> int:
     encoders(n, dt_s, reading.length, reading.rate, reading.state)
     reading.fault[:] = n.fault
     return r.DONE
+
+
+@helper
+def _answers(n: Any) -> int:
+    """Fill in what the drives answer that are asked; return how many frames, FAILED for what is no number."""
+    into = n.out + n.sent * _FRAME
+    if not n.wired:
+        return int(call(n.answer, (n.end, n.asked, n.reading, into, n.senders)))
+    asked, reading, senders = ends.message_at(n.asked), integers_at(n.reading, _READING_WORDS), n.senders
+    legs, true, total = asked.legs[: asked.count].copy(), reading.copy(), 0
+    for leg in legs:
+        number = n.number[leg]
+        if number == r.MUTE:
+            continue
+        reading[:] = true
+        reading[number::LEGS] = true[leg::LEGS]
+        asked.count, asked.legs[0] = 1, number
+        count = call(n.answer, (n.end, n.asked, n.reading, into + total * _FRAME, senders + 8 * total))
+        if count < 0:
+            return int(count)
+        integers_at(senders + 8 * total, count)[:] = leg
+        total += count
+    asked.count, asked.legs[: legs.shape[0]], reading[:] = legs.shape[0], legs, true
+    return total
+
+
+@helper
+def _forge(n: Any) -> None:
+    """Send what others send under the name of a drive, which then remembers its own reading again."""
+    reading, silent = ends.reading_at(n.reading), n.silent
+    true = reading.length.copy()
+    for leg in range(LEGS):
+        if not np.isnan(n.forged[leg]):
+            reading.length[:] = true + n.forged[leg]
+            n.silent = ~(1 << leg)
+            _put(n, _answers(n), -1)
+    reading.length[:], n.silent = true, silent
+    _answers(n)
 
 
 @helper
@@ -220,13 +270,14 @@ def _latch(n: Any) -> int:
         n.part = 3
     if n.sent + r.ROOM > n.room:
         return r.FULL
-    into = n.out + n.sent * _FRAME
-    count = call(n.answer, (n.end, n.asked, n.reading, into, n.senders)) if n.answer != 0 else -1
+    count = _answers(n)
     if count < 0:
         return r.ANSWER
     _put(n, count, -1)
+    if n.look & r.FORGES:
+        _forge(n)
     n.latching = 0
-    return r.FORGE if n.look & r.FORGES else r.DONE
+    return r.DONE
 
 
 @helper
@@ -235,12 +286,23 @@ def _obey(n: Any, command: Any) -> int:
     if status != r.DONE:
         return status
     entered = obey(n, command, n.t_ns)
-    n.pending = n.reported = n.due = 0
     for k in range(command.count):
         if entered >> command.legs[k] & 1:
-            n.reports[n.pending] = command.legs[k]
-            n.pending += 1
+            to_report(n, command.legs[k])
     return r.DONE
+
+
+@helper
+def _reaches(n: Any, message: Any) -> bool:
+    """Put the drives that have the numbers of a message into it; tell whether there are any."""
+    numbers, force, count = message.legs[: message.count].copy(), message.force.copy(), 0
+    for leg in range(LEGS):
+        for k in range(numbers.shape[0]):
+            if n.number[leg] == numbers[k]:
+                message.legs[count], message.force[count] = leg, force[k]
+                count += 1
+    message.count = count
+    return count > 0
 
 
 @helper
@@ -250,10 +312,16 @@ def _hear(n: Any) -> int:
         n.place = r.TIME
         n.frame += 1
         return r.DONE
+    if n.sent + r.ROOM > n.room:
+        return r.FULL
     at = n.messages + n.message * _MESSAGE
     message = ends.message_at(at)
     kind = message.kind
-    if kind == ends.SYNC:
+    if kind == ends.REJECTED:
+        n.rejected += 1
+    elif n.wired and not _reaches(n, message):
+        pass
+    elif kind == ends.SYNC:
         n.syncs += 1
         words = _MESSAGE_WORDS
         integers_at(n.asked, words)[:] = integers_at(at, words)
@@ -262,21 +330,27 @@ def _hear(n: Any) -> int:
         status = _obey(n, message)
         if status != r.DONE:
             return status
-    elif kind == ends.ALIVE:
-        feed(n, message.legs[: message.count], n.t_ns)
-    elif kind == ends.CONFIGURE and configure(n, message):
-        n.reports[0], n.reported, n.pending, n.due = message.legs[0], 0, 1, 0
-    elif kind in (ends.CONFIGURE, ends.REJECTED):
-        n.rejected += 1
+    elif kind == ends.ANSWER:
+        words = _FRAME_WORDS
+        integers_at(n.out + n.sent * _FRAME, words)[:] = integers_at(message.counter, words)
+        _put(n, 1, message.legs[0])
+    elif kind == ends.STOP:
+        return r.STOP
     else:
-        return r.MESSAGE_OTHER
+        for leg in message.legs[: message.count]:
+            if kind == ends.ALIVE:
+                feed(n, leg, n.t_ns)
+            elif configure(n, leg, message):
+                to_report(n, leg)
+            else:
+                n.rejected += 1
     n.message += 1
     return r.DONE
 
 
 @helper
 def _parse(n: Any, frame: int) -> int:
-    count = call(n.parse, (n.end, frame, n.messages)) if n.parse != 0 else -1
+    count = call(n.parse, (n.end, frame, n.messages))
     if count < 0:
         return r.PARSE
     n.heard, n.message, n.place = count, 0, r.MESSAGES

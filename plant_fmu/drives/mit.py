@@ -13,15 +13,13 @@ from drivers.protocol import Frame
 from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
 from plant_fmu.drives import motors as drives
-from plant_fmu.messages import Configure, DeviceMessage, Rejected, Sync
+from plant_fmu.drives.ends import CONFIGURE, REJECTED, SYNC
 
 HELD = tuple(k.KIND)
 """The registers of an emulated drive, in the order of its record."""
 _TIMEOUT_AT = HELD.index(k.TIMEOUT)
 _SPECIAL = (1 << 56) - 1
 _ENABLE, _DISABLE, _CLEAR, _ZERO = (each[-1] for each in (k.ENABLE, k.DISABLE, k.CLEAR, k.ZERO))
-CUT, ZEROES = 1, 2
-"""Why a frame is rejected."""
 
 
 @helper
@@ -52,11 +50,11 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     if frame.flags & k.STRANGE:
         return 0
     if frame.length != 8:
-        return drives.rejects(leg, CUT, 0.0, messages)
+        return drives.rejects(leg, messages)
     ear, data, count = drives.ear_at(d.ear), frame.data, 0
     special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
     if special == _ZERO:
-        count = drives.rejects(leg, ZEROES, 0.0, messages)
+        count = drives.rejects(leg, messages)  # it is not emulated
     elif special == _ENABLE:
         if not d.enabled[leg]:
             # set to what it was delivered with where no controller has set it up
@@ -103,7 +101,6 @@ class MitDrives(drives.MotorDrives):
     """Six drives of one variant."""
 
     obey, encode = obey, encode
-    rejections = "command of {size} bytes", "the zero of the position is not emulated"
 
     def __init__(self, family: Any) -> None:
         """Power them up."""
@@ -116,30 +113,32 @@ class MitDrives(drives.MotorDrives):
         for leg, node in enumerate(self.family.nodes):
             d["registers"][leg, : len(HELD)] = 0, 0, r.position, r.velocity, r.torque, node, 1
 
-    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def request(self, leg: int | None, frame: Frame) -> None:
         """Take the request of a Damiao's register."""
         data = frame.data
         if frame.flags & k.STRANGE:
-            return ()
+            return
         if len(data) == 8 and data[2] == k.REFRESH and leg is not None:
-            return (Sync(0, (leg,)),)
-        if (
+            self.put(SYNC, (leg,))
+        elif (
             len(data) != 8
             or data[2] not in (k.READ, k.WRITE)
             or data[3] not in k.KIND
             or (data[2] == k.WRITE and data[3] in k.SAID)
         ):
-            return (Rejected("register request"),)
-        if leg is None:
-            return ()
+            self.put(REJECTED)
+        elif leg is not None:
+            self._take_register(leg, data)
+
+    def _take_register(self, leg: int, data: bytes) -> None:
+        """Answer with what a register holds, once it has been written."""
         register, kind, held = HELD.index(data[3]), k.KIND[data[3]], self.record["registers"][leg]
-        messages: tuple[DeviceMessage, ...] = ()
         if data[2] == k.WRITE:
             (held[register],) = struct.unpack(kind, data[4:])
             if data[3] == k.TIMEOUT and held[register] > 0:
-                messages = (Configure(leg, held[register] / k.TICKS_PER_S, Reaction.BRAKE),)
+                self.put(CONFIGURE, (leg,), Reaction.BRAKE, round(held[register] / k.TICKS_PER_S * 1e9))
         body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
-        return (*messages, self.answer_of(leg, Frame(self.family.replies[leg], data[:4] + body)))
+        self.say(leg, Frame(self.family.replies[leg], data[:4] + body))
 
 
 CODES = {

@@ -23,8 +23,6 @@ _WRITTEN = k.MODE, k.COMMAND + 2, k.COMMAND + 3, k.COMMAND + 4, k.COMMAND + 5, k
 """Those that are obeyed: mode, torque, scales of the gains, most torque, time."""
 VERSION = 0x010000
 """Of the emulated drives' firmware."""
-UNKNOWN_MODE, NO_TORQUE_COMMAND, UNFINISHED = range(1, 4)
-"""Why a frame is rejected."""
 _LONGEST_NS = float(1 << 61)
 _WATCHDOG = int(DriveFault.WATCHDOG)
 
@@ -51,7 +49,7 @@ def _take_torque(d: Any, leg: int, values: Array, messages: int) -> int:
     """Take a command of position mode."""
     torque, most, timeout_s = values[1], values[4], values[5]
     if np.isnan(torque) or most <= 0.0 or values[2] != 0.0 or values[3] != 0.0:
-        return drives.rejects(leg, NO_TORQUE_COMMAND, 0.0, messages)
+        return drives.rejects(leg, messages)
     torque = min(max(torque, -most), most) if most > 0.0 else torque
     if d.enabled[leg]:
         return drives.commands(d, leg, drives.RUN, torque, messages, 0)
@@ -73,14 +71,14 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     values = np.array((0.0, 0.0, 1.0, 1.0, np.nan, np.nan))
     has = k.read(data, size, k.WRITE, _WRITTEN, values)
     if has < 0:
-        return drives.ALONE | drives.rejects(leg, UNFINISHED, 0.0, messages)
+        return drives.ALONE | drives.rejects(leg, messages)
     if has & 1 and values[0] == k.STOPPED:
         count = drives.commands(d, leg, drives.RESET, 0.0, messages, 0)
         count = drives.configures(d, leg, d.watchdog_ns, messages, count)
     elif has & 1 and values[0] == k.POSITION:
         count = _take_torque(d, leg, values, messages)
     elif has & 1:
-        count = drives.rejects(leg, UNKNOWN_MODE, values[0], messages)
+        count = drives.rejects(leg, messages)
     if not identifier & k.REPLY_WANTED:
         return count
     ask(d, leg, identifier >> 8 & 0x7F, data, size)
@@ -201,7 +199,6 @@ class MoteusDrives(drives.MotorDrives):
 
     obey, encode = obey, encode
     everyone = k.ALL_NODES
-    rejections = "mode {0:g}", "position mode that is no torque command", "subframes that are not whole"
     codes, otherwise = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}, 33
 
     def power_up(self, d: Record) -> None:

@@ -29,7 +29,6 @@ from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import FIELDS
 from plant_fmu.drives import ends
-from plant_fmu.messages import Answer, DeviceMessage
 
 MOST_REGISTERS, MOST_ASKED = 8, 64
 """That a drive remembers; and that one frame asks for."""
@@ -104,9 +103,9 @@ def configures(d: Any, leg: int, watchdog_ns: int, messages: int, count: int) ->
 
 
 @helper
-def rejects(leg: int, why: int, number: float, messages: int) -> int:
-    """Reject a frame: why, from 1 on, and the number that is wrong."""
-    return ends.put_message(messages, 0, leg, ends.REJECTED, why, 0, number)
+def rejects(leg: int, messages: int) -> int:
+    """Reject a frame."""
+    return ends.put_message(messages, 0, leg, ends.REJECTED, 0, 0, 0.0)
 
 
 @helper
@@ -182,7 +181,7 @@ def silent(
 _MEMORY = ("heard", "enabled", "registers", "host", "asked", "wanted", "widths")
 
 
-class MotorDrives(ends.CompiledDrives):
+class MotorDrives(ends.DrivesEnd):
     """Six drives. Mutable state: the record."""
 
     obey: Pointed
@@ -192,8 +191,6 @@ class MotorDrives(ends.CompiledDrives):
     """`DrivesEnd.report`."""
     everyone = -1
     """The number of all drives; -1: there is none."""
-    rejections: tuple[str, ...]
-    """Why a frame is rejected, by the number of its kernel: of the number that is wrong, size and kind."""
     codes: Mapping[DriveFault, int] = {}
     otherwise = 0
     """What is sent for a fault of the drive's own, and for others."""
@@ -216,26 +213,21 @@ class MotorDrives(ends.CompiledDrives):
     def power_up(self, d: Record) -> None:
         """Put what six drives remember that have heard nothing into a record: nothing."""
 
-    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Decode what is not compiled: what sets drives up, asks who they are or stops them.
+    def request(self, leg: int | None, frame: Frame) -> None:
+        """Do what is not compiled, see `converse`.
 
         leg: whom the frame is for, None: nobody; the frame is as it is on bus 0.
         """
         raise NotImplementedError
 
-    def answer_of(self, leg: int, frame: Frame) -> Answer:
-        """Return a drive's own part of a dialogue."""
-        return Answer(leg, self.family.to_leg(leg, frame))
+    def say(self, leg: int, frame: Frame) -> None:
+        """Let a drive send its own part of a dialogue, on its bus."""
+        super().say(leg, self.family.to_leg(leg, frame))
 
-    def reason(self, why: int, _counter: int, number: float, frame: Frame) -> str:
-        """Return why a frame is rejected, in the family's words."""
-        identifier, data, _ = frame
-        return self.rejections[why - 1].format(number, size=len(data), kind=identifier & 0x1F)
-
-    def converse(self, frame: Frame) -> tuple[DeviceMessage, ...]:
-        """Let the family decode what is not compiled."""
+    def converse(self, frame: Frame) -> None:
+        """Let the family do what is not compiled."""
         legs: tuple[int, ...] = self.family.addressed(frame)
-        return self.request(legs[0] if legs else None, off_bus(frame))
+        self.request(legs[0] if legs else None, off_bus(frame))
 
     def restart(self, legs: Sequence[int]) -> None:
         """Disable drives that were switched off and on, with nothing written in them."""

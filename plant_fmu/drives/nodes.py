@@ -15,20 +15,17 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.config import DriveSettings
-from drivers.errors import PlantError, ProtocolError
+from drivers.errors import PlantError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import DriveProtocol, Frame, Received
 from drivers.signals import LEGS, DriveFault
-from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import drives_end, kernels, record
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, at_motor, forgotten_m, moved
-from plant_fmu.drives.ends import STOP
-from plant_fmu.drives.live import advance, live
-from plant_fmu.faults.gateway import Gateway
+from plant_fmu.drives.gateway import Gateway
+from plant_fmu.drives.live import advance, live, to_report
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
-from plant_fmu.messages import DeviceMessage, Sync
 from plant_fmu.plant import Plant, Truth
 
 
@@ -81,7 +78,6 @@ class Nodes:
         n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._switch_on([True] * LEGS)
-        self._heard: Sequence[DeviceMessage] = ()
         self.schedule = Schedule(self._faults, t0_ns)
         gateway = Gateway(self.schedule, self._protocol, drives_end(self._protocol), t0_ns)
         self._gateway = gateway if self._faults.touches_frames else None
@@ -150,9 +146,12 @@ class Nodes:
             case record.EDGE:
                 self._pass_edge(int(n["t_ns"]))
             case record.PARSE:
-                self._parse()
-            case record.MESSAGE_OTHER:
-                self._do(int(n["message"]), int(n["t_ns"]))
+                frame = sent_frames(self._frames[int(n["frame"])][np.newaxis])[0]
+                n["heard"], n["message"], n["place"] = len(self._end.hear(frame)), 0, record.MESSAGES
+            case record.STOP:
+                message = self._end.messages[int(n["message"])]
+                for leg in message["legs"][: message["count"]].tolist():
+                    self._fail(leg, DriveFault.ESTOP, int(n["t_ns"]))
                 n["message"] += 1
             case record.BEFORE_READING:
                 self._look_before(int(n["t_ns"]))
@@ -160,12 +159,12 @@ class Nodes:
                 reading = self._drives.reading
                 self._spoiled.spoil(self._present, int(n["t_ns"]), reading["length"], reading["rate"])
             case record.ANSWER:
-                self._answer(int(n["t_ns"]))
-            case record.FORGE:
-                self._forge(int(n["t_ns"]))
-            case record.REPORT:
-                self._send_status(int(n["reports"][n["reported"]]), int(n["t_ns"]), due=bool(n["due"]))
-                n["reported"] += 1
+                length, rate, force = (self._drives.reading[name] for name in ("length", "rate", "force"))
+                leg = int((~np.isfinite(length + rate + force)).argmax())
+                raise PlantError(
+                    f"the plant gave what is no measurement: feedback of leg {leg} is not a number: "
+                    f"{length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
+                )
 
     def _refuse(self) -> None:
         n = self._record
@@ -275,7 +274,7 @@ class Nodes:
         self._drives.disturb(present, t)
         self._spoiled.begin(present)
         self._switch_on(present.reset)
-        self._end.restart(np.flatnonzero(present.reset).tolist())
+        self._end.restart([k for k in n["number"][np.array(present.reset)].tolist() if k != record.MUTE])
         self._weigh()
         kernels.actuate(self._drives.seen, False, t)
 
@@ -296,32 +295,14 @@ class Nodes:
             kernels.enter(n, leg, kernels.FAULT, fault)
             if n.acting[leg] in (kernels.DAMP, kernels.HOLD):
                 n.deadline_ns[leg] = t + self._brake_after_ns
-            self._send_status(leg, t)
+            to_report(n, leg)
         elif brakes:
             n.acting[leg], n.deadline_ns[leg] = kernels.BRAKE, kernels.NEVER_NS
             if fault is DriveFault.ESTOP and n.fault[leg] != fault:
                 n.fault[leg] = fault
-                self._send_status(leg, t)
+                to_report(n, leg)
         kernels.actuate(n, False, t)
         n.calm_ns = min(int(n.calm_ns), kernels.next_move_ns(n))
-
-    # frames
-
-    def _parse(self) -> None:
-        """Let the protocol decode a frame."""
-        frame = sent_frames(self._frames[int(self._record["frame"])][np.newaxis])[0]
-        self._heard = self._end.hear(frame)
-        self._drives.hear(self._heard)
-
-    def _do(self, number: int, t: int) -> None:
-        """Do what a message says that is not of every tick."""
-        message = self._drives.messages[number]
-        if message["kind"] == STOP:
-            for leg in message["legs"][: message["count"]].tolist():
-                self._fail(leg, DriveFault.ESTOP, t)
-        else:
-            answer: Any = self._heard[number]
-            self._send(answer.leg, t, (answer.frame,))
 
     def _look_before(self, t: int) -> None:
         """Let act what does before the encoders are read."""
@@ -329,38 +310,3 @@ class Nodes:
             self._weigh()
         if self._present.drifts:
             self._drives.drift(self._present, t)
-
-    def _answered(self, reading: Record) -> list[tuple[int, Frame]]:
-        """Return what the drives answer to a reading."""
-        asked = self._drives.asked
-        sync = Sync(int(asked["counter"]), tuple(asked["legs"][: asked["count"]].tolist()))
-        return self._end.reply(sync, reading)
-
-    def _answer(self, t: int) -> None:
-        """Let the protocol answer."""
-        try:
-            frames = self._answered(self._drives.reading)
-        except ProtocolError as error:
-            raise PlantError(f"the plant gave what is no measurement: {error}") from error
-        for leg, frame in frames:
-            self._send(leg, t, (frame,))
-        self._record["latching"] = False
-        if self._record["look"] & record.FORGES:
-            self._forge(t)
-
-    def _forge(self, t: int) -> None:
-        """Send what others send under the name of a drive, which then remembers its own reading again."""
-        for leg, by_m in enumerate(self._present.forged_m):
-            if by_m is not None:
-                other = self._drives.reading.copy()
-                other["length"] += by_m
-                self._drives.queue(t, [frame for k, frame in self._answered(other) if k == leg])
-        self._answered(self._drives.reading)
-
-    def _send_status(self, leg: int, t: int, *, due: bool = False) -> None:
-        self._send(leg, t, self._end.announce(self._drives.status(leg, due=due)))
-
-    def _send(self, leg: int, t: int, frames: Sequence[Frame]) -> None:
-        """Queue frames of one drive, as far as it is not silent."""
-        if not self._present.silent[leg]:
-            self._drives.queue(t, frames)

@@ -12,13 +12,11 @@ from drivers.frame_pointers import begin_sent, frame_at, whole
 from drivers.protocol import REMOTE, Frame
 from drivers.signals import DriveFault, DriveState
 from plant_fmu.drives import motors as drives
-from plant_fmu.messages import DeviceMessage, EmergencyStop
+from plant_fmu.drives.ends import STOP
 
 _RUN = int(DriveState.RUN)
 _STATE, _CONTROL_MODE = 0, 1
 """Of the registers of an emulated axis: the state last asked for, and the control mode; 0: none yet."""
-STRANGE_SIZE, NO_COMMAND, NO_STATE, NO_TORQUE_CONTROL, NO_TORQUE = range(1, 6)
-"""Why a frame is rejected."""
 
 
 @helper
@@ -26,14 +24,14 @@ def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
     """Take an axis state that is asked for."""
     state, held, count = whole(data, 0), d.registers[leg], 0
     if state not in (o.IDLE, o.CLOSED_LOOP):
-        return drives.rejects(leg, NO_STATE, state, messages)
+        return drives.rejects(leg, messages)
     first = held[_STATE] == 0.0
     if state == o.IDLE:
         count = drives.commands(d, leg, drives.OFF, 0.0, messages, 0)
         count = drives.configures(d, leg, d.watchdog_ns, messages, count)
     else:
         if held[_CONTROL_MODE] != o.TORQUE_CONTROL:
-            return drives.rejects(leg, NO_TORQUE_CONTROL, 0.0, messages)
+            return drives.rejects(leg, messages)
         if first:
             count = drives.configures(d, leg, d.watchdog_ns, messages, 0)
         if not d.enabled[leg]:
@@ -57,11 +55,9 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
         return FAILED
     if not o.COMMANDS >> kind & 1:
         return 0
-    if kind not in (o.AXIS_STATE, o.MODES, o.TORQUE, o.CLEAR):
-        return drives.rejects(leg, NO_COMMAND, 0.0, messages)
     fits = size <= 1 if kind == o.CLEAR else size == 8 or (size == 4 and kind != o.MODES)
-    if not fits:
-        return drives.rejects(leg, STRANGE_SIZE, 0.0, messages)
+    if not fits or kind not in (o.AXIS_STATE, o.MODES, o.TORQUE, o.CLEAR):
+        return drives.rejects(leg, messages)
     if kind == o.AXIS_STATE:
         return _ask_state(d, leg, data, messages)
     if kind == o.CLEAR:
@@ -71,7 +67,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     elif d.enabled[leg]:
         torque = motors.single(data, 0)
         if not np.isfinite(torque):
-            return drives.rejects(leg, NO_TORQUE, 0.0, messages)
+            return drives.rejects(leg, messages)
         return drives.commands(d, leg, drives.RUN, torque, messages, 0)
     return 0
 
@@ -105,13 +101,6 @@ class ODriveDrives(drives.MotorDrives):
     """Six axes."""
 
     obey, encode, beat = obey, encode, beat
-    rejections = (
-        "command {kind:#x} of {size} bytes",
-        "command {kind:#x} is not emulated",
-        "axis state {0:.0f}",
-        "closed loop without torque control",
-        "torque that is no number",
-    )
     codes = {
         DriveFault.WATCHDOG: o.WATCHDOG_EXPIRED,
         DriveFault.ESTOP: o.STOP_REQUESTED,
@@ -120,12 +109,13 @@ class ODriveDrives(drives.MotorDrives):
         DriveFault.STROKE: 0x10000,
     }
 
-    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def request(self, leg: int | None, frame: Frame) -> None:
         """Take Estop, or the question for the address."""
         assert leg is not None
         node = self.family.nodes[leg]
         if frame.id & 0x1F == o.ADDRESS:
             said = bytes((node,)) + node.to_bytes(6, "little") + b"\0"
-            return (self.answer_of(leg, Frame(frame.id, said)),)
-        self.record["enabled"][leg] = 0
-        return (EmergencyStop((leg,)),)
+            self.say(leg, Frame(frame.id, said))
+        else:
+            self.record["enabled"][leg] = 0
+            self.put(STOP, (leg,))

@@ -12,19 +12,19 @@ from drivers.signals import LEGS
     WATCHDOG,
     EDGE,
     PARSE,
-    MESSAGE_OTHER,
+    STOP,
     BEFORE_READING,
     AFTER_READING,
     ANSWER,
-    FORGE,
-    REPORT,
-) = range(13)
+) = range(11)
 """Why the pass ends: all is done; the plant refuses; the frames are not in the order of time; there is no
-room for what is sent; a watchdog is over, or a fault of the plan begins or ends, at `t_ns`; a frame, a
-message, an answer or a report is for the owner; something acts before or after the encoders are read."""
+room for what is sent; a watchdog is over, or a fault of the plan begins or ends, at `t_ns`; a frame is not
+decoded; a message is an emergency stop; something acts before or after the encoders are read; what is read is
+not a number."""
+MUTE = -1
 LOOKS_BEFORE, LOOKS_AFTER, FORGES = 1, 2, 4
 """Bits of `look`."""
-ROOM = 64
+ROOM = 128
 """Room that is there before frames are filled in."""
 TIME, HEAR, MESSAGES = range(3)
 """Values of `place`: time passes until the frame; it is heard; its messages are obeyed."""
@@ -40,6 +40,10 @@ NODES = np.dtype(
         ("reaction", "<i8", (LEGS,)),  # Reaction to a fault in RUN
         ("acting", "<i8", (LEGS,)),  # Reaction to the latched fault
         ("lost", "<i8", (LEGS,)),  # INVALID: the encoder is lost
+        # Of what is wrong with it, in a rehearsal.
+        ("number", "<i8", (LEGS,)),  # leg whose node number it has; MUTE: it hears and says nothing
+        ("waits", "<f8", (LEGS,)),  # how many times its watchdog takes what was set
+        ("strange", "<i8", (LEGS,)),  # identifier of the heartbeat of a MUTE one as delivered; 0: none
         # Of its brake.
         ("stuck", "<i8", (LEGS,)),  # where a stuck one stays; WORKS: it is not stuck
         ("slow_ns", "<i8", (LEGS,)),  # how much later than its drive counts it moves
@@ -51,6 +55,7 @@ NODES = np.dtype(
         ("lagged", "<f8", (LEGS,)),  # N, state of the lag
         ("frozen", "<f8", (LEGS,)),  # m, what a frozen encoder reads; NaN: it works
         ("offset", "<f8", (LEGS,)),  # m, slip of the encoder
+        ("forged", "<f8", (LEGS,)),  # m by which a second answer of its node is longer; NaN: there is none
         ("scale", "<f8", (LEGS,)),  # how the encoder scales length
         ("shift", "<f8", (LEGS,)),  # m, what it adds to that
         ("drift", "<f8", (LEGS,)),  # m/s, of the encoder
@@ -118,6 +123,7 @@ NODES = np.dtype(
         # What the pass has to do.
         ("look", "<i8"),  # bits LOOKS_BEFORE, LOOKS_AFTER, FORGES
         ("silent", "<i8"),  # bit i: drive i sends nothing
+        ("wired", "<i8"),  # 1: something is wrong with `number`
         ("controls", "<i8"),  # 1: a drive follows its encoder by itself
         ("lags", "<i8"),  # 1: forces lag
         ("not_finite", "<i8"),  # 1: the plant gives NaN

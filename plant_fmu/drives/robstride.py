@@ -9,10 +9,9 @@ from drivers.frame_pointers import begin_sent
 from drivers.mit import robstride as k
 from drivers.mit.fields import TURN
 from drivers.protocol import EXTENDED, Frame
-from drivers.signals import Reaction
 from plant_fmu.drives import motors as drives
+from plant_fmu.drives.ends import CONFIGURE, REJECTED, SYNC
 from plant_fmu.drives.mit import CODES, scaled
-from plant_fmu.messages import Answer, Configure, DeviceMessage, Rejected, Sync
 
 
 @drives.obeying
@@ -25,7 +24,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     if kind not in (k.WHO, k.CONTROL, k.ENABLE, k.STOP, k.READ, k.WRITE):
         return 0
     if kind != k.WHO and frame.length != 8:
-        return drives.rejects(leg, 1, 0.0, messages)
+        return drives.rejects(leg, messages)
     if kind in (k.WHO, k.READ, k.WRITE):
         return FAILED
     if kind == k.ENABLE:
@@ -66,25 +65,23 @@ class RobStrideDrives(drives.MotorDrives):
     """Six drives."""
 
     obey, encode = obey, encode
-    rejections = ("frame of {size} bytes",)
     codes, otherwise = CODES["robstride"], 4
 
-    def request(self, leg: int | None, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def request(self, leg: int | None, frame: Frame) -> None:
         """Take the request for the processor's number, or a register's; all but its reading has feedback."""
         identifier, data, _ = frame
         assert leg is not None
-        kind = identifier >> 24
+        kind, node = identifier >> 24, self.family.nodes[leg]
         if kind == k.WHO:
-            said = self.family.nodes[leg].to_bytes(8, "little")
-            return (self._from(k.WHO, leg, said, k.ASKED_WHO),)
-        register, number = struct.unpack("<HxxI", data)
+            self.say(leg, Frame(k.WHO << 24 | node << 8 | k.ASKED_WHO, node.to_bytes(8, "little"), EXTENDED))
+            return
+        (register, number), held = struct.unpack("<HxxI", data), self.record["registers"]
         if register != k.RUN_MODE:
-            return (Rejected(f"register {register:#x}"),)
-        if kind == k.WRITE:
-            self.record["registers"][leg, 0] = number
-            return (Configure(leg, self.family.delivered_s, Reaction.BRAKE), Sync(0, (leg,)))
-        said = struct.pack("<HxxI", register, int(self.record["registers"][leg, 0]))
-        return (self._from(k.READ, leg, said, self.family.host),)
-
-    def _from(self, kind: int, leg: int, data: bytes, to: int) -> Answer:
-        return self.answer_of(leg, Frame(kind << 24 | self.family.nodes[leg] << 8 | to, data, EXTENDED))
+            self.put(REJECTED)
+        elif kind == k.WRITE:
+            held[leg, 0] = number
+            self.put(CONFIGURE, (leg,), self.record["reaction"], self.record["watchdog_ns"])
+            self.put(SYNC, (leg,))
+        else:
+            said = struct.pack("<HxxI", register, int(held[leg, 0]))
+            self.say(leg, Frame(k.READ << 24 | node << 8 | self.family.host, said, EXTENDED))

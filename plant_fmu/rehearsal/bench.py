@@ -14,10 +14,9 @@ from drivers.protocol import DriveProtocol
 from drivers.signals import LEGS
 from plant_fmu.bench import UncoupledLegs
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant
-from plant_fmu.rehearsal.wired_drives import wired_drives
+from plant_fmu.rehearsal.wired_drives import WiredNodes
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
 
@@ -127,9 +126,9 @@ class RehearsalBench:
             longest=stand.length_max + stroke * (0.02 - np.array(wiring.shorter)),
             x=stand.length_min + np.linspace(0.35, 0.6, LEGS) * stroke,
         )
-        self.drives_end = wired_drives(protocol, wiring, settings.node_ids)
+        self.protocol = protocol
         self.cables = self.behind_cables(self._legs)
-        self.nodes = Nodes(self.cables, self.drives_end, emulation, settings, faults)
+        self.nodes = WiredNodes(wiring, self.cables, protocol, emulation, settings, faults)
         self._chance = np.random.default_rng(seed)
 
     def behind_cables(self, plant: Plant) -> WiredPlant:

@@ -18,8 +18,8 @@ from drivers.signals import Command
 from drivers.tick_columns import Record
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
-from plant_fmu.messages import DeviceMessage, Status, Sync
 from tests.drivers.drives_end import go_back, memory_of, reading_of
+from tests.drivers.messages import DeviceMessage, Status, Sync, announce, hear, reply
 
 
 class Remembered:
@@ -154,7 +154,7 @@ class ByValue:
     def parse(self, memory: Remembered, frame: Frame) -> tuple[Remembered, tuple[DeviceMessage, ...]]:
         """Decode a frame at the drives."""
         end = self._at(memory)
-        messages = end.hear(frame)
+        messages = hear(end, frame)
         return self._memory(end), messages
 
     def answer(
@@ -169,13 +169,13 @@ class ByValue:
     ) -> tuple[Remembered, list[tuple[int, Frame]]]:
         """Encode what the drives answer."""
         end = self._at(memory)
-        frames = end.reply(sync, reading_of(length, rate, force, state, 0 if fault is None else fault))
+        frames = reply(end, sync, reading_of(length, rate, force, state, 0 if fault is None else fault))
         return self._memory(end), frames
 
     def report(self, memory: Remembered, status: Status) -> tuple[Remembered, tuple[Frame, ...]]:
         """Encode what a drive sends of its state."""
         end = self._at(memory)
-        frames = end.announce(status)
+        frames = announce(end, status)
         return self._memory(end), frames
 
     def restarted(self, memory: Remembered, legs: Sequence[int]) -> Remembered:

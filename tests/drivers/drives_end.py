@@ -8,8 +8,8 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.protocol import DriveProtocol, Frame
 from plant_fmu.drives import drives_end
-from plant_fmu.drives.ends import READING, CompiledDrives
-from plant_fmu.messages import DeviceCommand, DeviceMessage, Status, Sync
+from plant_fmu.drives.ends import READING
+from tests.drivers.messages import DeviceCommand, DeviceMessage, Status, Sync, announce, reply
 
 
 def answers(
@@ -21,7 +21,7 @@ def answers(
     state: Ints,
 ) -> list[tuple[int, Frame]]:
     """Return what the drives answer to a SYNC or poll, each frame with its leg."""
-    return drives_end(protocol).reply(sync, reading_of(length, rate, force, state))
+    return reply(drives_end(protocol), sync, reading_of(length, rate, force, state))
 
 
 def reading_of(length: Array, rate: Array, force: Array, state: Ints, fault: Ints | int = 0) -> Any:
@@ -33,22 +33,20 @@ def reading_of(length: Array, rate: Array, force: Array, state: Ints, fault: Int
 
 def reports(protocol: DriveProtocol, status: Status) -> tuple[Frame, ...]:
     """Return what a drive sends of its state."""
-    return drives_end(protocol).announce(status)
+    return announce(drives_end(protocol), status)
 
 
 def memory_of(end: Any) -> Any:
     """Return a copy of what six drives remember."""
-    end = getattr(end, "_end", end)
-    return end.state.copy() if isinstance(end, CompiledDrives) else end.memory
+    return getattr(end, "memory", None) or end.state.copy()
 
 
 def go_back(end: Any, before: Any) -> None:
     """Let six drives remember what they did before."""
-    end = getattr(end, "_end", end)
-    if isinstance(end, CompiledDrives):
-        end.state[...] = before
-    else:
+    if hasattr(end, "memory"):
         end.memory = before
+    else:
+        end.state[...] = before
 
 
 def plain(messages: Sequence[DeviceMessage]) -> tuple[DeviceMessage, ...]:

@@ -15,8 +15,8 @@ from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record, new_record
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
-from plant_fmu.messages import DeviceMessage, Sync
 from tests.drivers.drives_end import answers, go_back, memory_of
+from tests.drivers.messages import DeviceMessage, Sync, hear
 
 SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
@@ -67,7 +67,7 @@ def heard(protocol: Any, frame: Frame, present: int = -1) -> tuple[DeviceMessage
     end, start = _drives(protocol)
     start["present"] = present
     go_back(end, start)
-    return end.hear(frame)
+    return hear(end, frame)
 
 
 def parse(protocol: Any, frame: Frame, present: int | None = None) -> DeviceMessage | None:

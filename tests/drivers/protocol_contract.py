@@ -27,9 +27,9 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveSilence, FramesLoss
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.messages import Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import answers
+from tests.drivers.messages import Sync
 
 PERIOD_NS = 4_000_000
 SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)

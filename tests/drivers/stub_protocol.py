@@ -8,18 +8,20 @@ codes of the drives' own.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Ints, Rows
+from drivers.arrays import Rows
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import FAILED, Pointed, of_python
 from drivers.config import BusSettings, DriveSettings
-from drivers.controller_end import ControllerEnd
+from drivers.controller_end import ControllerEnd, array_at
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import received_frames, sent_array
+from drivers.frame_array import FRAME, received_frames, sent_array
 from drivers.protocol import (
     ALWAYS,
     ERROR,
@@ -43,17 +45,8 @@ from drivers.signals import (
     Reaction,
 )
 from drivers.tick_columns import Record
-from plant_fmu.drives.ends import DrivesEnd
-from plant_fmu.messages import (
-    Answer,
-    Configure,
-    DeviceCommand,
-    DeviceMessage,
-    EmergencyStop,
-    Rejected,
-    Status,
-    Sync,
-)
+from plant_fmu.drives import ends
+from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd
 
 STOP, POLL, PLACE, LOAD, SET, DONE, BEAT = range(7)
 """Kinds of frames, in the order of arbitration."""
@@ -121,14 +114,12 @@ class StubProtocol(DriveProtocol):
 
     @cached_property
     def traits(self) -> Traits:
-        zeros = np.zeros(LEGS)
-        answers = self.answer(self.power_up(), Sync(0), zeros, zeros, zeros, np.zeros(LEGS, np.int64))[1]
         return Traits(
             family="stub",
             resolution=Resolution.of(_STEP_m, _STEP_m, SINGLE),
             sent=self._polls(DriveMode.OFF, (0.0,) * LEGS),
-            feedbacks=tuple(frame for _, frame in answers),
-            emergency_stop=tuple(self._frame(STOP, leg) for leg in range(LEGS)),
+            feedbacks=tuple(frame for leg in range(LEGS) for frame in self.feedback(leg, 0.0, 0.0, 0.0, 0)),
+            emergency_stop=tuple(self.frame(STOP, leg) for leg in range(LEGS)),
             feedback_ids=frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS)),
             database=("stub.dbc", 'VERSION ""\n'),
             command_delay_ticks=1,
@@ -145,10 +136,15 @@ class StubProtocol(DriveProtocol):
     def drives_end(self) -> StubDrives:
         return StubDrives(self)
 
-    def _frame(self, kind: int, leg: int, *values: float) -> Frame:
+    def frame(self, kind: int, leg: int, *values: float) -> Frame:
         return Frame(self._id[kind, leg], _FIELDS[kind].pack(*values), EXTENDED)
 
-    def _read(self, frame: Frame) -> tuple[int, int, tuple[float, ...] | None] | None:
+    def feedback(self, leg: int, length: float, rate: float, force: float, state: int) -> tuple[Frame, Frame]:
+        """Return what a drive answers: where it is, and its load."""
+        steps = [round(float(np.clip(v / _STEP_m, -(1 << 31), (1 << 31) - 1))) for v in (length, rate)]
+        return self.frame(PLACE, leg, *steps), self.frame(LOAD, leg, float(np.clip(force, -1e9, 1e9)), state)
+
+    def read(self, frame: Frame) -> tuple[int, int, tuple[float, ...] | None] | None:
         """Return kind, leg and fields; no fields for a wrong length, None for a foreign frame."""
         if not frame.flags & EXTENDED or frame.flags & (REMOTE | ERROR | 0xFF00):
             return None
@@ -162,7 +158,7 @@ class StubProtocol(DriveProtocol):
         return (self._meaning[frame.id][1],)
 
     def sender(self, frame: Frame) -> int:
-        read = self._read(frame)
+        read = self.read(frame)
         return read[1] if read is not None and read[0] in (PLACE, LOAD, DONE, BEAT) else -1
 
     # controller's end
@@ -176,10 +172,10 @@ class StubProtocol(DriveProtocol):
         return StubDialogue(values, nothing, (-RETRY,) * LEGS, self._polls(DriveMode.OFF, nothing))
 
     def _polls(self, mode: int, force: tuple[float, ...]) -> tuple[Frame, ...]:
-        return tuple(self._frame(POLL, leg, mode, f) for leg, f in enumerate(force))
+        return tuple(self.frame(POLL, leg, mode, f) for leg, f in enumerate(force))
 
     def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
-        read = self._read(received.frame)
+        read = self.read(received.frame)
         return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
 
     def awaited(self, frame: Frame) -> int:
@@ -202,7 +198,7 @@ class StubProtocol(DriveProtocol):
         for name in ("length", "rate", "drive_force", "drive_state", "drive_fault"):
             tick[name] = last[name]
         for received in received_frames(frames):
-            read = self._read(received.frame)
+            read = self.read(received.frame)
             if read is None:
                 continue
             kind, leg, fields = read
@@ -251,7 +247,7 @@ class StubProtocol(DriveProtocol):
                 done = 0  # it has lost its set-up
             if len(frames) == MOST_SET_UP:
                 break
-            frames.append(self._frame(SET, leg, done, dialogue.values[done]))
+            frames.append(self.frame(SET, leg, done, dialogue.values[done]))
             dialogue = dialogue._replace(
                 done=_put(dialogue.done, leg, done), asked=_put(dialogue.asked, leg, number)
             )
@@ -262,83 +258,6 @@ class StubProtocol(DriveProtocol):
             "" if done == EXCHANGES else f"exchange {done} of {EXCHANGES} is not confirmed"
             for done in dialogue.done
         )
-
-    # drives' end
-
-    def power_up(self) -> StubMemory:
-        nothing = (0,) * LEGS
-        return StubMemory(nothing, nothing, nothing)
-
-    def parse(self, memory: StubMemory, frame: Frame) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
-        read = self._read(frame)
-        if read is None or read[0] not in self._heard:
-            return memory, ()
-        kind, leg, fields = read
-        if fields is None:
-            return memory, (Rejected("length"),)
-        return self._heard[kind](self, memory, leg, fields)
-
-    def _on_stop(
-        self, memory: StubMemory, leg: int, _fields: tuple[float, ...]
-    ) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
-        return memory, (EmergencyStop((leg,)),)
-
-    def _on_poll(
-        self, memory: StubMemory, leg: int, fields: tuple[float, ...]
-    ) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
-        mode, force = fields
-        if mode >= len(DriveMode) or not isfinite(force):
-            return memory, (Rejected("mode or force"),)
-        count = memory.polls[leg] + 1
-        command = DeviceCommand((leg,), int(mode), np.array([force]), count)
-        return memory._replace(polls=_put(memory.polls, leg, count)), (command, Sync(0, (leg,)))
-
-    def _on_set(
-        self, memory: StubMemory, leg: int, fields: tuple[float, ...]
-    ) -> tuple[StubMemory, tuple[DeviceMessage, ...]]:
-        step, value = map(int, fields)
-        fits = (value == MAGIC, value > 0, value < len(Reaction))
-        if step >= EXCHANGES or step > memory.done[leg] or not fits[step]:
-            return memory, (Rejected("exchange"),)
-        memory = memory._replace(done=_put(memory.done, leg, step + 1))
-        answer = Answer(leg, self._frame(DONE, leg, step))
-        if step == 1:
-            memory = memory._replace(watchdog_us=_put(memory.watchdog_us, leg, value))
-        if step < EXCHANGES - 1:
-            return memory, (answer,)
-        return memory, (Configure(leg, memory.watchdog_us[leg] * 1e-6, Reaction(value)), answer)
-
-    _heard: dict[int, Callable[..., tuple[StubMemory, tuple[DeviceMessage, ...]]]] = {
-        STOP: _on_stop,
-        POLL: _on_poll,
-        SET: _on_set,
-    }
-
-    def answer(
-        self,
-        memory: StubMemory,
-        sync: Sync,
-        length: Array,
-        rate: Array,
-        force: Array,
-        state: Ints,
-        _fault: Ints | None = None,
-    ) -> tuple[StubMemory, list[tuple[int, Frame]]]:
-        frames = []
-        for leg in sync.legs:
-            values = float(length[leg]), float(rate[leg]), float(force[leg])
-            if any(np.isnan(values)):
-                raise ProtocolError(f"feedback of leg {leg} is not a number: {values}")
-            steps = [round(float(np.clip(v / _STEP_m, -(1 << 31), (1 << 31) - 1))) for v in values[:2]]
-            frames.append((leg, self._frame(PLACE, leg, *steps)))
-            frames.append(
-                (leg, self._frame(LOAD, leg, float(np.clip(values[2], -1e9, 1e9)), int(state[leg])))
-            )
-        return memory, frames
-
-    def report(self, memory: StubMemory, status: Status) -> tuple[StubMemory, tuple[Frame, ...]]:
-        code = OWN_FAULTS + status.fault if status.fault else 0
-        return memory, (self._frame(BEAT, status.leg, status.state, code),)
 
 
 class StubController(ControllerEnd):
@@ -376,25 +295,77 @@ class StubController(ControllerEnd):
 
 
 class StubDrives(DrivesEnd):
-    """The drives' end. Mutable state: the memory."""
+    """The drives' end, in plain Python. Mutable state: the memory."""
 
     def __init__(self, protocol: StubProtocol) -> None:
-        self._protocol, self.memory = protocol, protocol.power_up()
+        self._protocol, self.memory = protocol, StubMemory(*[(0,) * LEGS] * 3)
+        parse, answer, report = (
+            Pointed(address, (INTEGER,) * count, function)
+            for address, count, function in (
+                self._by_address(lambda *_: FAILED, 3),
+                self._by_address(self._answers, 5),
+                self._by_address(self._reports, 8),
+            )
+        )
+        super().__init__(np.zeros(1), parse, answer, report)
 
-    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
-        self.memory, messages = self._protocol.parse(self.memory, frame)
-        return messages
+    def _by_address(self, function: Callable[..., int], count: int) -> tuple[int, int, Callable[..., int]]:
+        address, keeps = of_python(function, *[INTEGER] * count)
+        self._keeps = (*getattr(self, "_keeps", ()), keeps)
+        return address, count, function
 
-    def reply(self, sync: Sync, reading: Record) -> list[tuple[int, Frame]]:
-        self.memory, frames = self._protocol.answer(self.memory, sync, *reading.tolist())
-        return frames
+    def converse(self, frame: Frame) -> None:
+        read = self._protocol.read(frame)
+        if read is None or read[0] not in (STOP, POLL, SET):
+            return
+        kind, leg, fields = read
+        if fields is None:
+            self.put(ends.REJECTED)
+        elif kind == STOP:
+            self.put(ends.STOP, (leg,))
+        elif kind == POLL:
+            self._on_poll(leg, int(fields[0]), fields[1])
+        else:
+            self._on_set(leg, int(fields[0]), int(fields[1]))
 
-    def announce(self, status: Status) -> tuple[Frame, ...]:
-        self.memory, frames = self._protocol.report(self.memory, status)
-        return frames
+    def _on_poll(self, leg: int, mode: int, force: float) -> None:
+        if mode >= len(DriveMode) or not isfinite(force):
+            self.put(ends.REJECTED)
+            return
+        count = self.memory.polls[leg] + 1
+        self.memory = self.memory._replace(polls=_put(self.memory.polls, leg, count))
+        self.put(ends.COMMAND, (leg,), mode, count, force)
+        self.put(ends.SYNC, (leg,))
 
-    def restart(self, _legs: Sequence[int]) -> None:
-        """Forget nothing."""
+    def _on_set(self, leg: int, step: int, value: int) -> None:
+        memory, fits = self.memory, (value == MAGIC, value > 0, value < len(Reaction))
+        if step >= EXCHANGES or step > memory.done[leg] or not fits[step]:
+            self.put(ends.REJECTED)
+            return
+        memory = memory._replace(done=_put(memory.done, leg, step + 1))
+        if step == 1:
+            memory = memory._replace(watchdog_us=_put(memory.watchdog_us, leg, value))
+        if step == EXCHANGES - 1:
+            self.put(ends.CONFIGURE, (leg,), value, 1000 * memory.watchdog_us[leg])
+        self.memory = memory
+        self.say(leg, self._protocol.frame(DONE, leg, step))
+
+    def _answers(self, _context: int, asked_at: int, reading_at: int, into: int, legs_at: int) -> int:
+        (asked,), (reading,) = array_at(asked_at, 1, MESSAGE), array_at(reading_at, 1, READING)
+        legs, frames = asked["legs"][: asked["count"]].tolist(), []
+        for leg in legs:
+            length, rate, force = (float(reading[name][leg]) for name in ("length", "rate", "force"))
+            if np.isnan((length, rate, force)).any():
+                return FAILED
+            frames += self._protocol.feedback(leg, length, rate, force, int(reading["state"][leg]))
+        array_at(into, len(frames), FRAME)[:] = sent_array(frames)
+        array_at(legs_at, len(frames), np.int64)[:] = np.repeat(legs, 2)
+        return len(frames)
+
+    def _reports(self, _context: int, leg: int, state: int, fault: int, *rest: int) -> int:
+        frame = self._protocol.frame(BEAT, leg, state, OWN_FAULTS + fault if fault else 0)
+        array_at(rest[-1], 1, FRAME)[:] = sent_array([frame])
+        return 1
 
 
 def stub(bus: BusSettings, drives: DriveSettings) -> StubProtocol:

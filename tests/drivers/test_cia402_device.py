@@ -13,10 +13,10 @@ from drivers.cia402.states import State
 from drivers.protocol import Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, missing, refused, signed
-from plant_fmu.messages import Alive, Answer, Configure, EmergencyStop, Rejected, Status, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import changed, drives, holding
 from tests.drivers.drives_end import plain
+from tests.drivers.messages import Alive, Answer, Configure, EmergencyStop, Rejected, Status, Sync
 
 LEG, NODE = 3, 4
 P = ByValue(drives((1, 2, 3, NODE, 5, 6), lead_m=2 * np.pi * 9e-3 / 2.5, counts_per_turn=4096))
@@ -200,7 +200,7 @@ def test_a_pdo_is_taken_in_operational_and_one_that_is_cut_is_refused_with_an_em
         still = mapped(drive(nmt=nmt), o.RPDO_MAP, keys)
         assert on_rpdo(still, keys, data) == (still, ())
     cut = (
-        Rejected("PDO of 3 bytes, mapped are 4"),
+        Rejected(),
         Answer(LEG, Frame(0x84, bytes.fromhex("1082010000000000"))),
     )
     assert on_rpdo(drive(), keys, data[:3])[1] == cut
@@ -277,7 +277,7 @@ def test_a_request_is_answered_by_its_value_its_confirmation_or_its_abort_code(r
 
 def test_an_abort_of_the_client_and_a_request_that_is_cut_are_not_answered():
     assert asked(drive(), "8060600000000206")[1] == []
-    assert on_sdo(drive(), bytes.fromhex("40606000000000"))[1] == (Rejected("SDO request of 7 bytes"),)
+    assert on_sdo(drive(), bytes.fromhex("40606000000000"))[1] == (Rejected(),)
 
 
 def test_a_write_acts_as_its_object_does():
@@ -390,10 +390,6 @@ def test_what_six_drives_answer_saturates_and_comes_from_those_that_run_and_have
     _, sent = protocol.answer(memory, Sync(0, (0, 1, 3, 4, 5)), length, np.zeros(6), np.zeros(6), states)
     assert [leg for leg, _ in sent] == [1, 4, 5]
     assert [struct.unpack("<Hih", frame.data)[1] for _, frame in sent] == [2, 2**31 - 1, -(2**31)]
-    for text, frame in (
-        ("NMT command of 1 bytes", Frame(0, b"\1")),
-        ("heartbeat of 2 bytes", Frame(0x77F, b"\5\5")),
-        ("SDO request of 7 bytes", Frame(0x601, bytes(7))),
-    ):
-        assert protocol.parse(memory, frame) == (memory, (Rejected(text),))
+    for frame in (Frame(0, b"\1"), Frame(0x77F, b"\5\5"), Frame(0x601, bytes(7))):
+        assert protocol.parse(memory, frame) == (memory, (Rejected(),))
     assert protocol.parse(memory, Frame(0x607, bytes(8))) == (memory, ())

@@ -16,7 +16,6 @@ from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
-from plant_fmu.messages import Answer, DeviceCommand, Status, Sync, UnwatchedCommand
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import (
     PERMILLE_N,
@@ -28,6 +27,7 @@ from tests.drivers.cia402_drives import (
     drives,
     holding,
 )
+from tests.drivers.messages import Answer, DeviceCommand, Status, Sync, UnwatchedCommand
 from tests.drivers.protocol_contract import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 
 RUN = Command(DriveMode.RUN, FORCE)

@@ -14,9 +14,9 @@ from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.drives.cia402_dictionary import signed
-from plant_fmu.messages import EmergencyStop
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import COUNTS, NODES, drives, holding, settings
+from tests.drivers.messages import EmergencyStop
 from tests.drivers.protocol_contract import SETUP, Ends
 
 ON_ITS_OWN = 1 << 30

@@ -11,9 +11,9 @@ from drivers.cia402.states import State
 from drivers.errors import ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import DriveState
-from plant_fmu.messages import Alive, Answer, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import changed, drives, holding, made
+from tests.drivers.messages import Alive, Answer, Sync
 from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR
 
 NODES = (11, 12, 13, 14, 15, 16)
@@ -79,7 +79,7 @@ def test_a_drive_never_sends_what_is_no_number(leg):
     for at in range(3):
         given = [np.full(6, 1.0) for _ in range(3)]
         given[at][leg] = np.nan
-        with pytest.raises(ProtocolError, match=rf"feedback of leg {leg} is not a number: "):
+        with pytest.raises(ProtocolError, match="not a number"):
             P.answer(running(), Sync(0), given[0], given[1], given[2], RUNNING)
 
 

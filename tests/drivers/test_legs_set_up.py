@@ -15,10 +15,10 @@ from drivers.protocol import ALL_LEGS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup,
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import Configure, Rejected, Status, Sync
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.drives_end import reading_of, reports
 from tests.drivers.legs_frames import command_frames, opening, parse
+from tests.drivers.messages import Configure, Rejected, Status, Sync, hear, reply
 
 NODES = (127, 20, 30, 40, 50, 1)
 P = LegsProtocol("fd", NODES, 32_000.0)
@@ -261,29 +261,27 @@ def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
 # what drives refuse
 
 
-def test_drives_say_why_they_refuse_a_frame():
+def test_drives_refuse_a_frame_that_is_cut_repeated_or_of_another_sync():
     command = command_frames(P, Command(DriveMode.RUN, np.zeros(6)), 7)[0]
     sync = opening(P, 7)[0]
-    for frame, present, reason in (
-        (sync, 7, "repeated SYNC"),
-        (sync._replace(data=sync.data[:1]), 0, "length or CRC of SYNC"),
-        (sync._replace(data=b"\7\0"), 0, "length or CRC of SYNC"),
-        (command._replace(data=command.data[:24]), 7, "command of 24 bytes"),
-        (command, 8, "command 7 while the present SYNC is 8"),
-        (command, -1, "command 7 while the present SYNC is -1"),
-        (P.configure(0.0125, Reaction.HOLD)[2]._replace(data=bytes(9)), 7, "length or CRC of CONFIG"),
+    for frame, present in (
+        (sync, 7),
+        (sync._replace(data=sync.data[:1]), 0),
+        (sync._replace(data=b"\7\0"), 0),
+        (command._replace(data=command.data[:24]), 7),
+        (command, 8),
+        (command, -1),
+        (P.configure(0.0125, Reaction.HOLD)[2]._replace(data=bytes(9)), 7),
     ):
         end: Any = drives_end(P)
         end.record["present"] = present
-        assert end.hear(frame) == (Rejected(reason),)
+        assert hear(end, frame) == (Rejected(),)
         assert end.record["present"].tolist() == [present] * 6
     assert parse(P, sync, 6) == Sync(7)
-    text = "CONFIG of version 3 of the protocol, this drive has 2"
     newer = LegsProtocol("fd", NODES, 32_000.0)
     newer.tables["version"] = 3
-    assert parse(P, newer.configure(0.0125, Reaction.HOLD)[2]) == Rejected(text)
-    text = "CONFIG with watchdog 12500 us, reaction 2, leg 6"
-    assert parse(P, placed(1, 2, 6, 4, 5, 3).configure(0.0125, Reaction.HOLD)[2]) == Rejected(text)
+    assert parse(P, newer.configure(0.0125, Reaction.HOLD)[2]) == Rejected()
+    assert parse(P, placed(1, 2, 6, 4, 5, 3).configure(0.0125, Reaction.HOLD)[2]) == Rejected()
 
 
 # on several buses
@@ -296,8 +294,8 @@ def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_t
     assert [frame.bus for frame in frames] == [0, 1]
     end = drives_end(protocol)
     for frame in opening(protocol, 7):
-        end.hear(frame)
-    found = [end.hear(frame)[0] for frame in frames]
+        hear(end, frame)
+    found = [hear(end, frame)[0] for frame in frames]
     assert [(each.legs, each.force.tolist()) for each in found] == [  # type: ignore[union-attr]
         ((4, 1), [5.0, 2.0]),
         ((0, 2, 3, 5), [1.0, 3.0, 4.0, 6.0]),
@@ -307,7 +305,7 @@ def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_t
 def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
     ones = np.ones(6)
-    answers = drives_end(protocol).reply(Sync(7), reading_of(ones, ones, ones, np.ones(6, np.int64)))
+    answers = reply(drives_end(protocol), Sync(7), reading_of(ones, ones, ones, np.ones(6, np.int64)))
     assert sorted(leg for leg, _ in answers) == list(range(6))
     last, tick = new_record(), new_record()
     tick["tick"] = 7

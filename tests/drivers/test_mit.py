@@ -24,9 +24,9 @@ from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.mit import device_motion
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.messages import Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.drives_end import answers
+from tests.drivers.messages import Sync
 from tests.drivers.motor_families import (
     Heard,
     MitProtocol,

@@ -21,8 +21,8 @@ from drivers.moteus import QUERY, STOP, pad, torque_command
 from drivers.protocol import BRS, EXTENDED, FD, DriveSetup, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
-from plant_fmu.messages import Configure, DeviceCommand, Rejected, Sync
 from tests.drivers import moteus_foreign as foreign
+from tests.drivers.messages import Configure, DeviceCommand, Rejected, Sync
 from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick

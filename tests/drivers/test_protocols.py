@@ -28,7 +28,7 @@ from hil.loop.daemon import switch_off
 from hil.loop.report import waiting_text
 from hil.record.log import Log
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import DeviceCommand
+from tests.drivers.messages import DeviceCommand, hear
 from tests.drivers.protocol_contract import Ends, ProtocolContract
 from tests.drivers.stub_protocol import MOST_SET_UP, StubProtocol, stub
 from tests.drivers.trouble_contract import TroubleContract
@@ -185,7 +185,7 @@ def test_a_loop_that_fails_switches_the_drives_off_also_where_the_poll_is_the_co
     bus = Wire()
     switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
     assert len(bus.sent) == 5 * 6
-    heard = [drives_end(cycle.parts.protocol).hear(frame)[0] for frame in bus.sent]
+    heard = [hear(drives_end(cycle.parts.protocol), frame)[0] for frame in bus.sent]
     assert {each.mode for each in heard if isinstance(each, DeviceCommand)} == {DriveMode.OFF}
 
 

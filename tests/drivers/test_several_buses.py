@@ -23,11 +23,11 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import Answer, Configure, DeviceCommand, Sync
 from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import holding
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, opening, parse
+from tests.drivers.messages import Answer, Configure, DeviceCommand, Sync, hear
 from tests.drivers.protocol_contract import Ends
 from tests.sensed import Readings
 from tests.sensed import decode as decode_samples
@@ -198,7 +198,7 @@ def test_every_leg_gets_its_own_force_whatever_the_assignment(layout, legs):
     end = drives_end(protocol)
     got: dict[int, float] = {}
     for frame in opening(protocol, 9) + command_frames(protocol, Command(DriveMode.RUN, FORCE), 9):
-        for message in end.hear(frame):
+        for message in hear(end, frame):
             if isinstance(message, DeviceCommand):
                 got |= dict(zip(message.legs, message.force.tolist(), strict=True))
     assert got == pytest.approx(dict(enumerate(FORCE.tolist())), abs=0.01)
@@ -218,11 +218,11 @@ def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it()
     protocol = LegsProtocol("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
     first, second = opening(protocol, 4)
     end = drives_end(protocol)
-    assert end.hear(second) == (Sync(4, (3, 4, 5)),)
+    assert hear(end, second) == (Sync(4, (3, 4, 5)),)
     commands = command_frames(protocol, Command(DriveMode.OFF, np.zeros(6)), 4)
-    kinds = [type(end.hear(frame)[0]).__name__ for frame in commands]
+    kinds = [type(hear(end, frame)[0]).__name__ for frame in commands]
     assert kinds == ["Rejected", "DeviceCommand"], "bus 0 has had no SYNC"
-    assert end.hear(first) == (Sync(4, (0, 1, 2)),)
+    assert hear(end, first) == (Sync(4, (0, 1, 2)),)
 
 
 @pytest.mark.parametrize("name", ["legs", "cia402", "odrive", "moteus"])

@@ -22,9 +22,9 @@ from hil.loop.sight import Sight
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import Operator, TickInput
 from hil.trajectory.path import PoseSample
-from plant_fmu.messages import Configure, DeviceCommand, EmergencyStop, Status
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import one_feedback, parse
+from tests.drivers.messages import Configure, DeviceCommand, EmergencyStop, Status
 from tests.stories import fault_text
 
 PERIOD_NS = 1_000_000

@@ -15,9 +15,9 @@ from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator
 from hil.trajectory.move import GeodesicMove
-from plant_fmu.messages import Status
 from tests.drivers.by_value import ByValue, InPython
 from tests.drivers.drives_end import reports
+from tests.drivers.messages import Status
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
 

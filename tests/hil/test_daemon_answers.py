@@ -23,9 +23,9 @@ from hil.loop.daemon import Shell, _answers, run, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import DeviceCommand, Sync
 from tests.drivers.drives_end import answers
 from tests.drivers.frames_heard import got
+from tests.drivers.messages import DeviceCommand, Sync, hear
 
 TICK = 1003
 
@@ -131,7 +131,7 @@ def test_a_loop_that_fails_sends_sync_and_command_so_that_the_drives_obey(cycle)
     bus, protocol = Queue(), cycle.parts.protocol
     switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
     end = drives_end(protocol)
-    heard = [message for frame in bus.sent for message in end.hear(frame)]
+    heard = [message for frame in bus.sent for message in hear(end, frame)]
     commands = [each for each in heard if isinstance(each, DeviceCommand)]
     assert len(commands) == 5
     assert {each.mode for each in commands} == {DriveMode.OFF}
@@ -144,7 +144,7 @@ def test_the_commands_of_a_loop_that_fails_go_on_where_its_ticks_have_ended(cycl
     ended = SimpleNamespace(tick=last, period_ns=1_000)
     assert switch_off(cycle, cast("Bus", bus), cast("Deadlines", ended))
     end = drives_end(protocol)
-    heard = [message for frame in bus.sent for message in end.hear(frame)]
+    heard = [message for frame in bus.sent for message in hear(end, frame)]
     counters = [each.counter for each in heard if isinstance(each, DeviceCommand)]
     assert counters == [last + k for k in range(1, 6)]
 
@@ -157,7 +157,7 @@ def test_a_loop_that_fails_never_repeats_the_force_of_its_last_tick_where_the_po
     ended = SimpleNamespace(tick=6, period_ns=1_000)
     assert switch_off(desktop, cast("Bus", bus), cast("Deadlines", ended))
     end = drives_end(protocol)
-    heard = [each for frame in bus.sent for each in end.hear(frame) if isinstance(each, DeviceCommand)]
+    heard = [each for frame in bus.sent for each in hear(end, frame) if isinstance(each, DeviceCommand)]
     assert len(heard) == 5 * 6
     assert {each.mode for each in heard} == {DriveMode.OFF}
 

@@ -12,9 +12,9 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
 from hil.loop.report import waiting_text
 from hil.signals import Operator
-from plant_fmu.messages import Configure, EmergencyStop, Status
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
+from tests.drivers.messages import Configure, EmergencyStop, Status
 from tests.hil.test_cycle import PERIOD_NS, Bench
 from tests.stories import fault_text
 

@@ -22,9 +22,9 @@ from hil.loop.replay import recorded_input
 from hil.record.log import Tick
 from hil.signals import TickInput
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import Sync
 from tests.drivers.drives_end import reading_of
 from tests.drivers.legs_frames import opening
+from tests.drivers.messages import Sync, hear, reply
 from tests.records import record_of
 
 
@@ -104,10 +104,10 @@ def answer_of_two(tick):
     """The feedback of leg 0 to the SYNC of a tick, 0.2 ms after it was given to the bus."""
     two = protocol("two_buses")
     end = drives_end(two)
-    (sync,) = end.hear(opening(two, tick)[0])
+    (sync,) = hear(end, opening(two, tick)[0])
     assert isinstance(sync, Sync)
     zeros, states = np.zeros(6), np.zeros(6, dtype=np.int64)
-    return Received(1_200_000, dict(end.reply(sync, reading_of(zeros, zeros, zeros, states)))[0])
+    return Received(1_200_000, dict(reply(end, sync, reading_of(zeros, zeros, zeros, states)))[0])
 
 
 def test_an_answer_that_names_an_older_sync_or_is_damaged_sets_no_clock_right():

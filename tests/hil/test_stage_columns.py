@@ -40,11 +40,11 @@ from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from hil.signals import Operator
-from plant_fmu.messages import Status
 from tests import sensed
 from tests.broad import broad
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import SETUP, one_feedback
+from tests.drivers.messages import Status
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
 from tests.records import altered, arrived, record_of
 from tests.sensed import Readings, Sample

@@ -22,8 +22,8 @@ from hil.loop.story.narrator import Narrator, said
 from hil.loop.story.told import DONE, GLOSSARY, DriveSaid, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
-from plant_fmu.messages import Configure, Status
 from tests.drivers.drives_end import reports
+from tests.drivers.messages import Configure, Status
 from tests.hil.test_cycle import Bench
 from tests.hil.test_frames import OURS
 from tests.records import altered

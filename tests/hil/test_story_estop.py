@@ -8,8 +8,8 @@ from drivers.signals import DriveFault, DriveState, Mode, Reaction
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Step, Story
 from hil.signals import Operator
-from plant_fmu.messages import Configure, Status
 from tests.drivers.drives_end import reports
+from tests.drivers.messages import Configure, Status
 from tests.hil.test_cycle import Bench
 from tests.hil.test_frames import OURS
 from tests.hil.test_story import go_on

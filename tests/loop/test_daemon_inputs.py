@@ -22,7 +22,7 @@ from hil.loop.run_end import Course
 from hil.operate.channel import Heard
 from hil.signals import Operator, Order, TickInput
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import DeviceCommand
+from tests.drivers.messages import DeviceCommand, hear
 from tests.loop.test_run_end_daemon import Wire
 
 LATE_NS, OUT_NS = 70_000, 123_000
@@ -162,7 +162,7 @@ def test_a_reset_calls_the_frames_of_a_dead_bus_back(operator, tries):
 
 def modes(wire: Busy, protocol: Any) -> list[DriveMode]:
     end = drives_end(protocol)
-    heard = [message for frame in wire.all_sent for message in end.hear(frame)]
+    heard = [message for frame in wire.all_sent for message in hear(end, frame)]
     return [DriveMode(each.mode) for each in heard if isinstance(each, DeviceCommand)]
 
 

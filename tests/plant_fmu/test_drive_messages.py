@@ -8,18 +8,23 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import FAILED, Pointed, of_python
 from drivers.config import DriveSettings
+from drivers.controller_end import array_at
+from drivers.frame_array import FRAME
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received, Traits
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.ends import ALIVE
 from plant_fmu.drives.legs import LegsDrives
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.messages import Alive, Answer, Configure, DeviceMessage, Status
 from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, opening
+from tests.drivers.messages import Configure, Status
 from tests.plant_fmu.test_nodes import MS, Masses, Rig
 
 
@@ -66,14 +71,21 @@ class Asked(LegsProtocol):
 class AskedDrives(LegsDrives):
     def __init__(self, family: LegsProtocol) -> None:
         super().__init__(family)
-        self.parse = 0  # the pass leaves all frames to Python
+        self._decode = self.parse
+        address, self._keeps = of_python(self._look, *[INTEGER] * 3)
+        self.parse = Pointed(address, (INTEGER,) * 3, self._look)
 
-    def hear(self, frame: Frame) -> tuple[DeviceMessage, ...]:
+    def _look(self, end: int, frame_at: int, messages: int) -> int:
+        (frame,) = array_at(frame_at, 1, FRAME)
+        return FAILED if frame["id"] in (0x7FE, 0x7FF) else self._decode.raw(end, frame_at, messages)
+
+    def converse(self, frame: Frame) -> None:
         if frame.id == 0x7FE:
-            return (Alive(tuple(frame.data)),)
-        if frame.id == 0x7FF:
-            return (Answer(frame.data[0], Frame(0x6A0 + frame.data[0], b"here")),)
-        return super().hear(frame)
+            self.put(ALIVE, tuple(frame.data))
+        elif frame.id == 0x7FF:
+            self.say(frame.data[0], Frame(0x6A0 + frame.data[0], b"here"))
+        else:
+            super().converse(frame)
 
 
 def test_a_sign_of_life_feeds_the_watchdogs_of_those_that_it_is_for():
@@ -107,15 +119,19 @@ def test_a_status_is_due_at_its_heartbeat_and_not_where_something_has_changed():
     said: list[tuple[int, bool]] = []
 
     class ReportingDrives(LegsDrives):
-        def announce(self, status: Status) -> tuple[Frame, ...]:
-            said.append((status.leg, status.due))
-            return super().announce(status)
+        def __init__(self, family: LegsProtocol) -> None:
+            super().__init__(family)
+            self._reports = self.report
+            address, self._keeps = of_python(self._note, *[INTEGER] * 8)
+            self.report = Pointed(address, (INTEGER,) * 8, self._note)
+
+        def _note(self, *given: int) -> int:
+            said.append((given[1], bool(given[6])))
+            return self._reports.raw(*given)
 
     class Reporting(LegsProtocol):
         def drives_end(self) -> LegsDrives:
-            end = ReportingDrives(self)
-            end.report = 0  # the pass leaves all reports to Python
-            return end
+            return ReportingDrives(self)
 
     protocol = Reporting("fd", (1, 2, 3, 4, 5, 6))
     nodes = Nodes(Masses(), protocol, DriveEmulation(), DriveSettings())

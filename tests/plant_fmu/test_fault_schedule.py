@@ -12,8 +12,8 @@ import pytest
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
 from plant_fmu.drives import drives_end
+from plant_fmu.drives.gateway import Gateway
 from plant_fmu.faults.fault import NEVER_NS, Fault, Occurrence, Passage
-from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.kinds import (
     BusFlood,
     DriveReset,

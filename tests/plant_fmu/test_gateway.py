@@ -6,7 +6,7 @@ import pytest
 
 from drivers.legs.protocol import LegsProtocol
 from plant_fmu.drives import drives_end
-from plant_fmu.faults.gateway import Gateway
+from plant_fmu.drives.gateway import Gateway
 from plant_fmu.faults.kinds import BusFlood
 from plant_fmu.faults.plan import FaultPlan, Schedule
 

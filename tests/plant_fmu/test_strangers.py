@@ -16,9 +16,9 @@ from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveProtocol, DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
 from plant_fmu.drives import drives_end
+from plant_fmu.drives.gateway import Gateway
 from plant_fmu.faults import stranger
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.gateway import Gateway
 from plant_fmu.faults.kinds import BusSecondController, FramesForgedCommand
 from plant_fmu.faults.plan import FaultPlan, Schedule
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick

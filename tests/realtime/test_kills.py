@@ -18,8 +18,8 @@ from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.record.log import Log
 from hil.record.salvage import salvage
-from plant_fmu.messages import DeviceCommand
 from tests.drivers.legs_frames import parse
+from tests.drivers.messages import DeviceCommand
 from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
 
 pytestmark = pytest.mark.realtime

@@ -16,7 +16,6 @@ from hil.config.values import Pose
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from plant_fmu.drives import drives_end
-from plant_fmu.messages import Status
 
 TILT_deg = (3.0, 2.0, 4.0)
 """Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""
@@ -130,6 +129,5 @@ def unasked_identifiers(protocol: DriveProtocol) -> frozenset[int]:
     known: set[int] = set()
     for leg in range(LEGS):
         with contextlib.suppress(ProtocolError):
-            said = drives_end(protocol).announce(Status(leg, int(DriveState.OFF), 0))
-            known |= {frame.id for frame in said}
+            known |= {frame.id for frame in drives_end(protocol).announce(leg, DriveState.OFF)}
     return frozenset(known)

@@ -12,8 +12,8 @@ from hil.app.homing.last_pose import last_pose_of
 from hil.app.sim.build import build_lockstep
 from hil.loop.run_end import Ending
 from hil.robot.kinematics import leg_lengths
-from plant_fmu.drives.nodes import Nodes
 from plant_fmu.rehearsal.bench import RehearsalBench
+from plant_fmu.rehearsal.wired_drives import WiredNodes
 
 
 class Together(NamedTuple):
@@ -39,7 +39,8 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms, last_pose=pose)
     plant = mounted(c, bench.wiring)
     try:
-        nodes = Nodes(bench.behind_cables(plant), bench.drives_end, emulated(c).drives, c.drives)
+        cables = bench.behind_cables(plant)
+        nodes = WiredNodes(bench.wiring, cables, bench.protocol, emulated(c).drives, c.drives)
         lockstep = build_lockstep(c, cycle, nodes)
         return lockstep.run(None, lambda *_: None)
     finally:

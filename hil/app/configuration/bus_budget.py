@@ -11,8 +11,7 @@ from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import EXTENDED, FD, DriveProtocol, DriveSetup, Frame
 from drivers.sensors import SensorProtocol
-from drivers.signals import LEGS, DriveFault, DriveState
-from plant_fmu.messages import Status
+from drivers.signals import LEGS, DriveState
 
 _SET_UP_BYTES = 8
 """Of a frame that sets up, in every family: CONFIG, an SDO, a parameter."""
@@ -160,10 +159,9 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
 
     found: list[Frame] = []
     for turn in range(floor(LEGS / (heartbeat_s * rate_Hz) * (1 + 1e-9))):
-        status = Status(turn % LEGS, DriveState.OFF, DriveFault.NONE)
-        end = drives_end(protocol)
-        end.announce(status)  # some say once that they have started
-        found += end.announce(status)
+        end, leg = drives_end(protocol), turn % LEGS
+        end.announce(leg, DriveState.OFF)  # some say once that they have started
+        found += end.announce(leg, DriveState.OFF)
     return tuple(found)
 
 

@@ -17,9 +17,9 @@ from hil.app.compose import build_protocol
 from hil.bringup.procedure import STEPS
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.cia402_dictionary import PLACE, defaults
-from plant_fmu.messages import Rejected
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
+from tests.drivers.messages import Rejected, hear
 from tests.drivers.motor_families import Motors
 from tests.hil.bringup.families import FAMILIES, family
 from tests.hil.bringup.kit import Rehearsal
@@ -131,5 +131,5 @@ def test_a_damiao_is_asked_by_its_registers_15_and_14():
     assert heard.answer is None, "no answer to the set-up"
     for other in ("0500550f785634f2", "0600330f785634f2", "0500330a785634f2", "0500330f7856"):
         assert damiao.identity(answer._replace(data=bytes.fromhex(other))) is None
-    refused = drives_end(damiao).hear(Frame(0x7FF, bytes.fromhex("0500550f00000000")))
+    refused = hear(drives_end(damiao), Frame(0x7FF, bytes.fromhex("0500550f00000000")))
     assert isinstance(refused[0], Rejected)

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import Any
 
 from drivers.protocol import DriveProtocol, Frame, Received
+from plant_fmu.drives.ends import SYNC, DrivesEnd
 from plant_fmu.faults.kinds import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
 from plant_fmu.faults.stranger import forged
-from plant_fmu.messages import Sync
 
 _TIME = itemgetter(0)
 AHEAD_NS = 2_000_000
@@ -24,7 +23,7 @@ class Gateway:
     of the last step, what the protocol remembers at the drives' end.
     """
 
-    def __init__(self, schedule: Schedule, protocol: DriveProtocol, end: Any, t0_ns: int) -> None:
+    def __init__(self, schedule: Schedule, protocol: DriveProtocol, end: DrivesEnd, t0_ns: int) -> None:
         """Take the schedule, and the protocol with a drives' end of its own, powered up."""
         self._schedule = schedule
         self._protocol = protocol
@@ -53,11 +52,11 @@ class Gateway:
         """Answer a SYNC, or the poll of a drive, before its controller sends another command."""
         protocol, addressed = self._protocol, self._protocol.addressed
         for message in self._end.hear(frame):
-            if isinstance(message, Sync):
+            if message["kind"] == SYNC:
                 for fault in (own.fault for own in self._schedule.active(t_ns)):
                     if isinstance(fault, FramesForgedCommand):
                         asked = set(addressed(frame))  # all on the bus of a SYNC, or the one that is polled
-                        frames = forged(protocol, fault.force_N, message.counter)
+                        frames = forged(protocol, fault.force_N, int(message["counter"]))
                         self._add(t_ns, [each for each in frames if asked & set(addressed(each))], heard)
 
     def _send(self, until_ns: int, heard: list[Timed]) -> None:

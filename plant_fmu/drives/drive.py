@@ -60,6 +60,7 @@ class Drives:
         n.limit_N = settings.force_limit_N
         n.damping, n.stiffness = emulation.damping_N_s_m, emulation.hold_stiffness_N_m
         n.opening_ns, n.closing_ns = 1e6 * emulation.brake_open_ms, 1e6 * emulation.brake_close_ms
+        n.brake_after_ns = round(settings.brake_after_ms * 1e6)
         # First-order lag over one step: its end value and its mean, both 1 without a lag.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         n.lags, n.lag_end = x > 0.0, exp(-x)

@@ -29,7 +29,7 @@ _NEXT = np.array(
     [[TRANSITIONS[mode].get(state, _STAYS) for state in map(int, DriveState)] for mode in DriveMode]
 )
 _MODE_OFF = int(DriveMode.OFF)
-_NO_FAULT = int(DriveFault.NONE)
+_NO_FAULT, _ESTOP = int(DriveFault.NONE), int(DriveFault.ESTOP)
 
 
 @helper
@@ -121,6 +121,30 @@ def actuate(n: Any, lag: bool, t_ns: int) -> None:
 def next_move_ns(n: Any) -> int:
     """Return when the next brake will have opened or closed, ns."""
     return int(min(n.moved_ns.min(), n.followed_ns.min()))
+
+
+@helper
+def fail(n: Any, leg: int, fault: int, t_ns: int) -> bool:
+    """Latch a fault at `t_ns`, the plant being there; the first one stays, but for an emergency stop.
+
+    Tells whether it is to be reported.
+    """
+    state, stops = n.state[leg], fault == _ESTOP
+    if state == FAULT:
+        reports = stops and n.fault[leg] != fault
+        n.acting[leg], n.deadline_ns[leg] = BRAKE, NEVER_NS
+        if stops:
+            n.fault[leg] = fault
+    else:
+        reports = True
+        n.acting[leg] = BRAKE if stops or state != RUN or n.lost[leg] else n.reaction[leg]
+        n.held_m[leg] = encoder(n, leg)[0]
+        enter(n, leg, FAULT, fault)
+        if n.acting[leg] in (DAMP, HOLD):
+            n.deadline_ns[leg] = t_ns + n.brake_after_ns
+    actuate(n, False, t_ns)
+    n.calm_ns = min(n.calm_ns, next_move_ns(n))
+    return bool(reports)
 
 
 @helper

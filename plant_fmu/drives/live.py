@@ -10,18 +10,19 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
-from drivers.compiled.pointed import call, integers_at, pointed
+from drivers.compiled.pointed import call, integers_at
 from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import begin_sent, frame_at, in_order
-from drivers.signals import LEGS
+from drivers.signals import LEGS, DriveFault
 from drivers.transmission import fill_loss
 from plant_fmu.drives import ends
 from plant_fmu.drives import record as r
-from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, feed, next_move_ns, obey
+from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, fail, feed, next_move_ns, obey
 
 NODES_RECORD: Any = record(r.NODES)
 _FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 _FRAME_WORDS, _MESSAGE_WORDS, _READING_WORDS = _FRAME // 8, _MESSAGE // 8, ends.READING.itemsize // 8
+_WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
 _PRE_OPERATIONAL = 0x7F
 """CiA 301: data of the heartbeat of a drive as delivered."""
 
@@ -83,13 +84,26 @@ def move_to(n: Any, t_ns: int) -> int:
     return r.DONE
 
 
-@pointed(NODES_RECORD, INTEGER)
-def advance(n: Any, t_ns: int) -> int:
-    """Bring the plant to the grid point nearest to an instant, for Python; return DONE or PLANT."""
-    return move_to(n, t_ns)
-
-
 # time
+
+
+@helper
+def _to_report(n: Any, leg: int) -> None:
+    """Let a drive report that something has changed."""
+    if n.reported == n.pending:
+        n.pending = n.reported = n.due = 0
+    n.reports[n.pending] = leg
+    n.pending += 1
+
+
+@helper
+def _fail(n: Any, legs: Any, fault: int) -> int:
+    """Let drives fault now."""
+    status = move_to(n, n.t_ns)
+    for leg in legs:
+        if status == r.DONE and fail(n, leg, fault, n.t_ns):
+            _to_report(n, leg)
+    return status
 
 
 @helper
@@ -103,8 +117,8 @@ def _happen(n: Any, t_ns: int) -> int:
     watchdog, moved = n.deadline_ns.min(), next_move_ns(n)
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
-        n.t_ns = watchdog
-        return r.WATCHDOG
+        n.t_ns, n.now_ns = watchdog, max(n.now_ns, watchdog)
+        return _fail(n, np.flatnonzero(n.deadline_ns <= watchdog), _WATCHDOG)
     if other > t_ns:
         n.calm_ns = min(max(watchdog, t_ns + 1), other)
     elif moved == other:
@@ -113,8 +127,11 @@ def _happen(n: Any, t_ns: int) -> int:
             return status
         actuate(n, False, moved)
     elif n.edge_ns == other:
-        n.t_ns = other
-        return r.EDGE
+        status = move_to(n, other)
+        if status == r.DONE:
+            n.t_ns, n.now_ns = other, max(n.now_ns, other)
+            status = r.EDGE
+        return status
     elif n.beat_ns == other:
         n.reports[0], n.reported, n.pending, n.due, n.t_ns = n.beat % LEGS, 0, 1, 1, other
         n.beat += 1
@@ -183,15 +200,6 @@ def _report(n: Any) -> int:
     _put(n, count, leg)
     n.reported += 1
     return r.DONE
-
-
-@helper
-def to_report(n: Any, leg: int) -> None:
-    """Let a drive report that something has changed."""
-    if n.reported == n.pending:
-        n.pending = n.reported = n.due = 0
-    n.reports[n.pending] = leg
-    n.pending += 1
 
 
 @helper
@@ -288,7 +296,7 @@ def _obey(n: Any, command: Any) -> int:
     entered = obey(n, command, n.t_ns)
     for k in range(command.count):
         if entered >> command.legs[k] & 1:
-            to_report(n, command.legs[k])
+            _to_report(n, command.legs[k])
     return r.DONE
 
 
@@ -335,13 +343,15 @@ def _hear(n: Any) -> int:
         integers_at(n.out + n.sent * _FRAME, words)[:] = integers_at(message.counter, words)
         _put(n, 1, message.legs[0])
     elif kind == ends.STOP:
-        return r.STOP
+        status = _fail(n, message.legs[: message.count], _ESTOP)
+        if status != r.DONE:
+            return status
     else:
         for leg in message.legs[: message.count]:
             if kind == ends.ALIVE:
                 feed(n, leg, n.t_ns)
             elif configure(n, leg, message):
-                to_report(n, leg)
+                _to_report(n, leg)
             else:
                 n.rejected += 1
     n.message += 1

@@ -18,13 +18,13 @@ from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
 from drivers.protocol import DriveProtocol, Frame, Received
-from drivers.signals import LEGS, DriveFault
+from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives import drives_end, kernels, record
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, at_motor, forgotten_m, moved
 from plant_fmu.drives.gateway import Gateway
-from plant_fmu.drives.live import advance, live, to_report
+from plant_fmu.drives.live import live
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
 from plant_fmu.plant import Plant, Truth
 
@@ -59,7 +59,6 @@ class Nodes:
         self._faults = FaultPlan() if faults is None else faults
         self._h_s = plant.internal_step_s
         self._h_ns = self._h_s * 1e9
-        self._brake_after_ns = round(drives.brake_after_ms * 1e6)
         self.start(0)
 
     def start(self, t0_ns: int) -> None:
@@ -136,23 +135,17 @@ class Nodes:
         n = self._record
         match status:
             case record.PLANT:
-                self._refuse()
+                force, brake, wrench = (n[name].copy() for name in ("at_leg", "brake", "wrench"))
+                raise self._moved.refused(int(n["refusal"]), force, brake, wrench, int(n["steps"]))
             case record.UNSORTED:
                 self._frames = self._frames[np.argsort(self._frames["t_ns"], kind="stable")]
             case record.FULL:
                 self._drives.reserve(2 * len(self._drives.out))
-            case record.WATCHDOG:
-                self._end_watchdogs(int(n["t_ns"]))
             case record.EDGE:
                 self._pass_edge(int(n["t_ns"]))
             case record.PARSE:
                 frame = sent_frames(self._frames[int(n["frame"])][np.newaxis])[0]
                 n["heard"], n["message"], n["place"] = len(self._end.hear(frame)), 0, record.MESSAGES
-            case record.STOP:
-                message = self._end.messages[int(n["message"])]
-                for leg in message["legs"][: message["count"]].tolist():
-                    self._fail(leg, DriveFault.ESTOP, int(n["t_ns"]))
-                n["message"] += 1
             case record.BEFORE_READING:
                 self._look_before(int(n["t_ns"]))
             case record.AFTER_READING:
@@ -165,11 +158,6 @@ class Nodes:
                     f"the plant gave what is no measurement: feedback of leg {leg} is not a number: "
                     f"{length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
                 )
-
-    def _refuse(self) -> None:
-        n = self._record
-        force, brake, wrench = (n[name].copy() for name in ("at_leg", "brake", "wrench"))
-        raise self._moved.refused(int(n["refusal"]), force, brake, wrench, int(n["steps"]))
 
     def reached(self, mode: str) -> None:
         """Let the time of the faults count that wait for a mode of the controller: it has been reached."""
@@ -216,30 +204,14 @@ class Nodes:
         n = self._record
         return int(n["t0_ns"]) + round(int(n["k"]) * self._h_ns)
 
-    def _end_watchdogs(self, t: int) -> None:
-        """Let the watchdogs end that do at `t`."""
-        n = self._record
-        n["now_ns"] = max(int(n["now_ns"]), t)
-        for leg, deadline_ns in enumerate(n["deadline_ns"].tolist()):
-            if deadline_ns <= t:
-                self._fail(leg, DriveFault.WATCHDOG, t)
-
     def _pass_edge(self, t: int) -> None:
         """Let faults begin or end that do at `t`."""
-        n = self._record
         del self._edges[0]
-        self._advance(t)
-        n["now_ns"] = max(int(n["now_ns"]), t)
         self._present = self.schedule.present(t)
         self._disturb(t)
 
     def _note_edge(self) -> None:
         self._record["edge_ns"] = self._edges[0] if self._edges else kernels.NEVER_NS
-
-    def _advance(self, t: int) -> None:
-        """Bring the plant to the grid point nearest to t."""
-        if advance(self._record, t) != record.DONE:
-            self._refuse()
 
     def _weigh(self) -> None:
         """Set the wrench on the platform; a mass weighs where it is by now."""
@@ -283,26 +255,6 @@ class Nodes:
         n, homing, transmission = self._record, self._settings.homing, self._transmission
         if homing is not None and transmission is not None and any(which):
             n["uncounted"] = np.where(which, forgotten_m(homing, transmission, n["length"]), n["uncounted"])
-
-    def _fail(self, leg: int, fault: DriveFault, t: int) -> None:
-        """Latch a fault; the first one stays, but for an emergency stop."""
-        n = self._drives.seen
-        self._advance(t)
-        brakes = fault is DriveFault.ESTOP or n.state[leg] != kernels.RUN or self._present.lost[leg]
-        if n.state[leg] != kernels.FAULT:
-            n.acting[leg] = kernels.BRAKE if brakes else n.reaction[leg]
-            n.held_m[leg] = kernels.encoder(n, leg)[0]
-            kernels.enter(n, leg, kernels.FAULT, fault)
-            if n.acting[leg] in (kernels.DAMP, kernels.HOLD):
-                n.deadline_ns[leg] = t + self._brake_after_ns
-            to_report(n, leg)
-        elif brakes:
-            n.acting[leg], n.deadline_ns[leg] = kernels.BRAKE, kernels.NEVER_NS
-            if fault is DriveFault.ESTOP and n.fault[leg] != fault:
-                n.fault[leg] = fault
-                to_report(n, leg)
-        kernels.actuate(n, False, t)
-        n.calm_ns = min(int(n.calm_ns), kernels.next_move_ns(n))
 
     def _look_before(self, t: int) -> None:
         """Let act what does before the encoders are read."""

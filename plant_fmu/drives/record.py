@@ -9,18 +9,15 @@ from drivers.signals import LEGS
     PLANT,
     UNSORTED,
     FULL,
-    WATCHDOG,
     EDGE,
     PARSE,
-    STOP,
     BEFORE_READING,
     AFTER_READING,
     ANSWER,
-) = range(11)
+) = range(9)
 """Why the pass ends: all is done; the plant refuses; the frames are not in the order of time; there is no
-room for what is sent; a watchdog is over, or a fault of the plan begins or ends, at `t_ns`; a frame is not
-decoded; a message is an emergency stop; something acts before or after the encoders are read; what is read is
-not a number."""
+room for what is sent; a fault of the plan begins or ends at `t_ns`; a frame is not decoded; something acts
+before or after the encoders are read; what is read is not a number."""
 MUTE = -1
 LOOKS_BEFORE, LOOKS_AFTER, FORGES = 1, 2, 4
 """Bits of `look`."""
@@ -71,6 +68,7 @@ NODES = np.dtype(
         # Of all drives.
         ("opening_ns", "<i8"),  # how long a brake takes
         ("closing_ns", "<i8"),
+        ("brake_after_ns", "<i8"),  # when damping and holding end in the brake
         ("limit_N", "<f8"),  # rated force
         ("damping", "<f8"),  # N s/m, of reaction DAMP
         ("stiffness", "<f8"),  # N/m, of reaction HOLD

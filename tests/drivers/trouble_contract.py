@@ -15,15 +15,16 @@ from hypothesis import strategies as st
 from drivers.arrays import Array
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
-from drivers.frame_array import received_frames
 from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
-from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
+from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.kernels import fail
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.by_value import ByValue
+from tests.drivers.messages import Configure, Status, announce
 from tests.drivers.protocol_contract import (
     FORCE,
     LENGTH,
@@ -347,9 +348,11 @@ class TroubleContract(ProtocolContract):
     def test_a_fault_is_told_with_its_leg_and_its_meaning(self, protocol):
         line = Line(protocol)
         line.running()
-        line.nodes._record["sent"] = 0
-        line.nodes._fail(LEG, DriveFault.OVERFORCE, line.nodes.now_ns)
-        line.to_controller += received_frames(line.nodes._drives.out[: line.nodes._record["sent"]])
+        now_ns, n = line.nodes.now_ns, line.nodes._drives.seen
+        assert fail(n, LEG, int(DriveFault.OVERFORCE), now_ns)
+        holds = Configure(LEG, 1e-9 * int(n.watchdog_ns[LEG]), Reaction(int(n.reaction[LEG])))
+        status = Status(LEG, DriveState.FAULT, DriveFault.OVERFORCE, holds, False)
+        line.to_controller += [Received(now_ns, frame) for frame in announce(line.nodes._end, status)]
         for _ in range(12):
             line.step(RUN, set_up=False)
         states, codes = line.states(), line.measurement["drive_fault"].tolist()

@@ -107,11 +107,6 @@ def _fail(n: Any, legs: Any, fault: int) -> int:
 
 
 @helper
-def _begin_latch(n: Any, t_ns: int) -> None:
-    n.t_ns, n.latching, n.part = t_ns, 1, 0
-
-
-@helper
 def _happen(n: Any, t_ns: int) -> int:
     """Let the next thing happen that is due by `t_ns`; if nothing is, note until when."""
     watchdog, moved = n.deadline_ns.min(), next_move_ns(n)
@@ -141,24 +136,25 @@ def _happen(n: Any, t_ns: int) -> int:
         asked.kind, asked.counter, asked.count, asked.legs[0] = ends.SYNC, 0, 1, n.spoken % LEGS
         n.spoken += 1
         n.reading_ns = due_ns(n.t0_ns, n.spoken + 1, n.reading_share)
-        _begin_latch(n, other)
+        n.t_ns, n.latching = other, 1
     return r.DONE
 
 
 @helper
 def _pass_time(n: Any, frames: int, count: int) -> int:
-    """Let something happen before the next frame, or reach it."""
+    """Let something happen before the next frame, or hear it."""
     t_ns, is_end = n.until_ns, n.frame == count
     if not is_end:
         t_ns = min(max(frame_at(frames + n.frame * _FRAME).t_ns, n.now_ns), t_ns)
     if t_ns >= n.calm_ns:
         return _happen(n, t_ns)
     n.now_ns = n.t_ns = t_ns
-    if not is_end:
-        n.place = r.HEAR
-        return r.DONE
     n.frame += 1
-    return move_to(n, t_ns)
+    if is_end:
+        return move_to(n, t_ns)
+    n.message = 0
+    n.heard = call(n.parse, (n.end, frames + (n.frame - 1) * _FRAME, n.messages))
+    return r.PARSE if n.heard < 0 else r.DONE
 
 
 # frames
@@ -259,23 +255,23 @@ def _forge(n: Any) -> None:
 @helper
 def _latch(n: Any) -> int:
     """Latch the encoders and answer, up to what somebody else has to do in between."""
-    if n.part == 0:
+    if n.latching == 1:
         status = move_to(n, n.t_ns)
         if status != r.DONE:
             return status
-        n.part = 1
+        n.latching = 2
         if n.look & r.LOOKS_BEFORE:
             return r.BEFORE_READING
-    if n.part == 1:
+    if n.latching == 2:
         status = _read(n)
         if status != r.DONE:
             return status
-        n.part = 2
+        n.latching = 3
         if n.look & r.LOOKS_AFTER:
             return r.AFTER_READING
-    if n.part == 2:
+    if n.latching == 3:
         ends.reading_at(n.reading).length[:] -= n.uncounted
-        n.part = 3
+        n.latching = 4
     if n.sent + r.ROOM > n.room:
         return r.FULL
     count = _answers(n)
@@ -316,10 +312,6 @@ def _reaches(n: Any, message: Any) -> bool:
 @helper
 def _hear(n: Any) -> int:
     """Do what the next message says."""
-    if n.message == n.heard:
-        n.place = r.TIME
-        n.frame += 1
-        return r.DONE
     if n.sent + r.ROOM > n.room:
         return r.FULL
     at = n.messages + n.message * _MESSAGE
@@ -333,7 +325,7 @@ def _hear(n: Any) -> int:
         n.syncs += 1
         words = _MESSAGE_WORDS
         integers_at(n.asked, words)[:] = integers_at(at, words)
-        _begin_latch(n, n.t_ns)
+        n.latching = 1
     elif kind in (ends.COMMAND, ends.UNWATCHED):
         status = _obey(n, message)
         if status != r.DONE:
@@ -358,15 +350,6 @@ def _hear(n: Any) -> int:
     return r.DONE
 
 
-@helper
-def _parse(n: Any, frame: int) -> int:
-    count = call(n.parse, (n.end, frame, n.messages))
-    if count < 0:
-        return r.PARSE
-    n.heard, n.message, n.place = count, 0, r.MESSAGES
-    return r.DONE
-
-
 @direct(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
 def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
     """Live until `until_ns`, hearing frames in the order of time, or go on `again`; return why it ends."""
@@ -374,7 +357,7 @@ def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
     count = received.shape[0]
     if not again:
         n.until_ns = until_ns
-        n.frame = n.place = n.heard = n.message = n.latching = n.pending = n.reported = n.sent = 0
+        n.frame = n.heard = n.message = n.latching = n.pending = n.reported = n.sent = 0
         if not in_order(received):
             return r.UNSORTED
     while n.frame <= count:
@@ -382,10 +365,8 @@ def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
             status = _report(n)
         elif n.latching:
             status = _latch(n)
-        elif n.place == r.MESSAGES:
+        elif n.message < n.heard:
             status = _hear(n)
-        elif n.place == r.HEAR:
-            status = _parse(n, frames + n.frame * _FRAME)
         else:
             status = _pass_time(n, frames, count)
         if status != r.DONE:

@@ -133,6 +133,7 @@ class Nodes:
     def _decide(self, status: int) -> None:
         """Do what the pass has stopped for."""
         n = self._record
+        t_ns = int(n["t_ns"])
         match status:
             case record.PLANT:
                 force, brake, wrench = (n[name].copy() for name in ("at_leg", "brake", "wrench"))
@@ -142,15 +143,18 @@ class Nodes:
             case record.FULL:
                 self._drives.reserve(2 * len(self._drives.out))
             case record.EDGE:
-                self._pass_edge(int(n["t_ns"]))
+                del self._edges[0]
+                self._present = self.schedule.present(t_ns)
+                self._disturb(t_ns)
             case record.PARSE:
-                frame = sent_frames(self._frames[int(n["frame"])][np.newaxis])[0]
-                n["heard"], n["message"], n["place"] = len(self._end.hear(frame)), 0, record.MESSAGES
+                (frame,) = sent_frames(self._frames[int(n["frame"]) - 1][np.newaxis])
+                n["heard"] = len(self._end.hear(frame))
             case record.BEFORE_READING:
-                self._look_before(int(n["t_ns"]))
+                self._weigh()
+                self._drives.drift(self._present, t_ns)
             case record.AFTER_READING:
                 reading = self._drives.reading
-                self._spoiled.spoil(self._present, int(n["t_ns"]), reading["length"], reading["rate"])
+                self._spoiled.spoil(self._present, t_ns, reading["length"], reading["rate"])
             case record.ANSWER:
                 length, rate, force = (self._drives.reading[name] for name in ("length", "rate", "force"))
                 leg = int((~np.isfinite(length + rate + force)).argmax())
@@ -204,12 +208,6 @@ class Nodes:
         n = self._record
         return int(n["t0_ns"]) + round(int(n["k"]) * self._h_ns)
 
-    def _pass_edge(self, t: int) -> None:
-        """Let faults begin or end that do at `t`."""
-        del self._edges[0]
-        self._present = self.schedule.present(t)
-        self._disturb(t)
-
     def _note_edge(self) -> None:
         self._record["edge_ns"] = self._edges[0] if self._edges else kernels.NEVER_NS
 
@@ -255,10 +253,3 @@ class Nodes:
         n, homing, transmission = self._record, self._settings.homing, self._transmission
         if homing is not None and transmission is not None and any(which):
             n["uncounted"] = np.where(which, forgotten_m(homing, transmission, n["length"]), n["uncounted"])
-
-    def _look_before(self, t: int) -> None:
-        """Let act what does before the encoders are read."""
-        if self._present.masses:
-            self._weigh()
-        if self._present.drifts:
-            self._drives.drift(self._present, t)

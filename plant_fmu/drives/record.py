@@ -23,8 +23,6 @@ LOOKS_BEFORE, LOOKS_AFTER, FORGES = 1, 2, 4
 """Bits of `look`."""
 ROOM = 128
 """Room that is there before frames are filled in."""
-TIME, HEAR, MESSAGES = range(3)
-"""Values of `place`: time passes until the frame; it is heard; its messages are obeyed."""
 NODES = np.dtype(
     [
         # Of each drive.
@@ -90,12 +88,10 @@ NODES = np.dtype(
         ("sent", "<i8"),  # how many there are
         ("senders", "<i8"),  # address of the leg of each answer
         # Of the pass.
-        ("frame", "<i8"),  # number of the frame
-        ("place", "<i8"),  # what happens to it
-        ("heard", "<i8"),  # number of its messages
+        ("frame", "<i8"),  # number of the next frame
+        ("heard", "<i8"),  # number of messages of the last one
         ("message", "<i8"),  # number of the next one
-        ("latching", "<i8"),  # 1: encoders are read
-        ("part", "<i8"),  # how far that has come
+        ("latching", "<i8"),  # how far the reading of encoders has come, 0: there is none
         ("pending", "<i8"),  # reports to send
         ("reported", "<i8"),  # reports sent
         ("due", "<i8"),  # 1: they are heartbeats

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections import deque
+from collections.abc import Callable
 from functools import cache
 from math import exp, inf, nan, pi
 from operator import itemgetter
@@ -234,28 +235,29 @@ def _python(plant: Plant) -> Moved:
     errors: list[BaseException] = []
     step_s = plant.internal_step_s
 
+    def guarded(function: Callable[..., int]) -> Callable[..., int]:
+        def call(*given: int) -> int:
+            try:
+                return function(*given)
+            except BaseException as error:  # noqa: BLE001 - it is raised again behind the pass
+                errors.append(error)
+                return FAILED
+
+        return call
+
     def move(_context: int, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-        try:
-            given = [_reals(at, LEGS).copy() for at in (force, brake, wrench)]
-            length, rate = plant.step(given[0], given[1], given[2], steps * step_s)
-            into = _reals(measured, 2 * LEGS)
-            into[:LEGS], into[LEGS:] = length, rate
-        except BaseException as error:  # noqa: BLE001 - it is raised again behind the pass
-            errors.append(error)
-            return FAILED
+        given = [_reals(at, LEGS).copy() for at in (force, brake, wrench)]
+        length, rate = plant.step(given[0], given[1], given[2], steps * step_s)
+        into = _reals(measured, 2 * LEGS)
+        into[:LEGS], into[LEGS:] = length, rate
         return 0
 
     def applied(_context: int, force: int) -> int:
-        try:
-            known = plant.applied_force()
-            if known is None:
-                return 0
+        known = plant.applied_force()
+        if known is not None:
             _reals(force, LEGS)[:] = known
-        except BaseException as error:  # noqa: BLE001 - as above
-            errors.append(error)
-            return FAILED
-        return 1
+        return int(known is not None)
 
-    moves, keeps_move = of_python(move, *[INTEGER] * 6)
-    applies, keeps_applied = of_python(applied, *[INTEGER] * 2)
+    moves, keeps_move = of_python(guarded(move), *[INTEGER] * 6)
+    applies, keeps_applied = of_python(guarded(applied), *[INTEGER] * 2)
     return Moved(moves, applies, 0, lambda *_: errors.pop(), (keeps_move, keeps_applied))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.cia402 import objects as o
 from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
 from drivers.compiled.pointed import call, integers_at
 from drivers.frame_array import FRAME, SENT
@@ -23,8 +24,6 @@ NODES_RECORD: Any = record(r.NODES)
 _FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
 _FRAME_WORDS, _MESSAGE_WORDS, _READING_WORDS = _FRAME // 8, _MESSAGE // 8, ends.READING.itemsize // 8
 _WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
-_PRE_OPERATIONAL = 0x7F
-"""CiA 301: data of the heartbeat of a drive as delivered."""
 
 
 @helper
@@ -116,17 +115,14 @@ def _happen(n: Any, t_ns: int) -> int:
         return _fail(n, np.flatnonzero(n.deadline_ns <= watchdog), _WATCHDOG)
     if other > t_ns:
         n.calm_ns = min(max(watchdog, t_ns + 1), other)
-    elif moved == other:
-        status = move_to(n, moved)
+    elif other in (moved, n.edge_ns):
+        status = move_to(n, other)
         if status != r.DONE:
             return status
-        actuate(n, False, moved)
-    elif n.edge_ns == other:
-        status = move_to(n, other)
-        if status == r.DONE:
+        if moved != other:
             n.t_ns, n.now_ns = other, max(n.now_ns, other)
-            status = r.EDGE
-        return status
+            return r.EDGE
+        actuate(n, False, moved)
     elif n.beat_ns == other:
         n.reports[0], n.reported, n.pending, n.due, n.t_ns = n.beat % LEGS, 0, 1, 1, other
         n.beat += 1
@@ -164,15 +160,14 @@ def _pass_time(n: Any, frames: int, count: int) -> int:
 def _put(n: Any, count: int, leg: int) -> None:
     """Send frames that are filled in, of one drive, or for -1 of those in `senders`; none of silent ones."""
     senders = integers_at(n.senders, r.ROOM)
-    words = _FRAME_WORDS
     first = n.sent
     for k in range(first, first + count):
         sender = senders[k - first] if leg < 0 else leg
         if n.silent >> sender & 1:
             continue
         if k != n.sent:
-            source = integers_at(n.out + k * _FRAME, words)
-            integers_at(n.out + n.sent * _FRAME, words)[:] = source
+            source = integers_at(n.out + k * _FRAME, _FRAME_WORDS)
+            integers_at(n.out + n.sent * _FRAME, _FRAME_WORDS)[:] = source
         frame = frame_at(n.out + n.sent * _FRAME)
         frame.t_ns, frame.kind = n.t_ns, SENT
         n.sent += 1
@@ -191,7 +186,7 @@ def _report(n: Any) -> int:
         count = call(n.report, (n.end, number, state, fault, watchdog, reaction, n.due, into))
     elif n.strange[leg]:
         begin_sent(frame_at(into), n.strange[leg], 1, 0, 0)
-        frame_at(into).data[0] = _PRE_OPERATIONAL
+        frame_at(into).data[0] = o.PREPARES
         count = 1
     _put(n, count, leg)
     n.reported += 1
@@ -323,16 +318,14 @@ def _hear(n: Any) -> int:
         pass
     elif kind == ends.SYNC:
         n.syncs += 1
-        words = _MESSAGE_WORDS
-        integers_at(n.asked, words)[:] = integers_at(at, words)
+        integers_at(n.asked, _MESSAGE_WORDS)[:] = integers_at(at, _MESSAGE_WORDS)
         n.latching = 1
     elif kind in (ends.COMMAND, ends.UNWATCHED):
         status = _obey(n, message)
         if status != r.DONE:
             return status
     elif kind == ends.ANSWER:
-        words = _FRAME_WORDS
-        integers_at(n.out + n.sent * _FRAME, words)[:] = integers_at(message.counter, words)
+        integers_at(n.out + n.sent * _FRAME, _FRAME_WORDS)[:] = integers_at(message.counter, _FRAME_WORDS)
         _put(n, 1, message.legs[0])
     elif kind == ends.STOP:
         status = _fail(n, message.legs[: message.count], _ESTOP)

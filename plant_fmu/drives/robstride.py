@@ -9,6 +9,7 @@ from drivers.frame_pointers import begin_sent
 from drivers.mit import robstride as k
 from drivers.mit.fields import TURN
 from drivers.protocol import EXTENDED, Frame
+from drivers.signals import Reaction
 from plant_fmu.drives import motors as drives
 from plant_fmu.drives.ends import CONFIGURE, REJECTED, SYNC
 from plant_fmu.drives.mit import CODES, scaled
@@ -80,7 +81,7 @@ class RobStrideDrives(drives.MotorDrives):
             self.put(REJECTED)
         elif kind == k.WRITE:
             held[leg, 0] = number
-            self.put(CONFIGURE, (leg,), self.record["reaction"], self.record["watchdog_ns"])
+            self.put(CONFIGURE, (leg,), Reaction.BRAKE, round(self.family.delivered_s * 1e9))
             self.put(SYNC, (leg,))
         else:
             said = struct.pack("<HxxI", register, int(held[leg, 0]))

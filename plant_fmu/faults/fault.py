@@ -196,14 +196,12 @@ class FrameFault(Passage):
     seed: Annotated[int, Field(ge=0)] = 0
     """Decides which frames are struck."""
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
+    def carry(self, t_ns: int, frame: Frame, _place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
         """Strike at random."""
-        del place
         if own.generator.random() < self.probability:
             return self.strike(t_ns, frame, own.generator)
         return [(t_ns, frame)]
 
-    def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Return what becomes of a frame that is struck. May draw from `generator`."""
-        del generator
+    def strike(self, t_ns: int, frame: Frame, _generator: np.random.Generator) -> list[tuple[int, Frame]]:
+        """Return what becomes of a frame that is struck. May draw from the generator."""
         return [(t_ns, frame)] * self.copies

@@ -216,9 +216,8 @@ class BusOff(Passage, kind="bus_off"):
         """Cut the bus."""
         present.bus_off |= EVERY_BUS if self.bus is None else 1 << self.bus
 
-    def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
+    def carry(self, _t_ns: int, _frame: Frame, _place: Place, _own: Occurrence) -> list[tuple[int, Frame]]:
         """Lose every frame."""
-        del t_ns, frame, place, own
         return []
 
 
@@ -240,9 +239,8 @@ class BusFlood(SenderFault, kind="bus_flood"):
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 8000.0
     identifier: Annotated[int, Field(ge=0, le=0x7FF)] = 0
 
-    def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
+    def frames(self, _protocol: DriveProtocol, _number: int) -> tuple[Frame, ...]:
         """Return one frame."""
-        del protocol, number
         return (Frame(self.identifier, _DATA, BUS * self.bus),)
 
 

@@ -4,12 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.cia402 import objects as o
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.record import MUTE
 from plant_fmu.rehearsal.wiring import OWN, Wiring
-
-HEARTBEAT = 0x700
-"""CiA 301: identifier of a heartbeat less the node number."""
 
 
 class WiredNodes(Nodes):
@@ -29,5 +27,5 @@ class WiredNodes(Nodes):
         n, w = self._record, self._wiring
         strange, absent = np.array(w.other_protocol), ~np.array(w.present)
         n["number"], n["waits"] = np.where(strange | absent, MUTE, w.answers_as), w.watchdog
-        n["strange"] = np.where(strange, HEARTBEAT + np.array(self._settings.node_ids), 0)
+        n["strange"] = np.where(strange, o.HEARTBEAT_ID + np.array(self._settings.node_ids), 0)
         n["wired"] = (n["number"] != OWN).any()

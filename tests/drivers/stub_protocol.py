@@ -307,7 +307,7 @@ class StubDrives(DrivesEnd):
                 self._by_address(self._reports, 8),
             )
         )
-        super().__init__(np.zeros(1), parse, answer, report)
+        super().__init__(np.zeros(1, FRAME), parse, answer, report)
 
     def _by_address(self, function: Callable[..., int], count: int) -> tuple[int, int, Callable[..., int]]:
         address, keeps = of_python(function, *[INTEGER] * count)
@@ -352,7 +352,8 @@ class StubDrives(DrivesEnd):
 
     def _answers(self, _context: int, asked_at: int, reading_at: int, into: int, legs_at: int) -> int:
         (asked,), (reading,) = array_at(asked_at, 1, MESSAGE), array_at(reading_at, 1, READING)
-        legs, frames = asked["legs"][: asked["count"]].tolist(), []
+        legs = asked["legs"][: asked["count"]].tolist()
+        frames: list[Frame] = []
         for leg in legs:
             length, rate, force = (float(reading[name][leg]) for name in ("length", "rate", "force"))
             if np.isnan((length, rate, force)).any():

@@ -16,7 +16,16 @@ from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, missing, refused,
 from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import changed, drives, holding
 from tests.drivers.drives_end import plain
-from tests.drivers.messages import Alive, Answer, Configure, EmergencyStop, Rejected, Status, Sync
+from tests.drivers.messages import (
+    Alive,
+    Answer,
+    Configure,
+    DeviceCommand,
+    EmergencyStop,
+    Rejected,
+    Status,
+    Sync,
+)
 
 LEG, NODE = 3, 4
 P = ByValue(drives((1, 2, 3, NODE, 5, 6), lead_m=2 * np.pi * 9e-3 / 2.5, counts_per_turn=4096))
@@ -78,7 +87,7 @@ def command(mode: DriveMode, counter: int, force: float = 0.0) -> tuple[Any, ...
 
 def said(messages: Any) -> list[Any]:
     """Return messages, of commands what they say."""
-    return [tuple(each) if hasattr(each, "counter") else each for each in plain(messages)]
+    return [tuple(each) if isinstance(each, DeviceCommand | Sync) else each for each in plain(messages)]
 
 
 def test_a_drive_that_was_powered_up_has_its_own_values_and_booting_makes_it_pre_operational():

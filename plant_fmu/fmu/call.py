@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.compiler import INTEGER, foreign, helper, record
+from drivers.compiled.compiler import INTEGER, REAL, foreign, helper, record
 from drivers.compiled.pointed import integers_at, pointed, reals_at
 from drivers.signals import LEGS
 
@@ -88,6 +88,7 @@ def _do_step(fmu: Any, t_s: float, dt_s: float) -> int:
 
 
 put, fetch = pointed(record(FMU))(_put), pointed(record(FMU))(_fetch)
+do_step = pointed(record(FMU), REAL, REAL)(_do_step)
 """The same for Python."""
 
 

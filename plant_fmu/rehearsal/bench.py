@@ -30,7 +30,6 @@ HAND_SHARE = 0.05
 """A hand, with a lever where it has to, pushes with this share of the rated force."""
 USUAL_FRICTION = 0.001
 """Of legs whose friction is not known, as a share of the rated force."""
-
 GAUGE_YIELD_M = 5e-5
 """How far a gauge gives way under its force."""
 _DAMPING_N_s2_m2 = 2_000.0

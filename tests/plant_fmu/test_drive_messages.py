@@ -127,7 +127,7 @@ def test_a_status_is_due_at_its_heartbeat_and_not_where_something_has_changed():
 
         def _note(self, *given: int) -> int:
             said.append((given[1], bool(given[6])))
-            return self._reports.raw(*given)
+            return int(self._reports.raw(*given))
 
     class Reporting(LegsProtocol):
         def drives_end(self) -> LegsDrives:

@@ -151,7 +151,7 @@ def test_a_watchdog_takes_its_multiple_of_what_was_set_and_the_drive_confirms_wh
 def test_a_command_reaches_who_answers_to_its_number_with_the_force_that_is_meant_for_that(layout):
     rig = WiredRig(CROSSED, layout)
     rig.configure()
-    rig.command(0, DriveMode.READY, 100.0 * np.arange(6.0) - 250.0)
+    rig.command(0, DriveMode.READY, (100.0 * np.arange(6.0) - 250.0).tolist())
     ready, boot = DriveState.READY, DriveState.BOOT
     assert rig.states == [ready, ready, ready, ready, boot, boot]
     assert rig.nodes.snapshot().command.tolist() == pytest.approx([-150, -250, 50, 50, 0, 0], abs=2.0)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:  # the processes that only log need no sections
     from collections.abc import Callable
 
     from drivers.config import BusSettings, DriveSettings
-    from drivers.protocol import DriveProtocol
+    from drivers.family import Family
 
 
 def row(module: str, name: str) -> Callable[..., Any]:
@@ -21,13 +21,13 @@ def row(module: str, name: str) -> Callable[..., Any]:
     return made
 
 
-def _mit(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+def _mit(bus: BusSettings, drives: DriveSettings) -> Family:
     is_robstride = drives.options.get("variant") == "robstride"
     of = ("robstride", "RobStrideProtocol") if is_robstride else ("protocol", "MitProtocol")
-    return cast("DriveProtocol", row(f"drivers.mit.{of[0]}", of[1])(bus, drives))
+    return cast("Family", row(f"drivers.mit.{of[0]}", of[1])(bus, drives))
 
 
-PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], DriveProtocol]] = {
+PROTOCOLS: dict[str, Callable[[BusSettings, DriveSettings], Family]] = {
     "legs": row("drivers.legs.protocol", "legs"),
     "cia402": row("drivers.cia402.protocol", "Cia402Protocol"),
     "mit": _mit,
@@ -41,7 +41,7 @@ begins with the key.
 """
 
 
-def build_protocol(bus: BusSettings, drives: DriveSettings) -> DriveProtocol:
+def build_protocol(bus: BusSettings, drives: DriveSettings) -> Family:
     """Return the codec of `drives.protocol`, its drives on one bus or several.
 
     Raises ConfigurationError for settings that the protocol does not have.

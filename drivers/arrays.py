@@ -1,5 +1,8 @@
 """The arrays that everybody names: float64, int64, flags, bytes, rows of a table."""
 
+import ctypes
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,3 +17,9 @@ Rows = NDArray[np.void]
 ZERO6: Array = np.zeros(6)
 ZERO6.flags.writeable = False
 """(6,): no force, no wrench, no motion."""
+
+
+def array_at(address: int, count: int, dtype: Any) -> Any:
+    """Return `count` elements of a type at an address, from Python."""
+    size = count * np.dtype(dtype).itemsize
+    return np.frombuffer((ctypes.c_char * size).from_address(address), dtype)

@@ -1,40 +1,30 @@
-"""The codecs of all families: on which bus a frame goes, and the controller's end by address as it hears."""
+"""Family: what the codec of every drive family gives, and on which bus a frame goes."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from functools import cached_property
+from typing import Any
 
-from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import Pointed, data_at, of_python
-from drivers.controller_end import array_at
-from drivers.frame_array import FRAME, received_array, received_frames, sent_array
-from drivers.protocol import ALL_LEGS, BUS, DriveProtocol, Frame, Received
+from drivers.compiled.pointed import Pointed, data_at
+from drivers.controller_end import ControllerEnd
+from drivers.errors import ConfigurationError
+from drivers.frame_array import received_array, sent_array
+from drivers.protocol import ALL_LEGS, BUS, DriveSetup, Frame, Received, Said, Traits
 from drivers.signals import LEGS
 
 
-class Hearing(NamedTuple):
-    """What the controller's end makes of frames, by address."""
+class Family(ABC):
+    """The codec of six drives, from the controller's side. Holds tables only, and is shared.
 
-    fresh: int
-    """(context, frame, tick, since_ns) -> the place in `wanted` of a frame that is `fresh`, from 1 on; 0 for
-    one that is not."""
-    addressed: int
-    """(context, frame) -> bit i: a frame is for leg i."""
-    context: int
-    wanted: tuple[int, ...]
-    """`Traits.feedback_ids`."""
-    keeps: Any
-
-
-class Family(DriveProtocol):
-    """What the codecs of all families share: each frame goes on the bus of the leg that it is for.
-
-    Holds tables only. A drive's frame counts on its own bus alone.
+    Each frame goes on the bus of the leg that it is for, and a drive's frame counts on its own bus alone.
+    What the controller remembers is in its end. The emulated drives' end is in `plant_fmu.drives`.
     """
 
     fresh_by: Pointed
-    """`Hearing.fresh`, of `tables`."""
+    """``(tables, frame, tick, since_ns)`` -> the place in `wanted`, from 1 on, of a frame that is `fresh`;
+    else 0."""
     addressed_by: Pointed
-    """`Hearing.addressed`, of the same."""
+    """``(tables, frame)`` -> bit i: a frame is for leg i."""
     tables: Any
     """A record of what the family knows."""
     wanted: tuple[int, ...]
@@ -42,18 +32,40 @@ class Family(DriveProtocol):
     senders: Mapping[int, int]
     """Identifier -> the leg whose drive sends it."""
 
-    def __init__(self, legs: Sequence[Sequence[int]] = (ALL_LEGS,)) -> None:
-        """Take the legs of each bus, which together are all legs, each once."""
+    def __init__(self, nodes: Sequence[int], legs: Sequence[Sequence[int]] = (ALL_LEGS,)) -> None:
+        """Take the drives' numbers, and the legs of each bus, which together are all legs, each once."""
+        self.nodes = tuple(nodes)
         self.legs = tuple(map(tuple, legs))
         self.buses = len(legs)
         """How many there are; frames of others are nobody's."""
         self.bus_of = tuple(next(bus for bus, own in enumerate(legs) if leg in own) for leg in range(LEGS))
         """Index of each leg's bus."""
 
-    def hearing(self) -> Hearing:
-        """Return the controller's end by address, as far as it hears."""
-        by = self.fresh_by.address, self.addressed_by.address
-        return Hearing(*by, data_at(self.tables), self.wanted, self)
+    # what a family gives
+
+    @cached_property
+    @abstractmethod
+    def traits(self) -> Traits:
+        """What the family is."""
+
+    @abstractmethod
+    def controller_end(self, setup: DriveSetup) -> ControllerEnd:
+        """Return the controller's end. Raises ProtocolError if the set-up does not fit."""
+
+    def fault_text(self, _code: int) -> str:
+        """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
+        return ""
+
+    def identity(self, _frame: Frame) -> Said | None:
+        """Return the serial number or revision that a frame reports; None for any other frame."""
+        return None
+
+    # which drive a frame concerns
+
+    @cached_property
+    def context(self) -> int:
+        """Address of the tables, for `fresh_by` and `addressed_by`."""
+        return data_at(self.tables)
 
     def to_leg(self, leg: int, frame: Frame) -> Frame:
         """Return a frame on the bus of a leg."""
@@ -68,8 +80,15 @@ class Family(DriveProtocol):
         return tuple(frame._replace(flags=frame.flags + BUS * bus) for bus in sorted(set(self.bus_of)))
 
     def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
-        """Tell whether a frame is feedback of this tick that can be trusted."""
+        """Tell whether a frame is feedback of this tick that can be trusted: the drain waits for others.
+
+        since_ns: when the tick began, before the frames of `begin` were sent.
+        """
         return self.fresh_by(self.tables, received_array([received]), tick, since_ns) > 0
+
+    def awaited(self, frame: Frame) -> int:
+        """Return which of `wanted` a frame is; another number for what is no feedback."""
+        return frame.id
 
     def addressed(self, frame: Frame) -> tuple[int, ...]:
         """Return the legs that a frame of the controller's end is for."""
@@ -81,27 +100,11 @@ class Family(DriveProtocol):
         leg = self.senders.get(frame.id, -1)
         return leg if leg >= 0 and self.bus_of[leg] == frame.bus else -1
 
-
-def hearing(protocol: DriveProtocol) -> Hearing:
-    """Return the controller's end of a protocol, as far as it hears."""
-    compiled = getattr(protocol, "hearing", None)
-    return _python_hearing(protocol) if compiled is None else cast("Hearing", compiled())
-
-
-def _python_hearing(protocol: DriveProtocol) -> Hearing:
-    wanted = tuple(sorted(protocol.traits.feedback_ids))
-    places = {each: place for place, each in enumerate(wanted, 1)}
-
-    def fresh(_context: int, frame: int, tick: int, since_ns: int) -> int:
-        (received,) = received_frames(array_at(frame, 1, FRAME))
-        if not protocol.fresh(received, tick, since_ns):
-            return 0
-        return places.get(protocol.awaited(received.frame), len(wanted) + 1)
-
-    def addressed(_context: int, frame: int) -> int:
-        (received,) = received_frames(array_at(frame, 1, FRAME))
-        return sum(1 << leg for leg in protocol.addressed(received.frame))
-
-    looks, keeps_fresh = of_python(fresh, *[INTEGER] * 4)
-    asks, keeps_addressed = of_python(addressed, *[INTEGER] * 2)
-    return Hearing(looks, asks, 0, wanted, (keeps_fresh, keeps_addressed))
+    def refuse_nodes(self, least: int, most: int, family: str, why: str = "", but: int = -1) -> None:
+        """Raise ConfigurationError for a drive's number that is out of range, or `but`."""
+        for leg, node in enumerate(self.nodes):
+            if not least <= node <= most or node == but:
+                raise ConfigurationError(
+                    f"drives.node_ids[{leg}]: out of range, allowed with {family}: {least} to {most}{why}, "
+                    f"given: {node}"
+                )

@@ -17,8 +17,8 @@ from drivers import motor_kernels as kernels
 from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import FAILED, Pointed, address_of, call, data_at, pointed
-from drivers.controller_end import CompiledController
-from drivers.errors import ConfigurationError, ProtocolError
+from drivers.controller_end import ControllerEnd
+from drivers.errors import ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.frame_pointers import NOBODY, code, frame_at, legs_of, value, whole
@@ -46,7 +46,7 @@ class Exchange(NamedTuple):
     """What the drive must answer, in the drive's unit."""
 
 
-class MotorController(CompiledController):
+class MotorController(ControllerEnd):
     """The controller's end, compiled in `drivers.motor_kernels`.
 
     Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set up,
@@ -227,8 +227,8 @@ class MotorProtocol(Family):
         torque_field: first byte, bits, end in N m. answers: identifiers of the feedbacks; legs, where
         several drives share an identifier or change it.
         """
-        super().__init__(legs)
-        self.transmission, self.nodes, self.torque_field = transmission, tuple(nodes), torque_field
+        super().__init__(nodes, legs)
+        self.transmission, self.torque_field = transmission, torque_field
         self.legs_of = {node: leg for leg, node in enumerate(nodes)}
         self.tables: Record = np.zeros((), EAR)
         """What `ear` works on."""
@@ -276,15 +276,6 @@ class MotorProtocol(Family):
         _, bits, end = self.torque_field
         codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
-
-    def refuse_nodes(self, least: int, most: int, family: str, why: str = "", but: int = -1) -> None:
-        """Raise ConfigurationError for a drive's number that is out of range, or `but`."""
-        for leg, node in enumerate(self.nodes):
-            if not least <= node <= most or node == but:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: out of range, allowed with {family}: {least} to {most}{why}, "
-                    f"given: {node}"
-                )
 
     def check(self, setup: DriveSetup) -> None:
         """Raise ProtocolError if the set-up does not fit."""

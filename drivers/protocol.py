@@ -1,11 +1,10 @@
-"""Frame, and DriveProtocol: the pure codec of one drive family.
+"""Frames, and what a drive family is as data.
 
 `docs/guides/own-drives.md` shows how a new family is written.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal, NamedTuple, Protocol, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -186,45 +185,3 @@ class Traits:
     def cyclic_frames(self) -> tuple[Frame, ...]:
         """One example of every frame sent once per tick."""
         return (*self.sent, *self.feedbacks)
-
-
-class DriveProtocol(Protocol):
-    """Traits, and the codec of the controller's end. Implementations inherit it and are shared.
-
-    What that end remembers is its owner's, the cycle's. The emulated drives' end is in `plant_fmu.drives`.
-    """
-
-    @cached_property
-    def traits(self) -> Traits:
-        """What the family is."""
-        raise NotImplementedError
-
-    def controller_end(self, setup: DriveSetup) -> Any:
-        """Return the controller's end, see `drivers.controller_end`.
-
-        Raises ProtocolError if the set-up does not fit.
-        """
-
-    def fresh(self, received: Received, tick: int, since_ns: int) -> bool:
-        """Tell whether a frame is feedback of this tick that can be trusted: the drain waits for others.
-
-        since_ns: when the tick began, before the frames of `begin` were sent.
-        """
-
-    def awaited(self, frame: Frame) -> int:
-        """Return which of `Traits.feedback_ids` a frame is; another number for what is no feedback."""
-        return frame.id
-
-    def fault_text(self, _code: int) -> str:
-        """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
-        return ""
-
-    def addressed(self, frame: Frame) -> tuple[int, ...]:
-        """Return the legs that a frame of the controller's end is for."""
-
-    def sender(self, frame: Frame) -> int:
-        """Return the leg whose drive sends a frame, -1 for a frame of nobody or of a controller."""
-
-    def identity(self, _frame: Frame) -> Said | None:
-        """Return the serial number or revision that a frame reports; None for any other frame."""
-        return None

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from drivers.arrays import array_at
 from drivers.signals import (
     LEGS,
     NEVER,
@@ -271,6 +272,11 @@ def new_record() -> Record:
 def copy_of(record: Record) -> Record:
     """Return another record of the same content."""
     return np.ndarray((), TICK, record.reshape(1).view(np.float64).copy())
+
+
+def tick_at(address: int) -> Record:
+    """Return the record at an address, from Python."""
+    return np.ndarray((), TICK, array_at(address, TICK.itemsize // 8, np.float64))
 
 
 def row_of(record: Record) -> Record:

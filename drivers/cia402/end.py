@@ -19,7 +19,7 @@ from drivers.cia402.objects import Key
 from drivers.cia402.states import ENABLED, UNHEARD
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import pointed
-from drivers.controller_end import CompiledController
+from drivers.controller_end import ControllerEnd
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.frame_pointers import EVERYONE, NOBODY, frame_at, legs_of, place_of
@@ -216,7 +216,7 @@ _BEATS = 4
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
-class Cia402End(CompiledController):
+class Cia402End(ControllerEnd):
     """The controller's end. Mutable state: the record, which has the dialogue."""
 
     first = "patience"

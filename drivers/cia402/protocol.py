@@ -1,4 +1,4 @@
-"""CiA 402 drives over CANopen as a `DriveProtocol`: cyclic synchronous torque by SYNC and PDO.
+"""CiA 402 drives over CANopen as a `Family`: cyclic synchronous torque by SYNC and PDO.
 
 A tick: SYNC without counter; each drive answers with TPDO1 (statusword, position, torque), where asked for
 with TPDO2 (velocity) too; each gets RPDO1 (controlword, target torque), which acts at once; every few ticks
@@ -17,7 +17,6 @@ from drivers.cia402 import objects as o
 from drivers.cia402.kernels import FROM_DRIVES, STRANGE
 from drivers.cia402.states import STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
-from drivers.errors import ConfigurationError
 from drivers.family import Family
 from drivers.motor_settings import Options
 from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said, Traits
@@ -52,18 +51,13 @@ class Cia402Protocol(Family):
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "cia402", "classic", _ALLOWED)
         self.transmission = transmission = options.transmission
-        super().__init__(bus.legs)
+        super().__init__(drives.node_ids, bus.legs)
         rated_Nm = options.within("rated_torque_Nm", 1e-3, _MOST_Nm, "the motors' rated torque, 0x6076")
         self.velocity = velocity = options.choice("velocity", ("pdo", "difference"), "pdo") == "pdo"
         self.controller_node = options.whole("controller_node", MAX_NODE, 1, MAX_NODE)
         check_encoder = options.flag("check_encoder", default=True)
-        self.node_ids = tuple(drives.node_ids)
-        for leg, node in enumerate(self.node_ids):
-            if not 1 <= node <= MAX_NODE or node == self.controller_node:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: allowed with cia402: 1 to {MAX_NODE} without the controller's "
-                    f"own {self.controller_node}, given: {node}"
-                )
+        own = self.controller_node
+        self.refuse_nodes(1, MAX_NODE, "cia402", f" without the controller's own {own}", own)
         self._permille_Nm = 1e-3 * rated_Nm
         N_per_permille = (transmission.N_per_Nm * self._permille_Nm).tolist()
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
@@ -73,16 +67,15 @@ class Cia402Protocol(Family):
         self.heartbeat_ms = min(max(round(drives.heartbeat_ms), 1), 0xFFFF)
         self.tables: Rows = np.zeros((), kernels.DRIVES)
         c = self.tables
-        c["nodes"], c["velocity"] = self.node_ids, velocity
+        c["nodes"], c["velocity"] = self.nodes, velocity
         c["N_per_permille"], c["buses"], c["bus_of"] = N_per_permille, self.buses, self.bus_of
         transmission.fill(c)
         c["controller"], c["permille_Nm"] = self.controller_node, self._permille_Nm
         c["permille_per_N"] = [1.0 / scale for scale in N_per_permille]
         c["m_per_count"] = transmission.m_per_turn / transmission.counts
         c["lossless"] = (transmission.driving == 1.0).all() and (transmission.back_driving == 1.0).all()
-        self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.node_ids)
-        own = tuple(enumerate(self.node_ids))
-        self.senders = {base + node: leg for base in FROM_DRIVES for leg, node in own}
+        self.wanted = tuple(kind + node for kind in o.TPDO_ID[: 1 + velocity] for node in self.nodes)
+        self.senders = {base + node: leg for base in FROM_DRIVES for leg, node in enumerate(self.nodes)}
 
     @cached_property
     def traits(self) -> Traits:
@@ -127,7 +120,7 @@ class Cia402Protocol(Family):
         Raises ProtocolError if the watchdog does not fit or is too short for the rate, and for a reaction
         that such drives do not have.
         """
-        own = zip(self.node_ids, self._increments, strict=True)
+        own = zip(self.nodes, self._increments, strict=True)
         return tuple(end.plan(node, setup, self, increments) for node, increments in own)
 
     def controller_end(self, setup: DriveSetup) -> end.Cia402End:
@@ -137,7 +130,7 @@ class Cia402Protocol(Family):
     # which drive a frame concerns
 
     def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
-        return self.to_each(Frame(base + node, data) for node in self.node_ids)
+        return self.to_each(Frame(base + node, data) for node in self.nodes)
 
     def identity(self, frame: Frame) -> Said | None:
         """Return what an SDO answer says of the identity object; an abort says nothing."""

@@ -14,7 +14,7 @@ from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import data_at, pointed
 from drivers.config import BusSettings, DriveSettings
-from drivers.controller_end import CompiledController
+from drivers.controller_end import ControllerEnd
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, sent_array, sent_frames
@@ -56,7 +56,7 @@ def addressed(e: Any, frame_address: int) -> int:
     return legs_of(only, e.config, frame.bus, e.home)
 
 
-class LegsController(CompiledController):
+class LegsController(ControllerEnd):
     """The controller's end. Mutable state: the record."""
 
     first = "expected"
@@ -137,14 +137,9 @@ class LegsProtocol(Family):
         rated_force_N: float = 60_000.0,
         legs: Sequence[Sequence[int]] = (ALL_LEGS,),
     ) -> None:
-        super().__init__(legs)
-        self.layout, self.node_ids, self.rated_force_N = layout, tuple(node_ids), rated_force_N
-        for leg, node in enumerate(node_ids):
-            if not 1 <= node <= MAX_NODE:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: out of range, allowed: a whole number at least 1 and at most "
-                    f"{MAX_NODE}, given: {node}"
-                )
+        super().__init__(node_ids, legs)
+        self.layout, self.rated_force_N = layout, rated_force_N
+        self.refuse_nodes(1, MAX_NODE, "legs")
         text, version, m = read_messages(layout, rated_force_N)
         self.database = "legs.dbc", text
         self.sync, self.estop, self.config = m["SYNC"], m["ESTOP"], m["CONFIG_1"]
@@ -168,7 +163,7 @@ class LegsProtocol(Family):
     def _tabulate(self) -> None:
         t, of, force = self.tables, self.feedback, self.commands[0][0]
         for name in ("feedback", "status", "config"):
-            t[name] = getattr(self, name).id - 1 + np.array(self.node_ids)
+            t[name] = getattr(self, name).id - 1 + np.array(self.nodes)
         for name in ("feedback", "status", "sync"):
             t[f"{name}_length"] = getattr(self, name).length
         t["feedback_flags"], t["status_flags"] = of.flags, self.status.flags

@@ -13,8 +13,9 @@ import drivers
 from drivers.arrays import Array
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import PlantError
+from drivers.family import Family
 from drivers.files import read_regular
-from drivers.protocol import DriveProtocol, DriveSetup
+from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
 from drivers.signals import Reaction
 from hil.app.configuration.bus_budget import bus_names
@@ -79,7 +80,7 @@ REFERENCE_PLAN = "reference.npy"
 """Attachment of a log: the polynomials of a planned reference."""
 
 
-def build_protocol(configuration: Configuration) -> DriveProtocol:
+def build_protocol(configuration: Configuration) -> Family:
     """Return the codec that both ends use."""
     return drivers.build_protocol(configuration.bus, configuration.drives)
 

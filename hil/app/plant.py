@@ -21,8 +21,8 @@ from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import Clock
 from drivers.errors import HilError, PlantError, RunError
+from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, joined, sent_frames
-from drivers.protocol import DriveProtocol
 from drivers.signals import DriveState
 from hil.app.compose import attachments, build_nodes, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration
@@ -204,7 +204,7 @@ def _serve(
     duration_s: float | None,
     supervisor: int | None,
     faults: ProcessFaults,
-    protocol: DriveProtocol,
+    protocol: Family,
 ) -> Snapshot:
     nodes = bench.nodes
     now = bus.clock.now()
@@ -260,7 +260,7 @@ def shorten(file: int) -> None:
         os.write(file, end)
 
 
-def latest(queued: Rows, now_ns: int, protocol: DriveProtocol) -> Rows:
+def latest(queued: Rows, now_ns: int, protocol: Family) -> Rows:
     """Return what is on the bus by `now_ns` of what is queued, of feedback what is not out of date.
 
     After a stall of this process several SYNCs are answered at once. What is out of date would keep the bus

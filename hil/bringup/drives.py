@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.controller_end import controller_end
+from drivers.family import Family
 from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import SERIAL, DriveProtocol, DriveSetup, Frame, Received, Said
+from drivers.protocol import SERIAL, DriveSetup, Frame, Received, Said
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from hil.bringup.line import Line
@@ -40,9 +40,7 @@ class Drives:
     which drive may be, and which one the last command was for.
     """
 
-    def __init__(
-        self, protocol: DriveProtocol, line: Line, watchdog_s: float, sink: Sink = lambda *_: None
-    ) -> None:
+    def __init__(self, protocol: Family, line: Line, watchdog_s: float, sink: Sink = lambda *_: None) -> None:
         self.protocol, self.line = protocol, line
         self.watchdog_s = watchdog_s
         self._sink = sink
@@ -55,7 +53,7 @@ class Drives:
             DriveSetup(watchdog_s, reaction, line.rate_Hz),
             DriveSetup(lock_s, reaction, line.rate_Hz),
         )
-        self._live, self._rest = (controller_end(protocol, setup) for setup in self._setups)
+        self._live, self._rest = (protocol.controller_end(setup) for setup in self._setups)
         self.tick = -1
         self.record = new_record()
         """Of the last tick; states of locked drives are theirs."""
@@ -274,11 +272,11 @@ class Drives:
             self.step(DriveMode.OFF)
 
 
-def shares_commands(protocol: DriveProtocol, setup: DriveSetup) -> bool:
+def shares_commands(protocol: Family, setup: DriveSetup) -> bool:
     """Tell whether one frame powers several drives: some of those for several differ by the command."""
 
     def shared(mode: DriveMode) -> list[Frame]:
-        end = controller_end(protocol, setup)
+        end = protocol.controller_end(setup)
         command = sent_frames(end.give(Command(mode, np.zeros(LEGS)), 0))
         return [each for each in (*sent_frames(end.begin(0)), *command) if len(protocol.addressed(each)) > 1]
 

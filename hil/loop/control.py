@@ -11,9 +11,8 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, data_at, of_python
-from drivers.controller_end import tick_at
 from drivers.signals import DriveState, Fault, Mode, Stop, Warn
-from drivers.tick_columns import Record, new_record
+from drivers.tick_columns import Record, new_record, tick_at
 from hil.estimation.external_wrench import hear_sensors
 from hil.loop.compiled_pass import ALL, COMMAND, CONTROL, EFFORT, JUDGE, NEVER, WHOLE, act
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NOT_MEASURED, STEERED, STOPPABLE, drive_mode

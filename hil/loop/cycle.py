@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from drivers.arrays import ZERO6, Rows
-from drivers.controller_end import MOST_FRAMES, controller_end
+from drivers.controller_end import MOST_FRAMES
 from drivers.frame_array import FRAME, sent_array
 from drivers.signals import DriveMode, Fault, Mode, Stop
 from drivers.tick_columns import Record, new_record, row_of
@@ -67,7 +67,7 @@ class Cycle:
         self.operating = Operating(parts.operator, parts.rate_Hz, engage.stop_s, jogging, judge)
         self._under_control = parts.reactions.led_to("ss1")
         self._torque_off = parts.reactions.led_to("sto")
-        self.end = controller_end(parts.protocol, parts.setup)
+        self.end = parts.protocol.controller_end(parts.setup)
         """The dialogue with the drives."""
         self.control = Control(self)
         """What the compiled pass works on."""
@@ -146,7 +146,7 @@ class Cycle:
         """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
         parts, number = self.parts, inp.tick
         if look & compiled_pass.BROKEN:
-            self.end.refuse(ZERO6)
+            self.control.fail()
         if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
             self.control.load(tick)
@@ -176,7 +176,7 @@ class Cycle:
         control.settle()
         record["command_mode"], record["stops"] = self._command_mode(tick), stops
         if act(record, tick, into, COMMAND):
-            self.end.refuse(tick["tau"])
+            raise self.end.unfit(tick["tau"])
         frames = [into[: record["sent"]]]
         record["stops"] = 0
         self.effort.last_tau = tick["tau"]

@@ -13,7 +13,6 @@ from typing import NamedTuple
 from drivers.arrays import ZERO6, Rows
 from drivers.can.bus import Bus
 from drivers.errors import BusError, HilError
-from drivers.family import Hearing, hearing
 from drivers.frame_array import joined, sent_at
 from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake
@@ -127,13 +126,12 @@ def _run(course: Course, shell: Shell) -> Ending:
     said, ask = "", WORD if shell.consent is None else CONSENT
     recorded = True
     clock, stood_ns = bus.clock, bus.clock.stretched()
-    hears = hearing(cycle.parts.protocol)
     panel.running()
     while True:
         tick, t_ns, lateness_ns, skipped = wake = deadlines.wait()
         stood_before_ns, stood_ns = stood_ns, clock.stretched()
         opening = cycle.begin(tick)
-        frames, latched_ns, refused = _ask(cycle, hears, shell, wake, opening)
+        frames, latched_ns, refused = _ask(cycle, shell, wake, opening)
         sends_failed += refused
         clock.working(deadlines.period_ns - window_ns)
         errors = bus.events()
@@ -192,9 +190,7 @@ def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
         recording.event(t_ns, "error", str(error))
 
 
-def _ask(
-    cycle: Cycle, hears: Hearing, shell: Shell, wake: Wake, opening: Rows
-) -> tuple[Rows, tuple[int, ...], int]:
+def _ask(cycle: Cycle, shell: Shell, wake: Wake, opening: Rows) -> tuple[Rows, tuple[int, ...], int]:
     """Send what starts a tick, and wait for the answers.
 
     Returns what has come since the last tick, when each drive latched (ns after the wake-up), and how many
@@ -206,15 +202,15 @@ def _ask(
     begun_ns = bus.clock.now()
     refused = bus.send(opening)
     given_ns = bus.clock.now()
-    answers = _answers(cycle, hears, bus, tick, begun_ns, t_ns + shell.feedback_window_ns)
+    answers = _answers(cycle, bus, tick, begun_ns, t_ns + shell.feedback_window_ns)
     sent_ns, answer_ns = bus.sent_ns(), shell.answer_ns
     if answer_ns is not None:
         sent_ns = checked(protocol, opening, sent_ns, answers, tick, begun_ns, given_ns, answer_ns)
     frames = joined([before, answers]) if len(before) else answers
-    return frames, latch_ns(hears, opening, sent_ns, t_ns + lateness_ns), refused
+    return frames, latch_ns(protocol, opening, sent_ns, t_ns + lateness_ns), refused
 
 
-def _answers(cycle: Cycle, hears: Hearing, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> Rows:
+def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> Rows:
     """Wait for the six feedbacks of a tick whose first frames were given to the bus from `begun_ns` on.
 
     No longer than until the deadline, however many other frames come.
@@ -227,7 +223,7 @@ def _answers(cycle: Cycle, hears: Hearing, bus: Bus, tick: int, begun_ns: int, d
         if not len(heard):
             break
         answers.append(heard)  # of a node, maybe an answer to an older tick, or one that is damaged or forged
-        missing = missing.difference(fresh_ids(hears, heard, tick, begun_ns))
+        missing = missing.difference(fresh_ids(protocol, heard, tick, begun_ns))
         if missing and bus.clock.now() >= deadline_ns:
             answers.append(bus.drain_now())  # what came while this process was held up
             break

@@ -11,21 +11,21 @@ from collections.abc import Sequence
 from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER, direct, records
 from drivers.compiled.pointed import address_of, call
-from drivers.family import Hearing
+from drivers.family import Family
 from drivers.frame_array import FRAME, received_frames, sent_frames
-from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.protocol import Frame, Received
 from drivers.signals import LEGS
 
 
-def fresh_ids(hears: Hearing, frames: Rows, tick: int, since_ns: int) -> list[int]:
+def fresh_ids(protocol: Family, frames: Rows, tick: int, since_ns: int) -> list[int]:
     """Return what is `awaited` of a tick and `fresh` among frames."""
-    places = fresh_places(hears.fresh, hears.context, frames, tick, since_ns)
-    return [each for k, each in enumerate(hears.wanted) if places >> k & 1]
+    places = fresh_places(protocol.fresh_by.address, protocol.context, frames, tick, since_ns)
+    return [each for k, each in enumerate(protocol.wanted) if places >> k & 1]
 
 
 @direct(INTEGER, INTEGER, records(FRAME), INTEGER, INTEGER)
 def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: int) -> int:
-    """Return bit k for a frame that is `Hearing.fresh` and has place k in `wanted`, of all frames."""
+    """Return bit k for each frame that is `fresh` and has place k in `Family.wanted`."""
     places = 0
     for k in range(len(frames)):
         place = call(fresh, (context, address_of(frames[k]), tick, since_ns))
@@ -36,7 +36,7 @@ def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: in
 
 @direct(INTEGER, INTEGER, records(FRAME), INTEGER)
 def legs_addressed(addressed: int, context: int, frames: Rows, k: int) -> int:
-    """Return bit i where frame k is for leg i, by `Hearing.addressed`."""
+    """Return bit i where frame k is for leg i, by `Family.addressed_by`."""
     return int(call(addressed, (context, address_of(frames[k]))))
 
 
@@ -44,7 +44,7 @@ PROMPT_NS = 100_000
 """A send that took less, and less than an answer takes, is not checked against its answers."""
 
 
-def latch_ns(hearing: Hearing, opening: Rows, sent_ns: Sequence[int | None], woke_ns: int) -> tuple[int, ...]:
+def latch_ns(protocol: Family, opening: Rows, sent_ns: Sequence[int | None], woke_ns: int) -> tuple[int, ...]:
     """Return for each leg the ns from the wake-up to when its SYNC or poll had gone out; 0 where it has none.
 
     sent_ns: when each of the first frames of `opening` was out; those behind were not taken by the bus, nor
@@ -53,7 +53,7 @@ def latch_ns(hearing: Hearing, opening: Rows, sent_ns: Sequence[int | None], wok
     delays = [0] * LEGS
     for k, t_ns in zip(range(len(opening)), sent_ns, strict=False):
         if t_ns is not None:
-            legs = legs_addressed(hearing.addressed, hearing.context, opening, k)
+            legs = legs_addressed(protocol.addressed_by.address, protocol.context, opening, k)
             for leg in range(LEGS):
                 if legs >> leg & 1:
                     delays[leg] = t_ns - woke_ns
@@ -61,7 +61,7 @@ def latch_ns(hearing: Hearing, opening: Rows, sent_ns: Sequence[int | None], wok
 
 
 def checked(
-    protocol: DriveProtocol,
+    protocol: Family,
     opening: Rows,
     sent_ns: Sequence[int | None],
     answers: Rows,
@@ -87,7 +87,7 @@ def checked(
     ]
 
 
-def _soonest(protocol: DriveProtocol, frame: Frame, answers: Sequence[Received], answer_ns: int) -> list[int]:
+def _soonest(protocol: Family, frame: Frame, answers: Sequence[Received], answer_ns: int) -> list[int]:
     """Return when a frame must have been out for each feedback to it, ns."""
     legs = protocol.addressed(frame)
     return [t_ns - answer_ns for t_ns, answer in answers if protocol.sender(answer) in legs]

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drivers.arrays import Array
-from drivers.protocol import DriveProtocol, DriveSetup
+from drivers.family import Family
+from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
 from hil.config.operator import OperatorSettings
 from hil.config.reactions import ReactionSettings
@@ -35,7 +36,7 @@ class Parts:
 
     platform: Platform
     leg_spin: LegSpin
-    protocol: DriveProtocol
+    protocol: Family
     law: Law
     trajectory: Trajectory
     safety: Safety

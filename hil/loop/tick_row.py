@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import ZERO6, Ints, Rows
+from drivers.arrays import Ints, Rows
 from drivers.compiled.pointed import data_at
 from drivers.controller_end import MOST_FRAMES
 from drivers.frame_array import FRAME
 from drivers.tick_columns import ROW, TICK, Record, new_record
 from hil.loop.cycle import Cycle
 from hil.loop.tick_input import input_of, put_input
-from hil.loop.tick_kernels import ACT, COMMAND, NO_ROOM, OBSERVE, START
+from hil.loop.tick_kernels import ACT, COMMAND, NO_ROOM, OBSERVE
 from hil.signals import Operator, Order, SetPoint, TickInput
 
 CAPACITY = 64
@@ -134,9 +134,7 @@ class TickRow:
 
     def _stop(self, stage: int, stopped: int) -> None:
         """Do what a stage has stopped for."""
-        if stage == START:
-            self._cycle.end.refuse(ZERO6)
-        elif stage == OBSERVE and stopped == NO_ROOM:
+        if stage == OBSERVE and stopped == NO_ROOM:
             frames = self.ticks.frames
             self._hold(np.concatenate((frames, np.empty(self.record["heard"] + len(frames), FRAME))))
         elif stage in (OBSERVE, ACT):

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from operator import itemgetter
 
-from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.family import Family
+from drivers.protocol import Frame, Received
 from plant_fmu.drives.ends import SYNC, DrivesEnd
 from plant_fmu.faults.kinds import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
@@ -23,7 +24,7 @@ class Gateway:
     of the last step, what the protocol remembers at the drives' end.
     """
 
-    def __init__(self, schedule: Schedule, protocol: DriveProtocol, end: DrivesEnd, t0_ns: int) -> None:
+    def __init__(self, schedule: Schedule, protocol: Family, end: DrivesEnd, t0_ns: int) -> None:
         """Take the schedule, and the protocol with a drives' end of its own, powered up."""
         self._schedule = schedule
         self._protocol = protocol

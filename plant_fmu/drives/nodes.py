@@ -16,8 +16,9 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
+from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_frames, timed_array
-from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.protocol import Frame, Received
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
@@ -47,7 +48,7 @@ class Nodes:
     def __init__(
         self,
         plant: Plant,
-        protocol: DriveProtocol,
+        protocol: Family,
         emulation: DriveEmulation,
         drives: DriveSettings,
         faults: FaultPlan | None = None,

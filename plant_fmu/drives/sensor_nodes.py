@@ -13,8 +13,8 @@ from drivers.arrays import Rows
 from drivers.compiled.pointed import FAILED, data_at
 from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
+from drivers.family import Family
 from drivers.frame_array import FRAME, sent_frames, timed_array
-from drivers.protocol import DriveProtocol
 from drivers.sensor_kernels import IMU
 from drivers.sensors import KINDS, SensorProtocol
 from drivers.tick_columns import Record
@@ -36,7 +36,7 @@ class SensedNodes(Nodes):
     def __init__(
         self,
         plant: Plant,
-        protocol: DriveProtocol,
+        protocol: Family,
         emulation: DriveEmulation,
         drives: DriveSettings,
         faults: FaultPlan | None,

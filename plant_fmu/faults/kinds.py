@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import Field
 
 from drivers.config import MAX_BUSES
-from drivers.protocol import BUS, DriveProtocol, Frame
+from drivers.family import Family
+from drivers.protocol import BUS, Frame
 from drivers.signals import LEGS
 from plant_fmu.faults.fault import (
     Fault,
@@ -228,7 +229,7 @@ class SenderFault(LastingFault):
     bus: BusIndex = 0
     """Place in `bus.channels` of the bus that it is on, from 0."""
 
-    def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
+    def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
         """Return what it sends the n-th time."""
         raise NotImplementedError
 
@@ -239,7 +240,7 @@ class BusFlood(SenderFault, kind="bus_flood"):
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 8000.0
     identifier: Annotated[int, Field(ge=0, le=0x7FF)] = 0
 
-    def frames(self, _protocol: DriveProtocol, _number: int) -> tuple[Frame, ...]:
+    def frames(self, _protocol: Family, _number: int) -> tuple[Frame, ...]:
         """Return one frame."""
         return (Frame(self.identifier, _DATA, BUS * self.bus),)
 
@@ -249,7 +250,7 @@ class BusSecondController(SenderFault, kind="bus_second_controller"):
 
     force_N: float = 0.0
 
-    def frames(self, protocol: DriveProtocol, number: int) -> tuple[Frame, ...]:
+    def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
         """Return what starts its tick, and its command; where the poll is the command, that alone."""
         from plant_fmu.faults.stranger import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
 

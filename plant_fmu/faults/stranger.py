@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from drivers.controller_end import ControllerEnd, controller_end
+from drivers.controller_end import ControllerEnd
+from drivers.family import Family
 from drivers.frame_array import sent_frames
-from drivers.protocol import DriveProtocol, DriveSetup, Frame
+from drivers.protocol import DriveSetup, Frame
 from drivers.signals import LEGS, Command, DriveMode
 
 
-def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
+def forged(protocol: Family, force_N: float, tick: int) -> tuple[Frame, ...]:
     """Return a stranger's command of a tick: RUN, the same force in each leg.
 
     He takes all drives for enabled. Raises ProtocolError if the force does not fit.
@@ -19,7 +20,7 @@ def forged(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, .
     return sent_frames(end.begin(tick) if protocol.traits.command_delay_ticks else frames)
 
 
-def opened(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, ...]:
+def opened(protocol: Family, force_N: float, tick: int) -> tuple[Frame, ...]:
     """Return what starts a tick of a stranger's own, and his command; where the poll is that, it alone."""
     command = forged(protocol, force_N, tick)
     if protocol.traits.command_delay_ticks:
@@ -27,6 +28,6 @@ def opened(protocol: DriveProtocol, force_N: float, tick: int) -> tuple[Frame, .
     return sent_frames(_unheard(protocol).begin(tick)) + command
 
 
-def _unheard(protocol: DriveProtocol) -> ControllerEnd:
+def _unheard(protocol: Family) -> ControllerEnd:
     """Return that of a controller that has heard nothing."""
-    return controller_end(protocol, DriveSetup(0.01, protocol.traits.reactions[0], 1000.0))
+    return protocol.controller_end(DriveSetup(0.01, protocol.traits.reactions[0], 1000.0))

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from drivers.signals import LEGS
 from plant_fmu.bench import UncoupledLegs
 from plant_fmu.config import DriveEmulation
@@ -100,7 +100,7 @@ class RehearsalBench:
 
     def __init__(
         self,
-        protocol: DriveProtocol,
+        protocol: Family,
         emulation: DriveEmulation,
         settings: DriveSettings,
         stand: Stand,

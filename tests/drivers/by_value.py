@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
-from drivers.controller_end import ControllerEnd, controller_end
-from drivers.frame_array import sent_array, sent_frames
+from drivers.controller_end import ControllerEnd
+from drivers.frame_array import sent_frames
 from drivers.protocol import ALWAYS, DriveSetup, Frame
 from drivers.signals import Command
 from drivers.tick_columns import Record
@@ -82,7 +82,7 @@ class ByValue:
 
     def start(self, setup: DriveSetup) -> Remembered:
         """Return the dialogue before its first frame."""
-        end = self._controllers[setup] = controller_end(self.protocol, setup)
+        end = self._controllers[setup] = self.protocol.controller_end(setup)
         return self._dialogue(end, setup)
 
     def _dialogue(self, end: ControllerEnd, setup: DriveSetup | None) -> Remembered:
@@ -183,45 +183,3 @@ class ByValue:
         end = self._at(memory)
         end.restart(legs)
         return self._memory(end)
-
-
-class InPython(ControllerEnd):
-    """The controller's end of a protocol by value, which compiled passes call as one in plain Python."""
-
-    def __init__(self, family: ByValue, setup: DriveSetup) -> None:
-        self._family, self._setup_given = family, setup
-        super().__init__()
-
-    def start(self) -> None:
-        """Begin the dialogue."""
-        self.dialogue = self._family.start(self._setup_given)
-
-    def begin(self, number: int) -> Rows:
-        """Return the frames that start a tick."""
-        return sent_array(self._family.begin(self.dialogue, number))
-
-    def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
-        """Fill the measurement of a tick."""
-        self.dialogue = self._family.decode(self.dialogue, frames, last, tick, since_ns)
-
-    def give(self, command: Command, number: int) -> Rows:
-        """Return the frames of one tick's command."""
-        self.dialogue, frames = self._family.command(self.dialogue, command, number)
-        return sent_array(frames)
-
-    def set_up(self, tick: Record) -> Rows:
-        """Return the frames of the start-up dialogue of a tick."""
-        self.dialogue, frames = self._family.set_up(self.dialogue, tick)
-        return sent_array(frames)
-
-    def lacks(self) -> tuple[str, ...]:
-        """Return what each drive has not confirmed."""
-        return self._family.set_up_lacks(self.dialogue)
-
-    def remembered(self) -> Remembered:
-        """Return the dialogue."""
-        return self.dialogue
-
-    def remember(self, dialogue: Remembered) -> None:
-        """Go on from a dialogue."""
-        self.dialogue = dialogue

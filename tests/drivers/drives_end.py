@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Ints
-from drivers.protocol import DriveProtocol, Frame
+from drivers.protocol import Frame
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import READING
 from tests.drivers.messages import DeviceCommand, DeviceMessage, Status, Sync, announce, reply
 
 
 def answers(
-    protocol: DriveProtocol,
+    protocol: Any,
     sync: Sync,
     length: Array,
     rate: Array,
@@ -31,7 +31,7 @@ def reading_of(length: Array, rate: Array, force: Array, state: Ints, fault: Int
     return reading
 
 
-def reports(protocol: DriveProtocol, status: Status) -> tuple[Frame, ...]:
+def reports(protocol: Any, status: Status) -> tuple[Frame, ...]:
     """Return what a drive sends of its state."""
     return announce(drives_end(protocol), status)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.controller_end import ControllerEnd, controller_end
+from drivers.controller_end import ControllerEnd
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, Reaction
@@ -26,7 +26,7 @@ COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
 @cache
 def _controller(protocol: Any) -> tuple[ControllerEnd, Any]:
     """Return a controller's end and its dialogue at the start: listeners decode thousands of frames a second."""
-    end = controller_end(protocol, SETUP)
+    end = protocol.controller_end(SETUP)
     return end, end.remembered()
 
 

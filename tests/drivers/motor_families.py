@@ -108,7 +108,7 @@ class Motors(ByValue):
     def poll(self, dialogue: Remembered, leg: int) -> Frame:
         """Return what one drive is sent in a tick."""
         into = np.empty(LEGS, FRAME)
-        kernels.begin(self._end(dialogue).state, 0, data_at(into))  # type: ignore[attr-defined]
+        kernels.begin(self._end(dialogue).state, 0, data_at(into))
         return sent_frames(into)[leg]
 
 

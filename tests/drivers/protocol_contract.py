@@ -18,8 +18,9 @@ from drivers.arrays import Array, Rows
 from drivers.can.bus_time import frame_bits
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
+from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, received_array
-from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveProtocol, DriveSetup, Frame, Received
+from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 from plant_fmu.config import DriveEmulation
@@ -105,7 +106,7 @@ def at_tick(tick: int) -> Any:
     return record
 
 
-def reaction_of(protocol: DriveProtocol | ByValue) -> Reaction:
+def reaction_of(protocol: Family | ByValue) -> Reaction:
     """Return DAMP, or what the protocol's drives do instead."""
     return Reaction.DAMP if Reaction.DAMP in protocol.traits.reactions else protocol.traits.reactions[0]
 
@@ -113,9 +114,7 @@ def reaction_of(protocol: DriveProtocol | ByValue) -> Reaction:
 class Ends:
     """Controller's end and drives' end of one protocol. State: both, and what goes between them."""
 
-    def __init__(
-        self, protocol: DriveProtocol | ByValue, *faults: Fault, setup: DriveSetup | None = None
-    ) -> None:
+    def __init__(self, protocol: Family | ByValue, *faults: Fault, setup: DriveSetup | None = None) -> None:
         self.protocol = ByValue.of(protocol)
         if setup is None:
             setup = DriveSetup(0.05, reaction_of(protocol), 1e9 / PERIOD_NS)
@@ -201,7 +200,7 @@ class ProtocolContract:
     """A drive says in its feedback that it has lost its set-up."""
 
     @pytest.fixture
-    def family(self) -> DriveProtocol:
+    def family(self) -> Family:
         raise NotImplementedError
 
     @pytest.fixture

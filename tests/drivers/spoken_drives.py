@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import array_at
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import data_at, of_python
 from drivers.config import TransmissionSettings
-from drivers.controller_end import array_at
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.motor_kernels import HEARD
 from drivers.motors import NO_BRAKE, Exchange, MotorProtocol

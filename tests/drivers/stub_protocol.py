@@ -11,27 +11,26 @@ import struct
 from collections.abc import Callable
 from functools import cached_property
 from math import isfinite
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Rows
+from drivers.arrays import Array, Rows, array_at
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, Pointed, of_python
 from drivers.config import BusSettings, DriveSettings
-from drivers.controller_end import ControllerEnd, array_at
+from drivers.controller_end import ControllerEnd
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import FRAME, received_frames, sent_array
+from drivers.family import Family
+from drivers.frame_array import FRAME, NO_FRAMES, received_frames, sent_array
 from drivers.protocol import (
     ALWAYS,
     ERROR,
     EXTENDED,
     REMOTE,
     SINGLE,
-    DriveProtocol,
     DriveSetup,
     Frame,
-    Received,
     Resolution,
     Traits,
 )
@@ -44,7 +43,7 @@ from drivers.signals import (
     DriveState,
     Reaction,
 )
-from drivers.tick_columns import Record
+from drivers.tick_columns import Record, tick_at
 from plant_fmu.drives import ends
 from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd
 
@@ -98,19 +97,32 @@ def _put(values: tuple[int, ...], leg: int, value: int) -> tuple[int, ...]:
     return (*values[:leg], value, *values[leg + 1 :])
 
 
-class StubProtocol(DriveProtocol):
+class InPython(Pointed):
+    """A function of integers, as compiled passes call one by its address. It may not raise."""
+
+    def __init__(self, function: Callable[..., int], arguments: int) -> None:
+        kinds = (INTEGER,) * arguments
+        address, self.keeps = of_python(function, *kinds)
+        super().__init__(address, kinds, function)
+
+
+UNUSED = np.dtype([("unused", "<i8")])
+"""A record of which nothing is used: the stub has its state in Python."""
+
+
+class StubProtocol(Family):
     """The stub's tables."""
 
     def __init__(self, node_ids: list[int]) -> None:
-        for leg, node in enumerate(node_ids):
-            if not 0 <= node <= MAX_NODE:
-                raise ConfigurationError(
-                    f"drives.node_ids[{leg}]: out of range, allowed: up to {MAX_NODE}, given: {node}"
-                )
+        super().__init__(node_ids)
+        self.refuse_nodes(0, MAX_NODE, "the stub")
         self._id = {
             (kind, leg): BASE | kind << 16 | node for kind in _FIELDS for leg, node in enumerate(node_ids)
         }
         self._meaning = {identifier: key for key, identifier in self._id.items()}
+        self.tables = np.zeros((), UNUSED)
+        self.wanted = tuple(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS))
+        self.fresh_by, self.addressed_by = InPython(self._fresh, 4), InPython(self._addressed, 2)
 
     @cached_property
     def traits(self) -> Traits:
@@ -120,7 +132,7 @@ class StubProtocol(DriveProtocol):
             sent=self._polls(DriveMode.OFF, (0.0,) * LEGS),
             feedbacks=tuple(frame for leg in range(LEGS) for frame in self.feedback(leg, 0.0, 0.0, 0.0, 0)),
             emergency_stop=tuple(self.frame(STOP, leg) for leg in range(LEGS)),
-            feedback_ids=frozenset(self._id[kind, leg] for kind in (PLACE, LOAD) for leg in range(LEGS)),
+            feedback_ids=frozenset(self.wanted),
             database=("stub.dbc", 'VERSION ""\n'),
             command_delay_ticks=1,
             set_up_frames=MOST_SET_UP,
@@ -154,8 +166,8 @@ class StubProtocol(DriveProtocol):
         fields = _FIELDS[kind]
         return kind, leg, fields.unpack(frame.data) if len(frame.data) == fields.size else None
 
-    def addressed(self, frame: Frame) -> tuple[int, ...]:
-        return (self._meaning[frame.id][1],)
+    def _addressed(self, _tables: int, frame: int) -> int:
+        return 1 << self._meaning[int(array_at(frame, 1, FRAME)["id"][0])][1]
 
     def sender(self, frame: Frame) -> int:
         read = self.read(frame)
@@ -174,12 +186,11 @@ class StubProtocol(DriveProtocol):
     def _polls(self, mode: int, force: tuple[float, ...]) -> tuple[Frame, ...]:
         return tuple(self.frame(POLL, leg, mode, f) for leg, f in enumerate(force))
 
-    def fresh(self, received: Received, _tick: int, since_ns: int) -> bool:
-        read = self.read(received.frame)
-        return read is not None and read[0] in (PLACE, LOAD) and received.t_ns >= since_ns
-
-    def awaited(self, frame: Frame) -> int:
-        return frame.id
+    def _fresh(self, _tables: int, frame: int, _tick: int, since_ns: int) -> int:
+        ((t_ns, received),) = received_frames(array_at(frame, 1, FRAME))
+        read = self.read(received)
+        fresh = read is not None and read[0] in (PLACE, LOAD) and t_ns >= since_ns
+        return self.wanted.index(received.id) + 1 if fresh else 0
 
     def fault_text(self, code: int) -> str:
         return f"code {code - OWN_FAULTS} of the stub" if code >= OWN_FAULTS else ""
@@ -229,8 +240,8 @@ class StubProtocol(DriveProtocol):
         self, dialogue: StubDialogue, command: Command, _tick: int
     ) -> tuple[StubDialogue, tuple[Frame, ...]]:
         force = tuple(command.force.tolist())
-        if len(force) != LEGS or not all(isfinite(f) and abs(f) < 1e9 for f in force):
-            raise ProtocolError(f"force command {force}: six of less than 1e9 N are allowed")
+        if not all(isfinite(f) and abs(f) < 1e9 for f in force):
+            raise ProtocolError(f"force command {force}")
         return dialogue._replace(polls=self._polls(command.mode, force)), ()
 
     def set_up(self, dialogue: StubDialogue, tick: Record) -> tuple[StubDialogue, tuple[Frame, ...]]:
@@ -253,44 +264,53 @@ class StubProtocol(DriveProtocol):
             )
         return dialogue, tuple(frames)
 
-    def set_up_lacks(self, dialogue: StubDialogue) -> tuple[str, ...]:
-        return tuple(
-            "" if done == EXCHANGES else f"exchange {done} of {EXCHANGES} is not confirmed"
-            for done in dialogue.done
-        )
 
 
 class StubController(ControllerEnd):
-    """The controller's end. Mutable state: the dialogue."""
+    """The controller's end, in Python. Mutable state: the dialogue."""
 
     def __init__(self, protocol: StubProtocol, setup: DriveSetup) -> None:
         self._protocol, self._setup = protocol, setup
-        super().__init__()
+        functions = InPython(self._decode, 6), InPython(self._command, 6), InPython(self._begin, 3)
+        super().__init__(np.zeros((), UNUSED), *functions)
+        self.start()
 
     def start(self) -> None:
         self.dialogue = self._protocol.start(self._setup)
 
-    def begin(self, _number: int) -> Rows:
-        return sent_array(self.dialogue.polls)
+    def _begin(self, _opener: int, _number: int, into: int) -> int:
+        array_at(into, LEGS, FRAME)[:] = sent_array(self.dialogue.polls)
+        return LEGS
 
-    def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
-        self.dialogue = self._protocol.decode(self.dialogue, frames, last, tick, since_ns)
+    def _decode(self, _codec: int, at: int, count: int, since_ns: int, last: int, tick: int) -> int:
+        frames = array_at(at, count, FRAME) if count else NO_FRAMES
+        before = self.legs_set_up()
+        self.dialogue = self._protocol.decode(self.dialogue, frames, tick_at(last), tick_at(tick), since_ns)
+        return int(self.legs_set_up() != before)
 
-    def give(self, command: Command, number: int) -> Rows:
-        self.dialogue, frames = self._protocol.command(self.dialogue, command, number)
-        return sent_array(frames)
+    def _command(self, _codec: int, number: int, mode: int, _stop: int, force: int, _into: int) -> int:
+        command = Command(DriveMode(mode), array_at(force, LEGS, np.float64))
+        try:
+            self.dialogue, _ = self._protocol.command(self.dialogue, command, number)
+        except ProtocolError:
+            return FAILED
+        return 0
 
     def set_up(self, tick: Record) -> Rows:
         self.dialogue, frames = self._protocol.set_up(self.dialogue, tick)
         return sent_array(frames)
 
-    def lacks(self) -> tuple[str, ...]:
-        return self._protocol.set_up_lacks(self.dialogue)
+    def lack(self, leg: int) -> str:
+        done = self.dialogue.done[leg]
+        return "" if done == EXCHANGES else f"exchange {done} of {EXCHANGES} is not confirmed"
 
-    def remembered(self) -> StubDialogue:
+    def unfit(self, force: Array) -> ProtocolError:
+        return ProtocolError(f"force command {force.tolist()}: six of less than 1e9 N are allowed")
+
+    def remembered(self) -> Any:
         return self.dialogue
 
-    def remember(self, dialogue: StubDialogue) -> None:
+    def remember(self, dialogue: Any) -> None:
         self.dialogue = dialogue
 
 
@@ -299,20 +319,8 @@ class StubDrives(DrivesEnd):
 
     def __init__(self, protocol: StubProtocol) -> None:
         self._protocol, self.memory = protocol, StubMemory(*[(0,) * LEGS] * 3)
-        parse, answer, report = (
-            Pointed(address, (INTEGER,) * count, function)
-            for address, count, function in (
-                self._by_address(lambda *_: FAILED, 3),
-                self._by_address(self._answers, 5),
-                self._by_address(self._reports, 8),
-            )
-        )
-        super().__init__(np.zeros(1, FRAME), parse, answer, report)
-
-    def _by_address(self, function: Callable[..., int], count: int) -> tuple[int, int, Callable[..., int]]:
-        address, keeps = of_python(function, *[INTEGER] * count)
-        self._keeps = (*getattr(self, "_keeps", ()), keeps)
-        return address, count, function
+        functions = InPython(lambda *_: FAILED, 3), InPython(self._answers, 5), InPython(self._reports, 8)
+        super().__init__(np.zeros(1, FRAME), *functions)
 
     def converse(self, frame: Frame) -> None:
         read = self._protocol.read(frame)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from drivers import build_protocol
-from drivers.protocol import EXTENDED, DriveProtocol, Frame
+from drivers.family import Family
+from drivers.protocol import EXTENDED, Frame
 from drivers.signals import LEGS
 from tests.drivers.cia402_drives import drives
 from tests.hil.bringup.families import FAMILIES, family
@@ -18,7 +19,7 @@ EXTENDED_IDS = [
 ]
 
 
-def codec(name: str) -> DriveProtocol:
+def codec(name: str) -> Family:
     c = family(name)
     return build_protocol(c.bus, c.drives)
 

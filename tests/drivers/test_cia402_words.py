@@ -94,7 +94,7 @@ def begun(**fields: Any) -> Remembered:
 def sent(dialogue: Remembered, command: Command, tick: int = 1) -> tuple[Remembered, list[tuple[int, int]]]:
     """Return word and torque of each drive."""
     dialogue, frames = P.command(dialogue, command, tick)
-    assert [frame.id for frame in frames[:6]] == [0x200 + node for node in P.node_ids]
+    assert [frame.id for frame in frames[:6]] == [0x200 + node for node in P.nodes]
     data = [frame.data for frame in frames[:6]]
     return dialogue, [
         (int.from_bytes(d[:2], "little"), int.from_bytes(d[2:], "little", signed=True)) for d in data
@@ -179,7 +179,7 @@ def test_the_force_that_fits_is_that_of_the_weakest_leg():
 
 
 def test_a_stop_is_a_quick_stop_of_each_drive_and_a_tick_has_a_sync_six_rpdos_and_two_tpdos_a_drive():
-    nodes = P.node_ids
+    nodes = P.nodes
     assert P.traits.emergency_stop == tuple(Frame(0x200 + node, b"\2\0\0\0") for node in nodes)
     sync, commands, answers = (
         P.traits.cyclic_frames[:1],
@@ -257,7 +257,7 @@ def test_losses_are_those_of_each_leg_at_the_rate_last_read():
     [
         (
             (1, 2, 0, 4, 5, 6),
-            r"node_ids\[2\]: allowed with cia402: 1 to 127 without the controller's own 9, given: 0",
+            r"node_ids\[2\]: out of range, allowed with cia402: 1 to 127 without the controller's own 9, given: 0",
         ),
         ((1, 2, 128, 4, 5, 6), r"node_ids\[2\]: .* given: 128"),
         ((1, 2, 3, 4, 5, 9), r"node_ids\[5\]: .* given: 9"),
@@ -266,7 +266,7 @@ def test_losses_are_those_of_each_leg_at_the_rate_last_read():
 )
 def test_drive_nodes_are_1_to_127_except_the_controllers(nodes, message):
     if message is None:
-        assert made(nodes, UNLIKE_GEAR, controller_node=9).node_ids == nodes
+        assert made(nodes, UNLIKE_GEAR, controller_node=9).nodes == nodes
         return
     with pytest.raises(ConfigurationError, match=message):
         made(nodes, UNLIKE_GEAR, controller_node=9)

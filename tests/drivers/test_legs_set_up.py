@@ -239,7 +239,7 @@ def test_frames_concern_the_legs_of_their_identifiers():
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ((1, 2, 0, 4, 5, 6), r"node_ids\[2\]: .* at least 1 and at most 127, given: 0"),
+        ((1, 2, 0, 4, 5, 6), r"node_ids\[2\]: .* allowed with legs: 1 to 127, given: 0"),
         ((128, 2, 3, 4, 5, 6), r"node_ids\[0\]: .* given: 128"),
     ],
 )
@@ -322,7 +322,7 @@ def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
 @pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
 def test_a_protocol_names_its_layout_and_nodes_and_says_how_large_a_force_may_be(layout):
     protocol = LegsProtocol(layout, NODES, 32_000.0)
-    assert (protocol.layout, protocol.node_ids, protocol.rated_force_N) == (layout, NODES, 32_000.0)
+    assert (protocol.layout, protocol.nodes, protocol.rated_force_N) == (layout, NODES, 32_000.0)
     assert (protocol.database[0], "FEEDBACK_FD_1" in protocol.database[1]) == ("legs.dbc", True)
     span = {
         "classic": "-32768 to 32766",

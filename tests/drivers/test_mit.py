@@ -609,7 +609,7 @@ def test_what_friction_takes_the_command_has_added_and_the_drive_reports_the_for
     protocol = MitProtocol("damiao", WIDE, NODES, 16, Transmission.of(lossy))
     ends, plant = Ends(protocol), Pushed()
     drives = DriveSettings(heartbeat_ms=24.0, transmission=lossy, force_limit_N=3000.0)
-    ends.nodes = Nodes(plant, protocol, DriveEmulation(encoder_resolution_m=0.0), drives)
+    ends.nodes = Nodes(plant, protocol.protocol, DriveEmulation(encoder_resolution_m=0.0), drives)
     force = np.array(
         [1000.0, 2000.0, 3000.0, -3000.0, 0.0, -500.0]
     )  # both ways against RATE, and the rated one

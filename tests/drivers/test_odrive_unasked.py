@@ -154,7 +154,7 @@ def test_the_estimate_that_counts_says_by_when_its_poll_was_out():
     polls = protocol.begin(protocol.start(DriveSetup(0.05, Reaction.BRAKE, 100.0)), 0)
     answers = [Received(300_000, estimate(2, 0.0)), Received(700_000, estimate(2, 0.1))]
     given, heard = sent_array(polls), received_array(answers)
-    sent = checked(protocol, given, [900_000] * LEGS, heard, 0, 0, 900_000, 100_000)
+    sent = checked(protocol.protocol, given, [900_000] * LEGS, heard, 0, 0, 900_000, 100_000)
     assert list(sent) == [900_000, 900_000, 600_000, 900_000, 900_000, 900_000]
 
 

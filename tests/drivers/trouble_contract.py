@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from drivers.arrays import Array
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
-from drivers.protocol import DriveProtocol, DriveSetup, Frame, Received
+from drivers.family import Family
+from drivers.frame_array import received_frames
+from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.kernels import fail
@@ -58,7 +60,7 @@ class Placed(Given):
 class Line(Ends):
     """Both ends, a plant that can be placed, and somebody between them who changes frames."""
 
-    def __init__(self, protocol: DriveProtocol | ByValue, *faults: Fault) -> None:
+    def __init__(self, protocol: Family | ByValue, *faults: Fault) -> None:
         super().__init__(protocol, *faults)
         self.plant = Placed()
         emulation, drives = DriveEmulation(encoder_resolution_m=0.0), DriveSettings(heartbeat_ms=24.0)
@@ -139,11 +141,11 @@ class TroubleContract(ProtocolContract):
     OTHER = 0x40
     """Bit of an identifier that makes it nobody's."""
 
-    def beat_ids(self, protocol: DriveProtocol) -> set[int]:
+    def beat_ids(self, protocol: Family) -> set[int]:
         """Return the identifiers of heartbeats."""
         return set()
 
-    def ids_of(self, protocol: DriveProtocol, leg: int) -> set[int]:
+    def ids_of(self, protocol: Family, leg: int) -> set[int]:
         """Return what `awaited` gives for the feedback of a leg."""
         cyclic = protocol.traits.cyclic_frames
         return {protocol.awaited(frame) for frame in cyclic if protocol.sender(frame) == leg}
@@ -439,7 +441,7 @@ class TroubleContract(ProtocolContract):
 
     # all of it
 
-    def survives(self, protocol: DriveProtocol, seed: int) -> None:
+    def survives(self, protocol: Family, seed: int) -> None:
         """Run through random trouble; afterwards all drives must be as new."""
         generator = np.random.default_rng(seed)
         resets = [

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.controller_end import controller_end
 from drivers.frame_array import sent_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
@@ -66,7 +65,7 @@ def test_a_reset_clears_what_is_latched_where_nothing_is_held_and_nowhere_else(
     monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
     cycle.mode, cycle.mode_tick, cycle.estop, cycle.stop_requested = mode, 50, True, Stop.MISSED
     cycle.faults, fresh = Fault.DRIVE, cycle.end.remembered()
-    other = controller_end(cycle.parts.protocol, cycle.parts.setup._replace(watchdog_s=0.5))
+    other = cycle.parts.protocol.controller_end(cycle.parts.setup._replace(watchdog_s=0.5))
     cycle.end.remember(other.remembered())
     cycle._change_mode(said(Operator.RELEASE), measured(cycle))
     assert not told

@@ -8,16 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import DriveState, Fault, Mode, Stop
+from drivers.signals import Fault, Mode, Stop
 from hil.app.compose import build_cycle
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator
 from hil.trajectory.move import GeodesicMove
-from tests.drivers.by_value import ByValue, InPython
-from tests.drivers.drives_end import reports
-from tests.drivers.messages import Status
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
 
@@ -91,40 +88,6 @@ def test_a_drive_whose_turns_are_no_longer_known_is_waited_for_again(parts):
     bench.step()
     assert bench.cycle.homing.refusal
     assert [*modes, bench.cycle.mode] == [Mode.IDLE, Mode.WAITING]
-
-
-class Uncompiled:
-    """A family whose controller's end is in Python alone."""
-
-    def __init__(self, family: Any) -> None:
-        self._family = family
-
-    def controller_end(self, setup: Any) -> InPython:
-        return InPython(self._family, setup)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._family, name)
-
-
-def test_a_family_in_python_is_decided_on_in_the_same_ticks_as_one_that_is_compiled(parts):
-    compiled = Bench(cycle=Cycle(parts))
-    plain = Bench(cycle=Cycle(replace(made(), protocol=Uncompiled(ByValue(parts.protocol)))))
-    modes = []
-    for number in range(400):
-        for bench in (compiled, plain):
-            if number == 60:
-                bench.drives.state[3] = DriveState.BOOT
-                bench.drives.statuses += reports(
-                    bench.cycle.parts.protocol, Status(3, DriveState.BOOT, 0, None)
-                )
-        operator = (Operator.ENGAGE,) if number == 200 else ()
-        a, b = (bench.step(operator) for bench in (compiled, plain))
-        assert a.row.tobytes() == b.row.tobytes(), number
-        assert a.frames.tobytes() == b.frames.tobytes(), number
-        modes.append(compiled.cycle.mode)
-    assert modes[59:61] == [Mode.IDLE, Mode.WAITING]
-    assert modes[199] is Mode.IDLE
-    assert Mode.APPROACH in modes
 
 
 class Failing:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.arrays import ZERO6
-from drivers.frame_array import sent_frames
+from drivers.arrays import ZERO6, array_at
+from drivers.frame_array import FRAME, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode, Warn
 from hil.app.compose import build_cycle
@@ -20,12 +21,11 @@ from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, Order, SetPoint
-from tests.drivers.by_value import ByValue
 from tests.drivers.legs_frames import opening
+from tests.drivers.stub_protocol import InPython
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import LIVE, VIRTUAL
 from tests.hil.test_cycle_held import aside
-from tests.hil.test_cycle_looks import Uncompiled
 
 ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])
 LENIENT = VIRTUAL.limits.model_copy(update={"following_error_m": 10.0})
@@ -219,18 +219,21 @@ STOP, COMMAND, SET_UP = (Frame(identifier, b"\1") for identifier in (0x7A1, 0x7A
 @pytest.fixture
 def spoken(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return such a bench, whose family sends these frames, and what that is told of a stop."""
-    family = ByValue(build_cycle(VIRTUAL, 1000.0, 0.01).parts.protocol)
-    bench = a_bench(protocol=Uncompiled(family))
+    family = copy(build_cycle(VIRTUAL, 1000.0, 0.01).parts.protocol)
+    family.traits = replace(family.traits, emergency_stop=(STOP,))
+    bench = a_bench(protocol=family)
     told: list[Any] = []
 
-    def command(dialogue: Any, command: Any, number: int) -> Any:
-        told.append((command.stop, command.mode, number))
-        return dialogue, (COMMAND,)
+    def command(_codec: int, number: int, mode: int, stop: int, _force: int, into: int) -> int:
+        told.append((bool(stop), mode, number))
+        array_at(into, 1, FRAME)[:] = sent_array((COMMAND,))
+        return 1
 
-    monkeypatch.setattr(family, "command", command)
-    monkeypatch.setattr(family, "traits", replace(family.traits, emergency_stop=(STOP,)))
-    monkeypatch.setattr(family, "set_up", lambda dialogue, _tick: (dialogue, (SET_UP,)))
-    return bench, told
+    commands = InPython(command, 6)
+    bench.cycle.control.record["command"] = commands.address
+    monkeypatch.setattr(bench.cycle.end, "set_up", lambda _tick: sent_array((SET_UP,)))
+    yield bench, told
+    del commands
 
 
 @pytest.mark.parametrize(
@@ -254,8 +257,7 @@ def test_an_emergency_stop_goes_out_first_until_it_is_confirmed_unless_off_alone
     (bench, told), asked = spoken, list[Any]()
     cycle = bench.cycle
     family: Any = cycle.parts.protocol
-    traits = replace(family.traits, stop_latches="latches" in what)
-    monkeypatch.setattr(family._family, "traits", traits)
+    family.traits = replace(family.traits, stop_latches="latches" in what)
     monkeypatch.setattr(
         cycle_module,
         "confirmed",

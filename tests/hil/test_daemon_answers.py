@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -12,7 +13,6 @@ import pytest
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.errors import BusError
-from drivers.family import hearing
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
@@ -73,8 +73,7 @@ def six(cycle: Any, counter: int = TICK) -> list[Frame]:
 
 def listened(cycle: Any, bus: Queue, begun_ns: int, deadline_ns: int) -> list[Received]:
     """Return what the daemon has heard of a tick."""
-    hears = hearing(cycle.parts.protocol)
-    return got(_answers(cycle, hears, cast("Bus", bus), TICK, begun_ns, deadline_ns))
+    return got(_answers(cycle, cast("Bus", bus), TICK, begun_ns, deadline_ns))
 
 
 def damaged(frame: Frame) -> Frame:
@@ -114,8 +113,8 @@ def test_what_came_while_the_program_was_held_up_past_the_deadline_is_taken(cycl
             return received_array(taken)
 
     good, own = six(cycle), cycle.parts.protocol
-    traits = replace(own.traits, shares_identifiers=True)
-    shared = SimpleNamespace(traits=traits, fresh=own.fresh, awaited=own.awaited)
+    shared = copy(own)
+    shared.traits = replace(own.traits, shares_identifiers=True)
     one: Any = SimpleNamespace(parts=SimpleNamespace(protocol=shared))
     heard = listened(one, HeldUp(*good), 1_000, 8_000)
     assert [each.frame for each in heard] == good

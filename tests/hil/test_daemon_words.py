@@ -237,7 +237,6 @@ def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypat
     """The bus is given the frames at 100 ns, and that took until 130."""
     told: list[Any] = []
     opening, answer = sent_array(OPENING), received_array([ANSWER])
-    hears: Any = "what the protocol hears"
     times = iter([100, 130])
     bus: Any = SimpleNamespace(
         clock=SimpleNamespace(now=lambda: next(times)), drain_now=lambda: received_array([OLDER]), send=lambda _: 2,
@@ -258,12 +257,12 @@ def test_answers_tell_when_a_frame_was_out_where_the_bus_does_not_know(monkeypat
     monkeypatch.setattr(daemon, "latch_ns", lambda *asked: asked)
     shell: Any = SimpleNamespace(bus=bus, feedback_window_ns=700, answer_ns=answer_ns)
     cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=protocol))
-    found: Any = _ask(cycle, hears, shell, Wake(9, 50, 30, 0), opening)
+    found: Any = _ask(cycle, shell, Wake(9, 50, 30, 0), opening)
     heard, latched, refused = found
-    assert told[0] == (hears, bus, 9, 100, 750)
+    assert told[0] == (bus, 9, 100, 750)
     assert (received_frames(heard), refused) == ((OLDER, ANSWER), 2)
     known = answer_ns is None
-    assert latched == (hears, opening, ["the clock's" if known else "the answers'"], 80)
+    assert latched == (protocol, opening, ["the clock's" if known else "the answers'"], 80)
     asked = (protocol, opening, ["the clock's"], answer, 9, 100, 130, answer_ns)
     assert told[1:] == ([] if known else [asked])
 

@@ -26,7 +26,7 @@ CONTROLLERS = {
     "a SYNC of another kind": (Frame(0x080, b""), Foreign.SYNC),
     "our own command": (command_frames(OURS, RUN, 3)[0], Foreign.COMMAND),
     "a command of another layout": (
-        command_frames(LegsProtocol("classic", OURS.node_ids), RUN, 3)[1],
+        command_frames(LegsProtocol("classic", OURS.nodes), RUN, 3)[1],
         Foreign.COMMAND,
     ),
     "a broken command": (Frame(0x110, bytes(32)), Foreign.COMMAND),
@@ -191,7 +191,7 @@ def test_a_drive_that_does_not_confirm_its_set_up_is_tried_again_and_then_keeps_
 ):
     bench = Bench()
     obey = bench.drives.obey
-    speaks = LegsProtocol("fd", OURS.node_ids, 3e3) if wrong == "rated force" else bench.drives.protocol
+    speaks = LegsProtocol("fd", OURS.nodes, 3e3) if wrong == "rated force" else bench.drives.protocol
 
     def obey_wrongly(frames):
         obey(frames)

@@ -5,9 +5,8 @@ import pytest
 
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
-from drivers.controller_end import tick_at
 from drivers.signals import NEVER
-from drivers.tick_columns import new_record
+from drivers.tick_columns import new_record, tick_at
 from hil.loop import homing_kernels
 from hil.loop.homing import SILENT_TICKS, Homing, LastPose, Stroke, unwrapped_turns
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from drivers import build_protocol
-from drivers.family import hearing
 from drivers.frame_array import received_array, sent_array
 from drivers.protocol import BUS, Frame, Received
 from drivers.tick_columns import row_of
@@ -29,7 +28,7 @@ from tests.records import record_of
 
 
 def latch_ns(family, opening, sent_ns, woke_ns):
-    return latches.latch_ns(hearing(family), sent_array(opening), sent_ns, woke_ns)
+    return latches.latch_ns(family, sent_array(opening), sent_ns, woke_ns)
 
 
 def checked(family, opening, sent_ns, answers, *times):

@@ -13,12 +13,12 @@ import pytest
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
 from drivers.config import TrackerSettings, WrenchSensorSettings
-from drivers.controller_end import tick_at
 from drivers.frame_array import NO_FRAMES, received_array
 from drivers.protocol import Received
 from drivers.sensor_kernels import NEVER
 from drivers.sensors import SensorProtocol
 from drivers.signals import DriveState
+from drivers.tick_columns import tick_at
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.config.estimation import FusionSettings

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import Callee, of_python
-from drivers.controller_end import tick_at
 from drivers.signals import Fault, Mode, Warn
+from drivers.tick_columns import tick_at
 from hil.app.check.command import inspect
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads

@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
-from drivers.arrays import Rows
+from drivers.arrays import Rows, array_at
 from drivers.errors import BusError
-from drivers.family import hearing
-from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
+from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import BusState, DriveMode, Mode
 from hil.app.compose import build_cycle, build_nodes
@@ -23,6 +22,7 @@ from hil.operate.channel import Heard
 from hil.signals import Operator, Order, TickInput
 from plant_fmu.drives import drives_end
 from tests.drivers.messages import DeviceCommand, hear
+from tests.drivers.stub_protocol import InPython
 from tests.loop.test_run_end_daemon import Wire
 
 LATE_NS, OUT_NS = 70_000, 123_000
@@ -240,19 +240,16 @@ def test_a_bus_that_took_no_command_is_given_them_again_and_flushed_if_it_is_off
 class Tail:
     """A protocol whose answers name no SYNC: what came before it was asked for is an answer to the one before."""
 
+    context, wanted = 0, (1, 2)
+
     def __init__(self, *, shares_identifiers: bool) -> None:
-        self.traits = SimpleNamespace(
-            feedback_ids=frozenset({1, 2}), command_delay_ticks=0, shares_identifiers=shares_identifiers
-        )
+        self.traits = SimpleNamespace(feedback_ids={1, 2}, shares_identifiers=shares_identifiers)
+        self.fresh_by, self.addressed_by = InPython(self._fresh, 4), InPython(lambda *_: 0, 2)
 
-    def awaited(self, frame: Frame) -> int:
-        return frame.data[0] if self.traits.shares_identifiers else frame.id
-
-    def fresh(self, answer: Received, _tick: int, since_ns: int) -> bool:
-        return answer.t_ns >= since_ns
-
-    def addressed(self, _frame: Frame) -> tuple[int, ...]:
-        return ()
+    def _fresh(self, _context: int, frame: int, _tick: int, since_ns: int) -> int:
+        ((t_ns, answer),) = received_frames(array_at(frame, 1, FRAME))
+        number = answer.data[0] if self.traits.shares_identifiers else answer.id
+        return number if t_ns >= since_ns and number in self.wanted else 0
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -278,9 +275,8 @@ def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_
         wait=next_one if shared else refusing, drain=refusing if shared else next_one,
     )  # fmt: skip
     cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
-    hears = hearing(cycle.parts.protocol)
     shell = Shell(bus, None, None, OperatorPanel(), 175)  # type: ignore[arg-type]
-    heard, _, _ = _ask(cycle, hears, shell, Wake(0, 0, 90, 0), sent_array([frame(0)]))
+    heard, _, _ = _ask(cycle, shell, Wake(0, 0, 90, 0), sent_array([frame(0)]))
     assert heard["t_ns"].tolist() == [10, 120, 130]
     assert len(coming) == 1
     assert set(deadlines) == {175}
@@ -302,8 +298,7 @@ def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared, 
         wait=next_one, drain=next_one,
     )  # fmt: skip
     cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=Tail(shares_identifiers=shared)))
-    hears = hearing(cycle.parts.protocol)
     shell = Shell(bus, None, None, OperatorPanel(), window_ns)  # type: ignore[arg-type]
-    heard, _, _ = _ask(cycle, hears, shell, Wake(0, 0, 0, 0), sent_array([Frame(1, b"")]))
+    heard, _, _ = _ask(cycle, shell, Wake(0, 0, 0, 0), sent_array([Frame(1, b"")]))
     assert looks == [*range(110, last + 10, 10)]
     assert len(heard) == 2 * len(looks), "what has come by then counts"

@@ -11,9 +11,9 @@ import pytest
 
 from drivers import build_protocol
 from drivers.config import ChannelSettings
-from drivers.controller_end import controller_end
+from drivers.family import Family
 from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import DriveProtocol, DriveSetup, Received
+from drivers.protocol import DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.gateway import Gateway
@@ -38,7 +38,7 @@ BOTH = pytest.mark.parametrize("kind", KINDS)
 
 
 @cache
-def codec(name: str, buses: tuple[tuple[int, ...], ...] = ()) -> DriveProtocol:
+def codec(name: str, buses: tuple[tuple[int, ...], ...] = ()) -> Family:
     """Return the family's codec, on pulleys with which all of them can say how long the legs are."""
     c = family(name)
     changes: dict[str, Any] = {"force_limit_N": 2.0 * FORCE_N}
@@ -96,7 +96,7 @@ def test_a_forger_answers_a_poll_to_its_drive_alone_and_a_sync_to_all_on_its_bus
     gateway = Gateway(
         Schedule(FaultPlan([FramesForgedCommand(force_N=FORCE_N)]), 0), protocol, drives_end(protocol), 0
     )
-    end = controller_end(protocol, DriveSetup(0.05, protocol.traits.reactions[0], 250.0))
+    end = protocol.controller_end(DriveSetup(0.05, protocol.traits.reactions[0], 250.0))
     polls = sent_frames(end.begin(0))
     assert {frame.bus for frame in polls} == {0, 1}
     for poll in polls:

@@ -11,7 +11,8 @@ import numpy as np
 from drivers.can.bus import Bus
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import ConfigurationError, RunError
-from drivers.protocol import DriveProtocol, Frame, Received
+from drivers.family import Family
+from drivers.protocol import Frame, Received
 from drivers.signals import Fault
 from drivers.tick_columns import Record, row_of
 from hil.app.bringup.checklist import checklist
@@ -246,7 +247,7 @@ class _Said:
 
 
 def _proceed(
-    c: Configuration, protocol: DriveProtocol, end: End, store: Store, said: _Said, *, hang: bool
+    c: Configuration, protocol: Family, end: End, store: Store, said: _Said, *, hang: bool
 ) -> tuple[Outcome, Context, str]:
     """Do the steps at an end; return how far they came, what is known, and why they were ended.
 

@@ -7,8 +7,7 @@ from typing import NamedTuple
 from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
-from drivers.controller_end import controller_end
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from hil.app.bringup.bus_line import BusLine
 from hil.app.bringup.hands import RemoteHands
 from hil.app.bringup.machine import WINDOW, bringup_rate, known_poses
@@ -40,7 +39,7 @@ def rehearsed_end(c: Configuration, bench: RehearsalBench, agree: Agree, say: Sa
 
 @contextlib.contextmanager
 def served_end(
-    c: Configuration, bus: Bus, protocol: DriveProtocol, beside: Operator, agree: Agree, say: Say
+    c: Configuration, bus: Bus, protocol: Family, beside: Operator, agree: Agree, say: Say
 ) -> Iterator[End]:
     """Yield the ends of a bench that another process serves on a bus; its time stands still where it may."""
     say("a rehearsal bench is served on this bus: its hands do what you are asked")
@@ -50,7 +49,7 @@ def served_end(
     hands = RemoteHands(BusAddress(c.bus.interface, c.bus.channel), beside, agree)
     with contextlib.closing(hands), real_time(c.loop.priority, c.loop.cpu):
         if clock is not None:
-            opening = controller_end(protocol, drive_setup(c, rate)).begin(0)
+            opening = protocol.controller_end(drive_setup(c, rate)).begin(0)
             begin(clock, c, protocol, opening, round(1e9 * WINDOW / rate))
         try:
             yield End(_line(c, bus, protocol), hands)
@@ -61,13 +60,13 @@ def served_end(
 
 
 @contextlib.contextmanager
-def machine_end(c: Configuration, bus: Bus, protocol: DriveProtocol, operator: Operator) -> Iterator[End]:
+def machine_end(c: Configuration, bus: Bus, protocol: Family, operator: Operator) -> Iterator[End]:
     """Yield the ends of a machine on a bus."""
     with real_time(c.loop.priority, c.loop.cpu):
         yield End(_line(c, bus, protocol), operator)
 
 
-def _line(c: Configuration, bus: Bus, protocol: DriveProtocol) -> BusLine:
+def _line(c: Configuration, bus: Bus, protocol: Family) -> BusLine:
     rate = bringup_rate(c)
     return BusLine(bus, rate, WINDOW / rate, watched=protocol.traits.has_watchdog)
 

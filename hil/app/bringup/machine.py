@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from drivers.signals import LEGS, DriveState
 from drivers.transmission import forgotten_length
 from hil.app.configuration.configuration import Configuration
@@ -67,7 +67,7 @@ def _words(pose: Pose) -> str:
     return f"position {place} m, rotation vector {turn} deg"
 
 
-def build_machine(c: Configuration, protocol: DriveProtocol) -> Machine:
+def build_machine(c: Configuration, protocol: Family) -> Machine:
     """Return the machine of a configuration."""
     platform = build_platform(c.platform)
     poses = known_poses(c)
@@ -119,12 +119,12 @@ def _losses(c: Configuration) -> float:
     return 0.0 if gear is None else 1.0 - float(np.min(gear.efficiency))
 
 
-def known_identifiers(protocol: DriveProtocol) -> frozenset[int]:
+def known_identifiers(protocol: Family) -> frozenset[int]:
     """Return the identifiers that frames of a protocol's drives have."""
     return unasked_identifiers(protocol) | {frame.id for frame in protocol.traits.cyclic_frames}
 
 
-def unasked_identifiers(protocol: DriveProtocol) -> frozenset[int]:
+def unasked_identifiers(protocol: Family) -> frozenset[int]:
     """Return the identifiers of what a protocol's drives send by themselves."""
     known: set[int] = set()
     for leg in range(LEGS):

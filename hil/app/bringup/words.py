@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isfinite
 
 from drivers.errors import ConfigurationError
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, RANGES, Mistake, Wiring, legs_of, wired
 
 _KEYS = ("leg", "other", "third", "value")
@@ -58,7 +58,7 @@ def _refuse_size(words: str, name: str, value: float) -> None:
         )
 
 
-def wiring_of(mistakes: Sequence[str], protocol: DriveProtocol) -> Wiring:
+def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
     """Return the wiring with some mistakes of drives of a protocol.
 
     Raises ConfigurationError for words that are no mistake, that these drives cannot make, or that together

@@ -2,7 +2,6 @@
 
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.python_can import unknown_interface
-from drivers.controller_end import controller_end
 from drivers.frame_array import sent_frames
 from hil.app.check.findings import Report
 from hil.app.compose import build_protocol, drive_setup
@@ -57,7 +56,7 @@ def answered_ns(c: Configuration) -> list[int]:
     """Return the bus time of SYNC or polls and the feedbacks, bus by bus, ns."""
     protocol = build_protocol(c)
     traits = protocol.traits
-    opening = sent_frames(controller_end(protocol, drive_setup(c, c.loop.rate_Hz)).begin(0))
+    opening = sent_frames(protocol.controller_end(drive_setup(c, c.loop.rate_Hz)).begin(0))
     opens = {frame.id for frame in opening}
     counted = [frame for frame in traits.sent if frame.id in opens] + [*traits.feedbacks]
     if traits.unasked_s > 0.0:  # one that its drive sends by a timer may stand before the last answer

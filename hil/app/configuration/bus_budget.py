@@ -9,7 +9,8 @@ from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.protocol import EXTENDED, FD, DriveProtocol, DriveSetup, Frame
+from drivers.family import Family
+from drivers.protocol import EXTENDED, FD, DriveSetup, Frame
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, DriveState
 
@@ -120,12 +121,10 @@ def bus_budgets(
     Raises ConfigurationError with the arithmetic of a bus on which it is more than `max_load_percent`, for
     settings that the protocol does not have, and for sensors where layout or protocol have no room for them.
     """
-    from drivers.controller_end import controller_end  # noqa: PLC0415 - compiled code: not for all that read a configuration
-
     nodes = SensorProtocol(bus, sensors)
     protocol = build_protocol(bus, drives)
     try:
-        controller_end(protocol, DriveSetup(1e-3 * drives.watchdog_ms, protocol.traits.reactions[0], rate_Hz))
+        protocol.controller_end(DriveSetup(1e-3 * drives.watchdog_ms, protocol.traits.reactions[0], rate_Hz))
     except ProtocolError as error:
         raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
     frames = protocol.traits.cyclic_frames
@@ -150,7 +149,7 @@ def bus_budgets(
     )
 
 
-def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
+def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
     """Return one example of every heartbeat that no tick is without, as the six drives take turns.
 
     Rarer ones are left to the free part of the bus, as is what sets the drives up: see `set_up_ns`.
@@ -165,7 +164,7 @@ def heartbeats(protocol: DriveProtocol, heartbeat_s: float, rate_Hz: float) -> t
     return tuple(found)
 
 
-def unasked_readings(protocol: DriveProtocol, rate_Hz: float) -> tuple[Frame, ...]:
+def unasked_readings(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
     """Return one example of every reading by a timer that no tick is without, on the bus of each drive."""
     if protocol.traits.unasked_s <= 0.0:
         return ()
@@ -178,7 +177,7 @@ def unasked_readings(protocol: DriveProtocol, rate_Hz: float) -> tuple[Frame, ..
     return tuple(found)
 
 
-def set_up_ns(bus: BusSettings, protocol: DriveProtocol) -> tuple[int, ...]:
+def set_up_ns(bus: BusSettings, protocol: Family) -> tuple[int, ...]:
     """Return the bus time, ns, of what sets the drives up in one tick, bus by bus, as if it were all there.
 
     As many frames as the protocol sends in a tick, of up to 8 bytes, and an answer to each. They go out in
@@ -199,7 +198,7 @@ def bus_budget(
     return max(found, key=lambda each: each.load_percent) if found else None
 
 
-def shortest_answer_ns(bus: BusSettings, protocol: DriveProtocol) -> int:
+def shortest_answer_ns(bus: BusSettings, protocol: Family) -> int:
     """Return the least time, ns, from the end of SYNC or a poll to that of a feedback to it on its bus."""
     return min(
         frame_time_ns(len(frame.data), frame.flags, BitTiming.of(bus.buses[frame.bus]), least=True)

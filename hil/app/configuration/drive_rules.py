@@ -8,7 +8,7 @@ import numpy as np
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, HilError
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from drivers.signals import Reaction
 from drivers.transmission import forgotten_length
 from hil.app.configuration.yaml_positions import Path
@@ -16,7 +16,7 @@ from hil.config.platform import PlatformSettings
 from hil.config.reactions import ReactionSettings
 
 
-def _protocol(bus: BusSettings, drives: DriveSettings) -> DriveProtocol | None:
+def _protocol(bus: BusSettings, drives: DriveSettings) -> Family | None:
     """Return the codec; None where its settings are wrong, which the rule on the bus load says."""
     try:
         return build_protocol(bus, drives)

@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers import build_protocol
 from drivers.errors import HilError, PlantError, RunError
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from drivers.signals import LEGS, Doubt, Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.fault_words import show_fault
@@ -99,7 +99,7 @@ def _judged(job: Job) -> dict[str, Any]:
     }
 
 
-def _why_of_drives(kind: str, protocol: DriveProtocol) -> str:
+def _why_of_drives(kind: str, protocol: Family) -> str:
     """Say what such drives cannot do that would have kept the motion within its bound; empty for nothing."""
     if kind in COMMANDS_LOST and not protocol.traits.has_watchdog:
         return f"; the drives {NO_WATCHDOG}"

@@ -12,7 +12,7 @@ from drivers import PROTOCOLS
 from drivers.arrays import Array, Rows
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError, HilError, LogError
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from drivers.signals import Mode
 from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import Configuration, loads
@@ -102,7 +102,7 @@ def _configuration(log: Log) -> tuple[Configuration | None, str]:
         return None, f"without the configuration there are no limits, no bus load and no 3D view: {first}"
 
 
-def _codec(c: Configuration) -> DriveProtocol | None:
+def _codec(c: Configuration) -> Family | None:
     try:
         return PROTOCOLS[c.drives.protocol](c.bus, c.drives)
     except HilError:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.protocol import DriveProtocol
+from drivers.family import Family
 from drivers.signals import LEGS, DriveState, Fault, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.report.timeline import spells
@@ -57,7 +57,7 @@ def told(
     events: Sequence[Event],
     rows: Rows,
     rate_Hz: float,
-    protocol: DriveProtocol | None = None,
+    protocol: Family | None = None,
 ) -> Told:
     """Return what went wrong in a run.
 
@@ -127,11 +127,11 @@ def mode_name(mode: int) -> str:
     return Mode(mode).name if mode in {int(m) for m in Mode} else str(mode)
 
 
-def _reason(fault: int, protocol: DriveProtocol | None) -> str:
+def _reason(fault: int, protocol: Family | None) -> str:
     return because(fault, "" if protocol is None or not fault else protocol.fault_text(fault))
 
 
-def _drives(said: Any, protocol: DriveProtocol | None) -> list[str]:
+def _drives(said: Any, protocol: Family | None) -> list[str]:
     texts = []
     for drive in map(_mapping, _list(said)):
         fault, age = drive.get("fault"), drive.get("age")
@@ -141,9 +141,7 @@ def _drives(said: Any, protocol: DriveProtocol | None) -> list[str]:
     return texts[:LEGS]
 
 
-def _drives_of_row(
-    rows: Rows, found: Sequence[Found], rate_Hz: float, protocol: DriveProtocol | None
-) -> list[str]:
+def _drives_of_row(rows: Rows, found: Sequence[Found], rate_Hz: float, protocol: Family | None) -> list[str]:
     times = [each.time_s for each in found if each.time_s is not None]
     at: Any = np.flatnonzero(rows["tick"] >= np.rint(min(times) * rate_Hz)) if times else []
     if not len(at):
@@ -159,7 +157,7 @@ def _done(
     rows: Rows,
     found: Sequence[Found],
     rate_Hz: float,
-    protocol: DriveProtocol | None,
+    protocol: Family | None,
 ) -> list[tuple[float | None, str]]:
     steps = [_mapping(each) for each in _list(story.get("done"))]
     if steps:

@@ -8,8 +8,8 @@ from drivers.arrays import Ints, Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.localcan.bench_clock import BenchClock
+from drivers.family import Family
 from drivers.frame_array import sent_frames
-from drivers.protocol import DriveProtocol
 from hil.app.configuration.configuration import Configuration
 from hil.safety.signals import HARMFUL_STRETCH_NS
 
@@ -26,9 +26,7 @@ def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
     return clock if c.loop.on_stall == "stretch" and isinstance(clock, BenchClock) else None
 
 
-def begin(
-    clock: BenchClock, c: Configuration, protocol: DriveProtocol, opening: Rows, window_ns: int
-) -> None:
+def begin(clock: BenchClock, c: Configuration, protocol: Family, opening: Rows, window_ns: int) -> None:
     """Let time stand still from now on, and hold it.
 
     opening: the frames that start a tick. Of what these and the feedbacks leave of the feedback window, on

@@ -9,12 +9,10 @@ from math import inf
 from time import perf_counter
 from typing import Any
 
-from drivers.arrays import Rows
+from drivers.arrays import Rows, array_at
 from drivers.can.bus_time import BitTiming
 from drivers.compiled.pointed import data_at
-from drivers.controller_end import array_at
 from drivers.errors import PlantError
-from drivers.family import hearing
 from drivers.frame_array import FRAME, NO_FRAMES
 from drivers.signals import BusState, Mode
 from hil.app.sim import tick_kernels as at
@@ -84,7 +82,7 @@ class Lockstep:
     def __post_init__(self) -> None:
         cycle, protocol = self.cycle, self.cycle.parts.protocol
         self.period_ns = round(1e9 / cycle.parts.rate_Hz)
-        self.wires = Wires(self.timings, hearing(protocol))
+        self.wires = Wires(self.timings, protocol)
         self._all_buses = (1 << len(self.timings)) - 1
         self.row = TickRow(cycle, LOCKSTEP, advance, self._attend)
         s: Any = self.row.record

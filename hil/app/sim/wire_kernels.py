@@ -40,7 +40,7 @@ WIRES = np.dtype(
         *((name, "<i8") for name in ("buses", "room", "number", "free", "times")),
         *((name, "<i8") for name in ("queue", "waiting", "commands_at", "commands", "late_at", "late")),
         *((name, "<i8") for name in ("taken", "step_ns", "synced_ns", "skew_ns")),
-        *((name, "<i8") for name in ("fresh", "addressed", "hearing", "wanted_at", "wanted", "missing_at")),
+        *((name, "<i8") for name in ("fresh", "addressed", "tables", "wanted_at", "wanted", "missing_at")),
         ("latch_ns", "<i8", (LEGS,)),
     ]
 )
@@ -48,8 +48,8 @@ WIRES = np.dtype(
 and flags (buses, LENGTHS, FLAGS); the queue (room, ROW), of which so many rows wait; FRAME
 elements for the drives that ended since their last step, and those for the controller that ended after its
 window. Of the last tick: how many of the latter it takes, and when; when its SYNC or polls were out; the time
-from that on the first bus to that on the last; from its begin to when each leg's was out. `ends.Hearing`, its
-identifiers, and scratch."""
+from that on the first bus to that on the last; from its begin to when each leg's was out. What the
+controller's `Family` hears by, its identifiers, and scratch."""
 
 
 @helper
@@ -181,7 +181,7 @@ def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
         if sent_ns == FOREVER:
             continue
         soonest[frame.bus] = min(soonest[frame.bus], sent_ns)
-        legs = call(w.addressed, (w.hearing, address_of(frame)))
+        legs = call(w.addressed, (w.tables, address_of(frame)))
         for leg in range(LEGS):
             if legs >> leg & 1:
                 w.latch_ns[leg] = sent_ns - t_ns
@@ -243,7 +243,7 @@ def _at_once(w: Any, replies: Any, deadline_ns: int) -> bool:
 
 @helper
 def _is_fresh(w: Any, at: int, tick: int, t_ns: int) -> int:
-    return int(call(w.fresh, (w.hearing, at, tick, t_ns)))
+    return int(call(w.fresh, (w.tables, at, tick, t_ns)))
 
 
 @helper

@@ -10,7 +10,7 @@ from drivers.arrays import Ints, Rows
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.compiled.pointed import data_at
 from drivers.errors import BusError
-from drivers.family import Hearing
+from drivers.family import Family
 from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import ALWAYS
 from hil.app.sim.wire_kernels import FLAGS, FULL, LENGTHS, ROW, WIRES
@@ -37,16 +37,17 @@ class Wires:
     Mutable state: the transmit queue, when each bus falls free, the frames on their way to either end.
     """
 
-    def __init__(self, timings: Sequence[BitTiming | None], hearing: Hearing) -> None:
-        """Take the timing of each bus, None where no frame takes time, and the controller's end."""
-        self._timings, self._hearing = timings, hearing
+    def __init__(self, timings: Sequence[BitTiming | None], protocol: Family) -> None:
+        """Take the timing of each bus, None where no frame takes time, and the controller's protocol."""
+        self._timings, self._protocol = timings, protocol
         self.times_ns = np.array(list(map(frame_times_ns, timings)))
         self._free = np.full(len(timings), ALWAYS)
-        self._wanted = np.array(hearing.wanted, np.int64)
+        self._wanted = np.array(protocol.wanted, np.int64)
         self._missing = np.zeros_like(self._wanted)
         self.record = w = np.zeros((), WIRES)
         w["buses"], w["free"], w["times"] = len(timings), data_at(self._free), data_at(self.times_ns)
-        w["fresh"], w["addressed"], w["hearing"] = hearing.fresh, hearing.addressed, hearing.context
+        w["fresh"], w["addressed"] = protocol.fresh_by.address, protocol.addressed_by.address
+        w["tables"] = protocol.context
         w["wanted_at"], w["wanted"], w["missing_at"] = (
             data_at(self._wanted), self._wanted.size, data_at(self._missing)
         )  # fmt: skip

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import of_python
-from drivers.controller_end import array_at
-from drivers.family import Hearing
+from drivers.arrays import array_at
 from drivers.frame_array import FRAME, NO_FRAMES, timed_array
 from drivers.protocol import Frame
 from hil.app.sim.wire_kernels import DONE, answer, begin
 from hil.app.sim.wires import Wires
+from tests.drivers.stub_protocol import InPython
 
 BEGUN_NS, WINDOW_NS = 1_000_000, 500
 FRAMES = {name: Frame(0x100 + n, b"", 0) for n, name in enumerate("abc")}
@@ -32,8 +33,10 @@ def exchanged(wanted: str, replies: dict[str, int], stale: str = "") -> tuple[li
         number = int(array_at(at, 1, FRAME)["id"][0])
         return 0 if number in {ids[name] for name in stale} else 1 + [*waited, number].index(number)
 
-    fresh, keeps = of_python(place, *[INTEGER] * 4)
-    wires = Wires([None], Hearing(fresh, 0, 0, tuple(waited), keeps))
+    family: Any = SimpleNamespace(
+        fresh_by=InPython(place, 4), addressed_by=SimpleNamespace(address=0), context=0, wanted=tuple(waited)
+    )
+    wires = Wires([None], family)
     wires.times_ns[:] = NS
     sent = timed_array([(BEGUN_NS + at, FRAMES[name]) for name, at in replies.items()])
     deadline_ns = BEGUN_NS + WINDOW_NS

@@ -1,5 +1,6 @@
 """Configuration sections `bus`, `drives` and `sensors`."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -31,6 +32,12 @@ class ChannelSettings(Section):
     """Refuse a configuration whose cyclic frames take more of the period than this."""
     options: dict[str, str | int | float | bool] | None = None
     """Further keyword arguments for the python-can interface."""
+
+
+def _refuse_twice(what: str, given: Sequence[str | int]) -> None:
+    twice = sorted({each for each in given if given.count(each) > 1}, key=str)
+    if twice:
+        raise ValueError(f"{what}, allowed: each once, given twice: {', '.join(map(str, twice))}")
 
 
 class BusSettings(Section):
@@ -75,12 +82,10 @@ class BusSettings(Section):
         if not self.channels:
             return self
         names = [each.channel for each in self.channels]
-        legs = [str(leg) for each in self.channels for leg in each.legs]
-        for what, found in (("channels have the same name", names), ("legs are on two buses", legs)):
-            twice = sorted({each for each in found if found.count(each) > 1})
-            if twice:
-                raise ValueError(f"{what}, allowed: each once, given twice: {', '.join(twice)}")
-        missing = [str(leg) for leg in range(LEGS) if str(leg) not in legs]
+        legs = [leg for each in self.channels for leg in each.legs]
+        _refuse_twice("channels have the same name", names)
+        _refuse_twice("legs are on two buses", legs)
+        missing = [str(leg) for leg in range(LEGS) if leg not in legs]
         if missing:
             raise ValueError(
                 f"legs are on no bus, allowed: each of 0 to {LEGS - 1} once, missing: {', '.join(missing)}"
@@ -215,12 +220,7 @@ class DriveSettings(Section):
     @field_validator("node_ids")
     @classmethod
     def _each_once(cls, ids: list[int]) -> list[int]:
-        twice = sorted({n for n in ids if ids.count(n) > 1})
-        if twice:
-            numbers = ", ".join(map(str, twice))
-            raise ValueError(
-                f"two legs have the same node number, allowed: each once, given twice: {numbers}"
-            )
+        _refuse_twice("two legs have the same node number", ids)
         return ids
 
 

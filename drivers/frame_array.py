@@ -5,7 +5,7 @@ One element of FRAME is one frame, 80 bytes, from the bus to the log. `Received`
 """
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -38,7 +38,8 @@ _new = tuple.__new__
 """Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
 
 
-def _array(frames: Iterable[tuple[int, Frame]], kind: int) -> Rows:
+def timed_array(frames: Iterable[tuple[int, Frame]], kind: int = SENT) -> Rows:
+    """Return (instant, frame) as elements of FRAME, in their order: read-only."""
     content = [
         frame_bytes(t_ns, identifier, kind, len(data), flags, data)
         for t_ns, (identifier, data, flags) in frames
@@ -46,19 +47,14 @@ def _array(frames: Iterable[tuple[int, Frame]], kind: int) -> Rows:
     return np.frombuffer(b"".join(content), FRAME)
 
 
-def received_array(frames: Sequence[Received]) -> Rows:
-    """Return received frames as elements of FRAME, in their order: read-only."""
-    return _array(frames, RECEIVED)
+def received_array(frames: Iterable[Received]) -> Rows:
+    """Return received frames, see `timed_array`."""
+    return timed_array(frames, RECEIVED)
 
 
-def sent_array(frames: Sequence[Frame]) -> Rows:
-    """Return frames to send as elements of FRAME, in their order; nobody has sent them yet: t_ns is 0."""
-    return _array([(0, frame) for frame in frames], SENT)
-
-
-def timed_array(frames: Iterable[tuple[int, Frame]]) -> Rows:
-    """Return (instant, frame to send) as elements of FRAME, in their order: read-only."""
-    return _array(frames, SENT)
+def sent_array(frames: Iterable[Frame]) -> Rows:
+    """Return frames to send, see `timed_array`; nobody has sent them yet: t_ns is 0."""
+    return timed_array((0, frame) for frame in frames)
 
 
 def joined(parts: Iterable[Rows]) -> Rows:

@@ -24,7 +24,6 @@ from drivers import motor_kernels as motors
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
-from drivers.errors import ConfigurationError
 from drivers.frame_pointers import place_of, signed, whole
 from drivers.motor_kernels import FALLS, OWN_CODE
 from drivers.motor_settings import Options, refuse_torque
@@ -285,14 +284,10 @@ class MoteusProtocol(MotorProtocol):
         self.torque_limit = most = options.positive("torque_N_m", _MAX_TORQUE)
         name = f"moteus, by drives.options: torque_N_m {most:g},"
         refuse_torque(transmission, drives.force_limit_N, most, name)
-        self.host = host = options.whole("host_id", 0)
+        self.host = host = options.whole("host_id", 0, 0, 126)
         answers = tuple(node << 8 | host for node in nodes)
         super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
         self.refuse_nodes(1, 126, "moteus", f" but the controller's {host}", host)
-        if not 0 <= host <= 126:
-            raise ConfigurationError(
-                f"drives.options: host_id out of range, allowed: 0 to 126, given: {host}"
-            )
         self.tables["replies"] = answers
 
     # controller's end

@@ -28,7 +28,7 @@ class Options:
                 f"drives.transmission: protocol {protocol} speaks of motors; state lead_m or "
                 "pulley_radius_m, gear_ratio, sign and offset_m"
             )
-        self.transmission = Transmission.of(drives.transmission)
+        self.transmission = Transmission(drives.transmission)
         self._given, self._protocol = drives.options, protocol
         unknown = [key for key in self._given if key not in known]
         if unknown:

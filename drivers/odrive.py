@@ -28,7 +28,7 @@ from drivers.frame_pointers import place_of, whole
 from drivers.motor_kernels import PREPARES
 from drivers.motor_settings import Options, refuse_torque
 from drivers.motors import ANY, MotorProtocol, push
-from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, Frame, Said, Traits
+from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, STRANGE, Frame, Said, Traits
 
 ADDRESS = 0x06
 """Asked for by a remote frame it is answered with node number, serial number and connection."""
@@ -47,8 +47,7 @@ COMMANDS = sum(
 """Bits of what a controller sends with data."""
 WATCHDOG_EXPIRED, STOP_REQUESTED = 0x1000000, 0x2000000
 """Errors of an axis that have a DriveFault of their own."""
-STRANGE = EXTENDED | FD | ERROR
-_UNHEARD = STRANGE | REMOTE
+NOT_OURS = EXTENDED | FD | ERROR
 
 
 @motors.hearing
@@ -57,7 +56,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     identifier, data = int(frame.id), frame.data
     node, kind = identifier >> 5, identifier & 0x1F
     leg = place_of(node, ear.nodes)
-    if frame.flags & _UNHEARD or identifier > 0x7FF or leg < 0:
+    if frame.flags & STRANGE or identifier > 0x7FF or leg < 0:
         return 0
     if COMMANDS >> kind & 1:
         # an address that is set names another node
@@ -190,6 +189,6 @@ class ODriveProtocol(MotorProtocol):
         """Return the serial number of an address that names its own node: one that sets it names another."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 5)
-        if leg is None or identifier & 0x1F != ADDRESS or flags & (STRANGE | REMOTE) or len(data) != 8:
+        if leg is None or identifier & 0x1F != ADDRESS or flags & STRANGE or len(data) != 8:
             return None
         return Said(leg, SERIAL, int.from_bytes(data[1:7], "little")) if data[0] == identifier >> 5 else None

@@ -17,6 +17,8 @@ BRS = 4
 ESI = 8
 REMOTE = 16
 ERROR = 32
+STRANGE = EXTENDED | FD | REMOTE | ERROR
+"""Flags that no classic data frame with an identifier of 11 bits has."""
 BUS = 256
 """One step of the bus index."""
 

@@ -30,17 +30,8 @@ from drivers.signals import (
     Warn,
 )
 
-
-class LegBits(IntFlag):
-    """Bit i for leg i."""
-
-    LEG_0 = 1
-    LEG_1 = 2
-    LEG_2 = 4
-    LEG_3 = 8
-    LEG_4 = 16
-    LEG_5 = 32
-
+LegBits = IntFlag("LegBits", ["LEG_0", "LEG_1", "LEG_2", "LEG_3", "LEG_4", "LEG_5"])
+"""Bit i for leg i."""
 
 Record = np.ndarray[Any, np.dtype[np.void]]
 """One element of TICK, of no dimension: ``record["q"]`` is a view of that column."""

@@ -16,8 +16,6 @@ between; up to `full_loss_m_s` the loss grows with the rate, so that no force ju
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from math import pi
 from typing import TYPE_CHECKING
 
@@ -40,7 +38,7 @@ FIELDS = [
 """What a kernel's record has of it, see `Transmission.fill`."""
 
 
-def _row(values: float | Sequence[float] | Array) -> Array:
+def _row(values: float | Sequence[float]) -> Array:
     row = np.broadcast_to(np.array(values, float), LEGS).copy()
     row.flags.writeable = False
     return row
@@ -48,7 +46,7 @@ def _row(values: float | Sequence[float] | Array) -> Array:
 
 def forgotten_length(settings: TransmissionSettings, turns: float | list[float]) -> Array:
     """Return the leg lengths (6,) m, > 0, that so many turns of the motors are."""
-    return np.abs(Transmission.of(settings).m_per_turn) * _row(turns)
+    return np.abs(Transmission(settings).m_per_turn) * _row(turns)
 
 
 @helper
@@ -69,51 +67,25 @@ def fill_loss(
         loss[leg] = loss_of(force[leg], rate[leg], driving[leg], back_driving[leg], full_loss_m_s)
 
 
-@dataclass(frozen=True, eq=False)
 class Transmission:
-    """Six transmissions; every array is (6,), leg order, read-only."""
+    """Six transmissions; every array is (6,), leg order; those that are configured are read-only."""
 
-    lead_m: Array
-    """m of leg a turn of the screw or pulley, > 0."""
-    gear: Array
-    """Turns of the motor a turn of the screw or pulley, > 0."""
-    sign: Array
-    """1 where positive turns of the motor extend the leg, else -1."""
-    driving: Array
-    """eta_d, efficiency while the motor drives the leg, > 0 to 1."""
-    back_driving: Array
-    """eta_b, efficiency while the leg drives the motor, > 0 to 1."""
-    offset_m: Array
-    """Leg length where the drive reads position zero."""
-    counts: Array
-    """Encoder counts a turn of the motor, > 0; for drives that count."""
-    full_loss_m_s: float
-    """Leg rate from which on the whole loss acts, > 0."""
-
-    @classmethod
-    def of(cls, settings: TransmissionSettings) -> Transmission:
-        """Return the configured ones; a value for all legs is repeated."""
-        lead, radius = settings.lead_m, settings.pulley_radius_m or 0.0
-        return cls(
-            lead_m=_row(2.0 * pi * _row(radius) if lead is None else lead),
-            gear=_row(settings.gear_ratio),
-            sign=_row(settings.sign),
-            driving=_row(settings.efficiency),
-            back_driving=_row(settings.back_driving_efficiency),
-            offset_m=_row(settings.offset_m),
-            counts=_row(settings.counts_per_turn),
-            full_loss_m_s=settings.full_loss_m_s,
-        )
-
-    @cached_property
-    def m_per_turn(self) -> Array:
-        """(6,) m of leg a turn of the motor, signed: s l / N."""
-        return self.sign * self.lead_m / self.gear
-
-    @cached_property
-    def N_per_Nm(self) -> Array:
-        """(6,) N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
-        return self.sign * (2.0 * pi) * self.gear / self.lead_m
+    def __init__(self, settings: TransmissionSettings) -> None:
+        """Take the configured ones; a value for all legs is repeated."""
+        radius_m, gear, sign = settings.pulley_radius_m or 0.0, _row(settings.gear_ratio), _row(settings.sign)
+        lead_m = 2.0 * pi * _row(radius_m) if settings.lead_m is None else _row(settings.lead_m)
+        self.m_per_turn = sign * lead_m / gear
+        """m of leg a turn of the motor, signed: s l / N."""
+        self.N_per_Nm = sign * (2.0 * pi) * gear / lead_m
+        """N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
+        self.driving, self.back_driving = _row(settings.efficiency), _row(settings.back_driving_efficiency)
+        """eta_d and eta_b, > 0 to 1."""
+        self.full_loss_m_s = settings.full_loss_m_s
+        """Leg rate from which on the whole loss acts, > 0."""
+        self.offset_m = _row(settings.offset_m)
+        """Leg length where the drive reads position zero."""
+        self.counts = _row(settings.counts_per_turn)
+        """Encoder counts a turn of the motor, > 0; for drives that count."""
 
     def fill(self, record: Rows) -> None:
         """Fill in what a record of a kernel has of this, by the names of its fields."""

@@ -14,7 +14,7 @@ import numpy as np
 from drivers.arrays import Array, Rows
 from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL, STRANGE
+from drivers.cia402.kernels import MOST_PERMILLE, NOT_ASKED, OPTIONAL
 from drivers.cia402.objects import Key
 from drivers.cia402.states import ENABLED, UNHEARD
 from drivers.compiled.compiler import INTEGER, record
@@ -23,7 +23,7 @@ from drivers.controller_end import ControllerEnd
 from drivers.errors import ProtocolError
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.frame_pointers import EVERYONE, NOBODY, frame_at, legs_of, place_of
-from drivers.protocol import DriveSetup, Frame
+from drivers.protocol import STRANGE, DriveSetup, Frame
 from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record
 

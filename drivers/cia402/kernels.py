@@ -11,7 +11,7 @@ from drivers.cia402 import states as s
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, pointed, reals_at
 from drivers.frame_pointers import begin_measurement, begin_sent, frames_at, place_of, signed, whole
-from drivers.protocol import ERROR, EXTENDED, FD, REMOTE
+from drivers.protocol import STRANGE
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
@@ -28,8 +28,6 @@ MOST_STEPS = 96
 OPTIONAL = 1 << 32
 """Bit of a mask: a drive may lack the object."""
 NOT_ASKED = -1
-STRANGE = EXTENDED | FD | REMOTE | ERROR
-"""Flags of frames that cannot be ours."""
 DRIVES = np.dtype(
     [
         ("nodes", "<i8", (LEGS,)),

@@ -14,12 +14,12 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.cia402 import end, kernels
 from drivers.cia402 import objects as o
-from drivers.cia402.kernels import FROM_DRIVES, STRANGE
+from drivers.cia402.kernels import FROM_DRIVES
 from drivers.cia402.states import STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
 from drivers.family import Family
 from drivers.motor_settings import Options
-from drivers.protocol import REVISION, SERIAL, DriveSetup, Frame, Resolution, Said, Traits
+from drivers.protocol import REVISION, SERIAL, STRANGE, DriveSetup, Frame, Resolution, Said, Traits
 
 MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")

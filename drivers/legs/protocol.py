@@ -101,16 +101,10 @@ class LegsController(ControllerEnd):
         )
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Return that a force does not fit, with the forces of the first bus on which that is so."""
-        s, of, shown = self.state, self._family.commands[0][0], force
-        for legs in self._family.legs if force.shape == (LEGS,) else ():
-            shown = np.zeros(LEGS)
-            shown[: len(legs)] = force[list(legs)]
-            steps = shown if self._family.exact else np.rint(shown / s["step"])
-            if not ((s["least"] <= steps) & (steps <= s["most"])).all():
-                break
+        """Return that a force does not fit."""
+        of = self._family.commands[0][0]
         return ProtocolError(
-            f"force command {shown.tolist()} N does not fit layout {self._family.layout}: {of.low[0]:.12g} "
+            f"force command {force.tolist()} N does not fit layout {self._family.layout}: {of.low[0]:.12g} "
             f"to {of.high[0]:.12g} N are allowed; lower limits.force_N or choose another bus.layout"
         )
 

@@ -21,22 +21,9 @@ from drivers.frame_pointers import place_of, value, whole
 from drivers.mit.fields import TOP_COMMAND, TURN, VARIANTS, Ranges
 from drivers.motor_settings import Options, refuse_torque, unwatched
 from drivers.motors import ANY, NO_BRAKE, Exchange, MotorProtocol
-from drivers.protocol import (
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    REVISION,
-    SERIAL,
-    DriveSetup,
-    Frame,
-    Resolution,
-    Said,
-    Traits,
-)
+from drivers.protocol import REVISION, SERIAL, STRANGE, DriveSetup, Frame, Resolution, Said, Traits
 from drivers.signals import LEGS
 
-STRANGE = EXTENDED | FD | REMOTE | ERROR
 REGISTERS = 0x7FF
 """Identifier of Damiao's requests."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
@@ -107,8 +94,9 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
     return motors.powers(ear, heard, status if status > 1 else 0, status == 1)
 
 
-_HOSTS = {"mini_cheetah": 0, "cubemars": 0, "damiao": 16, "robstride": 253}
-"""Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's."""
+_HOSTS = {"mini_cheetah": (0,), "cubemars": (0,), "damiao": (16,), "robstride": (253, 128, 255)}
+"""Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's, and
+its range."""
 _FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
 
 
@@ -126,7 +114,7 @@ class MitFamily(MotorProtocol):
         ranges: Ranges = models[options.choice("model", tuple(models))]
         given = {field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
         self.ranges = ranges = ranges._replace(**given)
-        self.host = options.whole("host_id", _HOSTS[self.variant])
+        self.host = options.whole("host_id", *_HOSTS[self.variant])
         super().__init__(options.transmission, drives.node_ids, (*torque_field, ranges.torque), bus.legs)
         for name in ("position", "velocity", "torque"):
             self.tables[name] = getattr(ranges, name)

@@ -12,24 +12,13 @@ from typing import Any
 
 from drivers import motor_kernels as motors
 from drivers.config import BusSettings, DriveSettings
-from drivers.errors import ConfigurationError
 from drivers.frame_pointers import code, place_of, whole
 from drivers.mit.fields import ROBSTRIDE_FAULTS
 from drivers.mit.protocol import MitFamily, take_motion
 from drivers.motor_kernels import IN_IDENTIFIER
 from drivers.motor_settings import unwatched
 from drivers.motors import NO_BRAKE, Exchange
-from drivers.protocol import (
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    SERIAL,
-    DriveSetup,
-    Frame,
-    Said,
-    Traits,
-)
+from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, DriveSetup, Frame, Said, Traits
 
 WHO, CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 0, 1, 2, 3, 4, 17, 18
 RESETTING, CALIBRATING, RUNNING = range(3)
@@ -81,13 +70,9 @@ class RobStrideProtocol(MitFamily):
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         super().__init__(bus, drives, (IN_IDENTIFIER, 16))
-        host, self.torque_limit = self.host, self.ranges.torque
+        self.torque_limit = self.ranges.torque
         self.refuse_nodes(1, 127, "variant robstride")
-        if not 128 <= host <= 255:
-            raise ConfigurationError(
-                f"drives.options: host_id out of range, allowed: 128 to 255, given: {host}"
-            )
-        self.tables["host"] = host
+        self.tables["host"] = self.host
         self.refuse_force(drives.force_limit_N)
 
     def _to_each(self, kind: int, data: bytes = _ZEROS, middle: int | None = None) -> tuple[Frame, ...]:

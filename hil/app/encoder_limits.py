@@ -135,7 +135,7 @@ def efficiencies(c: Configuration) -> tuple[Array, Array]:
     """Return what is left of a force (6,) where the motor drives the leg, and where the leg drives it."""
     if c.drives.transmission is None:
         return np.ones(LEGS), np.ones(LEGS)
-    gear = Transmission.of(c.drives.transmission)
+    gear = Transmission(c.drives.transmission)
     return gear.driving, gear.back_driving
 
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from drivers.cia402 import objects as o
 from drivers.cia402 import states as s
-from drivers.cia402.kernels import STRANGE
 from drivers.cia402.states import HEARTBEAT_LOST
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, integers_at, pointed, record_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, frame_at, place_of, signed, whole
+from drivers.protocol import STRANGE
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.transmission import FIELDS
 from plant_fmu.drives import ends

@@ -9,7 +9,7 @@ from drivers.compiled.compiler import helper
 from drivers.frame_pointers import begin_sent, value, whole
 from drivers.mit import protocol as k
 from drivers.mit.fields import TURN, Ranges
-from drivers.protocol import Frame
+from drivers.protocol import STRANGE, Frame
 from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
 from plant_fmu.drives import motors as drives
@@ -47,7 +47,7 @@ def device_motion(
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command. Every frame to a drive is answered by its feedback."""
-    if frame.flags & k.STRANGE:
+    if frame.flags & STRANGE:
         return 0
     if frame.length != 8:
         return drives.rejects(leg, messages)
@@ -116,7 +116,7 @@ class MitDrives(drives.MotorDrives):
     def request(self, leg: int | None, frame: Frame) -> None:
         """Take the request of a Damiao's register."""
         data = frame.data
-        if frame.flags & k.STRANGE:
+        if frame.flags & STRANGE:
             return
         if len(data) == 8 and data[2] == k.REFRESH and leg is not None:
             self.put(SYNC, (leg,))

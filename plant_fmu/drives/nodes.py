@@ -66,7 +66,7 @@ class Nodes:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
         length, rate = self._plant.reset()
         gear = self._settings.transmission
-        self._transmission = transmission = None if gear is None else Transmission.of(gear)
+        self._transmission = transmission = None if gear is None else Transmission(gear)
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
         often_ns = 1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.traits.unasked_s

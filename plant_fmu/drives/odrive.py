@@ -45,7 +45,7 @@ def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Take a command, or the question for estimates."""
     kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
-    if frame.flags & o.STRANGE:
+    if frame.flags & o.NOT_OURS:
         return 0
     if frame.flags & REMOTE:
         if kind == o.ADDRESS and size == 0:

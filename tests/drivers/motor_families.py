@@ -176,7 +176,7 @@ class MitProtocol(Motors):
 
 @cache
 def _mini_cheetahs(r: Ranges) -> MitProtocol:
-    gear = Transmission.of(TransmissionSettings(lead_m=1.0))
+    gear = Transmission(TransmissionSettings(lead_m=1.0))
     return MitProtocol("mini_cheetah", r, (1, 2, 3, 4, 5, 6), 0, gear)
 
 

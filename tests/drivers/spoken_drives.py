@@ -32,7 +32,7 @@ UNLIKE_GEAR = TransmissionSettings(
     full_loss_m_s=0.1,
     offset_m=[1.1, 1.2, 1.3, 1.4, 1.5, 1.6],
 )
-UNLIKE = Transmission.of(UNLIKE_GEAR)
+UNLIKE = Transmission(UNLIKE_GEAR)
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 SINCE_NS = 1_000
 

@@ -43,7 +43,7 @@ SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 WIDE = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
 """Wide enough for the contract's legs of 1.5 to 2 m and 6 kN, behind a lead of 0.1 m."""
 LEAD_m, NEWTONS = 0.1, 2 * np.pi / 0.1
-GEAR = Transmission.of(TransmissionSettings(lead_m=LEAD_m, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+GEAR = Transmission(TransmissionSettings(lead_m=LEAD_m, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
 # Twice a step, because the codecs truncate.
 STEP_m, STEP_m_s = 2 * 191.0 / 65535 / (2 * np.pi) * LEAD_m, 2 * 800.0 / 4095 / (2 * np.pi) * LEAD_m
 STEP_N = 2 * 288.0 / 4095 * NEWTONS
@@ -567,7 +567,10 @@ def settings(**changes: Any) -> tuple[BusSettings, DriveSettings]:
             "torque_N_m of protocol mit: allowed: a number",
         ),
         ({"options": {"variant": "mini_cheetah", "host_id": 3}}, "drives.options: host_id 3 makes replies"),
-        ({"options": {"variant": "robstride", "model": "rs-02", "host_id": 5}}, "host_id out of range"),
+        (
+            {"options": {"variant": "robstride", "model": "rs-02", "host_id": 5}},
+            "drives.options: host_id of protocol mit: allowed: a whole number of 128 to 255, given: 5",
+        ),
         (
             {"node_ids": [1, 2, 3, 4, 5, 16]},
             "drives.node_ids[5]: out of range, allowed with variant damiao: 1 to 15",
@@ -606,7 +609,7 @@ def test_what_friction_takes_the_command_has_added_and_the_drive_reports_the_for
     lossy = TransmissionSettings(
         lead_m=LEAD_m, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75, efficiency=0.9, back_driving_efficiency=0.6
     )
-    protocol = MitProtocol("damiao", WIDE, NODES, 16, Transmission.of(lossy))
+    protocol = MitProtocol("damiao", WIDE, NODES, 16, Transmission(lossy))
     ends, plant = Ends(protocol), Pushed()
     drives = DriveSettings(heartbeat_ms=24.0, transmission=lossy, force_limit_N=3000.0)
     ends.nodes = Nodes(plant, protocol.protocol, DriveEmulation(encoder_resolution_m=0.0), drives)

@@ -67,9 +67,7 @@ def test_a_range_that_is_configured_takes_the_place_of_its_own_and_of_no_other(v
 @pytest.mark.parametrize(("variant", "host"), [("mini_cheetah", 0), ("cubemars", 0), ("damiao", 16)])
 def test_the_lengths_that_a_drive_can_report_end_with_the_range_of_its_position(variant, host):
     """12.5 rad on a pulley of 20 mm are 0.25 m, either way from where the motor reads zero."""
-    gear = Transmission.of(
-        TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5])
-    )
+    gear = Transmission(TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5]))
     ranges = Ranges(12.5, 30.0, 500.0, 5.0, 10.0)
     found = MitProtocol(variant, ranges, (1, 2, 3, 4, 5, 6), host, gear).traits.reported_lengths
     assert found is not None

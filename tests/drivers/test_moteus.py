@@ -32,8 +32,8 @@ from tests.plant_fmu.by_hand import enter
 DATA = Path(__file__).parents[1] / "data/drives"
 VECTORS = json.loads((DATA / "moteus.json").read_text("utf-8"))["vectors"]
 RANDOM = json.loads(foreign.FILE.read_text("utf-8"))
-GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
-UNIT = Transmission.of(TransmissionSettings(lead_m=1.0))
+GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+UNIT = Transmission(TransmissionSettings(lead_m=1.0))
 NODES = (1, 2, 3, 4, 5, 126)
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)
 
@@ -342,7 +342,7 @@ def test_a_reply_that_is_not_whole_is_refused(data):
         # 127 addresses all drives
         (
             {"options": {"timeout_mode": "stopped", "host_id": 127}},
-            "drives.options: host_id out of range, allowed: 0 to 126, given: 127",
+            "drives.options: host_id of protocol moteus: allowed: a whole number of 0 to 126, given: 127",
         ),
         # 300 N x 20 mm / 2 pi = 0.955 N m
         ({"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}}, "300 N need 0.9549 N m of the motor"),

@@ -330,7 +330,9 @@ def test_a_controller_has_an_identifier_of_0_to_126(host, taken):
             n << 8 | host for n in nodes
         }
         return
-    with pytest.raises(ConfigurationError, match=f"host_id out of range, allowed: 0 to 126, given: {host}"):
+    with pytest.raises(
+        ConfigurationError, match=f"host_id .*allowed: a whole number of 0 to 126, given: {host}"
+    ):
         MoteusProtocol(nodes, host, Reaction.DAMP, 2.0, UNLIKE)
 
 

@@ -57,7 +57,7 @@ def test_a_whole_number_is_one_and_no_truth():
 def test_a_layout_and_a_transmission_that_are_not_there_are_asked_for():
     with refused("bus.layout: allowed with kite: classic, given: fd"):
         Options(BusSettings(layout="fd"), DriveSettings(), "kite", "classic", ())
-    assert options().transmission.lead_m.tolist() == [0.5] * 6
+    assert options().transmission.m_per_turn.tolist() == [0.5] * 6
     with refused(
         "drives.transmission: protocol kite speaks of motors; state lead_m or .*, sign and offset_m"
     ):
@@ -69,18 +69,18 @@ def test_the_leg_that_needs_most_torque_decides_and_is_named_where_legs_are_unli
     leads = [0.1] * 6
     leads[leg] = 0.2
     # F l / (2 pi eta): 100 N x 0.2 m / (2 pi 0.8) = 3.979 N m
-    unlike = Transmission.of(TransmissionSettings(lead_m=leads, efficiency=0.8, sign=[1, -1, 1, -1, 1, -1]))
+    unlike = Transmission(TransmissionSettings(lead_m=leads, efficiency=0.8, sign=[1, -1, 1, -1, 1, -1]))
     refuse_torque(unlike, 100.0, 3.98, "kite")
     text = rf"drives.force_limit_N: 100 N need 3.979 N m of the motor of leg {leg} \(31.42 N a N m without losses\), "
     with refused(text + "kite carries up to 3.97 N m: lower it, or change gear_ratio or lead_m"):
         refuse_torque(unlike, 100.0, 3.97, "kite")
-    alike = Transmission.of(TransmissionSettings(lead_m=0.2, efficiency=0.8))
+    alike = Transmission(TransmissionSettings(lead_m=0.2, efficiency=0.8))
     with refused(r"drives.force_limit_N: 100 N need 3.979 N m of the motor \(31.42 .*"):
         refuse_torque(alike, 100.0, 3.97, "kite")
 
 
 def test_a_force_that_needs_just_the_torque_of_the_field_is_taken():
-    unit = Transmission.of(TransmissionSettings(lead_m=1.0))
+    unit = Transmission(TransmissionSettings(lead_m=1.0))
     needed = float((100.0 / unit.N_per_Nm)[0])
     refuse_torque(unit, 100.0, needed, "kite")
     with refused("drives.force_limit_N: .*"):
@@ -159,7 +159,7 @@ def test_a_robstride_is_made_with_its_controllers_number():
     ("variant", "model", "message"),
     [
         ("damiao", "DM4310", "host_id 0 makes replies come on 0x7, .*"),
-        ("robstride", "rs-02", "host_id out of range, allowed: 128 to 255, given: 0"),
+        ("robstride", "rs-02", "host_id of protocol mit: allowed: a whole number of 128 to 255, given: 0"),
     ],
 )
 def test_a_number_of_0_that_is_given_is_not_taken_for_none(variant, model, message):

@@ -27,8 +27,8 @@ from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.drivers.trouble_contract import TroubleContract
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/odrive.json").read_text("utf-8"))["vectors"]
-GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
-UNIT = Transmission.of(TransmissionSettings(lead_m=1.0))
+GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+UNIT = Transmission(TransmissionSettings(lead_m=1.0))
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 NODES = (0, 1, 2, 3, 5, 62)
 

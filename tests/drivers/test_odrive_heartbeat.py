@@ -17,7 +17,7 @@ from tests.drivers.protocol_contract import BEAT_TICKS, FORCE, OFF, PERIOD_NS
 from tests.drivers.trouble_contract import READY, RESET, Line
 
 NODES = (0, 1, 2, 3, 5, 62)
-GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
 HEARTBEAT, AXIS_STATE, TORQUE = 0x01, 0x07, 0x0E
 FORCED = Command(DriveMode.RUN, FORCE)
 

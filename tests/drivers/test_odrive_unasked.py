@@ -24,7 +24,7 @@ from tests.hil.bringup.families import family
 
 NODES = (0, 1, 2, 3, 5, 62)
 NONE_AND_SOME = {"encoder_msg_rate_ms": 0}, {"encoder_msg_rate_ms": 10}
-GEAR = Transmission.of(TransmissionSettings(lead_m=0.1, offset_m=1.75))
+GEAR = Transmission(TransmissionSettings(lead_m=0.1, offset_m=1.75))
 ESTIMATES = 0x09
 UNASKED_S = 0.01
 

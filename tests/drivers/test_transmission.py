@@ -18,7 +18,7 @@ SIX = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
 
 
 def six(**values: object) -> Transmission:
-    return Transmission.of(TransmissionSettings.model_validate(values))
+    return Transmission(TransmissionSettings.model_validate(values))
 
 
 def all_legs(value: float) -> np.ndarray:

@@ -380,7 +380,7 @@ def test_drives_clip_at_their_limit():
 
 def test_drives_clip_where_the_leg_that_loses_most_still_gets_the_rated_force():
     gear = TransmissionSettings(lead_m=0.01, efficiency=[0.9, 0.8, 0.5, 0.9, 0.7, 0.6])
-    assert at_motor(DriveSettings(force_limit_N=100.0), Transmission.of(gear)).force_limit_N == 200.0
+    assert at_motor(DriveSettings(force_limit_N=100.0), Transmission(gear)).force_limit_N == 200.0
 
 
 def test_what_the_gears_lose_reaches_neither_the_legs_nor_the_feedback():

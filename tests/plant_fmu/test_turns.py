@@ -25,11 +25,11 @@ HOMING = HomingSettings(file="homing.yaml", limit_m=1e-3, forgotten_turns=FORGET
 
 
 def turns_of(length: np.ndarray) -> np.ndarray:
-    return Transmission.of(GEAR).turns(length)
+    return Transmission(GEAR).turns(length)
 
 
 def test_each_encoder_begins_within_half_of_what_it_forgets_and_is_off_by_whole_multiples():
-    counted = turns_of(REST - forgotten_m(HOMING, Transmission.of(GEAR), REST))
+    counted = turns_of(REST - forgotten_m(HOMING, Transmission(GEAR), REST))
     assert (np.abs(counted) <= FORGETS / 2 + 1e-9).all()
     forgotten = (turns_of(REST) - counted) / FORGETS
     np.testing.assert_allclose(forgotten, np.round(forgotten), rtol=0, atol=1e-9)

@@ -28,7 +28,7 @@ from tests.plant_fmu.test_drive_messages import Asked, Unasked
 from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig
 
 NODES = (1, 2, 3, 4, 5, 6)
-GEAR = Transmission.of(TransmissionSettings(lead_m=0.1))
+GEAR = Transmission(TransmissionSettings(lead_m=0.1))
 RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
 BEAT_NS = 100 * MS
 CROSSED = Wiring(

@@ -138,7 +138,7 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
     """
     settings = c.drives.transmission
     assert settings is not None
-    gear = Transmission.of(settings)
+    gear = Transmission(settings)
     lead, sign, offset = gear.lead_m.copy(), gear.sign.copy(), gear.offset_m.copy()
     for finding in findings:
         for leg in finding.legs:

@@ -82,7 +82,7 @@ def _implausible(c: Configuration) -> Iterator[str]:
     """Yield what makes of the stated transmission a motor that there is hardly any of."""
     if c.drives.transmission is None:
         return
-    gear, s = Transmission.of(c.drives.transmission), c.platform
+    gear, s = Transmission(c.drives.transmission), c.platform
     stroke = float(((s.length_max_m - s.length_min_m) / np.abs(gear.m_per_turn)).min())
     speed = float((c.limits.speed_m_s / np.abs(gear.m_per_turn)).max())
     torque = float((c.limits.force_N / np.abs(gear.N_per_Nm)).max())

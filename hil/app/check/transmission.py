@@ -18,7 +18,7 @@ def report_transmission(report: Report, c: Configuration, holding_N: Array) -> N
     """
     if c.drives.transmission is None:
         return
-    gear, s = Transmission.of(c.drives.transmission), c.platform
+    gear, s = Transmission(c.drives.transmission), c.platform
     ends = [gear.turns(np.full(LEGS, q)) for q in (s.length_min_m, s.length_max_m)]
     rpm = 60.0 * c.limits.speed_m_s / np.abs(gear.m_per_turn)
     held, rated = gear.torque(holding_N), np.abs(c.drives.force_limit_N / gear.N_per_Nm / gear.driving)

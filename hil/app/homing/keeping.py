@@ -88,7 +88,7 @@ class Keeper:
         if _at_rest(cycle):
             gear = self._c.drives.transmission
             assert gear is not None
-            turns = Transmission.of(gear).turns(cycle.homing.raw).tolist()
+            turns = Transmission(gear).turns(cycle.homing.raw).tolist()
             parked = homing_file(self._c, "parked", cycle.tick["length"].tolist(), turns)
             self._write(self._path, parked)
         elif not cycle.homing.opened:

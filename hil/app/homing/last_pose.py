@@ -54,7 +54,7 @@ def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = 
     limit_m[by_hand] = STATED_SHARE * step_m[by_hand]
     origin = "where the plant begins" if file is None else f"{file.state} {file.date}"
     length = start_lengths(c) if file is None else np.array(file.lengths_m)
-    m_per_turn = Transmission.of(transmission).m_per_turn
+    m_per_turn = Transmission(transmission).m_per_turn
     return LastPose(length, limit_m, step_m, m_per_turn, origin, command(c, emulated=emulated))
 
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from drivers.can.runtime_folder import RoleLock
-from drivers.config import HomingSettings
+from drivers.config import HomingSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration, loads
@@ -73,7 +73,7 @@ def test_a_run_writes_where_it_has_parked(parked):
     raw = np.array(file.turns)
     gear = c.drives.transmission
     assert gear is not None
-    step = (np.array(file.lengths_m) - Transmission.of(gear).length(raw)) / STEP_M
+    step = (np.array(file.lengths_m) - Transmission(gear).length(raw)) / STEP_M
     np.testing.assert_allclose(step, np.round(step), atol=1e-9)
     assert step.any(), "as the drives report them, without the turns that were added"
     assert not (folder / "real.yaml").exists(), "a simulation speaks of emulated drives alone"
@@ -306,9 +306,8 @@ def test_drives_that_speak_of_legs_have_no_turns_to_forget(tmp_path):
 
 def test_an_emulated_drive_counts_from_the_turn_in_which_it_is_switched_on():
     gear = Transmission(
-        lead_m=np.full(6, 0.005), gear=np.full(6, 2.0), sign=np.array([1.0, -1, 1, -1, 1, -1]),
-        driving=np.ones(6), back_driving=np.ones(6), offset_m=np.full(6, 0.3), counts=np.ones(6), full_loss_m_s=1e-3,
-    )  # fmt: skip
+        TransmissionSettings(lead_m=0.005, gear_ratio=2.0, sign=[1, -1, 1, -1, 1, -1], offset_m=0.3)
+    )
     length = np.array([0.3007, 0.3017, 0.3043, 0.2957, 0.3, 0.31])
     homing = HomingSettings(file="a", limit_m=1e-4)
     forgotten = forgotten_m(homing, gear, length)

@@ -19,9 +19,6 @@
     ├── RunError                the run itself: no drives, latched fault, another daemon
     ├── RefusedError            no consent to a step of a bring-up, or its end (hil.bringup.context)
     └── StoppedError            a measured value ended a step for safety (hil.bringup.context)
-    OSError
-    ├── NotOwnError             a folder that another user can write (drivers.files)
-    └── NotRegularError         a pipe, device or folder in the place of a file (drivers.files)
 
 Those with attributes of their own stand with what raises them, the others here. A message says what
 happened, where, what was allowed and what to do about it.

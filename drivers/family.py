@@ -7,9 +7,9 @@ from typing import Any
 
 from drivers.compiled.pointed import Pointed, data_at
 from drivers.controller_end import ControllerEnd
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array, sent_array
-from drivers.protocol import ALL_LEGS, BUS, DriveSetup, Frame, Received, Said, Traits
+from drivers.protocol import ALL_LEGS, BUS, DriveSetup, Frame, Received, Said, Traits, off_bus
 from drivers.signals import LEGS
 
 
@@ -56,8 +56,8 @@ class Family(ABC):
         """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
         return ""
 
-    def identity(self, _frame: Frame) -> Said | None:
-        """Return the serial number or revision that a frame reports; None for any other frame."""
+    def said_by(self, _frame: Frame) -> Said | None:
+        """Return the serial number or revision that a frame, as it is on bus 0, reports; else None."""
         return None
 
     # which drive a frame concerns
@@ -99,6 +99,20 @@ class Family(ABC):
         """Return the leg whose drive sends a frame on its own bus, -1 for any other frame."""
         leg = self.senders.get(frame.id, -1)
         return leg if leg >= 0 and self.bus_of[leg] == frame.bus else -1
+
+    def identity(self, frame: Frame) -> Said | None:
+        """Return the serial number or revision that a drive on the frame's bus reports; else None."""
+        said = self.said_by(off_bus(frame))
+        return said if said is not None and self.bus_of[said.leg] == frame.bus else None
+
+    def refuse_reaction(self, setup: DriveSetup) -> None:
+        """Raise ProtocolError for what the drives do not do by themselves."""
+        if setup.reaction not in self.traits.reactions:
+            names = " or ".join(each.name.lower() for each in self.traits.reactions)
+            raise ProtocolError(
+                f"reactions.silence {setup.reaction.name.lower()}: these drives {names} by themselves; "
+                "write that"
+            )
 
     def refuse_nodes(self, least: int, most: int, family: str, why: str = "", but: int = -1) -> None:
         """Raise ConfigurationError for a drive's number that is out of range, or `but`."""

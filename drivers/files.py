@@ -16,32 +16,22 @@ MOST_BYTES = 4 << 20
 """Of a configuration, a controller, a design or a CSV file."""
 
 
-class NotRegularError(OSError):
-    """Not a regular file, or one that is too large; `strerror` says which, and what is allowed."""
-
-
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file to read.
-
-    Raises NotRegularError for a FIFO, a socket, a device or a folder, OSError.
-    """
+    """Open a file to read. Raises OSError, for a FIFO, a socket, a device or a folder too."""
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY)
     if not stat.S_ISREG(os.fstat(fd).st_mode):
         os.close(fd)
-        raise NotRegularError(0, "is no regular file (a folder, pipe, socket or device)", str(path))
+        raise OSError(0, "is no regular file (a folder, pipe, socket or device)", str(path))
     os.set_blocking(fd, True)
     return os.fdopen(fd, "rb")
 
 
 def read_regular(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Return the content of a file.
-
-    Raises NotRegularError as `open_regular`, or where it has more than `most` bytes; OSError.
-    """
+    """Return the content of a file. Raises OSError as `open_regular`, or for more than `most` bytes."""
     with open_regular(path) as file:
         data = file.read(most + 1)
     if len(data) > most:
-        raise NotRegularError(0, f"has more than the {most} bytes that are read of such a file", str(path))
+        raise OSError(0, f"has more than the {most} bytes that are read of such a file", str(path))
     return data
 
 
@@ -98,10 +88,6 @@ def _as_before(new: Path, target: Path) -> None:
     new.chmod(mode)
 
 
-class NotOwnError(OSError):
-    """A folder that other users can reach; `strerror` says why, and how to fix it."""
-
-
 def made_folder(path: Path) -> Path:
     """Make a folder and those above it that are missing, each with mode 0700 whatever the umask is.
 
@@ -116,14 +102,14 @@ def made_folder(path: Path) -> Path:
 def own_folder(path: Path) -> Path:
     """Make a folder of this user alone, or make sure that the one that is there is one.
 
-    Raises NotOwnError: it is a link or no folder, another user's, or others have a right to it; OSError.
+    Raises OSError: it is a link or no folder, another user's, or others have a right to it.
     """
     made_folder(path)
     status = path.lstat()
     if not stat.S_ISDIR(status.st_mode):
-        raise NotOwnError(0, "is a link or no folder, allowed: a folder of mode 0700", str(path))
+        raise OSError(0, "is a link or no folder, allowed: a folder of mode 0700", str(path))
     if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
-        raise NotOwnError(
+        raise OSError(
             0,
             f"must be a folder that belongs to user {os.getuid()} with mode 0700; it belongs to "
             f"{status.st_uid}, mode {stat.S_IMODE(status.st_mode):04o}: remove it",

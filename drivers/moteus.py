@@ -22,6 +22,7 @@ import numpy as np
 
 from drivers import motor_kernels as motors
 from drivers.arrays import Array
+from drivers.can.bus_time import FD_LENGTHS
 from drivers.compiled.compiler import helper
 from drivers.config import BusSettings, DriveSettings
 from drivers.frame_pointers import place_of, signed, whole
@@ -47,12 +48,11 @@ FIRMWARE, SERIAL_NUMBER = 0x101, 0x120
 FLOAT = 3
 SIZES = (1, 2, 4, 4)
 """Bytes of a value, by its width."""
-LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 def pad(data: bytes) -> bytes:
     """Return the data filled up to the next length of CAN FD."""
-    return data + bytes((NOP,)) * (LENGTHS[bisect_left(LENGTHS, len(data))] - len(data))
+    return data + bytes((NOP,)) * (FD_LENGTHS[bisect_left(FD_LENGTHS, len(data))] - len(data))
 
 
 @helper

@@ -23,7 +23,7 @@ from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.frame_pointers import NOBODY, code, frame_at, legs_of, value, whole
 from drivers.motor_kernels import EAR, FEEDBACK, FOREIGN, HEARD, KEEPS, MOTORS, RETRY_TICKS
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Said, Traits, off_bus
+from drivers.protocol import ALL_LEGS, SINGLE, DriveSetup, FARTHEST_m, Frame, Resolution, Traits
 from drivers.signals import LEGS, NEVER, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
@@ -252,16 +252,13 @@ class MotorProtocol(Family):
         """Return after how many ticks a drive is unknown that does not say whether it is enabled."""
         return NEVER
 
-    def said_by(self, _frame: Frame) -> Said | None:
-        """Return what a frame, as it is on bus 0, says of who sends it; None for any other frame."""
-        return None
-
     # what is the same in all
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
         """Return the traits of a family, given an example of each drive's feedback and what is its own."""
         torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
-        same = {"resolution": Resolution.of_singles(), "feedback_ids": frozenset(self.wanted)}
+        singles = Resolution.of(SINGLE * FARTHEST_m, 0.0, 0.0)
+        same = {"resolution": singles, "feedback_ids": frozenset(self.wanted)}
         return Traits(sent=(*self.polls, *torques), feedbacks=self.to_each(feedbacks), **same | own)
 
     def fault_text(self, code: int) -> str:
@@ -283,12 +280,7 @@ class MotorProtocol(Family):
             raise ProtocolError(
                 f"drive watchdog of {setup.watchdog_s} s: more than 0 up to 100 s are allowed"
             )
-        if setup.reaction not in self.traits.reactions:
-            names = " or ".join(each.name.lower() for each in self.traits.reactions)
-            raise ProtocolError(
-                f"reactions.silence {setup.reaction.name.lower()}: these drives {names} by themselves; "
-                "write that"
-            )
+        self.refuse_reaction(setup)
 
     def controller_end(self, setup: DriveSetup) -> MotorController:
         """Return the controller's end. Raises ProtocolError if the set-up does not fit."""
@@ -309,8 +301,3 @@ class MotorProtocol(Family):
         """Return whose feedback a frame is, see `wanted`; -1 for none."""
         heard = self._heard(frame)
         return self.wanted[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1
-
-    def identity(self, frame: Frame) -> Said | None:
-        """Return the serial number or revision that a drive on the frame's bus reports."""
-        said = self.said_by(off_bus(frame))
-        return said if said is not None and self.bus_of[said.leg] == frame.bus else None

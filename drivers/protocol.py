@@ -90,7 +90,8 @@ _UNWRITTEN = frozenset({0, *((1 << bits) - 1 for bits in (32, 48, 64, 96))})
 SINGLE = 2.0**-24
 """Share by which a number is off as a single, rounded to nearest."""
 FARTHEST_m = 2.0
-"""No leg is farther from where its drive reads zero."""
+"""No leg is farther from where its drive reads zero; what singles leave of its rate and force is less than
+anything else."""
 
 
 class Resolution(NamedTuple):
@@ -115,11 +116,6 @@ class Resolution(NamedTuple):
         """Return the deviations; their signs do not count, a value for all legs is repeated."""
         q, dq, f = (np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force))
         return cls(q, dq, f, differences)
-
-    @classmethod
-    def of_singles(cls) -> Self:
-        """Return what singles leave of a length; of rate and force it is less than anything else."""
-        return cls.of(SINGLE * FARTHEST_m, 0.0, 0.0)
 
     def at(self, rate_Hz: float) -> Self:
         """Return the deviations at a rate of the loop, which a rate from `differences` depends on.

@@ -47,10 +47,17 @@ _samples_at = records_at(record(SAMPLE))
 _KIND_BYTES = MOST * SAMPLE.itemsize
 
 
-def unheard() -> tuple[Record, Rows]:
-    """Return a record of SENSORS without any, and the samples that its address leads to."""
-    record, samples = np.zeros((), SENSORS), np.zeros((3, MOST), SAMPLE)
-    record["id"], record["counter"], record["samples"] = NOBODY, NEVER, data_at(samples)
+def no_sensors() -> Record:
+    """Return a record of SENSORS without any."""
+    record = np.zeros((), SENSORS)
+    record["id"], record["counter"] = NOBODY, NEVER
+    return record
+
+
+def unheard(tables: Record) -> tuple[Record, Rows]:
+    """Return a record of SENSORS that has heard nothing, and the samples that its address leads to."""
+    record, samples = tables.copy(), np.zeros((3, MOST), SAMPLE)
+    record["samples"] = data_at(samples)
     return record, samples
 
 
@@ -117,7 +124,14 @@ def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
 
 @helper
 def hear(s: Any, frames: Any, tick: int) -> None:
-    """Take the samples among a tick's frames, elements of FRAME, see `drivers.sensors`."""
+    """Take the samples among a tick's frames, elements of FRAME.
+
+    A frame with the counter of the one before is a repetition and passed over; a gap in the counter counts as
+    lost, whatever the reason. A sample that its node calls invalid is none. Refused, and counted in
+    `rejected`: wrong length or CRC, a stamp in the future, before tick 0 or more than OLDEST ticks back, an
+    unknown validity, a turn of more than pi, a value outside the range of sensors.dbc. Foreign frames are
+    ignored.
+    """
     s.rejected = s.lost = 0
     s.count[:] = 0
     for n in range(frames.shape[0]):

@@ -15,8 +15,7 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import FRAME, sent_frames
 from drivers.legs.messages import layout_of, parsed, read_dbc
 from drivers.protocol import Frame
-from drivers.sensor_kernels import FIELDS, NOBODY, QUANTITIES, SENSORS, encode
-from drivers.tick_columns import Record
+from drivers.sensor_kernels import FIELDS, QUANTITIES, encode, no_sensors
 
 _MESSAGES = {
     "tracker": ("TRACKER_7", 7),
@@ -46,9 +45,8 @@ class SensorProtocol:
         self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
         database = parsed(self.database[1])
         self.sync_id: int = database.get_message_by_name("SYNC").frame_id
-        self.tables: Record = np.zeros((), SENSORS)
-        """A record of SENSORS that has heard nothing."""
-        self.tables["id"] = NOBODY
+        self.tables = no_sensors()
+        """Where the configured sensors have what in their frames."""
         for kind in self.rates_Hz:
             name, node = _MESSAGES[kind]
             form = layout_of(database.get_message_by_name(name))
@@ -69,18 +67,6 @@ class SensorProtocol:
     def kinds(self) -> tuple[str, ...]:
         """The configured ones of KINDS."""
         return tuple(self.rates_Hz)
-
-    def fill_hearing(self, record: Record) -> None:
-        """Fill in where the configured sensors have what in their frames, `drivers.sensor_kernels.SENSORS`.
-
-        A frame with the counter of the one before is a repetition and passed over; a gap in the counter
-        counts as lost, whatever the reason. A sample that its node calls invalid is none. Refused, and
-        counted in `rejected`: wrong length or CRC, a stamp in the future, before tick 0 or more than OLDEST
-        ticks back, an unknown validity, a turn of more than pi, a value outside the range of sensors.dbc.
-        Foreign frames are ignored.
-        """
-        for column in _TABLES:
-            record[column] = self.tables[column]
 
     def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
         """Return the frame of one sample; what exceeds a field saturates and makes the sample invalid.

@@ -10,7 +10,7 @@ from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER, direct, record, records
 from drivers.compiled.pointed import data_at
 from drivers.frame_array import FRAME
-from drivers.sensor_kernels import NEVER, SAMPLE, SENSORS, hear, unheard
+from drivers.sensor_kernels import NEVER, SAMPLE, SENSORS, hear, no_sensors, unheard
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
@@ -57,8 +57,7 @@ hear_frames = direct(record(SENSORS), records(FRAME), INTEGER)(hear)
 
 def decode(protocol: SensorProtocol, frames: Rows, tick: int, before: Readings) -> Readings:
     """Return the samples among a tick's frames."""
-    sensors, samples = unheard()
-    protocol.fill_hearing(sensors)
+    sensors, samples = unheard(protocol.tables)
     sensors["counter"] = before.counters
     hear_frames(sensors, frames, tick)
     return of_record(sensors, samples)
@@ -75,7 +74,7 @@ def of_record(sensors: Record, samples: Rows) -> Readings:
 
 def as_record(readings: Readings) -> tuple[Record, Rows]:
     """Return readings as a record of SENSORS, and what its address leads to."""
-    sensors, samples = unheard()
+    sensors, samples = unheard(no_sensors())
     for kind, own in enumerate(readings[:3]):
         sensors["count"][kind] = len(own)
         samples[kind, : len(own)] = np.array([tuple(sample) for sample in own], SAMPLE)

@@ -101,12 +101,7 @@ def _pdo(index: int, n: int, cob: int, transmission: int, entries: tuple[tuple[K
 
 
 def _drive(setup: DriveSetup, family: Any) -> list[Step]:
-    reaction = FAULT_REACTIONS.get(setup.reaction)
-    if reaction is None:
-        raise ProtocolError(
-            f"reactions.silence: CiA 402 drives with a brake of their own cannot "
-            f"{setup.reaction.name.lower()}, allowed with cia402: brake, damp"
-        )
+    family.refuse_reaction(setup)
     consumer = family.controller_node << 16 | watchdog_ms(setup)
     mantissa, exponent = _period(setup.rate_Hz)
     return [
@@ -115,7 +110,7 @@ def _drive(setup: DriveSetup, family: Any) -> list[Step]:
         Step("write", o.COMMUNICATION_ERROR, 1, 1, optional=True),
         Step("write", o.ABORT_CONNECTION, 1, 2),
         Step("write", o.QUICK_STOP, 2, 2),
-        Step("write", o.FAULT_REACTION, reaction, 2),
+        Step("write", o.FAULT_REACTION, FAULT_REACTIONS[setup.reaction], 2),
         Step("write", o.MODE, o.CYCLIC_TORQUE, 1),
         Step("write", o.MAX_TORQUE, family.max_torque_permille, 2),
         Step("write", o.PERIOD_MANTISSA, mantissa, 1, optional=True),

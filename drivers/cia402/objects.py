@@ -209,7 +209,7 @@ def _lacks(found: Any, *, velocity: bool) -> list[str]:
     mapped = (*_MAPPED, VELOCITY) if velocity else _MAPPED
     lacks = []
     for key in (*_READ, *_WRITTEN, *second, *mapped):
-        variable = _variable(found, key)
+        variable = found.get_variable(*key)
         if variable is None:
             lacks.append(f"{place(key)} is not there")
         elif key in (*_WRITTEN, *second) and not variable.writable:
@@ -217,13 +217,3 @@ def _lacks(found: Any, *, velocity: bool) -> list[str]:
         elif key in mapped and not variable.pdo_mappable:
             lacks.append(f"{place(key)} cannot be mapped")
     return lacks
-
-
-def _variable(found: Any, key: Key) -> Any:
-    index, sub = key
-    if index not in found:
-        return None
-    entry = found[index]
-    if not hasattr(entry, "subindices"):
-        return entry if sub == 0 else None
-    return entry[sub] if sub in entry.subindices else None

@@ -132,9 +132,9 @@ class Cia402Protocol(Family):
     def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
         return self.to_each(Frame(base + node, data) for node in self.nodes)
 
-    def identity(self, frame: Frame) -> Said | None:
+    def said_by(self, frame: Frame) -> Said | None:
         """Return what an SDO answer says of the identity object; an abort says nothing."""
-        leg, read = self.sender(frame), o.read_value(frame.data)
+        leg, read = self.senders.get(frame.id, -1), o.read_value(frame.data)
         if leg < 0 or frame.id & ~_NODE != o.SDO_REPLY_ID or frame.flags & STRANGE or read is None:
             return None
         key, value = read

@@ -23,7 +23,6 @@ COMMANDS = {
 }
 """Of each layout; the second ones of a bus with SHORT legs or fewer."""
 SHORT = 3
-LAYOUTS = tuple(COMMANDS)
 RATED_N = 0.001, 4294967.295
 """Least and largest rated force that the checksum of a set-up can carry, N."""
 _SHARE = re.compile(r'\(([\d.]+),0\) \[(-[\d.]+)\|([\d.]+)\] "%"')
@@ -104,13 +103,11 @@ def layout_of(message: Any, rated_N: float = 100.0) -> Layout:
     )
 
 
-def read_messages(layout: str, rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
+def read_messages(rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
     """Return legs.dbc with the forces in N, the version of the protocol, and the messages by their names.
 
-    Raises ConfigurationError for an unknown layout, or a force that the checksum of a set-up cannot carry.
+    Raises ConfigurationError for a force that the checksum of a set-up cannot carry.
     """
-    if layout not in LAYOUTS:
-        raise ConfigurationError(f"bus.layout: {layout!r} is unknown, allowed are {', '.join(LAYOUTS)}")
     if not RATED_N[0] <= rated_force_N <= RATED_N[1]:
         raise ConfigurationError(
             f"drives.force_limit_N: out of range for protocol legs, allowed: {RATED_N[0]:g} to "

@@ -118,8 +118,8 @@ class LegsProtocol(Family):
     `node_ids` are the drives' node numbers, leg order, 1..127, all different; `rated_force_N` is the unit of
     the forces where their fields are short; `legs` are those of each bus. Each bus has a command of its own,
     with the forces of its legs alone: CONFIG says to a drive which place its leg has among them. On a bus
-    with three legs or fewer there is room for three. Raises ConfigurationError on other node numbers, an
-    unknown layout or a rated force that does not fit.
+    with three legs or fewer there is room for three. Raises ConfigurationError on other node numbers or a
+    rated force that does not fit.
     """
 
     fresh_by, addressed_by = fresh, addressed
@@ -134,7 +134,7 @@ class LegsProtocol(Family):
         super().__init__(node_ids, legs)
         self.layout, self.rated_force_N = layout, rated_force_N
         self.refuse_nodes(1, MAX_NODE, "legs")
-        text, version, m = read_messages(layout, rated_force_N)
+        text, version, m = read_messages(rated_force_N)
         self.database = "legs.dbc", text
         self.sync, self.estop, self.config = m["SYNC"], m["ESTOP"], m["CONFIG_1"]
         self.status, self.feedback = m["STATUS_1"], m[f"FEEDBACK_{layout.upper()}_1"]

@@ -14,16 +14,12 @@ TOP_COMMAND = 0xFFB
 
 
 class Ranges(NamedTuple):
-    """Ends of the fields; position, velocity and torque are symmetric, the gains begin at zero."""
+    """Ends of the symmetric fields; the gains are always sent as zero."""
 
     position: float
     """rad."""
     velocity: float
     """rad/s."""
-    kp: float
-    """N m/rad."""
-    kd: float
-    """N m s/rad."""
     torque: float
     """N m."""
 
@@ -73,34 +69,32 @@ ROBSTRIDE_FAULTS = {
     32: "not calibrated",
 }
 VARIANTS = {
-    "mini_cheetah": Variant(
-        {"mini_cheetah": Ranges(P, 65.0, 500.0, 5.0, 18.0)}, {}, reply_bytes=(6, 7), clamps=False
-    ),
+    "mini_cheetah": Variant({"mini_cheetah": Ranges(P, 65.0, 18.0)}, {}, reply_bytes=(6, 7), clamps=False),
     "cubemars": Variant(
         {
-            "AK80-9": Ranges(P, 50.0, 500.0, 5.0, 18.0),
-            "AK10-9": Ranges(P, 50.0, 500.0, 5.0, 65.0),
-            "AK80-6": Ranges(P, 76.0, 500.0, 5.0, 12.0),
-            "AK80-64": Ranges(P, 8.0, 500.0, 5.0, 144.0),
+            "AK80-9": Ranges(P, 50.0, 18.0),
+            "AK10-9": Ranges(P, 50.0, 65.0),
+            "AK80-6": Ranges(P, 76.0, 12.0),
+            "AK80-64": Ranges(P, 8.0, 144.0),
         },
         CUBEMARS_FAULTS,
     ),
     "damiao": Variant(
         {
-            "DM4310": Ranges(P, 30.0, 500.0, 5.0, 10.0),
-            "DM4310_48V": Ranges(P, 50.0, 500.0, 5.0, 10.0),
-            "DM4340": Ranges(P, 10.0, 500.0, 5.0, 28.0),
-            "DM6006": Ranges(P, 45.0, 500.0, 5.0, 20.0),
-            "DM8009": Ranges(P, 45.0, 500.0, 5.0, 54.0),
-            "DM3507": Ranges(P, 50.0, 500.0, 5.0, 5.0),
+            "DM4310": Ranges(P, 30.0, 10.0),
+            "DM4310_48V": Ranges(P, 50.0, 10.0),
+            "DM4340": Ranges(P, 10.0, 28.0),
+            "DM6006": Ranges(P, 45.0, 20.0),
+            "DM8009": Ranges(P, 45.0, 54.0),
+            "DM3507": Ranges(P, 50.0, 5.0),
         },
         DAMIAO_FAULTS,
         silence=13,
     ),
     "robstride": Variant(
         {
-            "rs-02": Ranges(FOUR_PI, 44.0, 500.0, 5.0, 17.0),
-            "rs-03": Ranges(FOUR_PI, 50.0, 5000.0, 100.0, 60.0),
+            "rs-02": Ranges(FOUR_PI, 44.0, 17.0),
+            "rs-03": Ranges(FOUR_PI, 50.0, 60.0),
         },
         ROBSTRIDE_FAULTS,
     ),

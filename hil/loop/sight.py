@@ -3,7 +3,7 @@
 from math import inf
 
 from drivers.arrays import Array
-from drivers.sensor_kernels import NEVER, unheard
+from drivers.sensor_kernels import NEVER, no_sensors, unheard
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.estimation.pose import Estimator
@@ -24,10 +24,8 @@ class Sight:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
-        self.sensors, self._samples = unheard()
+        self.sensors, self._samples = unheard(no_sensors() if parts.sensors is None else parts.sensors.tables)
         """What has been heard of the sensors, a record of SENSORS."""
-        if parts.sensors is not None:
-            parts.sensors.fill_hearing(self.sensors)
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         self.reset()
 

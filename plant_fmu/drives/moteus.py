@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import moteus as k
 from drivers.arrays import Array
+from drivers.can.bus_time import FD_LENGTHS
 from drivers.compiled.compiler import helper
 from drivers.frame_pointers import begin_sent
 from drivers.protocol import BRS, EXTENDED, FD
@@ -116,7 +117,7 @@ def _held(d: Any, said: Any, name: int) -> float:
 @helper
 def _put(frame: Any, number: int) -> None:
     """Put a byte at the end of a frame, if there is room."""
-    if frame.length < k.LENGTHS[-1]:
+    if frame.length < FD_LENGTHS[-1]:
         frame.data[frame.length] = number
         frame.length += 1
 
@@ -186,7 +187,7 @@ def encode(d: Any, said: Any, frame: Any) -> int:
         for name in range(first, first + count):
             _put_value(frame, _held(d, said, name), name, width)
         at += count
-    for length in k.LENGTHS:
+    for length in FD_LENGTHS:
         if length >= frame.length:
             break
     while frame.length < length:

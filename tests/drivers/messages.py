@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, array_at
 from drivers.compiled.pointed import FAILED
-from drivers.controller_end import array_at
 from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import ALL_LEGS, Frame

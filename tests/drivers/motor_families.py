@@ -117,8 +117,8 @@ def pack_command(position: float, velocity: float, kp: float, kd: float, torque:
     number = code(position, -r.position, r.position, 16)
     for x, low, high in (
         (velocity, -r.velocity, r.velocity),
-        (kp, 0.0, r.kp),
-        (kd, 0.0, r.kd),
+        (kp, 0.0, 500.0),
+        (kd, 0.0, 5.0),
         (torque, -r.torque, r.torque),
     ):
         number = number << 12 | code(x, low, high, 12)
@@ -138,8 +138,8 @@ def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, 
     return (
         value(p, -r.position, r.position, 16),
         value(v, -r.velocity, r.velocity, 12),
-        value(kp, 0.0, r.kp, 12),
-        value(kd, 0.0, r.kd, 12),
+        value(kp, 0.0, 500.0, 12),
+        value(kd, 0.0, 5.0, 12),
         value(t, -r.torque, r.torque, 12),
     )
 

@@ -265,7 +265,6 @@ class StubProtocol(Family):
         return dialogue, tuple(frames)
 
 
-
 class StubController(ControllerEnd):
     """The controller's end, in Python. Mutable state: the dialogue."""
 

@@ -76,26 +76,30 @@ def heard(protocol: Motors, v: Vector) -> str:
     return "register" if found.answer is not None else "feedback" if found.feedback else "state"
 
 
+def without_gains(held: list[float]) -> Ranges:
+    p, velocity, _, _, torque = held
+    return Ranges(p, velocity, torque)
+
+
 def mini_cheetah(v: Vector) -> MitProtocol:
     held = read("mit")["ranges"].get(v["inputs"].get("range"), [12.5, 65.0, 500.0, 5.0, 18.0])
-    return MitProtocol("mini_cheetah", Ranges(*held), (1, 2, 10, 127, 5, 6), 0, UNIT)
+    return MitProtocol("mini_cheetah", without_gains(held), (1, 2, 10, 127, 5, 6), 0, UNIT)
 
 
 def cubemars(v: Vector) -> MitProtocol:
     held = read("mit")["ranges"][v["inputs"]["range"]]
-    return MitProtocol("cubemars", Ranges(*held), (1, 2, 10, 127, 5, 6), 0, UNIT)
+    return MitProtocol("cubemars", without_gains(held), (1, 2, 10, 127, 5, 6), 0, UNIT)
 
 
 def damiao(v: Vector) -> MitProtocol:
     p, velocity, torque = read("damiao")["ranges"][v["inputs"].get("motor", "DM4310")]
     nodes = (1, 2, 3, 4, 5, 6)
-    return MitProtocol("damiao", Ranges(p, velocity, 500.0, 5.0, torque), nodes, 16, UNIT)
+    return MitProtocol("damiao", Ranges(p, velocity, torque), nodes, 16, UNIT)
 
 
 def robstride(v: Vector) -> RobStrideProtocol:
     held = read("robstride")["ranges"][v["inputs"].get("model", "rs-02")]
-    p, velocity, torque, kp, kd = held
-    return RobStrideProtocol(Ranges(p, velocity, kp, kd, torque), (1, 2, 3, 4, 5, 127), 253, UNIT)
+    return RobStrideProtocol(Ranges(*held[:3]), (1, 2, 3, 4, 5, 127), 253, UNIT)
 
 
 def odrive(_v: Vector) -> ODriveProtocol:
@@ -117,14 +121,14 @@ def to_controller(make: Callable[[Vector], Motors], words: str) -> Any:
 def packed_with_the_sign(v: Vector) -> bool:
     """Compare with the library that turns the axis round: its signs are the transmission's here."""
     i, sign = v["inputs"], v["inputs"]["axis_direction"]
-    r = Ranges(i["P_max"], i["V_max"], 500.0, 5.0, i["T_max"])
+    r = Ranges(i["P_max"], i["V_max"], i["T_max"])
     p, velocity, torque = (sign * i[key] for key in ("position_rad", "velocity_rad_s", "torque_Nm"))
     return bool(pack_command(p, velocity, i["kp"], i["kd"], torque, r).hex() == v["data"])
 
 
 def o2(v: Vector) -> Ranges:
     p, velocity, torque = read("robstride")["ranges"][v["inputs"]["model"]]
-    return Ranges(p, velocity, 500.0, 5.0, torque)
+    return Ranges(p, velocity, torque)
 
 
 def packed_as_o2(v: Vector) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.compiled.cache import cache_folder, elsewhere
 from drivers.errors import RunError
-from drivers.files import NotRegularError, made_folder, open_regular, own_folder, read_regular, whole_file
+from drivers.files import made_folder, open_regular, own_folder, read_regular, whole_file
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
 
@@ -125,14 +125,14 @@ def sized(path: Path, size: int) -> Path:
 
 def test_four_mebibytes_are_read_whole_and_a_byte_more_is_refused_with_the_limit(tmp_path):
     assert len(read_regular(sized(tmp_path / "a", MOST))) == MOST
-    with pytest.raises(NotRegularError, match=f"more than the {MOST} bytes"):
+    with pytest.raises(OSError, match=f"more than the {MOST} bytes"):
         read_regular(sized(tmp_path / "b", MOST + 1))
 
 
 @pytest.mark.parametrize("most", [0, 1, 1000])
 def test_a_limit_of_its_own_takes_the_place_of_that_one(tmp_path, most):
     assert read_regular(sized(tmp_path / "a", most), most) == bytes(most)
-    with pytest.raises(NotRegularError, match=f"more than the {most} bytes"):
+    with pytest.raises(OSError, match=f"more than the {most} bytes"):
         read_regular(sized(tmp_path / "b", most + 1), most)
 
 
@@ -141,7 +141,7 @@ def test_a_file_is_read_as_any_other_although_a_pipe_of_its_name_would_not_have_
         assert os.get_blocking(file.fileno())
         assert file.read() == bytes(3)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(NotRegularError, match="no regular file"):
+    with pytest.raises(OSError, match="no regular file"):
         open_regular(tmp_path / "pipe")
 
 

@@ -40,7 +40,7 @@ from tests.drivers.trouble_contract import TroubleContract
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
-WIDE = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+WIDE = Ranges(95.5, 400.0, 144.0)
 """Wide enough for the contract's legs of 1.5 to 2 m and 6 kN, behind a lead of 0.1 m."""
 LEAD_m, NEWTONS = 0.1, 2 * np.pi / 0.1
 GEAR = Transmission(TransmissionSettings(lead_m=LEAD_m, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
@@ -159,8 +159,8 @@ def five(inputs: dict[str, Any]) -> list[float]:
 def ranges(values: list[float]) -> Ranges:
     """Return them from position, velocity, kp, kd, torque, or without gains."""
     p, v, *gains, t = values
-    kp, kd = gains or (500.0, 5.0)
-    return Ranges(p, v, kp, kd, t)
+    assert gains in ([], [500.0, 5.0])
+    return Ranges(p, v, t)
 
 
 @pytest.mark.parametrize("vector", vectors("mit", "command: "), ids=lambda v: v["what"])
@@ -308,8 +308,8 @@ def test_damiao_registers_are_read(vector):
 
 
 def robstride(model: str) -> RobStrideProtocol:
-    p, v, torque, kp, kd = _read("robstride")["ranges"][model]
-    return RobStrideProtocol(Ranges(p, v, kp, kd, torque), (1, 2, 3, 4, 5, 127), 253, GEAR)
+    p, v, torque, _, _ = _read("robstride")["ranges"][model]
+    return RobStrideProtocol(Ranges(p, v, torque), (1, 2, 3, 4, 5, 127), 253, GEAR)
 
 
 @pytest.mark.parametrize(

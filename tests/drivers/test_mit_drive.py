@@ -20,7 +20,7 @@ from tests.drivers.motor_families import MitProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (1, 2, 3, 4, 5, 15)
-RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+RANGES = Ranges(95.5, 400.0, 144.0)
 VARIANTS = {
     name: MitProtocol(name, RANGES, NODES, 16 if name == "damiao" else 0, UNLIKE)
     for name in ("mini_cheetah", "cubemars", "damiao")

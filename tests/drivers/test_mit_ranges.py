@@ -36,15 +36,14 @@ FAMILIES = [
     ],
 )
 def test_the_ranges_of_a_model_are_those_of_its_libraries(variant, model, name):
-    # position, velocity, kp, kd, torque
-    assert list(VARIANTS[variant].models[model]) == LIBRARIES[name]
+    position, velocity, _kp, _kd, torque = LIBRARIES[name]
+    assert list(VARIANTS[variant].models[model]) == [position, velocity, torque]
 
 
 @pytest.mark.parametrize("model", list(VARIANTS["robstride"].models))
 def test_the_ranges_of_a_robstride_are_those_of_its_library(model):
-    position, velocity, torque, kp, kd = ROBSTRIDE[model]
     delivered = VARIANTS["robstride"].models[model]
-    assert delivered == pytest.approx(Ranges(position, velocity, kp, kd, torque), rel=1e-8)
+    assert delivered == pytest.approx(Ranges(*ROBSTRIDE[model][:3]), rel=1e-8)
 
 
 @pytest.mark.parametrize(("variant", "model"), FAMILIES)
@@ -68,7 +67,7 @@ def test_a_range_that_is_configured_takes_the_place_of_its_own_and_of_no_other(v
 def test_the_lengths_that_a_drive_can_report_end_with_the_range_of_its_position(variant, host):
     """12.5 rad on a pulley of 20 mm are 0.25 m, either way from where the motor reads zero."""
     gear = Transmission(TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5]))
-    ranges = Ranges(12.5, 30.0, 500.0, 5.0, 10.0)
+    ranges = Ranges(12.5, 30.0, 10.0)
     found = MitProtocol(variant, ranges, (1, 2, 3, 4, 5, 6), host, gear).traits.reported_lengths
     assert found is not None
     shortest, longest = found

@@ -16,7 +16,7 @@ from tests.drivers.motor_families import MitProtocol, RobStrideProtocol
 from tests.drivers.protocol_contract import SETUP, at_tick, reaction_of
 from tests.drivers.test_odrive import GEAR
 
-RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+RANGES = Ranges(95.5, 400.0, 144.0)
 NODES = (1, 2, 3, 4, 5, 15)
 DAMIAO = MitProtocol("damiao", RANGES, NODES, 16, GEAR)
 MOTORS = (1, 2, 3, 4, 5, 127)

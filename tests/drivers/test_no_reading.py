@@ -19,7 +19,7 @@ from tests.drivers.messages import Sync
 from tests.drivers.motor_families import MitProtocol, MoteusProtocol, ODriveProtocol, RobStrideProtocol
 from tests.drivers.test_odrive import GEAR, NODES
 
-RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+RANGES = Ranges(95.5, 400.0, 144.0)
 FAMILIES: dict[str, Any] = {
     "mini_cheetah": MitProtocol("mini_cheetah", RANGES, (1, 2, 3, 4, 5, 15), 0, GEAR),
     "cubemars": MitProtocol("cubemars", RANGES, (1, 2, 3, 4, 5, 15), 0, GEAR),

@@ -14,7 +14,7 @@ from drivers.signals import Reaction
 from tests.drivers.motor_families import MitProtocol, MoteusProtocol, ODriveProtocol, RobStrideProtocol
 from tests.drivers.test_odrive import GEAR, NODES
 
-RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+RANGES = Ranges(95.5, 400.0, 144.0)
 ROBSTRIDE = RobStrideProtocol(RANGES, (1, 2, 3, 4, 5, 127), 253, GEAR)
 ODRIVE = ODriveProtocol(NODES, 0.05, GEAR)
 MOTEUS = MoteusProtocol((1, 2, 3, 4, 5, 126), 0, Reaction.DAMP, 2.0, GEAR)

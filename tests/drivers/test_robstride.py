@@ -19,7 +19,7 @@ from tests.drivers.motor_families import Heard, RobStrideProtocol
 from tests.drivers.spoken_drives import UNLIKE
 
 NODES = (1, 2, 3, 4, 5, 127)
-P = RobStrideProtocol(Ranges(95.5, 400.0, 500.0, 5.0, 144.0), NODES, 253, UNLIKE)
+P = RobStrideProtocol(Ranges(95.5, 400.0, 144.0), NODES, 253, UNLIKE)
 STEP_Nm = 288.0 / 65535
 DELIVERED = Configure(3, 1e6, Reaction.BRAKE)
 SYNC = Sync(0, (3,))

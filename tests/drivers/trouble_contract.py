@@ -16,7 +16,6 @@ from drivers.arrays import Array
 from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
 from drivers.family import Family
-from drivers.frame_array import received_frames
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation

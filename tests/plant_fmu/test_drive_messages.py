@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from drivers.arrays import array_at
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import FAILED, Pointed, of_python
 from drivers.config import DriveSettings
-from drivers.controller_end import array_at
 from drivers.frame_array import FRAME
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received, Traits

@@ -29,7 +29,7 @@ from tests.plant_fmu.test_nodes import MS, REST, Masses, Rig
 
 NODES = (1, 2, 3, 4, 5, 6)
 GEAR = Transmission(TransmissionSettings(lead_m=0.1))
-RANGES = Ranges(95.5, 400.0, 500.0, 5.0, 144.0)
+RANGES = Ranges(95.5, 400.0, 144.0)
 BEAT_NS = 100 * MS
 CROSSED = Wiring(
     answers_as=(1, 0, 3, 3, 4, 5),

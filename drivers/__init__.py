@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
@@ -10,6 +11,9 @@ if TYPE_CHECKING:  # the processes that only log need no sections
 
     from drivers.config import BusSettings, DriveSettings
     from drivers.family import Family
+
+BEGAN_NS = time.time_ns()
+"""When this process began to read the sources of the project."""
 
 
 def row(module: str, name: str) -> Callable[..., Any]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import INTEGER, REAL, VECTOR, direct, helper, record
+from drivers.compiled.compiler import INTEGER, REAL, VECTOR, helper, kernel, record
 from drivers.compiled.pointed import FAILED, data_at, records_at
 from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import signed
@@ -169,4 +169,4 @@ def put_sample(s: Any, kind: int, v: Array, cycle: int, offset_s: float, counter
     return 0
 
 
-encode = direct(record(SENSORS), INTEGER, VECTOR, INTEGER, REAL, INTEGER, record(FRAME))(put_sample)
+encode = kernel(record(SENSORS), INTEGER, VECTOR, INTEGER, REAL, INTEGER, record(FRAME))(put_sample)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import INTEGER, direct, record, records
+from drivers.compiled.compiler import INTEGER, kernel, record, records
 from drivers.compiled.pointed import data_at
 from drivers.frame_array import FRAME
 from drivers.sensor_kernels import NEVER, SAMPLE, SENSORS, hear, no_sensors, unheard
@@ -51,7 +51,7 @@ class Health(NamedTuple):
     missed: bool
 
 
-hear_frames = direct(record(SENSORS), records(FRAME), INTEGER)(hear)
+hear_frames = kernel(record(SENSORS), records(FRAME), INTEGER)(hear)
 """(record of SENSORS, elements of FRAME, tick): take the samples among a tick's frames."""
 
 

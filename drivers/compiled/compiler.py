@@ -3,42 +3,37 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.core import boxing
+from numba.core.registry import cpu_target
+from numba.extending import NativeValue, lower_cast, models, register_jitable, register_model, unbox
 from numba.np import linalg
-from numba.np.numpy_support import as_dtype
+from numba.np.numpy_support import from_dtype
 
 import drivers.compiled.assignment  # noqa: F401 - lowers assignments to slices
-from drivers.compiled import cache
-from drivers.compiled.lean_library import lean_libraries
-from drivers.compiled.records import RecordArgument, record_of
+from drivers.compiled.library import Kept, Library
 
 F = TypeVar("F", bound=Callable[..., Any])
-_CONTIGUOUS, _WRITEABLE = 0x1, 0x400
-"""Flags of NumPy's arrays."""
+_dispatchers: list[Any] = []
+"""Of kernels that are called by their entry; Numba keeps weak references alone."""
 
 
-def _import_without_blas() -> None:
-    """Import what asks SciPy for a BLAS, which no kernel uses: it would cost each start 0.1 to 0.3 s."""
-
-    def no_blas() -> None:
-        raise ImportError("kernels use no BLAS")
-
-    numbas, linalg.ensure_blas = linalg.ensure_blas, no_blas
-    import_module("numba.np.arraymath")
-    linalg.ensure_blas = numbas
+def _no_blas() -> None:
+    raise ImportError("kernels use no BLAS")
 
 
-_import_without_blas()
+# there Numba imports SciPy's BLAS, for 0.1 to 0.3 s of each start
+_ensure_blas, linalg.ensure_blas = linalg.ensure_blas, _no_blas
+import_module("numba.np.arraymath")
+linalg.ensure_blas = _ensure_blas
 
 VECTOR = types.Array(types.float64, 1, "C", readonly=True)
 """Argument: any C-contiguous float64 vector, writeable or not."""
@@ -51,7 +46,6 @@ OUT_INTEGERS = types.Array(types.int64, 1, "C")
 WORDS = types.Array(types.int64, 1, "A", readonly=True, aligned=False)
 """Argument: integers at any distance, at any address."""
 MATRIX_OF_INTEGERS = types.Array(types.int64, 2, "C", readonly=True)
-FLAGS = types.Array(types.boolean, 1, "C", readonly=True)
 OUT_FLAGS = types.Array(types.boolean, 1, "C")
 OUT_INTEGER_MATRIX = types.Array(types.int64, 2, "C")
 """OUT_...: arguments that the kernel fills."""
@@ -59,27 +53,46 @@ DATA = types.Bytes(types.uint8, 1, "C", readonly=True)
 """Argument: `bytes`, as a frame has them."""
 POINTER = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
 BYTE_POINTER = types.CPointer(types.uint8)  # type: ignore[no-untyped-call]
-"""Arguments of a kernel that is called by its address: see `drivers.compiled.machine_code`."""
+"""Arguments of a `pointed` function: any array, as int64 or bytes."""
 REAL = types.float64
 INTEGER = types.int64
 BOOLEAN = types.boolean
+# numpy's error model: division by zero gives inf or nan and never raises inside the loop.
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
+
+
+class RecordArgument(types.Record):
+    """An element of a structured dtype as argument: its address. The caller holds its array."""
 
 
 def record(dtype: np.dtype[np.void], *names: str) -> Any:
     """Argument: one element of a structured dtype, which may be written; the kernel sees the columns named.
 
-    Without names it sees all. For `direct` kernels only.
+    Without names it sees all. From Python it is an array of no dimensions; only its size is looked at.
     """
-    return record_of(dtype, names or dtype.names or ())
+    seen: Any = from_dtype(dtype[list(names or dtype.names or ())])
+    fields = [(name, field._asdict()) for name, field in seen.fields.items()]
+    return RecordArgument(fields, seen.size, aligned=False)
 
 
 def records(dtype: np.dtype[np.void]) -> Any:
-    """Argument: a vector of elements of a structured dtype, writeable or not. For `direct` kernels only."""
+    """Argument: a vector of elements of a structured dtype, writeable or not."""
     return types.Array(record(dtype), 1, "C", readonly=True)
 
 
-# numpy's error model: division by zero gives inf or nan and never raises inside the loop.
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
+def _unbox(kind: Any, given: Any, c: Any) -> NativeValue:
+    whole: Any = types.Array(kind, 1, "C")
+    seen: Any = boxing.unbox_array(whole, given, c)
+    place = c.context.make_array(whole)(c.context, c.builder, seen.value).data
+    c.context.nrt.decref(c.builder, whole, seen.value)
+    return NativeValue(place, is_error=seen.is_error)  # type: ignore[no-untyped-call]
+
+
+_untyped: Any = register_model, unbox, lower_cast
+_untyped[0](RecordArgument)(models.RecordModel)
+_untyped[1](RecordArgument)(_unbox)
+# a column is handed on to a kernel that takes any array: its owner needs no counting
+_untyped[2](types.NestedArray, types.Array)(lambda _context, _builder, _given, _taken, view: view)
 
 
 @contextmanager
@@ -87,12 +100,10 @@ def undisturbed() -> Iterator[None]:
     """Hold Ctrl-C, and the timer that repeats one, back to the end: half a kernel would crash the process."""
     held: list[int] = []
     handlers: dict[int, Any] = {}
-    try:
+    if threading.current_thread() is threading.main_thread():  # in which alone handlers run
         for number in (signal.SIGINT, signal.SIGALRM):
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda given, _: held.append(given))
-    except ValueError:  # not the main thread, in which alone handlers run
-        handlers.clear()
     try:
         yield
     finally:
@@ -102,127 +113,45 @@ def undisturbed() -> Iterator[None]:
         signal.raise_signal(held[0])
 
 
-@contextmanager
-def compiling(function: Callable[..., Any]) -> Iterator[bool]:
-    """Compile into the folder of a function's source meanwhile; yield whether that is up to date.
-
-    Where a source was saved since this process began, what is compiled is neither taken from the cache nor
-    kept. Ctrl-C waits until the kernel is there.
-    """
-    kept = cache.is_as_imported(_source(function))
-    if not kept:
-        cache.announce()
-    settings = vars(numba.config)
-    elsewhere = settings["CACHE_LOCATOR_CLASSES"]
-    settings["CACHE_LOCATOR_CLASSES"] = f"{cache.__name__}.{cache.Locator.__name__}"
-    try:
-        with undisturbed(), lean_libraries():
-            yield kept
-    finally:
-        settings["CACHE_LOCATOR_CLASSES"] = elsewhere
-
-
-def count(function: Callable[..., Any], *, kept: bool, misses: int) -> None:
-    """Report that a kernel was compiled, unless it came out of the cache."""
-    if not kept or misses:
-        cache.compiled(_source(function))
-
-
-def _source(function: Callable[..., Any]) -> Path:
-    return Path(function.__code__.co_filename).resolve()
+def compiled(made: Any, function: Callable[..., Any], *signature: Any) -> Kept:
+    """Compile what Numba makes of a function, or load it from the cache."""
+    made._cache = kept = Kept(function)  # noqa: SLF001 - Numba's own looks at the function's file alone
+    codegen: Any = cpu_target.target_context.codegen()
+    with undisturbed():
+        codegen._library_class = Library  # noqa: SLF001 - over that of its class: what others compile is Numba's
+        try:
+            made.compile(*signature)
+        finally:
+            del codegen._library_class  # noqa: SLF001
+    return kept
 
 
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """Compile for exactly these argument types when the module is imported; others are refused.
 
     Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
-    the interpreter run meanwhile. See `compiling`.
+    the interpreter run meanwhile. A kernel of records returns numbers only; Numba then looks at the size of
+    the elements of its arrays alone: the caller answers for their type, order and dimensions.
     """
 
     def decorate(function: F) -> F:
-        with compiling(function) as kept:
-            options = OPTIONS | {"no_cfunc_wrapper": True}
-            compiled: Any = numba.njit(arguments, nogil=unlocked, cache=kept, **options)(function)
-        if hasattr(compiled, "stats"):
-            count(function, kept=kept, misses=len(compiled.stats.cache_misses))
-        return cast("F", compiled)
+        made: Any = numba.njit(nogil=unlocked, **OPTIONS)(function)
+        if made is function:  # Numba is disabled
+            return function
+        compiled(made, function, arguments)
+        made.disable_compile()
+        elements = [each.dtype if isinstance(each, types.Array) else each for each in arguments]
+        if not any(isinstance(each, RecordArgument) for each in elements):
+            return cast("F", made)
+        _dispatchers.append(made)
+        (only,) = made.overloads.values()
+        # Numba's dispatcher would look the type of a record up at each call, for 40 us
+        cpu_target.typing_context.insert_global(only.entry_point, types.Dispatcher(made))
+        return cast("F", only.entry_point)
 
     return decorate
-
-
-def direct(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
-    """As `kernel`, for what is called with records; other kernels call `compiled_of` it. See `entry`."""
-
-    def decorate(function: F) -> F:
-        return entry(kernel(*arguments, unlocked=unlocked)(function))
-
-    return decorate
-
-
-def entry(compiled: F) -> F:
-    """Return the function to call from Python: that of a `kernel` of records goes past Numba's dispatcher.
-
-    Raises TypeError for an array of another type, order or number of dimensions than the kernel was compiled
-    for, 0 for a record, or one that is read-only where the kernel writes. Such a kernel returns numbers only.
-    """
-    made: Any = compiled
-    if not hasattr(made, "overloads"):  # where Numba is disabled
-        return compiled
-    (only,) = made.overloads.values()
-    looked, records_taken = [], False
-    for place, kind in enumerate(only.signature.args):
-        element = kind.dtype if isinstance(kind, types.Array) else kind
-        if isinstance(kind, types.Array | RecordArgument):
-            dtype = element.of if isinstance(element, RecordArgument) else as_dtype(element)
-            flags = _CONTIGUOUS | (_WRITEABLE if kind.mutable else 0)
-            looked.append((place, dtype, getattr(kind, "ndim", 0), flags))
-            records_taken = records_taken or isinstance(element, RecordArgument)
-    if not records_taken:
-        return compiled
-    call = _looking(only.entry_point, looked, only.signature.args)
-    _of_entry[call] = made
-    return cast("F", call)
-
-
-def _looking(entry_point: Callable[..., Any], looked: list[tuple[int, Any, int, int]], kinds: Any) -> Any:
-    """Look at arrays first: Numba's entry looks at the size of their elements alone."""
-
-    def call(*given: Any) -> Any:
-        for place, dtype, dimensions, flags in looked:
-            array = given[place]
-            fits = isinstance(array, np.ndarray) and (array.dtype is dtype or array.dtype == dtype)
-            if not fits or array.ndim != dimensions or array.flags.num & flags != flags:
-                raise TypeError(f"argument {place} of a kernel is no {kinds[place]}")
-        return entry_point(*given)
-
-    return call
-
-
-_of_entry: dict[Any, Any] = {}
-
-
-def compiled_of(function: Any) -> Any:
-    """Return the dispatcher of a `kernel` or of a `direct` one, which other kernels call."""
-    return _of_entry.get(function, function)
 
 
 def helper(function: F) -> F:
     """Compile as a part of the kernels that call it; elsewhere it is the function as it is written."""
-    return register_jitable(no_cfunc_wrapper=True, **OPTIONS)(function)
-
-
-def _foreign(_context: Any, address: Any, arguments: Any) -> Any:
-    def generate(_target: Any, builder: Any, _signature: Any, values: Any) -> Any:
-        given = [builder.extract_value(values[1], i) for i in range(len(arguments))]
-        function = ir.FunctionType(ir.IntType(32), [value.type for value in given])
-        return builder.call(builder.inttoptr(values[0], function.as_pointer()), given)
-
-    return types.int32(address, arguments), generate
-
-
-foreign: Any = intrinsic(_foreign)
-"""foreign(address, arguments): call, inside a kernel, the C function at `address` with a tuple of arguments.
-
-It returns a C int. Integers pass as what they are, pointers as int64. As with ctypes, a wrong address or
-argument crashes the process.
-"""
+    return register_jitable(**OPTIONS)(function)

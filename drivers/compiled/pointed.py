@@ -9,52 +9,52 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
 from drivers.arrays import Array, Ints
-from drivers.compiled.compiler import OPTIONS, compiling, count, foreign, helper
+from drivers.compiled.compiler import OPTIONS, compiled, helper
 
 FAILED = -1
 """Status of a function that could not do its work."""
-_STATUS = types.int32
 _carray: Any = vars(numba)["carray"]
 _C_TYPES: dict[Any, Any] = {types.int64: ctypes.c_int64, types.float64: ctypes.c_double}
 
 
+@dataclass(frozen=True)
 class Pointed:
-    """A compiled function with an address. From Python it is called with arrays in place of records."""
+    """A compiled function with an address."""
 
-    def __init__(self, address: int, arguments: tuple[Any, ...], function: Callable[..., Any]) -> None:
-        self.address = address
-        self.plain = function
-        """The function as it is written."""
-        kinds = [_C_TYPES.get(argument, ctypes.c_void_p) for argument in arguments]
-        self.raw = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(address)
-        """The same with the address of each record, in half the time."""
+    address: int
+    machine_code: tuple[str, bytes]
+    """Its name, and the object file that it is in."""
+    raw: Callable[..., int]
+    """The function, of numbers and addresses."""
 
     def __call__(self, *arguments: Any) -> int:
-        """Return the status. A record is an array of its dtype; the caller answers for that."""
-        given = [each.ctypes.data if isinstance(each, np.ndarray) else each for each in arguments]
-        return int(self.raw(*given))
+        """Return the status. A record or a pointer is given as an array; the caller answers for it."""
+        return self.raw(*[each.ctypes.data if isinstance(each, np.ndarray) else each for each in arguments])
 
 
 def pointed(*arguments: Any) -> Callable[[Callable[..., int]], Pointed]:
     """Compile a function of records (`compiler.record`), INTEGER and REAL that returns a status, an int.
 
-    Kept in the cache and refused as `compiler.kernel`. A record is its address alone: nothing checks it.
+    Kept in the cache as `compiler.kernel`. A record is its address alone: nothing checks it.
     """
 
     def decorate(function: Callable[..., int]) -> Pointed:
-        with compiling(function) as kept:
-            compiled: Any = numba.cfunc(_STATUS(*arguments), cache=kept, **OPTIONS)(function)
-        count(function, kept=kept, misses=1 - compiled.cache_hits)
-        return Pointed(compiled.address, arguments, function)
+        made: Any = CFunc(function, (arguments, types.int32), {}, OPTIONS)
+        kept = compiled(made, function)
+        kinds = [_C_TYPES.get(each, ctypes.c_void_p) for each in arguments]
+        raw = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(made.address)
+        return Pointed(made.address, (made.native_name, kept.code), raw)
 
     return decorate
 
@@ -95,13 +95,10 @@ def data_at(array: np.ndarray[Any, Any]) -> int:
 def record_at(argument: Any) -> Any:
     """Return what makes, inside a kernel, a record of a type (`compiler.record`) from its address."""
 
-    def at(_context: Any, _address: Any) -> Any:
-        def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
-            return builder.inttoptr(values[0], context.get_value_type(argument))
+    def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+        return builder.inttoptr(values[0], context.get_value_type(argument))
 
-        return argument(types.int64), generate
-
-    return intrinsic(at)
+    return intrinsic(lambda _context, _address: (argument(types.int64), generate))
 
 
 def _address_of(_context: Any, record: Any) -> Any:
@@ -119,11 +116,7 @@ def records_at(argument: Any) -> Any:
     """Return a function (address, count) that gives a kernel the array of records or numbers there."""
     pointer: Any = types.CPointer(argument)  # type: ignore[no-untyped-call]
     to_elements = record_at(pointer)
-
-    def at(address: int, count: int) -> Any:
-        return _carray(to_elements(address), (count,))
-
-    return helper(at)
+    return helper(lambda address, count: _carray(to_elements(address), (count,)))
 
 
 reals_at: Callable[[int, int], Array] = records_at(types.float64)
@@ -140,5 +133,17 @@ def matrix_at(address: int, rows: int, columns: int) -> Array:
     return values
 
 
-call: Any = foreign
-"""call(address, arguments): inside a kernel, call a function by its address."""
+def _call(_context: Any, address: Any, arguments: Any) -> Any:
+    def generate(_target: Any, builder: Any, _signature: Any, values: Any) -> Any:
+        given = [builder.extract_value(values[1], i) for i in range(len(arguments))]
+        function = ir.FunctionType(ir.IntType(32), [value.type for value in given])
+        return builder.call(builder.inttoptr(values[0], function.as_pointer()), given)
+
+    return types.int32(address, arguments), generate
+
+
+call: Any = intrinsic(_call)
+"""call(address, arguments): inside a kernel, call the C function there with a tuple; it returns a C int.
+
+Integers pass as what they are, pointers as int64. A wrong address or argument crashes the process.
+"""

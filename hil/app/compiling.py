@@ -1,56 +1,48 @@
-"""What the first compilation says while it lasts: a line that counts on a terminal, plain lines elsewhere."""
+"""What the first compilation says while it lasts: which kernel it is at, and how long that may take."""
 
+import re
 import sys
-from collections.abc import Callable
-from importlib.util import find_spec
-from math import isfinite
-from pathlib import Path
-from typing import Any
+import time
+from functools import cached_property
 
 import click
 
-from drivers.compiled.cache import elsewhere, watch
-from drivers.compiled.progress import Compilation, Progress
+from drivers.cache_folder import elsewhere
+from drivers.compiled.cache import ROOMS, files_of, watch
 from drivers.terminal_row import rewriting
 
 EVERY_S = 10.0
 """From one plain line to the next."""
-_LOADS = "hil.app.check.command"
-"""What a command imports, beside its own, that loads a configuration to move."""
+_KERNEL = re.compile(r"^@(?:kernel|pointed)\(|= (?:kernel|pointed)\(", re.MULTILINE)
 
 
-def show_compilation(command: Callable[..., Any]) -> None:
-    """Say on standard error how far the compilation is, if this process compiles anything.
-
-    command: what the process is to do; the kernels of what its module imports are to come.
-    """
-    programs = [sys.modules[command.__module__].__file__]
-    if "load" in command.__globals__:
-        spec = find_spec(_LOADS)
-        programs.append(spec.origin if spec is not None else None)
-    watch(Compilation([Path(each) for each in programs if each], Display().show))
+def show_compilation() -> None:
+    """Say on standard error how far the compilation is, if this process compiles anything."""
+    watch(Display().show)
 
 
 class Display:
-    """Where a compilation is, for who waits for it. Mutable state: when the last plain line was written."""
+    """Where a compilation is. Mutable state: how many kernels it has begun; when a plain line is due."""
 
     def __init__(self) -> None:
-        self._last_s = 0.0
+        self._begun, self._due_s = 0, 0.0
 
-    def show(self, at: Progress) -> None:
-        """Write where it begins and how it goes on: on a terminal each kernel, else a line now and then."""
-        if not at.done and elsewhere():
+    @cached_property
+    def _most(self) -> int:
+        files = frozenset().union(*map(files_of, ROOMS))
+        return sum(len(_KERNEL.findall(each.read_text(encoding="utf-8"))) for each in files)
+
+    def show(self, compiling: bool) -> None:
+        """Before a kernel is compiled and after it: write a row that goes with it, or a line now and then."""
+        if compiling and not self._begun and elsewhere():
             click.echo(f"hil: {elsewhere()}", err=True)
+        self._begun += compiling
+        text = (
+            f"compiling the mathematics, once: kernel {self._begun} of at most {self._most}, about a minute "
+            "of processor time; Ctrl-C loses little of it ..."
+        )
         if sys.stderr.isatty():
-            over = at.done >= at.total
-            click.echo(rewriting("" if over else line(at), sys.stderr), err=True, nl=False)
-        elif not at.done or at.elapsed_s - self._last_s >= EVERY_S:
-            self._last_s = at.elapsed_s
-            click.echo(line(at), err=True)
-
-
-def line(at: Progress) -> str:
-    """Return how far a compilation is, in words."""
-    left = f"about {at.left_s:.0f} s left" if isfinite(at.left_s) else "about a minute of processor time"
-    done = f"compiling the mathematics, once: {at.done} of {at.total} kernels"
-    return f"{done}, {left}; Ctrl-C loses little of it ..."
+            click.echo(rewriting(text if compiling else "", sys.stderr), err=True, nl=False)
+        elif compiling and time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + EVERY_S
+            click.echo(text, err=True)

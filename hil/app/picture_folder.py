@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from drivers.compiled.cache import CACHE_FOLDER
+from drivers.cache_folder import CACHE_FOLDER
 from drivers.files import made_folder
 
 _NAME = "MPLCONFIGDIR"

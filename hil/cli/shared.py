@@ -184,7 +184,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         try:
             from hil.app.compiling import show_compilation
 
-            show_compilation(command)
+            show_compilation()
             from hil.app.picture_folder import choose_picture_folder
 
             choose_picture_folder()

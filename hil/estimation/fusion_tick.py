@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, direct, helper, record
+from drivers.compiled.compiler import INTEGER, helper, kernel, record
 from drivers.compiled.pointed import address_of, integers_at, pointed, reals_at
 from drivers.sensor_kernels import IMU, SENSORS, TRACKER, samples_of
 from drivers.signals import LEGS, DriveState, Fault, Warn
@@ -40,7 +40,7 @@ def latched_ns(tick: Any) -> int:
     return tick.t_ns + tick.lateness_ns + first  # type: ignore[no-any-return]
 
 
-latched_at = direct(record(TICK, "t_ns", "lateness_ns", "latch_ns"))(latched_ns)
+latched_at = kernel(record(TICK, "t_ns", "lateness_ns", "latch_ns"))(latched_ns)
 """`latched_ns` for Python."""
 
 

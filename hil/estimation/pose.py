@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import entry, kernel, record
+from drivers.compiled.compiler import kernel, record
 from drivers.tick_columns import TICK, Record, part
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve
 from hil.robot.geometry import Platform
@@ -84,7 +84,7 @@ class Estimator:
 
         See `estimate_pose`, which adopts the pose.
         """
-        _estimate(self.record, tick)
+        estimate_pose(self.record, tick)
 
     def acquire(self, q: Array) -> bool:
         """Move the last pose to the lengths ``q`` (6,) m, far away or after a gap; False if it cannot.
@@ -142,6 +142,3 @@ def estimate_pose(own: Any, tick: Any) -> float:
         own.p[:] = p
         own.R[:] = R
     return float(residual)
-
-
-_estimate = entry(estimate_pose)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, direct, record
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
 from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
 from drivers.signals import Refusal
 from hil.config.limits import LimitSettings
@@ -73,7 +73,7 @@ def judge(k: Any, words: int) -> int:
     return 0
 
 
-@direct(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
+@kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
 def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int:
     """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`."""
     q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
@@ -97,7 +97,7 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
     return 0
 
 
-@direct(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
+@kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
 def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faster: float) -> float:
     """Return the most, N, that a leg's force changes by within WINDOW_S; see `Admission.change_N`.
 

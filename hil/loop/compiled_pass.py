@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.compiler import INTEGER, direct, helper, record, records
+from drivers.compiled.compiler import INTEGER, helper, kernel, record, records
 from drivers.compiled.pointed import address_of, call, integers_at, matrix_at, record_at
 from drivers.frame_array import FRAME
 from drivers.signals import DriveMode, DriveState, Mode, Warn
@@ -156,7 +156,7 @@ def may_end(c: Any, tick: Any) -> bool:
     return True
 
 
-@direct(_CONTROL, _TICK, _TICK, records(FRAME))
+@kernel(_CONTROL, _TICK, _TICK, records(FRAME))
 def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
     """Fill measurement, estimate and wrench of a tick from its input columns and the frames received.
 
@@ -328,7 +328,7 @@ def send(c: Any, tick: Any, into: Any) -> int:
     return UNFIT if c.sent < 0 else DONE
 
 
-@direct(_CONTROL, _TICK, records(FRAME), INTEGER)
+@kernel(_CONTROL, _TICK, records(FRAME), INTEGER)
 def act(c: Any, tick: Any, into: Any, parts: int) -> int:
     """Go through the parts of a tick, EFFORT, JUDGE, COMMAND; return how it ends.
 

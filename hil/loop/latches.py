@@ -9,7 +9,7 @@ older SYNC, and damaged ones, tell nothing.
 from collections.abc import Sequence
 
 from drivers.arrays import Rows
-from drivers.compiled.compiler import INTEGER, direct, records
+from drivers.compiled.compiler import INTEGER, kernel, records
 from drivers.compiled.pointed import address_of, call
 from drivers.family import Family
 from drivers.frame_array import FRAME, received_frames, sent_frames
@@ -23,7 +23,7 @@ def fresh_ids(protocol: Family, frames: Rows, tick: int, since_ns: int) -> list[
     return [each for k, each in enumerate(protocol.wanted) if places >> k & 1]
 
 
-@direct(INTEGER, INTEGER, records(FRAME), INTEGER, INTEGER)
+@kernel(INTEGER, INTEGER, records(FRAME), INTEGER, INTEGER)
 def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: int) -> int:
     """Return bit k for each frame that is `fresh` and has place k in `Family.wanted`."""
     places = 0
@@ -34,7 +34,7 @@ def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: in
     return places
 
 
-@direct(INTEGER, INTEGER, records(FRAME), INTEGER)
+@kernel(INTEGER, INTEGER, records(FRAME), INTEGER)
 def legs_addressed(addressed: int, context: int, frames: Rows, k: int) -> int:
     """Return bit i where frame k is for leg i, by `Family.addressed_by`."""
     return int(call(addressed, (context, address_of(frames[k]))))

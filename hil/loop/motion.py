@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, REAL, direct, helper, record
+from drivers.compiled.compiler import INTEGER, REAL, helper, kernel, record
 from drivers.compiled.pointed import Callee, address_of, call
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
@@ -101,13 +101,13 @@ def ahead(motion: Any, override: Any, tick: int, s: float, sample: Any) -> tuple
     return along(function, context, time_at(override, tick) + s, 1.0, 0.0, sample), nan
 
 
-@direct(record(MOTION), record(OVERRIDE), INTEGER, record(SAMPLE))
+@kernel(record(MOTION), record(OVERRIDE), INTEGER, record(SAMPLE))
 def sample_at(motion: Any, override: Any, tick: int, sample: Any) -> int:
     """Fill the sample of a tick; return the status."""
     return place_reference(override, motion.function, motion.context, tick, sample)
 
 
-@direct(record(MOTION), record(OVERRIDE), INTEGER, REAL)
+@kernel(record(MOTION), record(OVERRIDE), INTEGER, REAL)
 def end(motion: Any, override: Any, tick: int, patience: float) -> int:
     """Return 0 before the trajectory has ended, then ENDED, and OVERDUE after `patience` (s) more."""
     if overdue(motion, override, tick, patience):
@@ -115,7 +115,7 @@ def end(motion: Any, override: Any, tick: int, patience: float) -> int:
     return ENDED if ended(motion, override, tick) else 0
 
 
-advance_to = direct(record(MOTION), record(OVERRIDE), INTEGER)(advance)
+advance_to = kernel(record(MOTION), record(OVERRIDE), INTEGER)(advance)
 """advance for Python."""
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import MATRIX, VECTOR, direct, helper, record
+from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel, record
 from drivers.tick_columns import TICK, Record, new_record, part
 from hil.mathematics.vectors import add, at, cross, dot, rotate, row
 from hil.robot.geometry import Platform
@@ -46,7 +46,7 @@ def fill_reference(platform: Platform, sample: PoseSample, tick: Record) -> None
     _fill(platform.base_joints, platform.platform_joints, *sample, tick)
 
 
-_fill = direct(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))(fill)
+_fill = kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *part("reference")))(fill)
 
 
 def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:

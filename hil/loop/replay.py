@@ -8,15 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from drivers.arrays import Flags, Rows
-from drivers.compiled.compiler import (
-    INTEGERS,
-    MATRIX_OF_INTEGERS,
-    OUT_FLAGS,
-    direct,
-    helper,
-    record,
-    records,
-)
+from drivers.compiled.compiler import INTEGERS, MATRIX_OF_INTEGERS, OUT_FLAGS, helper, kernel, record, records
 from drivers.compiled.pointed import address_of, data_at, integers_at
 from drivers.errors import LogError
 from drivers.frame_array import FRAME, joined, sent_frames
@@ -160,7 +152,7 @@ class Block(NamedTuple):
         return wire, columns
 
 
-@direct(records(FRAME), MATRIX_OF_INTEGERS, records(FRAME), INTEGERS, OUT_FLAGS)
+@kernel(records(FRAME), MATRIX_OF_INTEGERS, records(FRAME), INTEGERS, OUT_FLAGS)
 def _compare_frames(own: Any, ends: Any, recorded: Any, bounds: Any, differs: Any) -> None:
     """Tell for each tick whether its frames differ: own ones from `ends` (n, 3), recorded by `bounds`."""
     for k in range(differs.shape[0]):
@@ -192,7 +184,7 @@ def _begins(s: Any) -> int:
     return part.observe(s, tick)
 
 
-@direct(record(REPLAY), unlocked=True)
+@kernel(record(REPLAY), unlocked=True)
 def again(s: Any) -> int:
     """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
     while s.done < s.count:

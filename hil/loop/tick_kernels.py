@@ -6,7 +6,7 @@ A tick goes through stages, from START to COMMAND. It stops where there is somet
 
 from typing import Any
 
-from drivers.compiled.compiler import compiled_of, helper, record
+from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import call, integers_at, record_at
 from drivers.controller_end import MOST_FRAMES
 from drivers.frame_array import FRAME, SENT
@@ -41,7 +41,6 @@ BYTES = FRAME.itemsize
 _WORDS, _TICK_BYTES = BYTES // 8, TICK.itemsize
 tick_at = record_at(record(TICK))
 _control_at = record_at(record(CONTROL))
-_observe, _act = compiled_of(compiled_pass.observe), compiled_of(compiled_pass.act)
 
 
 @helper
@@ -81,7 +80,7 @@ def observe(s: Any, tick: Any) -> int:
     ends[0] = s.used
     _keep(s, s.starts, s.begins)
     ends[1] = s.used
-    look = int(_observe(_control_at(s.control), tick, tick_at(s.last), frames_at(at, s.heard)))
+    look = int(compiled_pass.observe(_control_at(s.control), tick, tick_at(s.last), frames_at(at, s.heard)))
     return ATTENDED if look == 0 and s.attends != 0 else look
 
 
@@ -89,7 +88,7 @@ def observe(s: Any, tick: Any) -> int:
 def act(s: Any) -> int:
     """Let the controller's law act; return 0, or why it stops."""
     control, into = _control_at(s.control), frames_at(s.frames + s.used * BYTES, MOST_FRAMES)
-    ended = int(_act(control, tick_at(s.ticks + s.done * _TICK_BYTES), into, ALL))
+    ended = int(compiled_pass.act(control, tick_at(s.ticks + s.done * _TICK_BYTES), into, ALL))
     s.sent = control.sent
     return ended
 

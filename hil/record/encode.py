@@ -14,8 +14,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.opcode import Opcode
 
 from drivers.arrays import Bytes, Ints, Rows
-from drivers.compiled.machine_code import loaded, native
 from hil.record.layout import MAX_DATA, RECORD_HEADER, frame_table
+from hil.record.machine_code import loaded
 from hil.record.recording import VIEW_EVERY, Scene
 from hil.record.ring import EVENT, OPERATOR, SENT, Batch, unpack_numbers
 from hil.record.row import RowCodec, Table, row_schema
@@ -109,12 +109,12 @@ class Encoder:
         self.channels = channels_of(table, can_channels)
 
     @cached_property
-    def _pack(self) -> Callable[..., None]:
+    def _pack(self) -> Callable[..., int]:
         if self._packer is not None:
             return loaded(self._packer)
         from hil.record.packer import pack  # noqa: PLC0415 - Numba
 
-        return native(pack)
+        return pack
 
     def encode(self, batch: Batch) -> Messages:
         """Return the messages of a batch: per tick the row, its items in order, its views."""

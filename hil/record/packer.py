@@ -5,7 +5,8 @@ The recorder runs its machine code and imports neither this file nor Numba.
 
 from drivers.arrays import Bytes, Ints
 from drivers.can.bus_time import FD_LENGTHS
-from drivers.compiled.compiler import BYTE_POINTER, POINTER, helper, kernel
+from drivers.compiled.compiler import BYTE_POINTER, POINTER, helper
+from drivers.compiled.pointed import pointed
 from drivers.frame_array import FRAME
 from hil.record.layout import (
     BUS,
@@ -110,7 +111,7 @@ def _put_index(index: Ints, message: int, start: int, channel: int, log_time: in
     index[at], index[at + 1], index[at + 2], index[at + 3] = start, channel, log_time, row
 
 
-@kernel(*[POINTER] * 4, *[BYTE_POINTER, POINTER] * 4)
+@pointed(*[POINTER] * 4, *[BYTE_POINTER, POINTER] * 4)
 def pack(
     sizes: Ints,
     when: Ints,
@@ -124,7 +125,7 @@ def pack(
     rare_table: Ints,
     out: Bytes,
     index: Ints,
-) -> None:
+) -> int:
     """Write the records of a batch in the order of the file: of each tick its row, its items, its views.
 
     Parameters
@@ -192,3 +193,4 @@ def pack(
             item += 1
     index[4 * message] = at
     sizes[0] = message
+    return 0

@@ -17,13 +17,13 @@ import numpy as np
 
 from drivers.arrays import Ints, Rows
 from drivers.clock import MONOTONIC, Clock
-from drivers.compiled.machine_code import machine_code
 from drivers.errors import LogError
 from drivers.frame_array import FRAME, frame_bytes, received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, send, spawn
 from hil.record.environment import environment, scheduling
 from hil.record.layout import MAX_DATA
+from hil.record.machine_code import machine_code
 from hil.record.ring import (
     DROPPED,
     EVENT,

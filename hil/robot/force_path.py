@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, direct, helper, record
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kernel, record
 from drivers.compiled.pointed import data_at, reals_at, record_at
 
 SEGMENT = np.dtype([("sent", "<i8"), ("duration_s", "<f8"), ("mean", "<f8"), ("end", "<f8")])
@@ -101,8 +101,8 @@ def advance(path: Any, periods: int, tau: Array) -> None:
         tau[i] /= periods * path.period_s
 
 
-_send = direct(record(FORCE_PATH), VECTOR)(send)
-_advance = direct(record(FORCE_PATH), INTEGER, OUT_VECTOR)(advance)
+_send = kernel(record(FORCE_PATH), VECTOR)(send)
+_advance = kernel(record(FORCE_PATH), INTEGER, OUT_VECTOR)(advance)
 
 
 class ForcePath:

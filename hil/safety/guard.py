@@ -24,7 +24,7 @@ from hil.safety.certificate import (
 )
 from hil.safety.encoder_limits import NONE, EncoderLimits
 from hil.safety.force_limits import BLOCK
-from hil.safety.kernels import LIMITS, MEMORY, judge_tick, limit_tick
+from hil.safety.kernels import LIMITS, MEMORY, judge, limit
 
 WINDOW_S = 0.25
 """Length of the force window."""
@@ -154,8 +154,8 @@ class Safety:
         state named in the class.
         """
         given = (tick, self.limits, self.memory, self._window, self._watched)
-        faults, warnings, stop = judge_tick(*given)
+        faults, warnings, stop = judge(*given)
         if probe is not None:
             probe()
-        law, limited = limit_tick(*given)
+        law, limited = limit(*given)
         return Verdict.of(faults | law, warnings | limited, stop)

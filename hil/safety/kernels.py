@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import OUT_MATRIX, entry, helper, kernel, record
+from drivers.compiled.compiler import OUT_MATRIX, helper, kernel, record
 from drivers.signals import LEGS, DriveState, Fault, Foreign, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.config.limits import LimitSettings
@@ -319,9 +319,3 @@ def limit(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) ->
     if watched.size:
         certificate.settle(watched[certificate.CONSTANTS :], warnings != 0 or probed(tick, memory))
     return faults, warnings
-
-
-judge_tick = entry(judge)
-"""`judge`, from the interpreter."""
-limit_tick = entry(limit)
-"""`limit`, from the interpreter."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.compiler import INTEGER, REAL, direct, helper, kernel, record
+from drivers.compiled.compiler import INTEGER, REAL, helper, kernel, record
 from drivers.compiled.pointed import context_of
 from hil.trajectory.live import next_speed
 
@@ -109,7 +109,7 @@ def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, floa
     return s, sigma, override.dsigma
 
 
-@direct(record(OVERRIDE))
+@kernel(record(OVERRIDE))
 def _phase(override: Any) -> int:
     """Return _CHANGES, or at what speed it stays: at rest, at full speed, or in between."""
     if is_resting(override):
@@ -119,9 +119,9 @@ def _phase(override: Any) -> int:
     return _STEADY if is_settled(override) else _CHANGES
 
 
-_time = direct(record(OVERRIDE), INTEGER)(time_at)
-_advance = direct(record(OVERRIDE), INTEGER)(go_on)
-_ahead = direct(record(OVERRIDE), INTEGER, REAL)(looked_ahead)
+_time = kernel(record(OVERRIDE), INTEGER)(time_at)
+_advance = kernel(record(OVERRIDE), INTEGER)(go_on)
+_ahead = kernel(record(OVERRIDE), INTEGER, REAL)(looked_ahead)
 
 
 def _column(name: str, meaning: str) -> Any:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, REAL, direct, helper, record
+from drivers.compiled.compiler import INTEGER, REAL, helper, kernel, record
 from drivers.compiled.pointed import FAILED, Callee, address_of, call, of_python, pointed, record_at
 from drivers.errors import ConfigurationError
 from drivers.tick_columns import Record
@@ -144,7 +144,7 @@ def require(status: int, callee: Callee) -> None:
         raise failure(callee) or RuntimeError("a trajectory's function gave no sample")
 
 
-@direct(INTEGER, INTEGER, REAL, record(SAMPLE))
+@kernel(INTEGER, INTEGER, REAL, record(SAMPLE))
 def _by_address(function: int, context: int, t: float, into: Any) -> int:
     status: int = call(function, (context, t, address_of(into)))
     return status

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.cia402 import objects as o
-from drivers.compiled.compiler import BOOLEAN, INTEGER, direct, helper, record, records
+from drivers.compiled.compiler import BOOLEAN, INTEGER, helper, kernel, record, records
 from drivers.compiled.pointed import call, integers_at
 from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import begin_sent, frame_at, in_order
@@ -343,7 +343,7 @@ def _hear(n: Any) -> int:
     return r.DONE
 
 
-@direct(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
+@kernel(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
 def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
     """Live until `until_ns`, hearing frames in the order of time, or go on `again`; return why it ends."""
     frames: Any = np.int64(received.ctypes.data)

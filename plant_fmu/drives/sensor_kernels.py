@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, direct, helper, record
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, helper, kernel, record
 from drivers.compiled.pointed import pointed, reals_at, record_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import frame_at
@@ -98,7 +98,7 @@ def listen(n: Any, frame_address: int) -> int:
     return 0
 
 
-@direct(record(SENSED), INTEGER, INTEGER, INTEGER, INTEGER, VECTOR, MATRIX, VECTOR, record(FRAME))
+@kernel(record(SENSED), INTEGER, INTEGER, INTEGER, INTEGER, VECTOR, MATRIX, VECTOR, record(FRAME))
 def measure(
     n: Any, kind: int, counter: int, t_ns: int, grid_ns: int, p: Array, R: Array, twist: Array, frame: Any
 ) -> int:

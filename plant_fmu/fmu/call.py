@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.compiler import INTEGER, REAL, foreign, helper, record
-from drivers.compiled.pointed import integers_at, pointed, reals_at
+from drivers.compiled.compiler import INTEGER, REAL, helper, record
+from drivers.compiled.pointed import call, integers_at, pointed, reals_at
 from drivers.signals import LEGS
 
 DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
@@ -51,8 +51,8 @@ def succeeded(status: int) -> bool:
 def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
     """Call a function of the FMU, one of FMI 3 with some arguments more; return its status."""
     if fmu.counted:
-        return int(foreign(function, (fmu.instance, *given, *counted)))
-    return int(foreign(function, (fmu.instance, *given)))
+        return int(call(function, (fmu.instance, *given, *counted)))
+    return int(call(function, (fmu.instance, *given)))
 
 
 @helper

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, direct, helper, record
+from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kernel, record
 from drivers.compiled.pointed import call, data_at, pointed, reals_at
 from drivers.signals import LEGS
 from plant_fmu.drives.drive import moved
@@ -64,7 +64,7 @@ def _read(w: Any, length: Array, rate: Array, reads: Array, rates: Array) -> Non
             reads[drive], rates[drive] = w.at_start[drive], 0.0
 
 
-_read_at = direct(record(WIRES), VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)(_read)
+_read_at = kernel(record(WIRES), VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)(_read)
 
 
 @pointed(record(WIRES), *[INTEGER] * 5)

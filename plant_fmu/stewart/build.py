@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.compiled.cache import cache_folder
+from drivers.cache_folder import cache_folder
 from drivers.errors import PlantError
 from drivers.files import made_folder, whole_file
 from plant_fmu.stewart.description import (

@@ -10,7 +10,6 @@ from drivers.compiled.compiler import (
     OUT_MATRIX,
     OUT_VECTOR,
     VECTOR,
-    direct,
     helper,
     kernel,
     record,
@@ -56,7 +55,7 @@ def shifted(a, m):
     shift(a, m)
 
 
-@direct(record(STATE), OUT_VECTOR, INTEGER)
+@kernel(record(STATE), OUT_VECTOR, INTEGER)
 def columns(state, values, count):
     state.R[1] = state.x
     state.R[:, 2] = values[:3]

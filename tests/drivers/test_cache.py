@@ -1,27 +1,24 @@
-"""Where compiled kernels are kept, and when a first compilation is announced."""
+"""Where compiled kernels are kept, and when what is kept is used."""
 
-import ast
-import importlib
+import importlib.util
 import os
 import re
 import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
+import grimp
 import pytest
 
 from drivers.compiled import cache
-from drivers.compiled.cache import cache_folder
 from tools.compile_kernels import PACKAGES, modules
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = """
-from types import SimpleNamespace
 from drivers.compiled.cache import watch
-said = []
-watch(SimpleNamespace(begin=lambda: said or said.append(print("announced")), compiled=lambda _: None))
+watch(lambda begins: print("compiles" if begins else "compiled"))
 import kernels_of_a_test
 print(kernels_of_a_test.twice(1.0))
 """
@@ -31,39 +28,15 @@ from drivers.compiled.compiler import REAL, kernel
 @kernel(REAL)
 def twice(x):
     return 2.0 * x
-
-@kernel(REAL)
-def thrice(x):
-    return 3.0 * x
 """
 
 
-def test_the_cache_lies_under_xdg_cache_home(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "hexapod-hil"
-    assert cache_folder().stat().st_mode & 0o777 == 0o700
-
-
-def test_a_relative_xdg_cache_home_does_not_count(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", "here")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / ".cache" / "hexapod-hil"
-
-
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
-def test_where_the_cache_cannot_be_made_it_lies_in_the_temporary_folder(monkeypatch, tmp_path):
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
-    assert cache_folder() == tmp_path / f"hexapod-hil-{os.getuid()}"
-
-
-def test_a_compilation_is_announced_once_and_none_where_all_is_compiled(tmp_path):
+def test_a_kernel_is_compiled_once_for_all_processes(tmp_path):
     (tmp_path / "kernels_of_a_test.py").write_text(KERNELS)
-    time.sleep(2 / os.sysconf("SC_CLK_TCK"))  # when a process began is known to a tick, rounded down
+    time.sleep(0.05)  # stamps of files are up to a tick of the kernel late
     environment = os.environ | {
         "XDG_CACHE_HOME": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])]),
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)]),
     }
     runs = [
         subprocess.run(
@@ -71,170 +44,131 @@ def test_a_compilation_is_announced_once_and_none_where_all_is_compiled(tmp_path
         )
         for _ in range(2)
     ]
-    assert [run.stdout.split() for run in runs] == [["announced", "2.0"], ["2.0"]]
+    assert [run.stdout.split() for run in runs] == [["compiles", "compiled", "2.0"], ["2.0"]]
 
 
-def test_what_compiles_all_kernels_imports_every_file_that_has_some():
-    having = re.compile(r"^@(?:kernel|direct)\(", re.MULTILINE)
+def with_kernels() -> set[str]:
+    having = re.compile(r"(^@|= )(?:kernel|pointed|helper)\(?", re.MULTILINE)
     files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
     names = {
         ".".join(file.relative_to(ROOT).with_suffix("").parts)
         for file in files
-        if having.search(file.read_text())
+        if "drivers.compiled" in (text := file.read_text()) and having.search(text)
     }
     assert "hil.robot.dynamics_kernels" in names
-    assert names <= set(modules())
+    return names
 
 
-PACKAGE = "project_of_this_test"
-SUM = """
-from drivers.compiled.compiler import REAL, kernel
-from project_of_this_test import (
-    addends,
-)
+def test_what_compiles_all_kernels_imports_every_file_that_has_some():
+    assert with_kernels() <= set(modules())
 
-addend = addends.addend
 
-@kernel(REAL)
-def plus(x):
-    return x + addend
-"""
+def test_all_that_a_kernel_may_use_lies_in_its_room_and_those_below():
+    graph = grimp.build_graph(*PACKAGES)
+    for name in with_kernels():
+        room = next((each for each in cache.ROOMS if name.startswith(f"{each}.")), None)
+        assert room, f"{name}: its room is missing in ROOMS"
+        for used in graph.find_upstream_modules(name):
+            path = ROOT / used.replace(".", "/")
+            if not path.is_dir():
+                assert path.with_suffix(".py") in cache.files_of(room), f"{name} uses {used}"
 
 
 @pytest.fixture
-def project(monkeypatch, tmp_path):
-    """A package of its own, whose kernel adds what another module says, and a cache of its own."""
-    folder = tmp_path / PACKAGE
+def package(monkeypatch, tmp_path):
+    """A package of a user's own, and a cache of its own; each call begins as a later process does."""
+    folder = tmp_path / "laws_of_this_test"
     folder.mkdir()
-    (folder / "__init__.py").touch()
-    (folder / "addends.py").write_text("addend = 1.0")
-    (folder / "sums.py").write_text(SUM)
-
-    def file_of(module):
-        path = tmp_path.joinpath(*module.split(".")).with_suffix(".py")
-        return path if path.is_file() else None
-
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
+    for name in ("__init__", "gains", "law"):
+        (folder / f"{name}.py").write_text(KERNELS)
     monkeypatch.setattr(cache, "CACHE_FOLDER", tmp_path / "cache")
-    monkeypatch.setattr(cache, "file_of", file_of)
-    monkeypatch.setattr(cache, "_watching", [])
-    monkeypatch.setattr(
-        cache, "_IMPORT", re.compile(cache._IMPORT.pattern.replace("hil", PACKAGE), re.MULTILINE)
-    )
-    return folder
 
+    def begin(module: str = "law") -> Any:
+        for remembered in (cache._sources_of, cache._content, cache._folder_of):
+            remembered.cache_clear()
+        time.sleep(0.05)
+        monkeypatch.setattr(cache, "BEGAN_NS", time.time_ns())
+        spec = importlib.util.spec_from_file_location(f"laws_of_this_test.{module}", folder / f"{module}.py")
+        assert spec
+        assert spec.loader
+        made = importlib.util.module_from_spec(spec)
+        begin.compiled.clear()  # type: ignore[attr-defined]
+        monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
+        spec.loader.exec_module(made)
+        assert made.twice(4.0) == 8.0
+        return made
 
-def begin_anew(monkeypatch):
-    """Forget what a later process would not know."""
-    for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
-        del sys.modules[name]
-    for remembered in (
-        cache.imports, cache.sources_of, cache._content, cache.folder_of, cache.is_as_imported,
-    ):  # fmt: skip
+    begin.folder, begin.compiled = folder, []  # type: ignore[attr-defined]
+    monkeypatch.setattr(cache, "_watching", [begin.compiled.append])  # type: ignore[attr-defined]
+    yield begin
+    for remembered in (cache._sources_of, cache._content, cache._folder_of):
         remembered.cache_clear()
-    importlib.invalidate_caches()
-    time.sleep(0.02)  # stamps of files are up to a tick of the kernel late
-    monkeypatch.setattr(cache, "_BEGAN_NS", time.time_ns())
 
 
-def plus_of(module):
-    """Return 0 plus what the kernel adds, and how many kernels came out of the cache."""
-    kernel = importlib.import_module(f"{PACKAGE}.{module}").plus
-    return kernel(0.0), sum(kernel.stats.cache_hits.values())
+def compiles(package) -> bool:
+    """Tell whether the next process compiles the kernel."""
+    package()
+    return bool(package.compiled)
 
 
-def test_what_was_imported_before_its_source_was_saved_is_compiled_and_not_kept(project, monkeypatch):
-    begin_anew(monkeypatch)
-    importlib.import_module(f"{PACKAGE}.addends")
-    time.sleep(0.02)
-    (project / "addends.py").write_text("addend = 2.0")
-    announced = []
-    cache.watch(SimpleNamespace(begin=lambda: announced.append(1), compiled=lambda _: None))
-    assert plus_of("sums") == (1.0, 0)
-    assert announced
-    begin_anew(monkeypatch)
-    assert plus_of("sums") == (2.0, 0)
-    begin_anew(monkeypatch)
-    assert plus_of("sums") == (2.0, 1)
+def test_a_kernel_is_found_until_a_source_of_its_package_is_edited(package):
+    assert [compiles(package), compiles(package)] == [True, False]
+    (package.folder / "gains.py").write_text("gain = 2.0")
+    assert [compiles(package), compiles(package)] == [True, False]
 
 
-def test_what_was_edited_between_two_processes_is_compiled_anew(project, monkeypatch):
-    begin_anew(monkeypatch)
-    assert plus_of("sums") == (1.0, 0)
-    (project / "addends.py").write_text("addend = 2.0")
-    begin_anew(monkeypatch)
-    assert plus_of("sums") == (2.0, 0)
+def test_the_folder_beside_a_loose_file_counts_too(package):
+    (package.folder / "__init__.py").unlink()
+    assert [compiles(package), compiles(package)] == [True, False]
+    (package.folder / "gains.py").write_text("gain = 2.0")
+    assert compiles(package)
 
 
-def test_a_source_of_the_future_is_kept(project, monkeypatch):
+def test_a_damaged_file_is_compiled_again(package):
+    package()
+    (kept,) = (package.folder.parent / "cache").rglob("*.kernel")
+    content = kept.read_bytes()
+    for damaged in (b"", content[:1000], b"no pickle at all"):
+        kept.write_bytes(damaged)
+        assert compiles(package)
+        assert not compiles(package)
+    assert not [each for each in kept.parent.iterdir() if each != kept]
+
+
+def test_what_cannot_be_written_is_compiled_for_the_process_alone(package, monkeypatch):
+    (package.folder.parent / "file").touch()
+    monkeypatch.setattr(cache, "CACHE_FOLDER", package.folder.parent / "file")
+    assert [compiles(package), compiles(package)] == [True, True]
+
+
+def test_what_was_read_before_its_source_was_saved_is_neither_found_nor_kept(package):
+    package()
+    module = package()
+    place = cache.place_of(module.twice.py_func, "kind")
+    assert place is not None
+    assert cache.is_as_read(package.folder / "law.py")
+    (package.folder / "gains.py").write_text("gain = 2.0")
+    assert not cache.is_as_read(package.folder / "law.py")
+    cache._folder_of.cache_clear()
+    assert cache.place_of(module.twice.py_func, "kind") is None
+
+
+def test_a_source_of_the_future_is_kept(package, monkeypatch):
     """The clock was set back: what is compiled would else be so at each start."""
-    year_ns = time.time_ns() + 365 * 86400 * 10**9
-    os.utime(project / "addends.py", ns=(year_ns, year_ns))
-    begin_anew(monkeypatch)
-    assert cache.is_as_imported(project / "sums.py")
-    monkeypatch.setattr(cache, "_BEGAN_NS", 0)
-    cache.is_as_imported.cache_clear()
-    assert not cache.is_as_imported(project / "sums.py")
+    source = package.folder / "law.py"
+    package()
+    monkeypatch.setattr(cache, "BEGAN_NS", 0)
+    assert not cache.is_as_read(source)
+    stamps = [each.stat().st_ctime_ns for each in cache._sources_of(source)]
+    monkeypatch.setattr(time, "time_ns", lambda: min(stamps) - 1)
+    assert cache.is_as_read(source)
 
 
-def test_a_process_began_when_it_was_started_or_a_tick_of_the_clock_before():
-    """No source can be read before: a beginning rounded up would take what is written then for what was read."""
-    program = "from drivers.compiled.cache import _BEGAN_NS; print(_BEGAN_NS)"
-    tick_ns = 10**9 // os.sysconf("SC_CLK_TCK")
-    since_asked_ns = []
-    for _ in range(8):  # each at another phase of the tick
-        asked = time.time_ns()
-        with subprocess.Popen(
-            [sys.executable, "-S", "-c", program], cwd=ROOT, stdout=subprocess.PIPE
-        ) as process:
-            started = time.time_ns()
-            said, _nothing = process.communicate()
-        assert int(said) <= started
-        since_asked_ns.append(int(said) - asked)
-    # a break between two readings of clocks lets one process seem older
-    assert max(since_asked_ns) >= -tick_ns
+def test_a_function_of_another_functions_variables_is_kept_nowhere():
+    inner = 2.0
 
+    def closure(x):
+        return inner * x
 
-def imports_of(source):
-    """Return the files of this project that a source imports, as Python's own parser reads it."""
-    modules = set()
-    for node in ast.walk(ast.parse(source.read_text())):
-        if isinstance(node, ast.Import):
-            modules |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            module = str(node.module)
-            modules |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
-    places = [ROOT / module.replace(".", "/") for module in modules if module.split(".")[0] in PACKAGES]
-    files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
-    return {file.resolve() for file in files if file.is_file()}
-
-
-def test_every_import_of_a_source_counts_as_pythons_parser_reads_it():
-    for source in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
-        assert imports_of(source) <= cache.imports(source), source
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "import json, hil.signals",
-        "from  hil import  signals",
-        "from hil import (\n    # in brackets ) or not\n    signals,\n)",
-        "from hil import(signals)",
-        "from hil \\\n    import \\\n    signals",
-        "x = 1; from hil import signals",
-        "try: import hil.signals\nexcept ImportError: pass",
-        "def f():\n\tfrom hil import signals",
-    ],
-)
-def test_an_import_counts_as_python_allows_it_to_be_written(text, tmp_path):
-    source = tmp_path / "law.py"
-    source.write_text(text)
-    assert (ROOT / "hil" / "signals.py").resolve() in imports_of(source) <= cache.imports(source)
-
-
-def test_no_source_uses_a_relative_import():
-    relative = re.compile(r"^ *from \.", re.MULTILINE)
-    for source in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
-        assert not relative.search(source.read_text()), source
+    assert cache.place_of(closure, "kind") is None
+    assert cache.place_of(compiles, "kind") != cache.place_of(compiles, "other kind")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.compiled.cache import cache_folder, elsewhere
+from drivers.cache_folder import cache_folder, elsewhere
 from drivers.errors import RunError
 from drivers.files import made_folder, open_regular, own_folder, read_regular, whole_file
 

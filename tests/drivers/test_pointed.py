@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import INTEGER, REAL, direct, record
+from drivers.compiled.compiler import INTEGER, REAL, kernel, record
 from drivers.compiled.pointed import call, data_at, of_python, pointed, reals_at, record_at
 
 WORK = np.dtype([("function", "<i8"), ("context", "<i8"), ("into", "<f8", 2)])
@@ -19,7 +19,7 @@ def line(k, x, work):
     return k.count
 
 
-@direct(record(WORK))
+@kernel(record(WORK))
 def by_address(work):
     own = work_at(work.into.ctypes.data - 16)
     status = call(work.function, (work.context, 2.0, work.into.ctypes.data - 16))
@@ -46,7 +46,6 @@ def test_the_same_function_can_be_called_from_python_with_records(context):
     work = np.zeros((), WORK)
     assert line(context[0], 0.5, work) == 3
     assert work["into"].tolist() == [5.0, 5.0]
-    assert line.plain.__name__ == "line"
 
 
 def test_a_function_in_plain_python_runs_by_its_address():

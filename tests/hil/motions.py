@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.compiler import INTEGER, REAL, direct, record
+from drivers.compiled.compiler import INTEGER, REAL, kernel, record
 from hil.loop.motion import MOTION, Motion, ticks_left
 from hil.loop.motion import ahead as ahead_of
 from hil.trajectory.override import OVERRIDE
 from hil.trajectory.path import SAMPLE, PoseSample, of_record
 
-_ticks_left = direct(record(MOTION), record(OVERRIDE), INTEGER)(ticks_left)
-_ahead = direct(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))(ahead_of)
+_ticks_left = kernel(record(MOTION), record(OVERRIDE), INTEGER)(ticks_left)
+_ahead = kernel(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))(ahead_of)
 
 
 def before(motion: Motion, tick: int, path: Any) -> float | None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import direct, record
+from drivers.compiled.compiler import kernel, record
 from drivers.signals import LEGS, DriveFault, DriveState, Mode
 from drivers.tick_columns import TICK
 from hil.loop.compiled_pass import all_free
@@ -23,7 +23,7 @@ def said(leg, state, others, **columns):
 
 @pytest.mark.parametrize("leg", range(LEGS))
 def test_the_brakes_are_open_when_the_last_of_six_is(leg):
-    free = direct(record(TICK, "drive_state"))(all_free)
+    free = kernel(record(TICK, "drive_state"))(all_free)
     assert free(record_of(drive_state=DriveState.RUN))
     assert not free(said(leg, DriveState.READY, DriveState.RUN))
     assert not free(said(leg, DriveState.RUN, DriveState.READY))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.compiled.compiler import MATRIX, direct, record
+from drivers.compiled.compiler import MATRIX, kernel, record
 from drivers.compiled.pointed import context_of
 from drivers.tick_columns import TICK, part
 from hil.estimation.fusion_kernels import fill_estimate
@@ -14,7 +14,7 @@ from hil.estimation.fusion_layout import FUSION, STEP
 from tests.hil.test_fusion import PLATFORM, A, B, legs
 from tests.records import record_of
 
-fill = direct(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
+fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
 ROBOT = context_of(FUSION, base_joints=A, platform_joints=B, radius=PLATFORM.radius)
 UNUSED = 4
 """A leg whose length the estimate did not use."""

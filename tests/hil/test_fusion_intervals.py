@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import entry
 from drivers.compiled.pointed import context_of, data_at
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.tick_columns import Record
@@ -21,7 +20,7 @@ from tests.hil.test_fusion import PLATFORM, A, B, T
 TILT = Rotation.from_rotvec([0.3, -0.4, 0.5])
 TWIST = np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.8])
 TURN = np.array([20.0, -10.0, 15.0])
-rerun = entry(rerun_kernel)
+rerun = rerun_kernel
 SURE, UNSURE = 1e-9, 1e12
 """Variances of what counts alone, and of what does not count."""
 

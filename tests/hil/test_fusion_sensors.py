@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import direct, record
+from drivers.compiled.compiler import kernel, record
 from drivers.config import ImuSettings
 from drivers.signals import DriveState, Fault, Warn
 from drivers.tick_columns import TICK
@@ -214,7 +214,7 @@ def test_a_filter_that_begins_anew_is_turned_as_its_new_pose():
         np.testing.assert_array_equal(found.record["R"], R)
 
 
-judge_tick = direct(record(FUSION), record(TICK))(judge)
+judge_tick = kernel(record(FUSION), record(TICK))(judge)
 
 
 def judged(lost: int | None = None, **found: Any) -> tuple[FusedEstimator, Any]:

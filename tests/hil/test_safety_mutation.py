@@ -171,7 +171,7 @@ def by_name(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def entries(links: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
     """Return the two entries of the kernels, uncompiled."""
-    return {name: by_name(links[name]) for name in ("judge_tick", "limit_tick")}
+    return {name: by_name(links[name]) for name in ("judge", "limit")}
 
 
 def claims(path: str) -> ModuleType:

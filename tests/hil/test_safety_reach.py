@@ -15,7 +15,7 @@ from tests.hil.test_safety_mutation import plain_links
 def judge_as_written():
     """The rules of a tick as they are written: where compiled ones would read on behind an array, these stop."""
     links = plain_links()
-    return {name: links[name] for name in ("judge_tick", "limit_tick")}
+    return {name: links[name] for name in ("judge", "limit")}
 
 
 def encoders(**limits):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import INTEGER, MATRIX, direct, record
+from drivers.compiled.compiler import INTEGER, MATRIX, kernel, record
 from drivers.compiled.pointed import FAILED
 from drivers.tick_columns import TICK, new_record, part
 from hil.app.configuration.configuration import load
@@ -116,7 +116,7 @@ def test_the_motion_s_record_is_that_of_its_path_after_every_change():
     recorded(live, live.duration_s)
 
 
-@direct(
+@kernel(
     record(OVERRIDE),
     record(MOTION),
     INTEGER,

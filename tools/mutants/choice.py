@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.compiled.cache import sources_of
+import grimp
+
 from tools.mutants.areas import ROOT
 from tools.mutants.mutant import Mutant
 
@@ -54,16 +55,21 @@ def contexts(recordings: Iterable[Path]) -> list[Context]:
 
 
 @functools.cache
+def _graph() -> grimp.ImportGraph:
+    return grimp.build_graph("drivers", "hil", "plant_fmu")
+
+
+@functools.cache
 def users(file: str) -> list[str]:
     """Return the project's files whose imports lead to `file`, the nearest first."""
-    path = (ROOT / file).resolve()
-    found = []
-    for package in ("hil", "drivers", "plant_fmu"):
-        for source in (ROOT / package).rglob("*.py"):
-            needed = sources_of(source)
-            if path in needed and source.resolve() != path:
-                found.append((len(needed), source.relative_to(ROOT).as_posix()))
-    return [name for _, name in sorted(found)]
+    graph, module = _graph(), file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    found = [(len(graph.find_upstream_modules(user)), user) for user in graph.find_downstream_modules(module)]
+    return [_file_of(user) for _, user in sorted(found)]
+
+
+def _file_of(module: str) -> str:
+    path = module.replace(".", "/")
+    return f"{path}/__init__.py" if (ROOT / path).is_dir() else f"{path}.py"
 
 
 def chosen(mutant: Mutant, known: list[Context], budget_s: float) -> list[Context]:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from drivers.compiled.cache import CACHE_FOLDER
+from drivers.cache_folder import CACHE_FOLDER
 from tools.mutants.areas import ROOT
 
 QUICK = "not long and not realtime and not vcan"

@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.compiled.cache import CACHE_FOLDER
+from drivers.cache_folder import CACHE_FOLDER
 from tools.impatience.child import HIL, Outcome, perform
 from tools.impatience.judge import found_wrong
 from tools.obstacles.commands import COMMANDS, Command

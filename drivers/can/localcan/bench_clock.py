@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Ints
+from drivers.atomics import load, raise_to, replace, store
 from drivers.can.localcan import layout as at
 from drivers.can.localcan.wire import Wire
 from drivers.clock import Clock
-from drivers.compiled.atomics import load, raise_to, replace, store
-from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, compiled_of, direct, foreign, helper
+from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, helper, kernel
+from drivers.compiled.pointed import call
 
 _libc: Any = ctypes.CDLL(None)
 PLAIN, HELD, FOREIGN = range(3)
@@ -49,7 +50,7 @@ def _earliest(words: Ints) -> tuple[int, int]:
     return cap, slot
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS)
+@kernel(OUT_INTEGERS, OUT_INTEGERS)
 def read(words: Ints, state: Ints) -> int:
     """Read the clock into `state`; return bench time, ns."""
     while True:
@@ -57,7 +58,7 @@ def read(words: Ints, state: Ints) -> int:
         # was brought forward counts if it was there when the clock was read
         cap, slot = _earliest(words)
         offset = load(words, at.OFFSET_AT)
-        foreign(state[_GETTIME], (_CLOCK_ID, state[_RESULT]))
+        call(state[_GETTIME], (_CLOCK_ID, state[_RESULT]))
         later_cap, later_slot = _earliest(words)
         if load(words, at.OFFSET_AT) == offset:
             break
@@ -73,20 +74,16 @@ def read(words: Ints, state: Ints) -> int:
     return int(state[_NOW])
 
 
-read_clock = compiled_of(read)
-"""The same for kernels."""
-
-
 @helper
 def _go_on(words: Ints, state: Ints) -> None:
     """Let time go on from where it stands."""
     raise_to(words, at.OFFSET_AT, state[_FREE] - state[_NOW])
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER)
+@kernel(OUT_INTEGERS, OUT_INTEGERS, INTEGER)
 def promise(words: Ints, state: Ints, due_ns: int) -> None:
     """Set the own due; 0 or less: so long from now. Where time stood for this participant, it goes on."""
-    read_clock(words, state)
+    read(words, state)
     if 0 < load(words, state[_AT]) <= state[_NOW]:
         _go_on(words, state)
     if due_ns <= 0:
@@ -94,10 +91,10 @@ def promise(words: Ints, state: Ints, due_ns: int) -> None:
     store(words, state[_AT], max(due_ns, state[_NOW]) if load(words, at.CLOCK_AT) == HELD else 0)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS)
+@kernel(OUT_INTEGERS, OUT_INTEGERS)
 def dismiss(words: Ints, state: Ints) -> None:
     """Let time go on without the participant of the earliest due, if that is past."""
-    read_clock(words, state)
+    read(words, state)
     if state[_OVERDUE] < 0:
         return
     place = at.slot_at(state[_OVERDUE]) + at.SLOT_DUE
@@ -107,15 +104,15 @@ def dismiss(words: Ints, state: Ints) -> None:
         replace(words, place, due, 0)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS)
+@kernel(OUT_INTEGERS, OUT_INTEGERS)
 def interrupt(words: Ints, state: Ints) -> None:
     """Let time stand still no more, and go on from where it is."""
-    read_clock(words, state)
+    read(words, state)
     _go_on(words, state)
     store(words, at.CLOCK_AT, FOREIGN)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS)
+@kernel(OUT_INTEGERS, OUT_INTEGERS)
 def share(other: Ints, words: Ints) -> bool:
     """Let the clock of another wire lag by as much; tell whether time may stand still here alone."""
     raise_to(other, at.OFFSET_AT, load(words, at.OFFSET_AT))

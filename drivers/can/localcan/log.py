@@ -9,18 +9,18 @@ order and one time for each frame. A frame that its sender was slow to count has
 """
 
 from drivers.arrays import Ints
+from drivers.atomics import load, lower_to, raise_to, replace, store
 from drivers.can import arbitration as bus
 from drivers.can.link import OWN
+from drivers.can.localcan import bench_clock
 from drivers.can.localcan import layout as at
-from drivers.can.localcan.bench_clock import read_clock
-from drivers.compiled.atomics import load, lower_to, raise_to, replace, store
 from drivers.compiled.compiler import (
     INTEGER,
     MATRIX_OF_INTEGERS,
     OUT_INTEGER_MATRIX,
     OUT_INTEGERS,
-    direct,
     helper,
+    kernel,
 )
 from drivers.protocol import ERROR
 
@@ -78,7 +78,7 @@ def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
     return record, number, load(words, record + at.END)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, OUT_INTEGER_MATRIX)
+@kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, OUT_INTEGER_MATRIX)
 def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> int:
     """Start what is due by now; fill `frames`, elements of FRAME, with what has ended; return how many.
 
@@ -119,7 +119,7 @@ def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> in
     return taken
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, OUT_INTEGERS)
+@kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, OUT_INTEGERS)
 def foresee(words: Ints, state: Ints, queue: Ints, missing: Ints) -> int:
     """Return when all missing identifiers (none: the next foreign frame) will have ended, ns; -1: unknown.
 
@@ -150,7 +150,7 @@ def foresee(words: Ints, state: Ints, queue: Ints, missing: Ints) -> int:
             return int(free)
 
 
-@direct(*(OUT_INTEGERS,) * 4, OUT_INTEGER_MATRIX, MATRIX_OF_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, INTEGER)
+@kernel(*(OUT_INTEGERS,) * 4, OUT_INTEGER_MATRIX, MATRIX_OF_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, INTEGER)
 def put(
     words: Ints,
     state: Ints,
@@ -184,12 +184,12 @@ def put(
         words[record + at.SENDER] = state[SERIAL]
         words[record + at.DETAIL : record + at.RECORD_WORDS] = frames[row, 1:]
         words[record + at.DETAIL] = frames[row, 1] & _SENT_AS_IT_IS | costs[row, 2] << _LENGTH
-        words[record + at.QUEUED] = read_clock(clock_words, clock)
+        words[record + at.QUEUED] = bench_clock.read(clock_words, clock)
         store(words, count_at, number + 1)
     return int(room)
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX)
+@kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX)
 def withdraw(words: Ints, state: Ints, queue: Ints) -> int:
     """Take back this participant's frames that have not started; return how many."""
     taken_back = 0
@@ -200,13 +200,13 @@ def withdraw(words: Ints, state: Ints, queue: Ints) -> int:
     return taken_back
 
 
-@direct(OUT_INTEGERS, INTEGER, INTEGER, INTEGER)
+@kernel(OUT_INTEGERS, INTEGER, INTEGER, INTEGER)
 def change(words: Ints, place: int, expected: int, new: int) -> bool:
     """Put `new` if the word is `expected`; tell whether it was. What stands behind it is read after it."""
     return bool(replace(words, place, expected, new))
 
 
-@direct(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, OUT_INTEGERS)
+@kernel(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, OUT_INTEGERS)
 def to_ring(words: Ints, state: Ints, now_ns: int, again_ns: int, serials: Ints) -> int:
     """Fill in the others that wait for a ring, or have not answered one for so long; return how many.
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.compiled.compiler import compiled_of, direct, helper, record
+from drivers.compiled.compiler import helper, kernel, record
 from drivers.compiled.pointed import record_at
 from drivers.frame_pointers import frames_at
 from hil.app.sim import wire_kernels
@@ -29,10 +29,7 @@ Addresses of records: WIRES and, unless Python moves the drives, NODES. Times in
 unasked. The number of the tick; what the drives send, and how many frames; how many they have heard before
 the tick; off and state of the buses.
 """
-_wires_at, _nodes_at, _live = record_at(record(WIRES)), record_at(NODES_RECORD), compiled_of(live)
-_heard_by, _pass_on = compiled_of(wire_kernels.heard_by), compiled_of(wire_kernels.pass_on)
-_begin, _answer = compiled_of(wire_kernels.begin), compiled_of(wire_kernels.answer)
-_command = compiled_of(wire_kernels.command)
+_wires_at, _nodes_at = record_at(record(WIRES)), record_at(NODES_RECORD)
 
 
 @helper
@@ -41,7 +38,7 @@ def _lives(s: Any, until_ns: int, heard: int) -> int:
     if s.nodes == 0:
         return 1
     nodes, wires = _nodes_at(s.nodes), _wires_at(s.wires)
-    status = int(_live(nodes, frames_at(wires.commands_at, heard), until_ns, False))
+    status = int(live(nodes, frames_at(wires.commands_at, heard), until_ns, False))
     s.replies, s.replied = nodes.out, nodes.sent
     return status
 
@@ -63,7 +60,7 @@ def _observes(s: Any, wires: Any, t_ns: int) -> int:
 def _commands(s: Any, wires: Any, t_ns: int) -> int:
     """Queue the controller's command, and end the tick."""
     frames = frames_at(s.frames + s.used * part.BYTES, s.sent)
-    status = int(_command(wires, frames, wires.step_ns + s.compute_ns, t_ns + s.period_ns - 1))
+    status = int(wire_kernels.command(wires, frames, wires.step_ns + s.compute_ns, t_ns + s.period_ns - 1))
     if status == 0:
         part.end_tick(s)
         s.tick += 1
@@ -80,22 +77,22 @@ def _go_through(s: Any) -> int:
     if stage in (HEAR, PASS) and not s.unasked:
         return 0
     if stage == HEAR:
-        s.early = _heard_by(wires, t_ns)
+        s.early = wire_kernels.heard_by(wires, t_ns)
         return _lives(s, t_ns, s.early)
     if stage == PASS:
-        return int(_pass_on(wires, frames_at(s.replies, s.replied), t_ns, s.early))
+        return int(wire_kernels.pass_on(wires, frames_at(s.replies, s.replied), t_ns, s.early))
     if stage == SYNC:
-        return int(_begin(wires, frames_at(s.starts, s.begins), t_ns, deadline_ns))
+        return int(wire_kernels.begin(wires, frames_at(s.starts, s.begins), t_ns, deadline_ns))
     if stage == LIVE:
         return _lives(s, wires.synced_ns, wires.commands)
     if stage == ANSWER:
-        return int(_answer(wires, frames_at(s.replies, s.replied), s.tick, t_ns, deadline_ns))
+        return int(wire_kernels.answer(wires, frames_at(s.replies, s.replied), s.tick, t_ns, deadline_ns))
     if stage == part.OBSERVE:
         return _observes(s, wires, t_ns)
     return part.act(s) if stage == part.ACT else _commands(s, wires, t_ns)
 
 
-@direct(record(LOCKSTEP), unlocked=True)
+@kernel(record(LOCKSTEP), unlocked=True)
 def advance(s: Any) -> int:
     """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
     while s.done < s.count:

@@ -20,7 +20,7 @@ from drivers.can.arbitration import (
     transmit,
 )
 from drivers.can.arbitration import SENT as GONE
-from drivers.compiled.compiler import INTEGER, direct, helper, record, records
+from drivers.compiled.compiler import INTEGER, helper, kernel, record, records
 from drivers.compiled.pointed import address_of, call, integers_at
 from drivers.frame_array import FRAME, RECEIVED
 from drivers.frame_pointers import frame_at
@@ -188,7 +188,7 @@ def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
     w.skew_ns = 0 if soonest.max() == FOREVER else soonest.max() - soonest.min()
 
 
-@direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
+@kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
     """Let what starts the tick reach the drives; note when."""
     status = _put(w, opening, t_ns, 0)
@@ -208,7 +208,7 @@ def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
     return DONE
 
 
-@direct(record(WIRES), INTEGER)
+@kernel(record(WIRES), INTEGER)
 def heard_by(w: Any, t_ns: int) -> int:
     """Return how many frames for the drives ended by an instant: the first ones."""
     count = 0
@@ -217,7 +217,7 @@ def heard_by(w: Any, t_ns: int) -> int:
     return count
 
 
-@direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
+@kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def pass_on(w: Any, replies: Any, until_ns: int, heard: int) -> int:
     """Forget the frames that the drives have `heard`, and let drives send, each at its instant."""
     status = _put(w, replies, ALWAYS, 1)
@@ -282,7 +282,7 @@ def _take(w: Any, early: int, tick: int, t_ns: int, deadline_ns: int) -> None:
             return
 
 
-@direct(record(WIRES), records(FRAME), INTEGER, INTEGER, INTEGER)
+@kernel(record(WIRES), records(FRAME), INTEGER, INTEGER, INTEGER)
 def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
     """Let the drives' answers reach the controller; note how many it takes in this tick, and when."""
     w.commands, early = 0, w.late
@@ -303,7 +303,7 @@ def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
     return DONE
 
 
-@direct(record(WIRES), records(FRAME), INTEGER, INTEGER)
+@kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def command(w: Any, frames: Any, t_ns: int, until_ns: int) -> int:
     """Queue the controller's commands; drop what it has taken.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import INTEGER, direct, record
+from drivers.compiled.compiler import INTEGER, kernel, record
 from drivers.compiled.pointed import address_of, of_python
 from drivers.tick_columns import TICK, copy_of
 from hil.control.pd import JointPD
@@ -14,7 +14,7 @@ from tests.hil.control.test_laws import BOOK, SETTINGS, make, on_reference, samp
 from tests.records import asked, record_of
 
 
-@direct(INTEGER, INTEGER, INTEGER, INTEGER, record(TICK))
+@kernel(INTEGER, INTEGER, INTEGER, INTEGER, record(TICK))
 def call_law(address, gains, constants, code, tick):
     ask(address, gains, constants, code, address_of(tick))
 

@@ -1,0 +1,108 @@
+"""How kernels are linked and kept: machine code, the names in it, and LLVM's bitcode set aside.
+
+Numba optimises each helper by itself and makes machine code of it, which nobody calls, and optimises it once
+more in each of its callers. Here a helper is linked as it was lowered and optimised once, in the kernel.
+
+Numba parses the bitcode of each kernel that it loads, for the names in it and for kernels that may inline it.
+Here the names are kept, and the bitcode is parsed when a kernel that calls this one is compiled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import binding
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompileResult
+
+from drivers.compiled import cache
+from drivers.files import made_folder, whole_file
+
+# ruff: noqa: SLF001 - Numba has no public way
+
+
+class Library(JITCodeLibrary):
+    """One kernel or helper. Mutable state: a kernel's bitcode, until it is parsed; what is linked to it."""
+
+    bitcode = b""
+
+    def add_linking_library(self, library: Any) -> None:
+        """Link another one to it, at the end."""
+        self._reload_init.update(library._reload_init)
+        self._linking_libraries.append(library)
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a function of a kernel; 0 for a helper, whose functions nobody calls."""
+        if self._finalized or any(each.name == name for each in self._final_module.functions):
+            return int(super().get_pointer_to_function(name))  # type: ignore[no-untyped-call]
+        return 0
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the kernel, or the helper, as LLVM has it, for a kernel that inlines it."""
+        if self.bitcode:
+            self._shared_module, self.bitcode = binding.parse_bitcode(self.bitcode), b""
+        if self._finalized:
+            return super()._get_module_for_linking()  # type: ignore[no-untyped-call]
+        if self._shared_module is None:
+            module = self._final_module.clone()
+            for each in dict.fromkeys(self._linking_libraries):
+                module.link_in(each._get_module_for_linking(), preserve=True)
+            for function in module.functions:
+                if not function.is_declaration and function.linkage == binding.Linkage.external:
+                    function.linkage = "linkonce_odr"
+            self._shared_module = module
+        return self._shared_module
+
+    codegen = property(lambda library: library)
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Give a kernel its environment, as Numba does; a helper has no machine code that could hold one."""
+        if self._finalized:
+            self._codegen.set_env(name, environment)  # type: ignore[attr-defined]
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: Any) -> Any:
+        """Load what `Kept` has of a library."""
+        library = codegen.create_library(state[0])
+        _, code, names, library.bitcode = state
+        library.enable_object_caching()
+        library._set_compiled_object(code)
+        library._finalize_final_module()
+        codegen._engine._defined_symbols.update(names)
+        return library
+
+
+class Kept:
+    """Numba's view of the cache of one kernel. Mutable state: its machine code."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self.code = b""
+
+    def load_overload(self, signature: Any, target: Any) -> CompileResult | None:
+        """Load what was compiled; None where there is nothing, or it is damaged."""
+        target.refresh()
+        file = self._file(signature, target)
+        try:
+            library, rest = pickle.loads(file.read_bytes() if file else b"")  # noqa: S301 - of this user alone
+            self.code = library[1]
+        except Exception:  # noqa: BLE001 - whatever a damaged file raises
+            cache.tell(compiling=True)
+            return None
+        return CompileResult._rebuild(target, library, *rest)  # type: ignore[no-untyped-call, no-any-return]
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep what was compiled, unless a source was saved meanwhile or it cannot be written."""
+        names = [each.name for each in result.library.get_defined_functions()]
+        (name, _, (self.code, bitcode)), *rest = result._reduce()
+        file = self._file(signature, result.target_context)
+        if file and cache.is_as_read(cache.source_of(self._function)):
+            with contextlib.suppress(OSError), whole_file(made_folder(file.parent) / file.name) as new:
+                new.write_bytes(pickle.dumps(((name, self.code, names, bitcode), rest)))
+        cache.tell(compiling=False)
+
+    def _file(self, signature: Any, target: Any) -> Any:
+        return cache.place_of(self._function, f"{signature} {target.codegen().magic_tuple()}")

@@ -10,15 +10,15 @@ import functools
 import operator
 from typing import Any
 
-from numba import types
+from numba import extending, types
 from numba.core import cgutils
-from numba.extending import lower_builtin
 from numba.np import arrayobj
 
 from drivers.compiled.library import Library
 
 _numpy: Any = arrayobj
 _tools: Any = cgutils
+_extending: Any = extending
 
 
 def _assign(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -47,5 +47,4 @@ def _assign(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return None
 
 
-_register: Any = lower_builtin
-_register(operator.setitem, types.Array, types.SliceType, types.Any)(_assign)
+_extending.lower_builtin(operator.setitem, types.Array, types.SliceType, types.Any)(_assign)

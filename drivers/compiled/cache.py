@@ -20,7 +20,12 @@ from drivers.cache_folder import CACHE_FOLDER
 _ROOT = Path(__file__).resolve().parents[2]
 ROOMS = {
     "drivers": (),
-    "plant_fmu": ("drivers",),
+    "drivers.can": ("drivers",),
+    "drivers.cia402": ("drivers",),
+    "drivers.mit": ("drivers",),
+    "drivers.moteus": ("drivers",),
+    "drivers.odrive": ("drivers",),
+    "plant_fmu": ("drivers.cia402", "drivers.mit", "drivers.moteus", "drivers.odrive"),
     "hil.config": ("drivers",),
     "hil.signals": ("drivers",),
     "hil.mathematics": ("drivers",),
@@ -31,36 +36,47 @@ ROOMS = {
     "hil.control": ("hil.robot", "hil.trajectory"),
     "hil.estimation": ("hil.config", "hil.robot"),
     "hil.safety": ("hil.config", "hil.mathematics"),
-    "hil.record": ("hil.robot", "hil.signals", "hil.trajectory"),
+    "hil.record": ("drivers.can", "hil.robot", "hil.signals", "hil.trajectory"),
     "hil.loop": ("hil.control", "hil.estimation", "hil.safety", "hil.record"),
     "hil.app": ("hil.loop", "plant_fmu"),
 }
-"""Rooms with kernels, and those next below that their kernels use."""
+"""Rooms with kernels, and those next below that their kernels use; a room inside another comes behind it."""
+_PLACES = {
+    room: (f"{_ROOT / room.replace('.', '/')}/", f"{_ROOT / room.replace('.', '/')}.py") for room in ROOMS
+}
 _SOURCES = {".py", ".dbc", ".eds"}
 _TICK_NS = 20_000_000
 """By which the stamp of a file may be late."""
 _watching: list[Callable[[bool], None]] = []
 
 
+def _room_of(file: Path) -> str | None:
+    return next((room for room in reversed(_PLACES) if str(file).startswith(_PLACES[room])), None)
+
+
 @functools.cache
 def files_of(room: str) -> frozenset[Path]:
     """Return the sources of a room and of those below."""
     path = _ROOT.joinpath(*room.split("."))
-    own = [each for each in path.rglob("*") if each.suffix in _SOURCES] or [path.with_suffix(".py")]
-    return frozenset(own).union(*map(files_of, ROOMS[room]))
+    own = [each for each in [*path.rglob("*"), path.with_suffix(".py")] if _room_of(each) == room]
+    return frozenset(filter(_is_source, own)).union(*map(files_of, ROOMS[room]))
+
+
+def _is_source(file: Path) -> bool:
+    return file.suffix in _SOURCES and file.is_file()  # editors leave links there that lead nowhere
 
 
 @functools.cache
 def _sources_of(file: Path) -> frozenset[Path]:
     """Return the sources that decide what the kernels of a file compile to."""
-    for room in ROOMS:
-        if _ROOT.joinpath(*room.split(".")) in file.parents:
-            return files_of(room)
+    room = _room_of(file)
+    if room:
+        return files_of(room)
     top = file.parent
     while (top.parent / "__init__.py").exists():
         top = top.parent
     own = top.rglob("*.py") if (top / "__init__.py").exists() else top.glob("*.py")
-    return frozenset(own).union(*map(files_of, ROOMS))
+    return frozenset(filter(_is_source, own)).union(*map(files_of, ROOMS))
 
 
 @functools.cache

@@ -11,16 +11,16 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba import types
+from numba import extending, types
 from numba.core import boxing
 from numba.core.registry import cpu_target
-from numba.extending import NativeValue, lower_cast, models, register_jitable, register_model, unbox
 from numba.np import linalg
 from numba.np.numpy_support import from_dtype
 
 import drivers.compiled.assignment  # noqa: F401 - lowers assignments to slices
 from drivers.compiled.library import Kept, Library
 
+_extending: Any = extending
 F = TypeVar("F", bound=Callable[..., Any])
 _dispatchers: list[Any] = []
 """Of kernels that are called by their entry; Numba keeps weak references alone."""
@@ -80,19 +80,18 @@ def records(dtype: np.dtype[np.void]) -> Any:
     return types.Array(record(dtype), 1, "C", readonly=True)
 
 
-def _unbox(kind: Any, given: Any, c: Any) -> NativeValue:
+def _unbox(kind: Any, given: Any, c: Any) -> Any:
     whole: Any = types.Array(kind, 1, "C")
     seen: Any = boxing.unbox_array(whole, given, c)
     place = c.context.make_array(whole)(c.context, c.builder, seen.value).data
     c.context.nrt.decref(c.builder, whole, seen.value)
-    return NativeValue(place, is_error=seen.is_error)  # type: ignore[no-untyped-call]
+    return _extending.NativeValue(place, is_error=seen.is_error)
 
 
-_untyped: Any = register_model, unbox, lower_cast
-_untyped[0](RecordArgument)(models.RecordModel)
-_untyped[1](RecordArgument)(_unbox)
+_extending.register_model(RecordArgument)(_extending.models.RecordModel)
+_extending.unbox(RecordArgument)(_unbox)
 # a column is handed on to a kernel that takes any array: its owner needs no counting
-_untyped[2](types.NestedArray, types.Array)(lambda _context, _builder, _given, _taken, view: view)
+_extending.lower_cast(types.NestedArray, types.Array)(lambda _context, _builder, _given, _taken, view: view)
 
 
 @contextmanager
@@ -154,4 +153,4 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 def helper(function: F) -> F:
     """Compile as a part of the kernels that call it; elsewhere it is the function as it is written."""
-    return register_jitable(**OPTIONS)(function)
+    return cast("F", _extending.register_jitable(**OPTIONS)(function))

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import binding
+from numba import __version__
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 
@@ -23,51 +24,48 @@ from drivers.files import made_folder, whole_file
 
 # ruff: noqa: SLF001 - Numba has no public way
 
+_ENTRIES = "_ZN7cpython", "cfunc."
+"""How the names of functions begin that Python or C calls."""
+
 
 class Library(JITCodeLibrary):
     """One kernel or helper. Mutable state: a kernel's bitcode, until it is parsed; what is linked to it."""
 
     bitcode = b""
-
-    def add_linking_library(self, library: Any) -> None:
-        """Link another one to it, at the end."""
-        self._reload_init.update(library._reload_init)
-        self._linking_libraries.append(library)
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """Return the address of a function of a kernel; 0 for a helper, whose functions nobody calls."""
-        if self._finalized or any(each.name == name for each in self._final_module.functions):
-            return int(super().get_pointer_to_function(name))  # type: ignore[no-untyped-call]
-        return 0
-
-    def _get_module_for_linking(self) -> Any:
-        """Return the kernel, or the helper, as LLVM has it, for a kernel that inlines it."""
-        if self.bitcode:
-            self._shared_module, self.bitcode = binding.parse_bitcode(self.bitcode), b""
-        if self._finalized:
-            return super()._get_module_for_linking()  # type: ignore[no-untyped-call]
-        if self._shared_module is None:
-            module = self._final_module.clone()
-            for each in dict.fromkeys(self._linking_libraries):
-                module.link_in(each._get_module_for_linking(), preserve=True)
-            for function in module.functions:
-                if not function.is_declaration and function.linkage == binding.Linkage.external:
-                    function.linkage = "linkonce_odr"
-            self._shared_module = module
-        return self._shared_module
-
+    _helps = False
     codegen = property(lambda library: library)
+    """Whose `set_env` Numba calls."""
+
+    def finalize(self) -> None:
+        """Link it; a helper, which has no entry from Python or C, ends there."""
+        self._helps = not any(each.name.startswith(_ENTRIES) for each in self._final_module.functions)
+        super().finalize()  # type: ignore[no-untyped-call]
+
+    def _optimize_final_module(self) -> None:
+        if not self._helps:
+            super()._optimize_final_module()  # type: ignore[no-untyped-call]
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = self._helps
+        if not self._helps:
+            super()._finalize_final_module()  # type: ignore[no-untyped-call]
 
     def set_env(self, name: str, environment: Any) -> None:
         """Give a kernel its environment, as Numba does; a helper has no machine code that could hold one."""
-        if self._finalized:
+        if not self._helps:
             self._codegen.set_env(name, environment)  # type: ignore[attr-defined]
+
+    def _get_module_for_linking(self) -> Any:
+        if self.bitcode:
+            self._shared_module, self.bitcode = binding.parse_bitcode(self.bitcode), b""
+        return super()._get_module_for_linking()  # type: ignore[no-untyped-call]
 
     @classmethod
     def _unserialize(cls, codegen: Any, state: Any) -> Any:
         """Load what `Kept` has of a library."""
-        library = codegen.create_library(state[0])
-        _, code, names, library.bitcode = state
+        name, code, names, bitcode = state
+        library = codegen.create_library(name)
+        library.bitcode = bitcode
         library.enable_object_caching()
         library._set_compiled_object(code)
         library._finalize_final_module()
@@ -105,4 +103,4 @@ class Kept:
         cache.tell(compiling=False)
 
     def _file(self, signature: Any, target: Any) -> Any:
-        return cache.place_of(self._function, f"{signature} {target.codegen().magic_tuple()}")
+        return cache.place_of(self._function, f"{signature} {__version__} {target.codegen().magic_tuple()}")

@@ -82,9 +82,7 @@ def of_python(function: Callable[..., int], *kinds: Any) -> tuple[int, Any]:
     The function must not raise: it returns FAILED instead, and keeps what it met.
     """
     callback = ctypes.CFUNCTYPE(ctypes.c_int32, *(_C_TYPES[kind] for kind in kinds))(function)
-    address = ctypes.cast(callback, ctypes.c_void_p).value
-    assert address is not None
-    return address, callback
+    return ctypes.cast(callback, ctypes.c_void_p).value or 0, callback
 
 
 def data_at(array: np.ndarray[Any, Any]) -> int:
@@ -113,24 +111,15 @@ address_of: Any = intrinsic(_address_of)
 
 
 def records_at(argument: Any) -> Any:
-    """Return a function (address, count) that gives a kernel the array of records or numbers there."""
-    pointer: Any = types.CPointer(argument)  # type: ignore[no-untyped-call]
-    to_elements = record_at(pointer)
-    return helper(lambda address, count: _carray(to_elements(address), (count,)))
+    """Return a function (address, shape) that gives a kernel the array of records or numbers there."""
+    to_elements = record_at(types.CPointer(argument))  # type: ignore[no-untyped-call]
+    return helper(lambda address, shape: _carray(to_elements(address), shape))
 
 
-reals_at: Callable[[int, int], Array] = records_at(types.float64)
-"""reals_at(address, count): inside a kernel, the float64 vector at an address."""
+reals_at: Callable[[int, int | tuple[int, int]], Array] = records_at(types.float64)
+"""reals_at(address, shape): inside a kernel, the float64 vector or matrix at an address."""
 integers_at: Callable[[int, int], Ints] = records_at(types.int64)
 """integers_at(address, count): inside a kernel, the int64 vector at an address."""
-_to_reals = record_at(types.CPointer(types.float64))  # type: ignore[no-untyped-call]
-
-
-@helper
-def matrix_at(address: int, rows: int, columns: int) -> Array:
-    """Return, inside a kernel, the float64 matrix at an address."""
-    values: Array = _carray(_to_reals(address), (rows, columns))
-    return values
 
 
 def _call(_context: Any, address: Any, arguments: Any) -> Any:

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import Callee, address_of, call, data_at, matrix_at, pointed, reals_at
+from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, reals_at
 from drivers.frame_pointers import frames_at
 from drivers.sensor_kernels import SENSORS, hear, samples_of
 from drivers.sensor_kernels import WRENCH as WRENCH_SENSOR
@@ -62,7 +62,7 @@ def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: An
     hear(sensors, frames_at(frames, count), tick.tick)
     newest = sensors.count[WRENCH_SENSOR] - 1
     if newest >= 0:
-        values, rotation = samples_of(sensors, WRENCH_SENSOR)[newest].values, matrix_at(R, 3, 3)
+        values, rotation = samples_of(sensors, WRENCH_SENSOR)[newest].values, reals_at(R, (3, 3))
         for half in range(2):
             turned = rotate(rotation, at(values, 3 * half))
             for i in range(3):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drivers.compiled.compiler import INTEGER, helper, kernel, record, records
-from drivers.compiled.pointed import address_of, call, integers_at, matrix_at, record_at
+from drivers.compiled.pointed import address_of, call, integers_at, reals_at, record_at
 from drivers.frame_array import FRAME
 from drivers.signals import DriveMode, DriveState, Mode, Warn
 from drivers.tick_columns import TICK, part
@@ -295,7 +295,7 @@ def within(value: float, low: float, high: float) -> float:
 def judge_pass(c: Any, tick: Any) -> None:
     """Let safety judge a tick, and limit the force asked for with that of the probe: its verdict, and tau."""
     tick.mode = c.mode
-    window, watched = matrix_at(c.window, c.window_rows, 6), matrix_at(c.watched, c.watched_rows, 6)
+    window, watched = reals_at(c.window, (c.window_rows, 6)), reals_at(c.watched, (c.watched_rows, 6))
     limits, memory = _limits_at(c.limits), _memory_at(c.memory)
     seen = _seen_at(c.tick)
     faults, warnings, c.verdict[2] = judge(seen, limits, memory, window, watched)

@@ -145,12 +145,11 @@ def judged(key: str, mutant: Mutant, recorded: list[Context], tree: Tree, budget
     """Run the tests that can notice one mutant, in the copy of the tree."""
     begun = time.monotonic()
     tests = chosen(mutant, recorded, budget_s)
-    compiling = COMPILE_S if mutant.kernel or not mutant.first_line else 0.0
-    limit = START_S + 3 * sum(c.seconds for c in tests) + compiling
+    limit = START_S + 3 * sum(c.seconds for c in tests) + COMPILE_S
     text = (tree.root / mutant.file).read_text(encoding="utf-8")
     outcome, by = "survived", ""
     with tree.changed(mutant.file, mutant.applied(text)):
-        if not tree.loads(mutant.file, LOAD_S + compiling):
+        if not tree.loads(mutant.file, LOAD_S + COMPILE_S):
             outcome = "not loaded"
         elif tests:
             by = tree.noticed_by([c.test for c in tests], limit)

@@ -30,7 +30,6 @@ class Mutant:
     first_line: int
     start: int
     end: int
-    kernel: bool
 
     def applied(self, text: str) -> str:
         """Return the source with the change."""
@@ -63,7 +62,6 @@ class _Walk:
             self.starts.append(self.starts[-1] + len(line))
         self.names: list[str] = []
         self.first_line = 0
-        self.kernel = False
         self.statement: ast.stmt | None = None
 
     def body(self, node: ast.AST) -> Iterator[Mutant]:
@@ -95,19 +93,18 @@ class _Walk:
         self.statement = outer
 
     def scope(self, node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) -> Iterator[Mutant]:
-        kept = self.first_line, self.kernel, self.statement
+        kept = self.first_line, self.statement
         self.names.append(node.name)
         self.statement = node
         if not isinstance(node, ast.ClassDef):
             self.first_line = node.lineno
-            self.kernel = bool({_name(d) for d in node.decorator_list} & {"kernel", "direct", "helper"})
             for default in [*node.args.defaults, *node.args.kw_defaults]:
                 if default is not None:
                     yield from self.visit(default)
         for child in node.body:
             yield from self.visit(child)
         self.names.pop()
-        self.first_line, self.kernel, self.statement = kept
+        self.first_line, self.statement = kept
 
     def changed(self, node: ast.expr | ast.stmt) -> Iterator[Mutant]:
         start, end = self.span(node)
@@ -128,7 +125,6 @@ class _Walk:
                 first_line=self.first_line,
                 start=start,
                 end=end,
-                kernel=self.kernel,
             )
 
     def span(self, node: ast.expr | ast.stmt) -> tuple[int, int]:
@@ -139,11 +135,6 @@ class _Walk:
 
     def offset(self, line: int, column: int) -> int:
         return self.starts[line - 1] + len(self.lines[line - 1].encode()[:column].decode())
-
-
-def _name(decorator: ast.expr) -> str:
-    target = decorator.func if isinstance(decorator, ast.Call) else decorator
-    return getattr(target, "id", "")
 
 
 def _declares(node: ast.AST) -> bool:

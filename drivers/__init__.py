@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # the processes that only log need no sections
     from drivers.family import Family
 
 BEGAN_NS = time.time_ns()
-"""When this process began to read the sources of the project."""
+"""When this process began to import this package, and so what uses it."""
 
 
 def row(module: str, name: str) -> Callable[..., Any]:

@@ -281,7 +281,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         else:
             place = _take(m, heard, early, last, tick)
             if place:
-                m.scratch[place, :] = m.scratch[0, :]
+                m.scratch[place] = m.scratch[0]
                 taken |= 1 << (place - 1)
     changed = taken != 0
     for leg in range(LEGS):

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from importlib import import_module
 
-import drivers as _  # noqa: F401 - it notes the time before more is read
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any

@@ -1,4 +1,4 @@
-"""Assignments `into[a:b] = values` inside kernels, as the move of memory or the loop that they are.
+"""Assignments to slices and rows inside kernels, as the move of memory or the loop that they are.
 
 Numba's own code copies what may overlap and puts the shapes into the message of its error: some hundred
 instructions in each kernel. What is left, and what others compile, is Numba's.
@@ -24,13 +24,15 @@ _extending: Any = extending
 def _assign(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     array, index, values = signature.args
     fills = isinstance(values, types.Number | types.Boolean)
-    copies = isinstance(values, types.Array) and (values.dtype, values.ndim) == (array.dtype, array.ndim)
-    whole = array.layout == getattr(values, "layout", "C") == "C" and not index.has_step
+    dimensions = array.ndim - isinstance(index, types.Integer)
+    copies = isinstance(values, types.Array) and (values.dtype, values.ndim) == (array.dtype, dimensions)
+    whole = array.layout == getattr(values, "layout", "C") == "C" and not getattr(index, "has_step", False)
     ours = isinstance(array.dtype, types.Number) and context.codegen()._library_class is Library  # noqa: SLF001
-    if not (ours and whole and (fills or copies)):
+    if not (ours and whole and dimensions and (fills or copies)):
         return _numpy.setitem_array(context, builder, signature, arguments)
     target = _numpy.make_array(array)(context, builder, arguments[0])
-    data, shape, _ = _numpy.basic_indexing(context, builder, array, target, (index,), (arguments[1],))
+    place = _numpy.normalize_indices(context, builder, (index,), (arguments[1],))
+    data, shape, _ = _numpy.basic_indexing(context, builder, array, target, *place)
     count = functools.reduce(builder.mul, shape)
     if fills:
         value = context.cast(builder, arguments[2], values, array.dtype)
@@ -47,4 +49,5 @@ def _assign(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return None
 
 
-_extending.lower_builtin(operator.setitem, types.Array, types.SliceType, types.Any)(_assign)
+for _index in (types.SliceType, types.Integer):
+    _extending.lower_builtin(operator.setitem, types.Array, _index, types.Any)(_assign)

@@ -45,8 +45,8 @@ _PLACES = {
     room: (f"{_ROOT / room.replace('.', '/')}/", f"{_ROOT / room.replace('.', '/')}.py") for room in ROOMS
 }
 _SOURCES = {".py", ".dbc", ".eds"}
-_TICK_NS = 20_000_000
-"""By which the stamp of a file may be late."""
+_EARLIER_NS = 50_000_000
+"""By which a source may be read before this package is imported, or the stamp of a file be late."""
 _watching: list[Callable[[bool], None]] = []
 
 
@@ -57,7 +57,7 @@ def _room_of(file: Path) -> str | None:
 @functools.cache
 def files_of(room: str) -> frozenset[Path]:
     """Return the sources of a room and of those below."""
-    path = _ROOT.joinpath(*room.split("."))
+    path = _ROOT / room.replace(".", "/")
     own = [each for each in [*path.rglob("*"), path.with_suffix(".py")] if _room_of(each) == room]
     return frozenset(filter(_is_source, own)).union(*map(files_of, ROOMS[room]))
 
@@ -99,7 +99,7 @@ def is_as_read(file: Path) -> bool:
     Else machine code of the old source could be kept under the hash of the new one. A stamp of the future
     tells nothing: the clock was set back.
     """
-    began_ns, now_ns = BEGAN_NS - _TICK_NS, time.time_ns()
+    began_ns, now_ns = BEGAN_NS - _EARLIER_NS, time.time_ns()
     return not any(began_ns <= each.stat().st_ctime_ns <= now_ns for each in _sources_of(file))
 
 

@@ -37,18 +37,14 @@ class Library(JITCodeLibrary):
     """Whose `set_env` Numba calls."""
 
     def finalize(self) -> None:
-        """Link it; a helper, which has no entry from Python or C, ends there."""
-        self._helps = not any(each.name.startswith(_ENTRIES) for each in self._final_module.functions)
-        super().finalize()  # type: ignore[no-untyped-call]
-
-    def _optimize_final_module(self) -> None:
-        if not self._helps:
-            super()._optimize_final_module()  # type: ignore[no-untyped-call]
-
-    def _finalize_final_module(self) -> None:
-        self._finalized = self._helps
-        if not self._helps:
-            super()._finalize_final_module()  # type: ignore[no-untyped-call]
+        """Link it; of a helper, which has no entry from Python or C, that is all."""
+        if any(each.name.startswith(_ENTRIES) for each in self._final_module.functions):
+            super().finalize()  # type: ignore[no-untyped-call]
+            return
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = self._helps = True
 
     def set_env(self, name: str, environment: Any) -> None:
         """Give a kernel its environment, as Numba does; a helper has no machine code that could hold one."""

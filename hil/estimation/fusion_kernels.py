@@ -268,7 +268,7 @@ def interval(f: Any, before: Any, P0: Array, s: Any, P: Array) -> None:
         if new:
             s.tracker = UNDECIDED
         s.x[:] = before.x
-        P[:, :] = P0
+        P[:] = P0
         done = 0.0
         if s.tracker != 0:
             done = s.tracker_at * s.T
@@ -315,7 +315,7 @@ def fill_estimate(f: Any, s: Any, P: Array, tick: Any) -> None:
     x, q, J = s.x, tick.q, tick.J
     tick.p[:] = x[0:3]
     R = rotation_of(x)
-    tick.R[:, :] = R
+    tick.R[:] = R
     tick.twist[:] = x[TWIST : TWIST + 6]
     lengths_and_jacobian(f.base_joints, f.platform_joints, x[0:3], R, q, J)
     residual = 0.0

@@ -226,7 +226,7 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Any) -> None:
         length, rate = tick.length[i], tick.rate[i]
         if memory.stood[i] == 0 or not residuals.stands(length, rate, memory.anchor[i], noise, moves):
             memory.stood[i], memory.anchor[i], memory.push[i] = 1, length, 0
-            memory.began[i, :] = deviation
+            memory.began[i] = deviation
             continue
         moved = residuals.strayed(deviation, memory.began[i], tick.age)
         if memory.push[i] != 0 or moved > residuals.SUSPECT * noise:

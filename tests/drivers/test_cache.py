@@ -33,7 +33,7 @@ def twice(x):
 
 def test_a_kernel_is_compiled_once_for_all_processes(tmp_path):
     (tmp_path / "kernels_of_a_test.py").write_text(KERNELS)
-    time.sleep(0.05)  # stamps of files are up to a tick of the kernel late
+    time.sleep(0.1)  # else they count as saved meanwhile
     environment = os.environ | {
         "XDG_CACHE_HOME": str(tmp_path),
         "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)]),
@@ -87,7 +87,7 @@ def package(monkeypatch, tmp_path):
     def begin(module: str = "law") -> Any:
         for remembered in (cache._sources_of, cache._content, cache._folder_of):
             remembered.cache_clear()
-        time.sleep(0.05)
+        time.sleep(0.1)
         monkeypatch.setattr(cache, "BEGAN_NS", time.time_ns())
         spec = importlib.util.spec_from_file_location(f"laws_of_this_test.{module}", folder / f"{module}.py")
         assert spec

@@ -63,6 +63,8 @@ def _graph() -> grimp.ImportGraph:
 def users(file: str) -> list[str]:
     """Return the project's files whose imports lead to `file`, the nearest first."""
     graph, module = _graph(), file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    if module not in graph.modules:
+        return []
     found = [(len(graph.find_upstream_modules(user)), user) for user in graph.find_downstream_modules(module)]
     return [_file_of(user) for _, user in sorted(found)]
 

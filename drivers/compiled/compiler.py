@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any, TypeVar, cast
 
@@ -99,7 +98,7 @@ def undisturbed() -> Iterator[None]:
     """Hold Ctrl-C, and the timer that repeats one, back to the end: half a kernel would crash the process."""
     held: list[int] = []
     handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():  # in which alone handlers run
+    with suppress(ValueError):  # not the main thread, in which alone handlers run
         for number in (signal.SIGINT, signal.SIGALRM):
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda given, _: held.append(given))

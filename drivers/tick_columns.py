@@ -199,8 +199,11 @@ RECORDED = (
     _("verdict", "lyapunov_rate", float, "(m/s^2)^2/s", "change of V since the last tick"),
     _("verdict", "lyapunov_bound", float, "(m/s^2)^2", "the largest V that the law's certificate allows"),
     _("verdict", "lyapunov_share", float, "1", "largest sqrt(V) of an axis over what is allowed"),
+    _("effort", "probe_force", float, "N", "leg force added to see whether the leg moves", *PER_LEG),
 )
 """What the log holds, in its order."""
+LATER = RECORDED[-1:]
+"""Columns that older logs lack: nan there, and not compared by a replay."""
 WORKING = (
     _("measurement", "length", float, "m", "leg length that the drive last reported", *PER_LEG),
     _("measurement", "rate", float, "m/s", "leg rate that the drive last reported", *PER_LEG),
@@ -228,7 +231,6 @@ WORKING = (
         "force sent less the force asked for, of the last command: limits acted",
         *PER_LEG,
     ),
-    _("effort", "probe_force", float, "N", "leg force added to see whether the leg moves", *PER_LEG),
     _("effort", "tau_asked", float, "N", "the law's force with what was learned and the ramps", *PER_LEG),
 )
 """What lives for one tick."""

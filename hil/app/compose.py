@@ -24,7 +24,7 @@ from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.fault_rules import refuse_what_no_bus_has
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
-from hil.app.encoder_limits import encoder_limits, read_noise
+from hil.app.encoder_limits import believed_mass_kg, encoder_limits, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
 from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
@@ -134,7 +134,7 @@ def build_cycle(
     return Cycle(
         Parts(
             platform=platform,
-            leg_spin=c.platform.leg_spin,
+            model=Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=believed_mass_kg(c)),
             protocol=build_protocol(c),
             law=c.controller.build(context),
             trajectory=trajectory,

@@ -48,7 +48,8 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     payload, period_s = unknown_payload(c), 1.0 / rate_Hz
     friction, protocol = friction_N(c), build_protocol(c.bus, c.drives)
     monitor, A = payload.allowed(c.monitor), np.abs(payload.mobility).max(axis=0)
-    heaviest = payload.mobility.min(axis=0)
+    yields = unknown_payload(c, believed_mass_kg(c)).mobility
+    low = np.diag(yields.min(axis=0))
     decided = c.estimation.pose == "fused" and c.sensors.tracker is not None
     delay = loop_delay(c)
     noise = read_noise(c, rate_Hz)
@@ -56,15 +57,19 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     driving, back_driving = efficiencies(c)
     sticks = friction > 0.0 or bool((driving * back_driving < 1.0).any())
     push = PUSH[sticks] * monitor.disturbance_m_s2
-    up_N = (payload.holding_N + friction + push / np.diag(heaviest)) / driving
+    up_N = (payload.holding_N + friction + push / low) / driving
     push_N = up_N - (payload.holding_N - friction) * back_driving
     if not np.isfinite(push_N).all():
         raise ConfigurationError("platform: no leg forces hold it at home: the legs are singular there")
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
-    rise = _rise_ticks(push_N, A, late_s, noise.rate_m_s, c.limits.speed_m_s, period_s) if sticks else 1
+    rise = (
+        _rise_ticks(push_N, np.abs(yields).max(axis=0), late_s, noise.rate_m_s, c.limits.speed_m_s, period_s)
+        if sticks
+        else 1
+    )
     ticks = _ticks((late_s + seen_s) / period_s)
-    turns = _ticks(2.0 * float(push_N.max()) / c.limits.force_step_N)
+    turns = _ticks((1.0 if sticks else 2.0) * float(push_N.max()) / c.limits.force_step_N)
     return EncoderLimits(
         watched_legs=0 if decided else (1 << LEGS) - 1,
         length_noise_m=noise_m,
@@ -75,7 +80,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         mobility=AWAY * A,
         acting_ticks=ceil((late_s + LAGS * delay.lag_s) / period_s) + REACHES_BACK * differences,
         push_N=push_N,
-        push_ticks=ticks + max(turns - 1, 0) + 2 * (rise - 1) if sticks else max(ticks, turns),
+        push_ticks=ticks + max(turns - 1, 0) + rise - 1 if sticks else max(ticks, turns),
         sticks=int(sticks),
         rise_ticks=rise,
         open_ticks=ceil(c.engage.brake_release_s / period_s),
@@ -84,6 +89,10 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         differences=differences,
         apart=int(not protocol.traits.latches_together),
         unshared=UNASKED if protocol.traits.unasked_s > 0.0 else UNSHARED,
+        friction_N=stated_friction_N(c),
+        driving=driving,
+        back_driving=back_driving,
+        mobility_low=low,
     )
 
 
@@ -139,19 +148,29 @@ def efficiencies(c: Configuration) -> tuple[Array, Array]:
     return gear.driving, gear.back_driving
 
 
-def friction_N(c: Configuration) -> float:
-    """Return the dry friction that may hold a leg still, N."""
+def believed_mass_kg(c: Configuration) -> Array:
+    """Return what motor and screw add along each leg as the controller believes, (6,) kg."""
+    believed = c.controller.believed
+    return np.broadcast_to(0.0 if believed is None else np.array(believed.reflected_mass_kg, float), LEGS)
+
+
+def stated_friction_N(c: Configuration) -> float:
+    """Return the dry friction that is configured or identified, N."""
     if c.monitor.friction_N is not None:
         return c.monitor.friction_N
     believed = c.controller.believed
     known = 0.0 if believed is None else float(np.max(believed.coulomb_friction_N))
-    assumed = ASSUMED_FRICTION * min(c.limits.force_N, c.limits.force_window_N, c.drives.force_limit_N)
-    match c.plant:
-        case None:
-            return max(known, assumed)
-        case plant if isinstance(plant.model, StewartPlant):
-            return max(known, plant.model.coulomb_friction_N)
-        case plant if isinstance(plant.model, BenchPlant):
-            return known
-        case _:
-            return max(known, assumed)
+    if c.plant is not None and isinstance(c.plant.model, StewartPlant):
+        return max(known, c.plant.model.coulomb_friction_N)
+    return known
+
+
+def friction_N(c: Configuration) -> float:
+    """Return the dry friction that may hold a leg still, N: stated, or assumed where nobody knows."""
+    stated = stated_friction_N(c)
+    emulated = c.plant is not None and isinstance(c.plant.model, StewartPlant | BenchPlant)
+    if emulated or c.monitor.friction_N is not None:
+        return stated
+    return max(
+        stated, ASSUMED_FRICTION * min(c.limits.force_N, c.limits.force_window_N, c.drives.force_limit_N)
+    )

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
@@ -41,11 +42,15 @@ class UnknownPayload(NamedTuple):
         return monitor.model_copy(update=update)
 
 
-def unknown_payload(c: Configuration) -> UnknownPayload:
-    """Return what a payload within its ranges does; nothing beyond the model where it has none."""
+def unknown_payload(c: Configuration, along_legs_kg: ArrayLike = 0.0) -> UnknownPayload:
+    """Return what a payload within its ranges does; nothing beyond the model where it has none.
+
+    along_legs_kg: (6,) kg or one for all legs, what motor and screw add along each.
+    """
     home = pose_arrays(c.platform.home)
     platforms = [build_platform(corner.settings) for corner in corners(c.platform)]
-    models = [Model(platform, leg_spin=c.platform.leg_spin) for platform in platforms]
+    spin = c.platform.leg_spin
+    models = [Model(platform, leg_spin=spin, reflected_mass=along_legs_kg) for platform in platforms]
     J, G = jacobian(models[0].platform, *home), models[0].gravity(*home)
     mobility, twists, held = [], [np.zeros(6)], []
     for model in models:

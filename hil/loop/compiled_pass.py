@@ -19,7 +19,7 @@ from hil.estimation.pose import ESTIMATOR, estimate_pose
 from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
 from hil.loop.motion import MOTION, advance, ahead, ended, place_reference
-from hil.loop.probe import fill_probe
+from hil.loop.probe import fill_probe, look
 from hil.loop.ramps import holding_share, smoothstep
 from hil.loop.reference import fill_sample
 from hil.robot.force_path import path_at
@@ -37,6 +37,7 @@ CONTROL = np.dtype(
         ("steer", "<i8"), ("live", "<i8"), ("judge", "<i8"), ("admission", "<i8"),  # of a live reference
         ("learn", "<i8"), ("learner", "<i8"), ("predict", "<i8"), ("predictor", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
+        ("robot", "<i8"),  # the model's constants by which legs bear their load
         # records of the parts
         ("estimator", "<i8"), ("motion", "<i8"), ("override", "<i8"), ("sample", "<i8"), ("ahead", "<i8"),
         ("limits", "<i8"), ("memory", "<i8"),
@@ -292,17 +293,23 @@ def within(value: float, low: float, high: float) -> float:
 
 
 @helper
-def judge_pass(c: Any, tick: Any) -> None:
-    """Let safety judge a tick, and limit the force asked for with that of the probe: its verdict, and tau."""
-    tick.mode = c.mode
+def judge_pass(c: Any, tick: Any) -> bool:
+    """Let safety judge a tick, and limit the force asked for with that of the probe: its verdict, and tau.
+
+    Tells whether the verdict is to be looked at, or a push that begins.
+    """
+    tick.mode, begins = c.mode, False
     window, watched = reals_at(c.window, (c.window_rows, 6)), reals_at(c.watched, (c.watched_rows, 6))
     limits, memory = _limits_at(c.limits), _memory_at(c.memory)
     seen = _seen_at(c.tick)
     faults, warnings, c.verdict[2] = judge(seen, limits, memory, window, watched)
     if powered(c.mode):
-        fill_probe(tick, _tick_at(c.last), limits, memory)
+        if memory.strays:
+            look(tick, limits, memory, window, c.robot)
+        begins = fill_probe(tick, _tick_at(c.last), limits, memory)
     law, limited = limit(seen, limits, memory, window, watched)
     c.verdict[0], c.verdict[1] = faults | law, warnings | limited | c.sensor_late
+    return bool(begins or c.attentive or c.verdict[0] or c.verdict[2])
 
 
 @helper
@@ -313,7 +320,7 @@ def send(c: Any, tick: Any, into: Any) -> int:
     tick.command_mode = c.command_mode
     limited = c.verdict[1] != 0 and controlled(c.mode)
     for i in range(6):
-        c.shortfall[i] = tick.tau[i] - tick.tau_asked[i] if limited else 0.0
+        c.shortfall[i] = tick.tau[i] - tick.tau_asked[i] - tick.probe_force[i] if limited else 0.0
     for k in range(2):
         if c.paths[k]:
             send_force(path_at(c.paths[k]), tick.tau)
@@ -342,8 +349,6 @@ def act(c: Any, tick: Any, into: Any, parts: int) -> int:
                 return STOPPED
         place(c, tick)
         fill_effort(c, tick)
-    if parts & JUDGE:
-        judge_pass(c, tick)
-        if c.attentive or c.verdict[0] or c.verdict[2]:
-            return VERDICT
+    if parts & JUDGE and judge_pass(c, tick):
+        return VERDICT
     return send(c, tick, np.int64(into.ctypes.data)) if parts & COMMAND else DONE

@@ -65,6 +65,7 @@ class Control:
         c["period_s"], c["load_s"] = cycle.period_s, cycle.durations.load
         c["blend_s"], c["reach_N"] = parts.engage.blend_s, effort.reach_N
         c["law"], c["gains"], c["constants"], c["code"] = effort.law[:4]
+        c["robot"] = data_at(effort.model.constants)
         if parts.last_pose is not None:
             c["decode"], c["decoder"] = self._homed(end.decode, end.codec)
         c["sensors"] = data_at(cycle.sight.sensors)

@@ -7,7 +7,6 @@ from hil.loop.learned import Learned
 from hil.loop.modes import Durations
 from hil.loop.parts import Parts
 from hil.loop.ramps import tau_at_rest
-from hil.robot.dynamics import Model
 from hil.trajectory.path import PoseSample
 
 
@@ -23,7 +22,7 @@ class Effort:
         self.period_s = 1.0 / parts.rate_Hz
         self.law = called_by_pointer(parts.law)
         """The law's function, and what keeps it and what it has raised."""
-        self.model = Model(parts.platform, leg_spin=parts.leg_spin)
+        self.model = parts.model
         forces = parts.learned
         self.learned = None if forces is None else Learned(forces, parts.trajectory, self.period_s)
         self.reach_N = float(parts.safety.limits["force_window_N"])

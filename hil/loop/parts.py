@@ -15,13 +15,13 @@ from drivers.sensors import SensorProtocol
 from hil.config.operator import OperatorSettings
 from hil.config.reactions import ReactionSettings
 from hil.config.running import EngageSettings
-from hil.config.values import LegSpin
 from hil.control.law import Law
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
 from hil.loop.admission import Admission, Steering
 from hil.loop.homing import LastPose
 from hil.loop.learned import LearnedForces
+from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.safety import Safety
 from hil.trajectory.path import Trajectory
@@ -35,7 +35,8 @@ class Parts:
     """What a cycle is made of."""
 
     platform: Platform
-    leg_spin: LegSpin
+    model: Model
+    """What legs bear and how they yield to forces, without friction."""
     protocol: Family
     law: Law
     trajectory: Trajectory

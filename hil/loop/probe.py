@@ -1,43 +1,101 @@
-"""The probe: the force by which a leg that safety suspects is pushed, to see whether its reading moves.
+"""The probe: whether a leg whose reading stands still is held by friction, and the push that decides it.
 
-A stage between the law and the limits: safety counts for how long a leg has been suspected, the force
-follows from that, and the limits hold for the sum.
+A stage between the law and the limits. Safety names the legs that stand still while they or others stray,
+and counts a leg that does not move under its push; the limits hold for the sum of law and push.
+
+Where there is no friction a leg is pushed at once, gently, one way and then the other. Where there is, it
+holds a leg as long as the force F that acts stays within
+
+    onset(load - friction, -1) <= F <= onset(load + friction, 1)
+    onset(X, s) = X / eta_d where X s > 0 (the motor drives the leg), else X eta_b,
+
+load: what inverse dynamics asks for along the reference, at the measured pose. Only friction that is
+configured or identified counts. Beyond that band a free leg would be on its way: where it would have moved
+visibly, the leg is pushed on that way by twice the friction and more: one that stands for another reason,
+or by up to three times the friction, moves then.
 """
 
 from math import copysign
 from typing import Any
 
+from drivers.arrays import Array
 from drivers.compiled.compiler import helper
+from drivers.compiled.pointed import reals_at
 from drivers.signals import LEGS
+from hil.robot.dynamics_kernels import FULL, SIZE, inverse_dynamics_kernel
+from hil.safety.residuals import MOVED
+
+KNOWN = 0.02
+"""Share of its load by which the load of a leg may be wrong."""
 
 
 @helper
-def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> None:
-    """Fill probe_force, (6,) N, > 0 extends, from the last tick's on: it changes by no more than it turns.
+def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int) -> None:
+    """Decide which of the legs that stand still are to be pushed, or pushed on.
 
-    limits, memory: records of `hil.safety.kernels`.
+    limits, memory: records of `hil.safety.kernels`; window: the forces sent, see `hil.safety.force_limits`;
+    robot: address of the constants of the model of the load, see `hil.robot.dynamics_kernels`.
     """
+    c = reals_at(robot, SIZE)
+    load = inverse_dynamics_kernel(c, FULL, tick.p, tick.R, tick.twist, tick.dtwist_d, tick.wrench)
+    acting = window[(memory.newest - limits.acting_ticks) % limits.window_ticks]
+    for i in range(LEGS):
+        if not memory.strays >> i & 1:
+            continue
+        excess = beyond(
+            acting[i],
+            load[i],
+            limits.friction_N + KNOWN * abs(load[i]),
+            limits.driving[i],
+            limits.back_driving[i],
+        )
+        if memory.push[i] != 0:
+            way = 1 if memory.push[i] > 0 else -1
+            # at its end the push counts where the model, too, finds the leg beyond what friction holds
+            if abs(memory.push[i]) < limits.push_ticks or excess * way > 0.0:
+                memory.push[i] += way
+            continue
+        if excess == 0.0:
+            memory.free_m[i] = memory.free_m_s[i] = 0.0
+        memory.free_m_s[i] += excess * limits.mobility_low[i] * limits.period_s
+        memory.free_m[i] += memory.free_m_s[i] * limits.period_s
+        if abs(memory.free_m[i]) > MOVED * limits.length_noise_m:
+            memory.push[i] = 1 if memory.free_m[i] > 0.0 else -1
+
+
+@helper
+def beyond(force: float, load: float, friction: float, driving: float, back_driving: float) -> float:
+    """Return by how much a force, N, is beyond what friction holds of a load, N; 0: friction may hold it."""
+    high, low = load + friction, load - friction
+    high = high / driving if high > 0.0 else high * back_driving
+    low = low / driving if low < 0.0 else low * back_driving
+    return max(force - high, 0.0) + min(force - low, 0.0)
+
+
+@helper
+def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
+    """Fill probe_force, (6,) N, > 0 extends, from the last tick's on; tell whether a push begins."""
+    begins = False
     for i in range(LEGS):
         rise, ticks = limits.rise_ticks, limits.push_ticks
         force = push_of(memory.push[i], ticks, limits.push_N[i], limits.sticks != 0, rise)
-        most = 2.0 * limits.push_N[i] / max(ticks - 2 * (rise - 1), 1)
-        if limits.sticks != 0 and memory.push[i] != 0:
-            most = max(most, 2.0 * limits.push_N[i] / (2 * rise - 1))
+        most = limits.push_N[i] / rise if limits.sticks != 0 else 2.0 * limits.push_N[i] / max(ticks, 1)
         was = last.probe_force[i]
         tick.probe_force[i] = min(max(force, was - most), was + most)
+        begins = begins or (was == 0.0 and tick.probe_force[i] != 0.0)
+    return begins
 
 
 @helper
 def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
     """Return the force that is added to a leg, N; 0 where it is not pushed.
 
-    For `ticks` its first way, then the other: along straight lines, where it sticks within `rise` ticks to
-    the whole force and as steeply to the other one; 1: at once.
+    Where it sticks, one way, within `rise` ticks to the whole force; 1: at once. Else `ticks` its first way,
+    then the other, along straight lines.
     """
     if so_far == 0:
         return 0.0
     first, k = copysign(force, so_far), abs(so_far)
     if sticks:
-        whole = 2 * rise - 1
-        return first * min(k / rise, 1.0, max(whole - 2 * (k - ticks), -whole) / whole)
+        return first * min(k / rise, 1.0)
     return first * min(2 * k, ticks, max(3 * ticks - 2 * k, -ticks)) / ticks

@@ -13,7 +13,7 @@ from drivers.compiled.pointed import address_of, data_at, integers_at
 from drivers.errors import LogError
 from drivers.frame_array import FRAME, joined, sent_frames
 from drivers.signals import BusState
-from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_ELEMENTS, RECORDED, ROW, Column
+from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_ELEMENTS, LATER, RECORDED, ROW, Column
 from hil.loop import tick_kernels as part
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
@@ -145,7 +145,10 @@ class Block(NamedTuple):
         """Return in which ticks sent frames, whatever their times, and columns differ, (n,) each."""
         count, ends = len(self.entries), self.ticks.ends[self.span]
         words = self.ticks.records[self.span].view(np.int64)[:, :_ROW_WORDS]
-        columns: Flags = (words != self.recorded.view(np.int64).reshape(count, _ROW_WORDS)).any(axis=1)
+        recorded = self.recorded.view(np.float64).reshape(count, _ROW_WORDS)
+        unlike = words != recorded.view(np.int64)
+        unlike[:, -_LATER_WORDS:] &= ~np.isnan(recorded[:, -_LATER_WORDS:])
+        columns: Flags = unlike.any(axis=1)
         sent = [entry.sent_items for entry in self.entries]
         wire = np.zeros(count, np.bool_)
         _compare_frames(self.ticks.frames, ends, joined(sent), np.cumsum([0, *map(len, sent)]), wire)
@@ -169,6 +172,7 @@ REPLAY = np.dtype([*part.ROW_OF_TICKS, *((name, "<i8") for name in ("entry", "ro
 """A row of ticks, and the recorded ones: the next of these; addresses of their rows, of the frames that they
 heard, and of where these begin and end, (n + 1,)."""
 _ROW_BYTES, _ROW_WORDS = ROW.itemsize, ROW.itemsize // 8
+_LATER_WORDS = sum(c.size for c in LATER)
 
 
 @helper
@@ -311,17 +315,23 @@ def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> Non
             comparison.first.append(Difference(tick, "sent frames", entry.sent, sent))
 
 
+def _compared(recorded: np.void) -> list[str]:
+    """Columns of a recorded row that a replay computes."""
+    lacking = {c.name for c in LATER if np.isnan(recorded[c.name]).all()}
+    return [name for name in COMPUTED_COLUMNS if name not in lacking]
+
+
 def _differences(tick: int, replayed: Rows, recorded: np.void) -> list[Difference]:
     return [
         Difference(tick, name, recorded[name], replayed[name])
-        for name in COMPUTED_COLUMNS
+        for name in _compared(recorded)
         if replayed[name].tobytes() != recorded[name].tobytes()
     ]
 
 
 def _largest(replayed: Rows, recorded: np.void) -> float:
     worst = 0.0
-    for name in COMPUTED_COLUMNS:
+    for name in _compared(recorded):
         a, b = np.asarray(replayed[name]), np.asarray(recorded[name])
         if a.dtype.kind == "f":
             with np.errstate(invalid="ignore", over="ignore"):

@@ -238,8 +238,8 @@ def what_if(
 
 def _find(answer: Answer, level: str, text: str) -> None:
     """Keep a finding of the narrator: a line, and its fields as JSON below it."""
-    del level
-    answer.answered_faults.append(json.loads(text.partition("\n")[2]))
+    if level == "error":
+        answer.answered_faults.append(json.loads(text.partition("\n")[2]))
 
 
 def _first_frames(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from drivers.files import whole_file
-from drivers.signals import BusState, Fault, Mode, Warn
+from drivers.signals import LEGS, BusState, Fault, Mode, Warn
 from drivers.tick_columns import COLUMNS
 from hil.record.metrics import rotation_errors
 from hil.record.selection import name_of
@@ -32,6 +32,7 @@ def figures(rows: Rows) -> dict[str, Any]:
         "tracking": {"ticks": int(tracking.sum())} | errors(_only(rows, tracking, FOLLOWED)),
         "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),
         "limited_ticks": limited_ticks(rows),
+        "probes": probes(rows),
         "wake_up_us": _percentiles(rows["lateness_ns"] / 1e3),
         "compute_us": _percentiles(rows["compute_ns"][1:] / 1e3),
         "stale_ticks": int(np.count_nonzero((rows["age"] > 0).any(axis=1) & powered)),
@@ -83,6 +84,19 @@ def limited_ticks(rows: Rows) -> dict[str, int]:
     """Return at how many ticks each limit of the force acted."""
     limits = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
     return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
+
+
+def probes(rows: Rows) -> dict[str, Any] | None:
+    """Return how often legs were pushed to see whether they move, and the largest such force.
+
+    None where no leg was, or the log is older than the column.
+    """
+    force = np.nan_to_num(np.abs(rows["probe_force"]))
+    if not force.any():
+        return None
+    pushed = force > 0.0
+    began = pushed & ~np.concatenate([np.zeros((1, LEGS), np.bool_), pushed[:-1]])
+    return {"pushes": int(began.sum()), "largest_N": float(force.max()), "legs": began.sum(axis=0).tolist()}
 
 
 def certificate(rows: Rows) -> dict[str, Any]:

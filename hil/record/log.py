@@ -18,6 +18,7 @@ from hil.record.decode import ITEM
 from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
 from hil.record.mcap_read import MessageTable, read_summary
+from hil.record.row import Table
 from hil.record.schema import CAN_TOPIC, EVENTS_TOPIC, LEVEL_NAMES, OPERATOR_TOPIC, SUMMARY
 from hil.record.selection import Selection, together
 from hil.signals import NUMBERS, Operator
@@ -104,7 +105,16 @@ class Log(LogFile):
     @property
     def dtype(self) -> np.dtype[np.void]:
         """Type of the rows."""
-        return self._decoder.dtype
+        return Table(self.topic, self.columns).dtype
+
+    def _rows_of(self, data: bytes, table: MessageTable) -> Rows:
+        """Return the rows in a buffer, nan in columns that the log lacks."""
+        rows = self._decoder.rows(data, table)
+        if rows.dtype.itemsize == self.dtype.itemsize:
+            return rows
+        whole = np.full((len(rows), self.dtype.itemsize // 8), np.nan)
+        whole[:, : rows.dtype.itemsize // 8] = rows.view(np.float64).reshape(len(rows), -1)
+        return whole.view(self.dtype)[:, 0]
 
     @cached_property
     def origin_ns(self) -> int:
@@ -240,7 +250,7 @@ class Log(LogFile):
         selection = self._selection(names, start_s, stop_s)
         parts, ticks = [np.zeros(0, selection.dtype)], [np.zeros(0, np.int64)]
         for data, table in self._buffers():
-            part = selection.within(self._decoder.rows(data, table))
+            part = selection.within(self._rows_of(data, table))
             ticks.append(part["tick"].copy())  # a view would keep the whole rows
             parts.append(selection.of_rows(part))
         rows, order = together(parts), np.concatenate(ticks)
@@ -327,7 +337,7 @@ class Log(LogFile):
         rows, items, done = np.zeros(0, self.dtype), np.zeros(0, ITEM), -1
         for buffer in chain(self._buffers(), (None,)):
             if buffer is not None:
-                rows = together((rows, self._decoder.rows(*buffer)))
+                rows = together((rows, self._rows_of(*buffer)))
                 if commands is not None:
                     items = together((items, self._decoder.frames(*buffer)))
                     self._read_commands(*buffer, commands)

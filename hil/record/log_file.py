@@ -25,7 +25,7 @@ from hil.record.mcap_read import (
     messages_in,
     records,
 )
-from hil.record.row import OLD, Run
+from hil.record.row import OLD, Run, completed
 from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
@@ -83,6 +83,7 @@ class LogFile:
             self.topic, self.columns, self.epoch_ns, self.can_channels, self.lockstep = Run.of(identity)
             self.can_channel = self.can_channels[0]
             self._decoder.expect(self.topic, self.columns, self.can_channels, self.epoch_ns)
+            self.columns = completed(self.columns)
         except REFUSED as error:
             raise LogError(
                 f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self.mend}"

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self, cast
 import numpy as np
 
 from drivers.arrays import Ints
-from drivers.tick_columns import RECORDED, ROW, Column
+from drivers.tick_columns import LATER, RECORDED, ROW, Column
 from hil.record.layout import Builder
 from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_file, schema_of
 
@@ -79,6 +79,12 @@ def _dtype(columns: tuple[Column, ...]) -> np.dtype[np.void]:
 
 TICKS = Table("/tick", RECORDED)
 """The rows of the controller."""
+
+
+def completed(columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    """Columns of a log, and those of LATER behind them where it is one of ticks that lacks them."""
+    older = [c.name for c in RECORDED[: -len(LATER)]]
+    return (*columns, *LATER) if [c.name for c in columns] == older else columns
 
 
 def describe(columns: Sequence[Column]) -> str:

@@ -226,13 +226,17 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Any) -> None:
         length, rate = tick.length[i], tick.rate[i]
         if memory.stood[i] == 0 or not residuals.stands(length, rate, memory.anchor[i], noise, moves):
             memory.stood[i], memory.anchor[i], memory.push[i] = 1, length, 0
+            memory.free_m[i] = memory.free_m_s[i] = 0.0
             memory.began[i] = deviation
             continue
         moved = residuals.strayed(deviation, memory.began[i], tick.age)
         if memory.push[i] != 0 or moved > residuals.SUSPECT * noise:
-            towards = memory.push[i] < 0 or (memory.push[i] == 0 and deviation[i] > 0.0)
-            memory.push[i] += -1 if towards else 1  # ticks; < 0 retracts the leg, first towards its reference
-        if abs(memory.push[i]) > 2 * limits.push_ticks:
+            if limits.sticks != 0:
+                memory.strays |= 1 << i
+            else:
+                towards = memory.push[i] < 0 or (memory.push[i] == 0 and deviation[i] > 0.0)
+                memory.push[i] += -1 if towards else 1  # first towards its reference
+        if abs(memory.push[i]) > (1 if limits.sticks != 0 else 2) * limits.push_ticks:
             doubt_leg(tick, limits, memory, i, Doubt.STILL.value, moved, residuals.SUSPECT * noise)
 
 
@@ -272,6 +276,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
         return 0
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
+    memory.strays = 0
     x = np.zeros(6, COMPARED)
     swings(tick, limits, memory, window, x["swing"])
     delay = compare(tick, limits, memory, x)
@@ -284,8 +289,8 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
             judge_rates(tick, limits, memory, x)
             judge_stillness(tick, limits, memory, x)
     if not settled or memory.doubted != 0:
-        memory.stood[:] = 0
-        memory.push[:] = 0
+        memory.stood[:] = memory.push[:] = 0
+        memory.strays = 0
     remember_readings(tick, limits, memory, delay, x)
     tick.legs_doubted, tick.doubt = memory.doubted, memory.doubt
     tick.doubt_value, tick.doubt_limit = memory.doubt_value, memory.doubt_limit

@@ -5,9 +5,10 @@ from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import ZERO6, Array
 from drivers.signals import LEGS
 
+ONE6 = np.ones(LEGS)
 UNSHARED = 0.3
 """`unshared` where each reading answers a SYNC or poll: frames in the way."""
 UNASKED = 0.6
@@ -37,7 +38,7 @@ class EncoderLimits(NamedTuple):
     sticks: int
     """1: friction may hold a leg still, see `hil.safety.residuals`."""
     rise_ticks: int
-    """Within so many a push of a leg that sticks rises to `push_N`; 1: at once."""
+    """A push of a leg that sticks rises to `push_N` within this number of ticks; 1: at once."""
     open_ticks: int
     """The brakes get so many ticks to open."""
     period_s: float
@@ -49,6 +50,14 @@ class EncoderLimits(NamedTuple):
     """1: each drive latches by itself: that a leg was missed says nothing of the others."""
     unshared: float = UNSHARED
     """Share of a period by which a latch may be late although a leg contradicts it."""
+    friction_N: float = 0.0
+    """Dry friction that is configured or identified, of each leg; see `hil.loop.probe`."""
+    driving: Array = ONE6
+    """(6,), what is left of a force where the motor drives the leg."""
+    back_driving: Array = ONE6
+    """(6,), the same where the leg drives the motor."""
+    mobility_low: Array = ZERO6
+    """(6,) 1/kg, of each leg under a force of its own, the least; what moves along the leg included."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
@@ -81,7 +90,10 @@ ENCODER_MEMORY = [
     ("stood", "<i8", (LEGS,)),  # 1: the reading's standstill is being watched
     ("anchor", "<f8", (LEGS,)),  # m, the reading then
     ("began", "<f8", (LEGS, LEGS)),  # m, deviations of all legs then
-    ("push", "<i8", (LEGS,)),  # ticks, see `hil.safety.encoder_kernels.judge_stillness`
+    ("strays", "<i8"),  # bit i: leg i stands while it or another one strays, and friction may hold it
+    ("free_m", "<f8", (LEGS,)),  # how far a free leg would have gone meanwhile
+    ("free_m_s", "<f8", (LEGS,)),  # how fast it would be
+    ("push", "<i8", (LEGS,)),  # ticks of the push; < 0 retracts the leg
     ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
 ]
 """Fields of what the rules remember of encoders."""

@@ -106,8 +106,8 @@ def test_replay_reads_the_inputs_back_and_compares_the_rest():
         "tau_law",
         "tau_learned",
         "legs_refused",
-        "shortfall",
         "probe_force",
+        "shortfall",
         "tau_asked",
     )
     assert t.part("measurement", "verdict")[:2] == ("rejected", "foreign")

@@ -109,7 +109,7 @@ COULOMB_FRICTION = "coulomb_friction_N: 200"
         (FRICTION_AND_MASS, FRICTION_AND_MASS, 0.015, 0.035),  # 0.026: sampling, as without either (0.032)
         ("", FRICTION_AND_MASS, 20.0, 25.0),  # 22.7
         (COULOMB_FRICTION, COULOMB_FRICTION, 0.03, 0.1),  # 0.073: the reversals
-        (COULOMB_FRICTION + "; sliding_speed_m_s: 0", COULOMB_FRICTION, 0.03, 0.1),  # 0.065, pushed legs
+        (COULOMB_FRICTION + "; sliding_speed_m_s: 0", COULOMB_FRICTION, 0.3, 0.4),  # 0.34: legs stick
         ("", COULOMB_FRICTION, 1.5, 2.0),  # 1.79
     ],
 )

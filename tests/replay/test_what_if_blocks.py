@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, sent_array, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import Fault, Mode, Warn
-from drivers.tick_columns import ROW
+from drivers.tick_columns import FIRST, ROW
 from hil.app.configuration.configuration import load
 from hil.app.what_if.allowed import refuse_other_inputs
 from hil.loop import what_if as kernel
@@ -95,7 +95,7 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
 
 VIRTUAL = load("virtual")
 CYCLE: Any = SimpleNamespace(
-    reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=None,
+    reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=FIRST, last=FIRST,
     parts=SimpleNamespace(protocol=SimpleNamespace(addressed=lambda frame: (frame.id,))),
 )  # fmt: skip
 """One that decides nothing; a frame is for the leg that its identifier names."""

@@ -43,7 +43,7 @@ def laws(benchmark: Benchmark) -> list[Figure]:
     period = 1.0 / c.loop.rate_Hz
     parts = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
     path = along(parts, c.loop.rate_Hz)
-    context = LawContext(parts.platform, parts.leg_spin, period, parts.trajectory)
+    context = LawContext(parts.platform, parts.model.leg_spin, period, parts.trajectory)
     figures = []
     own = {name: settings for name, settings in chosen(c).items() if settings.law != "state_space"}
     for name, settings in own.items():
@@ -57,11 +57,11 @@ def laws(benchmark: Benchmark) -> list[Figure]:
 
     delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
     compensated = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0, delay_compensation=delay)
-    predictor = build_predictor(compensated, parts.platform, parts.leg_spin, period)
+    predictor = build_predictor(compensated, parts.platform, parts.model.leg_spin, period)
     observer = build_observer(
         WrenchSettings(source="observer", bus_ms=0.5, drive_lag_ms=0.8),
         parts.platform,
-        parts.leg_spin,
+        parts.model.leg_spin,
         period,
     )
     assert predictor is not None

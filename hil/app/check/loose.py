@@ -89,7 +89,8 @@ def _on_the_path(
     c: Configuration, w: Walk, change: SpeedChange | None, jogged: tuple[float, float]
 ) -> Iterator[Limit]:
     """Yield the limits of force and motion."""
-    limits, pushed_N = c.limits, 2.0 * float(encoder_limits(c, c.loop.rate_Hz).push_N.max())
+    limits, encoders = c.limits, encoder_limits(c, c.loop.rate_Hz)
+    pushed_N = (1.0 if encoders.sticks else 2.0) * float(encoders.push_N.max())
     swings, disturbed_N = w.swings(1.0 / c.loop.rate_Hz), _disturbed_N(c)
     speed = max(float(np.abs(w.dq).max()), QUINTIC_PEAK * c.engage.approach_speed_m_s)
     jogged_N, jogged_m_s = jogged

@@ -5,7 +5,7 @@ from math import ceil, sqrt
 import numpy as np
 
 from hil.app.configuration.configuration import Configuration
-from hil.app.encoder_limits import AWAY, efficiencies, friction_N
+from hil.app.encoder_limits import AWAY, efficiencies, friction_N, stated_friction_N
 from hil.app.reachability import Walk, window_swing
 from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.guard import WINDOW_S
@@ -15,9 +15,9 @@ from hil.safety.residuals import MOVED
 def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     """Return what clips a push on the way along a reference, or what it does to a free leg; None: nothing.
 
-    A push acts both ways on top of the path's force. Where there is friction it comes at once: a leg that is
-    free is pushed until its motion is seen, after a time t, and the law takes as long to stop it: it moves by
-    up to push A t^2.
+    A push acts on top of the path's force, where there is no friction both ways. Where there is, it comes at
+    once: a leg that is free is pushed until its motion is seen, after a time t, and the law takes as long to
+    stop it: it moves by up to push A t^2.
     """
     if limits.watched_legs == 0:
         return None
@@ -26,11 +26,12 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     beside_m = max(sqrt(following_m) - sqrt(2.0 * MOVED * limits.length_noise_m), 0.0)
     ticks = ceil(WINDOW_S / (w.t[1] - w.t[0])) if len(w.t) > 1 else 1
     force, window = c.limits.force_N, c.limits.force_window_N
+    ways, both = (1.0, "") if limits.sticks else (2.0, " both ways")
     peak, swing = np.abs(w.tau).max(axis=0), window_swing(w.tau, ticks).max(axis=0)
     room = {
         f"limits.force_N {force:g}, of which the path takes {peak.max():.0f} N": force - peak,
-        f"limits.force_window_N {window:g} both ways, of which the path takes {swing.max():.0f} N": (
-            0.5 * (window - swing)
+        f"limits.force_window_N {window:g}{both}, of which the path takes {swing.max():.0f} N": (
+            (window - swing) / ways
         ),
     }
     if limits.sticks:
@@ -51,6 +52,6 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
         f"a leg that stands still is pushed by {limits.push_N[leg]:.0f} N, 2 x friction{losses} and what "
         f"monitor.disturbance_m_s2 asks for; that is too much for {what}, allowed: "
         f"{f'at most {most:.1f} N' if most >= 0.0 else 'no such push'}, given: {friction:g} N"
-        f"{'' if c.monitor.friction_N is not None else ' (assumed)'}; state the friction as measured, "
+        f"{' (assumed)' if friction > stated_friction_N(c) else ''}; state the friction as measured, "
         f"or raise {key}"
     )

@@ -126,7 +126,13 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
         raise LogError(
             f"{path}: limits cut the forces at {int(cut.sum())} ticks, the first one "
             f"{abs(since_s):.3f} s {side} the reference's start: what a limit "
-            "takes cannot be learned. Raise limits.force_N, force_step_N or force_window_N, or slow the "
-            "reference down"
+            f"takes cannot be learned. {_remedy(teaching[cut])}"
         )
     return len(approach), teaching
+
+
+def _remedy(cut: Rows) -> str:
+    """Return what to do about rows in which limits cut the forces."""
+    if (np.nan_to_num(cut["probe_force"]) != 0.0).any(axis=1).all():
+        return "Only pushes of legs that stood still were cut: state their friction as monitor.friction_N"
+    return "Raise limits.force_N, force_step_N or force_window_N, or slow the reference down"

@@ -89,10 +89,10 @@ def walked(force, swing=0.0):
 @pytest.mark.parametrize(
     ("force", "swing", "friction", "key"),
     [
-        (1400.0, 0.0, 430.0, None),
-        (1400.0, 0.0, 440.0, "limits.force_window_N 2000"),
-        (1500.0, 300.0, 355.0, None),
-        (1500.0, 300.0, 365.0, "limits.force_window_N 2000"),
+        (1400.0, 0.0, 480.0, None),
+        (1400.0, 0.0, 490.0, "limits.force_N 2500"),
+        (1500.0, 1300.0, 280.0, None),
+        (1500.0, 1300.0, 292.0, "limits.force_window_N 2000"),
         (-1600.0, 0.0, 380.0, None),
         (-1600.0, 0.0, 390.0, "limits.force_N 2500"),
     ],
@@ -139,12 +139,12 @@ def test_a_run_is_refused_with_place_value_what_is_allowed_and_how_to_mend_it():
         refuse_unreachable(stated(c, 1.01 * allowed + 1.0))
 
 
-def test_a_push_gets_the_ticks_in_which_its_force_can_turn_round():
-    """From one way to the other it changes by twice its size, by limits.force_step_N a tick."""
+def test_a_push_gets_the_ticks_in_which_its_force_can_rise_or_turn_round():
+    """By limits.force_step_N a tick; without friction, from one way to the other, by twice its size."""
     c = load("lab")
     limits = limits_of(c)
-    twice = 2.0 * limits.push_N.max()
-    for step, more in ((1.01 * twice, 0), (0.99 * twice, 1), (0.3 * twice, 3)):
+    whole = limits.push_N.max()
+    for step, more in ((1.01 * whole, 0), (0.99 * whole, 1), (0.3 * whole, 3)):
         slow = c.model_copy(update={"limits": c.limits.model_copy(update={"force_step_N": step})})
         assert limits_of(slow).push_ticks == limits.push_ticks + more
     free = load("virtual")

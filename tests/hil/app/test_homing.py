@@ -115,7 +115,7 @@ def test_a_platform_that_was_moved_by_hand_is_not_armed_and_the_replay_refuses_i
 
 @pytest.mark.parametrize(
     ("fault", "commands", "state"),
-    [((), [(1.2, "estop")], "parked"), (("encoder_lost leg=1 mode=TRACKING",), [], "moved")],
+    [((), [(1.2, "estop")], "parked"), (("encoder_lost leg=1 mode=TRACKING at=0.8",), [], "moved")],
 )
 def test_a_run_that_ends_in_a_fault_says_where_the_legs_are_only_if_it_knows(
     tmp_path, fault, commands, state

@@ -19,7 +19,11 @@ from hil.app.learn.runs import learning_run
 
 T, COUNT, LEAD = 1e-3, 300, 450
 PATH = Path("a.mcap")
-COLUMNS = [("tick", int), ("mode", int), ("faults", int), ("warnings", int), ("reference_time_s", float)]
+COLUMNS = [
+    *((name, int) for name in ("tick", "mode", "faults", "warnings")),
+    ("reference_time_s", float),
+    ("probe_force", float, 6),
+]
 
 
 def rows_of(approach: int) -> Any:

@@ -1,0 +1,98 @@
+"""Legs that friction holds where they turn round: no push where it is known, and a frozen encoder is found.
+
+A hexapod on racks, of 10 or 38 kg, with `legs` or `odrive` drives and 3 to 30 N of dry friction a leg.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hil
+from drivers.signals import Doubt
+from hil.cli import main
+
+HEAVY = {
+    "platform": {"platform": {"mass_kg": 38, "inertia_kg_m2": [[0.35, 0, 0], [0, 0.35, 0], [0, 0, 0.4]]}},
+    "limits": {"force_N": 290, "force_step_N": 120, "force_window_N": 280},
+}
+ODRIVE = {
+    "drives": {"protocol": "odrive", "options": None},
+    "loop": {"rate_Hz": 312.5},
+}
+LEGS = {"drives": {"protocol": "legs", "options": None, "transmission": None}}
+MOVED_m = 1e-4
+"""True motion from which a frozen encoder counts."""
+FOUND_s, FOUND_m = 0.06, 5e-3
+"""Within one of the two after that."""
+
+
+def moved(friction_N: float, drives: dict, *, heavy: bool = True, **more):
+    """Eight seconds of the hexapod, which replay exactly."""
+    plant = {"model": {"coulomb_friction_N": friction_N}}
+    changes = {**drives, "plant": plant, **(HEAVY if heavy else {})}
+    return hil.sim("desktop", duration_s=6.0, plant_log=True, **changes, **more)
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("drives", [LEGS, ODRIVE], ids=["legs", "odrive"])
+@pytest.mark.parametrize("friction_N", [3.0, 10.0, 30.0])
+def test_no_leg_is_pushed_that_known_friction_holds(friction_N, drives):
+    run = moved(friction_N, drives)
+    assert run.success, run.summary["trouble"]
+    stands = np.abs(np.diff(run.log.frame("plant.length").to_numpy(), axis=0)) < 1e-7
+    tracking = run.log.frame("mode")["mode"].to_numpy()[1:] == "TRACKING"
+    assert stands[tracking].any(), "friction does hold legs"
+    assert not run.log.frame("probe_force").to_numpy().any()
+    assert run.summary["probes"] is None
+
+
+@pytest.mark.parametrize("drives", [LEGS, ODRIVE], ids=["legs", "odrive"])
+@pytest.mark.parametrize("friction_N", [3.0, 10.0, 30.0])
+@pytest.mark.parametrize("at_s", [2.7, 3.9])
+def test_a_frozen_encoder_is_found_soon_after_its_leg_moves(friction_N, drives, at_s):
+    leg = 2
+    run = moved(friction_N, drives, faults=[f"encoder_freeze at={at_s} leg={leg}"])
+    assert run.summary["faults"] == ["ENCODER"]
+    (finding,) = run.summary["story"]["findings"]
+    assert finding["leg"] == leg
+    true = run.log.frame("plant.length").iloc[:, leg]
+    off = (true - true.loc[at_s:].iloc[0]).abs().loc[at_s : finding["time_s"]]
+    moves = off[off > MOVED_m]
+    assert finding["time_s"] - moves.index[0] < FOUND_s or off.iloc[-1] < FOUND_m if len(moves) else True
+
+
+def test_a_push_for_friction_that_nobody_stated_is_seen_in_column_event_and_summary():
+    run = moved(10.0, LEGS, monitor={"friction_N": 5.0})
+    force = run.log.frame("probe_force").to_numpy()
+    pushes = int(((force[1:] != 0.0) & (force[:-1] == 0.0)).sum())
+    assert run.success
+    assert pushes > 0
+    assert run.summary["probes"]["pushes"] == pushes
+    assert run.summary["probes"]["largest_N"] == pytest.approx(np.abs(force).max())
+    events = [each.text for each in run.log.events() if "stands still" in each.text]
+    assert len(events) == pushes
+    assert "monitor.friction_N" in events[0]
+    sent, asked = (run.log.frame(name).to_numpy() for name in ("tau", "tau_law"))
+    there = run.log.frame("mode")["mode"].to_numpy() == "TRACKING"
+    late = run.log.frame("t_ns").index.to_numpy() > 3.0  # the entry offset has faded
+    np.testing.assert_allclose((sent - asked)[there & late], force[there & late], atol=1e-9)
+
+
+def test_a_brake_that_did_not_open_is_found_where_friction_is_known():
+    run = moved(10.0, LEGS, faults=["brake_stuck_closed leg=1 at=1"])
+    (finding, *_) = run.summary["story"]["findings"]
+    assert (finding["fault"], finding["leg"]) == ("ENCODER", 1)
+    assert run.log.frame("doubt", numbers=True)["doubt"].max() == Doubt.STILL
+
+
+def test_a_run_with_friction_teaches():
+    """Limits that pushes ran into had cut the forces, and such a run was refused."""
+    run = hil.sim("desktop", **ODRIVE, **HEAVY, plant={"model": {"coulomb_friction_N": 10.0}}, log="run.mcap")
+    learned = CliRunner().invoke(main, ["learn", str(run.log.path), "-o", "next.csv"])
+    assert learned.exit_code == 0, learned.output

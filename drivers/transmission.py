@@ -72,11 +72,14 @@ class Transmission:
 
     def __init__(self, settings: TransmissionSettings) -> None:
         """Take the configured ones; a value for all legs is repeated."""
-        radius_m, gear, sign = settings.pulley_radius_m or 0.0, _row(settings.gear_ratio), _row(settings.sign)
-        lead_m = 2.0 * pi * _row(radius_m) if settings.lead_m is None else _row(settings.lead_m)
-        self.m_per_turn = sign * lead_m / gear
+        radius_m, gear = settings.pulley_radius_m or 0.0, _row(settings.gear_ratio)
+        self.lead_m = 2.0 * pi * _row(radius_m) if settings.lead_m is None else _row(settings.lead_m)
+        """m of leg a turn of the screw or pulley, > 0."""
+        self.sign = _row(settings.sign)
+        """1 where positive turns of the motor extend the leg, else -1."""
+        self.m_per_turn = self.sign * self.lead_m / gear
         """m of leg a turn of the motor, signed: s l / N."""
-        self.N_per_Nm = sign * (2.0 * pi) * gear / lead_m
+        self.N_per_Nm = self.sign * (2.0 * pi) * gear / self.lead_m
         """N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
         self.driving, self.back_driving = _row(settings.efficiency), _row(settings.back_driving_efficiency)
         """eta_d and eta_b, > 0 to 1."""

@@ -36,5 +36,5 @@ def defined():
 
 def test_the_drawing_names_each_error_with_its_parent_and_its_module():
     there = sorted(defined())
-    assert len(there) == 19
+    assert len(there) == 17
     assert sorted(drawn()) == there

@@ -101,9 +101,8 @@ class InPython(Pointed):
     """A function of integers, as compiled passes call one by its address. It may not raise."""
 
     def __init__(self, function: Callable[..., int], arguments: int) -> None:
-        kinds = (INTEGER,) * arguments
-        address, self.keeps = of_python(function, *kinds)
-        super().__init__(address, kinds, function)
+        address, self.keeps = of_python(function, *[INTEGER] * arguments)
+        super().__init__(address, ("", b""), function)
 
 
 UNUSED = np.dtype([("unused", "<i8")])

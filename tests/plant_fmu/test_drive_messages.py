@@ -73,7 +73,7 @@ class AskedDrives(LegsDrives):
         super().__init__(family)
         self._decode = self.parse
         address, self._keeps = of_python(self._look, *[INTEGER] * 3)
-        self.parse = Pointed(address, (INTEGER,) * 3, self._look)
+        self.parse = Pointed(address, ("", b""), self._look)
 
     def _look(self, end: int, frame_at: int, messages: int) -> int:
         (frame,) = array_at(frame_at, 1, FRAME)
@@ -123,7 +123,7 @@ def test_a_status_is_due_at_its_heartbeat_and_not_where_something_has_changed():
             super().__init__(family)
             self._reports = self.report
             address, self._keeps = of_python(self._note, *[INTEGER] * 8)
-            self.report = Pointed(address, (INTEGER,) * 8, self._note)
+            self.report = Pointed(address, ("", b""), self._note)
 
         def _note(self, *given: int) -> int:
             said.append((given[1], bool(given[6])))

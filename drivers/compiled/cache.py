@@ -23,7 +23,7 @@ ROOMS = {
     "drivers.can": ("drivers",),
     "drivers.cia402": ("drivers",),
     "drivers.mit": ("drivers",),
-    "drivers.moteus": ("drivers",),
+    "drivers.moteus": ("drivers.can",),
     "drivers.odrive": ("drivers",),
     "plant_fmu": ("drivers.cia402", "drivers.mit", "drivers.moteus", "drivers.odrive"),
     "hil.config": ("drivers",),

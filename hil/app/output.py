@@ -314,11 +314,8 @@ def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
             yield label, replay_sentence(value)
         elif not isinstance(value, dict):
             yield label, _text(value, unit)
-        elif key == "probes":
-            yield (
-                label,
-                f"{value['pushes']} pushes of legs that stood still, by {value['largest_N']:.3g} N at most",
-            )
+        elif key == "pushes":
+            yield label, f"{value['count']} of legs that stood still, by {value['largest_N']:.3g} N at most"
         elif set(value) == {"p50", "p99", "max"}:
             yield label, ", ".join(f"{k} {number(v)}" for k, v in value.items()) + f" {unit}"
         elif key == "limited_ticks":

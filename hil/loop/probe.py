@@ -82,7 +82,7 @@ def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
         most = limits.push_N[i] / rise if limits.sticks != 0 else 2.0 * limits.push_N[i] / max(ticks, 1)
         was = last.probe_force[i]
         tick.probe_force[i] = min(max(force, was - most), was + most)
-        begins = begins or (was == 0.0 and tick.probe_force[i] != 0.0)
+        begins = begins or (was == 0.0 and abs(memory.push[i]) == 1)
     return begins
 
 

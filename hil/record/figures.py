@@ -32,7 +32,7 @@ def figures(rows: Rows) -> dict[str, Any]:
         "tracking": {"ticks": int(tracking.sum())} | errors(_only(rows, tracking, FOLLOWED)),
         "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),
         "limited_ticks": limited_ticks(rows),
-        "probes": probes(rows),
+        "pushes": pushes(rows),
         "wake_up_us": _percentiles(rows["lateness_ns"] / 1e3),
         "compute_us": _percentiles(rows["compute_ns"][1:] / 1e3),
         "stale_ticks": int(np.count_nonzero((rows["age"] > 0).any(axis=1) & powered)),
@@ -86,17 +86,17 @@ def limited_ticks(rows: Rows) -> dict[str, int]:
     return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
 
 
-def probes(rows: Rows) -> dict[str, Any] | None:
-    """Return how often legs were pushed to see whether they move, and the largest such force.
+def pushes(rows: Rows) -> dict[str, Any] | None:
+    """How often legs were pushed to see whether they move, and the largest such force.
 
     None where no leg was, or the log is older than the column.
     """
     force = np.nan_to_num(np.abs(rows["probe_force"]))
     if not force.any():
         return None
-    pushed = force > 0.0
-    began = pushed & ~np.concatenate([np.zeros((1, LEGS), np.bool_), pushed[:-1]])
-    return {"pushes": int(began.sum()), "largest_N": float(force.max()), "legs": began.sum(axis=0).tolist()}
+    pushed = np.concatenate([np.zeros((2, LEGS), np.bool_), force > 0.0])
+    began = pushed[2:] & ~pushed[1:-1] & ~pushed[:-2]  # a push that turns round may be 0 for a tick
+    return {"count": int(began.sum()), "largest_N": float(force.max()), "legs": began.sum(axis=0).tolist()}
 
 
 def certificate(rows: Rows) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def test_one_trouble_on_the_bus_is_told_though_there_was_no_other(column):
 def test_a_run_of_no_tick_has_figures_that_say_so():
     assert figures(rows_of(0)) == {
         "ticks": 0, "duration_s": 0.0, "final_mode": None, "faults": [], "tracking": {"ticks": 0}, "peak_force_N": 0.0,
-        "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 0, "FORCE_WINDOW": 0}, "probes": None, "wake_up_us": {}, "compute_us": {},
+        "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 0, "FORCE_WINDOW": 0}, "pushes": None, "wake_up_us": {}, "compute_us": {},
         "stale_ticks": 0, "skipped_ticks": 0, "rejected_frames": 0, "dropped_ticks": 0,
     }  # fmt: skip
 

@@ -42,7 +42,7 @@ def report_encoders(report: Report, c: Configuration) -> None:
     strayed_m, tested_s = SUSPECT * noise_m, limits.push_ticks * T
     drift_m_s, late_m = slip_m / WINDOW_S, c.limits.speed_m_s * T
     beside = "that makes the rate leap" if limits.differences else "beside the rate"
-    ways = "one way" if limits.sticks else "each way"
+    then, ways = ("beyond known friction", "one way") if limits.sticks else ("then", "each way")
     push = f"a push of up to {limits.push_N.max():.0f} N"
     within = f"{1e3 * WINDOW_S:g} ms"
     stays = f"within {1e6 * noise_m:g} um while a leg strays by {1e3 * strayed_m:g} mm"
@@ -53,7 +53,7 @@ def report_encoders(report: Report, c: Configuration) -> None:
         f"jump        {1e3 * jump_m:.3f} mm from one reading to the next {beside}",
         f"slip        {1e3 * slip_m:.3f} mm and {scale} of the way in {within}",
         f"rate        {leap_m_s:.3f} m/s of one leg in a tick, which force and disturbance do not explain",
-        f"standstill  {stays}; then {push},",
+        f"standstill  {stays}; {then} {push},",
         f"            more than {friction_N(c):g} N of friction, {1e3 * tested_s:.0f} ms {ways}",
         f"drift       as of the rate: {NOT_OBSERVABLE} in motion, at any",
         f"            speed; leaves speed x time. On closed brakes BRAKE beyond {braked_mm:g} mm",

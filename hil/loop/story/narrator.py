@@ -14,8 +14,8 @@ from hil.loop.story.told import DONE, DriveSaid, Finding, Moment, Step, Story, d
 from hil.signals import Operator
 
 PUSHED = (
-    "leg {leg} stands still while it or another leg strays: pushed, at first by {force_N:+.3g} N, to see "
-    "whether it moves; where friction held it, state that as monitor.friction_N"
+    "leg {leg} stands still while a leg strays: it is pushed by up to {most_N:.3g} N to see whether it "
+    "moves; if friction held it, state monitor.friction_N"
 )
 EventSink = Callable[[int, str, str], None]
 """Takes t_ns, level and text of an event."""
@@ -64,10 +64,11 @@ class Narrator:
             self._reset_tick = cycle.reset_tick
             self._forget()
         faults, mode = cycle.faults, cycle.mode
-        began = (cycle.last["probe_force"] == 0.0) & (cycle.tick["probe_force"] != 0.0)
+        safety = cycle.parts.safety
+        began = (cycle.last["probe_force"] == 0.0) & (abs(safety.memory["push"]) == 1)
         for leg in began.nonzero()[0].tolist():
-            force_N = float(cycle.tick["probe_force"][leg])
-            self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, force_N=force_N))
+            most_N = float(safety.limits["push_N"][leg])
+            self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, most_N=most_N))
         if faults:
             if cycle.estop or (self._off_tick is not None and self._all_off is None):
                 self._wait(cycle)

@@ -114,7 +114,7 @@ class ControllerEnd(ABC):
         return tuple(not each for each in self.lacks())
 
     def carried(self, force: Array) -> Array:
-        """Return what a command of forces (6,) N gives legs at rest: a field may have steps."""
+        """Return the forces (6,) N that legs at rest get for a command: a field may have steps."""
         return force
 
     def presume_running(self) -> None:  # noqa: B027 - some commands are the same to all

@@ -53,7 +53,7 @@ class Family(ABC):
         """Return the controller's end. Raises ProtocolError if the set-up does not fit."""
 
     def fault_text(self, _code: int) -> str:
-        """Return what a fault code of the drive's own means, as its maker says; empty if unknown."""
+        """Meaning of a fault code of the drive's own, in its maker's words; empty if unknown."""
         return ""
 
     def said_by(self, _frame: Frame) -> Said | None:

@@ -21,7 +21,7 @@ def open_regular(path: Path) -> BinaryIO:
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY)
     if not stat.S_ISREG(os.fstat(fd).st_mode):
         os.close(fd)
-        raise OSError(0, "is no regular file (a folder, pipe, socket or device)", str(path))
+        raise OSError(0, "not a regular file (a folder, pipe, socket or device)", str(path))
     os.set_blocking(fd, True)
     return os.fdopen(fd, "rb")
 

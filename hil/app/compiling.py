@@ -1,4 +1,4 @@
-"""What the first compilation says while it lasts: which kernel it is at, and how long that may take."""
+"""Progress of the first compilation: which kernel it is at, and how long that may take."""
 
 import re
 import sys

@@ -149,13 +149,13 @@ def efficiencies(c: Configuration) -> tuple[Array, Array]:
 
 
 def believed_mass_kg(c: Configuration) -> Array:
-    """Return what motor and screw add along each leg as the controller believes, (6,) kg."""
+    """Mass that motor and screw add along each leg as the controller believes, (6,) kg."""
     believed = c.controller.believed
     return np.broadcast_to(0.0 if believed is None else np.array(believed.reflected_mass_kg, float), LEGS)
 
 
 def stated_friction_N(c: Configuration) -> float:
-    """Return the dry friction that is configured or identified, N."""
+    """Dry friction that is configured or identified, N."""
     if c.monitor.friction_N is not None:
         return c.monitor.friction_N
     believed = c.controller.believed
@@ -166,7 +166,7 @@ def stated_friction_N(c: Configuration) -> float:
 
 
 def friction_N(c: Configuration) -> float:
-    """Return the dry friction that may hold a leg still, N: stated, or assumed where nobody knows."""
+    """Dry friction that may hold a leg still, N: stated, or assumed where nobody knows."""
     stated = stated_friction_N(c)
     emulated = c.plant is not None and isinstance(c.plant.model, StewartPlant | BenchPlant)
     if emulated or c.monitor.friction_N is not None:

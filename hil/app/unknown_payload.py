@@ -43,7 +43,7 @@ class UnknownPayload(NamedTuple):
 
 
 def unknown_payload(c: Configuration, along_legs_kg: ArrayLike = 0.0) -> UnknownPayload:
-    """Return what a payload within its ranges does; nothing beyond the model where it has none.
+    """Mobility and accelerations by a payload within its ranges; those of the model where it has none.
 
     along_legs_kg: (6,) kg or one for all legs, what motor and screw add along each.
     """

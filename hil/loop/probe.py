@@ -65,7 +65,7 @@ def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int) -> None
 
 @helper
 def beyond(force: float, load: float, friction: float, driving: float, back_driving: float) -> float:
-    """Return by how much a force, N, is beyond what friction holds of a load, N; 0: friction may hold it."""
+    """Force, N, beyond what friction holds of a load, N; 0: friction may hold the leg."""
     high, low = load + friction, load - friction
     high = high / driving if high > 0.0 else high * back_driving
     low = low / driving if low < 0.0 else low * back_driving
@@ -88,7 +88,7 @@ def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
 
 @helper
 def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
-    """Return the force that is added to a leg, N; 0 where it is not pushed.
+    """Force that is added to a leg, N; 0 where it is not pushed.
 
     Where it sticks, one way, within `rise` ticks to the whole force; 1: at once. Else `ticks` its first way,
     then the other, along straight lines.

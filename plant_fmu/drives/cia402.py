@@ -127,7 +127,7 @@ class Cia402Drives(DrivesEnd):
         self._send(leg, o.SDO_REPLY_ID, o.abort(key, code) if code else answer)
 
     def _write(self, leg: int, key: Key, specifier: int, data: bytes) -> int:
-        """Take a download and do what it says; return the abort code."""
+        """Take a download and carry it out; return the abort code."""
         if not specifier & 2:
             return o.TOO_LONG
         d, said = self.state[leg], 4 - (specifier >> 2 & 3) if specifier & 1 else 0

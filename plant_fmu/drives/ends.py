@@ -116,7 +116,7 @@ class DrivesEnd:
         return self.messages[: self._count]
 
     def announce(self, leg: int, state: int, fault: int = 0) -> tuple[Frame, ...]:
-        """Return what a drive that is not set up sends at its heartbeat."""
+        """Frames that a drive sends at its heartbeat before it is set up."""
         count = self.report(self.record, leg, state, fault, -1, 0, 1, self._frames)
         return sent_frames(self._frames[:count])
 

@@ -211,7 +211,7 @@ def _read(n: Any) -> int:
 
 @helper
 def _answers(n: Any) -> int:
-    """Fill in what the drives answer that are asked; return how many frames, FAILED for what is no number."""
+    """Fill in the answers of the drives that a SYNC names; return how many, or FAILED (a reading is nan)."""
     into = n.out + n.sent * _FRAME
     if not n.wired:
         return int(call(n.answer, (n.end, n.asked, n.reading, into, n.senders)))

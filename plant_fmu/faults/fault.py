@@ -203,5 +203,5 @@ class FrameFault(Passage):
         return [(t_ns, frame)]
 
     def strike(self, t_ns: int, frame: Frame, _generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Return what becomes of a frame that is struck. May draw from the generator."""
+        """Frames that are left of one that is struck. May draw from the generator."""
         return [(t_ns, frame)] * self.copies

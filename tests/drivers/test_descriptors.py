@@ -34,7 +34,7 @@ def test_what_is_no_regular_file_or_too_large_is_closed(tmp_path):
     os.mkfifo(pipe)
     large.write_bytes(bytes(11))
     for path in (tmp_path, pipe):
-        assert refused(partial(open_regular, path), OSError, "no regular file") == 0
+        assert refused(partial(open_regular, path), OSError, "not a regular file") == 0
     assert refused(lambda: read_regular(large, 10), OSError, "more than the 10 bytes") == 0
 
 

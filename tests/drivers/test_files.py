@@ -141,7 +141,7 @@ def test_a_file_is_read_as_any_other_although_a_pipe_of_its_name_would_not_have_
         assert os.get_blocking(file.fileno())
         assert file.read() == bytes(3)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(OSError, match="not a regular file"):
         open_regular(tmp_path / "pipe")
 
 

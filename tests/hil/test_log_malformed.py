@@ -193,9 +193,9 @@ def test_names_of_more_buses_than_a_robot_has_are_refused_before_frames_are_laid
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.mcap")
-    with pytest.raises(LogError, match="no regular file"):
+    with pytest.raises(LogError, match="not a regular file"):
         Log(tmp_path / "pipe.mcap")
-    with pytest.raises(LogError, match="no regular file"):
+    with pytest.raises(LogError, match="not a regular file"):
         salvage(tmp_path / "pipe.mcap", tmp_path / "out.mcap")
 
 

@@ -292,7 +292,7 @@ def test_a_folder_with_the_name_of_a_shipped_configuration_does_not_hide_it(tmp_
         Path(name).mkdir()
     Path("own").mkdir()
     assert [load(name).name for name in shipped()] == list(shipped())
-    with pytest.raises(ConfigurationError, match="own: cannot be read: is no regular file"):
+    with pytest.raises(ConfigurationError, match="own: cannot be read: not a regular file"):
         load("own")
 
 

@@ -45,7 +45,7 @@ def pipe(tmp_path):
 
 @pytest.mark.parametrize("read", [load, read_pairs, lambda path: read_poses(path, 2)])
 def test_a_pipe_is_refused_and_not_waited_for(pipe, read):
-    with pytest.raises(ConfigurationError, match="no regular file"):
+    with pytest.raises(ConfigurationError, match="not a regular file"):
         read(pipe)
 
 

@@ -105,11 +105,12 @@ def is_as_read(file: Path) -> bool:
 
 def place_of(function: Callable[..., Any], kind: str) -> Path | None:
     """Return where a kernel is kept that is compiled for `kind`; None: nowhere."""
-    folder = _folder_of(source_of(function))
+    file = source_of(function)
+    folder = _folder_of(file)
     if folder is None or function.__closure__:
         return None
     name = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
-    return folder / f"{name}-{hashlib.sha256(kind.encode()).hexdigest()[:8]}.kernel"
+    return folder / f"{name}-{hashlib.sha256(kind.encode() + _content(file)).hexdigest()[:8]}.kernel"
 
 
 def source_of(function: Callable[..., Any]) -> Path:

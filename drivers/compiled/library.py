@@ -10,6 +10,7 @@ Here the names are kept, and the bitcode is parsed when a kernel that calls this
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -24,6 +25,7 @@ from drivers.files import made_folder, whole_file
 
 # ruff: noqa: SLF001 - Numba has no public way
 
+_DIGEST = hashlib.sha256().digest_size
 _ENTRIES = "_ZN7cpython", "cfunc."
 """How the names of functions begin that Python or C calls."""
 
@@ -81,7 +83,10 @@ class Kept:
         target.refresh()
         file = self._file(signature, target)
         try:
-            library, rest = pickle.loads(file.read_bytes() if file else b"")  # noqa: S301 - of this user alone
+            kept = file.read_bytes() if file else b""
+            if hashlib.sha256(kept[_DIGEST:]).digest() != kept[:_DIGEST]:
+                raise ValueError("damaged")
+            library, rest = pickle.loads(kept[_DIGEST:])  # noqa: S301 - of this user alone
             self.code = library[1]
         except Exception:  # noqa: BLE001 - whatever a damaged file raises
             cache.tell(compiling=True)
@@ -95,7 +100,8 @@ class Kept:
         file = self._file(signature, result.target_context)
         if file and cache.is_as_read(cache.source_of(self._function)):
             with contextlib.suppress(OSError), whole_file(made_folder(file.parent) / file.name) as new:
-                new.write_bytes(pickle.dumps(((name, self.code, names, bitcode), rest)))
+                kept = pickle.dumps(((name, self.code, names, bitcode), rest))
+                new.write_bytes(hashlib.sha256(kept).digest() + kept)
         cache.tell(compiling=False)
 
     def _file(self, signature: Any, target: Any) -> Any:

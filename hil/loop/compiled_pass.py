@@ -38,6 +38,7 @@ CONTROL = np.dtype(
         ("learn", "<i8"), ("learner", "<i8"), ("predict", "<i8"), ("predictor", "<i8"),
         ("law", "<i8"), ("gains", "<i8"), ("constants", "<i8"), ("code", "<i8"),
         ("robot", "<i8"),  # the model's constants by which legs bear their load
+        ("senses_wrench", "<i8"),  # 1: a sensor gives the external wrench
         # records of the parts
         ("estimator", "<i8"), ("motion", "<i8"), ("override", "<i8"), ("sample", "<i8"), ("ahead", "<i8"),
         ("limits", "<i8"), ("memory", "<i8"),
@@ -305,7 +306,7 @@ def judge_pass(c: Any, tick: Any) -> bool:
     faults, warnings, c.verdict[2] = judge(seen, limits, memory, window, watched)
     if powered(c.mode):
         if memory.strays:
-            look(tick, limits, memory, window, c.robot)
+            look(tick, limits, memory, window, c.robot, c.senses_wrench)
         begins = fill_probe(tick, _tick_at(c.last), limits, memory)
     law, limited = limit(seen, limits, memory, window, watched)
     c.verdict[0], c.verdict[1] = faults | law, warnings | limited | c.sensor_late

@@ -81,6 +81,7 @@ class Control:
         if parts.wrench.has_source or parts.sensors is not None:
             c["load"] = load
         c["has_load"] = parts.wrench.has_source
+        c["senses_wrench"] = parts.wrench.has_source and parts.wrench.observer is None
         if effort.learned is not None:
             c["learn"], c["learner"] = effort.learned.look[:2]
         if parts.predictor is not None:

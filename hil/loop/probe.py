@@ -18,6 +18,8 @@ or by up to three times the friction, moves then.
 from math import copysign
 from typing import Any
 
+import numpy as np
+
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.compiled.pointed import reals_at
@@ -30,14 +32,18 @@ KNOWN = 0.02
 
 
 @helper
-def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int) -> None:
+def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_wrench: int) -> None:
     """Decide which of the legs that stand still are to be pushed, or pushed on.
 
     limits, memory: records of `hil.safety.kernels`; window: the forces sent, see `hil.safety.force_limits`;
-    robot: address of the constants of the model of the load, see `hil.robot.dynamics_kernels`.
+    robot: address of the constants of the model of the load, see `hil.robot.dynamics_kernels`;
+    senses_wrench: not 0 where a sensor gives the external wrench. That of an observer does not count: to it a
+    leg that stands under a force bears a load.
     """
-    c = reals_at(robot, SIZE)
-    load = inverse_dynamics_kernel(c, FULL, tick.p, tick.R, tick.twist, tick.dtwist_d, tick.wrench)
+    c, wrench = reals_at(robot, SIZE), np.zeros(6)
+    if senses_wrench:
+        wrench[:] = tick.wrench
+    load = inverse_dynamics_kernel(c, FULL, tick.p, tick.R, tick.twist, tick.dtwist_d, wrench)
     acting = window[(memory.newest - limits.acting_ticks) % limits.window_ticks]
     for i in range(LEGS):
         if not memory.strays >> i & 1:
@@ -51,11 +57,11 @@ def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int) -> None
         )
         if memory.push[i] != 0:
             way = 1 if memory.push[i] > 0 else -1
-            # at its end the push counts where the model, too, finds the leg beyond what friction holds
             if abs(memory.push[i]) < limits.push_ticks or excess * way > 0.0:
                 memory.push[i] += way
-            continue
-        if excess == 0.0:
+                continue
+            memory.push[i] = 0  # the law works against it: the push proves nothing
+        if excess == 0.0 or memory.free_m[i] * excess < 0.0:
             memory.free_m[i] = memory.free_m_s[i] = 0.0
         memory.free_m_s[i] += excess * limits.mobility_low[i] * limits.period_s
         memory.free_m[i] += memory.free_m_s[i] * limits.period_s

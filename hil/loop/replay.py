@@ -147,7 +147,8 @@ class Block(NamedTuple):
         words = self.ticks.records[self.span].view(np.int64)[:, :_ROW_WORDS]
         recorded = self.recorded.view(np.float64).reshape(count, _ROW_WORDS)
         unlike = words != recorded.view(np.int64)
-        unlike[:, -_LATER_WORDS:] &= ~np.isnan(recorded[:, -_LATER_WORDS:])
+        if np.isnan(recorded[:, -_LATER_WORDS:]).all():
+            unlike[:, -_LATER_WORDS:] = False
         columns: Flags = unlike.any(axis=1)
         sent = [entry.sent_items for entry in self.entries]
         wire = np.zeros(count, np.bool_)

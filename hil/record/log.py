@@ -113,7 +113,9 @@ class Log(LogFile):
         if rows.dtype.itemsize == self.dtype.itemsize:
             return rows
         whole = np.full((len(rows), self.dtype.itemsize // 8), np.nan)
-        whole[:, : rows.dtype.itemsize // 8] = rows.view(np.float64).reshape(len(rows), -1)
+        whole[:, : rows.dtype.itemsize // 8] = rows.view(np.float64).reshape(
+            len(rows), rows.dtype.itemsize // 8
+        )
         return whole.view(self.dtype)[:, 0]
 
     @cached_property

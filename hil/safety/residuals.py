@@ -36,10 +36,10 @@ explains as much. A latch that is late is a jump by its way, and one back: its l
 
 A reading that stands still while its leg must move: a frozen encoder, or a brake that is shut. A leg whose
 reading stays within its noise is suspected once it, or another leg, is farther from the reference than when
-that began. A load may leave a leg still by chance, and friction may hold it. So it is pushed, one way and
-then the other, as load and law may change while the first lasts: where there is friction by more than it can
-hold, at once, or as slowly as a light platform needs that is not to leap when it comes free; where there is
-none by a force that rises and falls, which nobody feels. A reading that does not move under that is not that
+that began. A load may leave a leg still by chance, and friction may hold it. So it is pushed: without
+friction one way and then the other, as load and law may change while the first lasts, by a force that rises
+and falls, which nobody feels; with friction as `hil.loop.probe` has it, at once, or as slowly as a light
+platform needs that is not to leap when it comes free. A reading that does not move under that is not that
 of a free leg. What a leg does that was pushed makes no other one suspect until it has settled: pushes would
 go from leg to leg.
 """

@@ -129,11 +129,32 @@ def test_a_damaged_file_is_compiled_again(package):
     package()
     (kept,) = (package.folder.parent / "cache").rglob("*.kernel")
     content = kept.read_bytes()
-    for damaged in (b"", content[:1000], b"no pickle at all"):
+    middle = len(content) // 2
+    flipped = (
+        content[:middle] + bytes(255 - each for each in content[middle : middle + 8]) + content[middle + 8 :]
+    )
+    for damaged in (b"", content[:1000], b"no pickle at all", flipped):
         kept.write_bytes(damaged)
         assert compiles(package)
         assert not compiles(package)
     assert not [each for each in kept.parent.iterdir() if each != kept]
+
+
+def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
+    """As of two scripts, both `__main__`, with one function on the same line."""
+    names, places = ("one", "other"), set()
+    for name, factor in zip(names, (2.0, 5.0), strict=True):
+        (package.folder / f"{name}.py").write_text(f"def scaled(x):\n    return {factor} * x\n")
+    package()
+    for name in names:
+        spec = importlib.util.spec_from_file_location("script", package.folder / f"{name}.py")
+        assert spec
+        assert spec.loader
+        made = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(made)
+        places.add(cache.place_of(made.scaled, "kind"))
+    assert len(places) == 2
+    assert None not in places
 
 
 def test_what_cannot_be_written_is_compiled_for_the_process_alone(package, monkeypatch):

@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from hil.app.replay_suite import replay_case
 from hil.cli import main
+from hil.record.log import Log
 from tests.golden.logs import FOLDER, LOGS, QUICK
 
 
@@ -29,3 +31,16 @@ def test_all_frozen_logs_replay_as_one_suite(tmp_path):
     assert result.exit_code == 0, result.output
     summary = json.loads(report.read_text())
     assert (summary["passed"], summary["failed"], summary["skipped"]) == (len(LOGS), 0, 0)
+
+
+def test_an_older_log_that_is_cut_gives_its_rows_without_the_later_column(tmp_path):
+    data, counts = (FOLDER / "ideal.mcap").read_bytes(), []
+    for size in range(100_000, len(data), 10_000):
+        (tmp_path / "cut.mcap").write_bytes(data[:size])
+        log = Log(tmp_path / "cut.mcap")
+        rows = log.rows()
+        assert np.isnan(rows["probe_force"]).all()
+        assert sum(len(block) for block in log.blocks()) == len(rows)
+        counts.append(len(rows))
+    assert counts == sorted(counts)
+    assert counts[-1] > 100

@@ -94,3 +94,17 @@ def test_a_run_with_friction_teaches():
     run = hil.sim("desktop", **ODRIVE, **HEAVY, plant={"model": {"coulomb_friction_N": 10.0}}, log="run.mcap")
     learned = CliRunner().invoke(main, ["learn", str(run.log.path), "-o", "next.csv"])
     assert learned.exit_code == 0, learned.output
+
+
+@pytest.mark.parametrize("drives", [LEGS, ODRIVE], ids=["legs", "odrive"])
+@pytest.mark.parametrize("fault", ["brake_stuck_closed leg=1 at=1", "encoder_freeze at=2.7 leg=1"])
+def test_an_observer_takes_no_leg_that_stands_for_a_load(fault, drives):
+    observer = {"wrench": {"source": "observer"}}
+    run = moved(10.0, drives, estimation=observer, faults=[fault])
+    (finding, *_) = run.summary["story"]["findings"]
+    assert (finding["fault"], finding["leg"]) == ("ENCODER", 1)
+    true, wanted = (
+        run.log.frame(name).iloc[:, 1].loc[: finding["time_s"]] for name in ("plant.length", "q_d")
+    )
+    assert abs(true - wanted).iloc[-1] < FOUND_m
+    assert moved(10.0, drives, estimation=observer).summary["pushes"] is None

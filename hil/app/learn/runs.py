@@ -134,5 +134,5 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
 def _remedy(cut: Rows) -> str:
     """Remedy for rows in which limits cut the forces."""
     if (np.nan_to_num(cut["probe_force"]) != 0.0).any(axis=1).all():
-        return "Only pushes of legs that stood still were cut: state their friction as monitor.friction_N"
+        return "Only pushes of legs that stood still were cut: state monitor.friction_N, or the load"
     return "Raise limits.force_N, force_step_N or force_window_N, or slow the reference down"

@@ -15,7 +15,7 @@ from hil.signals import Operator
 
 PUSHED = (
     "leg {leg} stands still while a leg strays: it is pushed by up to {most_N:.3g} N to see whether it "
-    "moves; if friction held it, state monitor.friction_N"
+    "moves; if it was held by friction, state monitor.friction_N, if by a load, that load"
 )
 EventSink = Callable[[int, str, str], None]
 """Takes t_ns, level and text of an event."""

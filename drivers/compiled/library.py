@@ -84,9 +84,8 @@ class Kept:
         file = self._file(signature, target)
         try:
             kept = file.read_bytes() if file else b""
-            if hashlib.sha256(kept[_DIGEST:]).digest() != kept[:_DIGEST]:
-                raise ValueError("damaged")
-            library, rest = pickle.loads(kept[_DIGEST:])  # noqa: S301 - of this user alone
+            whole = hashlib.sha256(kept[_DIGEST:]).digest() == kept[:_DIGEST]
+            library, rest = pickle.loads(kept[_DIGEST:] if whole else b"")  # noqa: S301 - of this user alone
             self.code = library[1]
         except Exception:  # noqa: BLE001 - whatever a damaged file raises
             cache.tell(compiling=True)

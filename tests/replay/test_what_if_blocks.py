@@ -96,10 +96,7 @@ def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_ar
 VIRTUAL = load("virtual")
 CYCLE: Any = SimpleNamespace(
     reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=FIRST, last=FIRST,
-    parts=SimpleNamespace(
-        protocol=SimpleNamespace(addressed=lambda frame: (frame.id,)),
-        safety=SimpleNamespace(memory={"push": np.zeros(6)}),
-    ),
+    parts=SimpleNamespace(protocol=SimpleNamespace(addressed=lambda frame: (frame.id,))),
 )  # fmt: skip
 """One that decides nothing; a frame is for the leg that its identifier names."""
 KINDS = ["tracker", "imu", "wrench"]

@@ -64,17 +64,22 @@ class Narrator:
             self._reset_tick = cycle.reset_tick
             self._forget()
         faults, mode = cycle.faults, cycle.mode
-        safety = cycle.parts.safety
-        began = (cycle.last["probe_force"] == 0.0) & (abs(safety.memory["push"]) == 1)
-        for leg in began.nonzero()[0].tolist():
-            most_N = float(safety.limits["push_N"][leg])
-            self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, most_N=most_N))
+        if cycle.tick["probe_force"].any():
+            self._push(cycle)
         if faults:
             if cycle.estop or (self._off_tick is not None and self._all_off is None):
                 self._wait(cycle)
             if mode is not self._mode or faults != self._faults:
                 self._follow(cycle, faults, Operator.RELEASE in operator)
         self._mode, self._mode_tick = mode, cycle.mode_tick
+
+    def _push(self, cycle: Cycle) -> None:
+        """Make an event of each push that begins."""
+        safety = cycle.parts.safety
+        began = (cycle.last["probe_force"] == 0.0) & (abs(safety.memory["push"]) == 1)
+        for leg in began.nonzero()[0].tolist():
+            most_N = float(safety.limits["push_N"][leg])
+            self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, most_N=most_N))
 
     def _wait(self, cycle: Cycle) -> None:
         """See whether the drives are off that were told to be, and have confirmed an emergency stop."""

@@ -215,6 +215,39 @@ def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more
 
 
 @ON_ONE_LEG
+def test_encoders_a_leg_that_friction_may_hold_is_named_and_not_pushed_while_one_strays(leg):
+    bench = Standing(leg, sticks=1)
+    bench.stand()
+    assert bench.memory("strays") == 0
+    bench.stand(20.0)
+    assert bench.memory("strays") == 1 << leg
+    assert not bench.memory("push").any()
+    bench.stand()
+    assert bench.memory("strays") == 0
+    bench.stand(20.0, mode=Mode.UNLOADING)
+    assert bench.memory("strays") == 0
+
+
+def test_encoders_the_way_of_a_free_leg_counts_from_where_its_reading_stands():
+    bench = Standing(2, sticks=1)
+    bench.stand()
+    bench.memory("free_m")[2] = bench.memory("free_m_s")[2] = 7.0
+    bench.stand(20.0)
+    assert bench.memory("free_m")[2] == bench.memory("free_m_s")[2] == 7.0
+    bench.stand(20.0, jump=six(5.0, 2))
+    assert bench.memory("free_m")[2] == bench.memory("free_m_s")[2] == 0.0
+
+
+@pytest.mark.parametrize("push", [3, -3, 4, -4])
+def test_encoders_a_leg_that_sticks_is_doubted_after_one_push(push):
+    bench = Standing(2, sticks=1)
+    bench.stand()
+    bench.memory("push")[2] = push
+    tick = bench.stand(12.0)
+    assert calm(tick) if abs(push) == 3 else doubted(tick, Doubt.STILL, 2, 12.0, 5.0)
+
+
+@ON_ONE_LEG
 def test_encoders_what_a_leg_does_that_was_pushed_counts_against_no_other_until_it_has_settled(leg):
     """Else pushes go from leg to leg: each one moves its leg by more than what a leg is suspected for."""
     memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))

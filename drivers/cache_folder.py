@@ -35,7 +35,7 @@ def elsewhere() -> str:
 def _cache_folder() -> tuple[Path | None, list[str]]:
     """Return the first folder that can be used, None without one, and why those before it cannot."""
     given = os.environ.get("XDG_CACHE_HOME", "")
-    # Path.home raises where there is none.
+    # Path.home raises for a user without a home folder.
     parent = given if Path(given).is_absolute() else os.path.expanduser("~/.cache")  # noqa: PTH111
     user = os.getuid() if hasattr(os, "getuid") else 0
     refused = []

@@ -127,7 +127,7 @@ def hear(s: Any, frames: Any, tick: int) -> None:
     """Take the samples among a tick's frames, elements of FRAME.
 
     A frame with the counter of the one before is a repetition and passed over; a gap in the counter counts as
-    lost, whatever the reason. A sample that its node calls invalid is none. Refused, and counted in
+    lost, whatever the reason. A sample that its node marks invalid does not count. Refused, and counted in
     `rejected`: wrong length or CRC, a stamp in the future, before tick 0 or more than OLDEST ticks back, an
     unknown validity, a turn of more than pi, a value outside the range of sensors.dbc. Foreign frames are
     ignored.

@@ -35,8 +35,9 @@ KNOWN = 0.02
 def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_wrench: int) -> None:
     """Decide which of the legs that stand still are to be pushed, or pushed on.
 
-    limits, memory: records of `hil.safety.kernels`; window: the forces sent, see `hil.safety.force_limits`;
-    robot: address of the constants of the model of the load, see `hil.robot.dynamics_kernels`;
+    limits, memory: records of `hil.safety.kernels`; window: the forces sent, (n, 6) N, see
+    `hil.safety.force_limits`; robot: address of the constants of the model of the load, see
+    `hil.robot.dynamics_kernels`;
     senses_wrench: not 0 where a sensor gives the external wrench. That of an observer does not count: to it a
     leg that stands under a force bears a load.
     """

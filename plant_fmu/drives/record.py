@@ -50,7 +50,7 @@ NODES = np.dtype(
         ("lagged", "<f8", (LEGS,)),  # N, state of the lag
         ("frozen", "<f8", (LEGS,)),  # m, what a frozen encoder reads; NaN: it works
         ("offset", "<f8", (LEGS,)),  # m, slip of the encoder
-        ("forged", "<f8", (LEGS,)),  # m by which a second answer of its node is longer; NaN: there is none
+        ("forged", "<f8", (LEGS,)),  # m by which a second answer of its node is longer; NaN: no second answer
         ("scale", "<f8", (LEGS,)),  # how the encoder scales length
         ("shift", "<f8", (LEGS,)),  # m, what it adds to that
         ("drift", "<f8", (LEGS,)),  # m/s, of the encoder
@@ -91,7 +91,7 @@ NODES = np.dtype(
         ("frame", "<i8"),  # number of the next frame
         ("heard", "<i8"),  # number of messages of the last one
         ("message", "<i8"),  # number of the next one
-        ("latching", "<i8"),  # how far the reading of encoders has come, 0: there is none
+        ("latching", "<i8"),  # how far the reading of encoders has come, 0: no reading
         ("pending", "<i8"),  # reports to send
         ("reported", "<i8"),  # reports sent
         ("due", "<i8"),  # 1: they are heartbeats

@@ -104,12 +104,12 @@ def message_of(record: Any) -> DeviceMessage:
 
 
 def hear(end: DrivesEnd, frame: Frame) -> tuple[DeviceMessage, ...]:
-    """Return what a frame says to the drives."""
+    """Messages to the drives in a frame."""
     return tuple(message_of(each) for each in end.hear(frame))
 
 
 def reply(end: DrivesEnd, sync: Sync, reading: Any) -> list[tuple[int, Frame]]:
-    """Return what the drives of a SYNC answer to a reading, frames with their legs. Raises ProtocolError on NaN."""
+    """Answers of the drives of a SYNC to a reading, frames with their legs. Raises ProtocolError on NaN."""
     asked: Any = np.zeros((), MESSAGE)
     asked["kind"], asked["counter"], asked["count"] = ends.SYNC, sync.counter, len(sync.legs)
     asked["legs"][: len(sync.legs)] = sync.legs
@@ -121,7 +121,7 @@ def reply(end: DrivesEnd, sync: Sync, reading: Any) -> list[tuple[int, Frame]]:
 
 
 def announce(end: DrivesEnd, status: Status) -> tuple[Frame, ...]:
-    """Return what a drive sends of its state."""
+    """Frames that report the state of a drive."""
     leg, state, fault, holds, due = status
     held = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), int(holds.reaction))
     into = np.zeros(ends.MOST_MESSAGES, FRAME)

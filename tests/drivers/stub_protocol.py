@@ -151,7 +151,7 @@ class StubProtocol(Family):
         return Frame(self._id[kind, leg], _FIELDS[kind].pack(*values), EXTENDED)
 
     def feedback(self, leg: int, length: float, rate: float, force: float, state: int) -> tuple[Frame, Frame]:
-        """Return what a drive answers: where it is, and its load."""
+        """Frames of a drive's answer: length and rate, then force and state."""
         steps = [round(float(np.clip(v / _STEP_m, -(1 << 31), (1 << 31) - 1))) for v in (length, rate)]
         return self.frame(PLACE, leg, *steps), self.frame(LOAD, leg, float(np.clip(force, -1e9, 1e9)), state)
 

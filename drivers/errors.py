@@ -9,7 +9,7 @@
     ├── ModelError              geometry, kinematics, dynamics, linear systems
     │   ├── GeometryError       a platform that cannot exist (hil.robot.geometry)
     │   ├── KinematicsError     a pose that has no meaning or cannot be found (hil.robot.kinematics)
-    │   ├── WorkspaceError      a workspace that has no beginning (hil.workspace.limits)
+    │   ├── WorkspaceError      a workspace that has no beginning (hil.study.workspace.limits)
     │   ├── CalibrationError    measured pairs that cannot calibrate
     │   ├── IdentificationError a log that does not hold what is looked for
     │   └── SynthesisError      a design that no controller fulfils
@@ -17,8 +17,8 @@
     ├── LogError                log file: not MCAP, truncated, of another version
     │   └── RecorderEndedError  the recorder has ended before its simulation (hil.record.recording)
     ├── RunError                the run itself: no drives, latched fault, another daemon
-    ├── RefusedError            no consent to a step of a bring-up, or its end (hil.bringup.context)
-    └── StoppedError            a measured value ended a step for safety (hil.bringup.context)
+    ├── RefusedError            no consent to a step of a bring-up, or its end (hil.lab.bringup.context)
+    └── StoppedError            a measured value ended a step for safety (hil.lab.bringup.context)
 
 Those with attributes of their own stand with what raises them, the others here. A message says what
 happened, where, what was allowed and what to do about it.

@@ -37,6 +37,7 @@ from hil.config.wrench import WrenchSettings
 from hil.control.law import LawContext, LawSettings
 from hil.control.model import build_model
 from hil.control.state_space import StateSpaceSettings
+from hil.design.stability.monitor import build_watch
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.predictor import Predictor
@@ -53,7 +54,6 @@ from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from hil.safety import Safety
 from hil.safety.certificate import Watch
-from hil.stability.monitor import build_watch
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.override import PEAK

@@ -64,7 +64,7 @@ def command(
 
     refuse_log_folder(configuration, log)
     loaded = load(configuration)
-    from hil.app.bringup.command import run_bringup
+    from hil.lab.bringup.command import run_bringup
 
     with OF_THIS_PROCESS.also_where_the_terminal_goes():
         summary = run_bringup(

@@ -33,8 +33,8 @@ def command(configuration: str, poses: Path, out: Path | None, json_file: Path |
       1  fitted, and the file could not be written in the end
       2  not fitted: configuration, CSV file, units, too few poses; the message says what
     """
-    from hil.app.calibrate import run_calibration
     from hil.app.output import show_lines
+    from hil.lab.calibrate.command import run_calibration
 
     report = run_calibration(configuration, poses, out, json_file)
     show_lines(report.lines)

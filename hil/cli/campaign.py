@@ -44,8 +44,8 @@ def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: P
       1  they differ; the message says which
       2  not run: campaign file, row, log file, or no row is stored to compare it with; the message says what
     """
-    from hil.app.campaign.plan import read_plan
-    from hil.app.campaign.rerun import rerun
+    from hil.study.campaign.plan import read_plan
+    from hil.study.campaign.rerun import rerun
 
     plan = read_plan(file)
     summary = rerun(plan, out, row, log)
@@ -124,13 +124,13 @@ def command(
         raise click.UsageError("--jobs counts processes here, --scheduler runs elsewhere: give one of them.")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from hil.app.campaign.command import run_campaign
-    from hil.app.campaign.page import write_page
-    from hil.app.campaign.plan import read_plan
-    from hil.app.campaign.show import show, summary_lines, verdicts
     from hil.app.files import new_file
-    from hil.app.junit import check_junit_path, write_junit
     from hil.app.output import console, further
+    from hil.study.campaign.command import run_campaign
+    from hil.study.campaign.page import write_page
+    from hil.study.campaign.plan import read_plan
+    from hil.study.campaign.show import show, summary_lines, verdicts
+    from hil.study.junit import check_junit_path, write_junit
 
     if junit is not None:
         check_junit_path(junit)

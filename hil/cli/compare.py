@@ -121,9 +121,9 @@ def command(
     loaded = load(configuration, "sim")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from hil.app.compare import table
-    from hil.app.compare.command import compare, with_options
     from hil.app.output import console
+    from hil.study.compare import table
+    from hil.study.compare.command import compare, with_options
 
     loaded = with_options(loaded, inertia_scale=inertia_scale, wrench=wrench, wrench_at_s=wrench_at or 0.0)
     columns = (TextColumn("running the laws"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

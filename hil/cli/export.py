@@ -64,6 +64,6 @@ def command(
     for each in out:
         if each.parent.is_dir():
             refuse_folder(each.parent, "name another file")
-    from hil.app.export.command import export_log
+    from hil.study.export.command import export_log
 
     finish("export", export_log(log, out, start=start, columns=columns, overwrite=force), json_file)

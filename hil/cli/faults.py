@@ -76,10 +76,10 @@ def command(
     loaded = load(configuration, "sim")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from hil.app.faults.command import run_matrix
-    from hil.app.faults.report import show, shown, verdicts
-    from hil.app.junit import check_junit_path, write_junit
     from hil.app.output import console, further
+    from hil.study.faults.command import run_matrix
+    from hil.study.faults.report import show, shown, verdicts
+    from hil.study.junit import check_junit_path, write_junit
 
     if junit is not None:
         check_junit_path(junit)

@@ -67,10 +67,10 @@ def payload(
     from rich.text import Text
 
     from hil.app.files import new_file, write_whole
-    from hil.app.identify import payload_block, payload_report
-    from hil.app.identify.payload import identify_payload
     from hil.app.output import console, further, show_lines
     from hil.app.terminal import visible
+    from hil.lab.identify import payload_block, payload_report
+    from hil.lab.identify.payload import identify_payload
 
     if out is not None:
         new_file(out, force=False, option="-o", own=payload_block.REMARK.encode())
@@ -188,9 +188,9 @@ def command(
       1  the run for it ended in a fault, and its log tells; or a file could not be written in the end
       2  not measured: configuration, log, or too little excitation; the message says what
     """
-    from hil.app.identify import axes
-    from hil.app.identify import delay as delay_of
     from hil.app.output import log_path
+    from hil.lab.identify import axes
+    from hil.lab.identify import delay as delay_of
 
     if delay and model:
         raise click.UsageError("--model has no use with --delay, which prints what it finds")

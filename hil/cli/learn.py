@@ -10,7 +10,7 @@ import click
 from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, reporting
 
 if TYPE_CHECKING:
-    from hil.app.learn.command import Knowledge
+    from hil.lab.learn.command import Knowledge
 
 
 @click.command()
@@ -107,7 +107,7 @@ def command(
     """
     from hil.app.configuration.feedforward_file import BEGINNING
     from hil.app.files import new_file
-    from hil.app.learn.command import Knowledge
+    from hil.lab.learn.command import Knowledge
 
     if runs is None and _is_configuration(sources[0]):
         raise click.UsageError(f"{sources[0]} is a configuration: name logs, or make runs with --runs")
@@ -134,9 +134,9 @@ def _is_configuration(source: Path) -> bool:
 
 def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None, json_file: Path | None) -> None:
     from hil.app.files import write_whole
-    from hil.app.learn import report
-    from hil.app.learn.command import learn, limit_of
     from hil.app.output import further
+    from hil.lab.learn import report
+    from hil.lab.learn.command import learn, limit_of
 
     outcome = learn(logs, known)
     unwritten: dict[str, Any] = {}
@@ -158,10 +158,10 @@ def _rehearse(
     import tempfile
 
     from hil.app.files import write_whole
-    from hil.app.learn import report
-    from hil.app.learn.rehearsal import rehearse, with_scale
     from hil.app.output import console, further
     from hil.cli.shared import load
+    from hil.lab.learn import report
+    from hil.lab.learn.rehearsal import rehearse, with_scale
 
     runs, scale, logs = how
     c = load(str(configuration), "sim")

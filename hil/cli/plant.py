@@ -91,7 +91,7 @@ def command(
     with contextlib.ExitStack() as stack:
         bench = None
         if with_bench:
-            from hil.app.bringup.hands import served_bench
+            from hil.lab.bringup.hands import served_bench
 
             bench = stack.enter_context(served_bench(loaded, mistakes))
         summary = run_plant(

@@ -54,6 +54,6 @@ def command(
     """
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")
-    from hil.app.plot.command import plot
+    from hil.study.plot.command import plot
 
     finish("plot", plot(logs, columns, out=out, start_s=start_s, end_s=end_s, force=force), json_file)

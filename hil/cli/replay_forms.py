@@ -65,8 +65,8 @@ def counted() -> Iterator[Callable[[int], None] | None]:
 def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
     """Answer what another controller would have sent."""
     from hil.app.output import show_lines
-    from hil.app.what_if import show
-    from hil.app.what_if.command import what_if_log
+    from hil.study.what_if import show
+    from hil.study.what_if.command import what_if_log
 
     with counted() as progress:
         result = what_if_log(
@@ -84,8 +84,8 @@ def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
 
 def against(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
     """Say where two logs part."""
-    from hil.app.against.command import against
-    from hil.app.against.show import show, shown
+    from hil.study.against.command import against
+    from hil.study.against.show import show, shown
 
     result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
     show(result)
@@ -96,9 +96,9 @@ def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     """Replay every log of a folder."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from hil.app.junit import check_junit_path, write_junit
     from hil.app.output import console, further
-    from hil.app.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
+    from hil.study.junit import check_junit_path, write_junit
+    from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
     if given["junit"] is not None:
         check_junit_path(given["junit"])

@@ -36,6 +36,6 @@ def command(log: Path, out: Path | None, force: bool, json_file: Path | None) ->
 
     if log.exists():
         new_file(log.with_suffix(".html") if out is None else out, force=force)
-    from hil.app.report.command import report
+    from hil.study.report.command import report
 
     finish("report", report(log, out=out, force=force), json_file)

@@ -46,6 +46,6 @@ def command(
       1  the log is cut, or the viewer failed
       2  not begun: no log, no extra, a file that exists; the message says what
     """
-    from hil.app.view.command import view
+    from hil.study.view.command import view
 
     finish("view", view(log, viewer, out=out, force=force, start=not no_start), json_file)

@@ -86,7 +86,7 @@ def command(
 
     loaded = load(configuration)
     with console.status("loading the mathematics") as status:
-        from hil.app.workspace.command import map_workspace, shown
+        from hil.study.workspace.command import map_workspace, shown
 
         summary = map_workspace(
             loaded,

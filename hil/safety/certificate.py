@@ -23,7 +23,7 @@ from drivers.compiled.compiler import helper
 (
     K_P, K_D, P_11, P_12, P_22, DISTURBANCE, NOISE, RISE, DECAY, SLOPE, STEEPNESS, SCALARS, CONSTANTS,
 ) = range(13)  # fmt: skip
-"""Rows of the constants of a watch (CONSTANTS, 6), see `hil.stability.monitor`: the certificate; the
+"""Rows of the constants of a watch (CONSTANTS, 6), see `hil.design.stability.monitor`: the certificate; the
 disturbance in m/s^2 or rad/s^2, with what looking ahead makes of it; the noise of W; g T and exp(-2 alpha T);
 slope and steepness of a boundary layer."""
 POSE, SHARED, LAYER, ACTION, CONFIRM, PERIOD = range(6)
@@ -36,7 +36,7 @@ LAST_V, UNREST = range(2)
 
 
 class Watch(NamedTuple):
-    """What is watched, as `hil.stability.monitor` makes it."""
+    """What is watched, as `hil.design.stability.monitor` makes it."""
 
     constants: Array
     """(CONSTANTS, 6); (0, 6): nothing."""

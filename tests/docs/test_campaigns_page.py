@@ -5,9 +5,9 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-from hil.app.campaign import parquet
-from hil.app.campaign.figures import METRICS
 from hil.cli import main
+from hil.study.campaign import parquet
+from hil.study.campaign.figures import METRICS
 
 PAGE = (Path(__file__).parents[2] / "docs/guides/campaigns.md").read_text()
 

@@ -9,7 +9,7 @@ from drivers.family import Family
 from drivers.protocol import EXTENDED, Frame
 from drivers.signals import LEGS
 from tests.drivers.cia402_drives import drives
-from tests.hil.bringup.families import FAMILIES, family
+from tests.hil.lab.bringup.families import FAMILIES, family
 
 EXTENDED_IDS = [
     kind << 24 | middle | target

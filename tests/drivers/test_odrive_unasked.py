@@ -20,7 +20,7 @@ from hil.app.encoder_limits import encoder_limits
 from hil.loop.latches import checked
 from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
-from tests.hil.bringup.families import family
+from tests.hil.lab.bringup.families import family
 
 NODES = (0, 1, 2, 3, 5, 62)
 NONE_AND_SOME = {"encoder_msg_rate_ms": 0}, {"encoder_msg_rate_ms": 10}

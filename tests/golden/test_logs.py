@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.app.replay_suite import replay_case
 from hil.cli import main
 from hil.record.log import Log
+from hil.study.replay_suite import replay_case
 from tests.golden.logs import FOLDER, LOGS, QUICK
 
 

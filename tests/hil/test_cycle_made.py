@@ -21,8 +21,8 @@ from hil.config.wrench import WrenchSettings
 from hil.control.law import LawContext
 from hil.control.model import build_model
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
+from hil.design.stability.monitor import build_watch
 from hil.robot.dynamics import Model
-from hil.stability.monitor import build_watch
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.override import PEAK
 from tests.hil.test_cycle_again import LIVE

@@ -21,12 +21,12 @@ from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
 from hil.control.uncertainty import UncertaintySettings
+from hil.design.stability.monitor import build_watch, certified
 from hil.mathematics.rotations import rotation_from_vector, rotation_vector
 from hil.robot.kinematics import jacobian
 from hil.safety import Safety
 from hil.safety.certificate import NO_WATCH
 from hil.safety.error_axes import error_axes
-from hil.stability.monitor import build_watch, certified
 from tests.records import record_of
 
 T = 1e-3

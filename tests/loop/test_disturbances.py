@@ -26,11 +26,11 @@ from hil.app.stability.linearising import bounded
 from hil.app.stability.subject import Stated, Subject
 from hil.control.law import ErrorDynamics
 from hil.control.sliding_mode import SlidingModeSettings
+from hil.design.stability.disturbance import Load
+from hil.design.stability.sampled import Sampled, disturbed_axis
 from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from hil.stability.disturbance import Load
-from hil.stability.sampled import Sampled, disturbed_axis
 from plant_fmu.faults.kinds import FramesDelay, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop import unrecorded

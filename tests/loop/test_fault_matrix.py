@@ -15,14 +15,14 @@ from drivers.signals import Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import read_fault, show_fault, with_faults
-from hil.app.faults import case_run
-from hil.app.faults.case_run import Job, run_case
-from hil.app.faults.cases import LEG, MATRIX, cases
-from hil.app.faults.command import run_matrix
-from hil.app.faults.verdict import Bounds, Seen, Trace, see
 from hil.app.sim.build import build_lockstep
 from hil.cli import main
 from hil.loop.run_end import Course
+from hil.study.faults import case_run
+from hil.study.faults.case_run import Job, run_case
+from hil.study.faults.cases import LEG, MATRIX, cases
+from hil.study.faults.command import run_matrix
+from hil.study.faults.verdict import Bounds, Seen, Trace, see
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.kinds import PayloadStep
 from plant_fmu.faults.plan import FaultPlan

@@ -22,11 +22,11 @@ from drivers.arrays import Rows
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.section_file import read_section
-from hil.app.identify.axes import axes_of_log, excited_axes
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.config.axis_model import AxisModel
-from hil.identify.axis_fit import Fit
+from hil.lab.identify.axes import axes_of_log, excited_axes
+from hil.lab.identify.estimators.axis_fit import Fit
 from hil.record.log import Log
 from tests.broad import broad
 

@@ -17,14 +17,14 @@ from drivers.signals import Fault, Mode, Warn
 from hil.app.configuration.changes import text_of, with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import read_feedforward
-from hil.app.identify.delay import recorded_run
-from hil.app.learn import rehearsal, report, runs
-from hil.app.learn.command import Knowledge, learn, learned
-from hil.app.learn.model import belief_of, learner
-from hil.app.learn.rehearsal import Rehearsal, rehearse, with_scale
-from hil.app.learn.runs import learning_run
 from hil.app.replay import replay_log
 from hil.cli import main
+from hil.lab.identify.delay import recorded_run
+from hil.lab.learn import rehearsal, report, runs
+from hil.lab.learn.command import Knowledge, learn, learned
+from hil.lab.learn.model import belief_of, learner
+from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
+from hil.lab.learn.runs import learning_run
 from hil.record.log import Log
 
 SHORT = {

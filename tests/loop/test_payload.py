@@ -15,10 +15,10 @@ from click.testing import CliRunner
 
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
-from hil.app.identify.payload import identify_payload
-from hil.app.identify.payload_block import block
 from hil.app.sim.command import simulate
 from hil.cli import main
+from hil.lab.identify.payload import identify_payload
+from hil.lab.identify.payload_block import block
 from hil.record.log import Log
 from plant_fmu.faults.kinds import EncoderNoise, WrenchStep
 from plant_fmu.faults.plan import FaultPlan

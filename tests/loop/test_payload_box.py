@@ -8,8 +8,8 @@ import pytest
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
 from hil.app.stability.command import judge
-from tests.hil.synthesis.test_coupling import coupled, gamma
-from tests.hil.synthesis.test_mu_design import shipped, system
+from tests.hil.design.synthesis.test_coupling import coupled, gamma
+from tests.hil.design.synthesis.test_mu_design import shipped, system
 from tests.loop import unrecorded
 
 OWN = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"

@@ -24,14 +24,14 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.bus_budget import loads as loads_of_buses
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.export.command import export_log
-from hil.app.report.timing import traffic
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.cli import main
 from hil.loop.run_end import Course
 from hil.record.log import Log
+from hil.study.export.command import export_log
+from hil.study.report.timing import traffic
 from plant_fmu.faults.kinds import BusOff
 from plant_fmu.faults.plan import FaultPlan
 from tests.loop.test_desktop_drives import FAMILIES

@@ -22,7 +22,7 @@ from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import BusSecondController, FramesForgedCommand
 from plant_fmu.faults.plan import FaultPlan, Schedule
 from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
-from tests.hil.bringup.families import FAMILIES, family
+from tests.hil.lab.bringup.families import FAMILIES, family
 
 FORCE_N = 30.0
 BEGINS = 150

@@ -13,7 +13,7 @@ import pytest
 
 import hil
 from hil.app.configuration.changes import with_changes
-from tests.hil.bringup.families import FAMILIES
+from tests.hil.lab.bringup.families import FAMILIES
 from tests.realtime.rig import CHANNEL, Process, configuration, gone
 
 pytestmark = pytest.mark.long

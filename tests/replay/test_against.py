@@ -14,11 +14,11 @@ from click.testing import CliRunner
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Mode
 from drivers.tick_columns import COLUMNS, RECORDED, ROW
-from hil.app.against.command import against
-from hil.app.against.pairs import Alone, first_motion, paired
-from hil.app.against.tolerances import read_tolerances
 from hil.cli import main
 from hil.record.log import Log
+from hil.study.against.command import against
+from hil.study.against.pairs import Alone, first_motion, paired
+from hil.study.against.tolerances import read_tolerances
 from tests.hil.rewrite import rewrite_log
 from tests.replay.moving import moved
 
@@ -305,5 +305,5 @@ def test_the_time_of_a_difference_is_that_of_the_log_however_late_the_other_was(
 
 def test_a_comparison_says_how_long_it_took(made, monkeypatch):
     clock = SimpleNamespace(perf_counter=iter((1000.0, 1002.5)).__next__)
-    monkeypatch.setattr("hil.app.against.command.time", clock)
+    monkeypatch.setattr("hil.study.against.command.time", clock)
     assert made(Made(range(3)), Made(range(3)))["wall_s"] == 2.5

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from rich.text import Text
 
-from hil.app.against import show as page
-from hil.app.against.show import show, shown
+from hil.study.against import show as page
+from hil.study.against.show import show, shown
 
 
 def place(tick, time_s, element, unit, here, there):

@@ -20,13 +20,13 @@ from hil.app.configuration.configuration import load
 from hil.app.readable import readable
 from hil.app.replay import replay_log, summary
 from hil.app.sim.command import simulate
-from hil.app.what_if.command import what_if_log
 from hil.cli import main
 from hil.loop.replay import Comparison, Difference, replay
 from hil.loop.story.narrator import Narrator
 from hil.record.log import Log
 from hil.record.salvage import salvage
 from hil.signals import Operator
+from hil.study.what_if.command import what_if_log
 from tests.hil.rewrite import mcap_summary, rewrite_log
 
 

@@ -53,7 +53,7 @@ def test_what_was_salvaged_and_what_is_lost_is_said_on_standard_error(
 
 @pytest.mark.parametrize("told", [None, {"lines": ["leg 3 is slow", "since tick 4"]}])
 def test_the_story_of_a_what_if_stands_above_its_figures(replayed, monkeypatch, told):
-    monkeypatch.setattr("hil.app.what_if.command.what_if_log", lambda *_, **__: result(what_if_story=told))
+    monkeypatch.setattr("hil.study.what_if.command.what_if_log", lambda *_, **__: result(what_if_story=told))
     lines = replayed("--set", "limits.force_N=1").stdout.splitlines()
     story = ["what the faults of the what-if have to tell:", "  leg 3 is slow", "  since tick 4"]
     assert lines[: lines.index("what-if: success")] == ([] if told is None else story)

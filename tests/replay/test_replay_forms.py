@@ -12,10 +12,10 @@ from click.testing import CliRunner
 
 from hil.app import output
 from hil.app.replay import summary
-from hil.app.replay_suite import Case
 from hil.cli import main
 from hil.cli.replay_forms import chosen_form
 from hil.loop.replay import Comparison, Difference
+from hil.study.replay_suite import Case
 from tests.replay.test_against_shown import BOTH
 from tests.replay.test_what_if_shown import result
 
@@ -49,7 +49,7 @@ def test_a_comparison_is_of_the_log_with_the_other_one_and_its_table_stands_abov
         asked.append((*given, align))
         return BOTH
 
-    monkeypatch.setattr("hil.app.against.command.against", against)
+    monkeypatch.setattr("hil.study.against.command.against", against)
     log, other, twin = (tmp_path / name for name in ("run.mcap", "other.mcap", "a.json"))
     found = replayed(log, "--against", other, *words, "--json", twin)
     assert asked == [(log, other, tolerances, align)]
@@ -76,7 +76,7 @@ def test_a_what_if_is_asked_with_all_that_was_given_and_its_tables_stand_above_i
         asked.append((given, options))
         return result(different_ticks=1)
 
-    monkeypatch.setattr("hil.app.what_if.command.what_if_log", what_if_log)
+    monkeypatch.setattr("hil.study.what_if.command.what_if_log", what_if_log)
     monkeypatch.setattr("hil.record.log.Log.open", lambda _: None)
     log, picture, out = (tmp_path / name for name in ("run.mcap", "a.png", "a.mcap"))
     words = ("limits.force_N=1", "name=x")
@@ -126,7 +126,7 @@ def test_a_junit_file_that_could_not_be_written_is_refused_before_a_log_is_repla
 ):
     notes = tmp_path / "notes.xml"
     notes.write_text("mine")
-    monkeypatch.setattr("hil.app.replay_suite.run_suite", lambda *_: pytest.fail("a log was replayed"))
+    monkeypatch.setattr("hil.study.replay_suite.run_suite", lambda *_: pytest.fail("a log was replayed"))
     found = replayed("--suite", tmp_path, "--junit", notes)
     assert found.exit_code == 2, found.output
     assert f"--junit {notes}: exists, is no JUnit report" in " ".join(found.stderr.split())
@@ -163,7 +163,7 @@ def test_the_bar_of_a_suite_counts_its_logs_on_a_terminal_alone_and_leaves_nothi
             yield Case(str(path), "pass", "", {"ticks": 4}, 0.5)
 
     monkeypatch.setattr("rich.progress.Progress", Bar)
-    monkeypatch.setattr("hil.app.replay_suite.run_suite", run_suite)
+    monkeypatch.setattr("hil.study.replay_suite.run_suite", run_suite)
     monkeypatch.setattr(type(output.console), "is_terminal", property(lambda _: terminal))
     found = replayed("--suite", tmp_path)
     assert found.exit_code == 0, found.output

@@ -12,9 +12,9 @@ from hil.app import replay
 from hil.app.compose import REFERENCE_PLAN
 from hil.app.configuration.configuration import load
 from hil.app.homing.last_pose import HOMING_JSON
-from hil.app.what_if import command
 from hil.config.reference import HoldReference
 from hil.loop.replay import Comparison
+from hil.study.what_if import command
 
 VIRTUAL = load("virtual")
 RUN = {"rate_Hz": 500.0, "watchdog_s": 0.025}

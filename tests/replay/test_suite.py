@@ -15,12 +15,12 @@ from click.testing import CliRunner
 
 import hil
 from drivers.errors import LogError
-from hil.app import replay_suite
 from hil.app.replay import summary as values
-from hil.app.replay_suite import Case, died, logs_in, replay_case, run_suite, summary, verdicts
 from hil.cli import main
 from hil.loop.replay import Comparison
 from hil.record.log import Log
+from hil.study import replay_suite
+from hil.study.replay_suite import Case, died, logs_in, replay_case, run_suite, summary, verdicts
 from tests.hil.rewrite import rewrite_log
 
 ONE = "are different questions: give one of them"

@@ -14,14 +14,14 @@ from drivers.signals import Fault, Mode, Warn
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.feedforward_file import feedforward_text
-from hil.app.what_if.allowed import changes, refuse_other_inputs
-from hil.app.what_if.changes import changed
-from hil.app.what_if.command import what_if_log
-from hil.app.what_if.recorded import OPEN_LOOP
 from hil.cli import main
 from hil.config.reference import TimeOptimalReference
 from hil.loop import what_if as kernel
 from hil.record.log import Log
+from hil.study.what_if.allowed import changes, refuse_other_inputs
+from hil.study.what_if.changes import changed
+from hil.study.what_if.command import what_if_log
+from hil.study.what_if.recorded import OPEN_LOOP
 from hil.trajectory.time_optimal import plan
 from tests.broad import broad
 from tests.hil.app.test_feedforward_file import head_of, using

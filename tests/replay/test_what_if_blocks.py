@@ -13,11 +13,11 @@ from drivers.protocol import Frame
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import FIRST, ROW
 from hil.app.configuration.configuration import load
-from hil.app.what_if.allowed import refuse_other_inputs
 from hil.loop import what_if as kernel
 from hil.loop.replay import Block
 from hil.loop.tick_row import Ticks
 from hil.record.entries import Tick
+from hil.study.what_if.allowed import refuse_other_inputs
 
 FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Fault.STALE}
 """What is latched from a tick on: a second one beside the first, then a reset, then the first one again."""

@@ -10,9 +10,9 @@ import pytest
 
 from drivers.errors import LogError
 from drivers.tick_columns import ROW
-from hil.app.what_if import picture
-from hil.app.what_if.command import new_picture
-from hil.app.what_if.picture import Forces
+from hil.study.what_if import picture
+from hil.study.what_if.command import new_picture
+from hil.study.what_if.picture import Forces
 
 RNG = np.random.default_rng(3)
 

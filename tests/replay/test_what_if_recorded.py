@@ -11,9 +11,9 @@ import pytest
 from drivers.errors import LogError
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
-from hil.app.what_if.recorded import record
 from hil.record import Recording
 from hil.record.log import Log
+from hil.study.what_if.recorded import record
 
 UPTIME_NS = 3 * 86_400 * 1_000_000_000
 """The machine has been up for days when a run in real time begins: its clock counts from there."""

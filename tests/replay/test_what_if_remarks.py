@@ -11,11 +11,11 @@ from drivers.frame_array import NO_FRAMES
 from drivers.protocol import Frame
 from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration, load
-from hil.app.what_if import command
-from hil.app.what_if.picture import Forces
 from hil.config.reference import HoldReference, LiveReference
 from hil.loop.what_if import Answer, OtherFrames
 from hil.signals import Operator
+from hil.study.what_if import command
+from hil.study.what_if.picture import Forces
 
 VIRTUAL = load("virtual")
 ENVIRONMENT = {"version": "0.2.0", "git": "7dfb941", "cpu": "x86 of one maker"}

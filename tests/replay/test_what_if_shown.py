@@ -10,9 +10,9 @@ import pytest
 from drivers.protocol import Frame
 from drivers.signals import Mode
 from drivers.tick_columns import ROW
-from hil.app.what_if.recorded import OPEN_LOOP
-from hil.app.what_if.show import SHOWN, shown, story, summary, tables
 from hil.loop.what_if import Acted, Answer, Latched, OtherFrames
+from hil.study.what_if.recorded import OPEN_LOOP
+from hil.study.what_if.show import SHOWN, shown, story, summary, tables
 
 
 def answered(count=6, **columns):

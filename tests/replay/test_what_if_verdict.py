@@ -12,10 +12,10 @@ import pytest
 from drivers.errors import LogError
 from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
 from hil.app.configuration.configuration import load
-from hil.app.what_if import command
-from hil.app.what_if.picture import Forces
 from hil.loop.what_if import Answer
 from hil.record import LogSummary
+from hil.study.what_if import command
+from hil.study.what_if.picture import Forces
 
 FULL = "disk_full: No space left on device"
 

@@ -6,8 +6,8 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load
-from hil.app.what_if.allowed import changes
-from hil.app.what_if.changes import read_changes
+from hil.study.what_if.allowed import changes
+from hil.study.what_if.changes import read_changes
 
 VIRTUAL = load("virtual")
 

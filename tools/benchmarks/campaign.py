@@ -25,13 +25,13 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from drivers.errors import RunError
-from hil.app import workers
-from hil.app.campaign import parquet
-from hil.app.campaign.command import line
-from hil.app.campaign.plan import Plan, campaign_file, identity, read_plan
-from hil.app.campaign.row import Job, run_row
-from hil.app.campaign.store import Store
 from hil.app.configuration.yaml_positions import parse
+from hil.study import workers
+from hil.study.campaign import parquet
+from hil.study.campaign.command import line
+from hil.study.campaign.plan import Plan, campaign_file, identity, read_plan
+from hil.study.campaign.row import Job, run_row
+from hil.study.campaign.store import Store
 from tools.benchmarks.figures import Figure, Mark, lines, number
 from tools.benchmarks.process import memory_kB
 

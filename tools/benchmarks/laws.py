@@ -8,7 +8,6 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.signals import LEGS, DriveState
 from drivers.tick_columns import Record, copy_of
-from hil.app.compare.laws import chosen
 from hil.app.compose import build_cycle, build_observer, build_predictor
 from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController
@@ -20,6 +19,7 @@ from hil.estimation.observer import observe as take_on
 from hil.estimation.pose import Estimator
 from hil.estimation.predictor import ahead
 from hil.loop.parts import Parts
+from hil.study.compare.laws import chosen
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
 from tools.benchmarks.mathematics import along

@@ -17,7 +17,6 @@ from typing import NamedTuple
 from click.testing import CliRunner
 
 from drivers.errors import HilError
-from hil.app.calibrate import read_pairs
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.controller_file import read_controller
@@ -27,6 +26,7 @@ from hil.app.simulation import sim
 from hil.cli import main
 from hil.config.design import Design
 from hil.config.reference import SampledReference
+from hil.lab.calibrate.command import read_pairs
 from hil.operate.channel import OperatorChannel
 from hil.record.log import Log
 from hil.trajectory.sampled import sampled_trajectory

@@ -178,9 +178,9 @@ AREAS = {
             *("hil/loop/replay.py", "hil/app/replay.py", "hil/app/recorded_files.py", "hil/cli/replay*.py"),
             *(
                 "hil/loop/what_if.py",
-                "hil/app/what_if/*.py",
-                "hil/app/against/*.py",
-                "hil/app/replay_suite.py",
+                "hil/study/what_if/*.py",
+                "hil/study/against/*.py",
+                "hil/study/replay_suite.py",
             ),
             "hil/record/divergence.py",
         ),
@@ -216,7 +216,7 @@ AREAS = {
             "tests/hil/test_log*.py",
             "tests/hil/test_salvage*.py",
             "tests/hil/test_record.py",
-            "tests/hil/app/test_export.py",
+            "tests/hil/study/test_export.py",
         ),
     ),
 }

@@ -3,7 +3,7 @@
 from hil.app.check.findings import Report
 from hil.app.configuration.configuration import Configuration
 from hil.app.unknown_payload import unknown_payload
-from hil.stability.monitor import certified
+from hil.design.stability.monitor import certified
 
 
 def report_monitor(report: Report, c: Configuration) -> None:

@@ -34,9 +34,9 @@ from hil.config.reference import LiveReference, ReferenceSettings, SampledRefere
 from hil.config.running import EngageSettings
 from hil.config.values import Pose
 from hil.control import ControllerSettings
+from hil.design.stability.monitor import certified_law
 from hil.robot.geometry import GeometryError
 from hil.robot.kinematics import leg_lengths
-from hil.stability.monitor import certified_law
 from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 

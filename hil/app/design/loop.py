@@ -6,8 +6,8 @@ import numpy as np
 
 from hil.app.loop_delay import LoopDelay
 from hil.config.linear_controller import LinearController
-from hil.stability.sampled import Axis, analyse
-from hil.stability.sampled_loop import sampled_controller
+from hil.design.stability.sampled import Axis, analyse
+from hil.design.stability.sampled_loop import sampled_controller
 
 
 class LoopFinding(NamedTuple):

@@ -9,11 +9,11 @@ from drivers.arrays import Array, ComplexArray
 from drivers.files import whole_file
 from hil.app.files import printable
 from hil.config.design import Design, DesignAxis
+from hil.design.stability.sampled_loop import grid
+from hil.design.synthesis.hinf_design import Designed
+from hil.design.synthesis.sampled import loop_gain, sampled_axis
+from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 from hil.mathematics.linear_system import LinearSystem
-from hil.stability.sampled_loop import grid
-from hil.synthesis.hinf_design import Designed
-from hil.synthesis.sampled import loop_gain, sampled_axis
-from hil.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 
 STEP_S = 0.3
 

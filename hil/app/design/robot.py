@@ -10,7 +10,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.stability.subject import Stated, Subject
 from hil.config.axis_model import AxisSpace
 from hil.config.model import ModelSettings
-from hil.stability.disturbance import along
+from hil.design.stability.disturbance import along
 from plant_fmu.config import BenchPlant
 
 POSES = 25

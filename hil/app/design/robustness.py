@@ -8,9 +8,9 @@ from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.app.design.robot import eigenvalues, middle, share_of_inertia
 from hil.config.design import Design, DesignAxis
-from hil.synthesis.hinf_design import Designed
-from hil.synthesis.multiplicative import Margin, Relative, single, together
-from hil.synthesis.sampled import loop_gain, sampled_axis
+from hil.design.synthesis.hinf_design import Designed
+from hil.design.synthesis.multiplicative import Margin, Relative, single, together
+from hil.design.synthesis.sampled import loop_gain, sampled_axis
 
 
 def for_the_robot(

@@ -9,8 +9,8 @@ from hil.app.configuration.payload_box import shown_ranges
 from hil.app.stability import designed, layered, linearising, payloads, spring_models
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
-from hil.stability.assessment import Assessment
-from hil.stability.disturbance import Load
+from hil.design.stability.assessment import Assessment
+from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
 Judge = Callable[[Subject, Any, bool], Assessment]

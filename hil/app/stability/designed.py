@@ -10,9 +10,9 @@ from hil.app.stability.wording import bound_lines, describe, unstable, worst
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control.state_space import StateSpaceSettings
-from hil.stability.assessment import Assessment, unless
-from hil.stability.sampled import Sampled, analyse
-from hil.stability.sampled_loop import sampled_controller
+from hil.design.stability.assessment import Assessment, unless
+from hil.design.stability.sampled import Sampled, analyse
+from hil.design.stability.sampled_loop import sampled_controller
 
 
 def configured(subject: Subject, law: StateSpaceSettings) -> Assessment:

@@ -25,11 +25,11 @@ from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.law import per_leg
 from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
+from hil.design.stability.assessment import Assessment
+from hil.design.stability.energy import displaced
 from hil.mathematics.linear_system import static
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.kinematics import jacobian, leg_lengths
-from hil.stability.assessment import Assessment
-from hil.stability.energy import displaced
 
 LegSettings = PDSettings | PDGravitySettings | FeedforwardPDSettings
 Forces = Callable[[Array, Array, Array], Array]

@@ -23,10 +23,10 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform
 from hil.app.encoder_limits import efficiencies
 from hil.app.stability.instants import instants
+from hil.design.stability.disturbance import Linearised, Local
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, jacobian_rate
 from hil.safety.encoder_limits import UNASKED
-from hil.stability.disturbance import Linearised, Local
 from hil.trajectory.path import PoseSample
 
 

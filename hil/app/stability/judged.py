@@ -5,9 +5,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from hil.stability.disturbance import Local
-from hil.stability.sampled import Sampled
-from hil.stability.ultimate import Ultimate
+from hil.design.stability.disturbance import Local
+from hil.design.stability.sampled import Sampled
+from hil.design.stability.ultimate import Ultimate
 
 
 class Unknown(NamedTuple):

@@ -11,10 +11,10 @@ from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import bound_lines, describe, reaching_lines, unstable
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
-from hil.stability.assessment import Assessment
-from hil.stability.reaching import Reaching, Sector, redesign, sliding
-from hil.stability.sampled import of_each
-from hil.stability.ultimate import Ultimate
+from hil.design.stability.assessment import Assessment
+from hil.design.stability.reaching import Reaching, Sector, redesign, sliding
+from hil.design.stability.sampled import of_each
+from hil.design.stability.ultimate import Ultimate
 
 RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
 

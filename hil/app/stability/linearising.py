@@ -6,10 +6,10 @@ from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import bound_lines, certificate_lines, describe, unstable, worst
 from hil.config.axis_model import AxisSpace
 from hil.control.law import ErrorDynamics, LawSettings
+from hil.design.stability.assessment import Assessment, unless
+from hil.design.stability.prediction import predicting
+from hil.design.stability.sampled import Sampled, analyse, gains
 from hil.mathematics.linear_system import LinearSystem
-from hil.stability.assessment import Assessment, unless
-from hil.stability.prediction import predicting
-from hil.stability.sampled import Sampled, analyse, gains
 
 
 def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Assessment:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, NamedTuple
 
-from hil.stability.assessment import Assessment
+from hil.design.stability.assessment import Assessment
 
 WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.app.stability.subject import NO_PAYLOAD, Subject
+from hil.design.stability.coupled import delay_margin_s, growth, resonances
 from hil.mathematics.linear_system import LinearSystem
 from hil.robot.kinematics import jacobian
-from hil.stability.coupled import delay_margin_s, growth, resonances
 
 
 def at_rest(subject: Subject) -> list[str]:

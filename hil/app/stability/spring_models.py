@@ -28,13 +28,22 @@ from hil.control.law import per_leg
 from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
+from hil.design.stability.assessment import Assessment
+from hil.design.stability.coupled import integrating, proportional
+from hil.design.stability.energy import (
+    Potential,
+    Well,
+    basin,
+    leg_springs,
+    stiffness_matrix,
+    total,
+    weight,
+    well,
+)
 from hil.mathematics.rotations import relative_rotation
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import leg_lengths
-from hil.stability.assessment import Assessment
-from hil.stability.coupled import integrating, proportional
-from hil.stability.energy import Potential, Well, basin, leg_springs, stiffness_matrix, total, weight, well
 from plant_fmu.config import BenchPlant
 
 _STILL = np.zeros(6)

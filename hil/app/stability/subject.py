@@ -23,15 +23,15 @@ from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
+from hil.design.stability.disturbance import Friction, Linearised, Load, Local, along, summary
+from hil.design.stability.lateness import Late, late, stale_s
+from hil.design.stability.sampled import Axis, Sampled, of_each
+from hil.design.stability.ultimate import Extra, Ultimate, ultimate
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
-from hil.stability.disturbance import Friction, Linearised, Load, Local, along, summary
-from hil.stability.lateness import Late, late, stale_s
-from hil.stability.sampled import Axis, Sampled, of_each
-from hil.stability.ultimate import Extra, Ultimate, ultimate
 from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant, StewartPlant
 
@@ -78,7 +78,7 @@ class Subject:
     def __init__(
         self, c: Configuration, stated: Stated, tell: Callable[[float, float], None] = lambda *_: None
     ) -> None:
-        """Take a configuration and what is stated beside it; tell as for `hil.stability.lateness.late`."""
+        """Take a configuration and what is stated beside it; tell as for `lateness.late`."""
         self.c = c
         self.stated = stated
         self.tell = tell

@@ -10,10 +10,10 @@ from drivers.arrays import Array
 from hil.app.stability.judged import Judged, slowest_of
 from hil.app.stability.subject import Subject
 from hil.config.axis_model import AxisSpace
-from hil.stability.error_dynamics import certificate, decay_rate
-from hil.stability.reaching import Reaching
-from hil.stability.sampled import Sampled
-from hil.stability.ultimate import Ultimate, in_words
+from hil.design.stability.error_dynamics import certificate, decay_rate
+from hil.design.stability.reaching import Reaching
+from hil.design.stability.sampled import Sampled
+from hil.design.stability.ultimate import Ultimate, in_words
 
 NEGLIGIBLE = 0.01
 """Share of a disturbance that is not worth a line."""

@@ -7,11 +7,11 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
-from hil.app.compare.laws import chosen
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.schema import schema
 from hil.app.stability.command import judge
 from hil.cli import main
+from hil.study.compare.laws import chosen
 
 virtual = load("virtual").text
 begin, end = virtual.index("\ncontroller:") + 1, virtual.index("\nengage:") + 1

@@ -15,7 +15,6 @@ from click.testing import CliRunner
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import RunError
 from drivers.signals import Command, DriveMode, Mode
-from hil.app.campaign.plan import read_plan
 from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
@@ -23,9 +22,10 @@ from hil.control import LAWS
 from hil.control.law import LawContext
 from hil.loop.parts import Parts
 from hil.robot.geometry import Platform
+from hil.study.campaign.plan import read_plan
 from hil.trajectory.holding import HoldTrajectory
 from tests.drivers.legs_frames import command_frames, opening
-from tests.hil.app.campaign.campaigns import SMALL, written
+from tests.hil.study.campaign.campaigns import SMALL, written
 from tests.records import asked, record_of
 from tools.benchmarks import campaign, cyclictest, realtime, versions
 from tools.benchmarks.__main__ import PARTS, main

@@ -15,7 +15,7 @@ from hil.app.configuration.bus_budget import bus_budget, heartbeats
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import parse
 from hil.config.reference import MOST_POINTS, WaypointReference
-from tests.hil.bringup.families import family
+from tests.hil.lab.bringup.families import family
 
 VIRTUAL = load("virtual").text
 LONG_S = 2.0

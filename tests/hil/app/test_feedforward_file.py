@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.campaign.named_files import digests
 from hil.app.check.command import inspect
 from hil.app.check.feedforward import report_feedforward
 from hil.app.check.findings import Report
-from hil.app.compare.command import compare
 from hil.app.compose import attachments, build_cycle
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import feedforward_text, made_for, read_feedforward
 from hil.app.configuration.platform import build_platform
-from hil.app.identify.axes import excited_axes
 from hil.app.recorded_files import with_attachments
 from hil.app.stability.subject import Stated, Subject
 from hil.config.feedforward import FeedforwardHead
+from hil.lab.identify.axes import excited_axes
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
+from hil.study.campaign.named_files import digests
+from hil.study.compare.command import compare
 
 pytestmark = pytest.mark.usefixtures("unproven")
 

@@ -20,11 +20,11 @@ from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.section_file import check_section_path
 from hil.app.files import made_whole, new_file, printable, write_whole
-from hil.app.identify.payload_block import REMARK
 from hil.app.output import check_json_path, log_path, picture_path
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.config.axis_model import AxisModel
+from hil.lab.identify.payload_block import REMARK
 
 
 @pytest.fixture(scope="module")

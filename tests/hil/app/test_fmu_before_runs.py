@@ -8,11 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError
-from hil.app.compare.command import compare, with_options
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.fault_words import with_faults
-from hil.app.faults.cases import MATRIX, cases
 from hil.cli import main
+from hil.study.compare.command import compare, with_options
+from hil.study.faults.cases import MATRIX, cases
 from plant_fmu.faults import FAULTS
 from tests.hil.app.test_check_fmu import OURS, configured
 

@@ -11,7 +11,7 @@ from hil.app.compose import build_nodes
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.fault_words import with_faults
-from tests.hil.bringup.families import FAMILIES
+from tests.hil.lab.bringup.families import FAMILIES
 
 KINDS = ["frames_forged_command", "bus_second_controller"]
 MOST = {

@@ -12,15 +12,15 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, LogError
-from hil.app.compare import command as compare
-from hil.app.compare.measure import Outcome
 from hil.app.configuration.configuration import load
-from hil.app.identify import axes
 from hil.app.output import fail, further
 from hil.app.sim.command import simulate
-from hil.app.workspace import command as workspace
 from hil.cli import main
-from tests.hil.app.test_calibrate_command import rows, write
+from hil.lab.identify import axes
+from hil.study.compare import command as compare
+from hil.study.compare.measure import Outcome
+from hil.study.workspace import command as workspace
+from tests.hil.lab.test_calibrate_command import rows, write
 
 FULL = "No space left on device"
 
@@ -143,7 +143,7 @@ def test_a_what_if_keeps_its_answer(tmp_path, log, monkeypatch):
     def full(_, path, __):
         raise LogError(f"--plot {path}: cannot be written: {FULL}")
 
-    monkeypatch.setattr("hil.app.what_if.command.Forces.draw", full)
+    monkeypatch.setattr("hil.study.what_if.command.Forces.draw", full)
     words = (log, "--set", "limits.force_N=1e5", "--plot", tmp_path / "a.png")
     result, found = hil(tmp_path, "replay", *words)
     assert found["ticks"] > 50
@@ -164,7 +164,7 @@ def test_a_matrix_of_faults_keeps_its_cases(tmp_path, monkeypatch, full_disk):
     case = {"kind": "encoder_jump", "when": "TRACKING", "given": "leg 2", "success": True, "verdict": "good"}
     matrix = [case | {"fault": "encoder_jump leg=2", "wall_s": 1.0}]
     summary = {"success": True, "kind": "faults", "configuration": "ideal", "matrix": matrix, "wall_s": 1.0}
-    monkeypatch.setattr("hil.app.faults.command.run_matrix", lambda *_, **__: summary)
+    monkeypatch.setattr("hil.study.faults.command.run_matrix", lambda *_, **__: summary)
     _, found = hil(tmp_path, "faults", "ideal", "--junit", tmp_path / "a.xml")
     assert found["matrix"] == matrix
     assert found["unwritten"] == [f"--junit {tmp_path / 'a.xml'}: cannot be written: {FULL}"]
@@ -183,16 +183,16 @@ def test_a_campaign_keeps_its_summary_though_neither_page_nor_report_can_be_writ
     tmp_path, monkeypatch, full_disk
 ):
     summary = {"success": True, "kind": "campaign", "rows": 500}
-    monkeypatch.setattr("hil.app.campaign.command.run_campaign", lambda *_, **__: dict(summary))
+    monkeypatch.setattr("hil.study.campaign.command.run_campaign", lambda *_, **__: dict(summary))
 
     def page(path, *_):
         raise LogError(f"{path}: cannot be written: {FULL}")
 
-    monkeypatch.setattr("hil.app.campaign.page.write_page", page)
-    monkeypatch.setattr("hil.app.campaign.plan.read_plan", lambda _: Plan())
+    monkeypatch.setattr("hil.study.campaign.page.write_page", page)
+    monkeypatch.setattr("hil.study.campaign.plan.read_plan", lambda _: Plan())
     stand_ins: dict[str, Any] = {"show": None, "summary_lines": summary, "verdicts": []}
     for name, stand_in in stand_ins.items():
-        monkeypatch.setattr(f"hil.app.campaign.show.{name}", lambda *_, it=stand_in: it)
+        monkeypatch.setattr(f"hil.study.campaign.show.{name}", lambda *_, it=stand_in: it)
     words = ("payload", "--out", tmp_path / "rows", "--junit", tmp_path / "a.xml")
     result, found = hil(tmp_path, "campaign", *words)
     assert (found["rows"], found["success"], "page" in found) == (500, False, False)
@@ -205,8 +205,8 @@ def test_a_campaign_keeps_its_summary_though_neither_page_nor_report_can_be_writ
 def test_learned_forces_that_cannot_be_written_are_not_said_to_be(tmp_path, monkeypatch, full_disk):
     outcome = SimpleNamespace(text="t_s", steps=[SimpleNamespace(run=None)])
     named: list[object] = []
-    monkeypatch.setattr("hil.app.learn.command.learn", lambda *_: outcome)
-    monkeypatch.setattr("hil.app.learn.command.limit_of", lambda *_: 1.0)
+    monkeypatch.setattr("hil.lab.learn.command.learn", lambda *_: outcome)
+    monkeypatch.setattr("hil.lab.learn.command.limit_of", lambda *_: 1.0)
 
     def lines(_, __, out):
         named.append(out)
@@ -216,8 +216,8 @@ def test_learned_forces_that_cannot_be_written_are_not_said_to_be(tmp_path, monk
         named.append(out)
         return {"success": True, "kind": "learn"}
 
-    monkeypatch.setattr("hil.app.learn.report.lines", lines)
-    monkeypatch.setattr("hil.app.learn.report.summary", summary)
+    monkeypatch.setattr("hil.lab.learn.report.lines", lines)
+    monkeypatch.setattr("hil.lab.learn.report.summary", summary)
     result, found = hil(tmp_path, "learn", tmp_path / "a.mcap", "-o", tmp_path / "n.csv")
     assert named == [None, None]
     assert found["unwritten"] == [f"{tmp_path / 'n.csv'}: {FULL}"]

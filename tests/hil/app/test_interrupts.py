@@ -17,7 +17,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.app import workers
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
 from hil.cli import check, main
@@ -25,6 +24,7 @@ from hil.cli.interrupts import INTERRUPTED, Interrupts, comes_of_interrupt
 from hil.loop.panel import OperatorPanel
 from hil.record import Recording, child
 from hil.record.log import Log
+from hil.study import workers
 
 
 def press():
@@ -320,7 +320,7 @@ def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, mo
             let_go.append(number)
 
     before = signal.getsignal(number)
-    monkeypatch.setattr("hil.app.bringup.command.run_bringup", steps)
+    monkeypatch.setattr("hil.lab.bringup.command.run_bringup", steps)
     assert process("bringup", "virtual", "--rehearse", "--yes") == (INTERRUPTED, "hil: interrupted\n")
     assert let_go == [number]
     assert signal.getsignal(number) is before

@@ -15,15 +15,15 @@ from drivers.signals import Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.configuration.section_file import write_section
 from hil.app.files import write_whole
-from hil.app.identify import payload_block
-from hil.app.junit import Verdict, write_junit
 from hil.app.new.command import new_configuration, recognised
 from hil.app.output import closing
 from hil.config.running import WebsocketSettings
+from hil.lab.identify import payload_block
 from hil.loop.run_end import Ending
 from hil.record import Recording
 from hil.record.log import Log
 from hil.record.schema import IDENTITY, SUMMARY
+from hil.study.junit import Verdict, write_junit
 from tests.hil.app.test_new_derived import answered
 from tests.hil.samples import random_ticks, record
 

@@ -11,12 +11,12 @@ import pytest
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from hil.app.campaign.rates import Rate
-from hil.app.campaign.show import cells
-from hil.app.compare import plot, table
-from hil.app.compare.measure import Outcome
-from hil.app.identify import plot as axes_plot
 from hil.app.output import print_table
+from hil.lab.identify import plot as axes_plot
+from hil.study.campaign.rates import Rate
+from hil.study.campaign.show import cells
+from hil.study.compare import plot, table
+from hil.study.compare.measure import Outcome
 
 NAMES = [
     "pd [old]",

@@ -28,7 +28,7 @@ from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
 from hil.cli import main
 from tests.drivers.by_value import ByValue
 from tests.drivers.messages import Configure
-from tests.hil.bringup.families import FAMILIES
+from tests.hil.lab.bringup.families import FAMILIES
 
 Begin = Callable[[str], SupervisedPlant]
 SERVES = "echo >&$report; "

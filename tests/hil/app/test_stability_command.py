@@ -17,9 +17,9 @@ from hil.cli import main
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control import LAWS
+from hil.design.stability.disturbance import Load
+from hil.design.stability.energy import Basin
 from hil.robot.kinematics import jacobian
-from hil.stability.disturbance import Load
-from hil.stability.energy import Basin
 from tests.broad import broad
 
 CONSTANT = "  model: {variant: constant, frozen_at: {position_m: [0, 0, 1]}}\n"

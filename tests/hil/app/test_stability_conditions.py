@@ -14,7 +14,7 @@ from hil.app.stability.command import judge
 from hil.app.stability.imperfect_drives import Drives
 from hil.app.stability.subject import SURVEYED, Stated, Subject
 from hil.config.model import ModelSettings
-from hil.stability.assessment import Assessment
+from hil.design.stability.assessment import Assessment
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 
 FUSED = {"sensors": {"tracker": {}}, "estimation": {"pose": "fused"}}

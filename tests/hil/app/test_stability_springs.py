@@ -16,9 +16,9 @@ from hil.app.stability.command import JUDGES, judge
 from hil.app.stability.payloads import WORST_FIRST
 from hil.app.stability.subject import Stated, Subject
 from hil.config.model import ModelSettings
+from hil.design.stability.assessment import Assessment
+from hil.design.stability.energy import Basin
 from hil.robot.kinematics import leg_lengths
-from hil.stability.assessment import Assessment
-from hil.stability.energy import Basin
 from plant_fmu.config import BenchPlant
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 from tests.hil.app.test_stability_conditions import held

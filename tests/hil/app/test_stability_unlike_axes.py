@@ -16,7 +16,7 @@ from hil.app.stability.imperfect_drives import Drives
 from hil.app.stability.judged import slowest_of
 from hil.app.stability.subject import Stated, Subject
 from hil.app.stability.wording import describe
-from hil.stability.sampled import Axis, analyse, gains
+from hil.design.stability.sampled import Axis, analyse, gains
 from tests.hil.app.test_stability_command import bench
 
 T = 1e-3

@@ -9,13 +9,11 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, LogError
 from drivers.files import MOST_BYTES, read_regular
-from hil.app.calibrate import read_pairs
 from hil.app.compose import databases
 from hil.app.configuration.configuration import load, loads, short_name
 from hil.app.configuration.section_file import read_section
 from hil.app.files import printable
 from hil.app.recorded_files import with_attachments
-from hil.app.report.story import _text as headline_text
 from hil.app.run.command import _missing
 from hil.app.sim.command import simulate
 from hil.app.terminal import one_line, visible
@@ -23,9 +21,11 @@ from hil.cli import main
 from hil.config.axis_model import AxisModel
 from hil.config.reference import AxisLimits, TimeOptimalReference
 from hil.config.values import Pose
+from hil.lab.calibrate.command import read_pairs
 from hil.record import Recording
 from hil.record.log import Log
 from hil.record.salvage import salvage
+from hil.study.report.story import _text as headline_text
 from hil.trajectory.sampled import read_poses
 from hil.trajectory.time_optimal import plan, planned_trajectory
 from tests.hil.samples import random_rows

@@ -8,23 +8,23 @@ from typing import Any, NoReturn
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.bringup import together
-from hil.app.campaign.plan import read_plan
-from hil.app.campaign.row import row_configuration
-from hil.app.compare import command as compare
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.configuration.unattended import unattended, without_operator
-from hil.app.faults import command as faults
-from hil.app.identify import delay
-from hil.app.learn import rehearsal
-from hil.app.learn.command import Knowledge
 from hil.app.sim import command as sim
 from hil.app.sim.build import build_lockstep
 from hil.config.operator import OperatorSettings
-from tests.hil.app.campaign.campaigns import SMALL, written
+from hil.lab.bringup import together
+from hil.lab.identify import delay
+from hil.lab.learn import rehearsal
+from hil.lab.learn.command import Knowledge
+from hil.study.campaign.plan import read_plan
+from hil.study.campaign.row import row_configuration
+from hil.study.compare import command as compare
+from hil.study.faults import command as faults
+from tests.hil.study.campaign.campaigns import SMALL, written
 
 WAITS: dict[str, dict[str, Any]] = {
     "start": {"start": "asked"},

@@ -1,1 +1,0 @@
-"""`hil workspace`: where the platform can go."""

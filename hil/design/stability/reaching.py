@@ -1,0 +1,101 @@
+"""Reaching and boundary layers: what sliding mode and the Lyapunov redesign promise, with the figures stated.
+
+Under what the model does not know (hil.design.stability.disturbance: Gamma, |d|) the sliding variables
+s = de + lambda e of the legs obey
+
+::
+
+    ds/dt = (I - Gamma) lambda de - k Gamma sat(s / phi) - d
+
+- Outside the layer the largest |s| falls by gamma k - |d| at least, gamma the least of Gamma_ii less the rest
+  of its row, and by alpha lambda |de| less, alpha = |Gamma - I| by rows: the layer is reached. Half of it is
+  left where the legs are off by no more than takes the other half.
+- Inside, the law is linear, K_P = lambda k / phi and K_D = lambda + k / phi, and so is the loop. |s| stays
+  below its peak gain from d times |d|, sampled and late (module sampled): where that is no more than
+  phi the layer is never left, and the ultimate bound of the linear loop holds. With gamma = 1 and without
+  sampling both conditions are one, k >= |d|.
+- Where it may be left, the loop is a weaker linear one with a rest that disturbs it (`Sector`).
+
+The Lyapunov redesign has y = de + K_D / 2 e over all legs at once, rho for k, epsilon for phi, and a linear
+part of its own that helps; gamma is the least eigenvalue of Gamma's symmetric part, alpha its norm less I:
+
+::
+
+    dy/dt = -(Gamma - I/2) K_D y + ((Gamma - I/2) K_D^2 / 2 - Gamma K_P) e - rho Gamma y / |y| - d
+"""
+
+from math import inf
+from typing import NamedTuple, Self
+
+
+class Reaching(NamedTuple):
+    """What a law with a boundary layer promises."""
+
+    surplus: float
+    """m/s^2, by which s approaches the edge of the layer at least while legs are hardly off; not above 0: it
+    need not."""
+    room: float
+    """How much the legs may be off for half of that: any |de| in m/s (sliding mode), the norm of e in m
+    (redesign); inf: by anything, for all of it."""
+    inside: float
+    """m/s, the largest |s| once inside; inf without a layer."""
+    layer: float
+    """m/s."""
+
+    @property
+    def covered(self) -> bool:
+        """Tell whether the layer is reached, and never left."""
+        return self.surplus > 0.0 and (self.layer == 0.0 or self.inside <= self.layer)
+
+    def time_s(self, s: float) -> float:
+        """Return how long it takes at most from |s| m/s to the layer, within that room; inf for ever."""
+        way = max(abs(s) - self.layer, 0.0)
+        pace = self.surplus if self.room == inf else 0.5 * self.surplus
+        return way / pace if pace > 0.0 else inf
+
+
+class Sector(NamedTuple):
+    """A correction with a boundary layer as a weaker linear one, and a rest that it is off by.
+
+    k sat(s / phi) = k / (c phi) s + rest, |rest| <= k (1 - 1 / c) up to |s| = (2 c - 1) phi, c > 1: at phi it
+    is largest, falls, and is as large the other way there. So the loop is linear, and disturbed by the rest:
+    a bound of its |s| within that reach holds for the law, layer or not (by induction over the ticks).
+    """
+
+    gain: float
+    """1/s, k / (c phi)."""
+    rest: float
+    """m/s^2."""
+    reach: float
+    """m/s."""
+
+    @classmethod
+    def of(cls, k: float, layer: float, c: float) -> Self:
+        """Return the sector of a correction of k m/s^2 with this layer in m/s."""
+        return cls(k / (c * layer), k * (1.0 - 1.0 / c), (2.0 * c - 1.0) * layer)
+
+
+def sliding(
+    slope: float, k: float, layer: float, *, gamma: float, alpha: float, d: float, inside: float
+) -> Reaching:
+    """Return what s = de + slope e of a leg does under a correction of up to k m/s^2, linear in its layer.
+
+    gamma: share of what is asked for that the robot does at least; alpha: how far it is from all of it; d:
+    m/s^2, largest disturbance; inside: m/s, the largest |s| of the loop that is linear.
+    """
+    surplus = gamma * k - d
+    room = inf if alpha <= 1e-9 else 0.5 * surplus / (alpha * slope)
+    return Reaching(surplus, room, inside, layer)
+
+
+def redesign(
+    K_P: float, K_D: float, rho: float, layer: float, *, gamma: float, alpha: float, d: float, inside: float
+) -> Reaching:
+    """Return what y = de + K_D / 2 e of all legs does under a correction of up to rho m/s^2.
+
+    K_P, K_D: of the law outside its layer; the rest as for `sliding`, over all legs.
+    """
+    surplus = gamma * rho - d + (gamma - 0.5) * K_D * layer
+    coupling = abs(K_D**2 / 4.0 - K_P) + alpha * abs(K_D**2 / 2.0 - K_P)
+    room = inf if coupling <= 1e-9 * K_P else 0.5 * surplus / coupling
+    return Reaching(surplus, room, inside, layer)

@@ -1,0 +1,131 @@
+"""The axis of the linearised loop, and the four-block problem around it.
+
+The model and its feed-forward leave of each leg or pose axis a double integrator. What the law adds, u, acts
+on it late; what the model does not know, d, acts on it at once:
+
+    e'' = -(gain a + d),  a = exp(-T s) / (lag s + 1) u,  T = transport + half a period.
+"""
+
+from collections.abc import Sequence
+from math import comb, factorial
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import SynthesisError
+from hil.config.design import Design, DesignAxis
+from hil.design.synthesis.weights import (
+    control_weight,
+    disturbance_weight,
+    error_weight,
+    noise_weight,
+    rational,
+)
+from hil.mathematics.linear_system import LinearSystem, lag, static
+
+
+def pade(delay_s: float, order: int) -> LinearSystem:
+    """Return the Pade approximation of exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
+    if delay_s == 0.0:
+        return static(np.eye(1))
+    n = order
+    c = np.array([comb(n, k) * factorial(2 * n - k) / factorial(n) for k in range(n, -1, -1)])
+    denominator, numerator = c, c * [(-1) ** k for k in range(n, -1, -1)]  # of s T
+    A = np.eye(n, k=-1)
+    A[0] = -denominator[1:]
+    D = numerator[0]
+    C = numerator[1:] - D * denominator[1:]
+    return LinearSystem(A / delay_s, np.eye(n)[:, :1] / delay_s, C[None], np.array([[D]]))
+
+
+def drive(axis: DesignAxis) -> LinearSystem:
+    """Return the force loop of the drives: the lag, and what they do beyond it.
+
+    Raises SynthesisError: improper or unstable, or not of gain 1 at rest.
+    """
+    first = lag(1e-3 * axis.lag_ms)
+    if axis.drive is None:
+        return first
+    further = rational(axis.drive, "nominal.drive")
+    if not further.is_stable():
+        raise SynthesisError(
+            f"nominal.drive: unstable, a pole at {max(further.poles().real):.3g} rad/s, allowed: left of 0"
+        )
+    at_rest = further.response(np.zeros(1))[0, 0, 0].real
+    if abs(at_rest - 1.0) > 1e-3:
+        raise SynthesisError(
+            f"nominal.drive: gain {at_rest:.4g} at rest, allowed: 1; the axis has a key gain"
+        )
+    return further.after(first)
+
+
+def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
+    """Return what comes between u and the acceleration it makes: delay, half a period, lag; with the gain."""
+    delay = pade(1e-3 * axis.transport_ms + 0.5 / rate_Hz, order)
+    path = drive(axis).after(delay)
+    return path._replace(C=axis.gain * path.C, D=axis.gain * path.D)
+
+
+def body(inputs: Sequence[str]) -> LinearSystem:
+    """Return the double integrator from [a + d] to [e, measured inputs in their order]."""
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
+    rows: dict[str, Array] = {"error": np.array([1.0, 0.0]), "rate_error": np.array([0.0, 1.0])}
+    C = np.array([rows["error"], *(rows[name] for name in inputs)])
+    return LinearSystem(A, B, C, np.zeros((len(C), 1)))
+
+
+def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
+    """Return the unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
+    acting = static(np.ones((1, 2))).after(static(np.eye(1)).beside(path))
+    return around(body(inputs).after(acting))
+
+
+def around(axis: LinearSystem) -> LinearSystem:
+    """Return the problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
+    n, h = len(axis.C) - 1, axis.period_s
+    # [d, noise, u] -> [d, u, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
+    order = static(np.eye(n + 2)[[0, n + 1, *range(1, n + 2)]], h)
+    out = np.zeros((n + 2, 2 * n + 2))
+    out[0, 0] = out[1, -1] = 1.0
+    out[2:, 1 : n + 1] = out[2:, n + 1 : 2 * n + 1] = np.eye(n)
+    return static(out, h).after(axis.beside(static(np.eye(n + 1), h))).after(order)
+
+
+def weighted(design: Design, core: LinearSystem) -> LinearSystem:
+    """Return the problem from [d, noise, u] to [W_e e, W_u u, y] of one from [d, noise, u] to [e, u, y].
+
+    Around a sampled axis weights are mapped bilinearly: they matter far below the Nyquist frequency.
+
+    Raises SynthesisError for a weight that cannot be used.
+    """
+    h = core.period_s
+
+    def at(weight: LinearSystem) -> LinearSystem:
+        return weight.sampled(h, "bilinear") if h and weight.order else weight._replace(period_s=h)
+
+    error, control = design.weights.error, design.weights.control
+    into = at(disturbance_weight(design)).beside(at(noise_weight(design))).beside(static(np.eye(1), h))
+    out = at(error_weight(error)).beside(at(control_weight(control, design.rate_Hz)))
+    return out.beside(static(np.eye(len(design.inputs)), h)).after(core).after(into)
+
+
+def lumped(axis: DesignAxis) -> DesignAxis:
+    """Return the axis with its lag as further dead time: of the same phase up to 1 / lag."""
+    return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
+
+
+def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:
+    """Return the axis as the synthesis takes it."""
+    return lumped(axis) if design.lump_lag else axis
+
+
+def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
+    """Return the weighted problem from [d, noise, u] to [W_e e, W_u u, y].
+
+    Plain mixed sensitivity has no d: on 1/s^2 the two modes at 0 would be excited by nothing, and no gamma
+    would bound what they do. Here d excites them, and the axis stays as it is.
+
+    Raises SynthesisError for an axis or a weight that cannot be used.
+    """
+    path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
+    return weighted(design, four_block(path, design.inputs))

@@ -1,0 +1,206 @@
+"""D-K iteration: a controller for the worst of a structured uncertainty.
+
+mu of the closed loop cannot be minimised directly. The largest singular value of D M(K) D^-1 is above it, and
+convex in D for a given K, and an H-infinity problem in K for a given D. Each in turn, from the controller of
+the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996, section 11.4). The optimum that this ends in
+need not be the global one.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from drivers.arrays import Array, ComplexArray
+from drivers.errors import SynthesisError
+from hil.design.synthesis.hinf import hinf
+from hil.design.synthesis.mu import Block, UpperBound, upper_bound
+from hil.design.synthesis.structured import Structured
+from hil.design.synthesis.wiring import well_scaled
+from hil.mathematics.linear_system import LinearSystem, static
+
+ROUNDS = 10
+GAIN = 0.003
+"""Share by which mu has to fall for another round."""
+ORDER = 1
+"""Of each scale as a rational function; a controller takes up twice the sum."""
+
+
+class Bounds(NamedTuple):
+    """mu of a loop from above over frequency."""
+
+    omega: Array
+    """(N,) rad/s, refined around the peak."""
+    upper: UpperBound
+
+    @property
+    def peak(self) -> float:
+        """The largest bound."""
+        return float(self.upper.bound.max())
+
+    @property
+    def peak_rad_s(self) -> float:
+        """Where it is."""
+        return float(self.omega[self.upper.bound.argmax()])
+
+
+class Iterated(NamedTuple):
+    """The controller u = K y of the least mu found, and how it was come by."""
+
+    K: LinearSystem
+    bounds: Bounds
+    history: list[float]
+    """The peak of mu after each round."""
+
+
+def bounds_over_frequency(M: LinearSystem, blocks: list[Block], omega: Array) -> Bounds:
+    """Return mu <= bound over `omega` and at 16 more frequencies around its peak."""
+    first = upper_bound(M.response(omega), blocks)
+    k = int(first.bound.argmax())
+    low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+    finer = np.geomspace(low, high, 18)[1:-1]
+    finer = finer[~np.isclose(finer, omega[k], rtol=1e-9)]
+    second = upper_bound(M.response(finer), blocks)
+    order = np.argsort(np.concatenate([omega, finer]))
+    merged = (np.concatenate([a, b])[order] for a, b in zip(first, second, strict=True))
+    return Bounds(np.concatenate([omega, finer])[order], UpperBound(*merged))
+
+
+def with_own(omega: Array, M: LinearSystem) -> Array:
+    """Return the frequencies with those of M's poles, where a bound can be sharp, and one as good as rest.
+
+    That is a hundredth of the slowest pole. Rises; M is stable.
+    """
+    own = np.abs(M.poles())
+    return np.unique(np.concatenate([omega, own, [0.01 * own.min()]]))
+
+
+def fitted_scales(
+    M: LinearSystem, found: Bounds, blocks: list[Block], within: tuple[float, float]
+) -> list[LinearSystem]:
+    """Return for each uncertain block a rational d(s) near the scale that was found best."""
+    weight = _matters(M.response(found.omega), found, blocks)
+    return [
+        minimum_phase(found.omega, found.upper.D[:, i], ORDER, within, weight[:, i])
+        for i in range(len(blocks) - 1)
+    ]
+
+
+def minimum_phase(
+    omega: Array, magnitude: Array, order: int, within: tuple[float, float], weight: Array
+) -> LinearSystem:
+    """Return the stable d(s) with stable inverse whose |d(j omega)| is nearest to `magnitude`, in decibels.
+
+        d = g prod (s + z_i) / (s + p_i),  log|d| = log g + 1/2 sum log (omega^2 + z_i^2) / (omega^2 + p_i^2)
+
+    Zeros and poles stay `within` two frequencies, rad/s. `weight` (N,) of each frequency.
+    """
+    target = np.log(magnitude)
+    low, high = np.log(within)
+
+    def logarithm(x: Array) -> Array:
+        corners = 0.5 * np.log(omega[:, None] ** 2 + np.exp(2.0 * x[1:]))
+        return np.asarray(x[0] + corners[:, :order].sum(1) - corners[:, order:].sum(1), float)
+
+    spread = low + (high - low) * (np.arange(order) + 0.5) / order
+    start = np.concatenate([[np.average(target, weights=weight)], spread, spread - 0.05 * (high - low)])
+    bounds = ([-np.inf, *[low] * 2 * order], [np.inf, *[high] * 2 * order])
+    start[1:] = np.clip(start[1:], low, high)
+    x = least_squares(lambda x: weight * (logarithm(x) - target), start, bounds=bounds).x
+    system = static(np.array([[np.exp(x[0])]]))
+    for z, p in zip(np.exp(x[1 : order + 1]), np.exp(x[order + 1 :]), strict=True):
+        A, C = np.array([[-p]]), np.array([[z - p]])
+        system = LinearSystem(A, np.eye(1), C, np.eye(1)).after(system)
+    return system
+
+
+def inverse(d: LinearSystem) -> LinearSystem:
+    """Return 1 / d(s) of a d(s) with feed-through."""
+    E: Array = np.asarray(np.linalg.inv(d.D), float)
+    return LinearSystem(d.A - d.B @ E @ d.C, d.B @ E, -E @ d.C, E)
+
+
+def scaled(problem: Structured, scales: list[LinearSystem]) -> LinearSystem:
+    """Return the plant with d(s) on the outputs of each uncertain block and 1 / d(s) on its inputs."""
+    left = right = static(np.zeros((0, 0)))
+    for d in scales:
+        left, right = left.beside(d), right.beside(inverse(d))
+    rest_out = problem.plant.C.shape[0] - len(scales)
+    rest_in = problem.plant.B.shape[1] - len(scales)
+    widened = left.beside(static(np.eye(rest_out))).after(problem.plant)
+    return well_scaled(widened.after(right.beside(static(np.eye(rest_in)))))
+
+
+def nominal_controller(problem: Structured) -> LinearSystem:
+    """Return the H-infinity controller of the axis without its uncertainty: where the iteration begins.
+
+    Raises SynthesisError as `hinf` does.
+    """
+    n = problem.uncertain
+    P = problem.plant
+    return hinf(P._replace(B=P.B[:, n:], C=P.C[n:], D=P.D[n:, n:]), problem.n_y, 1).K
+
+
+def dk_iteration(
+    problem: Structured,
+    K: LinearSystem,
+    omega: Array,
+    within: tuple[float, float],
+    progress: Callable[[str], None],
+) -> Iterated:
+    """Return the controller of the least upper bound of mu that D-K iteration comes to.
+
+    Parameters
+    ----------
+    K : controller to begin with, one that stabilises
+    omega : (N,) grid of mu, rad/s
+    within : where zeros and poles of the scales may lie, rad/s
+    progress : takes a line a round
+
+    Raises SynthesisError where mu stays at 1 or above, and as `hinf` does.
+    """
+    M = problem.plant.closed_with(K)
+    found = bounds_over_frequency(M, problem.blocks, omega)
+    progress(f"without uncertainty: mu <= {found.peak:.3f} at {found.peak_rad_s:.0f} rad/s")
+    best = Iterated(K, found, [found.peak])
+    for k in range(ROUNDS):
+        scales = fitted_scales(M, found, problem.blocks, within)
+        made = hinf(scaled(problem, scales), problem.n_y, 1)
+        M = problem.plant.closed_with(made.K)
+        found = bounds_over_frequency(M, problem.blocks, omega)
+        history = [*best.history, found.peak]
+        progress(
+            f"round {k + 1}: gamma {made.gamma:.3f}, mu <= {found.peak:.3f} at {found.peak_rad_s:.0f} rad/s"
+        )
+        falls = found.peak < (1.0 - GAIN) * best.bounds.peak
+        if found.peak < best.bounds.peak:
+            best = Iterated(made.K, found, history)
+        best = best._replace(history=history)
+        if not falls:
+            break
+    if best.bounds.peak >= 1.0:
+        raise SynthesisError(
+            f"mu is not below {best.bounds.peak:.3f} after {len(best.history) - 1} rounds, the worst at "
+            f"{best.bounds.peak_rad_s:.0f} rad/s, allowed: below 1; ask for less (weights.error, "
+            "weights.control) or narrow the uncertainty"
+        )
+    return best
+
+
+def _matters(M: ComplexArray, found: Bounds, blocks: list[Block]) -> Array:
+    """Return by how much the bound rises, as a share of its peak, where a scale is wrong by a factor of 1.5.
+
+    (N, blocks - 1); the square root, since what is fitted is squared. Where a scale hardly matters, at low
+    frequency above all, its fit need not be good.
+    """
+    outputs = [k for k, block in enumerate(blocks) for _ in range(block.columns)]
+    inputs = [k for k, block in enumerate(blocks) for _ in range(block.rows)]
+    rise = np.zeros((len(M), len(blocks) - 1))
+    for i in range(len(blocks) - 1):
+        for factor in (1.5, 1.0 / 1.5):
+            D = found.upper.D.copy()
+            D[:, i] *= factor
+            sigma = np.linalg.svd(D[:, outputs, None] * M / D[:, None, inputs], compute_uv=False)[:, 0]
+            rise[:, i] += np.maximum(sigma - found.upper.bound, 0.0) / found.peak
+    return np.sqrt(rise * (found.upper.bound / found.peak)[:, None] ** 2) + 1e-4

@@ -1,0 +1,153 @@
+"""mu for a design: from what is asked of an uncertain loop to a controller that gives it, or why none does.
+
+A design and an axis in, controller and figures out; no file.
+"""
+
+from collections.abc import Callable
+from itertools import product
+from math import inf, pi
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import SynthesisError
+from hil.config.design import Design, DesignAxis, UncertaintyRanges
+from hil.design.synthesis.dk import (
+    Bounds,
+    bounds_over_frequency,
+    dk_iteration,
+    fitted_scales,
+    nominal_controller,
+    scaled,
+    with_own,
+)
+from hil.design.synthesis.hinf_design import Designed, computable
+from hil.design.synthesis.mu import lower_bound
+from hil.design.synthesis.multiplicative import Relative
+from hil.design.synthesis.norm import norm
+from hil.design.synthesis.reduction import reduced
+from hil.design.synthesis.result import SLOW, Judgement, described, judge
+from hil.design.synthesis.sampled import sampled_problem
+from hil.design.synthesis.structured import CORNER, Structured, structured_plant
+from hil.design.synthesis.weights import noise_weight
+from hil.mathematics.linear_system import LinearSystem
+
+POINTS = 80
+"""Of the grid of mu, before it is refined around the peak ..."""
+SPAN = 1e-4, 5.0
+"""... from and to these shares of the Nyquist frequency."""
+NOTHING = 1e-4
+"""Hankel singular value, as a share of the largest, below which a state of a controller is left out: of poles
+and zeros of the scales that all but cancel, and that an anti-windup would move by force."""
+LISTED = 40
+"""Frequencies that the file lists."""
+
+
+def mu_grid(rate_Hz: float) -> Array:
+    """Return the frequencies, rad/s, at which mu is looked at."""
+    return np.asarray(np.geomspace(*SPAN, POINTS) * pi * rate_Hz)
+
+
+@computable()
+def design_mu(
+    design: Design, axis: DesignAxis, progress: Callable[[str], None], measured: Relative | None = None
+) -> Designed:
+    """Return the controller of the least mu that D-K iteration comes to.
+
+    measured: what it has to stand beside, as a block of its own.
+
+    Raises SynthesisError: no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
+    the message says which and what would help.
+    """
+    if design.uncertainty is None:
+        raise SynthesisError(
+            "the design has no section uncertainty, allowed: inertia, transport_ms, drive_bandwidth_Hz; or "
+            "take `hil design hinf`"
+        )
+    if design.lump_lag:
+        raise SynthesisError(
+            "lump_lag: true, allowed: false, since the lag is uncertain by itself; or take `hil design hinf`"
+        )
+    problem = structured_plant(design, axis, design.uncertainty, measured)
+    start = nominal_controller(problem)
+    slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
+    within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
+    found = dk_iteration(problem, start, mu_grid(design.rate_Hz), within, progress)
+    K, _ = reduced(found.K, np.diag(noise_weight(design).D), NOTHING)
+    judged = judge(design, axis, K)
+    if judged.reasons:
+        raise SynthesisError(
+            f"mu below 1 is reached, {found.bounds.peak:.4g}, but by no controller that can run: "
+            + "; ".join(judged.reasons)
+        )
+    M = problem.plant.closed_with(K)
+    bounds = bounds_over_frequency(M, problem.blocks, with_own(mu_grid(design.rate_Hz), M))
+    scales = fitted_scales(M, bounds, problem.blocks, within)
+    proven = norm(scaled(problem, scales).closed_with(K)).value
+    corners = sampled_corners(design, axis, design.uncertainty, judged.sampled)
+    if max(proven, corners) >= 1.0:
+        raise SynthesisError(
+            f"mu is {bounds.peak:.4g}, the worst at {bounds.peak_rad_s:.3g} rad/s, proven up to {proven:.4g} "
+            f"where nothing was looked at, the norm of the sampled loop {corners:.4g} at the corners of the "
+            "uncertainty, allowed: all below 1; ask for less, or raise delay_order"
+        )
+    figures = {
+        "mu_proven": proven,
+        "norm_sampled_corners": corners,
+        "rounds": found.history,
+        "states_left_out": found.K.order - K.order,
+    }
+    return Designed(K, judged, figures | _figures(design, axis, problem, K, bounds, judged))
+
+
+def sampled_corners(design: Design, axis: DesignAxis, ranges: UncertaintyRanges, K: LinearSystem) -> float:
+    """Return the largest norm of the exact sampled loop over the eight corners of the uncertainty.
+
+    inf where one is unstable.
+    """
+    worst = 0.0
+    for share, transport_ms, lag_ms in product(
+        (1.0 - ranges.inertia, 1.0 + ranges.inertia), ranges.transport_ms, ranges.lag_ms
+    ):
+        update = {"gain": axis.gain / share, "transport_ms": transport_ms, "lag_ms": lag_ms}
+        problem = sampled_problem(design, axis.model_copy(update=update))
+        # the first input is d, which a lighter body answers by more, too
+        B, D = problem.B.copy(), problem.D.copy()
+        B[:, 0], D[:, 0] = B[:, 0] / share, D[:, 0] / share
+        loop = problem._replace(B=B, D=D).closed_with(K)
+        worst = max(worst, norm(loop).value if loop.is_stable() else inf)
+    return worst
+
+
+def over_frequency(problem: Structured, K: LinearSystem, omega: Array) -> tuple[Array, Array]:
+    """Return the lower bound of mu and the largest gain of the loop without uncertainty, (N,) each."""
+    M = problem.plant.closed_with(K).response(omega)
+    n = problem.uncertain
+    gain = np.linalg.svd(M[:, n:, n:], compute_uv=False)[:, 0]
+    return lower_bound(M, problem.blocks).bound, np.asarray(gain, float)
+
+
+def _figures(
+    design: Design, axis: DesignAxis, problem: Structured, K: LinearSystem, bounds: Bounds, judged: Judgement
+) -> dict[str, Any]:
+    assert design.uncertainty is not None
+    omega, upper = bounds.omega, bounds.upper.bound
+    lower, nominal = over_frequency(problem, K, omega)
+    k = np.unique(np.append(np.linspace(0, len(omega) - 1, LISTED).astype(int), upper.argmax()))
+    return {
+        "mu_upper": bounds.peak,
+        "mu_lower": float(lower.max()),
+        "mu_peak_rad_s": bounds.peak_rad_s,
+        "nominal_performance": float(nominal.max()),
+        **described(judged, K),
+        "mu": {
+            "omega_rad_s": [float(w) for w in omega[k]],
+            "upper": [float(v) for v in upper[k]],
+            "lower": [float(v) for v in lower[k]],
+        },
+        "axis": axis.model_dump(mode="json", exclude_none=True),
+        "delay_order": design.delay_order,
+        "uncertainty": design.uncertainty.model_dump(mode="json"),
+        "weights": design.weights.model_dump(mode="json", exclude_none=True),
+    }

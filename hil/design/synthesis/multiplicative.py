@@ -1,0 +1,141 @@
+"""Axes that were measured: by how much they differ from the nominal one, and what a loop makes of that.
+
+|P / P0 - 1| <= w(omega) of each axis. One axis is stable whatever P is if and only if |w T| < 1 everywhere, T
+of the nominal loop (J. C. Doyle, B. A. Francis, A. R. Tannenbaum, *Feedback Control Theory*, 1992, 4.2).
+
+Six axes with one controller each that a wrong inertia couples have, opened at the controls, L Gamma, and
+
+    T_6 = L Gamma (I + L Gamma)^-1
+
+Each axis differs by a factor of its own. Whatever these are, the six together are stable if the spectral
+radius of |w T_6|, element by element, is below 1: the best of all diagonal scalings of its norm (S. Skogestad
+and I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, 8.7 and A.3).
+"""
+
+from collections.abc import Sequence
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, ComplexArray
+from hil.config.axis_model import AxisModel
+from hil.config.design import Design, TransferFunction
+from hil.design.synthesis.weights import control_weight, disturbance_weight, rational
+from hil.mathematics.linear_system import LinearSystem
+
+SPARE = 1.01
+"""A cover is wider by this factor than what it has to cover."""
+CORNER = 0.4
+"""Times the Nyquist frequency: highest pole of a cover. A controller takes it over."""
+BEYOND = 0.5
+"""Times the Nyquist frequency: up to there the bound goes on in proportion, beyond it stays."""
+
+
+class Relative(NamedTuple):
+    """w(omega), at rising frequencies. Below the first as there, beyond the last rising in proportion."""
+
+    omega: Array
+    """(n,) rad/s."""
+    bound: Array
+    """(n,)"""
+    flat_rad_s: float
+    """From here on it rises no more."""
+
+    def at(self, omega: Array) -> Array:
+        """Return w at other frequencies, rad/s."""
+        beyond = np.clip(omega, self.omega[-1], max(self.flat_rad_s, self.omega[-1])) / self.omega[-1]
+        return np.asarray(np.interp(np.log(omega), np.log(self.omega), self.bound) * beyond, float)
+
+
+class Margin(NamedTuple):
+    """How near a loop comes to what it stands."""
+
+    norm: float
+    """Largest |w T|, or spectral radius of |w T_6|; the loop stands the uncertainty below 1."""
+    at_rad_s: float
+
+
+def relative(model: AxisModel, gain: float) -> Relative:
+    """Return what all six measured axes differ by, at most, from one of this gain.
+
+    |g_i / g (1 + w_i) - 1| <= |g_i / g - 1| + g_i / g |w_i|.
+    """
+    profile = model.uncertainty
+    ratio = np.array(model.nominal.gain)[:, None] / gain
+    bound = (np.abs(ratio - 1.0) + ratio * np.array(profile.bound)).max(axis=0)
+    return Relative(2.0 * pi * np.array(profile.frequency_Hz), bound, BEYOND * pi * model.rate_Hz)
+
+
+def frequencies(rate_Hz: float) -> Array:
+    """Return the frequencies, rad/s, at which loops are looked at: to the Nyquist frequency."""
+    return np.asarray(np.geomspace(1e-4, 1.0, 1200) * pi * rate_Hz)
+
+
+def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
+    """Return the tightest k ((s / z + 1) / (s / p + 1))^n above all values.
+
+    n is 1 or 2, z and p are up to `corner`. Tightest is the least mean of log(|W| / value) up to the corner.
+    """
+    s, below = 1j * omega, omega <= corner
+    corners = np.geomspace(max(omega[0], 1e-3 * corner), corner, 60)
+    best: tuple[float, TransferFunction] | None = None
+    for order in (1, 2):
+        for z in corners:
+            for p in corners:
+                shape = np.abs((s / z + 1.0) / (s / p + 1.0)) ** order
+                k = SPARE * float((values / shape).max())
+                excess = float(np.log(k * shape[below] / values[below]).mean())
+                if best is None or excess < best[0] - 1e-6:
+                    factors = [np.array([1.0 / x, 1.0]) for x in (z, p)]
+                    top, bottom = (f if order == 1 else np.convolve(f, f) for f in factors)
+                    best = excess, TransferFunction(numerator=list(k * top), denominator=list(bottom))
+    assert best is not None
+    return best[1]
+
+
+def covered(design: Design, measured: Relative, gain: float) -> Design:
+    """Return the design with a control weight that covers the uncertainty, too: |W_u W_d| >= gain w.
+
+    W_u T W_d / gain is a path of the problem, over what lag and drive leave of it, which is no more than 1:
+    where gamma is below 1, so is |w T|.
+    """
+    omega = frequencies(design.rate_Hz)
+    amplitude = float(disturbance_weight(design).D[0, 0])
+    asked = np.abs(control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0])
+    least = gain * measured.at(omega) / amplitude
+    if (asked >= least).all():
+        return design
+    weight = cover(omega, np.maximum(asked, least), CORNER * pi * design.rate_Hz)
+    return design.model_copy(update={"weights": design.weights.model_copy(update={"control": weight})})
+
+
+def cover_system(measured: Relative, rate_Hz: float) -> LinearSystem:
+    """Return a stable system whose gain is w or more, as a weight of a structured problem."""
+    omega = frequencies(rate_Hz)
+    return rational(cover(omega, measured.at(omega), CORNER * pi * rate_Hz), "cover of the measured axes")
+
+
+def single(measured: Relative, L: LinearSystem, rate_Hz: float) -> Margin:
+    """Return the largest |w T| of a sampled loop, opened at u, and where it is."""
+    omega = frequencies(rate_Hz)
+    L_w = L.response(omega)[:, 0, 0]
+    return _largest(omega, measured.at(omega) * np.abs(L_w / (1.0 + L_w)))
+
+
+def together(measured: Relative, L: LinearSystem, Gammas: Sequence[Array], rate_Hz: float) -> Margin:
+    """Return the largest spectral radius of |w T_6| over the couplings Gamma (6, 6), each times L."""
+    omega = frequencies(rate_Hz)[::4]
+    L_w: ComplexArray = L.response(omega)[:, 0, 0]
+    w, worst = measured.at(omega), np.zeros(len(omega))
+    for Gamma in Gammas:
+        open_loop = L_w[:, None, None] * Gamma
+        T = np.linalg.solve(np.eye(6) + open_loop, open_loop)
+        radius = np.abs(np.linalg.eigvals(np.abs(T))).max(axis=1)
+        worst = np.maximum(worst, w * radius)
+    return _largest(omega, worst)
+
+
+def _largest(omega: Array, values: Array) -> Margin:
+    k = int(np.argmax(values))
+    return Margin(float(values[k]), float(omega[k]))

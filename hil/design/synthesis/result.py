@@ -1,0 +1,157 @@
+"""What a synthesis hands over: the controller as the loop runs it, judged on the exact sampled loop."""
+
+from math import pi
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+from drivers.arrays import Array, ComplexArray
+from drivers.errors import SynthesisError
+from hil.config.design import Design, DesignAxis
+from hil.config.linear_controller import LinearController
+from hil.design.stability.sampled_loop import Margins, margins
+from hil.design.synthesis.axis import actuator, four_block, loop_axis
+from hil.design.synthesis.sampled import loop_gain, sampled_axis
+from hil.mathematics.linear_system import LinearSystem
+
+SLOW = 0.1
+"""Times the crossover: no pole of the closed loop may be slower."""
+
+
+class Judgement(NamedTuple):
+    """A controller on its axis."""
+
+    sampled: LinearSystem
+    """The controller at the loop's rate."""
+    margins: Margins
+    loop_poles: ComplexArray
+    """rad/s, of the loop of rational axis and continuous controller."""
+    reasons: tuple[str, ...]
+    """Why it must not be used; empty for a good one."""
+
+
+def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
+    """Sample a continuous controller and look at what the loop would make of it.
+
+    The map is Tustin's, without prewarping: what it bends lies above half Nyquist, where no pole may be.
+    """
+    h = 1.0 / design.rate_Hz
+    path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
+    poles = four_block(path, design.inputs).closed_with(K).poles()
+    sampled = K.sampled(h, "bilinear")
+    legs = sampled_axis(axis, design.rate_Hz, design.inputs)
+    found = margins(loop_gain(sampled, legs))
+    reasons = []
+    fastest, end = float(np.abs(K.poles()).max(initial=0.0)), pi * design.rate_Hz / 2.0
+    if fastest > end:
+        reasons.append(
+            f"a pole of the controller at {fastest:.0f} rad/s, allowed: up to half the Nyquist frequency, "
+            f"{end:.0f}; ask for less bandwidth, state more noise, or take a higher rate"
+        )
+    slowest = float(-poles.real.max())
+    if slowest < SLOW * found.crossover_rad_s:
+        reasons.append(
+            f"a pole of the closed loop at {slowest:.3g} rad/s, allowed: from {SLOW:g} of the crossover, "
+            f"{SLOW * found.crossover_rad_s:.3g}; let the error weight ask for more at low frequency"
+        )
+    if not K.is_stable():
+        reasons.append(
+            f"the controller is unstable by itself, a pole at {K.poles().real.max():.3g} rad/s, and would "
+            "run away where a limit opens the loop; ask for less bandwidth"
+        )
+    if not legs.closed_with(sampled).is_stable():
+        reasons.append(
+            "the sampled loop is unstable: the rational model of delay and hold is too rough at this "
+            "bandwidth; raise delay_order, or ask for less"
+        )
+    return Judgement(sampled, found, poles, tuple(reasons))
+
+
+def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
+    """Return L (n,) with A - L C as fast as `bandwidth`, rad/s, and no faster than need be.
+
+    While a limit holds u back, the state moves by L times what was taken from u: an observer of the
+    controller's own state by what was applied (Astrom and Rundqwist 1989). Poles slower than `bandwidth` are
+    mirrored at it, the others stay where they are: least energy with a prescribed degree of stability
+    (B. D. O. Anderson and J. B. Moore, *Optimal Control*, 1990, section 3.5), by a Riccati equation that
+    puts no weight on the state.
+
+    Raises SynthesisError where that has no solution.
+    """
+    assert K.period_s is not None
+    n = K.order
+    if not n:
+        return np.zeros(0)
+    faster = np.exp(bandwidth * K.period_s)
+    A, C = faster * K.A, K.C
+    try:
+        X = solve_discrete_are(A.T, C.T, np.zeros((n, n)), np.eye(1))
+    except np.linalg.LinAlgError:
+        raise SynthesisError(
+            "no anti-windup: a pole of the controller lies exactly at the crossover, or a slow one is not "
+            "seen in u; change a weight by a little"
+        ) from None
+    gain = A @ X @ C.T @ np.linalg.inv(C @ X @ C.T + np.eye(1))
+    return np.asarray(gain[:, 0] / faster)
+
+
+def balanced(K: LinearSystem) -> LinearSystem:
+    """Return a stable sampled system in balanced coordinates: both Gramians equal and diagonal.
+
+    B. C. Moore (1981). States so are of one size, and the realisation is unique but for signs: those are
+    chosen so that the first column of B is positive. One with a state that is hardly reached or seen has no
+    such coordinates and is returned as it is.
+    """
+    W_c = solve_discrete_lyapunov(K.A, K.B @ K.B.T)
+    W_o = solve_discrete_lyapunov(K.A.T, K.C.T @ K.C)
+    try:
+        R = np.linalg.cholesky(W_c)
+    except np.linalg.LinAlgError:
+        return K
+    U, s, _ = np.linalg.svd(R.T @ W_o @ R)
+    T = R @ U / s**0.25
+    T = T * np.where(np.linalg.solve(T, K.B)[:, 0] < 0.0, -1.0, 1.0)
+    return LinearSystem(np.linalg.solve(T, K.A @ T), np.linalg.solve(T, K.B), K.C @ T, K.D, K.period_s)
+
+
+def linear_controller(
+    design: Design, method: str, judged: Judgement, figures: dict[str, Any]
+) -> LinearController:
+    """Return the file's content: the sampled controller in balanced numbers, and how it was made."""
+    K = balanced(judged.sampled)
+    return LinearController.model_validate(
+        {
+            "kind": "linear-controller",
+            "method": method,
+            "axes": design.axes,
+            "rate_Hz": design.rate_Hz,
+            "inputs": list(design.inputs),
+            "A": K.A.tolist(),
+            "B": K.B.tolist(),
+            "C": K.C.tolist(),
+            "D": K.D.tolist(),
+            "anti_windup": anti_windup(K, judged.margins.crossover_rad_s).tolist(),
+            "design": figures,
+        }
+    )
+
+
+def described(judged: Judgement, K: LinearSystem) -> dict[str, Any]:
+    """Return margins and poles as plain numbers with their units."""
+    m = judged.margins
+    return {
+        "crossover_rad_s": m.crossover_rad_s,
+        "phase_margin_deg": m.phase_deg,
+        "delay_margin_ms": 1e3 * m.delay_s,
+        "gain_margin": [m.gain_down, m.gain_up],
+        "peak_S": m.peak_S,
+        "peak_T": m.peak_T,
+        "controller_poles_rad_s": _pairs(K.poles()),
+        "closed_loop_poles_rad_s": _pairs(judged.loop_poles),
+    }
+
+
+def _pairs(poles: ComplexArray) -> list[list[float]]:
+    """Real and imaginary part, the slowest first; no minus zero."""
+    return [[float(p.real), abs(float(p.imag))] for p in sorted(poles, key=abs) if p.imag >= 0.0]

@@ -1,0 +1,154 @@
+"""The axis whose inertia, delay and drives are known within limits only: M, and Delta around it.
+
+    e'' = -(v + d) / (1 + r delta)
+    v = gain (1 + W_lag Delta_lag + W Delta (1 + W_lag Delta_lag)) drive (1 + W_delay Delta_delay) delay u
+
+W Delta is what measured axes differ by from the nominal one, if any were (module multiplicative).
+delta is the share of the inertia, and enters exactly; the bounds take it for complex. Delay and lag are
+covered at every frequency by a disc around the nominal one, a multiplicative weight (S. Skogestad and
+I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7.4). Delta holds more than the
+axes it covers: what holds for all of Delta holds for them.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import SynthesisError
+from hil.config.design import Design, DesignAxis, UncertaintyRanges
+from hil.design.synthesis.axis import drive, pade
+from hil.design.synthesis.mu import Block
+from hil.design.synthesis.multiplicative import Relative, cover_system
+from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
+from hil.design.synthesis.wiring import Sum, well_scaled, wired
+from hil.mathematics.linear_system import LinearSystem
+
+SPARE = 1.01
+"""A cover is wider by this factor than what it has to cover."""
+CORNER = 0.4
+"""Times the Nyquist frequency: the covers' corner. A controller's poles, near it, have to stay below 0.5."""
+
+
+class Structured(NamedTuple):
+    """The weighted problem from [w of each block of Delta, d, noise, u] to [z of each block, e, u, y]."""
+
+    plant: LinearSystem
+    blocks: list[Block]
+    """Inertia, delay, lag, then what measured axes differ by, if any were; the last is performance, from
+    [d, noise] to [W_e e, W_u u]."""
+    n_y: int
+
+    @property
+    def uncertain(self) -> int:
+        """Number of blocks that are uncertain, each one input and one output."""
+        return len(self.blocks) - 1
+
+
+def transport_error(
+    omega: Array, transport_ms: tuple[float, float], nominal_ms: float, rate_Hz: float, order: int
+) -> Array:
+    """Return the largest |hold exp(-j omega T) / nominal - 1| over all T of a range, at each omega.
+
+    The hold of one period is exact, (1 - exp(-s h)) / (s h); nominal is the Pade approximation of the nominal
+    delay and half a period. All T of the range turn one number around the origin: the farthest from 1 is at
+    an end of the range, or opposite to 1.
+    """
+    h = 1.0 / rate_Hz
+    nominal = pade(1e-3 * nominal_ms + 0.5 * h, order).response(omega)[:, 0, 0]
+    hold = np.sinc(omega * h / (2.0 * pi)) * np.exp(-0.5j * omega * h)
+    ends = [hold * np.exp(-1e-3j * omega * T) / nominal for T in transport_ms]
+    start = -np.angle(ends[0])
+    opposite = start + np.mod(pi - start, 2.0 * pi)
+    passed = opposite <= start + 1e-3 * omega * (transport_ms[1] - transport_ms[0])
+    farthest = np.maximum(np.abs(ends[0] - 1.0), np.abs(ends[1] - 1.0))
+    return np.asarray(np.where(passed, np.abs(hold) + 1.0, farthest), float)
+
+
+def lag_error(omega: Array, lag_ms: tuple[float, float], nominal_ms: float) -> Array:
+    """Return the largest |(tau0 s + 1) / (tau s + 1) - 1| over all tau of a range, at each omega.
+
+    |tau0 - tau| omega / |1 + j tau omega| grows with the distance from tau0 on either side, to the ends.
+    """
+    errors = [1e-3 * abs(nominal_ms - tau) * omega / np.abs(1.0 + 1e-3j * tau * omega) for tau in lag_ms]
+    return np.asarray(np.max(errors, axis=0))
+
+
+def cover(omega: Array, error: Array, corner: float) -> LinearSystem:
+    """Return the tightest W with |W| >= `error` at all omega, and 1 % to spare; both poles at `corner`.
+
+        W = k s (s / z + 1) / (s / corner + 1)^2
+
+    An error that rises by slope to its end is met by k, its end by z; tightest is the least mean of
+    log(|W| / error) below the corner, where the loop acts.
+    """
+    s = 1j * omega
+    below = omega <= corner
+
+    def gain(z: float) -> tuple[float, float]:
+        shape = np.abs(s * (s / z + 1.0) / (s / corner + 1.0) ** 2)
+        k = SPARE * float((error / shape).max())
+        return k, float(np.log(k * shape[below] / error[below]).mean())
+
+    z = min(np.geomspace(0.1, 0.99, 100) * corner, key=lambda z: gain(float(z))[1])
+    k, c = gain(float(z))[0], corner
+    # k (c^2 / z) s (s + z) / (s + c)^2, less its feed-through
+    A, B = np.array([[-2.0 * c, -c], [c, 0.0]]), np.array([[1.0], [0.0]])
+    end = k * c * c / float(z)
+    return LinearSystem(A, B, end * np.array([[z - 2.0 * c, -c]]), np.array([[end]]))
+
+
+def covers(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> tuple[LinearSystem, LinearSystem]:
+    """Return the weights of delay and lag; a controller takes their corners over.
+
+    Raises SynthesisError where the nominal axis lies outside the ranges.
+    """
+    for name, value, (low, high) in (
+        ("transport_ms", axis.transport_ms, ranges.transport_ms),
+        ("lag_ms", axis.lag_ms, ranges.lag_ms),
+    ):
+        if not low <= value <= high:
+            raise SynthesisError(
+                f"nominal.{name}: {value:g}, allowed: within what uncertainty says, {low:.4g} to {high:.4g}; "
+                "best about the middle"
+            )
+    omega = np.geomspace(0.1, 40.0 * pi * design.rate_Hz, 4000)
+    corner = CORNER * pi * design.rate_Hz
+    delay = transport_error(omega, ranges.transport_ms, axis.transport_ms, design.rate_Hz, design.delay_order)
+    return cover(omega, delay, corner), cover(omega, lag_error(omega, ranges.lag_ms, axis.lag_ms), corner)
+
+
+def structured_plant(
+    design: Design, axis: DesignAxis, ranges: UncertaintyRanges, measured: Relative | None = None
+) -> Structured:
+    """Return the axis with its uncertainty and its weights.
+
+    Raises SynthesisError for an axis or a weight that cannot be used.
+    """
+    W_delay, W_lag = covers(design, axis, ranges)
+    W_d, W_n = float(disturbance_weight(design).D[0, 0]), np.diag(noise_weight(design).D)
+    weights, names = design.weights, list(design.inputs)
+    integrator = LinearSystem(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)))
+    acceleration: Sum = {"v": axis.gain, "w_lag": axis.gain, "d": W_d, "w_inertia": -ranges.inertia}
+    parts: dict[str, tuple[LinearSystem, Sum]] = {
+        "delayed": (pade(1e-3 * axis.transport_ms + 0.5 / design.rate_Hz, design.delay_order), {"u": 1.0}),
+        "z_delay": (W_delay, {"delayed": 1.0}),
+        "v": (drive(axis), {"delayed": 1.0, "w_delay": 1.0}),
+        "z_lag": (W_lag, {"v": 1.0}),
+        "rate": (integrator, acceleration),
+        "position": (integrator, {"rate": 1.0}),
+        "z_e": (error_weight(weights.error), {"position": -1.0}),
+        "z_u": (control_weight(weights.control, design.rate_Hz), {"u": 1.0}),
+    }
+    causes, effects = ["w_inertia", "w_delay", "w_lag"], [acceleration, {"z_delay": 1.0}, {"z_lag": 1.0}]
+    if measured is not None:
+        parts["z_measured"] = cover_system(measured, design.rate_Hz), {"v": 1.0, "w_lag": 1.0}
+        acceleration["w_measured"] = axis.gain
+        causes, effects = [*causes, "w_measured"], [*effects, {"z_measured": 1.0}]
+    said = {"error": "position", "rate_error": "rate"}
+    inputs = [*causes, "d", *(f"n_{name}" for name in names), "u"]
+    y: list[Sum] = [{said[name]: -1.0, f"n_{name}": W} for name, W in zip(names, W_n, strict=True)]
+    outputs: list[Sum] = [*effects, {"z_e": 1.0}, {"z_u": 1.0}, *y]
+    blocks = [*(Block() for _ in causes), Block(1 + len(names), 2)]
+    return Structured(well_scaled(wired(parts, inputs, outputs)), blocks, len(names))

@@ -1,0 +1,1 @@
+"""From parts to a machine: bring-up, identification, calibration, learning."""

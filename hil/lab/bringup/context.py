@@ -1,0 +1,329 @@
+"""What the steps of a bring-up share: the machine, the drives, the operator, the facts found so far."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import HilError
+from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
+from hil.lab.bringup.drives import Drives
+
+FORCE_SHARE = 0.02
+"""Of the rated force: no step commands more."""
+TRAVEL_M = 1e-3
+"""A leg that is driven with one brake open is stopped here."""
+OLD_TICKS = 3
+"""A reading of more ticks ago says nothing of a leg whose brake is open."""
+MOVED_M = 1e-4
+"""A leg has moved; a driven one is let go there."""
+
+Act = Literal[
+    "move",
+    "place",
+    "measure",
+    "push",
+    "push_others",
+    "read_push",
+    "read_held",
+    "let_go",
+    "let_go_all",
+    "clamp",
+    "free",
+    "read_gauge",
+    "weigh",
+    "read_way",
+    "hang",
+    "take_down",
+    "accept",
+    "mount",
+]
+
+
+class Request(NamedTuple):
+    """What the operator is asked to do with his hands, or to read."""
+
+    act: Act
+    leg: int = -1
+    value: float = 0.0
+    """`move`: by so many m. `place`: share of the stroke. `hang`: which of the known poses."""
+    text: str = ""
+    """As he reads it."""
+    word: str = ""
+    """What he types for it to count as done; empty: Enter."""
+    within: tuple[float, float] | None = None
+    """Readings outside are asked for again: another unit, or a slip. None: any number may be."""
+
+
+class Gap(NamedTuple):
+    """What a step cannot prove with these drives."""
+
+    text: str
+    """What is not proven, and why."""
+    instead: str
+    """What the operator has to see to, since nothing here does."""
+
+    @property
+    def line(self) -> str:
+        """As it is read."""
+        return f"not provable with these drives: {self.text}. {self.instead}"
+
+
+class Finding(NamedTuple):
+    """A mistake, by name."""
+
+    name: str
+    legs: tuple[int, ...]
+    text: str
+    """What was measured."""
+    mend: str
+    """What to do about it."""
+
+    @property
+    def line(self) -> str:
+        """As it is read: which leg, what, how to mend it."""
+        which = "" if not self.legs else f"leg{'s' * (len(self.legs) > 1)} {_listed(self.legs)}: "
+        return f"{self.name}: {which}{self.text}. {self.mend}"
+
+
+class Operator(Protocol):
+    """Who stands beside the machine. Mutable state: what he was asked and has not answered."""
+
+    patience: float
+    """After so many refused readings of one request the bring-up ends; inf: never, a person reads again."""
+
+    def consent(self, title: str, will: str, stop: str) -> bool:
+        """Ask whether a step may begin that will do this and is stopped like that."""
+
+    def ask(self, request: Request) -> None:
+        """Ask for an act or a reading."""
+
+    def answer(self) -> float | None:
+        """Return the answer once there is one, 0 for an act that is done; called in every tick meanwhile."""
+
+    def tell(self, text: str) -> None:
+        """Say what was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """What the configuration says of the machine; lengths m, forces N."""
+
+    node_ids: tuple[int, ...]
+    protocol: str
+    rated_N: float
+    length_min: float
+    length_max: float
+    watchdog_s: float
+    brake_open_s: float
+    brake_shut_s: float
+    pose_lengths: Array
+    """(poses, 6) m, leg lengths at the known poses."""
+    joint_distances: Array
+    """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
+    pose_words: tuple[str, ...]
+    """The known poses, as they are read."""
+    known_identifiers: frozenset[int]
+    """Of all frames of this protocol."""
+    unasked_identifiers: frozenset[int] = frozenset()
+    """Of what drives send by themselves: heartbeats, emergencies."""
+    platform_kg: float = 0.0
+    """Mass of the platform."""
+    presses: float = 0.0
+    """Cosine between gravity and the way from platform to base, > 0: its weight presses the legs."""
+    losses: float = 0.0
+    """Share of a force that may be lost between motor and leg."""
+    heartbeat_s: float = 0.1
+    """Period of each drive's heartbeat."""
+    forgotten_m: Array | None = None
+    """(6,) m, of which a drive forgets whole multiples at power-off; None: it forgets nothing."""
+    tape_m: float = 2e-4
+    """Standard deviation of a length that the operator measures."""
+
+    @property
+    def stroke(self) -> float:
+        """Configured stroke, m."""
+        return self.length_max - self.length_min
+
+    def turns_m(self, drive: int, off_m: float) -> float:
+        """Return what of a reading that is so far off, m, a drive may have forgotten: whole turns."""
+        if self.forgotten_m is None:
+            return 0.0
+        step = float(self.forgotten_m[drive])
+        return step * round(off_m / step)
+
+    @property
+    def force_N(self) -> float:
+        """Most force at the leg of any step: before the losses it is FORCE_SHARE of the rated one."""
+        return FORCE_SHARE * self.rated_N * (1.0 - self.losses)
+
+
+class RefusedError(HilError):
+    """The operator has not consented, or has ended the bring-up; what was found is kept."""
+
+
+class StoppedError(HilError):
+    """A measured value ended a step for safety; `finding` says which."""
+
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(finding.line)
+        self.finding = finding
+
+
+@dataclass
+class Context:
+    """One bring-up. Mutable state: the facts, by step and leg, JSON values; and the drives."""
+
+    machine: Machine
+    drives: Drives
+    operator: Operator
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    save: Callable[[], None] = lambda: None
+    """Called when a fact is new."""
+
+    def known(self, step: str, leg: int) -> Any:
+        """Return the fact of a step about a leg; None where it has to be found."""
+        return self.facts.get(step, {}).get(str(leg))
+
+    def keep(self, step: str, leg: int | str, fact: Any) -> None:
+        """Keep a fact."""
+        self.facts.setdefault(step, {})[str(leg)] = fact
+        self.save()
+
+    def lengths(self) -> Array:
+        """Return what the drives read now, (6,) m. Raises StoppedError where one is not heard."""
+        silent = [leg for leg in range(LEGS) if int(self.drives.record["age"][leg]) > OLD_TICKS]
+        if silent:
+            text = f"not heard for {int(self.drives.record['age'][silent[0]])} ticks, so what it reads is old"
+            mend = "Look at bus cable, supply and encoder, and give the command again."
+            if self.drives.record["blind"][silent].all():
+                text = (
+                    "it answers, and calls its length of no use, or has left the range that its frames carry"
+                )
+                mend = "Look at encoder, counts a turn, lead and gear, and give the command again."
+            raise StoppedError(Finding("not_heard", tuple(silent), text, mend))
+        return np.array(self.drives.record["length"])
+
+    def hung(self) -> None:
+        """Keep that the platform is on its legs: no brake of a single leg opens before it is off."""
+        self.keep("platform", "hung", fact=True)
+
+    def take_down(self) -> None:
+        """Have the platform taken off the legs if it was hung, in this or an earlier run."""
+        if self.facts.get("platform", {}).get("hung"):
+            text = (
+                "The platform was hung on these legs, and one brake is to open alone. Take the platform off "
+                "and lay the legs on their trestles"
+            )
+            self.ask(Request("take_down", text=text, word="down"))
+            self.facts.pop("platform")
+            self.facts.pop("mounted", None)
+            self.save()
+
+    def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
+        """Ask the operator, calling `keep` every tick until he answers; by default all drives are off.
+
+        Raises RefusedError where he has given more readings out of range than his patience has.
+        """
+        refused = 0
+        idle = self.drives.step if keep is None else keep
+        self.operator.ask(request)
+        while True:
+            idle()
+            answer = self.operator.answer()
+            if answer is None:
+                continue
+            low, high = request.within or (answer, answer)
+            if low <= answer <= high:
+                return answer
+            text = f"    {answer:g} cannot be: {low:g} to {high:g} are allowed, in m, N and kg, not mm or kN"
+            self.operator.tell(text)
+            refused += 1
+            if refused >= self.operator.patience:
+                raise RefusedError(
+                    f"ended: {request.text}: {refused} readings refused, the last one {answer:g}, "
+                    f"allowed: {low:g} to {high:g}; look at what the bench is wired with"
+                )
+            self.operator.ask(request)
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass with all drives off."""
+        for _ in range(self.drives.ticks(seconds)):
+            self.drives.step()
+
+    @contextmanager
+    def opened(self, leg: int) -> Iterator[None]:
+        """Open the brake of drive `leg` alone, without force; shut it whatever happens.
+
+        Raises StoppedError where the five others are not locked out, or the drive cannot be powered.
+        """
+        self.take_down()
+        try:
+            why = self.drives.power(leg)
+            if why:
+                mend = "Set up and prove the drives' watchdogs first; look at the drive's fault."
+                raise StoppedError(Finding("not_powered", (leg,), why, mend))
+            for _ in range(self.drives.ticks(self.machine.brake_open_s)):
+                self.drives.step(DriveMode.RUN, leg)
+            for _ in range(self.drives.told_ticks):
+                if self.drives.record["drive_state"][leg] != DriveState.READY:
+                    break
+                self.drives.step(DriveMode.RUN, leg)
+            yield
+        finally:
+            self.drives.off(self.machine.brake_shut_s)
+
+    def drive(self, drive: int, force: float = 0.0) -> None:
+        """Command one tick of a drive whose brake is open, N. Raises StoppedError where it has lost power."""
+        record = self.drives.step(DriveMode.RUN, drive, force)
+        self._heard(drive)
+        state = DriveState(int(record["drive_state"][drive]))
+        if state is not DriveState.RUN:
+            why = self.fault_of(drive)
+            text = f"the drive has gone from RUN to {state.name}{': ' * bool(why)}{why}"
+            mend = "Look at the drive's fault; WATCHDOG: this machine stalled, or the bus did. Try again."
+            raise StoppedError(Finding("lost_power", (drive,), text, mend))
+
+    def fault_of(self, drive: int) -> str:
+        """Return what a drive says of its fault; empty: nothing."""
+        code = int(self.drives.record["drive_fault"][drive])
+        if code in set(DriveFault):
+            return DriveFault(code).name if code else ""
+        return self.drives.protocol.fault_text(code) or f"code {code:#x} of its maker"
+
+    def reads(self) -> dict[int, tuple[int, float]]:
+        """Return for each drive whose encoder is known the leg that it counts, and m of reading a m."""
+        known = {}
+        for leg in range(LEGS):
+            fact = self.known("encoder", leg)
+            if fact is not None and fact["drive"] is not None and abs(fact["scale"]) > 0.0:
+                known[fact["drive"]] = (leg, fact["scale"])
+        return known
+
+    def _heard(self, drive: int) -> None:
+        """Raise StoppedError where a drive's last reading is old."""
+        age = int(self.drives.record["age"][drive])
+        if age > OLD_TICKS:
+            text = f"it has not been heard for {age} ticks"
+            raise StoppedError(
+                Finding("lost_power", (drive,), text, "Look at the drive's supply and its bus.")
+            )
+
+    def travelled(self, since: Array) -> dict[int, float]:
+        """Return how far each leg has moved since readings (6,), m by tape, > 0 longer.
+
+        Raises StoppedError where a drive that counts a leg is not heard.
+        """
+        for drive in self.reads():
+            self._heard(drive)
+        now = self.lengths()
+        return {
+            leg: float((now[drive] - since[drive]) / scale) for drive, (leg, scale) in self.reads().items()
+        }
+
+
+def _listed(legs: tuple[int, ...]) -> str:
+    return ", ".join(map(str, legs))

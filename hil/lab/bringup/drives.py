@@ -1,0 +1,290 @@
+"""The six drives during a bring-up: at most one brake open, the five others shut, by any protocol.
+
+Where each drive has frames of its own, the five others are commanded off. Where one command goes to several,
+the five others are locked out before: set up with a watchdog of LOCK_S, they latch its fault as soon as they
+are powered, on shut brakes, and a latched drive obeys no command but RESET. Nothing opens before they have.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.family import Family
+from drivers.frame_array import received_array, sent_frames
+from drivers.protocol import SERIAL, DriveSetup, Frame, Received, Said
+from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
+from drivers.tick_columns import Record, copy_of, new_record
+from hil.lab.bringup.line import Line
+
+LOCK_S = 1e-6
+"""Watchdog of a drive that is to stay out: `legs` has no shorter one."""
+SETUP_S = 3.0
+"""For how long the drives' confirmation of their set-up is waited for."""
+READY_S, TOLD_S = 0.1, 0.3
+"""For how long a drive is waited for that changes its state; longer by TOLD_S where heartbeats tell it."""
+ANSWER_S, ASKED_TIMES = 0.05, 5
+"""For how long an answer to the question who a drive is is waited for, and how often it is asked at most."""
+_PROBES = 200
+SAFE_TICKS = 10
+"""Commands to switch off at every end: the bus may lose some."""
+Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
+"""Takes a tick's record, what was received and what was sent."""
+
+
+class Drives:
+    """Commands of the bring-up, one tick a call of `step`.
+
+    Mutable state: the tick, its record, the two dialogues (of drives that may be powered, of the others),
+    which drive may be, and which one the last command was for.
+    """
+
+    def __init__(self, protocol: Family, line: Line, watchdog_s: float, sink: Sink = lambda *_: None) -> None:
+        self.protocol, self.line = protocol, line
+        self.watchdog_s = watchdog_s
+        self._sink = sink
+        can = protocol.traits.reactions
+        reaction = Reaction.BRAKE if Reaction.BRAKE in can else can[0]
+        self.locks = shares_commands(protocol, DriveSetup(watchdog_s, reaction, line.rate_Hz))
+        """One command goes to several drives."""
+        lock_s = LOCK_S if self.locks else watchdog_s
+        self._setups = (
+            DriveSetup(watchdog_s, reaction, line.rate_Hz),
+            DriveSetup(lock_s, reaction, line.rate_Hz),
+        )
+        self._live, self._rest = (protocol.controller_end(setup) for setup in self._setups)
+        self.tick = -1
+        self.record = new_record()
+        """Of the last tick; states of locked drives are theirs."""
+        self.heard: tuple[Received, ...] = ()
+        """Frames of the last tick."""
+        self.spoken: tuple[set[int], ...] | None = None
+        """Identifiers of all frames that each drive has sent; None: nobody asks."""
+        self.serials: tuple[set[int], ...] = ()
+        """Serial numbers that each node told when it was asked last: two of them are two drives."""
+        self._records = self.record, copy_of(self.record)
+        self._alone: int | None = None
+        self._commanded: int | None = None
+
+    def ticks(self, seconds: float) -> int:
+        """Return the number of ticks in a time, at least one."""
+        return max(1, round(seconds * self.line.rate_Hz))
+
+    @property
+    def told_ticks(self) -> int:
+        """For how many ticks a change may be unknown: the heartbeat alone tells it; 0 where feedback does."""
+        return self.ticks(TOLD_S) if self.protocol.traits.power_told == "heartbeat" else 0
+
+    # one tick
+
+    def step(
+        self,
+        mode: DriveMode = DriveMode.OFF,
+        leg: int | None = None,
+        force: float = 0.0,
+        *,
+        silent: bool = False,
+        set_up: bool = False,
+        asked: tuple[Frame, ...] = (),
+    ) -> Record:
+        """Command the drives for one tick and return its record.
+
+        mode and force N are those of drive `leg`, the others stay out; without one, `mode` is for all and
+        there is no force. silent: no command goes out. set_up: send what the drives have not confirmed.
+        asked: further frames to send.
+        """
+        self.tick = tick = self.tick + 1
+        opening: tuple[Frame, ...] = ()
+        delayed = self.protocol.traits.command_delay_ticks > 0
+        if not silent or not delayed:
+            starts = sent_frames(self._live.begin(tick)), sent_frames(self._rest.begin(tick))
+            # with a delay they carry the last command, which powers no drive but its own
+            opening = self._chosen(*starts, self._commanded if delayed else leg)
+        self._commanded = leg
+        heard = self.line.exchange(opening)
+        self.heard = heard.frames
+        if self.spoken is not None:
+            for _, frame in heard.frames:
+                sender = self.protocol.sender(frame)
+                if sender >= 0:
+                    self.spoken[sender].add(frame.id)
+        received = received_array(heard.frames)
+        live, rest = new_record(), new_record()
+        for record in (live, rest):
+            record["tick"], record["t_ns"] = tick, heard.since_ns
+            record["stretched_ns"] = heard.stretched_ns
+        before, alike = self._records, leg is None and not self.locks
+        self._live.take(received, before[0], live, heard.since_ns)
+        if alike:
+            rest = live
+        else:
+            self._rest.take(received, before[1], rest, heard.since_ns)
+        self._records = live, rest
+        self.record = self._seen(live, rest, leg)
+        tau = np.zeros(LEGS)
+        if leg is not None:
+            tau[leg] = force
+        self.record["tau"], self.record["command_mode"] = tau, mode
+        frames = sent_frames(self._live.give(Command(mode, tau), tick))
+        if not self.locks and leg is not None:
+            shut = Command(DriveMode.OFF, np.zeros(LEGS))
+            frames = self._chosen(frames, sent_frames(self._rest.give(shut, tick)), leg)
+        sent: tuple[Frame, ...] = () if silent else frames
+        if set_up:
+            sent += self._set_up_frames()
+        if alike:
+            self._rest.remember(self._live.remembered())
+        sent += asked
+        self.line.send(sent)
+        self._sink(self.record, heard.frames, (*opening, *sent))
+        return self.record
+
+    def _chosen(
+        self, frames: tuple[Frame, ...], others: tuple[Frame, ...], leg: int | None
+    ) -> tuple[Frame, ...]:
+        """Return of drive `leg` the frames that may power it, of the other drives `others`, which do not."""
+        if self.locks or leg is None:
+            return frames
+        addressed = self.protocol.addressed
+        mine = tuple(frame for frame in frames if leg in addressed(frame))
+        return mine + tuple(frame for frame in others if leg not in addressed(frame))
+
+    def _seen(self, live: Record, rest: Record, leg: int | None) -> Record:
+        record = copy_of(live)
+        if leg is not None and not self.locks:
+            others = np.arange(LEGS) != leg
+            for name in ("drive_state", "drive_fault"):
+                record[name][others] = rest[name][others]
+        record["q"], record["dq"] = record["length"], record["rate"]
+        return record
+
+    # set-up
+
+    def prepare(self, leg: int | None) -> tuple[str, ...]:
+        """Clear latched faults and set the drives up so that `leg` alone, or all, may be powered.
+
+        Returns what each drive has not confirmed of it, in words; empty: nothing.
+        """
+        for _ in range(self.protocol.traits.reset_ticks if self._faulted() else 1):
+            self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
+        self._alone = leg
+        self._live.start()
+        self._rest.start()
+        for _ in range(self.ticks(SETUP_S)):
+            self.step(set_up=True)
+            lacks = self.lacks()
+            if not any(lacks):
+                break
+        return lacks
+
+    def lacks(self) -> tuple[str, ...]:
+        """Return what each drive has not confirmed of the set-up that it should have."""
+        live, rest = self._live.lacks(), self._rest.lacks()
+        return tuple(live[k] if self._powers(k) else rest[k] for k in range(LEGS))
+
+    def _powers(self, leg: int) -> bool:
+        return not self.locks or self._alone is None or leg == self._alone
+
+    def _faulted(self) -> bool:
+        return bool((self.record["drive_state"] == DriveState.FAULT).any())
+
+    def _set_up_frames(self) -> tuple[Frame, ...]:
+        mine = np.array([self._powers(k) for k in range(LEGS)])
+        frames = self._live.set_up(_only(self.record, mine))
+        if not len(frames) and not mine.all():
+            frames = self._rest.set_up(_only(self.record, ~mine))
+        return sent_frames(frames)
+
+    def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
+        """Ask the drives of some legs, commanded off, who they are; return what each has said, maybe nothing.
+
+        Fills `serials`.
+        """
+        answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
+        self.serials = tuple(set() for _ in range(LEGS))
+        requests = self.protocol.traits.identity_requests
+        for asked in requests * ASKED_TIMES:
+            lacking = {leg for leg in legs if len(answers[leg]) < len(requests)}
+            if not lacking:
+                break
+            self._ask(tuple(asked[leg] for leg in sorted(lacking)), answers, lacking)
+        return tuple({what: s.value for what, s in each.items() if s.tells} for each in answers)
+
+    def _ask(self, asked: tuple[Frame, ...], answers: tuple[dict[str, Said], ...], lacking: set[int]) -> None:
+        """Ask once, and keep what is answered for ANSWER_S, or until a tick after all that lack it have."""
+        self.step(asked=asked)
+        waited = set(lacking)
+        for _ in range(self.ticks(ANSWER_S)):
+            last = not waited  # a second drive of the same number answers behind the first one
+            self.step()
+            for _, frame in self.heard:
+                answer = self.protocol.identity(frame)
+                if answer is not None:
+                    answers[answer.leg][answer.what] = answer
+                    waited.discard(answer.leg)
+                    if answer.what == SERIAL and answer.tells:
+                        self.serials[answer.leg].add(answer.value)
+            if last:
+                break
+
+    # one brake
+
+    def power(self, leg: int) -> str:
+        """Power drive `leg` on its shut brake, with the five others locked out.
+
+        Returns why that cannot be, empty: it is. A drive that cannot be powered without its brake is off.
+        """
+        lacks = self.lacks()
+        if self.locks or self._faulted() or any(lacks):
+            lacks = self.prepare(leg)
+        if any(lacks):
+            which = ", ".join(f"leg {k}: {text}" for k, text in enumerate(lacks) if text)
+            return f"not set up: {which}"
+        for _ in range(self.ticks(READY_S) + self.told_ticks):
+            self.step(DriveMode.READY, leg)
+            states = self.record["drive_state"]
+            out = [k for k in range(LEGS) if k != leg and not self._locked(int(states[k]))]
+            if states[leg] == DriveState.READY and not out:
+                return ""
+        self.off()
+        if out:
+            return f"legs {out} did not latch the fault of their watchdog of {1e6 * LOCK_S:g} us"
+        return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
+
+    def _locked(self, state: int) -> bool:
+        return state == DriveState.FAULT if self.locks else state != DriveState.RUN
+
+    def carried(self, leg: int, force: float) -> float:
+        """Return what a command of force N to drive `leg` gives a leg at rest: a coarse field takes of it."""
+        forces = np.zeros(LEGS)
+        forces[leg] = force
+        return float(self._live.carried(forces)[leg])
+
+    def force_step(self, leg: int, force: float) -> float:
+        """Return the step of the commands between half a force N and all of it, N; 0: too fine to matter."""
+        carried = {self.carried(leg, force * (0.5 + 0.5 * k / _PROBES)) for k in range(_PROBES)}
+        return 0.5 * force / len(carried) if len(carried) < _PROBES else 0.0
+
+    def off(self, seconds: float = 0.0) -> None:
+        """Take force and power from all drives, for at least SAFE_TICKS."""
+        for _ in range(max(SAFE_TICKS, self.ticks(seconds))):
+            self.step(DriveMode.OFF)
+
+
+def shares_commands(protocol: Family, setup: DriveSetup) -> bool:
+    """Tell whether one frame powers several drives: some of those for several differ by the command."""
+
+    def shared(mode: DriveMode) -> list[Frame]:
+        end = protocol.controller_end(setup)
+        command = sent_frames(end.give(Command(mode, np.zeros(LEGS)), 0))
+        return [each for each in (*sent_frames(end.begin(0)), *command) if len(protocol.addressed(each)) > 1]
+
+    return shared(DriveMode.OFF) != shared(DriveMode.RUN)
+
+
+def _only(record: Record, legs: Array | Any) -> Record:
+    """Return a record in which the other legs were never heard: nobody talks to them."""
+    masked = copy_of(record)
+    masked["age"] = np.where(legs, record["age"], NEVER)
+    return masked

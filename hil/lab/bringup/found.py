@@ -1,0 +1,211 @@
+"""The configuration that a bring-up has found, with a comment at each number that it vouches for."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.signals import LEGS
+from drivers.transmission import Transmission
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration
+from hil.config.reference import WaypointReference
+from hil.lab.bringup.context import Context, Finding
+from hil.lab.bringup.steps.gauge import gains
+
+SPEED_SHARE = 0.25
+"""Of the configured limit of leg speed, for the first runs."""
+FIRST_S, FIRST_M = 2.0, 2e-3
+"""The first motion of all six legs: up and down by so much in so long."""
+FOLLOWING_SHARE, FOLLOWING_M = 0.25, FIRST_M
+"""Of the configured following error, and at least so much, since legs stick: what goes wrong ends sooner."""
+
+
+def found_text(
+    c: Configuration,
+    context: Context,
+    findings: Sequence[Finding],
+    *,
+    released: bool = False,
+    rehearsed: bool = False,
+) -> str:
+    """Return the given configuration with what was found, at reduced limits, and where it comes from.
+
+    released: the six legs have moved together; before, the text says that they have not. rehearsed: what was
+    measured is an emulated bench.
+    """
+    changes, comments = _changes(c, context, findings)
+    text = with_changes(c.text, changes)
+    head = [
+        f"# {c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs:",
+        "# raise them as trust grows. Comments of the given file are not repeated.",
+    ]
+    if rehearsed:
+        head.append("# REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
+    if findings:
+        done = mended(c, context, findings)
+        left = [finding for finding in findings if finding not in done]
+        first = "mend what follows, and give" if left else "give"
+        head.append(f"# NOT RELEASED: {first} this file to `hil bringup` again.")
+        head += [f"#   {finding.line}" for finding in left]
+        if done:
+            head.append("# This file makes up for what follows: do not mend it at the machine, too.")
+        head += [f"#   {finding._replace(mend='').line.rstrip(' .')}" for finding in done]
+    elif not released:
+        head.append("# NOT RELEASED: the step together has not passed. Give the command again.")
+    return "\n".join(head) + "\n" + commented(text, comments)
+
+
+def mended(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings that the configuration that is written makes up for.
+
+    Behind exchanged numbers or crossed cables a drive was read with the sign, lead and zero of another leg:
+    these first.
+    """
+    names = {"stroke"}
+    if _order(c, context, findings) is not None:
+        names |= {"ids"}
+    if c.drives.transmission is not None and not _misread(findings):
+        names |= {"wrong_lead", "drive_reversed", "offset"}
+    return [finding for finding in findings if finding.name in names]
+
+
+def _misread(findings: Sequence[Finding]) -> bool:
+    """Tell whether some drive counts another leg than its own."""
+    return any(finding.name in {"ids", "encoder_crossed"} for finding in findings)
+
+
+def _changes(
+    c: Configuration, context: Context, findings: Sequence[Finding]
+) -> tuple[dict[str, Any], dict[tuple[str, str], list[str]]]:
+    speed, following = c.limits.speed_m_s, c.limits.following_error_m
+    x, y, z = c.platform.home.position_m
+    turned = list(c.platform.home.rotation_vector_deg)
+    points = [
+        {"t_s": t, "position_m": [x, y, z + dz], "rotation_vector_deg": turned}
+        for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
+    ]
+    first = {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points}
+    # a file that a bring-up has written: its limits are reduced already
+    reduced = WaypointReference.model_validate(first) == c.reference
+    if not reduced:
+        speed *= SPEED_SHARE
+    slower = min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M))
+    changes: dict[str, Any] = {
+        "limits": {"speed_m_s": speed, "following_error_m": following if reduced else slower},
+        "engage": {"approach_speed_m_s": min(c.engage.approach_speed_m_s, 0.5 * speed)},
+        "reference": first,
+        "drives": {"node_ids": _order(c, context, findings) or list(c.drives.node_ids)},
+    }
+    was = "" if reduced else ", {:g} was configured"
+    comments = {
+        ("limits", "speed_m_s"): [f"reduced by the bring-up{was.format(c.limits.speed_m_s)}"],
+        ("limits", "following_error_m"): [f"reduced by the bring-up{was.format(following)}"],
+        ("reference", "type"): ["first motion of all six legs, by the bring-up; then your own"],
+        ("drives", "node_ids"): ["each leg moved by hand and by its drive"],
+        ("drives", "watchdog_ms"): _watchdogs(context),
+        ("platform", "length_min_m"): _strokes(context),
+    }
+    if any(f.name == "stroke" for f in findings):
+        ends = np.array([context.known("encoder", leg)["tape_m"] for leg in range(LEGS)])
+        changes["platform"] = {
+            "length_min_m": round(float(ends[:, 0].max()) + 1e-3, 4),
+            "length_max_m": round(float(ends[:, 1].min()) - 1e-3, 4),
+        }
+    if c.drives.transmission is not None and not _misread(findings):
+        changes["drives"]["transmission"] = _transmission(c, context, findings)
+        comments["drives", "transmission"] = ["signs, leads and zeros by tape; see the checklist"]
+    return changes, comments
+
+
+def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int] | None:
+    """Return the node numbers in the order of the legs, of the drives that were found exchanged; None: none.
+
+    None, too, where they are not exchanged among themselves: another mistake hides whose they are.
+    """
+    nodes, reads = list(c.drives.node_ids), context.reads()
+    exchanged = [drive for finding in findings if finding.name == "ids" for drive in finding.legs]
+    for drive in exchanged:
+        nodes[reads[drive][0]] = c.drives.node_ids[drive]
+    return nodes if exchanged and len(set(nodes)) == LEGS else None
+
+
+def _transmission(c: Configuration, context: Context, findings: Sequence[Finding]) -> dict[str, Any]:
+    """Return sign, lead or radius and offset a leg such that readings are those of the tape.
+
+    A lead is corrected where lengths and forces agree on it, a sign where they do.
+    """
+    settings = c.drives.transmission
+    assert settings is not None
+    gear = Transmission(settings)
+    lead, sign, offset = gear.lead_m.copy(), gear.sign.copy(), gear.offset_m.copy()
+    for finding in findings:
+        for leg in finding.legs:
+            fact = context.known("encoder", leg)
+            if fact is None:
+                continue
+            if finding.name == "wrong_lead":
+                lead[leg] /= abs(fact["scale"])
+                offset[leg] += _shift(fact, gear, leg)
+            elif finding.name == "drive_reversed":
+                sign[leg] *= -1.0
+                offset[leg] += _shift(fact, gear, leg)
+            elif finding.name == "offset":
+                offset[leg] -= fact["offset_m"]
+    changes: dict[str, Any] = {
+        "sign": [int(s) for s in sign],
+        "offset_m": [round(float(x), 5) for x in offset],
+    }
+    if not np.array_equal(lead, gear.lead_m):
+        key, share = ("lead_m", 1.0) if settings.lead_m is not None else ("pulley_radius_m", 0.5 / np.pi)
+        changes[key] = [float(f"{share * x:.6g}") for x in lead]
+    return changes
+
+
+def _shift(fact: Mapping[str, Any], gear: Transmission, leg: int) -> float:
+    """Return what the zero moves by as the reading about the middle of the stroke is scaled right, m."""
+    middle = 0.5 * float(sum(fact["tape_m"]))
+    at_zero = float(gear.offset_m[leg])
+    true_at_zero = middle + (at_zero - middle - float(fact["offset_m"])) / float(fact["scale"])
+    return true_at_zero - at_zero
+
+
+def _watchdogs(context: Context) -> list[str]:
+    facts = [context.known("watchdog", leg) for leg in range(LEGS)]
+    latest = [fact["until_s"] for fact in facts if fact is not None and fact["until_s"] is not None]
+    if len(latest) < LEGS and not context.drives.protocol.traits.has_watchdog:
+        return ["NOT proven: these drives have no watchdog that is set from here; cut their power otherwise"]
+    return [f"proven by silence: {1e3 * max(latest):.4g} ms at the latest"] if latest else []
+
+
+def _strokes(context: Context) -> list[str]:
+    facts = [context.known("encoder", leg) for leg in range(LEGS)]
+    ends: Array = np.array([fact["tape_m"] for fact in facts if fact is not None])
+    if not len(ends):
+        return []
+    lines = [f"by tape, shortest {ends[:, 0].max():.4f} m and longest {ends[:, 1].min():.4f} m of the legs"]
+    scales = [fact["scale"] for fact in facts if fact is not None]
+    lines.append("encoders, m a m by tape: " + ", ".join(f"{s:.4f}" for s in scales))
+    force = gains(context)
+    if force:
+        lines.append(
+            "forces, N a commanded N by gauge: " + ", ".join(f"{force[d].value:.3f}" for d in sorted(force))
+        )
+    hands = [context.known("opens", leg) for leg in range(LEGS)]
+    known = [f"{fact['hand_N']:.3g}" for fact in hands if fact is not None and fact["hand_N"] is not None]
+    return [*lines, "friction by hand, N: " + ", ".join(known)] if known else lines
+
+
+def commented(text: str, comments: Mapping[tuple[str, str], Sequence[str]]) -> str:
+    """Return a YAML text in block style with comments above keys of its sections."""
+    lines, section = [], ""
+    for line in text.splitlines():
+        key = line.strip().partition(":")[0]
+        depth = len(line) - len(line.lstrip())
+        if depth == 0 and not line.startswith(("-", "#")):
+            section = key
+        if depth == 2 and not line.lstrip().startswith("-"):
+            lines += [f"  # {comment}" for comment in comments.get((section, key), ())]
+        lines.append(line)
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,133 @@
+"""What the bring-up has to know of a configuration."""
+
+import contextlib
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.family import Family
+from drivers.signals import LEGS, DriveState
+from drivers.transmission import forgotten_length
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.config.values import Pose
+from hil.lab.bringup.context import Machine
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import leg_lengths
+from plant_fmu.drives import drives_end
+
+TILT_deg = (3.0, 2.0, 4.0)
+"""Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""
+TILT_SHARES = (1.0, 0.5, 0.25)
+"""Of that tilt, the largest which all legs reach."""
+FASTEST_Hz = 500.0
+"""No faster, so that an adapter and a desktop computer keep up."""
+WINDOW = 0.9
+"""Of a period, in which answers are waited for: nothing is computed behind them that takes the rest."""
+PERIODS = 5.0
+"""Periods of a watchdog at least."""
+
+
+def bringup_rate(c: Configuration) -> float:
+    """Return the tick rate of a bring-up, Hz: slow, but with PERIODS within the drives' watchdog."""
+    least = PERIODS / (1e-3 * c.drives.watchdog_ms)
+    return min(c.loop.rate_Hz, max(FASTEST_Hz, least))
+
+
+def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
+    """Return p (3,) m and R (3, 3) of the poses at which legs are compared: home, and tilted.
+
+    Raises ConfigurationError where even a small tilt takes a leg to the end of its stroke.
+    """
+    return [pose_arrays(pose) for pose in _known(c)]
+
+
+def _known(c: Configuration) -> list[Pose]:
+    home, platform = c.platform.home, build_platform(c.platform)
+    low, high = c.platform.length_min_m, c.platform.length_max_m
+    for share in TILT_SHARES:
+        turned = np.add(home.rotation_vector_deg, np.multiply(share, TILT_deg)).tolist()
+        tilted = Pose(position_m=home.position_m, rotation_vector_deg=(turned[0], turned[1], turned[2]))
+        q = leg_lengths(platform, *pose_arrays(tilted))
+        if low < q.min() and q.max() < high:
+            return [home, tilted]
+    leg = int(np.argmax(np.maximum(low - q, q - high)))
+    tilt_deg = share * float(np.linalg.norm(TILT_deg))
+    raise ConfigurationError(
+        f"platform.home: the second pose of a bring-up, tilted by {tilt_deg:.2g} deg, takes leg {leg} to "
+        f"{q[leg]:.4f} m; allowed: {low:g} to {high:g} m. Choose a home nearer to mid-stroke"
+    )
+
+
+def _words(pose: Pose) -> str:
+    place, turn = (
+        ", ".join(f"{x:.6g}" for x in values) for values in (pose.position_m, pose.rotation_vector_deg)
+    )
+    return f"position {place} m, rotation vector {turn} deg"
+
+
+def build_machine(c: Configuration, protocol: Family) -> Machine:
+    """Return the machine of a configuration."""
+    platform = build_platform(c.platform)
+    poses = known_poses(c)
+    joints = [
+        np.linalg.norm(
+            (p + platform.platform_joints @ R.T)[None, :, :] - platform.base_joints[:, None, :], axis=2
+        )
+        for p, R in poses
+    ]
+    return Machine(
+        node_ids=tuple(c.drives.node_ids),
+        protocol=c.drives.protocol,
+        rated_N=c.drives.force_limit_N,
+        length_min=c.platform.length_min_m,
+        length_max=c.platform.length_max_m,
+        watchdog_s=1e-3 * c.drives.watchdog_ms,
+        brake_open_s=c.engage.brake_release_s,
+        brake_shut_s=c.engage.closing_s,
+        pose_lengths=np.array([leg_lengths(platform, p, R) for p, R in poses]),
+        joint_distances=np.array(joints),
+        pose_words=tuple(map(_words, _known(c))),
+        known_identifiers=known_identifiers(protocol),
+        unasked_identifiers=unasked_identifiers(protocol),
+        platform_kg=float(platform.platform.mass),
+        presses=presses(platform, *poses[0]),
+        losses=_losses(c),
+        forgotten_m=_forgotten(c),
+        heartbeat_s=1e-3 * c.drives.heartbeat_ms,
+    )
+
+
+def presses(platform: Platform, p: Array, R: Array) -> float:
+    """Return the cosine between gravity and the way from the platform's joints, at p and R, to the base's."""
+    g = platform.gravity
+    way = platform.base_joints.mean(axis=0) - p - R @ platform.platform_joints.mean(axis=0)
+    sizes = float(np.linalg.norm(g) * np.linalg.norm(way))
+    return float(g @ way) / sizes if sizes > 0.0 else 0.0
+
+
+def _forgotten(c: Configuration) -> Array | None:
+    homing, transmission = c.drives.homing, c.drives.transmission
+    if homing is None or transmission is None:
+        return None
+    return forgotten_length(transmission, homing.forgotten_turns)
+
+
+def _losses(c: Configuration) -> float:
+    gear = c.drives.transmission
+    return 0.0 if gear is None else 1.0 - float(np.min(gear.efficiency))
+
+
+def known_identifiers(protocol: Family) -> frozenset[int]:
+    """Return the identifiers that frames of a protocol's drives have."""
+    return unasked_identifiers(protocol) | {frame.id for frame in protocol.traits.cyclic_frames}
+
+
+def unasked_identifiers(protocol: Family) -> frozenset[int]:
+    """Return the identifiers of what a protocol's drives send by themselves."""
+    known: set[int] = set()
+    for leg in range(LEGS):
+        with contextlib.suppress(ProtocolError):
+            known |= {frame.id for frame in drives_end(protocol).announce(leg, DriveState.OFF)}
+    return frozenset(known)

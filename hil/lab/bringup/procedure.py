@@ -1,0 +1,136 @@
+"""The bring-up: the steps in their order, each with consent, until one names a mistake.
+
+Nothing later begins while a gate has findings. Facts that are known are not asked for again.
+"""
+
+from typing import NamedTuple
+
+from drivers.signals import LEGS
+from hil.lab.bringup.context import Context, Finding, Gap, RefusedError, Request, StoppedError
+from hil.lab.bringup.step import Step
+from hil.lab.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
+
+STEPS: tuple[Step, ...] = (
+    scan.STEP,
+    silence.STEP,
+    ids.STEP,
+    encoder.STEP,
+    brakes.STEP,
+    force.STEP,
+    gauge.STEP,
+    mounted.STEP,
+)
+"""In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
+
+
+ENDS = frozenset({"runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps"})
+"""Findings after which nothing more is tried."""
+
+
+class Outcome(NamedTuple):
+    """How far a bring-up came."""
+
+    passed: tuple[str, ...]
+    """Steps without a finding."""
+    findings: tuple[Finding, ...]
+    gaps: tuple[tuple[str, Gap], ...] = ()
+    """Steps that cannot prove all with these drives, and what; the operator has taken that over."""
+    stopped: str = ""
+    """Step at which it ended early; empty: all steps were done."""
+
+    @property
+    def success(self) -> bool:
+        """Whether all steps passed."""
+        return not self.findings and not self.stopped
+
+
+def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
+    """Do the steps. However it ends, forces are zero and brakes shut before it returns or raises.
+
+    When it returns, all drives have their own watchdogs again and no fault of a lock-out. Raises RefusedError
+    where the operator does not consent.
+    """
+    try:
+        outcome = _done(c, steps)
+    finally:
+        c.drives.off(c.machine.brake_shut_s)
+    c.drives.prepare(None)
+    return outcome
+
+
+def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
+    passed: list[str] = []
+    findings: list[Finding] = []
+    gaps: list[tuple[str, Gap]] = []
+
+    def outcome(stopped: str = "") -> Outcome:
+        return Outcome(tuple(passed), tuple(merged(findings)), tuple(gaps), stopped)
+
+    for step in steps:
+        if findings and step.gate:
+            return outcome(step.name)
+        known, found = _proceed(c, step)
+        for finding in found:
+            c.operator.tell(f"  {finding.line}")
+        findings += found
+        if found and (step.gate or not ENDS.isdisjoint(each.name for each in found)):
+            return outcome(step.name)
+        gap = None if found else step.gap(c)
+        if gap is not None:
+            _accept(c, step, gap)
+            gaps.append((step.name, gap))
+        elif not found and not step.measured(c):
+            c.operator.tell("  not measured: see the findings above")
+        elif not found:
+            passed.append(step.name)
+            c.keep("passed", step.name, fact=True)
+            c.operator.tell("  passed before" if known else "  passed")
+    return outcome()
+
+
+def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
+    """Do a step if it has not passed before; return whether it has, and its findings."""
+    c.operator.tell(f"{step.name}: {step.title}")
+    known = step.kept_whole(c, len(c.machine.pose_lengths) if step is mounted.STEP else LEGS)
+    if not known and not c.operator.consent(step.title, step.will, step.stop):
+        raise RefusedError(f"ended before step {step.name}; what was found is kept")
+    try:
+        if not known:
+            step.find(c)
+        return known, step.judge(c)
+    except StoppedError as stop:
+        return known, [stop.finding]
+
+
+def _accept(c: Context, step: Step, gap: Gap) -> None:
+    """Have the operator take over what a step cannot prove: at every start, since he may be another."""
+    c.operator.tell(f"  {gap.line}")
+    text = f"{step.name} is not proven: take it over by typing `accept`"
+    c.ask(Request("accept", text=text, word="accept"))
+
+
+def merged(findings: list[Finding]) -> list[Finding]:
+    """Return the findings with one cause for what has one: a wrong lead, a drive the other way round."""
+    leads = {f.legs for f in findings if f.name in ("wrong_lead", "scale_or_lead")}
+    signs = {f.legs for f in findings if f.name == "encoder_sign"}
+    reversed_ = {f.legs for f in findings if f.name == "force_sign" and f.legs in signs}
+    kept = [
+        f
+        for f in findings
+        if not (f.name == "encoder_scale" and f.legs in leads)
+        and not (f.name in ("encoder_sign", "force_sign") and f.legs in reversed_)
+    ]
+    friction: set[tuple[int, ...]] = set()
+    for finding in [f for f in kept if f.name == "friction"]:
+        if finding.legs in friction:
+            kept.remove(finding)
+        friction.add(finding.legs)
+    return kept + [
+        Finding(
+            "drive_reversed",
+            legs,
+            "its reading falls as it grows, and a force that should extend it shortens it",
+            "Turn the drive's direction of rotation.",
+        )
+        for legs in sorted(reversed_)
+    ]

@@ -1,0 +1,176 @@
+"""Sign of each force and friction of each leg: a slow ramp both ways with one brake open.
+
+The ramp ends as soon as a leg has moved by MOVED_M, at FORCE_SHARE of the rated force at the latest, and a
+leg that has gone TRAVEL_M is a runaway. A coarse field of torque may have no code of zero, and half a code
+may move a leg of little friction: the ramp begins where a force has its sign, START_STEPS steps of the field,
+and what a leg moves by itself before it is taken off.
+"""
+
+from typing import Any
+
+from drivers.arrays import Array
+from drivers.signals import LEGS
+from hil.lab.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, StoppedError
+from hil.lab.bringup.step import Step
+
+RAMP_S = 0.8
+SETTLE_S = 0.02
+"""For how long a leg may coast, still watched, before its brake shuts."""
+WATCH_S = 0.02
+"""For how long a leg is watched without command before each ramp."""
+START_STEPS = 1.5
+"""Steps of the commanded force: rounded or truncated, it is not zero and has its sign."""
+MOVES = 0.75
+"""A leg that gives way to a hand at this share of the most force of a step must move by its drive."""
+
+
+def find(c: Context) -> None:
+    """Drive each leg a tenth of a millimetre both ways."""
+    if any(c.known("held", leg)["moved"] for leg in range(LEGS)):
+        return
+    counts = {drive: leg for drive, (leg, _) in c.reads().items()}
+    for drive in range(LEGS):
+        own = c.known("opens", drive)["legs"] == [counts.get(drive)]
+        if c.known("force", drive) is not None or not own or len(counts) < LEGS:
+            continue
+        c.keep("force", drive, {"plus": _ramp(c, drive, 1.0), "minus": _ramp(c, drive, -1.0)})
+
+
+def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
+    """Let the force of a drive grow until a leg moves; return the force, the leg, and the way it went.
+
+    The brake opens for one ramp alone: a leg that a code of zero moves is at rest again before the next.
+    """
+    found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
+    high = c.machine.force_N
+    low = min(START_STEPS * step_of(c, drive), high)
+    with c.opened(drive):
+        origin = c.lengths()
+        drift, before, ticks = _drift(c, drive, origin), c.lengths(), c.drives.ticks(RAMP_S)
+        for n in range(1, ticks + 1):
+            force = sign * (low + (high - low) * n / ticks)
+            c.drive(drive, force)
+            guard(c, drive, before, origin)
+            moves = {leg: by_m - n * drift[leg] for leg, by_m in c.travelled(before).items()}
+            leg = max(moves, key=lambda k: abs(moves[k]))
+            if abs(moves[leg]) > MOVED_M:
+                found = {"force_N": abs(force), "leg": leg, "way": 1 if moves[leg] > 0.0 else -1}
+                break
+        for _ in range(c.drives.ticks(SETTLE_S)):
+            c.drive(drive)
+            guard(c, drive, before, origin)
+    return found
+
+
+def _drift(c: Context, drive: int, origin: Array) -> dict[int, float]:
+    """Return how far each leg moves in a tick without a command, m."""
+    before, ticks = c.lengths(), c.drives.ticks(WATCH_S)
+    for _ in range(ticks):
+        c.drive(drive)
+        guard(c, drive, before, origin)
+    return {leg: by_m / ticks for leg, by_m in c.travelled(before).items()}
+
+
+def step_of(c: Context, drive: int) -> float:
+    """Return the step of the force that a drive is commanded, N at the leg."""
+    return float(c.drives.protocol.traits.resolution.force[drive])
+
+
+def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, float]:
+    """Return which leg has moved most since `before`, and by how much.
+
+    Raises StoppedError where a leg is further than TRAVEL_M from `origin`.
+    """
+    away = c.travelled(origin)
+    leg = max(away, key=lambda k: abs(away[k]))
+    if abs(away[leg]) > TRAVEL_M:
+        c.drives.off()
+        text = f"leg {leg} went {1e3 * away[leg]:+.2f} mm under drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
+        mend, own = "Look at force scale, brake and load of it.", c.reads()[drive][0]
+        if leg != own:
+            mend = f"Look at the encoder of leg {leg}, whose brake was shut, and at what drive {drive} moves."
+        raise StoppedError(Finding("runaway", (drive,) if leg == own else (drive, leg), text, mend))
+    moves = c.travelled(before)
+    most = max(moves, key=lambda k: abs(moves[k]))
+    return most, moves[most]
+
+
+def breakaway(fact: dict[str, Any]) -> float | None:
+    """Return the commanded force at which a leg begins to move, mean of both ways; None where it did not."""
+    forces = fact["plus"]["force_N"], fact["minus"]["force_N"]
+    return None if None in forces else 0.5 * (forces[0] + forces[1])
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name forces of the wrong sign, and legs that do not move by their drives."""
+    found, still = [], []
+    limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
+    for drive in range(LEGS):
+        fact = c.known("force", drive)
+        if fact is None:
+            continue
+        plus, minus = fact["plus"]["way"], fact["minus"]["way"]
+        if plus < 0 < minus:
+            text = "a force that should extend it shortens it"
+            mend = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
+            found.append(Finding("force_sign", (drive,), text, mend))
+        elif plus < 0 or minus > 0:
+            found.append(_one_way(c, drive, "shorter" if plus < 0 else "longer"))
+        elif (plus == 0) != (minus == 0):
+            does, lacks = ("extends", "shorten") if plus else ("shortens", "extend")
+            text = f"its drive {does} it, and does not {lacks} it with {limit}"
+            if _stiff(c, drive):
+                found.append(_friction(c, drive, text))
+                continue
+            mend = (
+                "Lay the leg level on its trestle; look at motor phases, supply, a limit of the drive that "
+                "works one way, and end stops."
+            )
+            found.append(Finding("force_one_way", (drive,), text, mend))
+        elif breakaway(fact) is None:
+            still.append(drive)
+    found += [_friction(c, d, f"it does not move with {limit}") for d in still if _stiff(c, d)]
+    weak = [d for d in still if not _stiff(c, d)]
+    if len(weak) > 1:
+        text = f"none moves under its own drive with {limit}, but each by hand"
+        mend = "Look whether their motor cables are exchanged; else whether these motors give force at all."
+        found.append(Finding("motor_crossed", tuple(weak), text, mend))
+    elif weak:
+        text = f"it does not move with {limit}, but by hand"
+        found.append(
+            Finding("no_force", tuple(weak), text, "Look at the motor's cable and the drive's scale.")
+        )
+    return found
+
+
+def _stiff(c: Context, drive: int) -> bool:
+    """Tell whether friction alone may keep a drive from moving its leg."""
+    return bool(c.known("opens", drive)["hand_N"] > MOVES * c.machine.force_N)
+
+
+def _friction(c: Context, drive: int, text: str) -> Finding:
+    opens = c.known("opens", drive)
+    text = f"{text}; a hand needs {opens['hand_N']:.4g} N"
+    return Finding("friction", (opens["legs"][0],), text, "Look at guide, nut, seals, a brake that drags.")
+
+
+def _one_way(c: Context, drive: int, way: str) -> Finding:
+    step = step_of(c, drive)
+    code = f", or one code of torque ({step:.3g} N) is more than its friction" if step > 0.0 else ""
+    text = f"it moves {way}, one way under either sign of force: slope, play{code}"
+    return Finding(
+        "one_way", (drive,), text, "Lay the leg level on its trestle, look for play, and try again."
+    )
+
+
+STEP = Step(
+    "force",
+    "forces and friction, one leg at a time",
+    f"opens one brake, the five others shut, and lets that drive's force grow to {100 * FORCE_SHARE:g} % of "
+    f"the rated one until the leg has moved {1e3 * MOVED_M:g} mm, each way; {1e3 * TRAVEL_M:g} mm end it",
+    "Ctrl-C, or the emergency stop; keep hands off",
+    find,
+    judge,
+    gate=False,
+    by_drive=True,
+)

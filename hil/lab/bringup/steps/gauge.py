@@ -1,0 +1,177 @@
+"""Scale of each force, by a force gauge, and what follows from all that was measured leg by leg."""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.signals import LEGS
+from hil.lab.bringup.context import Context, Finding, Request
+from hil.lab.bringup.step import Step
+from hil.lab.bringup.steps.brakes import friction
+from hil.lab.bringup.steps.encoder import tolerance
+from hil.lab.bringup.steps.force import breakaway, guard
+
+LEVELS = (0.4, 0.6, 0.8, 1.0)
+"""Of the most force of a step."""
+RAMP_S, HOLD_S = 0.12, 0.06
+BEYOND = 1.15
+"""Levels beyond so many times the breakaway force count."""
+FLAT = 0.35
+"""A force whose upper levels grow by less than this share of what its lower ones do has met a limit."""
+WITHIN = 0.06
+"""Accepted error of a force scale, beside the losses of a transmission."""
+SAME = 0.08
+"""Scales of encoder and force that are both wrong and differ by less have one cause: lead or gear. No lead is
+off by less."""
+
+
+def find(c: Context) -> None:
+    """Clamp each leg that moves to the gauge and read it at some forces."""
+    for drive, (leg, _) in sorted(c.reads().items()):
+        fact = c.known("force", drive)
+        if fact is None or breakaway(fact) is None or c.known("gauge", drive) is not None:
+            continue
+        c.ask(Request("clamp", leg, 0.0, f"Clamp the end of leg {leg} to the force gauge, without force"))
+        pairs = []
+        with c.opened(drive):
+            origin, force = c.lengths(), 0.0
+
+            def hold(force: float, drive: int = drive, origin: Array = origin) -> None:
+                c.drive(drive, force)
+                guard(c, drive, origin, origin)
+
+            for level in LEVELS:
+                before, aim = force, level * c.machine.force_N
+                for n in range(1, c.drives.ticks(RAMP_S) + 1):
+                    force = before + (aim - before) * n / c.drives.ticks(RAMP_S)
+                    hold(force)
+                for _ in range(c.drives.ticks(HOLD_S)):
+                    hold(force)
+                within = -c.machine.rated_N, c.machine.rated_N
+                text = f"Read the gauge at leg {leg}, N, > 0 pushing"
+                ask = Request("read_gauge", leg, 0.0, text, within=within)
+                read = c.ask(ask, partial(hold, force))
+                pairs.append([c.drives.carried(drive, force), read])
+        c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
+        c.keep("gauge", drive, {"pairs_N": pairs})
+
+
+class Gain(NamedTuple):
+    """N at the leg a commanded N."""
+
+    value: float
+    error: float
+    """What the steps of a coarse command make of it: a leg overshoots by one, and friction keeps it."""
+
+
+def gains(c: Context) -> dict[int, Gain]:
+    """Return the gain of each drive, where enough levels were beyond its friction."""
+    found = {}
+    for drive in range(LEGS):
+        fact, force = c.known("gauge", drive), c.known("force", drive)
+        if fact is None:
+            continue
+        least = BEYOND * (breakaway(force) or 0.0)
+        beyond = [pair for pair in fact["pairs_N"] if pair[0] > least]
+        if len({commanded for commanded, _ in beyond}) >= 2:
+            pairs = np.array(beyond)
+            span = float(np.ptp(pairs[:, 0]))
+            step = c.drives.force_step(drive, c.machine.force_N)
+            found[drive] = Gain(float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0]), step / span)
+    return found
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name forces of the wrong scale, and a wrong lead."""
+    gain, found = gains(c), []
+    read = c.reads()
+    stiff = {leg for finding in friction(c) for leg in finding.legs}
+    for drive in range(LEGS):
+        if c.known("gauge", drive) is None or drive in gain:
+            continue
+        if c.known("opens", drive)["legs"][0] not in stiff:
+            text = "its forces are too close to its friction, or to each other, to tell their scale"
+            mend = (
+                "Set torque constant, current scale or rated force of the drive; look at friction, and at "
+                "the steps of its torque."
+            )
+            found.append(Finding("force_scale", (drive,), text, mend))
+    for drive, (g, error) in gain.items():
+        leg, scale = read.get(drive, (drive, 0.0))
+        most = _limited(c, drive)
+        if most is not None:
+            text = f"its force grows no further than {most:.4g} N of {c.machine.force_N:.4g} N commanded"
+            mend = "Look at current limit, supply and rated torque of the drive."
+            found.append(Finding("force_saturates", (drive,), text, mend))
+            continue
+        if scale <= 0.0:
+            continue  # the drive takes its losses the wrong way round, or no encoder says how long its leg is
+        low, high = c.known("encoder", leg)["tape_m"]
+        off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
+        right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)
+        if right and same and abs(abs(scale) - 1.0) > SAME:
+            found.append(_scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses)))
+        elif right:
+            continue
+        elif same:
+            text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
+            where = "in the drive or in drives.transmission"
+            mend = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, {where}."
+            found.append(Finding("wrong_lead", (drive,), text, mend))
+        else:
+            text = f"it gives {abs(g):.3f} N for each N commanded"
+            mend = "Set torque constant, current scale or rated force of the drive."
+            found.append(Finding("force_scale", (drive,), text, mend))
+    return found
+
+
+def _limited(c: Context, drive: int) -> float | None:
+    """Return the force, N, at which a drive meets a limit; None where it grows as far as it is commanded."""
+    levels = sorted(dict(c.known("gauge", drive)["pairs_N"]).items())
+    if len(levels) < 3:
+        return None
+    (low, at_low), (middle, at_middle), (high, at_high) = levels[0], levels[1], levels[-1]
+    begins = at_low / low, (at_middle - at_low) / (middle - low)
+    ends = (at_high - at_middle) / (high - middle)
+    return float(at_high) if ends < FLAT * max(begins) and 0.0 < at_high < high else None
+
+
+def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:
+    """Tell whether a gain is right, and whether it is that of the lengths: losses count where neither is.
+
+    scale: None where the lengths are right.
+    """
+    for slack in (error, error + losses):
+        right = abs(gain - 1.0) <= WITHIN + slack
+        same = scale is not None and abs(gain - scale) < (SAME + slack) * scale
+        if right or same:
+            break
+    return right, same
+
+
+def _scale_or_lead(drive: int, scale: float, gain: Gain) -> Finding:
+    """Name both causes of a length that is wrong where the force fits either."""
+    text = (
+        f"its lengths are {scale:.4f} times what they should be; its forces, {gain.value:.2f} times with an "
+        f"error of {gain.error:.2f}, fit an encoder scale that is wrong, and a lead or gear, too"
+    )
+    mend = (
+        "Turn the shaft that the drive reports by one turn, by hand, and measure by tape how far the leg "
+        f"goes: if that is the configured way, multiply counts a turn in the drive by {scale:.4f}; else mend "
+        "lead or gear."
+    )
+    return Finding("scale_or_lead", (drive,), text, mend)
+
+
+STEP = Step(
+    "gauge",
+    "force scales, by force gauge",
+    "pushes one leg after the other against your force gauge with at most 2 % of the rated force",
+    "Ctrl-C, or the emergency stop",
+    find,
+    judge,
+    gate=False,
+    by_drive=True,
+)

@@ -1,0 +1,95 @@
+"""Which drive counts which leg: each leg is moved by hand, and the readings are watched."""
+
+import numpy as np
+
+from drivers.signals import LEGS
+from hil.lab.bringup.context import Context, Finding, Request
+from hil.lab.bringup.step import Step
+
+MOVE_SHARE = 0.1
+"""Of the stroke, by hand."""
+COUNTS = 5e-3
+"""A reading that changes by this share of the move, and not by RESPONDS, counts far too little."""
+RESPONDS = 0.1
+"""A reading that changes by this share of the move responds to it."""
+
+
+def find(c: Context) -> None:
+    """Have each leg moved by hand with all drives off."""
+    by_m = MOVE_SHARE * c.machine.stroke
+    for leg in range(LEGS):
+        if c.known("ids", leg) is not None:
+            continue
+        c.take_down()
+        c.rest(0.02)
+        before = c.lengths()
+        text = f"Move leg {leg} alone, with the lever on its brake, longer by about {1e3 * by_m:.0f} mm"
+        c.ask(Request("move", leg, by_m, text))
+        c.rest(0.02)
+        changes = c.lengths() - before
+        responds = np.flatnonzero(np.abs(changes) > RESPONDS * by_m)
+        c.keep("ids", leg, {"drives": responds.tolist(), "changes_m": changes.tolist()})
+
+
+def drive_of(c: Context) -> dict[int, int]:
+    """Return for each leg that exactly one encoder counts the drive of that encoder."""
+    found = {}
+    for leg in range(LEGS):
+        drives = c.known("ids", leg)["drives"]
+        own = [d for d in drives if d == leg] or drives
+        if own:
+            found[leg] = own[0]
+    return found
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name encoders that stand still or count a second leg; exchanged ones need motor and brake to name."""
+    found = []
+    counted: dict[int, list[int]] = {drive: [] for drive in range(LEGS)}
+    for leg in range(LEGS):
+        for drive in c.known("ids", leg)["drives"]:
+            counted[drive].append(leg)
+    unseen = {leg for leg in range(LEGS) if not c.known("ids", leg)["drives"]}
+    several = {
+        leg: c.known("ids", leg)["drives"] for leg in range(LEGS) if len(c.known("ids", leg)["drives"]) > 1
+    }
+    for leg, drives in several.items():
+        for drive in drives:
+            if drive != leg:
+                text = f"the encoder of its drive counts leg {leg}, as that leg's own does"
+                found.append(
+                    Finding("encoder_counts_another", (drive, leg), text, "Mend the encoder's cable.")
+                )
+    for drive, legs in counted.items():
+        if not legs:
+            found.append(_unmoved(c, drive))
+    named = {f.legs[0] for f in found}
+    found += [
+        Finding("encoder_unseen", (leg,), "no encoder counts it", "Look at encoder, coupling and cable.")
+        for leg in sorted(unseen - named)
+    ]
+    return found
+
+
+def _unmoved(c: Context, drive: int) -> Finding:
+    """Name an encoder that counts no leg: it stands still, or counts far too little."""
+    changes = [c.known("ids", leg)["changes_m"][drive] for leg in range(LEGS)]
+    most, by_m = max(changes, key=abs), MOVE_SHARE * c.machine.stroke
+    if abs(most) > COUNTS * by_m:
+        text = f"its reading changes by {1e3 * most:.2f} mm as a leg is moved by about {1e3 * by_m:.0f} mm"
+        mend = "Look at counts per m in the drive, lead and gear; and whether the leg went so far."
+        return Finding("encoder_scale", (drive,), text, mend)
+    text = "its encoder stands still while its leg moves"
+    return Finding(
+        "encoder_frozen", (drive,), text, "Look at encoder, coupling and cable, and that the leg can move."
+    )
+
+
+STEP = Step(
+    "ids",
+    "which drive is which leg",
+    "watches the encoders with all drives off while you move one leg after the other by hand",
+    "Ctrl-C; no drive is powered",
+    find,
+    judge,
+)

@@ -1,0 +1,138 @@
+"""Each leg at its own joints: leg lengths at known poses of the hanging platform."""
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.signals import LEGS
+from hil.lab.bringup.context import Context, Finding, Gap, Request
+from hil.lab.bringup.step import Step
+
+FIT_M = 4e-3
+"""Largest accepted difference of a length at a pose that is known by a jig."""
+
+SAME_M = 1e-3
+"""Differences at the poses that differ by less are one."""
+
+MANY = 4
+"""Lengths of so many legs that are off at once, and fit no other joints, have one cause: the pose."""
+AFTER = (
+    "Take the platform off the legs first: what is mended is measured again, one brake open at a time, on "
+    "legs that carry nothing."
+)
+MEND = f"Mount it at its joints, or mend the geometry. {AFTER}"
+
+
+LOAD_WITHIN = 0.1
+"""Accepted error of the platform's mass: its weight is what the legs push as the brakes open."""
+HEAVIEST = 500.0
+"""A mass that is so many times the configured one was read in another unit."""
+UPRIGHT = 0.3
+"""Cosine between gravity and the way from base to platform from which its weight presses or pulls."""
+WAYS = {1: "presses the legs", 0: "neither presses the legs nor pulls at them", -1: "pulls at the legs"}
+
+
+def find(c: Context) -> None:
+    """Have the platform weighed, hung at the known poses, and read the legs, all drives off."""
+    load, m = c.facts.get("load", {}), c.machine
+    if load.get("mass_kg") is None:
+        text = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
+        ask = Request("weigh", -1, 0.0, text, within=(0.0, HEAVIEST * m.platform_kg))
+        c.keep("load", "mass_kg", c.ask(ask))
+    if load.get("presses") is None:
+        text = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
+        c.keep("load", "presses", c.ask(Request("read_way", -1, 0.0, text, within=(-1.0, 1.0))))
+    for pose in range(len(c.machine.pose_lengths)):
+        if c.facts.get("mounted", {}).get(str(pose)) is None:
+            where = f"known pose {pose}: {c.machine.pose_words[pose]}"
+            text = f"Mount the legs, levers on the brakes, and hang the platform at {where}"
+            c.hung()
+            c.ask(Request("hang", -1, float(pose), text))
+            c.rest(0.02)
+            c.keep("mounted", pose, {"q_m": c.lengths().tolist()})
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name legs whose lengths fit other joints, or none."""
+    m, found = c.machine, _load(c)
+    q = np.array([c.facts["mounted"][str(k)]["q_m"] for k in range(len(m.pose_lengths))])
+    for leg in range(LEGS):
+        q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
+    away = q - m.pose_lengths
+    wrong = [leg for leg in range(LEGS) if np.abs(away[:, leg]).max() > FIT_M]
+    joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
+    if len(wrong) >= MANY and not any(joints.values()):
+        return [*found, _hangs_elsewhere(away, wrong)]
+    mends = f"See that the platform hangs at the known poses, not tilted. {MEND}" if len(wrong) > 1 else MEND
+    for leg in wrong:
+        off, fits = away[:, leg], joints[leg]
+        if fits is None and np.ptp(off) < SAME_M:
+            text = f"at the known poses it reads {1e3 * off.mean():+.1f} mm off, the same at each"
+            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {mends}"
+            found.append(Finding("slipped", (leg,), text, mend))
+            continue
+        text = f"at the known poses it is {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm off"
+        if fits is None:
+            text += ", and fits no pair of joints"
+        else:
+            text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
+        found.append(Finding("mounted_elsewhere", (leg,), text, mends))
+    return found
+
+
+def _load(c: Context) -> list[Finding]:
+    """Name a weight, or a way of gravity, that the controller would be wrong about as the brakes open."""
+    m, found = c.machine, []
+    mass, presses = (c.facts["load"][key] for key in ("mass_kg", "presses"))
+    if mass > 0.0 and abs(mass / m.platform_kg - 1.0) > LOAD_WITHIN:
+        text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
+        mend = f"Write what it weighs into platform, or take off what is not part of it. {AFTER}"
+        found.append(Finding("payload", (), text, mend))
+    seen, configured = round(presses), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
+    if seen != configured:
+        text = f"the platform's weight {WAYS[seen]}; by the configuration it {WAYS[configured]}"
+        found.append(Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}"))
+    return found
+
+
+def _hangs_elsewhere(away: Array, wrong: list[int]) -> Finding:
+    """Name a platform that hangs elsewhere than it should, since so many legs are off at once."""
+    poses = "; ".join(
+        f"pose {k}: {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm" for k, off in enumerate(away)
+    )
+    text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({poses})"
+    mend = f"Hang it at the known poses, or mend platform.home and the joints of the configuration. {AFTER}"
+    return Finding("wrong_home", (), f"legs {', '.join(map(str, wrong))}: {text}", mend)
+
+
+def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
+    """Return base and platform joint between which lengths (poses,) m fit best, None where none do."""
+    worst = np.abs(distances - q[:, None, None]).max(axis=0)
+    base, platform = np.unravel_index(int(np.argmin(worst)), worst.shape)
+    return (int(base), int(platform)) if worst[base, platform] <= FIT_M else None
+
+
+def gap(c: Context) -> Gap | None:
+    """Say where drives that forget their turns read alike at other joints, and that nothing was weighed."""
+    step, texts, instead = c.machine.forgotten_m, [], []
+    if step is not None and float(step.min()) <= 4.0 * FIT_M:
+        texts.append(
+            f"they forget multiples of {1e3 * float(step.min()):.3g} mm, so a leg that is mounted elsewhere, "
+            "or has slipped, may read the length that it should have"
+        )
+        instead.append("Compare the length of each leg at both poses by tape")
+    if c.facts["load"]["mass_kg"] == 0.0:
+        texts.append("the platform was not weighed, so it may drop or leap as the brakes open")
+        instead.append(f"See that it weighs {c.machine.platform_kg:.4g} kg with all that is fixed to it")
+    return Gap("; ".join(texts), ". ".join(instead)) if texts else None
+
+
+STEP = Step(
+    "mounted",
+    "the platform on its legs",
+    "has you weigh the platform, and reads the legs with all drives off while it hangs at known poses",
+    "Ctrl-C; no drive is powered",
+    find,
+    judge,
+    gap=gap,
+    tables=("mounted", "load"),
+)

@@ -1,0 +1,223 @@
+"""Each drive's own watchdog, proven by silence.
+
+Drives that are powered on shut brakes are proven all at once. The others know no state between off and
+enabled: the brake of a leg on its trestle opens meanwhile, one at a time. What a drive sends unasked, at a
+SYNC that does not feed its watchdog, is watched; other drives are asked before and after their time.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import ceil, floor
+from typing import Any
+
+from drivers.signals import LEGS, DriveMode, DriveState
+from drivers.tick_columns import Record
+from hil.lab.bringup.context import Context, Finding, Gap
+from hil.lab.bringup.step import Step
+
+POWER_S = 0.1
+WAIT, WAIT_S = 6.0, 0.4
+"""Silence ends after so many times the configured watchdog, and not before this."""
+EARLY, LATE = 0.5, 1.5
+"""A watchdog that takes less or more than so many times the configured one is wrong."""
+ASKS = 3
+"""So many ticks a drive is asked whether it is still powered: an answer may be late, or lost."""
+SEEN_EARLY = 0.7
+"""One that is watched is seen a period late, and takes less than EARLY if it is seen before this share."""
+TRIES = 5
+"""So often it is measured again where a late tick hides whether a watchdog is right."""
+_POWERED = (DriveState.READY, DriveState.RUN)
+Fact = dict[str, Any]
+"""`powered` before the silence; its watchdog acts after `since_s` and before `until_s`."""
+
+
+def find(c: Context) -> None:
+    """Power the drives, stop commanding them, and take the time until each is no longer powered.
+
+    Times are the clock's, between ticks as they were. What does not tell since a tick came late is measured
+    again.
+    """
+    protocol = c.drives.protocol
+    if not _observable(c) or all(c.known("watchdog", leg) is not None for leg in range(LEGS)):
+        return
+    if protocol.traits.force_on_brakes:
+        _keep(c, range(LEGS), partial(_find_shut, c))
+        return
+    find_one = _find_asked if _is_asked(c) else _find_watched
+    for leg in range(LEGS):
+        if c.known("watchdog", leg) is None:
+            _keep(c, [leg], partial(find_one, c, leg))
+
+
+def _keep(c: Context, legs: Sequence[int], measure: Callable[[], list[Fact]]) -> None:
+    """Measure, again and again where it does not tell, and keep what was found of some legs."""
+    for _ in range(TRIES):
+        facts = measure()
+        if all(_tells(c, fact) for fact in facts):
+            break
+    for leg, fact in zip(legs, facts, strict=True):
+        c.keep("watchdog", leg, fact)
+
+
+def _tells(c: Context, fact: Fact) -> bool:
+    """Tell whether a watchdog is known to be right, or not to be."""
+    until, since = fact["until_s"], fact["since_s"]
+    if not fact["powered"] or until is None:
+        return True
+    if since is None:
+        return bool(until < SEEN_EARLY * c.machine.watchdog_s)
+    return bool(until <= _latest_s(c) or since > LATE * c.machine.watchdog_s)
+
+
+def _latest_s(c: Context) -> float:
+    return LATE * c.machine.watchdog_s + 3.0 / c.drives.line.rate_Hz
+
+
+def _observable(c: Context) -> bool:
+    return c.drives.protocol.traits.power_told != "never"
+
+
+def _is_asked(c: Context) -> bool:
+    protocol = c.drives.protocol
+    return protocol.traits.command_delay_ticks > 0 or protocol.traits.power_told == "heartbeat"
+
+
+def _powered(c: Context, leg: int) -> bool:
+    return int(c.drives.record["drive_state"][leg]) in _POWERED
+
+
+def _wait_s(c: Context) -> float:
+    return max(WAIT * c.machine.watchdog_s, WAIT_S)
+
+
+def _find_shut(c: Context) -> list[Fact]:
+    """Power all drives on shut brakes, fall silent, and watch what they answer to SYNC."""
+    drives = c.drives
+    drives.prepare(None)
+    for _ in range(drives.ticks(POWER_S)):
+        drives.step(DriveMode.READY)
+        if all(_powered(c, leg) for leg in range(LEGS)):
+            break
+    try:
+        return _watched(c, range(LEGS), lambda: drives.step(DriveMode.READY, silent=True))
+    finally:
+        drives.off()
+
+
+def _find_watched(c: Context, leg: int) -> list[Fact]:
+    """Enable a drive alone, fall silent, and watch what it answers to SYNC."""
+    with c.opened(leg):
+        return _watched(c, [leg], lambda: c.drives.step(DriveMode.RUN, leg, silent=True))
+
+
+def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> list[Fact]:
+    """Fall silent, and take the time of the tick in which each of some drives is no longer powered.
+
+    It was so at the tick before, and the last command went late in its tick.
+    """
+    facts: list[Fact] = [{"powered": _powered(c, k), "until_s": None, "since_s": None} for k in legs]
+    period_ns = 1e9 / c.drives.line.rate_Hz
+    told_ns = before_ns = int(c.drives.record["t_ns"])
+    for _ in range(c.drives.ticks(_wait_s(c))):
+        now_ns = int(silent()["t_ns"])
+        for k, fact in zip(legs, facts, strict=True):
+            if fact["until_s"] is None and not _powered(c, k):
+                fact["until_s"] = 1e-9 * (now_ns - told_ns)
+                fact["since_s"] = max(0.0, 1e-9 * (before_ns - told_ns - period_ns))
+        before_ns = now_ns
+        if all(fact["until_s"] is not None for fact in facts):
+            break
+    return facts
+
+
+def _find_asked(c: Context, leg: int) -> list[Fact]:
+    """Ask a drive alone before and after its time: commands feed the watchdog, and bring no power back.
+
+    Where the heartbeat tells, commands go on until the next one. What a watchdog outlasts, or not, is the
+    longest time between two commands.
+    """
+    rate, wait = c.drives.line.rate_Hz, c.machine.watchdog_s
+    late_s = c.machine.heartbeat_s if c.drives.protocol.traits.power_told == "heartbeat" else 0.0
+    early = max(1, floor(EARLY * wait * rate) - 1)
+    bounds: list[float | None] = [None, None]
+    with c.opened(leg):
+        powered = _powered(c, leg)
+        for ticks in (early, ceil(LATE * wait * rate), c.drives.ticks(_wait_s(c))):
+            told_ns, longest_ns = int(c.drives.record["t_ns"]), 0
+            for _ in range(ticks):
+                c.drives.step(DriveMode.RUN, leg, silent=True)
+            for _ in range(ASKS + ceil(late_s * rate)):
+                now_ns = int(c.drives.step(DriveMode.RUN, leg)["t_ns"])
+                longest_ns, told_ns = max(longest_ns, now_ns - told_ns), now_ns
+            gone = not _powered(c, leg)
+            bounds[gone] = 1e-9 * longest_ns
+            if gone:
+                break
+    return [{"powered": powered, "until_s": bounds[1], "since_s": bounds[0]}]
+
+
+def judge(c: Context) -> list[Finding]:
+    """Name drives whose watchdog is missing, too slow or too fast."""
+    if not _observable(c):
+        return []
+    found = []
+    wait, protocol = c.machine.watchdog_s, c.drives.protocol
+    for leg in range(LEGS):
+        fact = c.known("watchdog", leg)
+        until = fact["until_s"]
+        if not fact["powered"]:
+            text = "the drive does not take power, or does not keep it"
+            mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
+            found.append(Finding("not_powered", (leg,), text, mend))
+        elif until is None:
+            if not protocol.traits.has_watchdog:
+                continue
+            text = f"it is still powered after {1e3 * _wait_s(c):g} ms of silence, set were {1e3 * wait:g} ms"
+            mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
+            found.append(Finding("watchdog_missing", (leg,), text, mend))
+        elif not _tells(c, fact):
+            since_ms, until_ms = 1e3 * (fact["since_s"] or 0.0), 1e3 * until
+            text = (
+                f"it reacts within {since_ms:g} to {until_ms:g} ms of silence: ticks were late {TRIES} times"
+            )
+            mend = "End what else works on this machine, and give the command again."
+            found.append(Finding("watchdog_unmeasured", (leg,), text, mend))
+        elif until > _latest_s(c):
+            text = f"it reacts {1e3 * until:g} ms after the last command, set were {1e3 * wait:g} ms"
+            found.append(Finding("watchdog_long", (leg,), text, "Set the drive's watchdog, or its unit."))
+        elif until < SEEN_EARLY * wait:
+            text = f"it reacts within {1e3 * until:g} ms of silence, set were {1e3 * wait:g} ms"
+            found.append(Finding("watchdog_short", (leg,), text, "Set the drive's watchdog, or its unit."))
+    return found
+
+
+def gap(c: Context) -> Gap | None:
+    """Say which drives have no watchdog that can be proven, if they are of a family without one."""
+    if c.drives.protocol.traits.has_watchdog:
+        return None
+    legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
+    if not legs:
+        return None
+    which = ", ".join(map(str, legs))
+    shown = (
+        f"those of legs {which} stay enabled in silence"
+        if _observable(c)
+        else "their answers do not tell whether they are enabled"
+    )
+    return Gap(
+        f"they have no watchdog that is set from here, and {shown}",
+        "When the program dies a drive keeps its last torque. See that something independent of program and "
+        "bus cuts the drives' power and shuts the brakes, try it now, and keep it in reach",
+    )
+
+
+STEP = Step(
+    "watchdog",
+    "watchdogs, by silence",
+    "powers the drives without force on shut brakes and falls silent; drives that know no such state are "
+    "enabled one at a time, on trestles",
+    "Ctrl-C, or the emergency stop",
+    find,
+    judge,
+    gap=gap,
+)

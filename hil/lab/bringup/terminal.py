@@ -1,0 +1,105 @@
+"""The operator at a terminal: Enter for what is done, a number for what is read, a word for what is promised.
+
+`no`, or the end of the input, ends. What was typed ahead waits its turn.
+"""
+
+import math
+import os
+import select
+import sys
+from collections.abc import Callable
+from typing import TextIO
+
+from hil.lab.bringup.context import RefusedError, Request
+
+READINGS = frozenset({"measure", "read_gauge", "read_push", "read_held", "weigh", "read_way"})
+_CHUNK = 4096
+
+
+class Terminal:
+    """Questions on a terminal, which never hold the drives' ticks up.
+
+    Mutable state: the open question, and what was typed and not yet taken.
+    """
+
+    patience = math.inf
+
+    def __init__(self, write: Callable[[str], None], source: TextIO | None = None) -> None:
+        self._write = write
+        self._source = sys.stdin if source is None else source
+        self._open: Request | None = None
+        self._typed = b""
+        self._ended = False
+
+    def tell(self, text: str) -> None:
+        """Say what was found."""
+        self._write(text)
+
+    def consent(self, title: str, will: str, stop: str) -> bool:
+        """Ask for Enter before a step, until it is given; nothing is powered meanwhile."""
+        self._write(f"  it {will}\n  to stop it: {stop}\n  Enter begins {title}, `no` ends")
+        while (typed := self._line()) != "":
+            self._write(f"  {typed!r} is no answer: Enter begins {title}, `no` ends")
+        return True
+
+    def ask(self, request: Request) -> None:
+        """Show what is to be done or read."""
+        self._open = request
+        how = f"type `{request.word}`" if request.word else "then Enter"
+        if request.act in READINGS:
+            how = "type the number"
+        self._write(f"    {request.text}; {how}")
+
+    def answer(self) -> float | None:
+        """Return the number typed, 0 for what is done; None as long as there is no answer.
+
+        A comma counts as a decimal point. Raises RefusedError.
+        """
+        if not self._has_line():
+            return None
+        assert self._open is not None
+        typed = self._line()
+        if self._open.act not in READINGS:
+            if typed == self._open.word:
+                return 0.0
+            self._write(
+                f"    {typed!r} is no answer; type `{self._open.word}`"
+                if self._open.word
+                else f"    {typed!r} is no answer; Enter when it is done"
+            )
+            return None
+        try:
+            value = float(typed.replace(",", ".") if "." not in typed else typed)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            self._write(f"    {typed!r} is no number; {self._open.text}")
+            return None
+        if "," in typed:
+            self._write(f"    read as {value:g}")
+        return value
+
+    def _has_line(self) -> bool:
+        """Take what has been typed, and tell whether a line is whole or the input has ended."""
+        while b"\n" not in self._typed and not self._ended:
+            if not select.select([self._source], [], [], 0.0)[0]:
+                return False
+            self._take()
+        return True
+
+    def _line(self) -> str:
+        while b"\n" not in self._typed and not self._ended:
+            self._take()
+        line, newline, self._typed = self._typed.partition(b"\n")
+        typed = line.decode(errors="replace").strip().lower()
+        if (not newline and not typed) or typed in ("no", "n", "q", "quit"):
+            raise RefusedError("ended by the operator; what was found is kept")
+        return typed
+
+    def _take(self) -> None:
+        try:
+            chunk = os.read(self._source.fileno(), _CHUNK)
+        except (OSError, ValueError):
+            chunk = b""
+        self._typed += chunk
+        self._ended = not chunk

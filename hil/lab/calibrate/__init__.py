@@ -1,0 +1,1 @@
+"""`hil calibrate`: the geometry of a platform from measured poses."""

@@ -1,0 +1,387 @@
+"""`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured poses and lengths."""
+
+import csv
+import io
+import json
+import math
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import CalibrationError, ConfigurationError, LogError
+from drivers.files import read_regular, real_path
+from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.platform import build_platform
+from hil.app.configuration.problems import split_unit
+from hil.app.files import made_whole
+from hil.app.output import further
+from hil.config.number import ALLOWED, in_reason, plain_number
+from hil.config.values import AXES
+from hil.lab.calibrate.fit import (
+    NAMES,
+    WEAK,
+    Calibration,
+    Combination,
+    Measurements,
+    calibrate,
+    predicted,
+    start_offsets,
+    suspicion,
+)
+from hil.robot.geometry import Platform
+
+LENGTHS = ("l1_m", "l2_m", "l3_m", "l4_m", "l5_m", "l6_m")
+"""Legs in the order of the joint lists."""
+DEVIATIONS = ("length_std_m", "position_std_m", "rotation_std_deg")
+"""Columns that may be left out: standard deviations of each length, coordinate and angle in the row."""
+OUTLIER = 5.0
+"""A residual of so many standard deviations is named."""
+DOUBT = 1e-3
+"""Probability of the chi-square below which (or above one less which) the given deviations are doubted."""
+REACH = 0.1
+"""A reading that differs by this share of the leg's length from what the pose asks is no reading of it."""
+
+
+FRAMES = (
+    "Joints are in the frames of the measured poses: these define base and platform frame. An error of "
+    "either frame against the machine moves all its joints together and cannot be seen here."
+)
+
+
+class Pairs(NamedTuple):
+    """A file of measured pairs, and the line of each row."""
+
+    measured: Measurements
+    lines: list[int]
+
+
+class Report(NamedTuple):
+    """Figures of a calibration as lines, and as plain values."""
+
+    lines: list[str]
+    figures: dict[str, Any]
+    fragment: str
+
+
+def run_calibration(
+    path: str | Path, poses: Path, out: Path | None = None, json_file: Path | None = None
+) -> Report:
+    """Fit, report, and write the fragment to `out`, which must not exist; `json_file` must be another.
+
+    Raises ConfigurationError (configuration, CSV file, units, poses out of reach), CalibrationError (too few
+    pairs, no convergence), LogError (`out`). Where that fails in the end, the figures say so: `further`.
+    """
+    if out is not None:
+        _check_out(out, json_file)
+    configuration = load(path)
+    pairs = read_pairs(poses)
+    robot = build_platform(configuration.platform)
+    _refuse_strange(configuration, robot, pairs, poses)
+    fit = calibrate(robot, pairs.measured)
+    report = describe(configuration, robot, pairs, poses, fit)
+    if out is not None:
+        with further(report.figures), made_whole(out, overwrite=False) as file:
+            file.write_text(report.fragment, encoding="utf-8")
+    return report
+
+
+def read_pairs(path: Path) -> Pairs:
+    """Read the CSV file; columns in any order, blank lines skipped.
+
+    Raises ConfigurationError with every problem as `file:line: ...`.
+    """
+    problems: list[str] = []
+    rows: list[list[float]] = []
+    numbers: list[int] = []
+    try:
+        reader = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
+        header = [word.strip() for word in next(reader, [])]
+        wrong = _header_problems(header)
+        if wrong:
+            raise ConfigurationError(*(f"{path}:1: {w}" for w in wrong))
+        for words in reader:
+            if not any(word.strip() for word in words):
+                continue
+            row, problem = _row(header, words)
+            rows.append(row)
+            numbers.append(reader.line_num)
+            if problem:
+                problems.append(f"{path}:{reader.line_num}: {problem}")
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}") from None
+    if problems:
+        raise ConfigurationError(*problems)
+    table = np.array(rows).reshape(len(rows), len(header))
+    columns = {name: table[:, k] for k, name in enumerate(header)}
+    turn = np.deg2rad(columns["rotation_std_deg"]) if "rotation_std_deg" in columns else None
+    measured = Measurements(
+        p=np.stack([columns[name] for name in AXES[:3]], axis=1),
+        rotation_vector=np.deg2rad(np.stack([columns[name] for name in AXES[3:]], axis=1)),
+        q=np.stack([columns[name] for name in LENGTHS], axis=1),
+        length_std=columns.get("length_std_m"),
+        position_std=columns.get("position_std_m"),
+        rotation_std=turn,
+    )
+    return Pairs(measured, numbers)
+
+
+def _header_problems(header: list[str]) -> list[str]:
+    known = (*AXES, *LENGTHS, *DEVIATIONS)
+    found = []
+    missing = [name for name in (*AXES, *LENGTHS) if name not in header]
+    for name in header:
+        if name in known:
+            continue
+        stem = split_unit(name)[0]
+        meant = next((k for k in known if split_unit(k)[0] == stem), None)
+        near = get_close_matches(name, [k for k in known if k not in header], 1)
+        if meant is not None:
+            missing = [m for m in missing if m != meant]
+            found.append(f"column {name}: wrong unit: the column is {meant}")
+        else:
+            hint = f", did you mean {near[0]}?" if near else f", allowed: {','.join(known)}"
+            found.append(f"unknown column {name!r}{hint}")
+    twice = sorted({name for name in header if header.count(name) > 1})
+    found += [f"column {name} is there twice" for name in twice]
+    if missing:
+        found.insert(0, f"missing columns {','.join(missing)}; needed: {','.join((*AXES, *LENGTHS))}")
+    if "length_std_m" not in header and {"position_std_m", "rotation_std_deg"} & set(header):
+        found.append("deviations of the poses need length_std_m, too: what is their weight against a length?")
+    return found
+
+
+def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
+    """Return the numbers of a line and what is wrong with them, or nothing."""
+    nothing = [0.0] * len(header)
+    if len(words) != len(header):
+        return nothing, f"{len(words)} values, allowed: {len(header)}, one for each column"
+    numbers = []
+    for name, word in zip(header, words, strict=True):
+        number = plain_number(word)
+        if not math.isfinite(number):
+            return nothing, f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
+        if not in_reason(number):
+            return nothing, f"{name}: allowed in size: {ALLOWED}, given: {number:g}"
+        if name in DEVIATIONS and (number < 0 or (name == "length_std_m" and number == 0)):
+            bound = "greater than 0" if name == "length_std_m" else "at least 0"
+            return nothing, f"{name}: allowed: {bound}, given: {number:g}"
+        if name in LENGTHS and number <= 0:
+            return nothing, f"{name}: allowed: greater than 0, given: {number:g}"
+        numbers.append(number)
+    angle = math.hypot(*(numbers[header.index(name)] for name in AXES[3:]))
+    if angle > 180 * (1 + 1e-12):
+        return nothing, f"rotation vector of {angle:g} deg, allowed: at most half a turn, 180 deg"
+    return numbers, ""
+
+
+def _refuse_strange(c: Configuration, robot: Platform, pairs: Pairs, poses: Path) -> None:
+    """Refuse readings of another unit or robot before a fit bends the joints to explain them."""
+    measured = pairs.measured
+    if not len(measured.p):
+        raise CalibrationError(f"{poses}: no rows, allowed: at least 8 poses")
+    guess = suspicion(robot, measured)
+    if guess is not None:
+        raise ConfigurationError(
+            f"{poses}: lengths and poses do not belong together, and would if these were {guess}. "
+            "Columns carry their unit; R turns platform axes into base axes"
+        )
+    asked = predicted(robot, measured)
+    away = measured.q - start_offsets(robot, measured) - asked
+    found = []
+    for row, leg in np.argwhere(np.abs(away) > REACH * asked):
+        given = measured.q[row, leg]
+        found.append(
+            f"{poses}:{pairs.lines[row]}: {LENGTHS[leg]} is {given:.4f} where the pose asks for "
+            f"{given - away[row, leg]:.4f} (configured joints, offset of the other rows)"
+        )
+    low, high = c.platform.length_min_m, c.platform.length_max_m
+    margin = REACH * (high - low)
+    outside = (asked < low - margin) | (asked > high + margin)
+    for row in np.flatnonzero(outside.any(axis=1)):
+        leg = int(np.argmax(np.maximum(low - asked[row], asked[row] - high)))
+        found.append(
+            f"{poses}:{pairs.lines[row]}: out of reach: the pose asks {asked[row, leg]:.4f} m of "
+            f"{LENGTHS[leg].removesuffix('_m')}, stroke {low:g} to {high:g} m"
+        )
+    if found:
+        more = [f"{poses}: and {len(found) - 10} more"] if len(found) > 10 else []
+        raise ConfigurationError(*found[:10], *more)
+
+
+def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: Calibration) -> Report:
+    """Return the report on a fit: what changed, how sure it is, what the poses do not tell."""
+    n = len(pairs.lines)
+    before = pairs.measured.q - predicted(robot, pairs.measured)
+    before = before - before.mean(axis=0)
+    rms, rms_before = (1e3 * float(np.sqrt(np.mean(e**2))) for e in (fit.residuals, before))
+    row, leg = (int(i) for i in np.unravel_index(np.argmax(np.abs(fit.residuals)), fit.residuals.shape))
+    at = f"{poses.name}:{pairs.lines[row]} {_leg(leg)}"
+    lines = [
+        f"calibration of {c.name} from {poses.name}",
+        f"  poses        {n}, {6 * n} equations",
+        f"  parameters   {6 * n - fit.dof} of 42 determined, {fit.dof} degrees of freedom",
+        f"  residuals    rms {rms:.4g} mm (offsets alone fitted: {rms_before:.4g} mm)",
+        f"  largest      {1e3 * fit.residuals[row, leg]:.4g} mm at {at}",
+    ]
+    if fit.chi_square is None:
+        lines.append(f"  reading      standard deviation {1e3 * fit.sigma:.4g} mm, from the residuals")
+    else:
+        lines.append(f"  chi-square   {fit.chi_square:.1f} for {fit.dof} (p {fit.p_value:.3g})")
+    lines += _table(robot, fit)
+    lines += ["frames", f"  {FRAMES}"]
+    warnings = _warnings(pairs, poses, fit)
+    lines += [f"warning: {w}" for w in warnings]
+    return Report(lines, _figures(c, poses, fit, rms, rms_before, warnings), _fragment(c, poses, fit, rms, n))
+
+
+def _table(robot: Platform, fit: Calibration) -> list[str]:
+    """Return changes in mm with their standard deviations, two lines a leg."""
+    change = np.hstack(
+        [
+            fit.base_joints - robot.base_joints,
+            fit.platform_joints - robot.platform_joints,
+            fit.offsets[:, None],
+        ]
+    )
+    lines = ["changes and offsets, mm (+- one standard deviation; ? not determined)"]
+    lines.append("        base x     y       z     platform x  y       z      offset")
+    for leg in range(6):
+        lines.append(f"  {_leg(leg)}  " + " ".join(f"{1e3 * x:8.3f}" for x in change[leg]))
+        lines.append("   +-" + " ".join(f"{1e3 * s:8.3f}" if s == s else f"{'?':>8}" for s in fit.std[leg]))  # noqa: PLR0124
+    return lines
+
+
+def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> list[str]:
+    found = []
+    legs: dict[str, list[str]] = {}
+    for leg in range(6):
+        lost = sorted(_sum(x) for x in fit.undetermined if x.leg == leg)
+        if lost:
+            legs.setdefault("; ".join(lost), []).append(_leg(leg))
+    for names, where in legs.items():
+        some = [x for x in fit.undetermined if _leg(x.leg) in where]
+        found.append(
+            f"{', '.join(where)}: not observable with these poses: {names}. Along these the joints stay as "
+            f"configured. {_advice(some)}"
+        )
+    if fit.weak:
+        each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
+        found.append(
+            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(list(fit.weak))} Lengths and "
+            "poses close to the measured ones are better known than these"
+        )
+    if fit.p_value is not None and not DOUBT < fit.p_value < 1 - DOUBT:
+        assert fit.chi_square is not None
+        ratio = math.sqrt(fit.chi_square / fit.dof)
+        than = "larger" if ratio > 1 else "smaller"
+        found.append(
+            f"residuals are {ratio:.2f} times the given standard deviations, {than} than chance allows: the "
+            "deviations of the file are wrong"
+            + (", or the robot is no ideal one (joint play, bending)" if ratio > 1 else "")
+        )
+    for row, leg in np.argwhere(np.abs(fit.standardised) > OUTLIER)[:10]:
+        found.append(
+            f"{poses.name}:{pairs.lines[row]}: {_leg(leg)} is {abs(fit.standardised[row, leg]):.1f} standard "
+            "deviations off: a slip of that measurement?"
+        )
+    return found
+
+
+def _advice(lost: list[Combination]) -> str:
+    names = {name for x in lost for name in x.coefficients}
+    if any("offset" in x.coefficients for x in lost):
+        return "An offset looks like joints further apart along the leg: measure longer and shorter legs."
+    if any(n.startswith("base") for n in names) and any(n.startswith("platform") for n in names):
+        return "Base and platform joint move together: measure poses that tilt about all axes."
+    return "Measure poses further apart."
+
+
+def _sum(x: Combination) -> str:
+    """Write `base x + 0.5 platform x - offset`."""
+    text = ""
+    for name, share in x.coefficients.items():
+        sign = "-" if share < 0 else "+"
+        factor = "" if abs(abs(share) - 1) < 0.05 else f"{abs(share):.1f} "
+        text += f" {sign} {factor}{name}" if text else f"{'-' * (share < 0)}{factor}{name}"
+    return text
+
+
+def _leg(leg: int) -> str:
+    return f"l{leg + 1}"
+
+
+def _figures(
+    c: Configuration, poses: Path, fit: Calibration, rms: float, rms_before: float, warnings: list[str]
+) -> dict[str, Any]:
+    def combination(x: Combination) -> dict[str, Any]:
+        return {"leg": _leg(x.leg), "coefficients": x.coefficients, "std_m": x.std}
+
+    return {
+        "configuration": c.name,
+        "poses": str(poses),
+        "equations": int(fit.residuals.size),
+        "degrees_of_freedom": fit.dof,
+        "residual_rms_m": rms / 1e3,
+        "residual_rms_offsets_alone_m": rms_before / 1e3,
+        "residual_max_m": float(np.abs(fit.residuals).max()),
+        "reading_std_m": fit.sigma,
+        "chi_square": fit.chi_square,
+        "p_value": fit.p_value,
+        "base_joints_m": fit.base_joints.tolist(),
+        "platform_joints_m": fit.platform_joints.tolist(),
+        "length_offsets_m": fit.offsets.tolist(),
+        "parameters": list(NAMES),
+        "std_m": fit.std.tolist(),
+        "covariance_m2": fit.covariance.tolist(),
+        "undetermined": [combination(x) for x in fit.undetermined],
+        "weak": [combination(x) for x in fit.weak],
+        "weak_std_m": WEAK,
+        "warnings": warnings,
+    }
+
+
+def _fragment(c: Configuration, poses: Path, fit: Calibration, rms: float, n: int) -> str:
+    """Return the YAML that replaces the joints of the configuration; offsets belong into the drives."""
+    lines = [
+        f"# Joints of {json.dumps(c.name)}, calibrated from {json.dumps(poses.name)}: {n} poses,",
+        f"# residual rms {rms:.4g} mm. In the frames of the measured poses; behind each joint the standard",
+        "# deviations of x, y, z in mm.",
+    ]
+    if fit.undetermined:
+        lines.append("# ?: not determined by these poses, kept as configured as far as it is not.")
+    lines.append("platform:")
+    for key, rows, first in (
+        ("base_joints_m", fit.base_joints, 0),
+        ("platform_joints_m", fit.platform_joints, 3),
+    ):
+        lines.append(f"  {key}:")
+        for leg in range(6):
+            joint = ", ".join(f"{x:.7f}" for x in rows[leg])
+            lines.append(f"    - [{joint}]  # {_leg(leg)} +- {_deviations(fit.std[leg, first : first + 3])}")
+    lines += [
+        "# Reading less distance of the joint centres, m; subtract it in the drive of the leg (homing):",
+        *(
+            f"#   {_leg(leg)} {fit.offsets[leg]:+.7f}  # +- {_deviations(fit.std[leg, 6:])} mm"
+            for leg in range(6)
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _deviations(std: Array) -> str:
+    return " ".join("?" if math.isnan(s) else f"{1e3 * s:.3f}" for s in std)
+
+
+def _check_out(out: Path, json_file: Path | None) -> None:
+    """Refuse a fragment that could not be written, before the work."""
+    if json_file is not None and real_path(out) == real_path(json_file):
+        raise LogError(f"--out {out}: is the file of --json, too; name another file")
+    if out.exists() or out.is_symlink():
+        raise LogError(f"--out {out}: exists and is not overwritten; name another file")
+    if not out.parent.is_dir():
+        raise LogError(f"--out {out}: there is no folder {out.parent}; make it first")

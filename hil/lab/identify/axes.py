@@ -1,0 +1,214 @@
+"""`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.errors import HilError
+from drivers.signals import Mode
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.section_file import check_section_path, write_section
+from hil.app.output import further, picture_beside
+from hil.app.recorded_files import attached
+from hil.config.axis_model import AxisModel, AxisResponse, NominalAxis, UncertaintyProfile
+from hil.config.reference import MultisineReference, SinusoidReference
+from hil.lab.identify.delay import (
+    Excited,
+    compensation,
+    compensation_lines,
+    delay_figures,
+    delay_rows,
+    exact_model,
+    excitation_force,
+    excitation_pose,
+    excited_by,
+    recorded_run,
+    refuse_fused,
+)
+from hil.lab.identify.estimators.axis_fit import Fit, Uncertainty, fit_axes, uncertainty
+from hil.lab.identify.estimators.excitation import axis_excitation
+from hil.lab.identify.estimators.response import Response, estimate
+from hil.lab.identify.estimators.spectra import Spectra, periodic, segmented
+from hil.lab.identify.linearised import linearised_law, repeating, settled, signals_of
+from hil.lab.identify.plot import NAMES, draw
+
+REMARK = "Made by hil identify: the linearised axes from demanded acceleration to measured position."
+
+
+class Identified(NamedTuple):
+    """All that a log tells of its axes."""
+
+    model: AxisModel
+    fit: Fit
+    uncertainty: Uncertainty
+    blocks: int
+    repeats: bool
+    motion_mm: float
+
+
+class Outputs(NamedTuple):
+    """Where the results go."""
+
+    model: Path
+    picture: Path
+
+
+def excited_axes(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
+    """Return the configuration with a multisine on each of its law's axes for its reference.
+
+    Raises ConfigurationError: a fused pose, a law that does not linearise, a force that the limits would
+    cut, or a pose that cannot be reached; IdentificationError: too short.
+    """
+    refuse_fused(c, c.source)
+    space = linearised_law(c).space
+    force = excitation_force(c, force_N)
+    made = axis_excitation(exact_model(c), excitation_pose(c), space, c.loop.rate_Hz, force, duration_s)
+    return excited_by(c, made, force)
+
+
+def outputs(log: Path, model: Path | None) -> Outputs:
+    """Return the files to write: the given one, else beside the log; the picture beside the model.
+
+    Raises ConfigurationError or LogError where they cannot be written.
+    """
+    path = model or log.with_name(f"{log.stem}-axes.yaml")
+    check_section_path("--model", path, AxisModel)
+    return Outputs(path, picture_beside(path, "--model"))
+
+
+def axes_of_log(path: Path) -> Identified:
+    """Return the axes that a log of `hil run` or `hil sim` shows.
+
+    Raises LogError for what is no such log or tracks nothing, ConfigurationError for a fused pose or a law
+    that does not linearise, IdentificationError where the log does not hold enough; each names the log.
+    """
+    recorded = recorded_run(path)
+    refuse_fused(recorded.configuration, path)
+    try:
+        with attached(recorded.configuration, recorded.attachments) as c:
+            return _identified(path, c, recorded.rows, recorded.rate_Hz)
+    except HilError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Identified:
+    law = linearised_law(c)
+    signals, t = signals_of(rows, law, rate_Hz)
+    spectra: Spectra | None = None
+    lines = repeating(c.reference, rate_Hz)
+    if lines is not None:
+        assert isinstance(c.reference, SinusoidReference | MultisineReference)
+        good = settled(signals, t, c.reference, lines.length)
+        spectra = periodic(signals._replace(good=good), *lines)
+    else:
+        spectra = segmented(signals)
+    response = estimate(spectra)
+    fit = fit_axes(response)
+    bound = uncertainty(response, fit)
+    model = AxisModel(
+        kind="axis-model",
+        source=str(path),
+        axes=law.space,
+        rate_Hz=rate_Hz,
+        nominal=NominalAxis(
+            gain=[_rounded(g) for g in fit.gain],
+            transport_ms=_rounded(1e3 * fit.transport_s),
+            lag_ms=_rounded(1e3 * fit.lag_s),
+        ),
+        uncertainty=UncertaintyProfile(
+            frequency_Hz=[_rounded(f) for f in bound.frequency_Hz], bound=[_rounded(b) for b in bound.bound]
+        ),
+        measured=[_measured(response, axis) for axis in range(6)],
+    )
+    motion = 1e3 * float(np.ptp(rows["q"][rows["mode"] == Mode.TRACKING], axis=0).min())
+    return Identified(model, fit, bound, len(spectra.V), lines is not None, motion)
+
+
+def _measured(response: Response, axis: int) -> AxisResponse:
+    lines = np.flatnonzero(response.excited[:, axis] & np.isfinite(response.G[:, axis]))
+    G, std = response.G[lines, axis], response.std[lines, axis]
+    return AxisResponse(
+        frequency_Hz=[_rounded(f) for f in response.frequency_Hz[lines]],
+        magnitude=[_rounded(abs(g)) for g in G],
+        phase_deg=[_rounded(p) for p in np.rad2deg(_phase(G))],
+        coherence=[_rounded(c) for c in response.coherence[lines, axis]],
+        magnitude_std=[_rounded(s) for s in std * np.abs(G)],
+        phase_std_deg=[_rounded(s) for s in np.rad2deg(std)],
+    )
+
+
+def _phase(G: Any) -> Any:
+    """Return the phase in rad, -2 pi .. 0: a double integrator and its delay are around -pi."""
+    return np.angle(-G) - np.pi
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def save(identified: Identified, files: Outputs, title: str) -> dict[str, Any]:
+    """Write the model and its picture; return where they are, and which of them could not be written."""
+    written: dict[str, Any] = {"model": None, "picture": None}
+    with further(written):
+        write_section(files.model, identified.model, REMARK)
+        written["model"] = str(files.model)
+    with further(written):
+        draw(identified.model, files.picture, title)
+        written["picture"] = str(files.picture)
+    return written
+
+
+def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the result as plain values; written: what `save` returned."""
+    fit, model = identified.fit, identified.model
+    coherent = [int(n) for n in fit.used.sum(axis=0)]
+    return {
+        "success": True,
+        "kind": "identify",
+        "log": str(path),
+        **written,
+        "axes": model.axes,
+        **delay_figures(fit, 0.5 / model.rate_Hz),
+        "delay_compensation": compensation(fit, 0.5 / model.rate_Hz),
+        "gain": fit.gain.tolist(),
+        "gain_std": fit.gain_std.tolist(),
+        "coherent_lines": coherent,
+        "blocks": identified.blocks,
+        "repeats": identified.repeats,
+        "coupled": identified.uncertainty.coupled,
+        "motion_mm": identified.motion_mm,
+        "bound": dict(zip(map(str, model.uncertainty.frequency_Hz), model.uncertainty.bound, strict=True)),
+    }
+
+
+def report(result: dict[str, Any], model: AxisModel) -> list[str]:
+    """Return what the user reads."""
+    profile = model.uncertainty
+    f, bound = np.array(profile.frequency_Hz), np.array(profile.bound)
+    marks = [x for x in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if f[0] <= x <= f[-1]]
+    bounds = ", ".join(f"{100 * np.interp(np.log(x), np.log(f), bound):.2g} % at {x:g} Hz" for x in marks)
+    kind = "whole periods" if result["repeats"] else "half-overlapping segments"
+    least = min(range(6), key=lambda k: result["coherent_lines"][k])
+    gains = zip(NAMES[model.axes], result["gain"], result["gain_std"], strict=True)
+    of_gain = ", ".join(f"{name} {g:.4f} +- {2 * s:.4f}" for name, g, s in gains)
+    coupling = ", coupling included" if result["coupled"] else ""
+    fewest = f"{NAMES[model.axes][least]} has the fewest coherent lines, {result['coherent_lines'][least]}"
+    moved = f"legs moved by {result['motion_mm']:.2g} mm or more"
+    lines = [
+        f"From demanded acceleration to measured position, {model.axes} axes (+- two standard deviations):",
+        f"  gain         {of_gain}; 1 where model and robot agree",
+        *delay_rows(result, "slope of the phase"),
+        f"Bound of |P/P0 - 1|, 95 %: {bounds}{coupling}",
+        f"{result['blocks']} {kind}, {f[0]:g} to {f[-1]:g} Hz; {fewest}; {moved}",
+    ]
+    if not result["coupled"]:
+        lines.append(
+            "At some frequencies the axes moved together, by their reference or by friction, so that their "
+            "coupling is not in the bound there. `hil identify CONFIG` moves each by itself; "
+            "more --force drowns friction."
+        )
+    lines += [f"{key:<7}  {result[key]}" for key in ("model", "picture") if result[key]]
+    return [*lines, *compensation_lines(result["delay_compensation"])]

@@ -1,0 +1,159 @@
+"""From measured responses to the nominal axis and the bound of its error."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from drivers.arrays import Array, ComplexArray, Flags
+from drivers.errors import IdentificationError
+from hil.lab.identify.estimators.nominal import axis_response
+from hil.lab.identify.estimators.response import Response
+
+COHERENT = 0.9
+FEWEST_LINES = 6
+"""Of each axis."""
+SYSTEMATIC = 2e-3
+"""Least relative error of a spectral line: coupling and the change of the pose do not average out."""
+LONGEST_PERIODS = 20.0
+SEPARATED = 10.0
+"""Largest condition number of the directions of six lines that still determine a coupling matrix."""
+
+
+class Fit(NamedTuple):
+    """gain exp(-transport s) / (lag s + 1) / s^2 with standard deviations."""
+
+    gain: Array
+    """(6,)."""
+    gain_std: Array
+    transport_s: float
+    transport_std_s: float
+    lag_s: float
+    lag_std_s: float
+    total_s: float
+    """Phase slope at low frequency: transport, lag and half a period."""
+    total_std_s: float
+    used: Flags
+    """(lines, 6) what the fit was made from: excited and coherent."""
+
+
+class Uncertainty(NamedTuple):
+    """What the measured axes differ from the nominal one by, with confidence."""
+
+    frequency_Hz: Array
+    bound: Array
+    coupled: bool
+    """Whether the coupling of the axes is covered: everywhere six neighbouring lines moved them in six
+    directions."""
+
+
+def fit_axes(response: Response) -> Fit:
+    """Return the nominal axis that leaves the smallest relative error, each line weighted by its certainty.
+
+    The loss is soft: a model error in weight or friction distorts only the lowest lines, which have the least
+    noise; it belongs into the bound, not into the gain.
+
+    Raises IdentificationError: too few coherent lines on an axis, or responses that are no such axis.
+    """
+    used = response.excited & (response.coherence >= COHERENT) & np.isfinite(response.G)
+    for axis, lines in enumerate(used.sum(axis=0).tolist()):
+        if lines < FEWEST_LINES:
+            there = int(response.excited[:, axis].sum())
+            raise IdentificationError(
+                f"axis {axis} is coherent with its reference (above {COHERENT:g}) at {lines} of {there} "
+                f"excited lines, allowed: at least {FEWEST_LINES}; excite it more (--force), longer "
+                "(--duration), or over more frequencies; `hil identify CONFIG` excites every axis"
+            )
+    T = response.period_s
+    line, of = np.nonzero(used)
+    f, G = response.frequency_Hz[line], response.G[used]
+    weight = 1.0 / np.hypot(response.std[used], SYSTEMATIC)
+
+    def residual(x: Array) -> Array:
+        P = x[of] * axis_response(f, T, x[6] * T, x[7] * T)
+        error = weight * (G / P - 1.0)
+        return np.concatenate([error.real, error.imag])
+
+    fits = [
+        least_squares(
+            residual,
+            [1.0] * 6 + [transport, lag],
+            bounds=([1e-3] * 6 + [0.0, 0.0], [1e3] * 6 + [LONGEST_PERIODS, LONGEST_PERIODS]),
+            loss="soft_l1",
+            xtol=1e-10,
+            max_nfev=60,
+        )
+        for transport, lag in ((0.5, 0.5), (2.0, 0.5), (1.0, 3.0))
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    worst = float(np.median(np.abs(best.fun[: len(f)] + 1j * best.fun[len(f) :]) / weight))
+    if worst > 0.5:
+        raise IdentificationError(
+            f"the measured responses are {100 * worst:.0f} % from any gain, delay and lag in front of a "
+            "double integrator, allowed: 50 %; the model is of another robot, or the axes are not linearised"
+        )
+    # Scaled by what is left, so that a systematic misfit counts, too; a parameter at its end has no slope.
+    scale = max(1.0, 2.0 * float(best.cost) / (2 * len(f) - 8))
+    C = scale * np.linalg.pinv(best.jac.T @ best.jac)
+    std = np.sqrt(np.diag(C))
+    both = float(np.sqrt(C[6, 6] + C[7, 7] + 2.0 * C[6, 7]))
+    transport, lag = float(best.x[6]) * T, float(best.x[7]) * T
+    return Fit(
+        np.asarray(best.x[:6], np.float64), std[:6], transport, float(std[6]) * T, lag, float(std[7]) * T,
+        transport + lag + 0.5 * T, both * T, used,
+    )  # fmt: skip
+
+
+def uncertainty(response: Response, fit: Fit) -> Uncertainty:
+    """Return a bound of the relative error over frequency: what was measured, and its 95 % circle.
+
+    For each axis by itself it is the relative error plus the radius of its 95 % circle; an excited line that
+    is not coherent counts, with a large circle. Six neighbouring lines that move the axes in six directions
+    determine the coupling, too, all of Delta in Y = P0 (1 + Delta) V: six equal controllers have to tolerate
+    its largest singular value (K. Zhou and J. C. Doyle, Essentials of Robust Control, Prentice Hall, 1998,
+    ch. 8). It is convex in Delta, so noise only adds to its mean.
+
+    The bound goes from the first to the last coherent line, each value over six neighbouring lines; where an
+    axis has none among them, there is no bound.
+
+    Raises IdentificationError: nowhere can all six axes be bounded.
+    """
+    measured = response.excited & np.isfinite(response.G) & np.isfinite(response.radius)
+    coherent = np.flatnonzero(fit.used.any(axis=1))
+    lines = np.flatnonzero(measured.any(axis=1))
+    lines = lines[(lines >= coherent[0]) & (lines <= coherent[-1])]
+    f = response.frequency_Hz[lines]
+    P0 = axis_response(f, response.period_s, fit.transport_s, fit.lag_s)[:, None] * fit.gain
+    own = measured[lines]
+    error = np.where(own, np.abs(response.G[lines] / P0 - 1.0), 0.0)
+    circle = np.where(own, response.radius[lines] * np.abs(response.G[lines] / P0), 0.0)
+    alone = (error + circle).max(axis=1)
+    V = response.V[lines]
+    D = response.Y[lines] / P0 - V
+    bound, coupled = np.full(len(lines), np.nan), True
+    for k in range(len(lines)):
+        first = min(max(k - 2, 0), max(len(lines) - 6, 0))
+        six = slice(first, first + 6)
+        if not own[six].any(axis=0).all():
+            continue
+        sigma = _largest_singular_value(D[six], V[six])
+        coupled = coupled and sigma is not None
+        bound[k] = max(sigma or 0.0, float(alone[six].max()))
+    bounded = np.isfinite(bound)
+    if bounded.sum() < 2:
+        raise IdentificationError(
+            f"the axes are excited at frequencies too far apart: six neighbouring lines hold all of them at "
+            f"{bounded.sum()} lines, allowed: at least 2; give each axis lines in the same band"
+        )
+    return Uncertainty(f[bounded], bound[bounded], coupled)
+
+
+def _largest_singular_value(D: ComplexArray, V: ComplexArray) -> float | None:
+    """Return that of Delta with D = Delta V, six lines as rows; None where they are not six directions."""
+    size = np.linalg.norm(V, axis=1)
+    if len(V) < 6 or not (size > 0.0).all():
+        return None
+    V, D = V / size[:, None], D / size[:, None]
+    if np.linalg.cond(V) > SEPARATED:
+        return None
+    return float(np.linalg.svd(np.linalg.solve(V, D), compute_uv=False)[0])

@@ -1,0 +1,181 @@
+"""Small motions about a pose that excite the loop: one to find its delay, one to identify its axes.
+
+Each gives a `reference` section, so that the run is an ordinary one.
+"""
+
+from math import ceil, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from drivers.errors import IdentificationError
+from hil.config.axis_model import AxisSpace
+from hil.config.reference import Sinusoid, SinusoidReference
+from hil.config.values import AXES, Pose
+from hil.lab.identify.estimators.spectra import FEWEST_BLOCKS
+from hil.mathematics.rotations import rotation_from_vector, rotation_vector_rate
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from hil.trajectory.multisine import schroeder
+
+DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST = 6, 10.0, 0.3
+"""Lines of each axis, no two axes sharing one; their band in Hz and times the rate of the loop."""
+DELAY_SLOW_Hz = 150.0
+"""Of a slower loop the band is in proportion to that of this rate: it has no room for whole frequencies."""
+CARRIER_Hz, CARRIER_m = 1.0, 3e-3
+"""All legs together, slowly: it keeps them sliding, or Coulomb friction would hold the small motion."""
+DELAY_RAMP_S = 0.5
+
+LINES, LOWEST_Hz, HIGHEST = 12, 1.0, 0.1
+"""The same to identify the axes."""
+PERIOD_S = 2.0
+"""At least; a slow loop needs longer ones to have room for all lines."""
+PERIODS = 5
+RAMP_S, SETTLING_S = 1.0, 0.5
+SLIDING = 1.5
+"""Speed of the legs underneath, times the largest that the lines make: no leg ever turns back."""
+SLOWEST_m_s = 4e-3
+"""Below, legs with friction stick and slip."""
+DRIFT_Hz = 5e-4
+"""Of a sinusoid of which only the straight part is seen."""
+
+
+def delay_excitation(
+    model: Model, pose: Pose, rate_Hz: float, force_N: float, duration_s: float
+) -> SinusoidReference:
+    """Return sinusoids about `pose` whose largest leg force is `force_N` beyond what holds the platform.
+
+    All lines of an axis accelerate it equally, so each amplitude falls with the square of the frequency; the
+    axes load the legs equally. Underneath, all legs extend and retract slowly by 3 mm. duration_s includes
+    fading in and out.
+    """
+    slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
+    frequency = slower * _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
+    phases, axis = _phases_and_axes(len(frequency))
+    at = _directions(model, pose, "pose")
+    acceleration = 1.0 / np.abs(at.forces).max(axis=0)[axis]
+    t = np.arange(0.0, 1.0 / slower, 0.1 / frequency[-1])
+    waves = acceleration[:, None] * np.sin(2.0 * pi * np.outer(frequency, t) + phases[:, None])
+    acceleration *= force_N / np.abs(at.forces @ _on_axes(waves, axis)).max()
+    components = _sinusoids(at.together * CARRIER_m, CARRIER_Hz, 0.0)
+    for k, f in enumerate(frequency):
+        moved = at.words[:, axis[k]] * acceleration[k] / (2.0 * pi * f) ** 2
+        components += _sinusoids(moved, float(f), phases[k])
+    return SinusoidReference(
+        type="sinusoids",
+        centre=pose,
+        components=components,
+        ramp_s=min(DELAY_RAMP_S, duration_s / 4.0),
+        duration_s=duration_s,
+    )
+
+
+def axis_excitation(
+    model: Model, pose: Pose, space: AxisSpace, rate_Hz: float, force_N: float, duration_s: float | None
+) -> SinusoidReference:
+    """Return sinusoids about `pose` with 12 lines on each axis, from 1 Hz to a tenth of the rate.
+
+    The lines of an axis move it equally fast, so their accelerations grow with the frequency as what an
+    encoder makes of them falls; axes load the legs equally, and the largest leg force of all is `force_N`
+    beyond what holds the platform. Lines are multiples of 1/period, and neighbours belong to different axes,
+    so whole periods separate the axes. A leg moves alone when the pose moves along a column of J^-1.
+
+    Underneath, all legs extend at one speed, faster than the lines ever move them back: Coulomb friction
+    stays constant, and each period meets the steps of the encoders elsewhere, so that their rounding is
+    noise, which averages out and shows in the standard deviations. duration_s includes fading; default:
+    five periods.
+
+    Raises IdentificationError: no room for four periods.
+    """
+    n = 6 * LINES
+    period_s = max(PERIOD_S, float(ceil(2.5 * n / (HIGHEST * rate_Hz))))
+    settled = 2.0 * RAMP_S + SETTLING_S
+    periods = PERIODS if duration_s is None else int((duration_s - settled) / period_s + 1e-9)
+    if periods < FEWEST_BLOCKS:
+        raise IdentificationError(
+            f"--duration {duration_s:g}: room for {periods} whole periods of {period_s:g} s, allowed: at "
+            f"least {FEWEST_BLOCKS}, {settled + FEWEST_BLOCKS * period_s:g} s with fading"
+        )
+    frequency = _spread(n, round(LOWEST_Hz * period_s), int(HIGHEST * rate_Hz * period_s)) / period_s
+    phases, axis = _phases_and_axes(n)
+    at = _directions(model, pose, space)
+    t = np.arange(0.0, period_s, 0.1 / frequency[-1])
+    turns = 2.0 * pi * np.outer(frequency, t) + phases[:, None]
+    rate = 1.0 / np.abs(at.forces).max(axis=0) / (2.0 * pi * frequency[-1])  # of each line of each axis
+    forces = at.forces @ _on_axes(rate[axis, None] * 2.0 * pi * frequency[:, None] * np.sin(turns), axis)
+    rate *= force_N / np.abs(forces).max()
+    fastest = float(np.abs(at.leg_rates @ _on_axes(rate[axis, None] * np.cos(turns), axis)).max())
+    duration = settled + periods * period_s
+    drift = max(SLIDING * fastest, SLOWEST_m_s) / (2.0 * pi * DRIFT_Hz)
+    components = _sinusoids(at.together * drift, DRIFT_Hz, -pi * DRIFT_Hz * duration)
+    for k in range(n):
+        moved = at.words[:, axis[k]] * rate[axis[k]] / (2.0 * pi * frequency[k])
+        components += _sinusoids(moved, float(frequency[k]), phases[k])
+    return SinusoidReference(
+        type="sinusoids", centre=pose, components=components, ramp_s=RAMP_S, duration_s=duration
+    )
+
+
+def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid]:
+    """Return the components of one line: amplitudes (6,) m, deg of the words, phase in rad."""
+    return [
+        Sinusoid(
+            axis=axis,
+            amplitude=float(f"{amplitude:.6g}"),
+            frequency_Hz=frequency_Hz,
+            phase_rad=float(f"{phase % (2.0 * pi):.6f}"),
+        )
+        for axis, amplitude in zip(AXES, moved, strict=True)
+        if abs(amplitude) > 1e-6 * np.abs(moved).max()
+    ]
+
+
+def _phases_and_axes(n: int) -> tuple[Array, Ints]:
+    """Return the phase in rad (n,) and the axis (n,) of each line; neighbours belong to different axes."""
+    return np.array(schroeder(n, 0)), np.arange(n) % 6
+
+
+def _on_axes(waves: Array, axis: Ints) -> Array:
+    """Return the sums (6, n) of the lines of each axis."""
+    return np.array([waves[axis == j].sum(axis=0) for j in range(6)])
+
+
+def _spread(n: int, lowest: float, highest: float) -> Ints:
+    """Return n different whole numbers, spread evenly on a logarithmic scale where there is room."""
+    found = np.geomspace(lowest, highest, n).round().astype(np.int64)
+    for k in range(1, n):
+        found[k] = max(found[k], found[k - 1] + 1)
+    return found
+
+
+class _Directions(NamedTuple):
+    """What one m or rad of each axis is, at a pose; columns are axes."""
+
+    forces: Array
+    """(6, 6) N of the legs for one m/s^2 or rad/s^2."""
+    leg_rates: Array
+    """(6, 6)."""
+    words: Array
+    """(6, 6) m, deg of the pose."""
+    together: Array
+    """(6,) m, deg of the pose for one metre of all legs."""
+
+
+def _directions(model: Model, pose: Pose, space: AxisSpace) -> _Directions:
+    p = np.array(pose.position_m, float)
+    r = np.deg2rad(np.array(pose.rotation_vector_deg, float))
+    R = rotation_from_vector(r)
+    J = jacobian(model.platform, p, R)
+    inverse = np.asarray(np.linalg.inv(J), np.float64)
+    twist = inverse if space == "joint" else np.eye(6)
+
+    def words(twist: Array) -> Array:
+        return np.concatenate([twist[:3], np.rad2deg(rotation_vector_rate(r, twist[3:].copy()))])
+
+    return _Directions(
+        inverse.T @ model.mass_matrix(p, R) @ twist,
+        J @ twist,
+        np.array([words(column) for column in twist.T]).T,
+        words(inverse.sum(axis=1)),
+    )

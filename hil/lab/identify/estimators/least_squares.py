@@ -1,0 +1,163 @@
+"""Weighted least squares of leg forces, what a motion cannot show, and standard errors of coloured residuals.
+
+Each leg counts by the variance of its residual. Unknowns are measured in the size of the platform itself. A
+direction among them keeps what is believed, not shown by the motion, where its standard deviation would
+exceed FAINT of that size, or where the errors of reading the lengths make more than DROWNED of what the
+equations hold of it: least squares takes them for motion, and is wrong by any number of standard errors
+(W. A. Fuller, Measurement Error Models, 1987, ch. 1).
+
+Residuals are coloured: filtered noise, and a model that is nearly right. Standard errors follow from their
+products with the regressors, in the cosine series of lowest frequencies over the whole log, which do not leak
+(U. K. Mueller, J. Econometrics 141, 2007; Y. Sun, Econometrics J. 16, 2013): noise that grows with frequency
+counts at the frequencies of the motion, not at its own.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Flags, Ints
+from drivers.errors import IdentificationError
+from hil.lab.identify.estimators.leg_equations import COLUMNS, REFLECTED, Equations
+from hil.robot.geometry import Platform
+
+WEIGHT = 9.81
+"""m/s^2: makes a mass a force of common size; no gravity of a model."""
+FAINT = 0.3
+"""Of the platform's own size: a standard deviation above says that nothing is known."""
+DROWNED = 0.1
+"""Share of errors, rms, in a regressor from which it shows nothing; its square is the share of a parameter
+that is lost."""
+SERIES = 16
+"""Terms of the cosine series."""
+FEWEST_SAMPLES = 100
+ROUNDS = 3
+"""Of weighting by the residuals."""
+
+
+class Estimate(NamedTuple):
+    """What the equations say of the unknowns, before physics has a word."""
+
+    theta: Array
+    """(29,), as the columns of `Equations`."""
+    covariance: Array
+    """(29, 29); infinite standard deviations are not in it: see `shown`."""
+    shown: Array
+    """(29, k) columns: directions of theta / scale that the motion shows."""
+    hidden: Array
+    """(29, h) columns: free directions that it does not show."""
+    free: Flags
+    """(29,): unknowns; the others are given."""
+    condition: float
+    """Of the free columns, each scaled to unit length."""
+    residual_N: Array
+    """(6,) rms of each leg."""
+    root: Array
+    """(29, 29): |root (theta - x)|^2 is what the weighted residuals of x have more, squared and summed."""
+    scale: Array
+    """(29,): the platform's own size of each unknown."""
+    samples: int
+
+    @property
+    def std(self) -> Array:
+        """(29,) standard errors; 0 for what is given. For a hidden one that of what is shown of it."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def unknown(self) -> Array:
+        """(29,): share of each unknown, 0 .. 1, that lies in hidden directions."""
+        return np.asarray((self.hidden**2).sum(axis=1), np.float64)
+
+
+def unknowns_scale(platform: Platform) -> Array:
+    """Return the sizes (29,): mass m, first moments m r, inertia m r^2; friction: weight at 1 m/s; 1 ms."""
+    m, r = platform.platform.mass, platform.radius
+    return np.array([m, *3 * (m * r,), *6 * (m * r * r,), *12 * (m * WEIGHT / 6.0,), 1e-3, *6 * (m / 6.0,)])
+
+
+def solve(equations: Equations, believed: Array, scale: Array, *, reflected: bool) -> Estimate:
+    """Return the weighted least squares of the equations.
+
+    Parameters
+    ----------
+    equations : rows of all logs.
+    believed : (29,), kept in the directions that are not shown.
+    scale : (29,), `unknowns_scale`.
+    reflected : whether the reflected masses are unknowns; else their columns are empty.
+
+    Raises
+    ------
+    IdentificationError
+        Where a leg has too few samples.
+    """
+    count = np.bincount(equations.leg, minlength=6)
+    if count.min() < FEWEST_SAMPLES:
+        raise IdentificationError(
+            f"too little motion: leg {int(count.argmin())} slides one way, with open brakes and fresh "
+            f"encoders, in {count.min()} samples, allowed: at least {FEWEST_SAMPLES}; log a longer motion"
+        )
+    free = np.arange(COLUMNS) < (COLUMNS if reflected else REFLECTED)
+    X, noise = equations.A * scale, equations.noise * scale
+    rest = equations.y - equations.A @ believed
+    weight = np.ones(6)
+    for _ in range(ROUNDS):
+        w = weight[equations.leg]
+        shown, hidden = _directions(X[:, free] * w[:, None], noise[:, free] * w[:, None], free)
+        Z = (X @ shown) * w[:, None]
+        z = np.linalg.lstsq(Z, rest * w, rcond=None)[0]
+        theta = believed + scale * (shown @ z)
+        residual = equations.y - equations.A @ theta
+        rms = np.array([np.sqrt(np.mean(residual[equations.leg == leg] ** 2)) for leg in range(6)])
+        weight = 1.0 / np.maximum(rms, 1e-9 * np.abs(equations.y).max())
+    w = weight[equations.leg]
+    A, y = equations.A * w[:, None], equations.y * w
+    Z = (X @ shown) * w[:, None]
+    spread = coloured_covariance(Z, y - A @ theta, equations.sample)
+    root = np.asarray(np.linalg.qr(A, mode="r"), np.float64)
+    columns = A[:, free] / np.linalg.norm(A[:, free], axis=0)
+    T = scale[:, None] * shown
+    return Estimate(
+        theta, T @ spread @ T.T, shown, hidden, free, float(np.linalg.cond(columns)), rms,
+        root, scale, len(np.unique(equations.sample)),
+    )  # fmt: skip
+
+
+def _directions(X: Array, noise: Array, free: Flags) -> tuple[Array, Array]:
+    """Return the directions of all unknowns that weighted equations show, and do not; columns, orthonormal.
+
+    X (m, n) has a residual of unit variance; noise (m, n) is its error.
+    """
+    _, s, Vt = np.linalg.svd(X, full_matrices=False)
+    V = np.zeros((len(free), int(free.sum())))
+    V[free] = Vt.T
+    seen = (s * FAINT > 1.0) & (np.linalg.norm(noise @ Vt.T, axis=0) < DROWNED * s)
+    return V[:, seen], V[:, ~seen]
+
+
+def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
+    """Return the covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
+
+    A^-1 (mean over j of L_j L_j^T) A^-1, A = Z^T Z, L_j = sqrt(2) sum_t cos(pi j (t - 1/2) / n) s_t with the
+    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 16. Rows as many as unknowns are
+    taken off: m / (m - k).
+    """
+    m, k = Z.shape
+    instant = np.unique(sample, return_inverse=True)[1]
+    scores = np.zeros((int(instant.max()) + 1, k))
+    np.add.at(scores, instant, Z * residual[:, None])
+    n = len(scores)
+    j = np.arange(1, SERIES + 1)[:, None]
+    L = np.sqrt(2.0) * np.cos(np.pi * j * (np.arange(n) + 0.5) / n) @ scores
+    half = np.linalg.solve(Z.T @ Z, L.T)
+    return np.asarray(half @ half.T / SERIES * (m / max(m - k, 1)), np.float64)
+
+
+def prediction_error(equations: Equations, theta: Array) -> float:
+    """Return the rms (N) of what theta (29,) leaves of the equations."""
+    return float(np.sqrt(np.mean((equations.y - equations.A @ theta) ** 2)))
+
+
+def halves(equations: Equations) -> list[Equations]:
+    """Return the rows of the first and of the second half of the time."""
+    first = equations.sample <= np.median(equations.sample)
+    return [equations.part(first), equations.part(~first)]

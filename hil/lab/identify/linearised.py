@@ -1,0 +1,161 @@
+"""The linearised axes of a log or a configuration: which law, which axes, which part of the run."""
+
+from fractions import Fraction
+from math import gcd, lcm
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Flags, Ints, Rows
+from drivers.errors import ConfigurationError, IdentificationError, LogError
+from drivers.signals import Mode
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import controller_of
+from hil.app.configuration.platform import build_platform
+from hil.config.axis_model import AxisSpace
+from hil.config.reference import MultisineReference, ReferenceSettings, SinusoidReference
+from hil.control import LAWS
+from hil.control.model import build_model
+from hil.lab.identify.estimators.linearised import AxisSignals, demanded_accelerations, state_of
+from hil.mathematics.rotations import relative_rotation
+from hil.robot.dynamics import Model
+from hil.trajectory.multisine import pick_lines
+
+LEAST_MOTION_m = 1e-4
+"""Of the leg that moves most; what moves less is lost in encoder steps and friction."""
+
+APART = 1e-6
+"""Of a period; so much the reference's time may differ from the clock's by rounding."""
+
+
+class LinearisedLaw(NamedTuple):
+    """How a configured law turns a demanded acceleration into forces."""
+
+    space: AxisSpace
+    model: Model
+    takes_wrench_off: bool
+
+
+class Lines(NamedTuple):
+    """Frequencies of an excitation that repeats."""
+
+    length: int
+    """Ticks in a period."""
+    harmonics: Ints
+    """Of 1/period."""
+
+
+def linearised_law(c: Configuration) -> LinearisedLaw:
+    """Return the linearising part of the configured law.
+
+    Raises ConfigurationError for a law that does not linearise, or a controller's file that cannot be used.
+    """
+    settings = c.controller
+    controller = controller_of(settings, c.folder)
+    space = settings.axes if controller is None else controller.axes
+    if space is None or space == "designed" or settings.believed is None:
+        allowed = ", ".join(name for name, law in LAWS.items() if law.axes is not None)
+        raise ConfigurationError(
+            f"{c.source}: controller.law: {settings.law} demands no acceleration, so there is no linearised "
+            f"axis to identify, allowed: {allowed}"
+        )
+    model = build_model(settings.believed, build_platform(c.platform), c.platform.leg_spin)
+    return LinearisedLaw(space, model, settings.compensates_wrench)
+
+
+def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSignals, Array]:
+    """Return the tracked part of a log, missing ticks held, and the reference's time (n,) s at each tick.
+
+    Raises LogError: nothing was tracked; IdentificationError: the legs hardly moved.
+    """
+    rows = rows[rows["mode"] == Mode.TRACKING]
+    if not len(rows):
+        raise LogError("this log holds no tick that tracks a reference: there is nothing to identify from")
+    motion = float(np.ptp(rows["q"], axis=0).max())
+    if motion < LEAST_MOTION_m:
+        raise IdentificationError(
+            f"too little motion: no leg moves by more than {1e3 * motion:.2g} mm, allowed: at least "
+            f"{1e3 * LEAST_MOTION_m:g} mm; excite it, or raise --force"
+        )
+    ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
+    source = np.searchsorted(rows["tick"], ticks, side="right") - 1
+    there = np.asarray(rows["tick"][source] == ticks)
+    fresh = np.asarray((rows["age"] == 0).all(axis=1) & np.isfinite(rows["twist"]).all(axis=1))
+    p, twist = np.ascontiguousarray(rows["p"]), np.nan_to_num(rows["twist"])
+    R = np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3)
+    wrench = np.ascontiguousarray(rows["wrench"]) * law.takes_wrench_off
+    states = [state_of(law.model, p[k], R[k], twist[k], wrench[k]) for k in range(len(rows))]
+    v = demanded_accelerations(law.space, law.model, states, rows["tau"])
+    if law.space == "joint":
+        y, r = rows["q"], rows["ddq_d"]
+    else:
+        turns = [relative_rotation(R[0], each) for each in R]
+        y, r = np.hstack([p, turns]), rows["dtwist_d"]
+    finite = np.asarray(np.isfinite(v).all(axis=1))
+    good = there & (fresh & finite)[source]
+    signals = AxisSignals(1.0 / rate_Hz, v[source], y[source], r[source], good)
+    return signals, rows["reference_time_s"][source]
+
+
+def repeating(reference: ReferenceSettings, rate_Hz: float) -> Lines | None:
+    """Return the lines of a reference that repeats in a whole number of ticks; None where it does not.
+
+    Lines above 0.45 of the rate are not looked at. Sinusoids of which less than a quarter of a turn is seen
+    are a drift, no line.
+    """
+    if isinstance(reference, MultisineReference):
+        taken: set[int] = set()
+        for n, axis in enumerate(reference.axes):
+            taken.update(pick_lines(axis, reference.period_s, taken, f"reference.axes[{n}]"))
+        length = reference.period_s * rate_Hz
+        if abs(length - round(length)) > 1e-6:
+            return None
+        return _lines(round(length), sorted(taken))
+    if not isinstance(reference, SinusoidReference):
+        return None
+    frequencies = {c.frequency_Hz for c in reference.components}
+    seen = sorted(f for f in frequencies if f * reference.duration_s > 0.25)
+    exact = [Fraction(f).limit_denominator(1000) for f in seen]
+    if not seen or any(abs(float(e) - f) > 1e-9 for e, f in zip(exact, seen, strict=True)):
+        return None
+    base = Fraction(gcd(*(e.numerator for e in exact)), lcm(*(e.denominator for e in exact)))
+    length = rate_Hz / float(base)
+    if abs(length - round(length)) > 1e-6 or length / rate_Hz > reference.duration_s:
+        return None
+    return _lines(round(length), [int(e / base) for e in exact])
+
+
+def _lines(length: int, harmonics: list[int]) -> Lines:
+    return Lines(length, np.array([h for h in harmonics if h < 0.45 * length], np.int64))
+
+
+def settled(
+    signals: AxisSignals, t: Array, reference: SinusoidReference | MultisineReference, length: int
+) -> Flags:
+    """Return which ticks count: between the ramps, and of that the last whole periods, the rest settles.
+
+    A tick before which the reference went on by another time than the clock's does not: at less than full
+    speed all lines lie lower than they are looked for.
+    """
+    good = at_full_speed(signals.good, t, signals.period_s)
+    end = t[np.isfinite(t)].max(initial=0.0)
+    if isinstance(reference, MultisineReference):
+        duration = 2.0 * reference.ramp_s + reference.periods * reference.period_s
+    else:
+        duration = reference.duration_s
+    inside = np.flatnonzero(
+        (t >= reference.ramp_s - 1e-9) & (t < min(duration - reference.ramp_s, end) - 1e-9)
+    )
+    mask = np.zeros(len(good), bool)
+    if len(inside):
+        mask[inside[len(inside) % length :]] = True
+    return good & mask
+
+
+def at_full_speed(good: Flags, t: Array, period_s: float) -> Flags:
+    """Return which of the good ticks (n,) are as far behind the good one before in the reference's time t."""
+    ticks = np.flatnonzero(good)
+    late = np.diff(t[ticks] - ticks * period_s, prepend=t[ticks[:1]] - ticks[:1] * period_s)
+    found = good.copy()
+    found[ticks[~(np.abs(late) < APART * period_s)]] = False
+    return found

@@ -1,0 +1,277 @@
+"""`hil identify payload`: masses, inertia and friction from logs of ordinary runs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import HilError, IdentificationError, LogError
+from drivers.files import real_path
+from drivers.signals import DriveState
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, platform_body
+from hil.app.loop_delay import LoopDelay, loop_delay
+from hil.config.model import ModelSettings
+from hil.config.platform import PayloadSettings
+from hil.control.model import build_model
+from hil.lab.identify.delay import recorded_run, refuse_fused
+from hil.lab.identify.estimators.consistent import Consistent, consistent
+from hil.lab.identify.estimators.delay import mean_forces
+from hil.lab.identify.estimators.least_squares import (
+    Estimate,
+    halves,
+    prediction_error,
+    solve,
+    unknowns_scale,
+)
+from hil.lab.identify.estimators.leg_equations import (
+    COLUMNS,
+    COULOMB,
+    REFLECTED,
+    VISCOUS,
+    Equations,
+    equations_of,
+    joined,
+)
+from hil.lab.identify.estimators.leg_motion import LegSignals
+from hil.lab.identify.estimators.rigid_body import SIZE, parameters_of
+from hil.robot.dynamics import Model
+
+SURE = 3.0
+"""Standard errors from which a difference counts."""
+LEAST_PAYLOAD = 2e-3
+"""Of the platform's mass; what is lighter is no payload but an error of the platform's figures."""
+HIDDEN = 0.1
+"""Share of an unknown in hidden directions from which it is said not to be shown."""
+WRONG = 0.3
+"""Residual, of the leg forces, from which nothing is printed."""
+HALVES = ("first half", "second half")
+
+
+class Source(NamedTuple):
+    """One log as equations."""
+
+    path: Path
+    configuration: Configuration
+    model: Model
+    equations: Equations
+    sent: tuple[float, LoopDelay] | None
+    """Rate in Hz and delay of forces that were sent; None: they are those that the drives report."""
+    seconds: float
+    """With open brakes."""
+
+    @property
+    def reported(self) -> bool:
+        """Whether the forces are those that the drives report; else those that were sent, delayed."""
+        return self.sent is None
+
+
+class Found(NamedTuple):
+    """What the logs say of platform, payload and drives."""
+
+    sources: list[Source]
+    believed: Array
+    """(29,), without `inertia_scale`."""
+    carrier: Array
+    """(10,): what is believed without the payload that is known by ranges."""
+    estimate: Estimate
+    whole: Consistent
+    """Platform with all that it carries."""
+    payload: Consistent | None
+    """Platform and a payload that is a body by itself; None where nothing is carried that is not known."""
+    reflected_kg: float | None
+    """Of each leg, where it was given; None: identified."""
+    rms_believed_N: float
+    rms_force_N: float
+    """Of the leg forces less what the legs themselves take."""
+    held_out: dict[str, tuple[float, float]]
+    """By log, or half of the log: rms in N by a fit to the others, and as believed."""
+
+    @property
+    def split(self) -> bool:
+        """Whether the difference to the carrier is printed as a payload."""
+        return self.payload is not None and self.payload.shift <= SURE
+
+    @property
+    def theta(self) -> Array:
+        """(29,) what is printed."""
+        return self.payload.theta if self.payload is not None and self.split else self.whole.theta
+
+
+def identify_payload(
+    paths: list[Path], reflected_kg: float | None, progress: Callable[[str], None] = lambda _: None
+) -> Found:
+    """Return what logs of `hil run` or `hil sim` say of masses and friction.
+
+    `reflected_kg` of each leg, where it is known; else it is identified. Raises LogError for what is no such
+    log, ConfigurationError for a fused pose, IdentificationError where the logs do not hold enough or are of
+    different platforms; each names it.
+    """
+    if len({real_path(path) for path in paths}) < len(paths):
+        raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
+    sources = []
+    for path in paths:
+        progress(f"reading {path.name}")
+        sources.append(_source(path, reflected_kg))
+    first = sources[0]
+    for other in sources[1:]:
+        if other.configuration.platform != first.configuration.platform:
+            raise IdentificationError(
+                f"{other.path}: its section platform is not that of {first.path}; identify each by itself"
+            )
+        if other.sent != first.sent:
+            raise IdentificationError(
+                f"{other.path}: its forces are {_forces(other)}, those of {first.path} {_forces(first)}, and "
+                "each kind is late by a time of its own, which would pass for friction; identify each by "
+                "itself"
+            )
+    progress("least squares")
+    platform = first.model.platform
+    believed = _believed(first, reflected_kg)
+    scale, free = unknowns_scale(platform), reflected_kg is None
+    together = joined([s.equations for s in sources])
+    try:
+        estimate = solve(together, believed, scale, reflected=free)
+        rms = prediction_error(together, believed), prediction_error(together, np.zeros(COLUMNS))
+        _refuse_nonsense(estimate, rms[1])
+    except IdentificationError as error:
+        raise IdentificationError(f"{', '.join(str(s.path) for s in sources)}: {error}") from None
+    carrier = _carrier(first)
+    more = float(estimate.theta[0] - carrier[0])
+    carried = more > max(SURE * float(estimate.std[0]), LEAST_PAYLOAD * carrier[0])
+    progress("physical consistency")
+    whole = consistent(estimate, platform.radius)
+    payload = consistent(estimate, platform.radius, carrier) if carried else None
+    progress("held-out logs")
+    held_out = _held_out(sources, believed, scale, reflected=free)
+    return Found(sources, believed, carrier, estimate, whole, payload, reflected_kg, *rms, held_out)
+
+
+def _source(path: Path, reflected_kg: float | None) -> Source:
+    recorded = recorded_run(path)
+    refuse_fused(recorded.configuration, path)
+    c, rows, period = recorded.configuration, recorded.rows, 1.0 / recorded.rate_Hz
+    if not (rows["drive_state"] == DriveState.RUN).all(axis=1).any():
+        raise LogError(f"{path}: the brakes were never open in this log: nothing moved")
+    ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
+    source = np.searchsorted(rows["tick"], ticks, side="right") - 1
+    there = np.asarray(rows["tick"][source] == ticks)
+    rows = rows[source]
+    running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
+    sent = None if rows["drive_force"].any() else (recorded.rate_Hz, loop_delay(c))
+    if sent is None:
+        force = np.asarray(rows["drive_force"], np.float64)
+    else:
+        delay = sent[1]
+        mean = mean_forces(np.ascontiguousarray(rows["tau"]), period, delay.transport_s, delay.lag_s)
+        # of the periods before and after each tick
+        force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
+    good = there & running & (rows["age"] == 0).all(axis=1) & np.isfinite(rows["p"]).all(axis=1)
+    good &= np.isfinite(force).all(axis=1)
+    signals = LegSignals(
+        period,
+        np.ascontiguousarray(rows["q"]),
+        force,
+        np.ascontiguousarray(rows["p"]),
+        np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3),
+        good,
+    )
+    model = _model(c)
+    given = None if reflected_kg is None else np.full(6, reflected_kg)
+    try:
+        equations = equations_of(model, signals, given)
+    except HilError as error:
+        raise type(error)(f"{path}: {error}") from None
+    return Source(path, c, model, equations, sent, float(running.sum()) * period)
+
+
+def _forces(source: Source) -> str:
+    if source.sent is None:
+        return "as the drives report them"
+    rate_Hz, delay = source.sent
+    return f"as sent, at {rate_Hz:g} Hz and late by {1e3 * (delay.transport_s + delay.lag_s):g} ms"
+
+
+def _model(c: Configuration) -> Model:
+    """Return the robot of section `platform`, to its figures: its legs and joints count."""
+    believed = c.controller.believed or ModelSettings()
+    exact = ModelSettings(sliding_speed_m_s=believed.sliding_speed_m_s)
+    return build_model(exact, build_platform(c.platform), c.platform.leg_spin)
+
+
+def _believed(source: Source, reflected_kg: float | None) -> Array:
+    """Return what section platform and `controller.model` say (29,), without a scale of all masses.
+
+    Reflected masses that are given stand in no column: 0.
+    """
+    b = source.configuration.controller.believed
+    theta = np.zeros(COLUMNS)
+    theta[:SIZE] = parameters_of(source.model.platform.platform)
+    if b is not None:
+        theta[VISCOUS : VISCOUS + 6], theta[COULOMB : COULOMB + 6] = (
+            b.viscous_friction_N_s_m,
+            b.coulomb_friction_N,
+        )
+        if reflected_kg is None:
+            theta[REFLECTED:] = b.reflected_mass_kg
+    return theta
+
+
+def ranged_body(c: Configuration) -> PayloadSettings | None:
+    """Return the payload that is known by ranges."""
+    return next((body for body in c.platform.platform.payload if body.ranged), None)
+
+
+def _carrier(source: Source) -> Array:
+    """Return the parameters (10,) of the platform without the payload that is known by ranges."""
+    settings = source.configuration.platform
+    fixed = [body for body in settings.platform.payload if not body.ranged]
+    bare = settings.platform.model_copy(update={"payload": fixed})
+    return parameters_of(platform_body(settings.model_copy(update={"platform": bare})))
+
+
+def _refuse_nonsense(estimate: Estimate, rms_force_N: float) -> None:
+    """Raise IdentificationError for what is no platform on six legs."""
+    left = float(np.sqrt(np.mean(estimate.residual_N**2))) / rms_force_N
+    if left > WRONG or not estimate.theta[0] > 0.0:
+        raise IdentificationError(
+            f"a platform of {estimate.theta[0]:.4g} kg leaves {100.0 * left:.0f} % of the leg forces "
+            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; this is another robot than that of "
+            "section platform, or something pushes it"
+        )
+
+
+def _held_out(
+    sources: list[Source], believed: Array, scale: Array, *, reflected: bool
+) -> dict[str, tuple[float, float]]:
+    """Return how well each log, or half of the only one, is predicted from the others."""
+    if len(sources) > 1:
+        names = [str(s.path) for s in sources]
+        parts = [s.equations for s in sources]
+    else:
+        names, parts = list(HALVES), halves(sources[0].equations)
+    found = {}
+    for k, (name, part) in enumerate(zip(names, parts, strict=True)):
+        try:
+            fit = solve(joined(parts[:k] + parts[k + 1 :]), believed, scale, reflected=reflected)
+        except IdentificationError:
+            continue
+        if len(part.y):
+            found[name] = prediction_error(part, fit.theta), prediction_error(part, believed)
+    return found
+
+
+DRIVES = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB, "reflected_mass_kg": REFLECTED}
+"""First columns of the drives' parts, by their key in `controller.model`."""
+
+
+def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
+    """Return value and standard error (6,) of the drives' parts, by key; not of reflected masses if given."""
+    std = found.estimate.std
+    return {
+        key: (found.theta[at : at + 6], std[at : at + 6])
+        for key, at in DRIVES.items()
+        if key != "reflected_mass_kg" or found.reflected_kg is None
+    }

@@ -1,0 +1,201 @@
+"""`hil learn LOG...`: judge the runs that there are, and write the feed-forward of the next one."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import LogError
+from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text, largest_written
+from hil.app.leg_errors import leg_errors
+from hil.config.feedforward import FeedforwardHead, MadeFor
+from hil.lab.learn.judgement import Contradiction, Floor, State, contradiction, floor, in_band, state
+from hil.lab.learn.model import Learner, belief_of, learner
+from hil.lab.learn.runs import LearningRun, learning_run
+from hil.lab.learn.trial import FIRST_STEP, predicted, updated
+
+LIMIT_SHARE = 0.2
+"""Of limits.force_N: largest learned force where neither configuration nor command line states one."""
+
+
+class Knowledge(NamedTuple):
+    """What is stated of the plant, and of the forces."""
+
+    axes: Path | None = None
+    """File of `hil identify`; None: the configuration's delays, and the two errors."""
+    gain_error: float = 0.25
+    delay_error_s: float = 1e-3
+    limit_N: float | None = None
+
+
+class Step(NamedTuple):
+    """One run, as it was and as it had been expected."""
+
+    run: LearningRun
+    rms_mm: float
+    peak_mm: float
+    in_band_mm: float
+    predicted_mm: float | None
+    """By the nominal axes; None for the first run that is there."""
+    contraction: float | None
+    """In-band error over that of the run before."""
+    peak_N: float
+    contradicted: Contradiction | None
+
+
+class Outcome(NamedTuple):
+    """What becomes of learning."""
+
+    steps: list[Step]
+    learner: Learner
+    floor: Floor
+    state: State
+    text: str
+    """Of the next file; empty unless learned."""
+    cut: int
+    """Rows in which a force was cut at the limit."""
+    predicted_mm: float
+    """Error of the next run by the nominal axes, with the forces as they are cut."""
+
+
+def learn(paths: Sequence[Path], known: Knowledge) -> Outcome:
+    """Return what the logs of consecutive runs teach; the last one is learned from.
+
+    Raises LogError for logs that cannot teach or do not follow each other, ConfigurationError for a law whose
+    loop is not known, ModelError where no filter makes the error fall.
+    """
+    return learned([learning_run(path) for path in paths], known)
+
+
+def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
+    """As `learn`, of runs that have been read."""
+    _require_consecutive(runs)
+    last = runs[-1]
+    c, samples = last.configuration, len(last.trial.e)
+    model = learner(c, belief_of(c, known.axes, known.gain_error, known.delay_error_s), samples)
+    noise = leg_errors(c)
+    first_rms_m = runs[0].trial.rms_m if runs[0].head is None else 1e-3 * runs[0].head.first_rms_error_mm
+    steps = [_step(None, runs[0], model, first_rms_m, noise.length_std_m)]
+    for before, now in pairwise(runs):
+        steps.append(_step(before, now, model, first_rms_m, noise.length_std_m))
+    unexplained = None if len(runs) == 1 else last.trial.tracked - expected(runs[-2], last, model)
+    loops, Q = model.loops, model.choice.Q
+    least = floor(
+        last.trial,
+        unexplained,
+        loops,
+        Q,
+        model.f_Hz,
+        length_m=noise.length_std_m,
+        rate_m_s=noise.rate_std_m_s,
+    )
+    newest = steps[-1]
+    measured_m = float(np.hypot(least.encoder_m, least.rate_m))
+    goes = state(newest.contradicted is not None, 1e-3 * newest.in_band_mm, newest.contraction, measured_m)
+    a = updated(last.trial, loops, Q, model.f_Hz, FIRST_STEP if last.number == 0 else 1.0)
+    tau = np.einsum("nij,nj->ni", last.force_per_acceleration, a)
+    limit_N = limit_of(last, known)
+    cut = int((np.abs(tau) > limit_N).any(axis=1).sum())
+    most = largest_written(limit_N)
+    tau = np.clip(tau, -most, most)
+    text = ""
+    if goes == "learned":
+        head = _head(last, model, first_rms_m, tau)
+        text = feedforward_text(head, tau, -last.trial.lead, last.trial.period_s)
+        if len(text) > MOST_BYTES:
+            raise LogError(
+                f"{last.path}: its feed-forward takes {len(text)} bytes, allowed: {MOST_BYTES}; learn on a "
+                "shorter reference"
+            )
+    acts = np.linalg.solve(last.force_per_acceleration, tau[:, :, None])[:, :, 0]
+    ahead = 1e3 * _rms(predicted(last.trial, acts, loops))
+    return Outcome(steps, model, least, goes, text, cut, ahead)
+
+
+def limit_of(run: LearningRun, known: Knowledge) -> float:
+    """Return the largest learned force, N, of what is stated, configured, or a share of limits.force_N."""
+    if known.limit_N is not None:
+        return known.limit_N
+    settings = run.configuration.feedforward
+    return LIMIT_SHARE * run.configuration.limits.force_N if settings is None else settings.limit_N
+
+
+def expected(before: LearningRun, now: LearningRun, model: Learner) -> Array:
+    """Return the errors (count, 6) m that the nominal axes predict of a run, from the one before."""
+    t, begun = now.trial, before.trial.first - before.trial.lead
+    return predicted(before.trial, t.a[begun : t.first + t.length], model.loops)
+
+
+def _step(
+    before: LearningRun | None, now: LearningRun, model: Learner, first_rms_m: float, noise_m: float
+) -> Step:
+    Q, f = model.choice.Q, model.f_Hz
+    inside = _rms(in_band(now.trial, Q, f))
+    found = ahead = factor = None
+    if before is not None:
+        ahead = 1e3 * _rms(expected(before, now, model))
+        factor = inside / max(_rms(in_band(before.trial, Q, f)), 1e-12)
+        found = contradiction(
+            before.trial, now.trial, model.loops, model.c, Q, f, first_rms_m=first_rms_m, noise_m=noise_m
+        )
+    peak_N = float(np.abs(now.tau_learned).max())
+    t = now.trial
+    return Step(now, 1e3 * t.rms_m, 1e3 * t.peak_m, 1e3 * inside, ahead, factor, peak_N, found)
+
+
+def _require_consecutive(runs: Sequence[LearningRun]) -> None:
+    first = runs[0]
+    if len(runs) == 1 and first.number > 0:
+        raise LogError(
+            f"{first.path}: ran with what {first.number} run(s) had taught: give the log of the run before, "
+            "too, so that the error can be compared with what had been predicted"
+        )
+    for before, now in pairwise(runs):
+        for what in MadeFor.model_fields:
+            if getattr(before.made_for, what) != getattr(now.made_for, what):
+                raise LogError(
+                    f"{now.path}: has another {what} than {before.path}: nothing is learned across"
+                )
+        if now.trial.period_s != before.trial.period_s:
+            here, there = (1.0 / run.trial.period_s for run in (now, before))
+            raise LogError(
+                f"{now.path}: its loop ran at {here:.9g} Hz, that of {before.path} at {there:.9g} Hz: "
+                "nothing is learned across"
+            )
+        if len(now.trial.e) != len(before.trial.e):
+            raise LogError(
+                f"{now.path}: {len(now.trial.e)} ticks of it teach, of {before.path} "
+                f"{len(before.trial.e)}: nothing is learned across"
+            )
+        if now.number != before.number + 1:
+            raise LogError(
+                f"{now.path}: ran with what {now.number} run(s) had taught, {before.path} with "
+                f"{before.number}: allowed are consecutive runs in their order, the last one with one more"
+            )
+
+
+def _head(last: LearningRun, model: Learner, first_rms_m: float, tau: Array) -> FeedforwardHead:
+    return FeedforwardHead(
+        kind="feedforward",
+        source=last.path.name,
+        run=last.number + 1,
+        made_for=last.made_for,
+        rate_Hz=last.configuration.loop.rate_Hz,
+        cutoff_Hz=_rounded(model.choice.Q.end_Hz),
+        contraction=_rounded(model.choice.contraction),
+        first_rms_error_mm=_rounded(1e3 * first_rms_m),
+        rms_error_mm=_rounded(1e3 * last.trial.rms_m),
+        peak_N=_rounded(float(np.abs(tau).max())),
+        rows=len(tau),
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt((x**2).mean()))

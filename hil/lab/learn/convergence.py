@@ -1,0 +1,114 @@
+"""When learning converges, and the widest filter with which it does.
+
+With u_{k+1} = Q (u_k + L e_k) and e = e_0 - P u, frequency by frequency,
+
+::
+
+    e_{k+1} = (1 - Q) e_0 + Q (1 - L P) e_k
+
+The error falls monotonically in the 2-norm where |Q (1 - L P)| < 1 at each frequency for each P (D. A.
+Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine
+26(3), 2006, pp. 96-114; M. Norrlof and S. Gunnarsson, Time and frequency domain convergence properties in
+iterative learning control, International Journal of Control 75(14), 2002, pp. 1114-1126). Here L = 1/P_0
+of the nominal axis G_0. For axes G_0 (1 + Delta), |Delta| <= W, Delta a full matrix where the axes couple,
+
+::
+
+    1 - L P = -S_0 Delta (1 + T_0 Delta)^-1,   |1 - L P| <= c = W |S_0| / (1 - W |T_0|)
+
+as long as W |T_0| < 1. Q has no phase and ends at a frequency beyond which nothing is learned.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ModelError
+from hil.lab.learn.loop import AxisLoop
+
+CONTRACTION = 0.8
+"""Largest factor from run to run for which the filter is chosen: ten runs leave 11 % of it."""
+FLAT = 0.6
+"""Share of the filter's band at which its edge begins, half a cosine."""
+LEAST_HZ = 2.0
+"""A filter below this learns nothing of a motion that takes a second."""
+STEPS = 400
+"""Ends of the filter that are looked at."""
+
+
+class Uncertainty(NamedTuple):
+    """Largest |P/P_0 - 1| of the axes, and up to where anything is stated."""
+
+    f_Hz: Array
+    """(m,), rising."""
+    bound: Array
+    """(m,)."""
+
+    def at(self, f_Hz: Array) -> Array:
+        """Return the bound at frequencies (n,): the first one below the first, inf beyond the last."""
+        return np.where(f_Hz <= self.f_Hz[-1], np.interp(f_Hz, self.f_Hz, self.bound), np.inf)
+
+
+def stated(gain_error: float, delay_error_s: float, up_to_Hz: float) -> Uncertainty:
+    """Return the bound for a gain off by a share and a delay off by a time, either way, up to a frequency.
+
+    |(1 + g) exp(j w d) - 1| <= sqrt(g^2 + 4 (1 + g) sin^2(w d / 2)), from w d = pi on 2 + g.
+    """
+    f = np.linspace(0.0, up_to_Hz, 512)
+    half = np.minimum(np.pi * f * delay_error_s, np.pi / 2.0)
+    return Uncertainty(f, np.sqrt(gain_error**2 + 4.0 * (1.0 + gain_error) * np.sin(half) ** 2))
+
+
+class Filter(NamedTuple):
+    """A zero-phase low-pass: 1 up to FLAT of its end, half a cosine down to it, 0 beyond."""
+
+    end_Hz: float
+
+    def at(self, f_Hz: Array) -> Array:
+        """Return Q (n,) at frequencies (n,)."""
+        edge = np.clip((f_Hz / self.end_Hz - FLAT) / (1.0 - FLAT), 0.0, 1.0)
+        return np.asarray(0.5 + 0.5 * np.cos(np.pi * edge), np.float64) * (f_Hz < self.end_Hz)
+
+
+class Choice(NamedTuple):
+    """The filter, and what it was chosen by."""
+
+    Q: Filter
+    contraction: float
+    """Largest |Q| c over frequency."""
+    at_Hz: float
+    """Where that is."""
+
+
+def contraction(loops: Sequence[AxisLoop], f_Hz: Array, uncertainty: Uncertainty) -> Array:
+    """Return c (n,) at frequencies (n,), the largest |1 - L P| of all axes; inf where nothing is known."""
+    W = uncertainty.at(f_Hz)
+    S = np.max([np.abs(loop.S) for loop in loops], axis=0)
+    T = np.max([np.abs(loop.T) for loop in loops], axis=0)
+    with np.errstate(invalid="ignore"):
+        left = 1.0 - W * T
+    return np.where(left > 0.0, W * S / np.where(left > 0.0, left, 1.0), np.inf)
+
+
+def choose(c: Array, f_Hz: Array, most: float = CONTRACTION) -> Choice:
+    """Return the widest filter with |Q| c <= most at each frequency.
+
+    Raises ModelError where there is none, with the figures.
+    """
+    finite = np.where(np.isfinite(c), c, 1e300)
+    top = float(f_Hz[-1])
+    for end in np.geomspace(top, min(LEAST_HZ, top), STEPS):
+        Q = Filter(float(end))
+        share = Q.at(f_Hz) * finite
+        if share.max() <= most:
+            worst = int(share.argmax())
+            return Choice(Q, float(share[worst]), float(f_Hz[worst]))
+    low = f_Hz <= LEAST_HZ
+    worst = int(np.where(low, c, 0.0).argmax())
+    raise ModelError(
+        f"no filter makes the error fall: from run to run it may be multiplied by {c[worst]:.3g} at "
+        f"{f_Hz[worst]:.3g} Hz, allowed: at most {most:g} from 0 to {LEAST_HZ:g} Hz. The uncertainty is too "
+        "large for this loop: identify the axes (hil identify), and learn with --axes"
+    )

@@ -1,0 +1,176 @@
+"""Whether a run was as the condition of convergence says, and whether there is anything left to learn.
+
+In each band of a third of an octave the error of each axis is bounded by what the nominal axis predicts and
+what the uncertainty leaves of the change, `hil.lab.learn.convergence`:
+
+::
+
+    |E_k| <= |E_{k-1} - P_0 (A_k - A_{k-1})| + c ||P_0 (A_k - A_{k-1})||
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, ComplexArray, Flags
+from hil.lab.learn.convergence import Filter
+from hil.lab.learn.loop import AxisLoop
+from hil.lab.learn.trial import Trial, spectra
+
+MARGIN = 1.5
+"""On the bound: axes change along the way, and a band leaks into the next."""
+NO_BETTER = 0.2
+"""A band that falls to this share in one run contradicts nothing."""
+COUNTS = 0.05
+"""Share of the first run's error from which a band counts."""
+FALLS = 0.9
+"""Share of the error before that has to be left at most, or learning has come to its floor."""
+NEAR_NOISE = 1.5
+"""So many standard deviations of the measured error are no error."""
+LOWEST_HZ = 1.0
+SIGMAS = 3.0
+
+
+class Contradiction(NamedTuple):
+    """A band in which the error did not fall as it had to."""
+
+    axis: int
+    f_Hz: float
+    factor: float
+    """Of the error from run to run."""
+    allowed: float
+
+
+class Bands(NamedTuple):
+    """Third octaves from LOWEST_HZ to the end of the filter."""
+
+    centre_Hz: Array
+    """(b,)."""
+    members: list[Flags]
+    """Of the frequencies."""
+
+
+def bands(f_Hz: Array, end_Hz: float) -> Bands:
+    """Return the bands that hold a frequency; the first one begins at 0."""
+    edges = [0.0]
+    while (edge := max(edges[-1], LOWEST_HZ) * 2.0 ** (1.0 / 3.0)) < end_Hz:
+        edges.append(edge)
+    edges.append(end_Hz)
+    centres, members = [], []
+    for low, high in pairwise(edges):
+        inside = (f_Hz >= low) & (f_Hz < high)
+        if inside.any():
+            centres.append(float(f_Hz[inside].mean()))
+            members.append(inside)
+    return Bands(np.array(centres), members)
+
+
+def rms_in(X: ComplexArray, inside: Flags, samples: int, count: int) -> Array:
+    """Return the root of the mean square (m,) over `count` samples of what X (f, m) has in a band (Parseval).
+
+    X is the real transform of so many samples.
+    """
+    total = 2.0 * (np.abs(X[inside]) ** 2).sum(axis=0)
+    if inside[0]:
+        total = total - np.abs(X[0]) ** 2
+    return np.asarray(np.sqrt(total / samples / count), np.float64)
+
+
+def contradiction(
+    before: Trial,
+    now: Trial,
+    loops: Sequence[AxisLoop],
+    c: Array,
+    Q: Filter,
+    f_Hz: Array,
+    *,
+    first_rms_m: float,
+    noise_m: float,
+) -> Contradiction | None:
+    """Return the band that contradicts the condition most; None where all are as it says.
+
+    c (f,): `hil.lab.learn.convergence.contraction`; first_rms_m: error of the first run of all; noise_m:
+    standard deviation of what an error is measured wrong by.
+    """
+    samples, count = len(now.e), now.length
+    P = np.array([loop.P for loop in loops]).T
+    change = P * spectra(now.a - before.a)
+    E0, E1 = spectra(before.e), spectra(now.e)
+    changed = np.linalg.norm(change, axis=1)
+    left = np.multiply(c, changed, out=np.zeros_like(changed), where=changed > 0.0)[:, None]
+    worst: Contradiction | None = None
+    found = bands(f_Hz, Q.end_Hz)
+    for f, inside in zip(found.centre_Hz.tolist(), found.members, strict=True):
+        was, is_ = (rms_in(E, inside, samples, count) for E in (E0, E1))
+        bound = rms_in(np.abs(E0 - change) + left, inside, samples, count)
+        share = float(inside.sum()) / len(f_Hz)
+        noise = SIGMAS * noise_m * np.sqrt(share * samples / count)
+        most = np.maximum(MARGIN * bound, NO_BETTER * was) + noise
+        for axis in np.flatnonzero((is_ > most) & (is_ > COUNTS * first_rms_m)).tolist():
+            factor, allowed = float(is_[axis] / was[axis]), float(most[axis] / was[axis])
+            if worst is None or factor / allowed > worst.factor / worst.allowed:
+                worst = Contradiction(axis, f, factor, allowed)
+    return worst
+
+
+State = Literal["learned", "floor", "contradicted"]
+"""Of learning: it goes on, there is nothing left to learn, or a run was as it must not be."""
+
+
+def state(contradicted: bool, in_band_m: float, contraction: float | None, noise_m: float) -> State:
+    """Return how learning goes on from a run.
+
+    in_band_m: error within the filter; contraction: that over the one of the run before, None for the first;
+    noise_m: standard deviation of what an error is measured wrong by.
+    """
+    if contradicted:
+        return "contradicted"
+    if in_band_m <= NEAR_NOISE * noise_m or (contraction is not None and contraction > FALLS):
+        return "floor"
+    return "learned"
+
+
+class Floor(NamedTuple):
+    """What is left of the error and cannot be learned, each a root of the mean square over legs, m."""
+
+    encoder_m: float
+    rate_m: float
+    not_repeating_m: float
+    beyond_filter_m: float
+
+    @property
+    def total_m(self) -> float:
+        """All of them together."""
+        return float(np.sqrt(sum(x * x for x in self)))
+
+
+def in_band(run: Trial, Q: Filter, f_Hz: Array) -> Array:
+    """Return what the filter passes of the error (count, 6) m."""
+    passed = np.fft.irfft(Q.at(f_Hz)[:, None] * spectra(run.e), len(run.e), axis=0)
+    return np.asarray(passed[run.first : run.first + run.length], np.float64)
+
+
+def floor(
+    run: Trial,
+    unexplained: Array | None,
+    loops: Sequence[AxisLoop],
+    Q: Filter,
+    f_Hz: Array,
+    *,
+    length_m: float,
+    rate_m_s: float,
+) -> Floor:
+    """Return the floor of a run; length_m and rate_m_s are standard deviations of what is measured.
+
+    unexplained (count, 6) m: measured less predicted error; None before the second run. Two runs differ by
+    the square root of two times what does not repeat.
+    """
+    rate = rate_m_s * float(np.sqrt(np.mean([np.mean(np.abs(loop.by_rate) ** 2) for loop in loops])))
+    beyond = run.tracked - in_band(run, Q, f_Hz)
+    share = float(np.mean((1.0 - Q.at(f_Hz)) ** 2))
+    out = max(float((beyond**2).mean()) - share * length_m**2, 0.0)
+    apart = 0.0 if unexplained is None else float((unexplained**2).mean()) / 2.0
+    apart = max(apart - length_m**2 - rate**2, 0.0)
+    return Floor(length_m, rate, float(np.sqrt(apart)), float(np.sqrt(out)))

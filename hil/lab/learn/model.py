@@ -1,0 +1,168 @@
+"""What learning reckons with: the closed loop of each leg's axis, and how far the real one may be from it."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import controller_of
+from hil.app.configuration.section_file import read_section
+from hil.app.loop_delay import loop_delay
+from hil.config.axis_model import AxisModel
+from hil.control.inverse_dynamics import linearising_tau
+from hil.control.law import ErrorDynamics, LawSettings
+from hil.design.stability.prediction import predicting
+from hil.design.stability.sampled import gains
+from hil.design.stability.sampled_loop import sampled_axis, sampled_controller
+from hil.lab.identify.estimators.linearised import state_of
+from hil.lab.identify.linearised import linearised_law
+from hil.lab.learn.convergence import Choice, Uncertainty, choose, contraction, stated
+from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
+from hil.mathematics.linear_system import LinearSystem, lag
+from hil.robot.dynamics import Model
+
+GAIN_ERROR = 0.25
+"""Share by which the axes may be off in gain where nobody has identified them."""
+DELAY_ERROR_S = 1e-3
+"""Time by which the delay may be off."""
+BELIEVED_UP_TO = 0.1
+"""Share of the rate up to which that is stated: legs, joints and drives bend beyond it."""
+
+
+class Belief(NamedTuple):
+    """The uncertain plant."""
+
+    gain: Array
+    """(6,), of the nominal axes."""
+    transport_s: float
+    lag_s: float
+    uncertainty: Uncertainty
+    source: str
+
+
+class Learner(NamedTuple):
+    """All that an update is made with."""
+
+    loops: list[AxisLoop]
+    """Of each leg, at `f_Hz`."""
+    f_Hz: Array
+    c: Array
+    """Contraction without a filter, at `f_Hz`."""
+    choice: Choice
+    belief: Belief
+
+
+def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_error_s: float) -> Belief:
+    """Return the plant that a file of `hil identify` holds; without one, that of the configuration.
+
+    Raises ConfigurationError: a file that is none, of another rate or of other axes.
+    """
+    if axes is None:
+        delay = loop_delay(c)
+        bound = stated(gain_error, delay_error_s, BELIEVED_UP_TO * c.loop.rate_Hz)
+        source = (
+            f"the configuration, gain within {100 * gain_error:g} %, delay within {1e3 * delay_error_s:g} ms"
+        )
+        return Belief(np.ones(6), delay.transport_s, delay.lag_s, bound, source)
+    model, _ = read_section(axes, AxisModel)
+    if model.axes != "joint" or model.rate_Hz != c.loop.rate_Hz:
+        raise ConfigurationError(
+            f"{axes}: {model.axes} axes at {model.rate_Hz:g} Hz, allowed: joint axes at {c.loop.rate_Hz:g} Hz"
+        )
+    nominal, profile = model.nominal, model.uncertainty
+    bound = Uncertainty(np.array(profile.frequency_Hz), np.array(profile.bound))
+    lag_s, transport_s = 1e-3 * nominal.lag_ms, 1e-3 * nominal.transport_ms
+    return Belief(np.array(nominal.gain), transport_s, lag_s, bound, str(axes))
+
+
+def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
+    """Return what an update of so many samples is made with.
+
+    Raises ConfigurationError for a law whose loop is not known, ModelError where no filter converges.
+    """
+    period_s = 1.0 / c.loop.rate_Hz
+    f = frequencies(samples, period_s)
+    controllers = _controllers(c, period_s)
+    found: dict[tuple[float, int], AxisLoop] = {}
+    loops = []
+    for gain, controller in zip(belief.gain.tolist(), controllers, strict=True):
+        key = gain, id(controller)
+        if key not in found:
+            axis = sampled_axis(belief.transport_s, lag(belief.lag_s), period_s, gain)
+            ahead = c.controller.lookahead is not None
+            found[key] = axis_loop(axis, controller, f, looks_ahead=ahead)
+        loops.append(found[key])
+    bound = contraction(loops, f, belief.uncertainty)
+    return Learner(loops, f, bound, choose(bound, f), belief)
+
+
+def _controllers(c: Configuration, period_s: float) -> list[LinearSystem]:
+    """Return the controller of each leg, from [e, de] to the acceleration that it asks for."""
+    law = c.controller
+    _require_known(c, law)
+    designed = controller_of(law, c.folder)
+    if designed is not None:
+        return [sampled_controller(designed)] * 6
+    dynamics = law.error_dynamics()
+    assert isinstance(dynamics, ErrorDynamics)
+    made: dict[tuple[float, float], LinearSystem] = {}
+    for pair in zip(dynamics.K_P.tolist(), dynamics.K_D.tolist(), strict=True):
+        if pair not in made:
+            made[pair] = _controller(law, *pair, period_s)
+    return [made[pair] for pair in zip(dynamics.K_P.tolist(), dynamics.K_D.tolist(), strict=True)]
+
+
+def _controller(law: LawSettings, K_P: float, K_D: float, period_s: float) -> LinearSystem:
+    delay = law.lookahead
+    if delay is None:
+        return gains(K_P, K_D, period_s)
+    bus_s, lag_s, hold_s = (1e-3 * ms for ms in (delay.bus_ms, delay.drive_lag_ms, delay.hold_ms))
+    return predicting(K_P, K_D, period_s, bus_s=bus_s, lag_s=lag_s, hold_s=hold_s)
+
+
+def _require_known(c: Configuration, law: LawSettings) -> None:
+    where = f"{c.source}: controller.law: {law.law}"  # type: ignore[attr-defined]
+    if linearised_law(c).space != "joint":
+        raise ConfigurationError(
+            f"{where} controls the pose; learning is for laws of leg axes, allowed: inverse_dynamics, "
+            "partial_linearisation, state_space with a controller of joint axes"
+        )
+    dynamics = law.error_dynamics()
+    layered = isinstance(dynamics, ErrorDynamics) and dynamics.steepness != 0.0
+    if controller_of(c.controller, c.folder) is None and (isinstance(dynamics, str) or layered):
+        raise ConfigurationError(
+            f"{where} has no linear loop that learning could be proven to converge in, allowed: "
+            "inverse_dynamics, partial_linearisation, state_space"
+        )
+    if c.estimation.wrench.source == "observer":
+        raise ConfigurationError(
+            f"{c.source}: estimation.wrench.source: the observer takes what is to be learned for a load, and "
+            "the law answers it: the loop is another one, allowed with learning: none, sensor"
+        )
+
+
+def decay_rate(c: Configuration) -> Array:
+    """Return at what rate (6,) rad/s the error of each leg dies away behind a run."""
+    dynamics = c.controller.error_dynamics()
+    if isinstance(dynamics, ErrorDynamics):
+        return np.asarray(np.sqrt(dynamics.K_P), np.float64)
+    return np.full(6, DEFAULT_DECAY)
+
+
+DEFAULT_DECAY = 20.0
+"""rad/s, of a controller from a file: its own modes are many, and what is behind a run hardly counts."""
+
+
+def force_per_acceleration(model: Model, p: Array, R: Array) -> Array:
+    """Return the forces (n, 6, 6) N by which the law's model accelerates each leg by 1 m/s^2, on its way.
+
+    A = J^-T M J^-1 at p (n, 3) m and R (n, 3, 3): tau = A a makes six axes of the legs that are alike.
+    """
+    still, axes = np.zeros(6), np.eye(6)
+    states = [state_of(model, place, turn, still, still) for place, turn in zip(p, R, strict=True)]
+    first = np.array([linearising_tau(model, state, still) for state in states])
+    columns = [np.array([linearising_tau(model, state, axis) for state in states]) - first for axis in axes]
+    return np.stack(columns, axis=2)

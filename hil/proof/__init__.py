@@ -1,0 +1,22 @@
+"""The verifier: given f and V, what V proves, and what is known of the equilibrium.
+
+Proofs are exact algebra and interval arithmetic; nothing is proven by samples, by floating point or by a
+solver's tolerance. In doubt a claim is undecided.
+
+::
+
+    door            what is taken, and decimals        signs            definite, semidefinite, positive
+    system          the question in exact form         origin, tail     near the equilibrium and far away
+    budget          cells and seconds                  quadratic, convex   forms; Hessians on a box
+    cancellation    dV/dt, exactly                     orthant          polynomials of positive parameters
+    interval        enclosures                         lasalle, level   where dV/dt = 0; sublevel sets
+    branch_and_bound                                   linearisation, eigenvalues, chetaev   instability
+    counterexample  what refutes                       proposal         a V where none was given
+    picture         V and trajectories of two states   theorems, report
+"""
+
+from hil.proof.budget import Budget
+from hil.proof.report import Certificate, Decrease, Equilibrium, Report, Truth
+from hil.proof.theorems import verify
+
+__all__ = ["Budget", "Certificate", "Decrease", "Equilibrium", "Report", "Truth", "verify"]

@@ -1,0 +1,127 @@
+"""Instability by Chetaev's theorem: W grows wherever W > 0, however near to the equilibrium.
+
+W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. Both are blown up like a
+lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W > 0 on one at least.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import product
+
+import sympy as sp
+from flint import arb
+
+from drivers.errors import ModelError
+from hil.proof.branch_and_bound import covered, faces, positive
+from hil.proof.budget import Budget
+from hil.proof.cancellation import lie_derivative
+from hil.proof.interval import Ball, Cell, Enclosure, ball, unsupported
+from hil.proof.origin import RADII, Ray, T
+from hil.proof.signs import Signs, regular
+
+LIMIT = 400
+WEIGHTS = 3
+"""Rays x_i = t^w_i u_i with w_i up to this are tried."""
+CLOSE = 2.0**-8
+
+
+def _rays(n: int) -> Iterator[tuple[float, ...]]:
+    """Points of a cube; of many states those with at most two that are not zero."""
+    if n <= 4:
+        yield from product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=n)
+        return
+    for k in range(n):
+        for s in (-1.0, 1.0):
+            yield tuple(s if i == k else 0.0 for i in range(n))
+            for j in range(k):
+                for t in (-1.0, 1.0):
+                    yield tuple(s if i == k else t if i == j else 0.0 for i in range(n))
+
+
+def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
+    """Return a W with which Chetaev's theorem proves instability: V, -V or a state; None if none does."""
+    states = signs.system.states
+    tried = [] if V is None else [V, -V]
+    tried += [s * x for x in states for s in (1, -1)]
+    return next((W for W in tried if grows(W, signs)), None)
+
+
+def grows(W: sp.Expr, signs: Signs) -> bool:
+    """Tell whether W is shown to fulfil Chetaev's theorem at the origin."""
+    states = signs.system.states
+    if not set(states) & W.free_symbols or sp.expand(W.subs(dict.fromkeys(states, 0))) != 0:
+        return False
+    if unsupported(W) or not regular({states[0]: W}, signs):
+        return False
+    try:
+        W_dot = lie_derivative(W, signs.system.f, states)
+    except ModelError:
+        return False
+    if W_dot == 0 or not (signs.enclosable(W) and signs.enclosable(W_dot)):
+        return False
+    weights = _weights(len(states))
+    if _hopeless(W, W_dot, weights, signs):
+        return False
+    return any(_along(W, W_dot, w, signs) for w in weights)
+
+
+def _hopeless(W: sp.Expr, W_dot: sp.Expr, weights: list[tuple[int, ...]], signs: Signs) -> bool:
+    """Tell whether W falls somewhere close by although W > 0: spares the search for a proof."""
+    names = (*signs.system.states, *signs.system.ranges)
+    ranges = [ball(*signs.sides[p]) for p in signs.system.ranges]
+    g, rate = Enclosure(W, names), Enclosure(W_dot, names)
+    for w in weights:
+        for u in _rays(len(w)):
+            x = [*(ball(v, v) for v in (k * CLOSE**e for k, e in zip(u, w, strict=True))), *ranges]
+            if g(x) > 0 and rate(x) <= 0:
+                return True
+    return False
+
+
+def _weights(n: int) -> list[tuple[int, ...]]:
+    if n > 3:
+        return [(1,) * n]
+    return sorted((w for w in product(range(1, WEIGHTS + 1), repeat=n) if 1 in w), key=lambda w: (sum(w), w))
+
+
+def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -> bool:
+    states, budget = signs.system.states, signs.budget
+    parts = []
+    for g in (W, W_dot):
+        ray = Ray(g, states, weights)
+        k = ray.order()
+        if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
+            return False
+        parts.append((ray, k))
+    names = tuple(signs.system.ranges)
+    ranges = tuple(signs.sides[p] for p in names)
+    u = parts[0][0].u
+    (down, up) = (
+        Enclosure(sign * ray.at_zero(k), (*u, *names)) for sign, (ray, k) in zip((-1, 1), parts, strict=True)
+    )
+    cells = [(*c, *ranges) for c in faces(((-1.0, 1.0),) * len(states), range(len(states)))]
+    if not positive([down, up], cells, budget, LIMIT):
+        return False
+    down, up = (
+        Enclosure(sign * ray.remainder(k), (*u, *names, T))
+        for sign, (ray, k) in zip((-1, 1), parts, strict=True)
+    )
+    for radius in RADII:
+        reach = ball(0.0, radius)
+        # t stays whole: the two remainders hold for different t' between 0 and t
+        if covered(cells, partial(_one_positive, (down, up), reach), budget, LIMIT):
+            return _somewhere(down, len(states), ranges, (0.0, radius), budget)
+    return False
+
+
+def _one_positive(functions: tuple[Enclosure, ...], reach: Ball, u: Sequence[Ball]) -> bool:
+    return any(g([*u, reach]) > 0 for g in functions)
+
+
+def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:
+    """Tell whether W > 0 all along one ray: so arbitrarily near to the origin, for all parameters."""
+    for ends in _rays(n):
+        ray: Cell = (*((e, e) for e in ends), *ranges, reach)
+        if max(map(abs, ends)) == 1.0 and budget.take() and down.on(ray) < arb(0):
+            return True
+    return False

@@ -1,0 +1,168 @@
+"""Counterexamples: points where a claim is false, each checked by interval arithmetic or exactly.
+
+Where to look is a guess, what is found is a proof. That nothing is found proves nothing.
+"""
+
+import heapq
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, count, product
+
+import sympy as sp
+
+from hil.proof import quadratic
+from hil.proof.branch_and_bound import halves, middle
+from hil.proof.interval import Ball, Cell, Enclosure, ball, number, unsupported
+from hil.proof.signs import Signs
+from hil.proof.system import Point
+
+_SHARES = tuple(sp.Rational(*r) for r in ((1, 2), (9, 10), (1, 4), (1, 10), (1, 100), (1, 1000), (1, 1)))
+_LENGTHS = tuple(
+    sp.Rational(*r) for r in ((1, 1), (1, 10), (1, 2), (2, 1), (5, 1), (1, 100), (100, 1), (1000, 1))
+)
+_ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
+_PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
+_WINDOW = 4.0
+"""Where an unbounded domain is searched."""
+_SEARCH = 250
+"""Cells of the search."""
+
+
+def above_zero(g: sp.Expr, signs: Signs) -> Point | None:
+    """Return a point with g > 0, shown by an enclosure, or None if none is found."""
+    return _find(g, signs, exact_zero=False)
+
+
+def not_above_zero(g: sp.Expr, signs: Signs) -> Point | None:
+    """Return a point other than the equilibrium with g <= 0, or None if none is found."""
+    return _find(-g, signs, exact_zero=True)
+
+
+def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
+    """Return a point with g > 0 (or = 0) whatever the rounded numbers were.
+
+    A quadratic form has one in its own direction, or none.
+    """
+    if unsupported(g):
+        return None
+    system = signs.system
+    rounded = tuple(system.rounded.numbers)
+    names = (*system.states, *(p for p in system.ranges if p not in rounded), *system.positive)
+    h = Enclosure(g, (*names, *rounded))
+    whole = [ball(*signs.sides[p]) for p in rounded]
+    form = quadratic.form(g, system.states)
+    for point in _downhill(g, signs) if form else chain(_downhill(g, signs), _points(g, signs)):
+        value = h([*(number(point[v]) for v in names), *whole])
+        if not (value > 0 or (exact_zero and value.contains(0))) or not _inside(signs, point):
+            continue
+        if value > 0 or (value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0):
+            return point
+    return None if form else _searched(lambda x: h([*x, *whole]), names, signs)
+
+
+def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
+    """Along the direction in which the quadratic form that g begins with is positive, or zero."""
+    states = signs.system.states
+    for parameters in _parameters(signs):
+        S = quadratic.form(_leading(g.subs(parameters), states), states)
+        direction = None if S is None else quadratic.falls([[-c for c in row] for row in S])
+        if direction is None:
+            continue
+        d = [quadratic.rational(c / max(map(abs, direction))) for c in direction]
+        if max(len(str(c)) for c in d) > 60:
+            continue
+        ends = [abs(end) for side in signs.system.domain.values() for end in side if not end.is_infinite]
+        reach = min([sp.Rational(float(number(end).lower())) for end in ends], default=sp.S.One)
+        for k in (0, 4, 10, 20, 30):
+            yield {x: c * reach / 2**k for x, c in zip(states, d, strict=True)} | parameters
+
+
+def _leading(g: sp.Expr, states: Sequence[sp.Symbol]) -> sp.Expr:
+    """Return g if it is a polynomial without all but its terms of order two, else g."""
+    try:
+        p = sp.Poly(g, *states)
+    except sp.PolynomialError:
+        return g
+    if p.total_degree() > 40 or any(sum(m) < 2 for m in p.monoms()):
+        return g
+    return sp.Add(*(c * sp.Mul(*map(sp.Pow, states, m)) for m, c in p.terms() if sum(m) == 2))
+
+
+def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
+    states = signs.system.states
+    n = len(states)
+    directions = [d for d in product((0, 1, -1), repeat=n) if any(d)] if n <= 4 else _sparse(n)
+    if n == 2:
+        directions += [d for d in product((1, -1, 2, -2, 3, -3), repeat=2) if abs(d[0]) != abs(d[1])]
+    angles = _ANGLES if g.has(sp.sin, sp.cos, sp.tan) and not signs.system.bounded else ()
+    for parameters in _parameters(signs):
+        for far in range(len(_LENGTHS)):
+            for d in directions:
+                yield {x: _step(signs, x, k, far) for x, k in zip(states, d, strict=True)} | parameters
+        for angle in angles:
+            for d in directions:
+                yield {x: k * angle for x, k in zip(states, d, strict=True)} | parameters
+
+
+def _step(signs: Signs, x: sp.Symbol, k: int, far: int) -> sp.Expr:
+    if k == 0:
+        return sp.S.Zero
+    low, high = signs.system.domain[x]
+    end = high if k > 0 else low
+    if end.is_infinite:
+        return k * _LENGTHS[far]
+    return abs(sp.Rational(k, 3 if abs(k) > 1 else 1)) * end * _SHARES[min(far, len(_SHARES) - 1)]
+
+
+def _sparse(n: int) -> list[tuple[int, ...]]:
+    ends = [tuple(s if i == j else 0 for j in range(n)) for i in range(n) for s in (1, -1)]
+    return [*ends, (1,) * n, (-1,) * n]
+
+
+def _parameters(signs: Signs) -> list[Point]:
+    rounded = signs.system.rounded.numbers
+    ranges = {p: side for p, side in signs.system.ranges.items() if p not in rounded}
+    fixed = {p: [(low + high) / 2, low, high] for p, (low, high) in ranges.items()}
+    free = signs.system.positive
+    few = len(free) <= 2
+    positive = (
+        list(product(_PARAMETERS, repeat=len(free))) if few else [(v,) * len(free) for v in _PARAMETERS]
+    )
+    choices: list[Point] = []
+    for values in product(*fixed.values()) if len(fixed) <= 2 else zip(*fixed.values(), strict=True):
+        ranged = dict(zip(fixed, values, strict=True))
+        choices += [ranged | dict(zip(free, some, strict=True)) for some in positive]
+    return choices
+
+
+def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:
+    """Best first: the cell with the highest upper bound is halved next."""
+    if signs.system.positive:
+        return None
+    sides: Cell = tuple(
+        (max(low, -_WINDOW), min(high, _WINDOW)) for low, high in (signs.sides[v] for v in names)
+    )
+    order = count()
+    heap = [(0.0, next(order), sides)]
+    for _ in range(_SEARCH):
+        if not heap or not signs.budget.take():
+            return None
+        cell = heapq.heappop(heap)[2]
+        m = middle(cell)
+        if h([ball(v, v) for v in m]) > 0:
+            point = {x: sp.Rational(v) for x, v in zip(names, m, strict=True)}
+            if _inside(signs, point):
+                return point
+        widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0])
+        for half in halves(cell, widest):
+            value = h([ball(*side) for side in half])
+            if not value <= 0:
+                upper = float(value.upper()) if value.is_finite() else float("inf")
+                heapq.heappush(heap, (-upper, next(order), half))
+    return None
+
+
+def _inside(signs: Signs, point: Point) -> bool:
+    sides = signs.system.domain | signs.system.ranges
+    return all(
+        bool(low <= point[v]) and bool(point[v] <= high) for v, (low, high) in sides.items() if v in point
+    )

@@ -1,0 +1,149 @@
+"""Where the eigenvalues of a matrix are, without computing one: exactly, or for a whole range of parameters.
+
+Routh's table over the rationals has no smallest number; what is symmetric about the imaginary axis is
+divided out first, so that a zero in the table means an eigenvalue to the right. Over ranges the theorem of
+Ostrowski and Schneider counts: where A^T P + P A < 0, A has as many eigenvalues to the right as P has
+negative ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import sympy as sp
+from flint import arb, fmpq, fmpq_mat, fmpq_poly
+
+from hil.proof import quadratic
+from hil.proof.branch_and_bound import SMALLEST, halves
+from hil.proof.budget import Budget
+from hil.proof.convex import positive_definite
+from hil.proof.interval import Ball, Cell, Enclosure
+
+CELLS = 300
+
+
+class Eigenvalues(Enum):
+    """Where the eigenvalues of the linearisation are shown to be."""
+
+    LEFT = "every eigenvalue has a negative real part"
+    RIGHT = "an eigenvalue has a positive real part"
+    UNKNOWN = "nothing is shown"
+
+
+def of_rationals(A: sp.Matrix) -> Eigenvalues:
+    """Return where the eigenvalues of a rational matrix are; UNKNOWN: on the axis, none to the right."""
+    n = A.rows
+    p = fmpq_mat([[fmpq(int(a.p), int(a.q)) for a in A.row(i)] for i in range(n)]).charpoly()
+    if p.degree() != n or p[n] != 1:
+        raise AssertionError(f"a characteristic polynomial of degree {p.degree()} of {n} states")
+    mirrored = fmpq_poly([c if k % 2 == 0 else -c for k, c in enumerate(p.coeffs())])
+    symmetric = p.gcd(mirrored)
+    if not _on_axis(symmetric) or not _routh((p / symmetric).coeffs()):
+        return Eigenvalues.RIGHT
+    return Eigenvalues.UNKNOWN if symmetric.degree() > 0 else Eigenvalues.LEFT
+
+
+def _on_axis(p: fmpq_poly) -> bool:
+    """Tell whether all roots of p, which are symmetric about the imaginary axis, are on it."""
+    coefficients = p.coeffs()
+    while coefficients and coefficients[0] == 0:
+        coefficients.pop(0)
+    h = fmpq_poly(coefficients[0::2])  # p = s^k h(s^2); on the axis are s^2 <= 0
+    h = h / h.gcd(h.derivative()) if h.degree() > 0 else h
+    chain = [h, h.derivative()]
+    while chain[-1].degree() > 0:
+        chain.append(-(chain[-2] % chain[-1]))
+    at_zero = [q[0] for q in chain]
+    far = [q[q.degree()] * (-1) ** q.degree() for q in chain if q.degree() >= 0]
+    return _changes(far) - _changes(at_zero) == h.degree()
+
+
+def _changes(values: Sequence[fmpq]) -> int:
+    signs = [v > 0 for v in values if v != 0]
+    return sum(a != b for a, b in pairwise(signs))
+
+
+def _routh(rising: Sequence[fmpq]) -> bool:
+    """Tell whether all roots have negative real parts: the first column of Routh's table is positive."""
+    falling = list(reversed(rising))
+    if falling[0] < 0:
+        falling = [-c for c in falling]
+    upper, lower = falling[0::2], falling[1::2]
+    length = 1
+    while lower:
+        if lower[0] <= 0:
+            return False
+        length += 1
+        pad = [*lower, fmpq(0)]
+        ratio = upper[0] / lower[0]
+        upper, lower = lower, [upper[k + 1] - ratio * pad[k + 1] for k in range(len(upper) - 1)]
+    if length != len(falling):
+        raise AssertionError(f"a table of {length} rows of {len(falling)} coefficients")
+    return True
+
+
+def over_ranges(
+    A: sp.Matrix, ranges: Sequence[tuple[sp.Symbol, tuple[float, float]]], budget: Budget
+) -> Eigenvalues:
+    """Return where the eigenvalues of A are for all values of the parameters; UNKNOWN where that differs."""
+    names = tuple(p for p, _ in ranges)
+    entries = [[Enclosure(A[i, j], names) for j in range(A.cols)] for i in range(A.rows)]
+    stack: list[Cell] = [tuple(side for _, side in ranges)]
+    found: Eigenvalues | None = None
+    for _ in range(CELLS):
+        if not stack:
+            return found or Eigenvalues.UNKNOWN
+        if not budget.take():
+            return Eigenvalues.UNKNOWN
+        cell = stack.pop()
+        here = _of_balls([[e.on(cell) for e in row] for row in entries])
+        if here is not Eigenvalues.UNKNOWN:
+            if found not in (None, here):
+                return Eigenvalues.UNKNOWN
+            found = here
+            continue
+        widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0]) if cell else 0
+        if not cell or cell[widest][1] - cell[widest][0] < SMALLEST:
+            return Eigenvalues.UNKNOWN
+        stack.extend(halves(cell, widest))
+    return Eigenvalues.UNKNOWN
+
+
+def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
+    n = len(A)
+    if not all(b.is_finite() for row in A for b in row):
+        return Eigenvalues.UNKNOWN
+    middle = np.array([[float(b.mid()) for b in row] for row in A])
+    if not np.isfinite(middle).all():
+        return Eigenvalues.UNKNOWN
+    right = float(np.linalg.eigvals(middle).real.max())
+    for shift in (0.0,) if right <= 0 else (0.0, 0.5 * right, 0.7 * right, 0.3 * right):
+        P = lyapunov_matrix(middle - shift * np.eye(n), np.eye(n))
+        if P is None:
+            continue
+        falls = quadratic.falls([[Fraction(float(v)) for v in row] for row in P])
+        if (falls is None) != (right < 0):
+            continue
+        B = [[A[i][j] - (arb(shift) if i == j else 0) for j in range(n)] for i in range(n)]
+        PB = [
+            [sum((arb(float(P[i][k])) * B[k][j] for k in range(n)), arb(0)) for j in range(n)]
+            for i in range(n)
+        ]
+        if positive_definite([[-(PB[i][j] + PB[j][i]) for j in range(n)] for i in range(n)]):
+            return Eigenvalues.LEFT if falls is None else Eigenvalues.RIGHT
+    return Eigenvalues.UNKNOWN
+
+
+def lyapunov_matrix(A: np.ndarray, Q: np.ndarray) -> np.ndarray | None:
+    """Return the symmetric P with A^T P + P A = -Q, in floating point: a guess, to be proven; or None."""
+    n = len(A)
+    one = np.eye(n)
+    try:
+        P = np.linalg.solve(np.kron(A.T, one) + np.kron(one, A.T), -Q.reshape(-1)).reshape(n, n)
+    except np.linalg.LinAlgError:
+        return None
+    return (P + P.T) / 2 if np.isfinite(P).all() else None

@@ -1,0 +1,122 @@
+"""LaSalle: no trajectory but the equilibrium stays where dV/dt = 0 (section 6.0, LaSalle's theorem).
+
+A trajectory that stays in a set {h = 0} has dh/dt = 0 as well, and so on; what is solved for a state is put
+into the rest. Of several branches a trajectory may change from one to another. But the times it spends on
+each are closed sets that cover an interval, so on one of them it stays for an interval (Baire); there it is
+shown to be at the equilibrium, and f being locally Lipschitz it never was elsewhere.
+"""
+
+import sympy as sp
+
+from drivers.errors import ModelError
+from hil.proof.cancellation import cancelled, factors, lie_derivative
+from hil.proof.signs import NOWHERE, Signs, Zeros
+
+DERIVATIVES = 8
+"""How many equations are followed on one branch."""
+LONGEST = 400
+"""Operations in an equation beyond which it is not followed: derivatives grow."""
+
+
+def leaves(zeros: Zeros, signs: Signs) -> bool:
+    """Tell whether every trajectory but the equilibrium is shown to leave the zeros of dV/dt."""
+    return all(_leaves_branch(list(branch), {}, [], signs, DERIVATIVES) for branch in zeros)
+
+
+def _leaves_branch(
+    todo: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr], kept: list[sp.Expr], signs: Signs, left: int
+) -> bool:
+    """`solved`: states as functions of the others on the branch; `kept`: what vanishes and is not solved."""
+    if _only_equilibrium(solved, kept, signs):
+        return True
+    if not todo or left == 0:
+        return False
+    if (equation := _put(todo[0], solved)).count_ops() > LONGEST:
+        return False
+    h = cancelled(equation)
+    rest = todo[1:]
+    if h == 0:
+        return _leaves_branch(rest, solved, kept, signs, left)
+    ways = _ways(h, signs)
+    if ways is None:
+        return False
+    return all(_follow(way, rest, solved, kept, signs, left) for way in ways)
+
+
+def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr] | None:
+    """Return expressions on one of which being zero h = 0 depends; none: h is nowhere zero."""
+    top = sp.fraction(sp.together(h))[0]
+    ways = []
+    for base, _ in factors(top):
+        if base.is_number or signs.positive(base) or signs.positive(sp.expand(-base)):
+            continue
+        zeros = signs.nonnegative(base)
+        if zeros is None:
+            zeros = signs.nonnegative(sp.expand(-base))
+        if zeros == NOWHERE:
+            continue
+        one = zeros is not None and len(zeros) == 1 and len(zeros[0]) == 1
+        ways.append(zeros[0][0] if zeros is not None and one else base)
+    return ways
+
+
+def _follow(
+    h: sp.Expr,
+    rest: list[sp.Expr],
+    solved: dict[sp.Symbol, sp.Expr],
+    kept: list[sp.Expr],
+    signs: Signs,
+    left: int,
+) -> bool:
+    f = signs.system.f
+    try:
+        derivative = _put(lie_derivative(h, f), solved)
+    except ModelError:
+        return False
+    todo = [*rest, derivative]
+    x = _solvable(h, signs)
+    if x is None:
+        return _leaves_branch(todo, solved, [*kept, h], signs, left - 1)
+    value = sp.expand(x - h / sp.expand(h).coeff(x, 1))
+    now = {y: sp.expand(e.subs(x, value)) for y, e in solved.items()} | {x: value}
+    return _leaves_branch(
+        [*[k.subs(x, value) for k in kept], *(_put(t, now) for t in todo)], now, [], signs, left - 1
+    )
+
+
+def _solvable(h: sp.Expr, signs: Signs) -> sp.Symbol | None:
+    """Return a state that h holds linearly, its coefficient a number or a product of parameters."""
+    h = sp.expand(h)
+    for x in signs.own(h):
+        c = h.coeff(x, 1)
+        if (
+            (c.is_positive or c.is_negative)
+            and not signs.own(c)
+            and x not in sp.expand(h - c * x).free_symbols
+        ):
+            return x
+    return None
+
+
+def _put(e: sp.Expr, solved: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
+    return e.subs(solved, simultaneous=True) if solved else e
+
+
+def _only_equilibrium(solved: dict[sp.Symbol, sp.Expr], kept: list[sp.Expr], signs: Signs) -> bool:
+    free = [x for x in signs.system.states if x not in solved]
+    if not free:
+        return all(value == 0 for value in solved.values())
+    if not set(free) <= set().union(*(h.free_symbols for h in kept)):
+        return False
+    at_origin = dict.fromkeys(signs.system.states, 0)
+    if any(sp.expand(e.subs(at_origin)) != 0 for e in (*kept, *solved.values())):
+        return False
+    total = sp.expand(sum((h**2 for h in kept), sp.S.Zero))
+    return signs.definite(total, open_ends=len(free) == 1) or (
+        len(kept) == 1 and len(free) == 1 and _single(kept[0], free[0], signs)
+    )
+
+
+def _single(h: sp.Expr, x: sp.Symbol, signs: Signs) -> bool:
+    """Tell whether x h or -x h is definite, h being of one state and of parameters."""
+    return any(signs.definite(sp.expand(sign * x * h)) for sign in (1, -1))

@@ -1,0 +1,75 @@
+"""The sublevel set of V inside the box: what starts in it stays in it.
+
+If V >= c on the whole boundary and dV/dt <= 0 in the box, no trajectory that starts in the box with V < c
+reaches the boundary.
+"""
+
+from itertools import product
+
+import sympy as sp
+
+from hil.proof import quadratic
+from hil.proof.interval import number
+from hil.proof.signs import Signs
+
+_HALVINGS = 8
+"""Of the interval in which the largest level is sought."""
+
+
+def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
+    """Return a c with V >= c on the boundary of the domain: the largest that is shown, or None."""
+    system = signs.system
+    if not system.bounded or system.ranges or not signs.enclosable(V):
+        return None
+    if (P := quadratic.form(V, system.states)) is not None and quadratic.definite(P):
+        return _of_form(P, signs)
+    faces = [(x, end) for x in system.states for end in system.domain[x]]
+    values = [V.subs(point) for x, end in faces for point in _samples(signs, x, end)]
+    lowest = min(
+        (v for v in values if v.is_number and number(v).is_finite()),
+        key=lambda v: float(number(v)),
+        default=None,
+    )
+    if lowest is None or not number(lowest) > 0:
+        return None
+    if _holds(V, lowest, faces, signs):
+        return lowest
+    low, high = sp.S.Zero, sp.Rational(float(number(lowest))).limit_denominator(1000)
+    for _ in range(_HALVINGS):
+        c = (low + high) / 2
+        low, high = (c, high) if _holds(V, c, faces, signs) else (low, c)
+    return low if low > 0 else None
+
+
+def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
+    """Return the least value of a quadratic form on the faces; ends that are no fractions from within."""
+    inverse, levels = quadratic.inverse(P), []
+    for k, x in enumerate(signs.system.states):
+        for end in signs.system.domain[x]:
+            reach = (
+                abs(end) if end.is_Rational else sp.Rational(float(number(abs(end)).lower()) * (1 - 2.0**-40))
+            )
+            levels.append(reach**2 / quadratic.rational(inverse[k][k]))
+    return min(levels)
+
+
+def _holds(V: sp.Expr, c: sp.Expr, faces: list[tuple[sp.Symbol, sp.Expr]], signs: Signs) -> bool:
+    return all(_at_least(sp.expand(V.subs(x, end) - c), signs) for x, end in faces)
+
+
+def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, sp.Expr]]:
+    others = [y for y in signs.system.states if y != x]
+    shares = [sp.Rational(k, 4) for k in range(-4, 5)] if len(others) <= 2 else [-1, 0, 1]
+    if len(others) > 4:
+        shares = [0]
+    ends = signs.system.domain
+    return [
+        {x: end} | {y: abs(s) * ends[y][1 if s > 0 else 0] for y, s in zip(others, some, strict=True)}
+        for some in product(shares, repeat=len(others))
+    ]
+
+
+def _at_least(g: sp.Expr, signs: Signs) -> bool:
+    if not signs.own(g):
+        return bool(g.is_nonnegative) or bool(number(g) > 0)
+    return signs.nonnegative(g) is not None or signs.positive(g)

@@ -1,0 +1,145 @@
+"""Positive near the origin: a lowest-order form, with a bound on all that follows it.
+
+An enclosure of g is never positive on a cell that holds g's zero. So the zero is blown up: x_i = t^w_i u_i
+with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are exactly zero, Taylor's theorem
+has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell by cell. c_k is the
+k-th derivative of all of g over k!, so that there is one t': powers of t at t itself beside a derivative of
+the rest at t' would hold for two different places, and no cell of t may be halved for both at once.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from math import lcm
+
+import sympy as sp
+
+from hil.proof.branch_and_bound import faces, positive
+from hil.proof.budget import Budget
+from hil.proof.interval import Cell, Enclosure, unsupported
+
+HIGHEST_ORDER = 12
+LONGEST = 400
+"""Operations in a derivative beyond which the next one is not formed."""
+RADII = tuple(2.0**-k for k in range(0, 17, 2))
+T = sp.Dummy("t", positive=True)
+"""Along a ray."""
+
+Weights = tuple[int, ...]
+
+
+class Ray:
+    """g along x_i = t^w_i u_i, as a function of t: powers of t with coefficients in u, and a rest.
+
+    Mutable: remembers the derivatives that it has formed.
+    """
+
+    def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
+        self.u = _units(len(states))
+        there = {x: T**w * u for x, u, w in zip(states, self.u, weights, strict=True)}
+        along = _without_t(sp.expand(g.xreplace(there)))
+        self.powers: dict[int, sp.Expr] = {}
+        self.rest = sp.S.Zero
+        for term in sp.Add.make_args(along):
+            coefficient, power = term.as_independent(T)
+            base, exponent = (T, sp.S.Zero) if power == 1 else power.as_base_exp()
+            if base == T and exponent.is_Integer and exponent >= 0:
+                self.powers[int(exponent)] = self.powers.get(int(exponent), sp.S.Zero) + coefficient
+            else:
+                self.rest += term
+        self._derivatives = [self.rest]
+        self.smooth = not any(node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest))
+
+    def at_zero(self, j: int) -> sp.Expr:
+        """Return the coefficient of t^j at t = 0, a function of u."""
+        if self.rest == 0:
+            return sp.expand(self.powers.get(j, sp.S.Zero))
+        taylor = self._derivative(j).subs(T, 0) / sp.factorial(j)
+        return sp.expand(self.powers.get(j, sp.S.Zero) + taylor)
+
+    def order(self) -> int | None:
+        """Return the lowest order of a coefficient that is not zero; None if there is none so low."""
+        if not self.smooth:
+            return None
+        return next((j for j in range(HIGHEST_ORDER + 1) if self.at_zero(j) != 0), None)
+
+    def remainder(self, k: int) -> sp.Expr:
+        """Return c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero.
+
+        Where there are powers of t alone, at t itself.
+        """
+        higher = [(j, c) for j, c in self.powers.items() if j >= k]
+        if self.rest == 0:
+            return sp.Add(*(c * T ** (j - k) for j, c in higher))
+        powers = sp.Add(*(sp.binomial(j, k) * c * T ** (j - k) for j, c in higher))
+        return powers + self._derivative(k) / sp.factorial(k)
+
+    def _derivative(self, j: int) -> sp.Expr:
+        """Return the j-th derivative of the rest; nan, of which nothing is shown, if it is too long."""
+        while len(self._derivatives) <= j:
+            last = self._derivatives[-1]
+            self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))
+        return self._derivatives[j]
+
+
+@cache
+def _units(n: int) -> tuple[sp.Symbol, ...]:
+    """Return the same n symbols for all rays."""
+    return tuple(sp.Dummy(f"u{k}", real=True) for k in range(n))
+
+
+def _without_t(e: sp.Expr) -> sp.Expr:
+    """|t^j h(u)| = t^j |h(u)|, t being positive."""
+
+    def out(node: sp.Expr) -> sp.Expr:
+        coefficient, power = sp.factor_terms(node.args[0]).as_independent(T, as_Add=False)
+        positive_power = power.as_base_exp()[0] == T or power == 1
+        return sp.Abs(coefficient) * power if positive_power else node
+
+    return sp.expand(e.replace(lambda n: isinstance(n, sp.Abs), out))
+
+
+def _rough(e: sp.Expr) -> set[sp.Expr]:
+    """Return the roots that are not shown to be smooth at t = 0."""
+    roots = {p for p in e.atoms(sp.Pow) if p.base.has(T) and not p.exp.is_Integer}
+    return {p for p in roots if not p.base.subs(T, 0).is_positive}
+
+
+def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
+    """Return weights for which the pure powers of the lowest orders weigh the same; or None."""
+    orders = []
+    for x in states:
+        alone = g.subs(dict.fromkeys([y for y in states if y != x], 0))
+        order = Ray(alone, (x,), (1,)).order()
+        if order is None or order == 0:
+            return None
+        orders.append(order)
+    D = lcm(*orders)
+    return tuple(D // e for e in orders) if D <= HIGHEST_ORDER else None
+
+
+def definite_near(
+    g: sp.Expr, states: Sequence[sp.Symbol], parameters: Sequence[tuple[sp.Symbol, tuple[float, float]]],
+    budget: Budget, limit: int = 1500, side: int = 0,
+) -> tuple[Cell, Weights] | None:  # fmt: skip
+    """Return a cell about the origin in which g > 0 but at the origin, or None.
+
+    Parameters have ranges. `side` +1 or -1 asks for x > 0 or x < 0 only (of one state).
+    """
+    weights = weights_of(g, states)
+    if weights is None:
+        return None
+    ray = Ray(g, states, weights)
+    k = ray.order()
+    if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
+        return None
+    c = Enclosure(ray.remainder(k), (*ray.u, *(p for p, _ in parameters), T))
+    leading = Enclosure(ray.at_zero(k), (*ray.u, *(p for p, _ in parameters)))
+    ranges = tuple(r for _, r in parameters)
+    sides: Cell = ((-1.0, 1.0),) * len(states)
+    cells = faces(sides, range(len(states))) if side == 0 else [((float(side), float(side)),)]
+    if not positive([leading], [(*u, *ranges) for u in cells], budget, limit):
+        return None
+    for radius in RADII:
+        if positive([c], [(*u, *ranges, (0.0, radius)) for u in cells], budget, limit // 4):
+            return tuple((-(radius**w), radius**w) for w in weights), weights
+    return None

@@ -1,0 +1,136 @@
+"""What was found: one finding on V, another on the equilibrium.
+
+A V that proves nothing says nothing of the system, so the two never speak for each other.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import sympy as sp
+
+from hil.proof.linearisation import Eigenvalues
+from hil.proof.system import Interval, Point
+
+Box = dict[sp.Symbol, Interval]
+
+
+class Truth(Enum):
+    """What is known of a claim."""
+
+    PROVEN = "proven"
+    REFUTED = "refuted"
+    UNDECIDED = "undecided"
+
+
+class Certificate(Enum):
+    """What V is on the box named."""
+
+    VALID = "valid"
+    NOT_POSITIVE_DEFINITE = "not positive definite"
+    GROWS = "dV/dt > 0"
+    UNDECIDED = "undecided"
+    NONE = "no V was given"
+
+
+class Decrease(Enum):
+    """How V falls along the trajectories, where that is shown."""
+
+    STRICT = "dV/dt < 0 but at the equilibrium"
+    WEAK = "dV/dt <= 0"
+    CONSERVED = "dV/dt = 0"
+
+
+class Equilibrium(Enum):
+    """What is shown of the equilibrium."""
+
+    STABLE = "stable"
+    ASYMPTOTICALLY_STABLE = "asymptotically stable"
+    GLOBALLY_ASYMPTOTICALLY_STABLE = "globally asymptotically stable"
+    UNSTABLE = "unstable"
+    NO_CONCLUSION = "no conclusion"
+
+
+@dataclass(frozen=True)
+class CertificateFinding:
+    """The finding on V, in the user's symbols and coordinates."""
+
+    status: Certificate
+    V_dot: sp.Expr | None = None
+    """After cancellation."""
+    decrease: Decrease | None = None
+    """Of a valid V."""
+    at: Point | None = None
+    """The counterexample: all states, and parameters."""
+    value: sp.Expr | None = None
+    """V, or dV/dt, there."""
+    reason: str = ""
+    V: sp.Expr | None = None
+    """What was proposed, where no V was given."""
+
+    @property
+    def truth(self) -> Truth:
+        """Tell what is known of the claim that V is valid."""
+        refuted = {Certificate.NOT_POSITIVE_DEFINITE, Certificate.GROWS}
+        proven = self.status is Certificate.VALID
+        return Truth.PROVEN if proven else Truth.REFUTED if self.status in refuted else Truth.UNDECIDED
+
+
+@dataclass(frozen=True)
+class EquilibriumFinding:
+    """The finding on the equilibrium, in the user's symbols and coordinates."""
+
+    status: Equilibrium
+    by: str
+    """The theorem, and what it took."""
+    asymptotic: Truth
+    """What is known of asymptotic stability: refuted of all that is unstable, or stable and no more."""
+    box: Box | None = None
+    """Where the certificate was shown that the finding rests on; None: everywhere, or none was needed."""
+    level: sp.Expr | None = None
+    """The part of {V < level} within the box is not left, and if the equilibrium is asymptotically
+    stable, all of its trajectories tend to it."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Both findings, and what the linearisation says without any V."""
+
+    certificate: CertificateFinding
+    equilibrium: EquilibriumFinding
+    linearisation: Eigenvalues
+    parameters: Box
+    """For which all of this holds; (0, oo) means any positive number."""
+    boxes: int
+    """Cells of the budget that were looked at."""
+
+    def __str__(self) -> str:
+        c, e = self.certificate, self.equilibrium
+        lines = [f"certificate: {c.status.value}{_where(c.at)}"]
+        if c.V is not None:
+            lines.append(f"  V = {c.V}, proposed from the linearisation")
+        if c.V_dot is not None:
+            lines.append(f"  dV/dt = {c.V_dot}")
+        if c.value is not None:
+            lines.append(f"  there {'dV/dt' if c.status is Certificate.GROWS else 'V'} = {c.value}")
+        lines += [f"  {text}" for text in (c.decrease.value if c.decrease else "", c.reason) if text]
+        lines.append(f"equilibrium: {e.status.value}" + (f", {e.by}" if e.by else ""))
+        if e.asymptotic is Truth.REFUTED and e.status is not Equilibrium.UNSTABLE:
+            lines.append("  asymptotic stability: refuted")
+        if e.box is not None:
+            sides = ", ".join(f"{x} in [{low}, {high}]" for x, (low, high) in e.box.items())
+            lines.append(f"  shown for {sides}")
+        if e.level is not None:
+            tends = "" if e.asymptotic is not Truth.PROVEN else ", and all of it tends to the equilibrium"
+            lines.append(f"  of its box {{V < {e.level}}} is not left{tends}")
+        lines.append(f"linearisation: {self.linearisation.value}")
+        if self.parameters:
+            lines.append("for all " + ", ".join(_range(p, *side) for p, side in self.parameters.items()))
+        return "\n".join(lines)
+
+
+def _range(p: sp.Symbol, low: sp.Expr, high: sp.Expr) -> str:
+    return f"{p} > 0" if high == sp.oo else f"{p} in [{low}, {high}]"
+
+
+def _where(at: Point | None) -> str:
+    return "" if at is None else " at " + ", ".join(f"{x} = {value}" for x, value in at.items())

@@ -1,0 +1,350 @@
+"""Signs of functions on a domain: definite, semidefinite with its zeros, positive.
+
+Exact structure first (squares, moduli, factors, a sum of what is not negative), then enclosures. True means
+proven. False means only that no proof was found.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+
+import sympy as sp
+
+from hil.proof import convex, origin, orthant, quadratic, tail
+from hil.proof.branch_and_bound import positive, without
+from hil.proof.budget import Budget
+from hil.proof.cancellation import factors, half_angles, squares
+from hil.proof.interval import Cell, Enclosure, outward, unsupported
+from hil.proof.system import System
+
+Zeros = tuple[tuple[sp.Expr, ...], ...]
+"""Where a function that is nowhere negative can be zero: on one of the branches, each of which is the set
+where all of its expressions are zero. No branch: nowhere. A branch without expressions: anywhere."""
+NOWHERE: Zeros = ()
+_ODD = (sp.tanh, sp.atan, sp.sinh)
+"""Functions with the sign and the zero of their argument."""
+BRANCHES = 12
+"""More branches than these are not followed."""
+
+
+class Signs:
+    """Signs on the domain of a system. Mutable: spends `budget`, and remembers what it has shown."""
+
+    def __init__(self, system: System, budget: Budget) -> None:
+        self.system = system
+        self.budget = budget
+        self.sides = {x: outward(*side) for x, side in (system.domain | system.ranges).items()}
+        self._definite: dict[sp.Expr, bool] = {}
+        self._zeros: dict[sp.Expr, Zeros | None] = {}
+
+    def own(self, g: sp.Expr) -> tuple[sp.Symbol, ...]:
+        """Return the states that g depends on."""
+        return tuple(x for x in self.system.states if x in g.free_symbols)
+
+    def enclosable(self, g: sp.Expr) -> bool:
+        """Tell whether enclosures can be made: no parameter without a range."""
+        return g.free_symbols.isdisjoint(self.system.positive) and not unsupported(g)
+
+    def positive(self, g: sp.Expr) -> bool:
+        """Tell whether g > 0 on the whole domain, its equilibrium included."""
+        if g.is_positive or self._structure(g) == NOWHERE:
+            return True
+        if not self.enclosable(g):
+            return not self.own(g) and self._for_all_positive(g)
+        names = tuple(v for v in self.sides if v in g.free_symbols)
+        cell = tuple(self.sides[v] for v in names)
+        if not all(map(math.isfinite, (end for side in cell for end in side))):
+            return self._positive_everywhere(g)
+        return positive([Enclosure(g, names)], [cell], self.budget, 3000)
+
+    def sign(self, c: sp.Expr) -> int:
+        """Return 1 or -1 of what is positive or negative for all parameters, 0 where neither is shown."""
+        if c.is_Rational:
+            return int(sp.sign(c))
+        top, bottom = sp.fraction(sp.factor(c) if c.is_rational_function() else c)
+        result = 1
+        for base, p in [*factors(top), *factors(bottom)]:
+            one = 1 if self.positive(base) else -1 if self.positive(sp.expand(-base)) else 0
+            result *= one if p.is_odd else abs(one) if p.is_even else max(one, 0)
+        return result
+
+    def _for_all_positive(self, c: sp.Expr) -> bool:
+        """Judge a function of parameters alone, some of which may be any positive number."""
+        free = tuple(p for p in self.system.positive if p in c.free_symbols)
+        if set(free) == c.free_symbols:
+            return orthant.sign(c, free, self.budget) == 1
+        try:
+            parts = sp.Poly(c, *free).coeffs()
+        except sp.PolynomialError:
+            return False
+        return all(self.positive(part) for part in parts)
+
+    def definite(self, g: sp.Expr, *, open_ends: bool = False) -> bool:
+        """Tell whether g = 0 where all of the states that it depends on are zero, and g > 0 elsewhere.
+
+        `open_ends` leaves out the ends of the domain of a single state.
+        """
+        key = sp.Tuple(g, sp.Integer(open_ends))
+        if key not in self._definite:
+            self._definite[key] = self._is_definite(g, open_ends)
+        return self._definite[key]
+
+    def nonnegative(self, g: sp.Expr) -> Zeros | None:
+        """Return where g can be zero if g >= 0 on the whole domain, else None."""
+        if g not in self._zeros:
+            self._zeros[g] = None
+            self._zeros[g] = self._nonnegative(g)
+        return self._zeros[g]
+
+    def _is_definite(self, g: sp.Expr, open_ends: bool) -> bool:
+        states = self.own(g)
+        if not states or sp.expand(g.xreplace(dict.fromkeys(states, sp.S.Zero))) != 0:
+            return False
+        if (S := quadratic.coefficients(g, states)) is not None:
+            if self._definite_form(S, g):
+                return True
+            if all(c.is_Rational for row in S for c in row):
+                return False
+        if not self.enclosable(g):
+            freed = self.freed(g)
+            return freed is not None and self.own(freed) == states and self.definite(freed)
+        if self._definite_by_structure(g, states):
+            return True
+        ranges = self._ranges(g)
+        sides = tuple(self.sides[x] for x in states)
+        if all(math.isfinite(end) for side in sides for end in side) and convex.convex_definite(
+            g, states, sides, ranges, self.budget
+        ):
+            return True
+        near = origin.definite_near(g, states, ranges, self.budget)
+        if near is None or (outer := self._outer(g, states, ranges)) is None:
+            return False
+        if open_ends and len(states) == 1:
+            if (trimmed := self._open(g, states[0], outer[0])) is None:
+                return False
+            outer = (trimmed,)
+        names = (*states, *(p for p, _ in ranges))
+        cells = [(*c, *(r for _, r in ranges)) for c in without(outer, near[0])]
+        return positive([Enclosure(g, names)], cells, self.budget)
+
+    def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
+        """Judge a quadratic form: exactly, over ranges, or by leading minors for all parameters."""
+        if all(c.is_Rational for row in S for c in row):
+            return quadratic.definite([[quadratic.fraction(c) for c in row] for row in S])
+        if self.enclosable(g):
+            return convex.definite_form(S, self._ranges(g), self.budget)
+        return all(self.sign(minor) == 1 for minor in quadratic.leading_minors(S))
+
+    def _definite_by_structure(self, g: sp.Expr, states: tuple[sp.Symbol, ...]) -> bool:
+        zeros = self._structure(g)
+        return zeros is not None and all(set(states) <= {_root(e) for e in branch} for branch in zeros)
+
+    def _ranges(self, g: sp.Expr) -> list[tuple[sp.Symbol, tuple[float, float]]]:
+        return [(p, self.sides[p]) for p in self.system.ranges if p in g.free_symbols]
+
+    def _outer(
+        self, g: sp.Expr, states: tuple[sp.Symbol, ...], ranges: list[tuple[sp.Symbol, tuple[float, float]]]
+    ) -> Cell | None:
+        """Return the domain, or the part of it beyond which the tail bound holds."""
+        far = tuple(x for x in states if not all(map(math.isfinite, self.sides[x])))
+        sides = {x: self.sides[x] for x in states}
+        if far:
+            others = {x: sides[x] for x in states if x not in far} | dict(ranges)
+            radii = tail.definite_far(g, far, others, self.budget)
+            if radii is None:
+                return None
+            for x, r in zip(far, radii, strict=True):
+                low, high = sides[x]
+                sides[x] = (max(low, -r), min(high, r))
+        return tuple(sides[x] for x in states)
+
+    def _open(self, g: sp.Expr, x: sp.Symbol, side: tuple[float, float]) -> tuple[float, float] | None:
+        """Leave out a stretch next to an end that is a zero of g, g being positive up to it."""
+        trimmed = list(side)
+        for k, end in enumerate(self.system.domain[x]):
+            if end.is_infinite or sp.expand(g.subs(x, end)) != 0:
+                continue
+            moved = sp.expand_trig(g.subs(x, x + end))
+            near = origin.definite_near(moved, (x,), self._ranges(g), self.budget, side=1 if k == 0 else -1)
+            if near is None:
+                return None
+            reach = sp.Rational(near[0][0][1])
+            kept = end + reach if k == 0 else end - reach
+            trimmed[k] = outward(kept, kept)[k]
+        return trimmed[0], trimmed[1]
+
+    def _positive_everywhere(self, g: sp.Expr) -> bool:
+        states, ranges = self.own(g), self._ranges(g)
+        whole = {v: self.sides[v] for v in (*states, *(p for p, _ in ranges))}
+        if Enclosure(g, tuple(whole)).on(tuple(whole.values())) > 0:
+            return True
+        outer = self._outer(g, states, ranges)
+        names = (*states, *(p for p, _ in ranges))
+        return outer is not None and positive(
+            [Enclosure(g, names)], [(*outer, *(r for _, r in ranges))], self.budget, 3000
+        )
+
+    def _nonnegative(self, g: sp.Expr) -> Zeros | None:
+        if g == 0:
+            return ((),)
+        states = self.own(g)
+        if states and (S := quadratic.form(g, states)) is not None:
+            lines = quadratic.lines(S, states)
+            return None if lines is None else (tuple(lines),)
+        for judge in (self._structure, self._by_factors):
+            for form in (g, *half_angles(g)):
+                if (zeros := judge(form)) is not None:
+                    return zeros
+        if not self.enclosable(g) and (freed := self.freed(g)) is not None:
+            return self.nonnegative(freed)
+        if states and not g.free_symbols.isdisjoint(self.system.positive) and self.definite(g):
+            return (states,)
+        return None
+
+    def _structure(self, g: sp.Expr) -> Zeros | None:
+        """By form alone: even powers, moduli, positive factors, sums of such."""
+        if g.is_number or g.is_positive:
+            return NOWHERE if g.is_positive else ((),) if g.is_zero else None
+        if isinstance(g, sp.Abs):
+            return ((g.args[0],),)
+        if isinstance(g, sp.exp | sp.cosh):
+            return NOWHERE
+        if isinstance(g, sp.Pow):
+            return self._power(g)
+        if isinstance(g, sp.Mul):
+            zeros = _union([self._structure(e) for e in g.args])
+            signed = sp.Mul(*(e.args[0] if isinstance(e, _ODD) else e for e in g.args))
+            return self._structure(signed) if zeros is None and signed != g else zeros
+        if isinstance(g, sp.Add):
+            return _meet([self._structure(e) for e in g.args])
+        return None
+
+    def _power(self, g: sp.Pow) -> Zeros | None:
+        base, p = g.args
+        if base == sp.E:
+            return NOWHERE
+        if p.is_Integer and p % 2 == 0:
+            return ((base,),) if p > 0 else NOWHERE
+        zeros = self._structure(base)
+        return zeros if p.is_positive or zeros is None else NOWHERE
+
+    def _by_factors(self, g: sp.Expr) -> Zeros | None:
+        """Judge the factors, those with states in common together: definite, positive or squares."""
+        groups: list[tuple[set[sp.Symbol], sp.Expr]] = []
+        for base, p in factors(g):
+            names, factor = set(self.own(base)), base**p
+            if p.is_Integer and p % 2 == 0:
+                groups.append((set(), factor))
+                continue
+            for group in [h for h in groups if h[0] & names]:
+                groups.remove(group)
+                names, factor = names | group[0], factor * group[1]
+            groups.append((names, factor))
+        sign = sp.Mul(*(h for names, h in groups if not names and h.is_number and not h.is_positive))
+        if sign != 1:
+            if not sign.is_negative:
+                return None
+            groups = [h for h in groups if h[0] or not h[1].is_number]
+            others = [h for h in groups if h[0]]
+            if not others:
+                return None
+            groups.remove(others[0])
+            groups.append((others[0][0], sp.expand(-others[0][1]) if others[0][1].is_Add else -others[0][1]))
+        return _union([self._factor(h) for _, h in groups])
+
+    def _factor(self, h: sp.Expr) -> Zeros | None:
+        if (zeros := self._structure(h)) is not None:
+            return zeros
+        if (lines := squares(h, self.system.states)) is not None:
+            return (tuple(line for _, line in lines),) if all(d > 0 for d, _ in lines) else None
+        if sp.expand(h.subs(dict.fromkeys(self.own(h), 0))) == 0:
+            if self.definite(h):
+                return (self.own(h),)
+        elif self.positive(h):
+            return NOWHERE
+        return self._term_by_term(h)
+
+    def _term_by_term(self, h: sp.Expr) -> Zeros | None:
+        """Judge a sum term by term, each of which must nowhere be negative."""
+        terms = sp.Add.make_args(sp.expand(h))
+        if len(terms) < 2:
+            return None
+        results: list[Zeros | None] = []
+        for term in terms:
+            zeros = self._structure(term) or self._by_factors(term)
+            if zeros is None:
+                return None
+            results.append(zeros)
+        return _meet(results)
+
+    def freed(self, g: sp.Expr) -> sp.Expr | None:
+        """Return a function without parameters that has the zeros of g >= 0; None if g may be < 0.
+
+        g = sum of p_j T_j(x) with products p_j > 0 of parameters: where all T_j >= 0, it
+        is zero where their sum is, and grows without bound where their sum does.
+        """
+        top, bottom = sp.fraction(sp.together(g))
+        if bottom.free_symbols and self._structure(sp.factor(bottom)) != NOWHERE:
+            return None
+        parts: dict[sp.Expr, sp.Expr] = {}
+        for term in sp.Add.make_args(sp.expand(top)):
+            T, p = term.as_independent(*self.system.positive, as_Add=False)
+            parts[p] = parts.get(p, sp.S.Zero) + T
+        if any(not p.is_positive or self.own(p) or not self.enclosable(T) for p, T in parts.items()):
+            return None
+        if any(self.nonnegative(T) is None for T in parts.values()):
+            return None
+        return sp.expand(sum(parts.values(), sp.S.Zero))
+
+
+def _root(e: sp.Expr) -> sp.Expr:
+    """Return the state whose zero is the zero of an expression: x of x^3 or |x|."""
+    while isinstance(e, sp.Abs) or (isinstance(e, sp.Pow) and e.exp.is_positive):
+        e = e.args[0]
+    return e
+
+
+def _union(parts: list[Zeros | None]) -> Zeros | None:
+    """Of a product: zero where a factor is."""
+    if any(p is None for p in parts):
+        return None
+    return tuple(branch for p in parts if p is not None for branch in p)
+
+
+def _meet(parts: list[Zeros | None]) -> Zeros | None:
+    """Of a sum: zero where all terms are."""
+    if any(p is None for p in parts):
+        return None
+    result: Zeros = ((),)
+    for p in parts:
+        result = tuple((*a, *b) for a in result for b in p or ())
+        if len(result) > BRANCHES:
+            return None
+    return result
+
+
+def regular(expressions: Mapping[sp.Symbol, sp.Expr], signs: Signs) -> bool:
+    """Tell whether the expressions are finite and locally Lipschitz on the whole domain.
+
+    A base with a negative power, or with one that is no whole number and less than one, is nowhere zero;
+    likewise the argument of a logarithm and the cosine under a tangent.
+    """
+    return all(
+        signs.positive(h) or (either and signs.positive(-h)) for h, either in set(_critical(expressions))
+    )
+
+
+def _critical(expressions: Mapping[sp.Symbol, sp.Expr]) -> Iterator[tuple[sp.Expr, bool]]:
+    """Return what must not be zero, and whether it may be negative."""
+    for e in expressions.values():
+        for node in sp.preorder_traversal(e):
+            if isinstance(node, sp.log):
+                yield node.args[0], False
+            elif isinstance(node, sp.tan):
+                yield sp.cos(node.args[0]), True
+            elif isinstance(node, sp.Pow) and node.free_symbols and node.base != sp.E:
+                p = node.exp
+                if p.is_Integer:
+                    if p.is_negative:
+                        yield node.base, True
+                elif not (p > 1 and isinstance(node.base, sp.Abs)):
+                    yield node.base, False

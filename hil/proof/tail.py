@@ -1,0 +1,68 @@
+"""Positive far away: x_i = u_i / s^w_i with u on the faces of the unit cube and 0 <= s <= 1/R.
+
+"global" speaks of an unbounded set, and no number of cells covers it. What is a polynomial in the unbounded
+states, with sines and the like taken as unknown numbers of [-1, 1], becomes s^-D times a function that is
+defined at s = 0 as well; if that function is positive on all (u, s), so is g, and it grows like R^D.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import lcm
+
+import sympy as sp
+
+from hil.proof.branch_and_bound import faces, positive
+from hil.proof.budget import Budget
+from hil.proof.interval import Cell, Enclosure
+
+RADII = tuple(2.0**k for k in range(0, 13, 2))
+HIGHEST_ORDER = 24
+_BOUNDED = (sp.sin, sp.cos, sp.tanh)
+"""Functions whose values are within [-1, 1]."""
+
+
+def definite_far(
+    g: sp.Expr, states: Sequence[sp.Symbol], others: Mapping[sp.Symbol, tuple[float, float]], budget: Budget,
+    limit: int = 1500,
+) -> tuple[float, ...] | None:  # fmt: skip
+    """Return r_i such that g > 0 wherever some |x_i| >= r_i, and g grows without bound there; or None.
+
+    `others` are bounded variables of g with their ranges. Each power of the radius is at least one.
+    """
+    masks: dict[sp.Expr, sp.Symbol] = {}
+    for node in sorted(g.atoms(*_BOUNDED), key=sp.count_ops, reverse=True):
+        if not node.free_symbols.isdisjoint(states):
+            masks[node] = sp.Dummy(f"z{len(masks)}", real=True)
+    masked = sp.expand(g.xreplace(masks))
+    signless = {sp.Abs(x): sp.Dummy(f"abs_{x}", positive=True) for x in states}
+    try:
+        form = sp.Poly(masked.xreplace(signless), *states, *signless.values())
+    except sp.PolynomialError:
+        return None
+    if any(not c.free_symbols.isdisjoint(states) for c in form.coeffs()):
+        return None
+    n = len(states)
+    degrees = [tuple(a + b for a, b in zip(m[:n], m[n:], strict=True)) for m in form.monoms()]
+    tops = [max((d[i] for d in degrees if sum(d) == d[i]), default=0) for i in range(n)]
+    if 0 in tops:
+        return None
+    D = lcm(*tops)
+    weights = [D // e for e in tops]
+    if D > HIGHEST_ORDER or any(
+        sum(w * d for w, d in zip(weights, degree, strict=True)) > D for degree in degrees
+    ):
+        return None
+    s = sp.Dummy("s", nonnegative=True)
+    u = tuple(sp.Dummy(f"u_{x}", real=True) for x in states)
+    scaled = sp.S.Zero
+    for monomial, degree, c in zip(form.monoms(), degrees, form.coeffs(), strict=True):
+        power = D - sum(w * d for w, d in zip(weights, degree, strict=True))
+        scaled += c * s**power * sp.Mul(
+            *(v ** monomial[i] * sp.Abs(v) ** monomial[n + i] for i, v in enumerate(u))
+        )  # fmt: skip
+    variables = (*u, *masks.values(), *others, s)
+    sides: Cell = (*(((-1.0, 1.0),) * n), *(((-1.0, 1.0),) * len(masks)), *others.values())
+    h = Enclosure(scaled, variables)
+    for radius in RADII:
+        if positive([h], [(*c, (0.0, 1 / radius)) for c in faces(sides, range(n))], budget, limit // 4):
+            return tuple(radius**w for w in weights)
+    return None

@@ -1,0 +1,341 @@
+"""The theorems of section 6.0, each with its conditions.
+
+Here no sign is decided (see signs); a finding names the theorem that it rests on.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import sympy as sp
+
+from drivers.errors import ModelError
+from hil.proof import chetaev, counterexample, lasalle, proposal, quadratic, tail
+from hil.proof.budget import Budget
+from hil.proof.cancellation import lie_derivative
+from hil.proof.door import TooLarge
+from hil.proof.interval import unsupported
+from hil.proof.level import largest_level
+from hil.proof.linearisation import Eigenvalues, eigenvalues, jacobian
+from hil.proof.report import (
+    Certificate,
+    CertificateFinding,
+    Decrease,
+    Equilibrium,
+    EquilibriumFinding,
+    Report,
+    Truth,
+)
+from hil.proof.signs import Signs, Zeros, regular
+from hil.proof.system import Point, System, make_system
+
+SHRINKS = 6
+"""How often the box is halved in search of one on which V is valid: stability is a local property."""
+ROUNDED = (
+    "decimal numbers of so many digits are rounded, as quotients are: they need not cancel and stand for all "
+    "that they may have been; write exact ones as sympy.Rational"
+)
+_NO_V = CertificateFinding(Certificate.NONE)
+_INDIRECT = EquilibriumFinding(
+    Equilibrium.ASYMPTOTICALLY_STABLE, "by the linearisation (Lyapunov's indirect method)", Truth.PROVEN
+)
+
+
+def verify(
+    f: Mapping[sp.Symbol, Any],
+    V: Any = None,
+    *,
+    at: Mapping[sp.Symbol, Any] | None = None,
+    box: Mapping[sp.Symbol, tuple[Any, Any]] | None = None,
+    parameters: Mapping[sp.Symbol, tuple[Any, Any]] | None = None,
+    budget: Budget | None = None,
+) -> Report:
+    """Return what V proves about dx/dt = f(x), and what is known of its equilibrium.
+
+    `f` maps each state to its time derivative, `V` is the Lyapunov candidate, both in sympy; without it one
+    is proposed from the linearisation. `at` is the equilibrium, the origin where it
+    names nothing. `box` says where V is claimed, a state that it does not name is unbounded; without a
+    box V is claimed on the whole space, and the finding may be global. Symbols that are not states are
+    parameters: any positive number, or one of the range that `parameters` gives. `budget` is how many
+    cells may be looked at, and for how many seconds.
+
+    Sources: section 6.0 of the chapter; Khalil, Nonlinear Systems, theorems 4.1 to 4.4 and 4.7.
+
+    Raises ModelError where the question has no meaning: no equilibrium, f jumps, an unknown function or
+    name, a bad box, a symbol that was declared to be less than what is claimed.
+    """
+    budget = Budget() if budget is None else budget
+    start = budget.left
+    budget.start()
+    try:
+        question = budget.within(0.25, lambda: _question(f, V, at, box, parameters, budget), None)
+    except TooLarge as error:
+        return _nothing(V, f"there is {error}, more than exact arithmetic is asked to hold")
+    if question is None:
+        return _nothing(V, "the time ended while the question was read")
+    claim, signs, near = question
+    spectrum = budget.within(0.4, lambda: _spectrum(near), Eigenvalues.UNKNOWN)
+    system = signs.system
+    if claim is None and spectrum is Eigenvalues.LEFT:
+        certificate, equilibrium = _proposed(signs)
+        return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
+    late = _undecided("the time ended before a proof was found")
+    otherwise: _Shown = (None, late)
+    proof, certificate = budget.within(0.65, lambda: _certificate(claim, signs), otherwise)
+    if certificate.status is Certificate.UNDECIDED and system.rounded.numbers:
+        certificate = replace(certificate, reason=f"{certificate.reason}; {_rounded(system)}")
+    equilibrium = _equilibrium(claim, signs, near, proof, spectrum)
+    return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
+
+
+def _question(
+    f: Any, V: Any, at: Any, box: Any, parameters: Any, budget: Budget
+) -> tuple[sp.Expr | None, Signs, Signs]:
+    """Return V, the signs on the domain and those close to the equilibrium."""
+    system = make_system(f, V, at, box, parameters)
+    near = Signs(system.within(_scaled(system, 2.0**-SHRINKS)), budget)
+    return None if V is None else system.read(V), Signs(system, budget), near
+
+
+def _nothing(V: Any, reason: str) -> Report:
+    status = Certificate.NONE if V is None else Certificate.UNDECIDED
+    nothing = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
+    return Report(CertificateFinding(status, reason=reason), nothing, Eigenvalues.UNKNOWN, {}, 0)
+
+
+def _rounded(system: System) -> str:
+    numbers = ", ".join(map(str, system.rounded.numbers.values()))
+    return f"{numbers}: {ROUNDED}"
+
+
+@dataclass(frozen=True)
+class _Proof:
+    """V is positive definite, dV/dt <= 0, on the domain of `signs`; `zeros` of dV/dt."""
+
+    V: sp.Expr
+    decrease: Decrease
+    zeros: Zeros
+    signs: Signs
+
+
+_Shown = tuple[_Proof | None, CertificateFinding]
+
+
+def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
+    """Lyapunov's conditions on the domain (6.0, local and global theorem)."""
+    if V is None:
+        return None, CertificateFinding(Certificate.NONE)
+    system = signs.system
+    origin = dict.fromkeys(system.states, sp.S.Zero)
+    if wrong := unsupported(V):
+        return None, _undecided(f"V holds {', '.join(sorted(wrong))}, of which no enclosure is known")
+    at_origin = sp.simplify(V.xreplace(origin))
+    if at_origin != 0:
+        if not (at_origin.is_finite is False or signs.positive(at_origin) or signs.positive(-at_origin)):
+            return None, _undecided(f"V(0) = {at_origin} is not shown to be 0")
+        at, refuted = system.in_own_symbols(origin), Certificate.NOT_POSITIVE_DEFINITE
+        return None, CertificateFinding(refuted, at=at, value=at_origin, reason="V(0) must be 0")
+    if not regular(system.f, signs) or not regular({system.states[0]: V}, signs):
+        return None, _undecided("f or V is not shown to be finite and locally Lipschitz on the whole box")
+    V_dot, why = None, ""
+    try:
+        V_dot = lie_derivative(V, system.f)
+    except ModelError as error:
+        why = f"V is not shown to be continuously differentiable: {error}"
+    shown = None if V_dot is None else system.shown(V_dot)
+    if (point := counterexample.not_above_zero(V, signs)) is not None:
+        at, refuted = system.in_own_symbols(point), Certificate.NOT_POSITIVE_DEFINITE
+        return None, CertificateFinding(
+            refuted, shown, None, at, _value(V, point, system), "V must be > 0 there"
+        )
+    if V_dot is None:
+        return None, _undecided(why)
+    if (point := counterexample.above_zero(V_dot, signs)) is not None:
+        return None, CertificateFinding(
+            Certificate.GROWS, shown, None, system.in_own_symbols(point), _value(V_dot, point, system)
+        )
+    if set(signs.own(V)) != set(system.states) or not signs.definite(V):
+        return None, replace(_undecided(_why(signs, "V is not shown to be positive definite")), V_dot=shown)
+    fall = sp.expand(-V_dot)
+    zeros = signs.nonnegative(fall)
+    strict = set(signs.own(fall)) == set(system.states) and signs.definite(fall)
+    if zeros is None and not strict:
+        return None, replace(_undecided(_why(signs, "dV/dt <= 0 is not shown")), V_dot=shown)
+    decrease = Decrease.CONSERVED if V_dot == 0 else Decrease.STRICT if strict else Decrease.WEAK
+    proof = _Proof(V, decrease, zeros or (), signs)
+    return proof, CertificateFinding(Certificate.VALID, shown, decrease)
+
+
+def _value(g: sp.Expr, point: Point, system: System) -> sp.Expr:
+    return g.subs(point).xreplace(system.rounded.numbers)
+
+
+def _undecided(reason: str) -> CertificateFinding:
+    return CertificateFinding(Certificate.UNDECIDED, reason=reason)
+
+
+def _why(signs: Signs, what: str) -> str:
+    return f"{what}: the budget ended" if signs.budget.ended else what
+
+
+def _equilibrium(
+    V: sp.Expr | None, signs: Signs, near: Signs, proof: _Proof | None, spectrum: Eigenvalues
+) -> EquilibriumFinding:
+    """Return the strongest of what is shown; of stability by V, of instability by eigenvalue or Chetaev."""
+    budget = signs.budget
+    if spectrum is Eigenvalues.RIGHT:
+        return _unstable("by an eigenvalue with positive real part")
+    if proof is None and (by := budget.within(0.8, lambda: _why_unstable(V, near), None)) is not None:
+        return _unstable(by)
+    best = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
+    if proof is not None:
+        best = replace(
+            best, status=Equilibrium.STABLE, by="by Lyapunov's theorem", box=_named_box(signs.system)
+        )
+        best = budget.within(0.8, lambda: _stability(proof), best)
+    if V is not None and best.asymptotic is Truth.UNDECIDED:
+        first = best if proof is not None else None
+        best = budget.within(0.95, lambda: _on_smaller_boxes(V, signs, first), None) or best
+    if best.asymptotic is Truth.UNDECIDED and budget.within(1.0, lambda: _rests_nearby(near), False):
+        best = replace(best, asymptotic=Truth.REFUTED)
+    return best
+
+
+def _unstable(by: str) -> EquilibriumFinding:
+    return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
+
+
+def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
+    if (W := _growing(V, near)) is not None:
+        return f"by Chetaev's theorem with {near.system.shown(W)}"
+    if V is not None and _stable_in_reversed_time(V, near):
+        return "by LaSalle's theorem in reversed time: what tends to the equilibrium there leaves it"
+    return None
+
+
+def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
+    """Return what a V of the linearisation proves, on the domain or, if not there, on a smaller box."""
+    V = signs.budget.within(0.6, lambda: proposal.lyapunov_function(signs.system), None)
+    if V is None:
+        return _NO_V, _INDIRECT
+    for k in range(-1, SHRINKS + 1):
+        system = signs.system if k < 0 else signs.system.within(_scaled(signs.system, 2.0**-k))
+        if k == 0 and signs.system.bounded:
+            continue
+        if (found := _proven(V, Signs(system, signs.budget), 0.6 if k < 0 else 0.95)) is not None:
+            return found
+    return _NO_V, _INDIRECT
+
+
+def _proven(V: sp.Expr, signs: Signs, share: float) -> tuple[CertificateFinding, EquilibriumFinding] | None:
+    """Return what a proposed V proves on the domain of `signs`; None if dV/dt < 0 is not shown there."""
+    none: _Shown = (None, _NO_V)
+    proof, certificate = signs.budget.within(share, lambda: _certificate(V, signs), none)
+    if proof is None or proof.decrease is not Decrease.STRICT:
+        return None
+    equilibrium = signs.budget.within(1.0, lambda: _stability(proof), _INDIRECT)
+    return replace(certificate, V=signs.system.shown(V)), equilibrium
+
+
+def _growing(V: sp.Expr | None, near: Signs) -> sp.Expr | None:
+    return chetaev.function(V, near) if regular(near.system.f, near) else None
+
+
+def _stable_in_reversed_time(V: sp.Expr, near: Signs) -> bool:
+    """Krasovskii's instability theorem: V > 0 and dV/dt >= 0, which is zero along no trajectory."""
+    system = near.system
+    back = Signs(replace(system, f={x: sp.expand(-e) for x, e in system.f.items()}), near.budget)
+    proof, _ = _certificate(V, back)
+    return proof is not None and _stability(proof).asymptotic is Truth.PROVEN
+
+
+def _stability(proof: _Proof) -> EquilibriumFinding:
+    """Lyapunov's and LaSalle's theorems on the domain of the proof."""
+    signs, system = proof.signs, proof.signs.system
+    box = _named_box(system)
+    level = largest_level(proof.V, signs)
+    if proof.decrease is Decrease.CONSERVED:
+        by = "by Lyapunov's theorem; V stays what it is, so nothing else tends to the equilibrium"
+        return EquilibriumFinding(Equilibrium.STABLE, by, Truth.REFUTED, box, level)
+    theorem = "Lyapunov's" if proof.decrease is Decrease.STRICT else "LaSalle's"
+    if proof.decrease is Decrease.STRICT or lasalle.leaves(proof.zeros, signs):
+        if _whole_space(system) and _grows_without_bound(proof.V, signs):
+            by = f"by {theorem} theorem, V being radially unbounded"
+            return EquilibriumFinding(Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE, by, Truth.PROVEN)
+        kind = Equilibrium.ASYMPTOTICALLY_STABLE
+        return EquilibriumFinding(kind, f"by {theorem} theorem", Truth.PROVEN, box, level)
+    return EquilibriumFinding(Equilibrium.STABLE, "by Lyapunov's theorem", Truth.UNDECIDED, box, level)
+
+
+def _on_smaller_boxes(V: sp.Expr, signs: Signs, best: EquilibriumFinding | None) -> EquilibriumFinding | None:
+    for k in range(0 if not signs.system.bounded else 1, SHRINKS + 1):
+        smaller = Signs(signs.system.within(_scaled(signs.system, 2.0**-k)), signs.budget)
+        proof, certificate = _certificate(V, smaller)
+        if proof is not None:
+            found = _stability(proof)
+            if found.asymptotic is not Truth.UNDECIDED:
+                return found
+            best = best or found
+        elif certificate.at is not None and not any(certificate.at.values()):
+            return best
+    return best
+
+
+def _scaled(system: System, share: float) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]:
+    s = sp.Rational(share)
+    return {
+        x: (-s if low == -sp.oo else low * s, s if high == sp.oo else high * s)
+        for x, (low, high) in system.domain.items()
+    }
+
+
+def _named_box(system: System) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]] | None:
+    """Return the domain in the user's coordinates; None of the whole space."""
+    if _whole_space(system):
+        return None
+    own, centre = system.own, system.equilibrium
+    return {own[x]: (low + centre[own[x]], high + centre[own[x]]) for x, (low, high) in system.domain.items()}
+
+
+def _whole_space(system: System) -> bool:
+    return all(side == (-sp.oo, sp.oo) for side in system.domain.values())
+
+
+def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
+    """Radial unboundedness: V -> oo as |x| -> oo. A definite quadratic form has it."""
+    if quadratic.coefficients(V, signs.system.states) is not None:
+        return signs.definite(V)
+    if not signs.enclosable(V):
+        if signs.own(sp.denom(sp.together(V))):
+            return False
+        if (V := signs.freed(V)) is None:
+            return False
+    ranges = {p: signs.sides[p] for p in signs.system.ranges}
+    return tail.definite_far(V, signs.system.states, ranges, signs.budget) is not None
+
+
+def _spectrum(near: Signs) -> Eigenvalues:
+    A = jacobian(near.system)
+    if A is None or not regular(near.system.f, near):
+        return Eigenvalues.UNKNOWN
+    return eigenvalues(A, near)
+
+
+def _rests_nearby(signs: Signs) -> bool:
+    """Tell whether a line through the equilibrium consists of equilibria: then nothing on it tends there."""
+    system = signs.system
+    s = sp.Dummy("s", real=True)
+    A = jacobian(system)
+    lines = [[s if x == y else 0 for y in system.states] for x in system.states]
+    if A is not None:
+        lines += [[s * v for v in vector] for vector in A.nullspace()]
+    return any(_rests_on(line, signs) for line in lines)
+
+
+def _rests_on(line: list[sp.Expr], signs: Signs) -> bool:
+    """Tell whether f is zero on a line, which is one for all parameters."""
+    bottoms = [sp.denom(sp.together(v)) for v in line]
+    if any(signs.sign(b) == 0 for b in bottoms):
+        return False
+    there = dict(zip(signs.system.states, line, strict=True))
+    return all(sp.cancel(sp.together(sp.expand(e.subs(there)))) == 0 for e in signs.system.f.values())

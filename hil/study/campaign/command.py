@@ -1,0 +1,124 @@
+"""`hil campaign FILE`: run the rows that are not there yet, write the table, say how often a run fails."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RunError
+from hil.app.interrupted import leaving
+from hil.study import workers
+from hil.study.campaign import dask_cluster, parquet
+from hil.study.campaign.parquet import Row, cell
+from hil.study.campaign.plan import Plan, identity
+from hil.study.campaign.rates import rate
+from hil.study.campaign.row import Job, not_run, run_row
+from hil.study.campaign.store import Store
+
+Progress = Callable[[int, int], None]
+"""Called with how many rows are there, and of how many."""
+
+
+class _Jobs(Sequence[Job]):
+    """The jobs of some rows, each made when it is asked for."""
+
+    def __init__(self, plan: Plan, rows: Sequence[int]) -> None:
+        self._plan, self._rows = plan, rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._plan.job(self._rows[k])
+
+
+def run_campaign(
+    plan: Plan,
+    folder: Path,
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    fresh: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the rows that `folder` does not have yet, and return the summary (key `success`: all passed).
+
+    jobs : processes at once; default one a processor, 1 is this one. scheduler : address of a Dask cluster
+    that runs them instead. fresh : discard the rows that are there. An interruption keeps the rows so far.
+
+    Raises LogError: the folder has another campaign's rows, is in use or cannot be written, or pyarrow is not
+    installed; ConfigurationError: the cluster does not answer; RunError: the machine has no memory, disk or
+    files left before all rows are there.
+    """
+    parquet.require()
+    begun = time.perf_counter()
+    columns = parquet.columns(plan)
+    with Store(folder, columns, identity(plan), fresh=fresh) as store:
+        rows = store.rows()
+        missing = [number for number in range(len(plan)) if number not in rows]
+        kept = len(rows)
+
+        def there() -> str:
+            return f"with {len(rows)} of {len(plan)} rows in {folder}; the same command goes on from there"
+
+        with leaving(there), _lacking(there):
+            for outcome in _outcomes(_Jobs(plan, missing), jobs, scheduler, _counted(progress, kept)):
+                row = line(plan, outcome, columns)
+                rows[row["row"]] = row
+                store.add(row)
+            table = store.finish(rows)
+    ordered = [rows[number] for number in sorted(rows)]
+    whole = rate("all", ordered)
+    took = time.perf_counter() - begun
+    return {
+        "success": whole.passed == whole.rows,
+        "kind": "campaign",
+        "campaign": str(plan.path),
+        "name": plan.name,
+        "rows": whole.rows,
+        "failed": whole.rows - whole.passed,
+        "failed_percent": 100.0 * (1.0 - whole.passed / whole.rows),
+        "failed_interval_percent": [100.0 * (1.0 - whole.high), 100.0 * (1.0 - whole.low)],
+        "rows_kept": kept,
+        "rows_run": len(missing),
+        "rows_per_second": len(missing) / took if missing else None,
+        "table": str(table),
+        "matrix": ordered,
+        "wall_s": took,
+    }
+
+
+@contextmanager
+def _lacking(there: Callable[[], str]) -> Iterator[None]:
+    """Say of what the machine lacks for the rows, which is no verdict on them, what there is by then."""
+    try:
+        yield
+    except BrokenPipeError:  # nobody reads the progress
+        raise
+    except MemoryError as error:
+        raise RunError(f"no memory is left for a row: fewer --jobs take less; ended {there()}") from error
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        raise RunError(f"{place}{error.strerror or error}; ended {there()}") from error
+
+
+def line(plan: Plan, outcome: dict[str, Any], columns: Sequence[parquet.Column]) -> Row:
+    """Return a line of the table: the values of a row and its outcome, each as its column has it."""
+    job = plan.job(outcome["row"])
+    whole = {"seed": job.seed} | job.values | outcome
+    return {column.name: cell(column, whole[column.name]) for column in columns}
+
+
+def _counted(progress: Progress | None, kept: int) -> Progress | None:
+    if progress is None:
+        return None
+    return lambda done, of: progress(kept + done, kept + of)
+
+
+def _outcomes(
+    work: Sequence[Job], jobs: int | None, scheduler: str | None, progress: Progress | None
+) -> Iterator[dict[str, Any]]:
+    if scheduler is not None and work:
+        return dask_cluster.perform(scheduler, work, progress)
+    return workers.perform(work, run_row, not_run, jobs, progress)

@@ -1,0 +1,146 @@
+"""The table of a campaign as Parquet: one row a run, the same bytes whenever the rows are the same.
+
+Nothing of when, where or by how many processes is in it; the writer's settings are fixed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from drivers.errors import LogError
+from hil.study.campaign.figures import COUNTS, METRICS
+from hil.study.campaign.plan import Plan
+from hil.study.campaign.sampling import ends
+from hil.study.campaign.settings import ListedAxis, SampledAxis, entries
+
+Row = dict[str, Any]
+
+
+class Column(NamedTuple):
+    """A column of the table."""
+
+    name: str
+    kind: str
+    """int64, float64, bool or text."""
+    unit: str
+    meaning: str
+
+
+def columns(plan: Plan) -> list[Column]:
+    """Return the columns of a campaign's table: the row's number and values, its outcome, its metrics."""
+    axes = [Column(name, kind(axis), "", _meaning(axis)) for name, axis in plan.subject.axes.items()]
+    return [
+        Column("row", "int64", "", "number of the row, from 0"),
+        Column("seed", "int64", "", "of all chance of the plant's end"),
+        *axes,
+        Column("passed", "bool", "", "whether the run ended well and kept every limit of the campaign"),
+        Column("ended", "text", "", "complete, fault, limit, stopped, plant, refused, error or died"),
+        Column("ended_s", "float64", "s", "simulated time of the run"),
+        Column("faults", "text", "", "names of the latched faults"),
+        Column("trouble", "text", "", "what went wrong"),
+        *(
+            Column(name, "int64" if name in COUNTS else "float64", metric.unit, metric.meaning)
+            for name, metric in METRICS.items()
+        ),
+    ]
+
+
+def kind(axis: ListedAxis) -> str:
+    """Return the type of an axis' column: numbers where all its values are, of 64 bits, else text."""
+    values = ends(axis) if isinstance(axis, SampledAxis) else entries(axis)
+    if axis.values is None and entries(axis):
+        return "text"
+    if not all(type(value) is float or (type(value) is int and abs(value) < 2**63) for value in values):
+        return "text"
+    return "int64" if all(type(value) is int for value in values) else "float64"
+
+
+def cell(column: Column, value: Any) -> Any:
+    """Return a value as its column has it; lists, sections and true or false of an axis as JSON."""
+    if value is None:
+        return None
+    if column.kind == "text":
+        return value if isinstance(value, str) else json.dumps(value)
+    return float(value) if column.kind == "float64" else value
+
+
+def _meaning(axis: ListedAxis) -> str:
+    if axis.key is not None:
+        return axis.key if isinstance(axis.key, str) else ", ".join(axis.key)
+    return "set of changes, by name" if axis.options is not None else "faults, by name"
+
+
+def require() -> None:
+    """Refuse an installation without pyarrow. Raises LogError."""
+    _arrow()
+
+
+def write(path: Path, columns: Sequence[Column], rows: Sequence[Row], marks: dict[str, str]) -> None:
+    """Write rows into a file; `marks` stand in its metadata. Raises OSError."""
+    pa, parquet = _arrow()
+    kinds = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
+    fields = [
+        pa.field(each.name, kinds[each.kind], metadata={"unit": each.unit, "meaning": each.meaning})
+        for each in columns
+    ]
+    attributes = {
+        "units": {each.name: each.unit for each in columns},
+        "meanings": {each.name: each.meaning for each in columns},
+    }
+    schema = pa.schema(fields, metadata=marks | {"PANDAS_ATTRS": json.dumps(attributes)})
+    arrays = [
+        pa.array([row[each.name] for row in rows], type=kinds[each.kind], from_pandas=False)
+        for each in columns
+    ]
+    parquet.write_table(
+        pa.Table.from_arrays(arrays, schema=schema),
+        path,
+        compression="zstd",
+        compression_level=3,
+        version="2.6",
+        data_page_version="1.0",
+        use_dictionary=True,
+        write_statistics=True,
+        row_group_size=65_536,
+        store_schema=True,
+    )
+
+
+def read(path: Path, marks: dict[str, str] | None = None) -> list[Row]:
+    """Return the rows of a file that `write` has made, with these marks unless they are None.
+
+    Raises LogError: it is damaged or another's; FileNotFoundError.
+    """
+    pa, parquet = _arrow()
+    try:
+        table = parquet.read_table(path)
+        there = table.schema.metadata or {}
+        if marks is not None and any(there.get(k.encode()) != v.encode() for k, v in marks.items()):
+            raise LogError(
+                f"{path}: its rows are of another campaign than its folder, or of an earlier state of it; "
+                "remove it to run them again"
+            )
+        found: list[Row] = table.to_pylist()
+    except FileNotFoundError:
+        raise
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(
+            f"{path}: cannot be read as rows of a campaign: {error}; remove it to run them again"
+        ) from None
+    return found
+
+
+def _arrow() -> tuple[Any, ModuleType]:
+    """Return pyarrow and its part for Parquet, an extra."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415
+        from pyarrow import parquet  # noqa: PLC0415
+    except ImportError as error:
+        raise LogError(
+            f'a campaign needs pyarrow, which is not installed ({error}): pip install "hexapod-hil[analysis]"'
+        ) from error
+    return pa, parquet

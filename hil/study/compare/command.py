@@ -1,0 +1,222 @@
+"""`hil compare CONFIG`: all laws on one platform, trajectory, disturbance and model mismatch."""
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from hil.app.compose import build_nodes
+from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_rules import not_brought_about
+from hil.app.configuration.platform import build_platform
+from hil.app.configuration.unattended import unattended
+from hil.app.output import further, picture_path
+from hil.app.reachability import span_s
+from hil.control import ControllerSettings
+from hil.record.metrics import Share, force_shares
+from hil.robot.dynamics import Model
+from hil.study.compare.claims import Evidence, judge
+from hil.study.compare.conditions import paths, with_law, without_limits
+from hil.study.compare.laws import chosen, desired_loop, with_scale
+from hil.study.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
+from hil.study.compare.plot import draw
+from hil.study.workers import Progress, perform
+from hil.trajectory.build import build_trajectory
+from plant_fmu.config import BenchPlant
+
+OWN = "own"
+"""The configuration's path as it is: what the rows of the table are measured on."""
+SHARE_SAMPLES = 2001
+"""Instants along the reference at which the terms of the force are looked at."""
+
+
+def compare(
+    c: Configuration,
+    *,
+    laws: Sequence[str] | None = None,
+    path_laws: Sequence[str] | None = None,
+    duration_s: float | None = None,
+    lift_limits: bool = False,
+    jobs: int | None = None,
+    picture: Path | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure laws along the reference of a configuration and at home, draw them, and return the summary.
+
+    laws : names, default those of section `compare`, else all.
+    path_laws : names of those that are also run with the losses taken out, or `all` or `none`; default the
+        configuration's own.
+    duration_s : along the reference; default one period of it.
+    lift_limits : run without the limits of error, force change and speed.
+    jobs : processes at once; default one a processor, 1 is this one.
+
+    A law that faults keeps its row. Raises ConfigurationError for what cannot run, PlantError for a plant
+    that cannot be opened, LogError where the picture could not be written. One that cannot be in the end
+    leaves the figures: `further`.
+    """
+    begun = time.perf_counter()
+    c.require("sim")
+    c = unattended(c).model_copy(update={"feedforward": None})  # it was learned under one of the laws
+    target = picture_path(c.recording.folder, f"{c.name}-compare", picture)
+    settings = chosen(c, laws)
+    extra = _path_laws(c, settings, path_laws)
+    believed = {name: with_scale(s, c.compare.inertia_scale) for name, s in settings.items()}
+    compared = without_limits(c) if lift_limits else c
+    duration = _duration(c, duration_s)
+    _refuse_load(c, duration)
+    build_nodes(c)[1].close()  # each law would fail of a plant that cannot be opened
+    work = _jobs(compared, believed, extra, duration)
+    done = {(o.law, o.path): o for o in _perform(work, jobs, progress)}
+    own = {name: done[name, OWN] for name in settings}
+    losses = {name: _along(name, work, done) for name in extra}
+    assert c.plant is not None
+    platform = not isinstance(c.plant.model, BenchPlant)  # six legs that carry none say nothing about one
+    shares = _shares(c, duration) if platform else {}
+    claims = judge(Evidence(own, believed, shares)) if platform else []
+    ours = own.get(c.controller.law)
+    result = {
+        "success": not any(o.fault and not o.figures for o in done.values()) and not (ours and ours.fault),
+        "kind": "compare",
+        "configuration": c.source,
+        "duration_s": duration,
+        "limits": "lifted" if lift_limits else "as configured",
+        "inertia_scale": c.compare.inertia_scale,
+        "disturbance": None if c.compare.disturbance is None else c.compare.disturbance.model_dump(),
+        "step": c.compare.step.model_dump(),
+        "laws": {name: _plain(o, believed[name]) for name, o in own.items()},
+        "paths": {name: {path: _plain(o) for path, o in found.items()} for name, found in losses.items()},
+        "force_shares": {name: {"share": s.share, "force_N": s.force_N} for name, s in shares.items()},
+        "claims": claims,
+        "picture": None,
+    }
+    with further(result):
+        result["picture"] = str(draw(own, losses, target, _title(c, lift_limits=lift_limits)))
+    return result | {"wall_s": time.perf_counter() - begun}
+
+
+def with_options(
+    c: Configuration,
+    *,
+    inertia_scale: float | None = None,
+    wrench: tuple[float, float, float, float, float, float] | None = None,
+    wrench_at_s: float = 0.0,
+) -> Configuration:
+    """Return the configuration with what the command line says of its section `compare`; None leaves it."""
+    changes: dict[str, Any] = {}
+    if inertia_scale is not None:
+        changes["inertia_scale"] = inertia_scale
+    if wrench is not None:
+        changes["disturbance"] = DisturbanceSettings(
+            force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s
+        )
+    return c.model_copy(update={"compare": c.compare.model_copy(update=changes)})
+
+
+def _path_laws(
+    c: Configuration, settings: dict[str, ControllerSettings], names: Sequence[str] | None
+) -> list[str]:
+    match names:
+        case None:
+            return [c.controller.law] if c.controller.law in settings else []
+        case ("all",):
+            return list(settings)
+        case ("none",) | ():
+            return []
+    unknown = [name for name in names if name not in settings]
+    if unknown:
+        raise ConfigurationError(
+            f"--paths: {', '.join(unknown)} is not among the compared laws: {', '.join(settings)}"
+        )
+    return list(names)
+
+
+def _duration(c: Configuration, given: float | None) -> float:
+    trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+    whole, period = trajectory.duration_s, span_s(trajectory)
+    if given is not None:
+        return given if whole is None else min(given, whole)
+    if not period:
+        raise ConfigurationError(
+            f"{c.source}: reference: it has no end, and a comparison needs one: call with --duration"
+        )
+    return period
+
+
+def _refuse_load(c: Configuration, duration: float) -> None:
+    """Refuse a load that the plant cannot carry, or that comes too late."""
+    d = c.compare.disturbance
+    if d is not None and c.plant is not None and (why := not_brought_about(c.plant, "wrench_step")):
+        raise ConfigurationError(f"{c.source}: compare.disturbance (--wrench): {why}")
+    if d is not None and d.start_s >= duration:
+        raise ConfigurationError(
+            f"{c.source}: compare.disturbance.start_s (--wrench-at): the reference is over before the load "
+            f"comes, allowed: less than {duration:g}, given: {d.start_s:g}"
+        )
+
+
+def _jobs(
+    c: Configuration, settings: dict[str, ControllerSettings], extra: Iterable[str], duration: float
+) -> list[Job]:
+    settle = max(SETTLE_PERIODS / desired_loop(c).wn, 0.3)
+    step, disturbance = c.compare.step, c.compare.disturbance
+    work = [
+        Job(name, OWN, with_law(c, s), duration, disturbance, step, settle) for name, s in settings.items()
+    ]
+    for name in extra:
+        own = with_law(c, settings[name])
+        for path, changed in paths(own).items():
+            if changed != own:  # the last one is the row of the table
+                work.append(Job(name, path, changed, duration, disturbance, None, settle))
+    return work
+
+
+def _along(name: str, work: Iterable[Job], done: dict[tuple[str, str], Outcome]) -> dict[str, Outcome]:
+    """Return what the law did path by path, the configuration's own last."""
+    found = {job.path: done[name, job.path] for job in work if job.law == name and job.path != OWN}
+    return found | {"as configured": done[name, OWN]}
+
+
+def _perform(work: list[Job], jobs: int | None, progress: Progress | None) -> Iterator[Outcome]:
+    """Yield every outcome, in the order in which they are ready."""
+    return perform(work, measure, _died, jobs, progress)
+
+
+def _died(job: Job) -> Outcome:
+    return Outcome(job.law, job.path, "its process died", None, {}, {})
+
+
+def _shares(c: Configuration, duration: float) -> dict[str, Share]:
+    """Return what terms of the exact model take of the force along the reference."""
+    trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+    model = Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
+    # Just inside the end, where the path still moves: outside it rests.
+    times = np.linspace(0.0, duration * (1 - 1e-12), SHARE_SAMPLES)
+    return force_shares(model, map(trajectory.sample, times.tolist()))
+
+
+def _plain(o: Outcome, settings: ControllerSettings | None = None) -> dict[str, Any]:
+    found: dict[str, Any] = {"fault": o.fault, "fault_s": o.fault_s, **o.figures}
+    return found if settings is None else {"settings": settings.model_dump(), **found}
+
+
+def _title(c: Configuration, *, lift_limits: bool) -> str:
+    s: CompareSettings = c.compare
+    parts = [f"{c.name}: control laws along the reference"]
+    if s.inertia_scale != 1.0:
+        parts.append(f"masses believed to be {100 * s.inertia_scale:g} %")
+    if s.disturbance is not None:
+        parts.append(
+            f"load {_numbers(s.disturbance.force_N)} N, {_numbers(s.disturbance.moment_N_m)} N m "
+            f"from {s.disturbance.start_s:g} s"
+        )
+    if lift_limits:
+        parts.append("limits lifted")
+    return "; ".join(parts)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return f"({', '.join(f'{x:g}' for x in values)})"

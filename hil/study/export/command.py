@@ -1,0 +1,122 @@
+"""`hil export`: each file by its ending; nothing is overwritten unasked, nothing is left half written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import LogError
+from drivers.files import real_path
+from hil.app.files import made_whole, new_file
+from hil.record.log import Log
+from hil.study.export.frames import write_frames
+from hil.study.export.signals import write_csv, write_parquet
+from hil.study.view.recording import write_rrd
+
+FRAMES = {".log": "candump", ".candump": "candump", ".asc": "asc", ".blf": "blf"}
+SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
+    ".csv": write_csv,
+    ".parquet": write_parquet,
+    ".rrd": write_rrd,
+}
+"""Ending of a file -> what is written into it."""
+
+
+LAST_YEAR = 9998
+"""In which the first tick may be: no file tells a date after 9999."""
+
+
+def utc_ns(text: str) -> int:
+    """Return an instant in ISO 8601 as ns of UTC; without an offset it is UTC.
+
+    Raises LogError: it is no instant.
+    """
+    try:
+        instant = datetime.fromisoformat(text)
+    except ValueError:
+        raise LogError(
+            f"--start {text}: no instant; allowed: ISO 8601, 2026-01-31T12:00:00 (UTC) or with an offset, "
+            "2026-01-31T13:00:00+01:00"
+        ) from None
+    instant = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
+    span = instant - datetime(1970, 1, 1, tzinfo=UTC)
+    ns = ((span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds) * 1000
+    if ns < 0:
+        raise LogError(f"--start {text}: before 1970-01-01, where the time of these files begins")
+    if instant.astimezone(UTC).year > LAST_YEAR:
+        raise LogError(f"--start {text}: allowed: to the end of {LAST_YEAR}; the frames follow for a while")
+    return ns
+
+
+def export_log(
+    path: Path,
+    outs: Sequence[Path],
+    *,
+    start: str | None = None,
+    columns: Sequence[str] = (),
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Write a log's frames or columns into files, each by its ending; return the summary.
+
+    `start` is the UTC instant of the first tick, for frames; without, what the log says. `columns` are
+    columns or components for CSV, Parquet and Rerun; none: all. A cut log is written as far as it goes, and
+    is no success.
+
+    Raises LogError before anything is written: no log, an unknown ending, a file that exists without
+    `overwrite`, an option that none of the files can use, no such column.
+    """
+    log = Log(path)
+    _check(path, outs, start=start, columns=columns, overwrite=overwrite)
+    own_ns = log.epoch_ns + log.origin_ns
+    start_ns = own_ns if start is None else utc_ns(start)
+    written: dict[str, Any] = {}
+    for out in outs:
+        ending = out.suffix.lower()
+        try:
+            with made_whole(out, overwrite=overwrite) as temporary:
+                if ending in SIGNALS:
+                    written[str(out)] = {"rows": SIGNALS[ending](log, temporary, columns)}
+                else:
+                    frames = write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
+                    written[str(out)] = {"format": FRAMES[ending], "frames": frames}
+        except OSError as error:
+            raise LogError(f"{out}: cannot be written: {error.strerror or error}") from None
+    result: dict[str, Any] = {
+        "success": not log.cut,
+        "kind": "export",
+        "trouble": f"{path}: {log.cut}; what is there is exported" if log.cut else None,
+        "log": str(path),
+        "written": written,
+    }
+    if any(out.suffix.lower() in FRAMES for out in outs):
+        instant = datetime.fromtimestamp(start_ns // 1_000_000_000, UTC)
+        result["first_tick_utc"] = f"{instant:%Y-%m-%dT%H:%M:%S}.{start_ns % 1_000_000_000 // 1000:06d}Z"
+        if log.lockstep and start is None:
+            result["remark"] = (
+                "simulated time, which begins in 2000; --start sets the instant of the first tick"
+            )
+    return result
+
+
+def _check(
+    path: Path, outs: Sequence[Path], *, start: str | None, columns: Sequence[str], overwrite: bool
+) -> None:
+    """Refuse what cannot be written, before anything is."""
+    endings = [out.suffix.lower() for out in outs]
+    for out, ending in zip(outs, endings, strict=True):
+        if ending not in FRAMES | SIGNALS:
+            allowed = ", ".join([*FRAMES, *SIGNALS])
+            raise LogError(f"{out}: the ending says what is written; allowed: {allowed}")
+        if out.exists() and out.samefile(path):
+            raise LogError(f"{out}: is the log itself; name another file")
+        new_file(out, force=overwrite, option="")
+    if len({real_path(out) for out in outs}) < len(outs):
+        raise LogError("two of the files are the same one; name each once")
+    if start is not None and not any(ending in FRAMES for ending in endings):
+        raise LogError("--start: sets the time of frames, and none of the files has any; leave it out")
+    if columns and not any(ending in SIGNALS for ending in endings):
+        raise LogError(
+            "--column: chooses columns for .csv, .parquet and .rrd, and no such file is named; leave it out"
+        )

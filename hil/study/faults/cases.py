@@ -1,0 +1,164 @@
+"""The cases of the matrix: each kind of fault, once at each moment of a run."""
+
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from drivers.signals import LEGS
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_rules import not_brought_about
+from hil.app.configuration.fault_words import show_fault
+from hil.app.configuration.platform import build_platform
+from hil.app.reachability import span_s
+from hil.config.reference import HoldReference, LiveReference
+from hil.robot.kinematics import jacobian
+from hil.study.faults.sizes import SIZES, Robot, draw, robot_of
+from hil.trajectory.build import build_trajectory
+from plant_fmu.config import BenchPlant
+from plant_fmu.faults import FAULTS
+from plant_fmu.faults.fault import Fault, Moment
+from plant_fmu.faults.kinds import PROCESS
+
+MATRIX: tuple[Moment, ...] = ("LOADING", "APPROACH", "TRACKING", "HOLD", "PARKING", "UNLOADING")
+"""When each fault is injected."""
+LEG = 2
+"""Whose fault it is where it is a leg's."""
+LOOKED_AT_S = 3.0
+"""Within so much of the reference its fastest instant is looked for."""
+AFTER_S = 0.8
+"""So long it goes on after a fault that nobody notices, before it is stopped and parked."""
+_BENCH = ("drive_*", "frames_*")
+"""Kinds for six legs without a platform."""
+
+
+class Case(NamedTuple):
+    """One run of the matrix."""
+
+    configuration: Configuration
+    fault: Fault
+    moment: Moment
+    track_s: float
+    """How long the reference is followed before the run is stopped."""
+
+    @property
+    def name(self) -> str:
+        """`KIND/MOMENT`, what --only chooses by."""
+        return f"{self.fault.kind}/{self.moment}"
+
+    @property
+    def given(self) -> str:
+        """Leg and size in words; empty where the kind has neither."""
+        plain = self.fault.model_copy(update={"mode": None, "at_s": 0.0})
+        return show_fault(plain).partition(" ")[2]
+
+
+def cases(
+    c: Configuration, only: Sequence[str] = (), legs: Sequence[int] = (), seed: int | None = None
+) -> list[Case]:
+    """Return the matrix of a configuration, or what of it matches one of the patterns.
+
+    legs : whose fault it is where it is a leg's, each once; default LEG.
+    seed : draws leg (of `legs`, by default of all six), size and sign of each case; default none: sizes are
+    the usual ones.
+    Raises ConfigurationError where a pattern matches nothing, for a leg that there is not, and for a
+    reference that waits for set-points.
+    """
+    if isinstance(c.reference, LiveReference):
+        raise ConfigurationError(
+            f"{c.source}: reference: type live waits for set-points, and the matrix needs a path of its own; "
+            "allowed: any other type"
+        )
+    for leg in legs:
+        if not 0 <= leg < LEGS:
+            raise ConfigurationError(f"--legs: {leg} is no leg, allowed: 0 to {LEGS - 1}")
+    robot, fastest_s = robot_of(c), _fastest_s(c)
+    held = _held(c)
+    found = []
+    for name, kind in FAULTS.items():
+        if issubclass(kind, PROCESS) or not _fits(c, name):
+            continue
+        for moment in MATRIX:
+            for size in _sizes(robot, name, moment, legs, seed):
+                fault = kind(kind=name, mode=moment, at_s=_offset_s(c, moment, fastest_s), **size)
+                held_moment = moment == "HOLD"
+                track_s = AFTER_S if held_moment else fastest_s + (AFTER_S if moment == "TRACKING" else 0.0)
+                found.append(Case(held if held_moment else c, fault, moment, track_s))
+    return _chosen(found, only)
+
+
+def _sizes(
+    r: Robot, name: str, moment: Moment, legs: Sequence[int], seed: int | None
+) -> Iterator[dict[str, Any]]:
+    """Yield leg and size of a kind, once for each leg that is asked for; of a seed, one that it draws."""
+    fields, size = FAULTS[name].model_fields, SIZES.get(name)
+    of_a_leg = "leg" in fields
+    if seed is None:
+        for leg in (legs or (LEG,)) if of_a_leg else (LEG,):
+            usual = {} if size is None else size.usual(r, leg)
+            yield ({"leg": leg} if of_a_leg else {}) | usual
+        return
+    chance = np.random.default_rng((seed, crc32(f"{name}/{moment}".encode())))
+    leg = int(chance.choice(legs or range(LEGS)))
+    drawn: dict[str, Any] = {"leg": leg} if of_a_leg else {}
+    drawn |= draw(name, r, leg, chance)
+    if "seed" in fields:
+        drawn["seed"] = int(chance.integers(1 << 31))
+    yield drawn
+
+
+def _chosen(found: list[Case], only: Sequence[str]) -> list[Case]:
+    for pattern in only:
+        if not any(_matches(case, pattern) for case in found):
+            kinds = dict.fromkeys(str(case.fault.kind) for case in found)
+            raise ConfigurationError(
+                f"--only {pattern}: matches no case; allowed: patterns of KIND or KIND/MOMENT, the kinds are "
+                f"{', '.join(kinds)}, the moments {', '.join(MATRIX)}"
+            )
+    return [case for case in found if not only or any(_matches(case, pattern) for pattern in only)]
+
+
+def _matches(case: Case, pattern: str) -> bool:
+    return fnmatchcase(case.name if "/" in pattern else str(case.fault.kind), pattern)
+
+
+def _fits(c: Configuration, name: str) -> bool:
+    assert c.plant is not None
+    if not_brought_about(c.plant, name):
+        return False
+    return not isinstance(c.plant.model, BenchPlant) or any(fnmatchcase(name, pattern) for pattern in _BENCH)
+
+
+def _held(c: Configuration) -> Configuration:
+    """Return the configuration with a reference that stands at home until the run has been stopped.
+
+    It ends, as some laws need one that does. What has been learned was learned on another reference.
+    """
+    hold = HoldReference(type="hold", duration_s=AFTER_S + c.engage.stop_s)
+    return c.model_copy(update={"reference": hold, "feedforward": None})
+
+
+def _fastest_s(c: Configuration) -> float:
+    """Return when within the first seconds of the reference a leg is fastest."""
+    trajectory, platform = (
+        build_trajectory(c.reference, c.platform.home, c.folder),
+        build_platform(c.platform),
+    )
+    times = np.arange(0.0, min(LOOKED_AT_S, span_s(trajectory) or LOOKED_AT_S), 0.02)
+    samples = [trajectory.sample(t) for t in times.tolist()]
+    speeds = [float(np.abs(jacobian(platform, s.p, s.R) @ s.twist).max()) for s in samples]
+    return float(times[int(np.argmax(speeds))])
+
+
+def _offset_s(c: Configuration, moment: Moment, fastest_s: float) -> float:
+    """Return when after the moment a fault begins: in the midst of a brake test or a move."""
+    offsets = {
+        "LOADING": 0.5 * c.engage.force_ramp_s,
+        "APPROACH": 0.25 * c.engage.blend_s,
+        "TRACKING": fastest_s,
+        "UNLOADING": 0.25 * c.engage.force_ramp_s,
+    }
+    return offsets.get(moment, 0.0)

@@ -1,0 +1,55 @@
+"""`hil faults CONFIG`: each kind of fault at each moment of a run, and whether the bounds hold."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from hil.app.check.command import stopping_distances_m
+from hil.app.compose import build_nodes
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.unattended import unattended
+from hil.study.faults.case_run import Job, failed, run_case
+from hil.study.faults.cases import cases
+from hil.study.faults.verdict import Bounds
+from hil.study.workers import Progress, perform
+
+
+def run_matrix(
+    c: Configuration,
+    *,
+    only: Sequence[str] = (),
+    legs: Sequence[int] = (),
+    seed: int | None = None,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the matrix, or the cases that match `only`, and return the summary (key `success`: all passed).
+
+    legs, seed : whose faults, and what draws their sizes, as `cases` says.
+    jobs : processes at once; default one a processor, 1 is this one.
+    Raises ConfigurationError for what cannot run, and for a pattern without a case, PlantError for a plant
+    that cannot be opened.
+    """
+    begun = time.perf_counter()
+    c.require("sim")
+    c = unattended(c)
+    chosen = cases(c, only, legs, seed)
+    build_nodes(c)[1].close()  # each case would fail of a plant that cannot be opened
+    bounds = Bounds(*stopping_distances_m(c), c.limits.following_error_m, c.limits.following_error_s)
+    order = {(case.name, case.given): n for n, case in enumerate(chosen)}
+    work = [Job(case, bounds) for case in chosen]
+    done = list(perform(work, run_case, failed, jobs, progress))
+    done.sort(key=lambda found: order[f"{found['kind']}/{found['when']}", found["given"]])
+    missed = sum(not found["success"] for found in done)
+    return {
+        "success": not missed,
+        "kind": "faults",
+        "configuration": c.source,
+        "seed": seed,
+        "cases": len(done),
+        "failed": missed,
+        "stopping_distance_mm": 1e3 * bounds.stopping_m,
+        "controlled_stop_mm": 1e3 * bounds.controlled_m,
+        "matrix": done,
+        "wall_s": time.perf_counter() - begun,
+    }

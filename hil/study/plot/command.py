@@ -1,0 +1,92 @@
+"""`hil plot`: any column of one log or several, one above the other, into a PNG or SVG file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import LogError
+from hil.app.files import new_file, printable
+from hil.app.readable import readable
+from hil.study.log_columns import named_columns, seconds, signals
+from hil.study.plot.draw import Curve, draw
+
+DEFAULT = ("q_d - q", "tau", "mode")
+"""What is drawn where nothing is named."""
+SUFFIXES = (".png", ".svg")
+
+
+def plot(
+    logs: Sequence[Path],
+    columns: Sequence[str] = (),
+    *,
+    out: Path | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Draw columns of logs, one panel a name, and return the summary.
+
+    columns: names as `hil.study.log_columns.signals` takes them. start_s and end_s cut all logs, s since the
+    first tick of each. Every log is drawn over the others, in a line style of its own.
+
+    Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
+    """
+    names = tuple(columns) or DEFAULT
+    try:
+        path = _path(logs[0], out, force=force)
+    except LogError as taken:
+        try:
+            _read(logs, names, start_s, end_s)
+        except LogError as lacking:
+            raise LogError(f"{lacking}; and {taken}") from None
+        raise
+    panels, remarks = _read(logs, names, start_s, end_s)
+    draw(names, panels, path, ", ".join(printable(each.name) for each in logs))
+    return {
+        "success": True,
+        "kind": "plot",
+        "logs": [str(each) for each in logs],
+        "columns": list(names),
+        "remark": "; ".join(remarks) or None,
+        "picture": str(path),
+    }
+
+
+def _read(
+    logs: Sequence[Path], names: Sequence[str], start_s: float | None, end_s: float | None
+) -> tuple[list[list[Curve]], list[str]]:
+    """Return the curves of each panel, and what is to be said of damaged logs."""
+    panels: list[list[Curve]] = [[] for _ in names]
+    shown, remarks = _names(logs), list[str]()
+    for n, log_path in enumerate(logs):
+        with readable(log_path, named_columns(names) | {"t_ns"}) as (log, rows, remark):
+            if not len(rows):
+                nothing = f"{log_path}: has no tick: nothing to draw"
+                raise LogError(f"{nothing}; {remark}" if remark else nothing)
+            if remark:
+                remarks.append(f"{log_path}: {remark}")
+            t = seconds(rows)
+            kept = (t >= (t[0] if start_s is None else start_s)) & (t <= (t[-1] if end_s is None else end_s))
+            if not kept.any():
+                raise LogError(
+                    f"{log_path}: no tick between --from and --to, allowed: within 0 to {t[-1]:.3f} s"
+                )
+            for panel, name in zip(panels, names, strict=True):
+                panel += [
+                    Curve(f"{shown[n]}: {s.label}" if len(logs) > 1 else s.label, n, t[kept], s)
+                    for s in signals(log.columns, rows[kept], name)
+                ]
+    return panels, remarks
+
+
+def _names(logs: Sequence[Path]) -> list[str]:
+    """Return what logs are called in a legend: the stem, or the path where another one has that stem."""
+    stems = [path.stem for path in logs]
+    return [printable(path if stems.count(path.stem) > 1 else path.stem) for path in logs]
+
+
+def _path(log: Path, out: Path | None, *, force: bool) -> Path:
+    path = log.with_name(f"{log.stem}-plot.png") if out is None else out
+    if path.suffix.lower() not in SUFFIXES:
+        raise LogError(f"--out {path}: allowed are the endings {' and '.join(SUFFIXES)}")
+    return new_file(path, force=force)

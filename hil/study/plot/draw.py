@@ -1,0 +1,106 @@
+"""Curves over time in panels, with Matplotlib."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import LogError
+from hil.app.files import made_whole
+from hil.study.log_columns import Signal
+
+STYLES = ("-", "--", ":", "-.")
+"""Of the logs, in their order."""
+LARGEST = 1e300
+"""Matplotlib lays out axes for numbers up to this; larger ones are not drawn, as what is not finite."""
+_PANEL_IN = 2.8
+
+
+class Curve(NamedTuple):
+    """One signal of one log."""
+
+    label: str
+    log: int
+    """Which of the logs, from 0."""
+    t: Array
+    """(n,) s since the first tick."""
+    signal: Signal
+
+
+def draw(
+    titles: Sequence[str],
+    panels: Sequence[Sequence[Curve]],
+    path: Path,
+    title: str,
+    *,
+    option: str = "--out",
+) -> None:
+    """Draw one panel above the other; the ending of the path says which format.
+
+    option: what the file was named with. Raises LogError where the file cannot be written.
+    """
+    from matplotlib import rc_context  # noqa: PLC0415 - half a second
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(11, 0.8 + _PANEL_IN * len(panels)), layout="constrained")
+    every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name, curves in zip(every, titles, panels, strict=True):
+        _panel(axes, name, curves)
+    every[-1].set_xlabel("s")
+    figure.suptitle(title, fontsize="medium", parse_math=False)
+    dated = {"Date": None} if path.suffix.lower() == ".svg" else None
+    try:
+        with (
+            made_whole(path, overwrite=True) as temporary,
+            rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}),  # one log, one file
+            warnings.catch_warnings(),
+        ):
+            warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name: boxes stand for it
+            figure.savefig(temporary, dpi=110, metadata=dated)
+    except OSError as error:
+        raise LogError(f"{option} {path}: cannot be written: {error.strerror}") from None
+
+
+def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
+    units = list(dict.fromkeys(c.signal.unit for c in curves))
+    first = next((c.signal for c in curves if c.signal.names), curves[0].signal)
+    axes.set_title(name, fontsize="small", loc="left", parse_math=False)
+    axes.grid(alpha=0.3)
+    shown = [_bits(c, first) for c in curves] if first.flags else [[c] for c in curves]
+    colours: dict[str, str] = {}
+    for row in shown:
+        for curve in row:
+            colour = colours.setdefault(curve.signal.label, f"C{len(colours) % 10}")
+            style = STYLES[curve.log % len(STYLES)]
+            drawn = "steps-post" if curve.signal.names else "default"
+            values = np.where(np.abs(curve.signal.values) <= LARGEST, curve.signal.values, np.nan)
+            axes.plot(curve.t, values, style, c=colour, lw=0.9, label=curve.label, drawstyle=drawn)
+    if first.flags:
+        axes.set_yticks([0, 1], ["off", "on"])
+    elif first.names:
+        there = np.unique(np.concatenate([c.signal.values for c in curves]))
+        texts = {value: text for text, value in first.names.items()}
+        axes.set_yticks(there, [texts.get(int(v), f"{v:g}") for v in there], parse_math=False)
+    else:
+        axes.set_ylabel(" | ".join(units), parse_math=False)
+    if any(shown):
+        legend = axes.legend(fontsize="x-small", ncols=2, loc="upper right")
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+
+
+def _bits(curve: Curve, named: Signal) -> list[Curve]:
+    """Return one curve for each bit of flags that is ever set; its name is that of `named`."""
+    values = curve.signal.values.astype(np.int64)
+    prefix = curve.label.removesuffix(curve.signal.label)
+    return [
+        curve._replace(
+            label=prefix + text,
+            signal=named._replace(label=text, values=((values & bit) > 0).astype(np.float64)),
+        )
+        for text, bit in (curve.signal.names or named.names).items()
+        if bit and (values & bit).any()
+    ]

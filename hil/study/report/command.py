@@ -1,0 +1,209 @@
+"""`hil report`: from a log to one HTML page."""
+
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import PROTOCOLS
+from drivers.arrays import Array, Rows
+from drivers.can.bus_time import BitTiming
+from drivers.errors import ConfigurationError, HilError, LogError
+from drivers.family import Family
+from drivers.signals import Mode
+from drivers.tick_columns import RECORDED
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.files import new_file, printable, write_whole
+from hil.app.output import figure_rows
+from hil.app.readable import MOST_RATE_HZ, Readable, readable
+from hil.record.figures import figures
+from hil.record.log import Event, Log
+from hil.record.schema import ENVIRONMENT, IDENTITY, SUMMARY
+from hil.study.log_columns import seconds
+from hil.study.report import sections
+from hil.study.report.charts import Chart, charts
+from hil.study.report.html import Html, tag
+from hil.study.report.margins import margins
+from hil.study.report.page import drawn, figure, page
+from hil.study.report.scene import scene
+from hil.study.report.story import Told, told
+from hil.study.report.timing import counts, spreads, stood_still, traffic
+
+
+def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[str, Any]:
+    """Write the page of a log and return the summary.
+
+    Raises LogError: no log of `hil run` or `hil sim`, other columns than this version's, no tick, or `out`
+    exists and `force` is not set.
+    """
+    begun = time.perf_counter()
+    target = new_file(path.with_suffix(".html") if out is None else out, force=force)
+    with readable(path) as found, np.errstate(all="ignore"):  # a log may hold any number
+        log = found.log
+        rate_Hz = _rate(log, path)
+        events = log.events()
+        configuration, why_not = _configuration(log)
+        codec = None if configuration is None else _codec(configuration)
+        story = told(log.metadata, events, found.rows, rate_Hz, codec)
+        text = _page(path, found, configuration, why_not, story, events, rate_Hz)
+    try:
+        write_whole(target, text)
+    except OSError as error:
+        raise LogError(f"--out {target}: cannot be written: {error.strerror}") from None
+    return {
+        "success": True,
+        "kind": "report",
+        "log": str(path),
+        "remark": "; ".join(filter(None, (found.remark, why_not))) or None,
+        "went_wrong": story.headline or None,
+        "size_MB": len(text.encode()) * 1e-6,
+        "wall_s": time.perf_counter() - begun,
+        "page": str(target),
+    }
+
+
+def _rate(log: Log, path: Path) -> float:
+    """Return the rate of a log of `hil run` or `hil sim`, Hz. Raises LogError for other logs."""
+    run = log.metadata.get(IDENTITY, {})
+    if run.get("kind") not in {"run", "sim"}:
+        raise LogError(
+            f"{path}: holds a log of kind {run.get('kind')!r}, allowed: one of `hil run` or `hil sim`; "
+            "`hil plot` draws its columns"
+        )
+    there = {c.name: (c.kind, c.shape) for c in log.columns}
+    other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
+    if other:
+        version = log.metadata.get(ENVIRONMENT, {}).get("version", "unknown")
+        raise LogError(
+            f"{path}: its columns differ ({', '.join(other[:3])}): make its report with version {version}, "
+            "which made the log; `hil plot` draws its columns"
+        )
+    try:
+        rate_Hz = float(run.get("rate_Hz", "nan"))
+    except ValueError:
+        rate_Hz = float("nan")
+    if not 0.0 < rate_Hz <= MOST_RATE_HZ:
+        raise LogError(
+            f"{path}: metadata record {IDENTITY!r} has rate_Hz: {run.get('rate_Hz')!r:.60}, "
+            f"allowed: a number > 0, at most {MOST_RATE_HZ:g}"
+        )
+    return rate_Hz
+
+
+def _configuration(log: Log) -> tuple[Configuration | None, str]:
+    """Return the configuration of the run, or None and why it cannot be read."""
+    try:
+        return loads(log.configuration, f"{log.path}:config.yaml"), ""
+    except (LogError, ConfigurationError) as error:
+        first = str(error).partition("\n")[0]
+        return None, f"without the configuration there are no limits, no bus load and no 3D view: {first}"
+
+
+def _codec(c: Configuration) -> Family | None:
+    try:
+        return PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+    except HilError:
+        return None
+
+
+def _page(
+    path: Path,
+    found: Readable,
+    c: Configuration | None,
+    why_not: str,
+    story: Told,
+    events: Sequence[Event],
+    rate_Hz: float,
+) -> str:
+    log, rows, remark = found
+    if not len(rows):
+        nothing = f"{path}: has no tick: nothing to report"
+        raise LogError(f"{nothing}; {remark}" if remark else nothing)
+    t, name = seconds(rows), printable(path.name)
+    timings = [] if c is None or c.bus.layout == "ideal" else [BitTiming.of(each) for each in c.bus.buses]
+    bus = traffic(log, rows, timings)
+    shown = charts(rows, c, bus, rate_Hz)
+    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING) | (rows["mode"] == Mode.HELD)
+    moving = None if c is None else scene(rows, t, c)
+    body = [
+        tag("header", tag("h1", name), tag("p", _subtitle(log, rows, c, rate_Hz))),
+        sections.opening(story, rows, remark),
+    ]
+    body += [sections.what_went_wrong(story)] if story.headline else []
+    body.append(sections.limits([] if c is None else margins(rows, c, rate_Hz), t, why_not))
+    body += [_pose()] if moving is not None else []
+    machine = log.metadata.get(ENVIRONMENT, {}) | _scheduled(log)
+    stood = figure_rows(stood_still(rows))
+    certificate = sections.timing(
+        spreads(rows, bus.answered_ns), counts(rows, powered), stood, machine, lockstep=log.lockstep
+    )
+    body += _curves(shown, t, {"Modes, faults and warnings": sections.modes(rows, t, events)})
+    body += [certificate, sections.figures(figure_rows(figures(rows)))]
+    data = {"charts": drawn(shown, t), "scene": moving, "end": float(t[-1])}
+    return page(f"{name}: {story.headline or 'report'}", body, data)
+
+
+def _scheduled(log: Log) -> dict[str, str]:
+    """Return what the loop of a run in real time was granted, as its log says at its end."""
+    end = log.metadata.get(SUMMARY, {})
+    return {key: end[key] for key in ("scheduler", "affinity") if key in end}
+
+
+def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> str:
+    started = datetime.fromtimestamp((log.epoch_ns + int(rows["t_ns"][0])) // 1_000_000_000, UTC)
+    words = [
+        f"hil {log.metadata[IDENTITY]['kind']}",
+        "" if c is None else c.name,
+        "" if c is None else f"law {c.controller.law}",
+        f"{rate_Hz:g} Hz",
+        "simulated time" if log.lockstep else f"real time, begun {started:%Y-%m-%dT%H:%M:%SZ}",
+    ]
+    return ", ".join(filter(None, words))
+
+
+def _curves(shown: Sequence[Chart], t: Array, further: dict[str, list[Html]]) -> list[Html]:
+    """Return a section for each kind of chart, in their order."""
+    hint = (
+        "Drag to zoom, double click to see all; with the keyboard: arrows move the cursor, + and - zoom, "
+        "Shift with arrows pans, 0 shows all. All curves share their time."
+    )
+    made = [tag("p", hint, class_="note")]
+    for name in dict.fromkeys(chart.section for chart in shown):
+        figures = [figure(chart, t) for chart in shown if chart.section == name]
+        made.append(tag("section", tag("h2", name), *figures, *further.get(name, [])))
+    return made
+
+
+def _pose() -> Html:
+    """Return the place of the 3D view and its handles."""
+    return tag(
+        "section",
+        tag("h2", "Pose"),
+        tag("canvas", id="scene", tabindex=0, role="img", aria_label="platform, legs and base in 3D"),
+        tag(
+            "div",
+            tag("button", "Play", id="play", type="button"),
+            tag(
+                "label",
+                "time ",
+                Html('<input id="time" type="range" min="0" max="1" step="0.001" value="0">'),
+            ),
+            tag("output", "0.000 s", id="now"),
+            tag(
+                "label",
+                "speed ",
+                tag("select", *(tag("option", f"{s:g}", value=s) for s in (1.0, 0.25, 0.1, 4.0)), id="speed"),
+            ),
+            class_="handles",
+        ),
+        tag(
+            "p",
+            "Drag or use the arrow keys to turn the view. Colour of a leg: its force, grey none, blue pulls, "
+            "orange pushes, of the largest that is allowed. Dashed: the reference.",
+            class_="note",
+        ),
+        id="pose",
+    )

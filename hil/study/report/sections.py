@@ -1,0 +1,156 @@
+"""The sections of the page in words: what happened, what was left of each limit, how time was kept."""
+
+from collections.abc import Mapping, Sequence
+
+from drivers.arrays import Array, Rows
+from drivers.signals import Mode
+from hil.record.log import Event
+from hil.study.report.html import Html, joined, prose, table, tag
+from hil.study.report.margins import Margin
+from hil.study.report.story import Told, mode_name, quantity
+from hil.study.report.timeline import lanes, spells
+from hil.study.report.timing import PERCENTILES, Spread
+
+EVENTS = 200
+"""Shown at most, the first ones."""
+UNSEEN = (
+    "Not among them: the leap of a rate, and a reading that stands still while its leg strays. A log has "
+    "these figures only from the moment at which they have raised a fault."
+)
+
+
+def opening(told: Told, rows: Rows, remark: str) -> Html:
+    """Return the first lines: good or bad, and what is missing of the log."""
+    mode = mode_name(int(rows["mode"][-1])) if len(rows) else "no tick"
+    if told.headline:
+        kind, text = "bad", f"Went wrong: {told.headline}"
+    elif mode == Mode.PARKED.name and not remark:
+        kind, text = "good", "Parked without a fault"
+    else:
+        kind, text = "open", f"No fault in this log; it ends in {mode}"
+    lines = [tag("p", text, class_=f"verdict {kind}", role="status")]
+    if remark:
+        lines.append(tag("p", f"This page shows what is there: {remark}.", class_="remark"))
+    return tag("section", *lines, id="verdict")
+
+
+def what_went_wrong(told: Told) -> Html:
+    """Return the story of the faults: leg, value, limit, since when, drives, what was done, what to do."""
+    head = ("fault", "since, s", "in mode", "leg", "value", "limit", "what happened")
+    rows = [
+        (
+            f.fault,
+            "" if f.time_s is None else f"{f.time_s:.3f}",
+            f.mode,
+            f.leg,
+            f.value,
+            f.limit,
+            prose(f.text),
+        )
+        for f in told.findings
+    ]
+    parts = [tag("h2", "What went wrong"), table(head, rows)] if rows else [tag("h2", "What went wrong")]
+    if told.next:
+        items = [
+            tag("li", prose(text), " ", tag("small", "(", tag("code", page), ")")) for text, page in told.next
+        ]
+        parts += [tag("h3", "What to do next"), tag("ul", *items)]
+    if told.done:
+        items = [tag("li", prose(text), "" if t is None else f" ({t:.3f} s)") for t, text in told.done]
+        parts += [tag("h3", "What was done"), tag("ol", *items)]
+    if told.drives:
+        said = [(f"drive {leg}", text) for leg, text in enumerate(told.drives)]
+        if len(set(told.drives)) == 1:
+            said = [("all", told.drives[0])]
+        parts += [tag("h3", "What the drives said then"), table(("drive", "said"), said)]
+    if told.at_end:
+        parts += [tag("h3", "In the end"), tag("p", prose(told.at_end))]
+    return tag("section", *parts, id="story")
+
+
+def limits(found: Sequence[Margin], t: Array, why_not: str) -> Html:
+    """Return the smallest margin of every limit, the nearest first."""
+    title = tag("h2", "Smallest margin of every limit")
+    if why_not:
+        return tag("section", title, tag("p", why_not), id="limits")
+    head = ("limit", "used", "worst value", "allowed", "left", "leg", "at, s", "set by")
+    rows = [
+        (
+            m.name,
+            _used(m.used_percent),
+            quantity(m.value, m.unit),
+            quantity(m.limit, m.unit),
+            quantity(m.limit - m.value, m.unit),
+            "" if m.leg is None else m.leg,
+            f"{t[m.row]:.3f}",
+            tag("code", m.key) if m.key else "constant",
+        )
+        for m in found
+    ]
+    note = "Each over the ticks in which the rule is judged."
+    return tag("section", title, table(head, rows), tag("p", f"{note} {UNSEEN}", class_="note"), id="limits")
+
+
+def _used(percent: float) -> Html:
+    """Return a bar and its number."""
+    text = f"{percent:.1f} %"
+    bar = tag(
+        "meter", text, min=0, max=100, low=80, high=95, optimum=0, value=f"{percent:.2f}", aria_label=text
+    )
+    return joined((bar, tag("span", f" {text}")))
+
+
+def figures(values: Sequence[tuple[str, str]]) -> Html:
+    """Return the figures of the run."""
+    return tag("section", tag("h2", "The run"), table(("figure", "value"), values), id="figures")
+
+
+def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
+    """Return modes, bits that were set and events as tables."""
+    parts = []
+    if len(rows):
+        lines = [
+            (mode_name(mode), f"{t[a]:.3f}", f"{t[min(b, len(t) - 1)] - t[a]:.3f}")
+            for mode, a, b in spells(rows["mode"])[:EVENTS]
+        ]
+        parts.append(table(("mode", "from, s", "for, s"), lines, "Modes"))
+        bits = [(lane.label, f"{t[lane.first]:.3f}", lane.ticks) for lane in lanes(rows)]
+        if bits:
+            parts.append(table(("set", "first at, s", "ticks"), bits, "Faults, warnings and other bits"))
+    start = int(rows["t_ns"][0]) if len(rows) else 0
+    told = [
+        (f"{1e-9 * (e.t_ns - start):.3f}", e.level, prose(e.text.partition("\n")[0])) for e in events[:EVENTS]
+    ]
+    if told:
+        more = f", the first {EVENTS} of {len(events)}" if len(events) > EVENTS else ""
+        parts.append(table(("at, s", "level", "event"), told, f"Events{more}"))
+    return parts
+
+
+def timing(
+    spreads: Sequence[Spread],
+    counted: Sequence[tuple[str, int]],
+    stood: Sequence[tuple[str, str]],
+    machine: Mapping[str, str],
+    *,
+    lockstep: bool,
+) -> Html:
+    """Return the timing certificate: percentiles, counts, stretches, and the machine they are of."""
+    parts: list[Html] = [tag("h2", "Timing certificate")]
+    if lockstep:
+        parts.append(tag("p", "Simulated time: nobody woke up, and no machine was measured.", class_="note"))
+    if spreads:
+        head = ("time", *(f"p{p:g}" if p < 100 else "max" for p in PERCENTILES))
+        rows = [(s.name, *(f"{1e-3 * value:.1f} µs" for value in s.values)) for s in spreads]
+        parts.append(table(head, rows))
+    parts.append(table(("counted over the whole log", "number"), counted))
+    if stood:
+        parts.append(table(("bench time that stood still", ""), stood))
+    shown = [
+        (key, machine[key])
+        for key in ("cpu", "cpus", "kernel", "scheduler", "affinity", "clock", "git", "version")
+        if key in machine
+    ]
+    if shown:
+        parts.append(table(("machine and version", ""), shown))
+    return tag("section", *parts, id="timing")

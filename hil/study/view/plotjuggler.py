@@ -1,0 +1,90 @@
+"""A layout for PlotJuggler: tabs of plots, and what is one column less another as a custom function.
+
+Source: `xmlLoadState` of MainWindow, PlotDocker, PlotWidget and DataLoadMCAP in PlotJuggler 3.16. Its reader
+of protobuf joins topic and fields by `/`, `/tick/tau/leg_3`; it draws numbers, so states stand by number.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from drivers.files import real_path
+from drivers.tick_columns import Column
+from hil.record.selection import Component, components
+from hil.study.view.panels import Curve, Plot, differences, field, plots
+
+COLOURS = ("#1f77b4", "#d62728", "#1ac938", "#ff7f0e", "#9467bd", "#17becf", "#f14cc1", "#bcbd22")
+_STATES = ("mode", "command_mode", "faults", "warnings", "drive_state")
+_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Signs that stand in no XML 1.0 file, and bytes of a path that are no UTF-8."""
+
+
+def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) -> str:
+    """Return the layout for logs with these columns as XML; with `log` it opens that file at once.
+
+    A path that XML cannot hold is left out: the file is then opened by hand.
+    """
+    root = ET.Element("root")
+    area = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
+    shown = plots(columns) + _states(columns)
+    for name in dict.fromkeys(plot.tab for plot in shown):
+        tab = ET.SubElement(area, "Tab", containers="1", tab_name=name)
+        members = [plot for plot in shown if plot.tab == name]
+        share = ";".join([f"{1.0 / len(members):g}"] * len(members))
+        container = ET.SubElement(tab, "Container")
+        count = str(len(members))
+        splitter = ET.SubElement(container, "DockSplitter", orientation="-", count=count, sizes=share)
+        for plot in members:
+            _dock(splitter, plot, topic)
+    ET.SubElement(area, "currentTabIndex", index="0")
+    ET.SubElement(root, "use_relative_time_offset", enabled="1")
+    name = "" if log is None else str(real_path(log))
+    if name and not _NO_XML.search(name):
+        files = ET.SubElement(root, "previouslyLoaded_Datafiles")
+        file = ET.SubElement(files, "fileInfo", filename=name, prefix="")
+        plugin = ET.SubElement(file, "plugin", ID="DataLoad MCAP")
+        ET.SubElement(
+            plugin, "parameters", use_timestamp="0", use_mcap_log_time="1", clamp_large_arrays="0",
+            max_array_size="500", selected_topics=topic,
+        )  # fmt: skip
+    equations = ET.SubElement(root, "customMathEquations")
+    for curve in differences(columns):
+        _function(equations, curve, topic)
+    ET.indent(root, " ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def series(topic: str, part: Component) -> str:
+    """Return PlotJuggler's name of a component: `/tick/tau/leg_3`."""
+    return "/".join((topic, *field(part)))
+
+
+def _states(columns: Sequence[Column]) -> list[Plot]:
+    found = []
+    for c in columns:
+        if c.name in _STATES and c.names:
+            curves = tuple(Curve(part.label, part.unit, part) for part in components(columns, [c.name], ""))
+            found.append(Plot("States", c.name, curves))
+    return found
+
+
+def _dock(splitter: ET.Element, plot: Plot, topic: str) -> None:
+    units = sorted({curve.unit for curve in plot.curves if curve.unit})
+    dock = ET.SubElement(splitter, "DockArea", name=plot.title + (f" [{', '.join(units)}]" if units else ""))
+    style = "Steps" if plot.tab == "States" else "Lines"
+    area = ET.SubElement(dock, "plot", mode="TimeSeries", style=style, flip_x="false", flip_y="false")
+    ET.SubElement(area, "limitY")
+    for k, curve in enumerate(plot.curves):
+        name = curve.label if curve.less else series(topic, curve.part)
+        ET.SubElement(area, "curve", name=name, color=COLOURS[k % len(COLOURS)])
+
+
+def _function(equations: ET.Element, curve: Curve, topic: str) -> None:
+    assert curve.less is not None
+    snippet = ET.SubElement(equations, "snippet", name=curve.label, language="lua")
+    ET.SubElement(snippet, "global")
+    ET.SubElement(snippet, "function").text = "return value - v1"
+    ET.SubElement(snippet, "linked_source").text = series(topic, curve.part)
+    sources = ET.SubElement(snippet, "additional_sources")
+    ET.SubElement(sources, "v1").text = series(topic, curve.less)

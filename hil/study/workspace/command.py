@@ -1,0 +1,221 @@
+"""`hil workspace CONFIG`: which poses the platform can reach within its limits, as figures and picture."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.yaml_positions import Problem, parse
+from hil.app.output import further, picture_path
+from hil.study.workspace.explore import Workspace, explore
+from hil.study.workspace.kernels import FORCE, LENGTH
+from hil.study.workspace.limits import CHUNK, KINDS, Limits, Surveyor, WorkspaceError
+from hil.study.workspace.plot import draw
+
+
+def map_workspace(
+    c: Configuration,
+    *,
+    resolution: int = 60,
+    position: tuple[float, float, float] | None = None,
+    payload_kg: float = 0.0,
+    payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    leg_diameter_m: float | None = None,
+    picture: Path | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Map the workspace of a configuration, draw it, and return the summary.
+
+    Raises ConfigurationError where home is outside the limits, WorkspaceError where `position` is not
+    reached, LogError where the picture cannot be written.
+    """
+    begun = time.perf_counter()
+    path = picture_path(c.recording.folder, f"{c.name}-workspace", picture)
+    surveyor = build_surveyor(c, payload_kg, payload_at, leg_diameter_m)
+    w = explore(surveyor, resolution, position, lambda what, share: progress(f"{what}, {share:.0%}"))
+    result: dict[str, Any] = {
+        "success": True,
+        "kind": "workspace",
+        "configuration": c.source,
+        "resolution": resolution,
+        **figures(w),
+    }
+    progress("drawing")
+    result["picture"] = None
+    with further(result):
+        draw(w, path, f"{c.name}: workspace within stroke, joint angle and force limits")
+        result["picture"] = str(path)
+    return {**result, "wall_s": time.perf_counter() - begun}
+
+
+def build_surveyor(
+    c: Configuration,
+    payload_kg: float = 0.0,
+    payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    leg_diameter_m: float | None = None,
+) -> Surveyor:
+    """Return the limits of a configuration, ready to be asked. The ends of the stroke are the soft ones.
+
+    Raises ConfigurationError where home is outside.
+    """
+    s = c.platform
+    limits = Limits(
+        s.length_min_m + c.limits.stroke_margin_m,
+        s.length_max_m - c.limits.stroke_margin_m,
+        c.limits.force_N,
+        c.limits.condition,
+        _radians(s.base_joint_angle_max_deg),
+        _radians(s.platform_joint_angle_max_deg),
+        leg_diameter_m,
+    )
+    try:
+        return Surveyor(
+            build_platform(s),
+            limits,
+            *pose_arrays(s.home),
+            base_axes=s.base_joint_axes,
+            platform_axes=s.platform_joint_axes,
+            payload=payload_kg,
+            payload_at=payload_at,
+        )
+    except WorkspaceError as error:
+        where = ("platform", "home")
+        line = Problem(parse(c.text).key_position(where), where, str(error)).line(c.source)
+        raise ConfigurationError(line + "; the map begins at home") from error
+
+
+def figures(w: Workspace) -> dict[str, Any]:
+    """Return the figures of a workspace as plain values."""
+    s, m, o, lim = w.surveyor, w.positions, w.orientations, w.surveyor.limits
+    counts = np.bincount(m.kinds, minlength=len(KINDS))
+    numbers, leasts = s.dexterity(m.nodes, s.R)
+    level = o.kinds[len(o.torsion) // 2]
+    return {
+        "step_m": m.step,
+        "limits": {
+            "length_m": [lim.length_min, lim.length_max],
+            "force_N": lim.force,
+            "condition": lim.condition,
+            "base_joint_angle_deg": _degrees(lim.base_angle),
+            "platform_joint_angle_deg": _degrees(lim.platform_angle),
+            "leg_diameter_m": lim.leg_diameter,
+            "payload_kg": float(s.payload[0]),
+            "payload_at_m": s.payload[1:].tolist(),
+        },
+        "home": _home(s),
+        "positions": {
+            "volume_m3": m.volume,
+            "volume_error_m3": m.volume_error,
+            "convergence": [{"step_m": h, "volume_m3": v} for h, v in m.volumes],
+            "extents_m": {name: m.extents[k].tolist() for k, name in enumerate("xyz")},
+            "nodes": len(m.nodes),
+            "boundary_points": {k: int(n) for k, n in zip(KINDS, counts, strict=True)},
+            "boundary_shares": m.shares,
+        },
+        "largest_sphere": {
+            "radius_m": w.sphere.radius,
+            "direction": w.sphere.direction.tolist(),
+            "limit": _kind(w.sphere.kind),
+        },
+        "largest_cylinder": {
+            "radius_m": w.cylinder.radius,
+            "z_m": [w.cylinder.low + float(s.p[2]), w.cylinder.high + float(s.p[2])],
+            "volume_m3": w.cylinder.volume,
+        },
+        "dexterity": {
+            "condition_number": _range(numbers),
+            "smallest_singular_value": _range(leasts),
+            "mean_inverse_condition": float(np.mean(1.0 / numbers)),
+        },
+        "largest_static_force_N": _largest_force(s, m.nodes),
+        "orientations": {
+            "position_m": o.position.tolist(),
+            "tilt_every_direction_deg": float(np.rad2deg(o.level.min())),
+            "tilt_best_direction_deg": float(np.rad2deg(o.level.max())),
+            "torsion_deg": np.rad2deg(o.torsion[[0, -1]]).tolist(),
+            "torsion_limits": [_kind(k) for k in o.torsion_kinds],
+            "tilt_limits": {k: int((level == i).sum()) for i, k in enumerate(KINDS)},
+            "largest_guaranteed_tilt_deg": float(np.rad2deg(o.guaranteed.max())),
+            "at_torsion_deg": float(np.rad2deg(o.torsion[int(np.argmax(o.guaranteed))])),
+        },
+    }
+
+
+def _home(s: Surveyor) -> dict[str, Any]:
+    home = s.survey(s.p, s.R)[0]
+    (number,), (least,) = s.dexterity(s.p[None], s.R)
+    return {
+        "position_m": s.p.tolist(),
+        "rotation": s.R.tolist(),
+        "leg_lengths_m": home[LENGTH : LENGTH + 6].tolist(),
+        "static_forces_N": home[FORCE : FORCE + 6].tolist(),
+        "condition_number": float(number),
+        "smallest_singular_value": float(least),
+        "largest_payload_kg": s.largest_payload(),
+    }
+
+
+def shown(summary: dict[str, Any]) -> dict[str, Any]:
+    """Return the summary as it is printed: a sentence for each figure that an engineer asks for."""
+    s = summary
+    m, o, d, home = s["positions"], s["orientations"], s["dexterity"], s["home"]
+    sphere, cylinder = s["largest_sphere"], s["largest_cylinder"]
+    coarse = m["convergence"][-2]
+    extents = ", ".join(f"{k} {low:.3f} to {high:.3f}" for k, (low, high) in m["extents_m"].items())
+    shares = ", ".join(f"{k} {100 * x:.1f} %" for k, x in m["boundary_shares"].items() if x > 0)
+    number, least = d["condition_number"], d["smallest_singular_value"]
+    payload = home["largest_payload_kg"]
+    at = ", ".join(f"{x:g}" for x in o["position_m"])
+    return {
+        "success": s["success"],
+        "configuration": s["configuration"],
+        "resolution": f"{s['resolution']} steps of {1e3 * s['step_m']:.1f} mm",
+        "volume": f"{m['volume_m3']:.4g} m^3, within about {m['volume_error_m3']:.1g}; "
+        f"{coarse['volume_m3']:.4g} at twice the step",
+        "extents": f"{extents} m",
+        "boundary": shares,
+        "largest sphere": f"radius {sphere['radius_m']:.4f} m about home, then {sphere['limit']}",
+        "largest cylinder": f"radius {cylinder['radius_m']:.4f} m, z {cylinder['z_m'][0]:.3f} to "
+        f"{cylinder['z_m'][1]:.3f} m",
+        "condition of J": f"{home['condition_number']:.2f} at home, {number['min']:.2f} to "
+        f"{number['max']:.2f}",
+        "singularity measure": f"{home['smallest_singular_value']:.3f} at home, down to {least['min']:.3f} "
+        "(smallest singular value of J, lengths made comparable)",
+        "static leg force": f"up to {s['largest_static_force_N']:.0f} N"
+        + (
+            ""
+            if payload is None
+            else f"; home holds a payload of up to {payload:.0f} kg in all, at its place"
+        ),
+        "tilt": f"{o['tilt_every_direction_deg']:.2f} deg in every direction, "
+        f"{o['tilt_best_direction_deg']:.2f} in the best, at ({at}) m",
+        "torsion": f"{o['torsion_deg'][0]:.2f} to {o['torsion_deg'][1]:.2f} deg",
+        "picture": s["picture"],
+        "wall": f"{s['wall_s']:.1f} s",
+    }
+
+
+def _largest_force(surveyor: Surveyor, nodes: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    parts = (nodes[k : k + CHUNK] for k in range(0, len(nodes), CHUNK))
+    return max(float(np.abs(surveyor.survey(P, surveyor.R)[:, FORCE : FORCE + 6]).max()) for P in parts)
+
+
+def _range(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
+    return {"min": float(values.min()), "mean": float(values.mean()), "max": float(values.max())}
+
+
+def _kind(kind: int) -> str | None:
+    return KINDS[kind] if kind >= 0 else None
+
+
+def _radians(angle: float | None) -> float | None:
+    return None if angle is None else float(np.deg2rad(angle))
+
+
+def _degrees(angle: float | None) -> float | None:
+    return None if angle is None else float(np.rad2deg(angle))

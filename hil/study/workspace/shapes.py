@@ -1,0 +1,117 @@
+"""The largest sphere and cylinder of translations about home: room that is free in every direction.
+
+Paths: straight lines from home, or from the cylinder's axis.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Ints
+from hil.study.workspace.limits import Surveyor
+from hil.study.workspace.rays import first_exit, levels
+
+DIRECTIONS = 1000
+CAPS = 6
+"""Rounds of refinement about the shortest ray, each in a cap a quarter as wide."""
+LAYERS = 30
+"""Heights looked at on either side of home."""
+AZIMUTHS = 36
+
+
+class Sphere(NamedTuple):
+    """Translations by up to ``radius`` (m) in any direction from home."""
+
+    radius: float
+    direction: Array
+    """(3,) unit, towards the point that is met first."""
+    kind: int
+    """Index into KINDS: the limit there."""
+
+
+class Cylinder(NamedTuple):
+    """Vertical (base frame z), its axis through home."""
+
+    radius: float
+    """m."""
+    low: float
+    """m, lowest z relative to home."""
+    high: float
+    """m, highest z relative to home."""
+
+    @property
+    def volume(self) -> float:
+        """Return pi r^2 h, m^3."""
+        return float(np.pi * self.radius**2 * (self.high - self.low))
+
+
+def largest_sphere(surveyor: Surveyor, step: float, reach: float) -> Sphere:
+    """Return the largest sphere about home's position, at home's orientation, whose rays stay inside.
+
+    ``step``: m, along the rays; ``reach``: m, no ray is followed further.
+    """
+    directions = fibonacci(DIRECTIONS)
+    width = 2.0 / np.sqrt(DIRECTIONS)
+    best = Sphere(np.inf, directions[0], 0)
+    for _ in range(CAPS + 1):
+        t, kinds = _rays(surveyor, np.zeros((len(directions), 3)), directions, step, reach)
+        k = int(np.argmin(t))
+        if t[k] < best.radius:
+            best = Sphere(float(t[k]), directions[k], int(kinds[k]))
+        directions = best.direction + width * fibonacci(200)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        width /= 4.0
+    return best
+
+
+def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
+    """Return the vertical cylinder of most volume about home's axis, at home's orientation.
+
+    Its axis and the radii at 2 x LAYERS heights and AZIMUTHS directions stay inside; the one found is then
+    looked at again with eight times as many directions.
+    """
+    up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    (above, below), _ = _rays(surveyor, np.zeros((2, 3)), up, step, reach)
+    z = levels(below, above, LAYERS)
+    free = _radii(surveyor, z, AZIMUTHS, step, reach)
+    best = Cylinder(0.0, 0.0, 0.0)
+    for first in range(LAYERS + 1):
+        radius = free[first : LAYERS + 1].min()
+        for last in range(LAYERS, 2 * LAYERS + 1):
+            radius = min(radius, free[last])
+            candidate = Cylinder(float(radius), float(z[first]), float(z[last]))
+            best = max(best, candidate, key=lambda c: c.volume)
+    if best.volume > 0:
+        inner = np.linspace(best.low, best.high, 2 * LAYERS // 4 + 1)
+        radius = _radii(surveyor, inner, 8 * AZIMUTHS, step, reach).min()
+        best = best._replace(radius=min(best.radius, float(radius)))
+    return best
+
+
+def fibonacci(count: int) -> Array:
+    """Return (count, 3) unit vectors spread evenly over the sphere, poles included."""
+    k = np.arange(count)
+    z = 1.0 - 2.0 * k / (count - 1)
+    rho = np.sqrt(np.maximum(1.0 - z * z, 0.0))
+    phi = np.pi * (3.0 - np.sqrt(5.0)) * k
+    return np.stack([rho * np.cos(phi), rho * np.sin(phi), z], axis=1)
+
+
+def _radii(surveyor: Surveyor, z: Array, azimuths: int, step: float, reach: float) -> Array:
+    """Return (n,) m: the free radius at each height."""
+    phi = 2.0 * np.pi * np.arange(azimuths) / azimuths
+    rim = np.stack([np.cos(phi), np.sin(phi), np.zeros(azimuths)], axis=1)
+    start = np.zeros((len(z) * azimuths, 3))
+    start[:, 2] = np.repeat(z, azimuths)
+    t, _ = _rays(surveyor, start, np.tile(rim, (len(z), 1)), step, reach)
+    radii: Array = t.reshape(len(z), azimuths).min(axis=1)
+    return radii
+
+
+def _rays(
+    surveyor: Surveyor, start: Array, directions: Array, step: float, reach: float
+) -> tuple[Array, Ints]:
+    def lines(t: Array, which: Ints) -> tuple[Array, Array]:
+        return surveyor.p + start[which] + t[:, None] * directions[which], surveyor.R
+
+    return first_exit(surveyor, lines, len(start), step, reach)

@@ -1,0 +1,128 @@
+"""What the model does not know, as accelerations of the axes: friction, weight off the reference, coupling."""
+
+import numpy as np
+import pytest
+from scipy.signal import impulse
+
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
+from hil.config.model import ModelSettings
+from hil.control.model import build_model
+from hil.design.stability.disturbance import Friction, Linearised, Load, Survey
+from hil.design.stability.lateness import Late
+from hil.design.stability.ultimate import Extra, _bound
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian, jacobian_rate
+from hil.trajectory.path import PoseSample
+
+NOT_LOST = np.zeros((6, 6))
+STILL = np.zeros(6)
+HOME = PoseSample(np.array([0.0, 0.0, 1.0]), np.eye(3), STILL, STILL)
+
+
+@pytest.fixture(scope="module")
+def platform():
+    return build_platform(load("virtual").platform)
+
+
+def linearised(platform, axes, *, scale=1.0, coulomb_N=0.0):
+    robot = Model(platform)
+    believed = build_model(ModelSettings(inertia_scale=scale), platform, "none")
+    friction = Friction(np.zeros(6), np.full(6, coulomb_N))
+    return robot, Linearised(robot, believed, axes, Load(), friction)
+
+
+def test_the_friction_of_every_leg_moves_each_in_the_worst_of_its_senses(platform):
+    robot, loop = linearised(platform, "joint", coulomb_N=250.0)
+    J = jacobian(platform, HOME.p, HOME.R)
+    mobility = J @ np.linalg.inv(robot.mass_matrix(HOME.p, HOME.R)) @ J.T
+    assert (mobility < 0.0).any(), "some legs push others the other way"
+    senses = 250.0 * np.array([[1.0 if k >> i & 1 else -1.0 for i in range(6)] for k in range(64)])
+    worst = (senses @ mobility.T).max(axis=0)
+    np.testing.assert_allclose(loop.at(HOME, STILL, STILL).d, worst, rtol=1e-9)
+
+
+def test_the_weight_is_that_of_where_the_robot_is_behind_its_reference(platform):
+    """Believed masses of 0.9 leave a tenth of the weight, M^-1 G / 10 at p_d - e."""
+    robot, loop = linearised(platform, "pose", scale=0.9)
+    e = np.array([0.1, -0.05, 0.2, 0.0, 0.0, 0.0])
+    p = HOME.p - e[:3]
+    fall = np.linalg.solve(robot.mass_matrix(p, HOME.R), robot.gravity(p, HOME.R)) / 10.0
+    np.testing.assert_allclose(loop.at(HOME, e, STILL).d, np.abs(fall), rtol=1e-6, atol=1e-9)
+
+
+def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
+    """Six axes alike, each off by s of the sum of all u: d / (1 - 6 s g), g the L1 norm from d to u."""
+    t = np.linspace(0.0, 2.0, 200_001)
+    _, h = impulse(([40.0, 400.0], [1.0, 40.0, 400.0]), T=t)
+    g = float(np.trapezoid(np.abs(h), t))
+    gains = np.array([np.ones(6), np.ones(6), np.full(6, g)])
+    none = Extra(STILL, STILL, 0.0, STILL, STILL, STILL, STILL, NOT_LOST)
+
+    def bound(spread):
+        survey = Survey(np.ones(6), 1.0, np.full((6, 6), spread), np.zeros((6, 6)), np.zeros((6, 6)), 1.0)
+        return _bound(survey, gains, Late.none(), none)
+
+    for s in (0.02, 0.1):
+        found = bound(s)
+        assert not isinstance(found, str)
+        np.testing.assert_allclose(found.d, 1.0 / (1.0 - 6.0 * s * g), rtol=1e-4)
+    assert "small gain" in str(bound(1.0 / 6.0))
+
+
+def test_forces_of_a_moment_ago_miss_by_what_place_and_rate_changed_since():
+    """One axis by hand: d' = 1 + T (S_e (r + g_de d') + S_v (u + g_u d' + d')) + alpha (u + g_u d')."""
+    g_e, g_de, g_u, T, S_e, S_v, alpha = 2.0, 3.0, 1.5, 0.01, 4.0, 5.0, 0.1
+    survey = Survey(np.ones(6), 1.0, np.zeros((6, 6)), S_e * np.eye(6), S_v * np.eye(6), 1.0)
+    u, r = 0.7, 0.2
+    late = Late(np.full(6, 0.01), np.full(6, r), np.full(6, u), T)
+    gains = np.outer([g_e, g_de, g_u], np.ones(6))
+    found = _bound(
+        survey, gains, late, Extra(STILL, STILL, alpha, np.full(6, 1e-3), STILL, STILL, STILL, NOT_LOST)
+    )
+    assert not isinstance(found, str)
+    known = 1.0 + T * (S_e * r + S_v * u) + alpha * u
+    d = known / (1.0 - T * (S_e * g_de + S_v * (g_u + 1.0)) - alpha * g_u)
+    np.testing.assert_allclose(found.d, d, rtol=1e-6)
+    np.testing.assert_allclose(found.error, 0.01 + g_e * d + 1e-3, rtol=1e-6)
+
+
+def test_what_the_steps_of_the_readings_cost_is_in_the_bounds_of_error_and_rate_of_each_axis():
+    """Without coupling: each bound is the peak gain times d, what being late costs, and the steps' own part."""
+    axis = np.arange(1.0, 7.0)
+    nothing = np.zeros((6, 6))
+    d, gains = 0.5 + axis, np.array([0.01 * axis, 0.2 * axis, 1.0 + axis])
+    late = Late(1e-3 * axis, 2e-3 * axis, STILL, 0.0)
+    extra = Extra(STILL, STILL, 0.0, 3e-4 * axis, 5e-3 * axis, STILL, STILL, NOT_LOST)
+    found = _bound(Survey(d, 1.0, nothing, nothing, nothing, 1.0), gains, late, extra)
+    assert not isinstance(found, str)
+    np.testing.assert_allclose(found.d, d)
+    np.testing.assert_allclose(found.error, (1e-3 + 3e-4) * axis + 0.01 * axis * d)
+    np.testing.assert_allclose(found.rate, (2e-3 + 5e-3) * axis + 0.2 * axis * d)
+
+
+@pytest.mark.parametrize("axes", ["joint", "pose"])
+def test_what_place_and_rate_change_under_constant_forces_is_what_the_robot_does(platform, axes):
+    """The derivative against an exact model's forces: at constant demand they change by the opposite."""
+    robot, loop = linearised(platform, axes)
+    s = PoseSample(HOME.p, HOME.R, np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3]), STILL)
+    found = loop.at(s, STILL, STILL)
+    J = jacobian(platform, s.p, s.R)
+    h = 1e-5
+    tau = robot.inverse_dynamics(*s)
+    accelerations = []
+    for sign in (-1, 1):
+        x = sign * h * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+        dtwist = robot.forward_dynamics(s.p, s.R, s.twist + x, tau)
+        accelerations.append(dtwist)
+    change = (accelerations[1] - accelerations[0]) / (2 * h)
+    if axes == "pose":
+        np.testing.assert_allclose(found.by_rate[:, 1], change, rtol=1e-4, atol=1e-5)
+    else:
+        before, after = (
+            J @ a
+            + jacobian_rate(platform, s.p, s.R, s.twist + sign * h * np.eye(6)[1])
+            @ (s.twist + sign * h * np.eye(6)[1])
+            for sign, a in zip((-1, 1), accelerations, strict=True)
+        )
+        np.testing.assert_allclose(found.by_rate @ J[:, 1], (after - before) / (2 * h), rtol=1e-4, atol=1e-5)

@@ -1,0 +1,184 @@
+"""The energy function on the book's platform, and wells whose depth is known by hand."""
+
+import numpy as np
+import pytest
+from scipy.optimize import OptimizeResult, minimize
+
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
+from hil.design.stability import energy
+from hil.design.stability.energy import basin, displaced, leg_springs, stiffness_matrix, total, weight, well
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian, leg_lengths
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
+
+PLATFORM = build_platform(load("virtual").platform)
+MODEL = Model(PLATFORM)
+HOME = np.array([0.0, 0.0, 1.0]), np.eye(3)
+K_P, K_V = np.full(6, 4e5), np.full(6, 4e4)
+NOTHING = np.zeros(6)
+
+
+def test_the_energy_falls_by_what_the_dampers_take():
+    """Forces of the law, acceleration of the model, V by its definition a step later and earlier."""
+    p_d, R_d = HOME
+    q_d = leg_lengths(PLATFORM, p_d, R_d)
+    S = total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL, MODEL))
+    p, R = displaced(p_d, R_d, np.array([0.05, -0.03, 0.02, 0.06, -0.04, 0.05]))
+    twist = np.array([0.3, -0.2, 0.1, 0.2, 0.3, -0.25])
+    J = jacobian(PLATFORM, p, R)
+    dq = J @ twist
+    tau = K_P * (q_d - leg_lengths(PLATFORM, p, R)) - K_V * dq + np.linalg.solve(J.T, MODEL.gravity(p, R))
+    dtwist = MODEL.forward_dynamics(p, R, twist, tau)
+
+    def V(t):
+        at = displaced(p, R, twist * t)
+        return MODEL.kinetic_energy(*at, twist + dtwist * t) + S(*at)
+
+    h = 1e-6
+    assert (V(h) - V(-h)) / (2 * h) == pytest.approx(-dq @ (K_V * dq), rel=1e-4)
+
+
+def test_exact_compensation_comes_to_rest_at_the_set_point():
+    q_d = leg_lengths(PLATFORM, *HOME)
+    S = total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL, MODEL))
+    start = displaced(*HOME, np.array([0.05, -0.03, 0.02, 0.06, -0.04, 0.05]))
+    found = well(S, *start, 1.0)
+    np.testing.assert_allclose(found.p, HOME[0], atol=1e-7)
+    np.testing.assert_allclose(found.R, HOME[1], atol=1e-7)
+    assert found.stable
+
+
+def test_the_stiffness_at_the_set_point_is_that_of_the_legs():
+    q_d = leg_lengths(PLATFORM, *HOME)
+    J = jacobian(PLATFORM, *HOME)
+    found = stiffness_matrix(leg_springs(PLATFORM, q_d, K_P, NOTHING), *HOME)
+    np.testing.assert_allclose(found, J.T @ np.diag(K_P) @ J, rtol=1e-4, atol=1.0)
+
+
+def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
+    q_d = leg_lengths(PLATFORM, *HOME)
+    found = well(total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL)), *HOME, 1.0)
+    assert found.p[2] < 0.99
+    tau = K_P * (q_d - leg_lengths(PLATFORM, found.p, found.R))
+    np.testing.assert_allclose(
+        jacobian(PLATFORM, found.p, found.R).T @ tau, MODEL.gravity(found.p, found.R), atol=0.05
+    )
+
+
+def test_forces_of_the_set_point_hold_it_as_far_as_the_springs_are_stiffer_than_the_weight():
+    """A constant force lets the platform fall over for weak springs: the well becomes a saddle."""
+    q_d = leg_lengths(PLATFORM, *HOME)
+    J = jacobian(PLATFORM, *HOME)
+    tau = np.asarray(np.linalg.solve(J.T, MODEL.gravity(*HOME)), float)
+    for stiffness, stable in ((4e5, True), (1e2, False)):
+        S = total(leg_springs(PLATFORM, q_d, np.full(6, stiffness), tau), weight(MODEL))
+        assert well(S, *HOME, 1.0).stable is stable
+
+
+def test_the_basin_of_a_bowl_is_known():
+    """S = k |x|^2 / 2 + k_r |r|^2 / 2, the region a ball of 0.3 m of the position: the edge is anywhere on it."""
+
+    def S(p, R):
+        turn = np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1))
+        return 0.5 * 1000.0 * p @ p + 0.5 * 500.0 * turn**2
+
+    def outside(p, R):
+        return None if np.linalg.norm(p) < 0.3 and np.trace(R) > -0.5 else "far"
+
+    bottom = well(S, np.array([0.01, 0.0, 0.0]), rotation_from_vector(np.array([0.02, 0.0, 0.0])), 1.0)
+    found = basin(S, bottom, 1.0, outside)
+    assert found.level_J == pytest.approx(0.5 * 1000 * 0.3**2, rel=0.02)
+    assert found.level_J >= 0.5 * 1000 * 0.3**2 * (1 - 1e-6)
+    assert found.reason == "far"
+
+
+def test_a_search_for_the_edge_that_passes_the_well_itself_goes_on(monkeypatch):
+    """From a ray straight along an axis a search along that axis meets the zero, which is no direction."""
+
+    def S(p, R):
+        assert np.isfinite(p).all()
+        r = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        return 0.5 * np.array([1e3, 2e3, 3e3]) @ p**2 + 0.5 * np.array([7e3, 8e3, 9e3]) @ r**2
+
+    def outside(p, R):
+        assert np.isfinite(p).all()
+        return None if (np.abs(p) < (0.1, 0.3, 0.3)).all() and np.trace(R) > 1.5 else "far"
+
+    heights: list[float] = []
+
+    def along_a_line(height, u, **_):
+        heights.extend(height(u * t) for t in (1.0, 0.0, -1.0))
+        return OptimizeResult(x=u, fun=height(u))
+
+    monkeypatch.setattr(energy, "minimize", along_a_line)
+    found = basin(S, well(S, np.zeros(3), np.eye(3), 1.0), 1.0, outside, rays=5)
+    assert found.level_J == pytest.approx(0.5 * 1e3 * 0.1**2, rel=1e-4)
+    assert abs(found.edge_p[0]) == pytest.approx(0.1, rel=1e-4)
+    assert len(heights) == 15
+    assert np.isfinite(heights).all()
+
+
+def condition_of(p, R):
+    J = jacobian_kernel(PLATFORM.base_joints, PLATFORM.platform_joints, p, R)
+    return condition_kernel(J, PLATFORM.radius)
+
+
+@pytest.fixture(scope="module")
+def shallow():
+    """The book's platform within 0.75 to 2.2 m and a condition of 50."""
+    q_d = leg_lengths(PLATFORM, *HOME)
+    S = leg_springs(PLATFORM, q_d, K_P, NOTHING)
+
+    def outside(p, R):
+        q = leg_lengths_kernel(PLATFORM.base_joints, PLATFORM.platform_joints, p, R)
+        if q.min() < 0.77 or q.max() > 2.18:
+            return "stroke"
+        return None if condition_of(p, R) < 50 else "singularity"
+
+    return S, outside, basin(S, well(S, *HOME, 1.0), 1.0, outside, rays=60)
+
+
+def test_the_basin_of_the_book_is_no_larger_than_what_one_leg_at_its_end_stores(shallow):
+    """A leg alone from q_d to its nearer end: K_p way^2 / 2, an edge of the region like any, if J is regular."""
+    _, _, found = shallow
+    q = leg_lengths(PLATFORM, *HOME)
+    way = min((q - 0.77).min(), (2.18 - q).min())
+    assert 0.0 < found.level_J <= 0.5 * K_P[0] * way**2 * 6
+    assert found.reason in {"stroke", "singularity"}
+
+
+def test_below_its_level_no_ray_of_another_seed_leaves_the_basin(shallow):
+    S, outside, found = shallow
+    for x in np.random.default_rng(7).standard_normal((60, 6)):
+        for t in np.linspace(0, 1, 40):
+            pose = displaced(*HOME, t * x / np.linalg.norm(x))
+            if S(*pose) > found.level_J:
+                break
+            assert outside(*pose) is None
+
+
+def test_a_search_along_the_edge_itself_finds_no_lower_level(shallow):
+    """Sequential quadratic programming on condition = 50, from poses of its own: S there, at its lowest."""
+    S, _, found = shallow
+
+    def excess(x):
+        return np.log(condition_of(*displaced(*HOME, x)) / 50.0)
+
+    lowest = []
+    for direction in np.random.default_rng(5).standard_normal((12, 6)):
+        start = 0.4 * direction / np.linalg.norm(direction)
+        result = minimize(
+            lambda x: S(*displaced(*HOME, x)) / 1e4,
+            start,
+            method="SLSQP",
+            bounds=[(-1.0, 1.0)] * 6,
+            constraints=[{"type": "ineq", "fun": excess}],
+            options={"maxiter": 80},
+        )
+        if result.success and excess(result.x) > -1e-3:
+            lowest.append(1e4 * result.fun)
+    assert len(lowest) > 2
+    assert min(lowest) == pytest.approx(found.level_J, rel=0.01)

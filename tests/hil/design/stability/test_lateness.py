@@ -1,0 +1,119 @@
+"""What being late costs, against loops that are integrated in small steps."""
+
+import tracemalloc
+from math import ceil, exp, pi
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.design.stability.lateness import late, stale_s
+from hil.design.stability.sampled import Axis, analyse, gains
+
+AXIS = Axis(period_s=2e-3, transport_s=1.3e-3, lag_s=0.8e-3)
+K_P, K_D = 900.0, 60.0
+FINE_s = 2e-5
+
+
+class Instants:
+    """A reference whose sample is the instant, and a robot whose forces are a function of it: J M^-1 J^T = 1."""
+
+    def __init__(self, force):
+        self.force = force
+        self.asked = 0
+
+    def sample(self, t):
+        return t
+
+    def along_reference(self, t):
+        self.asked += 1
+        return np.full(6, self.force(t)), np.eye(6)
+
+
+def cost(force, *stretches, axis=AXIS):
+    robot: Any = Instants(force)
+    loops = [analyse(axis, gains(K_P, K_D, axis.period_s))] * 6
+    return late(robot, robot, stretches, axis, loops, 0.0), robot
+
+
+def integrated(force, end_s, phase_s=0.0):
+    """Return the largest |e| and |de| of e'' = -a - (tau_a - tau), a and tau_a of what was measured and held."""
+    T, transport, lag, _ = AXIS
+    keep = exp(-FINE_s / lag)
+    e = de = 0.0
+    acts = asked = force(-1.0)  # of what is commanded: the lag's state, and its target
+    queue: list[tuple[float, float]] = []
+    worst = np.zeros(2)
+    due = phase_s - T
+    for n in range(ceil(end_s / FINE_s)):
+        t = n * FINE_s - T
+        if t >= due - 1e-12:
+            queue.append((due + transport, K_P * e + K_D * de + force(due)))
+            worst = np.maximum(worst, np.abs([e, de]))
+            due += T
+        while queue and queue[0][0] <= t + 1e-12:
+            asked = queue.pop(0)[1]
+        acts = asked + (acts - asked) * keep
+        de += FINE_s * (force(t) - acts)
+        e += FINE_s * de
+    return worst
+
+
+def step(t):
+    return 5.0 if t >= 0.2503 else 0.0
+
+
+def wave(hertz):
+    def force(t):
+        return 8.0 * np.sin(2.0 * pi * hertz * max(t, 0.0))
+
+    return force
+
+
+@pytest.mark.parametrize(
+    "force", [step, wave(1.0), wave(5.0), wave(20.0)], ids=["jump", "1 Hz", "5 Hz", "20 Hz"]
+)
+def test_it_is_what_integration_in_small_steps_finds(force):
+    found, _ = cost(force, (0.0, 0.7))
+    worst = np.max(
+        [integrated(force, 1.0, phase * AXIS.period_s) for phase in (0.0, 0.25, 0.5, 0.75)], axis=0
+    )
+    assert found.error == pytest.approx(worst[0], rel=0.02)
+    assert found.rate == pytest.approx(worst[1], rel=0.02)
+
+
+@pytest.mark.long
+def test_a_long_stretch_costs_what_a_short_one_does():
+    """Of two minutes no vibration is lost between the instants looked at, and memory does not grow with them."""
+    short, _ = cost(wave(5.0), (0.0, 4.0))
+    tracemalloc.start()
+    long, robot = cost(wave(5.0), (0.0, 120.0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert long.error == pytest.approx(short.error, rel=0.01)
+    assert peak < 150e6
+    assert robot.asked < 3e5
+
+
+def test_what_a_jump_costs_goes_on_where_the_look_at_the_next_ten_seconds_begins():
+    """9.744 s later, 6 ms before the tenth second, the same jump at the same phase costs the same."""
+    early, _ = cost(step, (0.0, 1.0))
+    late_in_the_block, _ = cost(lambda t: step(t - 9.744), (0.0, 10.5))
+    assert late_in_the_block.error == pytest.approx(early.error, rel=1e-3)
+    assert late_in_the_block.rate == pytest.approx(early.rate, rel=1e-3)
+
+
+def test_every_stretch_counts():
+    quiet, _ = cost(step, (10.0, 10.1))
+    loud, _ = cost(step, (10.0, 10.1), (0.2, 0.3))
+    alone, _ = cost(step, (0.2, 0.3))
+    assert loud.error == pytest.approx(alone.error)
+    assert loud.error[0] > quiet.error[0]
+
+
+@pytest.mark.parametrize(
+    ("ahead_ms", "stale_ms"), [(0.0, 4.1), (1.3, 2.8), (2.0, 2.1), (2.8, 1.5), (4.1, 2.8), (10.0, 8.7)]
+)
+def test_the_state_that_a_force_was_computed_for_is_as_far_as_the_youngest_or_the_oldest(ahead_ms, stale_ms):
+    """Forces act from 1.3 ms after the measurement for 2 ms, and 0.8 ms of lag: too far ahead is as bad as late."""
+    assert stale_s(AXIS, 1e-3 * ahead_ms) == pytest.approx(1e-3 * stale_ms)

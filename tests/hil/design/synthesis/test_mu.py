@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+
+from drivers.errors import ModelError
+from hil.design.synthesis.mu import Block, lower_bound, upper_bound
+
+SCALAR, REAL = Block(), Block(real=True)
+BLOCKS = [Block(), Block(), Block(), Block(3, 2)]
+SIZES, COMPLEX, REAL_KIND = (1, 1, 1, 2), 2, 1
+
+
+def one(matrix):
+    return np.array(matrix, complex)[None]
+
+
+def samples(number, rows, columns, seed=0):
+    rng = np.random.default_rng(seed)
+    M = rng.normal(size=(number, rows, columns)) + 1j * rng.normal(size=(number, rows, columns))
+    return M * 10.0 ** rng.uniform(-1.5, 1.5, size=(number, rows, 1))
+
+
+def both(matrix, blocks):
+    M = one(matrix)
+    return upper_bound(M, blocks, accuracy=1e-6).bound[0], lower_bound(M, blocks).bound[0]
+
+
+def test_of_one_full_block_mu_is_the_largest_singular_value():
+    M = samples(5, 2, 3)
+    sigma = np.linalg.svd(M, compute_uv=False)[:, 0]
+    assert upper_bound(M, [Block(3, 2)]).bound == pytest.approx(sigma, rel=1e-9)
+    assert lower_bound(M, [Block(3, 2)]).bound == pytest.approx(sigma, rel=1e-9)
+
+
+def test_of_the_textbooks_matrix_mu_is_3_below_its_singular_value():
+    """Skogestad and Postlethwaite, section 8.8: sqrt 10 for a full block, 3 for a diagonal one."""
+    M = [[2.0, 2.0], [-1.0, -1.0]]
+    assert both(M, [Block(2, 2)]) == pytest.approx((np.sqrt(10.0), np.sqrt(10.0)), rel=1e-6)
+    assert both(M, [SCALAR, SCALAR]) == pytest.approx((3.0, 3.0), rel=1e-6)
+
+
+def test_of_a_dyad_mu_is_the_sum_of_the_products():
+    """M = a b': det(I - M Delta) = 1 - sum a_i b_i delta_i, so mu = sum |a_i b_i|, for real ones too."""
+    a, b = np.array([3.0, -0.2, 0.7]), np.array([0.1, 5.0, 2.0])
+    M, mu = np.outer(a, b), np.abs(a * b).sum()
+    assert both(M, [SCALAR] * 3) == pytest.approx((mu, mu), rel=1e-5)
+    assert upper_bound(one(M), [REAL] * 3, accuracy=1e-6).bound == pytest.approx([mu], rel=1e-5)
+    assert mu < 0.5 * np.linalg.norm(M, 2)
+
+
+def test_of_a_ring_mu_is_the_geometric_mean():
+    assert both([[0.0, 100.0], [0.04, 0.0]], [SCALAR, SCALAR]) == pytest.approx((2.0, 2.0), rel=1e-5)
+
+
+def test_a_real_number_cannot_cancel_an_imaginary_one():
+    """1 - j delta = 0 has no real solution: mu is 0; 1 + 2 delta = 0 has: mu is 2."""
+    M = np.array([1j, -2.0]).reshape(2, 1, 1)
+    bound = upper_bound(M, [REAL], iterations=400).bound
+    assert bound[0] < 1e-2
+    assert bound[1] == pytest.approx(2.0, rel=1e-6)
+    assert upper_bound(M, [SCALAR]).bound == pytest.approx([1.0, 2.0], rel=1e-6)
+
+
+def test_the_bounds_meet_where_theory_says_so_and_nearly_meet_beyond():
+    three = [SCALAR, SCALAR, Block(2, 2)]
+    M = samples(60, 4, 4)
+    upper, lower = upper_bound(M, three, accuracy=1e-6).bound, lower_bound(M, three).bound
+    assert (lower <= upper * (1 + 1e-9)).all()
+    assert np.median(lower / upper) > 0.9999
+    assert upper.mean() < 0.8 * np.linalg.svd(M, compute_uv=False)[:, 0].mean()
+
+
+def test_both_bounds_carry_their_proofs():
+    M = samples(30, 5, 6)
+    upper, lower = upper_bound(M, BLOCKS), lower_bound(M, BLOCKS)
+    left = np.repeat(upper.D, [1, 1, 1, 2], axis=1)
+    right = np.repeat(upper.D, [1, 1, 1, 3], axis=1)
+    sigma = np.linalg.svd(left[:, :, None] * M / right[:, None, :], compute_uv=False)[:, 0]
+    assert upper.bound == pytest.approx(sigma, rel=1e-9)
+    assert np.linalg.svd(lower.Delta, compute_uv=False)[:, 0] == pytest.approx(np.ones(30), rel=1e-9)
+    off = np.ones((6, 5), bool)
+    off[[0, 1, 2], [0, 1, 2]] = False
+    off[3:, 3:] = False
+    assert not lower.Delta[:, off].any()
+    # of the eigenvalue of that modulus, a perturbation of size 1 / bound makes I - M Delta singular
+    values = np.linalg.eigvals(M @ lower.Delta)
+    largest = values[np.arange(30), np.abs(values).argmax(1)]
+    loop = np.eye(5) - M @ lower.Delta / largest[:, None, None]
+    assert np.abs(largest) == pytest.approx(lower.bound, rel=1e-9)
+    assert np.linalg.svd(loop, compute_uv=False)[:, -1].max() < 1e-6
+
+
+def test_a_real_block_gives_a_bound_no_higher_and_its_proof():
+    M = samples(40, 5, 6)
+    blocks = [REAL, REAL, *BLOCKS[2:]]
+    mixed, plain = upper_bound(M, blocks), upper_bound(M, BLOCKS)
+    assert (mixed.bound <= plain.bound * (1 + 1e-3)).all()
+    assert (mixed.bound < 0.99 * plain.bound).any()
+    d, g = np.repeat(mixed.D**2, [1, 1, 1, 2], axis=1), np.zeros((40, 6, 5))
+    g[:, [0, 1], [0, 1]] = mixed.G[:, :2]
+    GM = g @ M
+    left = M.conj().swapaxes(1, 2) @ (d[:, :, None] * M) + 1j * (GM - GM.conj().swapaxes(1, 2))
+    right = np.repeat(mixed.D**2, [1, 1, 1, 3], axis=1) * mixed.bound[:, None] ** 2
+    spare = np.linalg.eigvalsh(right[:, :, None] * np.eye(6) - left)
+    assert (spare[:, 0] > -1e-9 * np.abs(spare).max(1)).all()
+
+
+@pytest.mark.parametrize("kinds", [(COMPLEX, COMPLEX, COMPLEX), (REAL_KIND, COMPLEX, COMPLEX)])
+def test_no_bound_is_looser_than_that_of_slicot(kinds):
+    slycot = pytest.importorskip("slycot")
+    M = samples(40, 5, 5, seed=3)
+    blocks = [Block(real=kind == REAL_KIND) for kind in kinds] + [Block(2, 2)]
+    reference = np.array([slycot.ab13md(m, np.array(SIZES), np.array([*kinds, COMPLEX]))[0] for m in M])
+    found = upper_bound(M, blocks, accuracy=1e-6).bound
+    assert (found <= reference * (1 + 1e-3)).all()
+    if REAL_KIND not in kinds:
+        assert found == pytest.approx(reference, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "message"),
+    [
+        ([SCALAR], "blocks for a matrix of 1 x 1, given 2 x 2"),
+        ([Block(2, 2, real=True)], "a real block is a number, given 2 x 2"),
+    ],
+)
+def test_blocks_that_do_not_fit_are_refused(blocks, message):
+    with pytest.raises(ModelError, match=message):
+        upper_bound(one(np.eye(2)), blocks)
+
+
+def test_a_lower_bound_for_real_blocks_is_refused():
+    with pytest.raises(ModelError, match="takes complex blocks"):
+        lower_bound(one(np.eye(2)), [REAL, SCALAR])

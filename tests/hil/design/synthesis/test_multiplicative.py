@@ -1,0 +1,229 @@
+"""Measured axes as an uncertainty: its bound, its cover, and what of it a loop stands, alone and coupled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError, SynthesisError
+from hil.app.configuration.section_file import read_section
+from hil.app.design.command import axis_of, load_design, report, run_design
+from hil.config.axis_model import AxisModel
+from hil.config.design import DesignAxis
+from hil.design.synthesis.hinf_design import design_hinf
+from hil.design.synthesis.mu_design import design_mu
+from hil.design.synthesis.multiplicative import (
+    Relative,
+    cover,
+    covered,
+    frequencies,
+    relative,
+    single,
+    together,
+)
+from hil.design.synthesis.sampled import loop_gain, sampled_axis
+from hil.design.synthesis.weights import control_weight, rational
+from tests.hil.design.synthesis.test_coupling import gamma
+
+RATE_HZ = 1000.0
+FLAT = 0.25 * 2 * np.pi * RATE_HZ
+GAINS = [1.02, 0.99, 1.0, 1.01, 0.98, 1.0]
+AXES = f"""\
+kind: axis-model
+source: a log
+axes: joint
+rate_Hz: 1000
+nominal: {{gain: {GAINS}, transport_ms: 0.52, lag_ms: 0.81}}
+uncertainty: {{frequency_Hz: [1, 10, 30, 100], bound: [0.045, 0.01, 0.03, 0.09]}}
+measured:
+"""
+ONE = "- {frequency_Hz: [1], magnitude: [0.025], phase_deg: [-180], coherence: [1], magnitude_std: [0], phase_std_deg: [0]}\n"
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "axes.yaml"
+    path.write_text(AXES + 6 * ONE)
+    return path
+
+
+def loop(designed, axis, design):
+    return loop_gain(designed.judged.sampled, sampled_axis(axis, RATE_HZ, design.inputs))
+
+
+def profile(*points, flat=FLAT):
+    hertz, bound = np.array(points).T
+    return Relative(2 * np.pi * hertz, bound, flat)
+
+
+def test_the_bound_holds_for_every_axis_within_its_own(file):
+    model = read_section(file, AxisModel)[0]
+    found = relative(model, 1.0)
+    circle = np.exp(2j * np.pi * np.arange(720) / 720)
+    for w, own in zip(found.bound, model.uncertainty.bound, strict=True):
+        farthest = max(np.abs(g * (1 + own * circle) - 1).max() for g in GAINS)
+        assert farthest <= w * (1 + 1e-12)
+        assert w == pytest.approx(farthest, rel=1e-4)
+
+
+def test_between_lines_it_is_in_proportion_and_beyond_the_last_it_rises_to_half_nyquist():
+    w = profile((1, 0.04), (100, 0.1))
+    hertz = np.array([0.01, 1, 10, 100, 200, 250, 400])
+    np.testing.assert_allclose(w.at(2 * np.pi * hertz), [0.04, 0.04, 0.07, 0.1, 0.2, 0.25, 0.25])
+
+
+@pytest.mark.parametrize("points", [[(1, 0.04), (9, 0.01), (100, 0.09)], [(1, 0.01), (50, 0.5), (100, 2.0)]])
+def test_a_cover_is_above_and_near_and_its_poles_are_low(points):
+    w, corner = profile(*points), 0.4 * np.pi * RATE_HZ
+    omega = frequencies(RATE_HZ)
+    W = rational(cover(omega, w.at(omega), corner), "cover")
+    gain = np.abs(W.response(omega)[:, 0, 0])
+    assert (gain >= w.at(omega)).all()
+    assert np.abs(W.poles()).max() <= corner * (1 + 1e-9)
+    rising = np.maximum.accumulate(w.at(omega))
+    assert np.log(gain / rising)[omega <= corner].mean() < 0.65
+
+
+def test_the_margin_is_the_smallest_perturbation_that_brings_the_loop_to_minus_one():
+    _, designed, design, axis = run_design("hinf", "hinf", None, lambda _: None)
+    L, w = loop(designed, axis, design), profile((1, 0.3), (100, 0.3))
+    margin = single(w, L, RATE_HZ)
+    size = 1 / margin.norm
+    omega = frequencies(RATE_HZ)
+    L_w = L.response(omega)[:, 0, 0]
+    for share, touches in ((0.999, False), (1.001, True)):
+        # |1 + L (1 + w delta)| over all |delta| <= size: a disc of radius |L w| size around 1 + L
+        inside = np.abs(L_w) * w.at(omega) * share * size >= np.abs(1 + L_w)
+        assert inside.any() == touches
+
+
+def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():
+    _, designed, design, axis = run_design("hinf", "hinf", None, lambda _: None)
+    L, w = loop(designed, axis, design), profile((1, 0.3), (100, 0.3))
+    Gamma = gamma(230.0, (0.5, 0.3, 0.5))
+    alone, coupled = single(w, L, RATE_HZ), together(w, L, [Gamma], RATE_HZ)
+    assert together(w, L, [np.eye(6)], RATE_HZ).norm == pytest.approx(alone.norm, rel=1e-3)
+    assert coupled.norm > 1.05 * alone.norm
+    omega = frequencies(RATE_HZ)[::40]
+    draw, smallest = np.random.default_rng(1), np.inf
+    for x, bound in zip(L.response(omega)[:, 0, 0], w.at(omega), strict=True):
+        phases = np.exp(2j * np.pi * draw.random((300, 6)))
+        for size in (0.99 / coupled.norm, 0.5 / coupled.norm):
+            real = np.eye(6) + bound * size * phases[:, :, None] * np.eye(6)
+            smallest = min(smallest, np.abs(np.linalg.det(np.eye(6) + x * Gamma @ real)).min())
+    assert smallest > 1e-3, "no perturbation of this size brings an eigenvalue of the loop to -1"
+
+
+def test_of_several_couplings_the_nearest_to_what_the_loop_stands_counts_whichever_it_is():
+    """Gamma = g I is one axis of g times the gain: |w T| of a double integrator under a PD."""
+    omega = frequencies(RATE_HZ)[::4]
+    w = profile((1, 0.3), (100, 0.3))
+
+    def open_loop(at):
+        s = 1j * at
+        return (40.0 * s + 400.0) / s**2
+
+    class Loop:
+        def response(self, at):
+            return open_loop(at)[:, None, None]
+
+    L: Any = Loop()
+    gains = (1.0, 0.25, 4.0, 0.5)
+    T = [g * open_loop(omega) / (1.0 + g * open_loop(omega)) for g in gains]
+    worst = np.max(w.at(omega) * np.abs(T), axis=0)
+    for turned in range(len(gains)):
+        found = together(w, L, [g * np.eye(6) for g in np.roll(gains, turned)], RATE_HZ)
+        assert found.norm == pytest.approx(worst.max(), rel=1e-9)
+        assert found.at_rad_s == omega[np.argmax(worst)]
+
+
+def test_a_control_weight_that_does_not_cover_is_raised_and_then_the_loop_stands_it():
+    design, _ = load_design("hinf")
+    axis = design.nominal
+    assert axis is not None
+    wild = profile((1, 0.1), (40, 0.9), (100, 2.5))
+    before = single(wild, loop(design_hinf(design, axis, lambda _: None), axis, design), RATE_HZ)
+    assert before.norm > 1
+    raised = covered(design, wild, 1.0)
+    assert raised.weights.control != design.weights.control
+    weights = design.weights
+    error = weights.error.model_copy(update={"low_m": 2e-3, "peak_m": 3e-2, "bandwidth_rad_s": 10.0})
+    modest = design.model_copy(update={"weights": weights.model_copy(update={"error": error})})
+    made = design_hinf(modest, axis, lambda _: None, wild)
+    assert made.figures["gamma"] < 1
+    assert single(wild, loop(made, axis, modest), RATE_HZ).norm < 1
+
+
+def test_a_weight_that_covers_stays_what_it_is():
+    design, _ = load_design("hinf")
+    assert covered(design, profile((1, 0.04), (100, 0.09)), 1.0) is design
+
+
+@pytest.mark.long
+def test_mu_takes_it_as_a_block_of_its_own():
+    design, _ = load_design("mu")
+    axis = design.nominal
+    assert axis is not None
+    error = design.weights.error.model_copy(update={"low_m": 7e-5, "peak_m": 9e-3})
+    modest = design.model_copy(update={"weights": design.weights.model_copy(update={"error": error})})
+    plain = design_mu(modest, axis, lambda _: None)
+    measured = profile((1, 0.045), (10, 0.01), (100, 0.09))
+    made = design_mu(modest, axis, lambda _: None, measured)
+    assert plain.figures["mu_upper"] < made.figures["mu_upper"] < 1
+    assert single(measured, loop(made, axis, modest), RATE_HZ).norm < 1
+
+
+def test_a_file_of_identify_brings_it_and_the_report_says_what_is_left(file):
+    axis, measured = axis_of(load_design("hinf")[0], file.parent, file)
+    assert measured is not None
+    assert axis.gain == pytest.approx(1.0, abs=0.01)
+    controller, designed, design, axis = run_design("hinf", "hinf", file, lambda _: None)
+    left = controller.design["measured"]
+    again = single(measured, loop(designed, axis, design), RATE_HZ)
+    assert left == {"norm": again.norm, "at_rad_s": again.at_rad_s}
+    hertz = again.at_rad_s / (2 * np.pi)
+    (line,) = (line for line in report(controller) if "|W T|" in line)
+    assert f"{again.norm:.3f}, nearest to 1 at {hertz:.3g} Hz" in line
+
+
+def test_axes_that_no_loop_of_the_design_stands_are_refused(file):
+    file.write_text((AXES + 6 * ONE).replace("[0.045, 0.01, 0.03, 0.09]", "[0.045, 1.3, 1.5, 3.0]"))
+    with pytest.raises(
+        SynthesisError, match=r"gamma is .* allowed: below 1|differ from the nominal one by more"
+    ):
+        run_design("hinf", "hinf", file, lambda _: None)
+
+
+def test_an_axis_in_figures_brings_none():
+    design, path = load_design("hinf")
+    assert axis_of(design, path.parent, None) == (design.nominal, None)
+    assert isinstance(design.nominal, DesignAxis)
+
+
+def test_a_gain_that_was_measured_counts_in_the_coupled_loop_too(file):
+    """Gamma = I: six axes of the measured gain are no nearer to the edge, and no farther, than one."""
+    gains = [1.25] * 6
+    file.write_text((AXES + 6 * ONE).replace(str(GAINS), str(gains)))
+    design = run_design("hinf", "hinf", file, lambda _: None, "virtual")[0].design
+    assert design["robot"]["norm"] == pytest.approx(design["measured"]["norm"], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("robot", "says"),
+    [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: that of the design, 1000")],
+)
+def test_a_robot_of_another_loop_is_refused(robot, says):
+    with pytest.raises(ConfigurationError, match=says):
+        run_design("hinf", "hinf", None, lambda _: None, robot)
+
+
+def test_the_cover_counts_the_gain_of_the_axis():
+    """d to u is T over the gain: the same uncertainty of an axis of twice the gain needs twice the weight."""
+    design, _ = load_design("hinf")
+    omega = frequencies(RATE_HZ)
+    w = profile((1, 0.1), (100, 0.9))
+    for gain in (0.5, 2.0):
+        weight = control_weight(covered(design, w, gain).weights.control, RATE_HZ).response(omega)[:, 0, 0]
+        assert (np.abs(weight) * 13.0 >= gain * w.at(omega) * (1 - 1e-9)).all()

@@ -1,0 +1,66 @@
+"""The second pose of a bring-up is one that the legs reach, of whatever size a robot is."""
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.compose import build_protocol
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.lab.bringup.machine import TILT_deg, build_machine, known_poses
+from hil.robot.kinematics import leg_lengths
+
+
+def with_stroke(c, half_m):
+    """Return a configuration whose stroke ends so far from the lengths at home."""
+    q = leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home))
+    ends = {"length_min_m": float(q.min()) - half_m, "length_max_m": float(q.max()) + half_m}
+    return c.model_copy(update={"platform": c.platform.model_copy(update=ends)})
+
+
+def tilt_deg(c):
+    """Return how far the second pose is tilted from the first."""
+    (_, home), (_, tilted) = known_poses(c)
+    return np.degrees(np.arccos((np.trace(home.T @ tilted) - 1.0) / 2.0))
+
+
+def reach_m(c):
+    """Return how much the legs change by the whole tilt."""
+    p, R = pose_arrays(c.platform.home)
+    turned = np.add(c.platform.home.rotation_vector_deg, TILT_deg)
+    tilted = c.platform.home.model_copy(update={"rotation_vector_deg": tuple(turned.tolist())})
+    platform = build_platform(c.platform)
+    return float(np.abs(leg_lengths(platform, *pose_arrays(tilted)) - leg_lengths(platform, p, R)).max())
+
+
+@pytest.mark.parametrize("name", ["virtual", "desktop"])
+def test_the_tilt_is_as_large_as_the_stroke_allows(name):
+    c = load(name)
+    whole = np.linalg.norm(TILT_deg)
+    reach = reach_m(c)
+    assert tilt_deg(c) == pytest.approx(whole, rel=1e-6)
+    assert tilt_deg(with_stroke(c, 1.1 * reach)) == pytest.approx(whole, rel=1e-6)
+    assert tilt_deg(with_stroke(c, 0.6 * reach)) == pytest.approx(0.5 * whole, rel=1e-6)
+    assert tilt_deg(with_stroke(c, 0.3 * reach)) == pytest.approx(0.25 * whole, rel=1e-6)
+
+
+def test_the_poses_are_told_as_they_are():
+    c = load("virtual")
+    protocol = build_protocol(c)
+    assert build_machine(c, protocol).pose_words == (
+        "position 0, 0, 1 m, rotation vector 0, 0, 0 deg",
+        "position 0, 0, 1 m, rotation vector 3, 2, 4 deg",
+    )
+    narrow = build_machine(with_stroke(c, 0.6 * reach_m(c)), protocol)
+    assert narrow.pose_words[1] == "position 0, 0, 1 m, rotation vector 1.5, 1, 2 deg"
+
+
+def test_a_home_at_the_end_of_the_stroke_is_refused_with_the_leg():
+    c = load("virtual")
+    narrow = with_stroke(c, 0.1 * reach_m(c))
+    low, high = narrow.platform.length_min_m, narrow.platform.length_max_m
+    with pytest.raises(
+        ConfigurationError, match=r"tilted by 1\.3 deg, takes leg \d to .* Choose a home"
+    ) as refusal:
+        known_poses(narrow)
+    assert f"allowed: {low:g} to {high:g} m" in str(refusal.value)

@@ -1,0 +1,117 @@
+"""A hand may push a leg shorter or longer: what gives way is seen either way, at any leg."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from hil.lab.bringup.context import Context, Finding, Request
+from hil.lab.bringup.steps import brakes, encoder
+
+WAYS = pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
+LEGS = pytest.mark.parametrize("leg", range(6))
+
+
+class Pushed:
+    """A bench on which some legs move by so much when the operator does an act."""
+
+    def __init__(self, act: str, way_m: float, legs: tuple[int, ...]) -> None:
+        self.machine = SimpleNamespace(rated_N=30_000.0)
+        self.drives = SimpleNamespace(ticks=lambda _: 3)
+        self.driven: list[int] = []
+        self.asked: list[str] = []
+        self._act, self._way_m, self._legs = act, way_m, legs
+        self._q = np.full(6, 1.5)
+
+    def ask(self, request: Request, keep: Any = lambda: None) -> float:
+        self.asked.append(request.act)
+        if request.act == self._act:
+            self._q[list(self._legs)] += self._way_m
+        keep()
+        return 0.0 if request.within is None else 700.0
+
+    def lengths(self) -> Any:
+        return self._q.copy()
+
+    def travelled(self, since: Any) -> dict[int, float]:
+        return dict(enumerate(self._q - since))
+
+    def drive(self, drive: int) -> None:
+        self.driven.append(drive)
+
+    def rest(self, _: float) -> None:
+        pass
+
+
+def pushed(act: str, way_m: float, *legs: int) -> Context:
+    return cast("Context", Pushed(act, way_m, legs))
+
+
+@LEGS
+@WAYS
+@pytest.mark.parametrize("act", ["push", "read_held"])
+def test_a_shut_brake_that_slips_does_not_hold_whichever_way_and_whenever_it_slips(
+    leg: int, way_m: float, act: str
+) -> None:
+    c = pushed(act, way_m, leg)
+    read = [] if act == "push" else ["read_held"]
+    assert brakes.holds(c, leg) == {"moved": True, "hand_N": 700.0 if read else None}
+    assert c.asked == ["push", *read, "let_go"], "a leg that gives way holds no force to be read"  # type: ignore[attr-defined]
+    assert not brakes.holds(pushed(act, way_m / 4.0, leg), leg)["moved"], "a leg and its joints bend"
+
+
+@LEGS
+@WAYS
+def test_an_open_brake_gives_way_whichever_way_its_leg_is_pushed(leg: int, way_m: float) -> None:
+    assert brakes.gives_way(pushed("push", way_m, leg), leg, lambda: None) == (True, 700.0)
+    assert brakes.gives_way(pushed("push", way_m / 4.0, leg), leg, lambda: None) == (False, 0.0)
+
+
+@LEGS
+@WAYS
+def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(
+    leg: int, way_m: float
+) -> None:
+    others = [other for other in range(6) if other != leg]
+    for freed in ([], others[:1], others[-1:], others[1:4], others):
+        c = pushed("push_others", way_m, *freed)
+        assert brakes.give_way_too(c, leg, leg, others) == freed
+        assert set(c.driven) == {leg}  # type: ignore[attr-defined]
+    assert brakes.give_way_too(pushed("push_others", way_m / 4.0, *others), leg, leg, others) == []
+
+
+def judged(ends: dict[int, tuple[float, float]]) -> list[Finding]:
+    """Return what is found where some legs end so far, m, before their configured ends (0.75 and 2.2 m)."""
+    machine = SimpleNamespace(length_min=0.75, length_max=2.2, stroke=1.45, tape_m=2e-4)
+    facts = {}
+    for leg in range(6):
+        low, high = ends.get(leg, (-0.01, -0.01))
+        tape = [0.75 + low, 2.2 - high]
+        facts[leg] = {"drive": leg, "tape_m": tape, "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
+    c = SimpleNamespace(machine=machine, known=lambda _, leg: facts[leg])
+    return encoder.judge(cast("Context", c))
+
+
+def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ...]]]:
+    return [(found.name, found.legs) for found in judged(ends)]
+
+
+@pytest.mark.parametrize("ends", [(3e-3, 0.0), (0.0, 3e-3), (3e-3, 3e-3), (0.2, -0.01)])
+def test_a_leg_that_does_not_reach_either_end_has_something_in_its_way(ends: tuple[float, float]) -> None:
+    for leg in range(6):
+        assert taped({leg: ends}) == [("end_stop", (leg,))]
+    assert taped({1: ends, 4: ends[::-1]}) == [("end_stop", (1,)), ("end_stop", (4,))]
+    assert taped(dict.fromkeys(range(6), ends)) == [("stroke", (0, 1, 2, 3, 4, 5))]
+
+
+def test_a_leg_that_reaches_both_ends_has_nothing_in_its_way() -> None:
+    assert taped({}) == []
+    assert taped(dict.fromkeys(range(6), (1e-3, 1e-3))) == []
+
+
+def test_the_stroke_to_write_down_is_what_every_leg_reaches() -> None:
+    (found,) = judged({leg: (3e-3 + 1e-3 * leg, 9e-3 - 1e-3 * leg) for leg in range(6)})
+    assert "all end at 0.7580 and 2.1910 m" in found.line

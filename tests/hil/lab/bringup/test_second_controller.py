@@ -1,0 +1,59 @@
+"""A second controller on the bus is noticed whenever it sends in the scan, and its drives are let alone."""
+
+import pytest
+
+from drivers.signals import DriveState, Foreign
+from hil.lab.bringup.steps import scan
+from plant_fmu.rehearsal.wiring import Wiring
+from tests.hil.lab.bringup.kit import Rehearsal, named
+
+
+def disturbed(at, name="virtual"):
+    """Return a machine on whose bus somebody sends in some ticks; at: tick -> what."""
+    rehearsal = Rehearsal(name, Wiring())
+    step = rehearsal.drives.step
+
+    def heard(*arguments, **options):
+        record = step(*arguments, **options)
+        record["foreign"] = at.get(rehearsal.drives.tick, 0)
+        return record
+
+    rehearsal.drives.step = heard  # type: ignore[method-assign]
+    return rehearsal
+
+
+def last(name):
+    rehearsal = Rehearsal(name, Wiring())
+    return rehearsal.drives.ticks(scan.LISTEN_S) - 1
+
+
+@pytest.mark.parametrize("name", ["virtual", "desktop"])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_one_frame_of_another_controller_is_named_whenever_it_comes(name, share):
+    rehearsal = disturbed({round(share * last(name)): int(Foreign.COMMAND)}, name)
+    outcome = rehearsal.run((scan.STEP,))
+    assert named(outcome) == {("second_controller", ())}
+    assert "somebody else sends COMMAND" in outcome.findings[0].text
+
+
+def test_all_that_another_controller_has_sent_is_named():
+    rehearsal = disturbed({3: int(Foreign.SYNC), 40: int(Foreign.CONFIG), 41: 0})
+    (finding,) = rehearsal.run((scan.STEP,)).findings
+    assert "somebody else sends SYNC, CONFIG" in finding.text
+
+
+@pytest.mark.parametrize("what", [f for f in Foreign if f])
+def test_drives_that_another_controller_may_be_driving_are_neither_reset_nor_set_up(what):
+    rehearsal, set_up = disturbed({5: int(what)}), list[object]()
+    rehearsal.drives.prepare = lambda leg: set_up.append(leg) or ("",) * 6  # type: ignore[func-returns-value]
+    scan.find(rehearsal.context)
+    assert set_up == []
+    states = [DriveState(int(s)) for s in rehearsal.bench.nodes.snapshot().state]
+    assert states == [DriveState.BOOT] * 6
+
+
+def test_drives_that_are_alone_on_the_bus_are_set_up():
+    rehearsal = disturbed({})
+    scan.find(rehearsal.context)
+    states = [DriveState(int(s)) for s in rehearsal.bench.nodes.snapshot().state]
+    assert states == [DriveState.OFF] * 6

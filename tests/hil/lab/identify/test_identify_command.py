@@ -1,0 +1,194 @@
+"""`hil identify --delay` against the plant's own figures."""
+
+import inspect
+import json
+from functools import cache
+from math import pi
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from hil.app.configuration.configuration import load
+from hil.app.run.command import run_daemon
+from hil.cli import main
+from hil.lab.identify.axes import excited_axes
+from hil.lab.identify.delay import excited
+from tests.broad import broad
+from tests.loop import laden
+
+TRANSPORT_MS = 0.5
+"""Rates latched 0.1 ms after the tick, force from 0.6 ms on, on the plant's grid of 0.1 ms."""
+HOLD_MS = 0.5
+
+
+def identify(*arguments):
+    return CliRunner(env={"COLUMNS": "120"}).invoke(main, ["identify", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """(result, log, summary) of the shipped bench, or of one with drives of half the bandwidth."""
+    folder = tmp_path_factory.mktemp("identify")
+    slow = load("virtual").text.replace("force_bandwidth_Hz: 200 ", "force_bandwidth_Hz: 100 ")
+    (folder / "slow.yaml").write_text(slow)
+    sources = {200.0: "virtual", 100.0: folder / "slow.yaml"}
+
+    @cache
+    def found(bandwidth_Hz):
+        log, summary = folder / f"{bandwidth_Hz}.mcap", folder / f"{bandwidth_Hz}.json"
+        result = identify(sources[bandwidth_Hz], "--delay", "--duration", 2, "--log", log, "--json", summary)
+        assert result.exit_code == 0, result.output
+        return result, log, json.loads(summary.read_text())
+
+    return found
+
+
+@pytest.mark.parametrize("bandwidth_Hz", broad([200.0, 100.0], quick=1))
+def test_the_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwidth_Hz):
+    _, _, summary = measured(bandwidth_Hz)
+    lag_ms = 1e3 / (2 * pi * bandwidth_Hz)
+    assert summary["total_ms"] == pytest.approx(TRANSPORT_MS + lag_ms + HOLD_MS, abs=0.05)
+    assert summary["transport_ms"] == pytest.approx(TRANSPORT_MS, abs=0.05)
+    assert summary["lag_ms"] == pytest.approx(lag_ms, abs=0.05)
+    assert summary["hold_ms"] == HOLD_MS
+    assert summary["separable"]
+    assert 0 < summary["total_std_ms"] < 0.05
+    assert summary["gain"] == pytest.approx([1.0] * 6, abs=0.01)
+
+
+def test_it_prints_what_the_configuration_wants(measured):
+    result, _, summary = measured(200.0)
+    values = summary["delay_compensation"]
+    assert values["bus_ms"] == pytest.approx(TRANSPORT_MS, abs=0.05)
+    text = ", ".join(f"{key}: {value:g}" for key, value in values.items())
+    assert f"controller:\n  delay_compensation: {{{text}}}" in result.stdout
+
+
+def test_the_run_for_it_is_small_and_touches_no_limit(measured):
+    run = measured(200.0)[2]["run"]
+    assert not any(run["limited_ticks"].values())
+    assert run["replay"]["exact"]
+    assert run["tracking"]["peak_leg_error_mm"] < 0.2
+
+
+def test_a_log_tells_the_same_as_the_run_for_it(measured, tmp_path):
+    _, log, summary = measured(200.0)
+    result = identify(log, "--delay", "--json", tmp_path / "a.json")
+    assert result.exit_code == 0, result.output
+    again = json.loads((tmp_path / "a.json").read_text())
+    assert again["total_ms"] == summary["total_ms"]
+
+
+@pytest.mark.long
+def test_a_robot_that_is_not_the_model_shows_in_the_gains(tmp_path):
+    """Six uncoupled legs on springs: their motion has little to do with a platform's."""
+    result = identify("bench", "--delay", "--duration", 1, "--log", tmp_path / "a.mcap")
+    assert result.exit_code == 0, result.output
+    assert "off the model's: wrong masses" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["virtual", "--delay", "--model", "a.yaml"], "--model"),
+        (["virtual", "--delay", "--force", "1e5"], "limits.force_step_N"),
+        (["socketcan", "--delay"], "--run"),
+        (["nothing.yaml", "--delay"], "no such file"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_with_the_way_out(arguments, said):
+    result = identify(*arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
+
+
+@pytest.mark.long
+def test_friction_and_masses_that_the_model_does_not_know_do_not_move_it(tmp_path):
+    """The lab bench: 60 N and 200 N s/m of friction, 9.9 kg of motor inertia in each leg, same bus and lag."""
+    log, summary = tmp_path / "a.mcap", tmp_path / "a.json"
+    result = identify("lab", "--delay", "--log", log, "--json", summary)
+    assert result.exit_code == 0, result.output
+    found = json.loads(summary.read_text())
+    assert found["total_ms"] == pytest.approx(TRANSPORT_MS + 1e3 / (2 * pi * 200.0) + HOLD_MS, abs=0.05)
+    assert found["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.15)
+    assert "off the model's" in result.stdout
+
+
+@pytest.mark.long
+def test_friction_is_that_of_the_drive_though_the_platform_is_heavier_than_the_model(tmp_path):
+    """A fifth more mass than believed: gains of 0.83, which would make 12.5 N of 15 N."""
+    c = load("virtual")
+    load_kg = {"mass_kg": 230.0, "com_m": [0.0, 0.0, 0.0], "shape": {"type": "sphere", "radius_m": 1.1}}
+    drives = {"coulomb_friction_N": 15.0, "viscous_friction_N_s_m": 300.0}
+    controller = excited(c, None, None).configuration
+    plant = laden.changed(
+        controller,
+        platform={"platform": {"payload": [load_kg]}},
+        plant={"model": {**drives, "type": "stewart", "force_bandwidth_Hz": 200.0}},
+    )
+    log, summary = tmp_path / "a.mcap", tmp_path / "a.json"
+    laden.run(controller, plant, log)
+    result = identify(log, "--delay", "--json", summary)
+    assert result.exit_code == 0, result.output
+    found = json.loads(summary.read_text())
+    assert found["gain"] == pytest.approx([0.84] * 6, abs=0.02)
+    assert found["coulomb_friction_N"] == pytest.approx([15.0] * 6, abs=0.5)
+    assert found["viscous_friction_N_s_m"] == pytest.approx([300.0] * 6, rel=0.15)
+    block = yaml.safe_load(result.stdout[result.stdout.index("controller:") :])["controller"]
+    assert block["model"]["coulomb_friction_N"] == pytest.approx(found["coulomb_friction_N"], rel=1e-3)
+    assert block["delay_compensation"] == found["delay_compensation"]
+
+
+def test_a_plant_without_friction_gets_no_friction_in_its_block(measured):
+    assert measured(200.0)[2]["friction"] == {}
+    assert "model:" not in measured(200.0)[0].stdout
+
+
+def test_a_log_of_a_held_platform_is_refused(tmp_path):
+    text = load("virtual").text
+    first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+    still = tmp_path / "still.yaml"
+    still.write_text(text[:first] + "reference: {type: hold, duration_s: 0.3}\n\n" + text[last:])
+    run = CliRunner().invoke(main, ["sim", str(still), "--log", str(tmp_path / "a.mcap")])
+    assert run.exit_code == 0, run.output
+    result = identify(tmp_path / "a.mcap", "--delay")
+    assert result.exit_code == 2
+    assert "too little motion" in result.stderr
+
+
+def test_options_of_a_run_have_no_meaning_for_a_log(measured):
+    result = identify(measured(200.0)[1], "--delay", "--run")
+    assert result.exit_code == 2
+    assert "is a log" in result.stderr
+    assert Path(measured(200.0)[1]).exists()
+
+
+@pytest.mark.parametrize("excite", [excited, excited_axes])
+def test_a_run_that_identifies_has_the_limits_and_the_engage_times_of_any_other(excite):
+    """So a stall that ends it would have ended `hil run` as well: name and reference alone differ."""
+    c = load("virtual")
+    made = excite(c, None, None).configuration
+    differ = {key for key in type(c).model_fields if getattr(made, key) != getattr(c, key)}
+    assert differ == {"name", "reference"}
+
+
+def test_identify_run_starts_the_daemon_as_run_does(monkeypatch, tmp_path):
+    """Rate selection, drives' watchdog, consent, plant: the same call, but for picture and file."""
+    calls = []
+
+    def daemon(*arguments, **options):
+        bound = inspect.signature(run_daemon).bind(*arguments, **options)
+        bound.apply_defaults()
+        calls.append({k: v for k, v in bound.arguments.items() if k not in {"configuration", "draw", "log"}})
+        return {"success": False, "trouble": "not run", "faults": [], "log": "none"}
+
+    monkeypatch.setattr("hil.app.run.command.run_daemon", daemon)
+    monkeypatch.setattr("hil.lab.identify.delay.run_daemon", daemon)
+    identify("virtual", "--delay", "--run", "--plant", "--arm", "--log", tmp_path / "a.mcap")
+    CliRunner().invoke(main, ["run", "virtual", "--plant", "--arm", "--log", str(tmp_path / "b.mcap")])
+    of_identify, of_run = calls
+    assert {k: v or None for k, v in of_identify.items()} == {k: v or None for k, v in of_run.items()}
+    assert of_run["with_plant"]
+    assert of_run["arm"]

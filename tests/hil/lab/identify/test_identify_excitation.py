@@ -1,0 +1,92 @@
+"""The motions that excite a loop lie in the band that their loop can sample, at any rate."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hil.app.configuration.configuration import load
+from hil.config.values import Pose
+from hil.lab.identify.delay import exact_model, excitation_pose, excited
+from hil.lab.identify.estimators.excitation import CARRIER_Hz, delay_excitation
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Platform
+from hil.robot.kinematics import leg_lengths
+from hil.trajectory.build import build_trajectory
+from tests.hil.test_dynamics import BOOK
+
+FORCE_N = 40.0
+Q = Rotation.from_rotvec([0.6, -0.7, 0.5]).as_matrix()
+UPRIGHT = Rotation.from_rotvec([-np.pi / 2, 0.0, 0.0]).as_matrix()
+
+
+def same_robot(base, platform):
+    """Return the book's robot and its home with axes of base and of platform turned by these rotations."""
+    g = BOOK["geometry"]
+    body = {
+        "mass": 1150.0, "com": [0.0, 0.0, 0.0],
+        "inertia": (platform.T @ np.array(g["platform"]["inertia"]) @ platform).tolist(),
+    }  # fmt: skip
+    turned = {
+        **g, "platform": body, "gravity": (base @ g["gravity"]).tolist(),
+        "base_joints": (np.array(g["base_joints"]) @ base.T).tolist(),
+        "platform_joints": (np.array(g["platform_joints"]) @ platform).tolist(),
+    }  # fmt: skip
+    p, r = base @ [0.0, 0.0, 1.0], np.rad2deg(Rotation.from_matrix(base @ platform).as_rotvec())
+    return Model(Platform.from_dict(turned)), Pose(
+        position_m=tuple(p.tolist()), rotation_vector_deg=tuple(r.tolist())
+    )
+
+
+TURNED = pytest.mark.parametrize(
+    ("base", "platform"),
+    [
+        (np.eye(3), np.eye(3)),
+        (np.eye(3), Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix()),
+        (np.eye(3), Q),
+        (UPRIGHT, np.eye(3)),
+        (Q, Q),
+    ],
+    ids=["level", "platform about z", "platform", "wall", "both"],
+)
+
+
+def shaken(base, platform, frequencies):
+    """Return the model, and trajectory and home of those components alone, without their fading."""
+    model, home = same_robot(base, platform)
+    made = delay_excitation(model, home, 100.0, FORCE_N, 20.0)
+    some = [s for s in made.components if frequencies(s.frequency_Hz)]
+    return model, build_trajectory(made.model_copy(update={"components": some}), home, None)
+
+
+@TURNED
+def test_the_largest_leg_force_that_finds_a_delay_is_the_one_asked_for_however_a_home_is_turned(
+    base, platform
+):
+    """Beyond the weight and the slow motion; lines at multiples of 2/3 Hz repeat after 1.5 s."""
+    model, path = shaken(base, platform, lambda f: f != CARRIER_Hz)
+    rest = model.inverse_dynamics(*path.sample(0.0)[:2], np.zeros(6), np.zeros(6))
+    times = 1.0 + np.arange(0.0, 1.5, 1 / 400)
+    forces = np.array([model.inverse_dynamics(*path.sample(t)) - rest for t in times.tolist()])
+    assert np.abs(forces).max() == pytest.approx(FORCE_N, rel=0.05)
+
+
+@TURNED
+def test_under_it_every_leg_slides_by_3_mm_wherever_the_legs_point(base, platform):
+    model, path = shaken(base, platform, lambda f: f == CARRIER_Hz)
+    q = np.array([leg_lengths(model.platform, *path.sample(1.0 + t)[:2]) for t in np.linspace(0.0, 1.0, 41)])
+    assert np.ptp(q, axis=0) == pytest.approx(6 * [6e-3], rel=0.01)
+
+
+@pytest.mark.parametrize("rate_Hz", [25.0, 50.0, 90.0, 100.0, 149.0, 150.0, 250.0, 1000.0, 2000.0])
+def test_the_lines_that_find_a_delay_end_at_three_tenths_of_any_rate(rate_Hz: float) -> None:
+    c = load("virtual")
+    reference = delay_excitation(exact_model(c), excitation_pose(c), rate_Hz, 100.0, 20.0)
+    lines = np.unique([s.frequency_Hz for s in reference.components if s.frequency_Hz != CARRIER_Hz])
+    assert lines.max() <= 0.3 * rate_Hz * (1.0 + 1e-9)
+    assert len(lines) == 36, "six of each axis, and none of two"
+
+
+def test_a_slow_loop_is_excited_with_its_own_limits() -> None:
+    made = excited(load("vcan50"), None, 4.0)
+    assert made.configuration.loop.rate_Hz == 50.0
+    assert made.force_N > 0.0

@@ -1,0 +1,298 @@
+"""Masses and friction from made-up motion: the forces are those of the loop's model, plus what is known."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Array
+from drivers.errors import IdentificationError
+from hil.lab.identify.estimators.consistent import consistent
+from hil.lab.identify.estimators.least_squares import (
+    coloured_covariance,
+    halves,
+    prediction_error,
+    solve,
+    unknowns_scale,
+)
+from hil.lab.identify.estimators.leg_equations import (
+    COLUMNS,
+    COULOMB,
+    LATE,
+    REFLECTED,
+    VISCOUS,
+    equations_of,
+    joined,
+)
+from hil.lab.identify.estimators.leg_motion import LegSignals
+from hil.lab.identify.estimators.rigid_body import SIZE, body_of, parameters_of, pseudo_inertia
+from hil.mathematics.rotations import rotation_motion_kernel
+from hil.robot.dynamics import Model
+from hil.robot.geometry import Body, Platform
+from hil.robot.inertia import combine, physical
+from hil.robot.kinematics import jacobian, leg_lengths
+from tests.hil.lab.identify.test_identify_leg_motion import AMPLITUDE, CENTRE, OMEGA, T
+from tests.hil.test_dynamics import BOOK
+
+PLATFORM = Platform.from_dict(BOOK["geometry"])
+LOAD = Body(230.0, np.array([0.5, 0.3, 0.5]), np.diag([11.7, 7.9, 9.97]))
+LADEN = Platform.from_dict(
+    {
+        **BOOK["geometry"],
+        "platform": {k: np.asarray(v).tolist() for k, v in vars(combine([PLATFORM.platform, LOAD])).items()},
+    }
+)
+BELIEVED: Array = np.zeros(COLUMNS)
+BELIEVED[:SIZE] = parameters_of(PLATFORM.platform)
+SCALE = unknowns_scale(PLATFORM)
+FRICTION: dict[str, Any] = {
+    "viscous": np.array([200.0, 180.0, 220.0, 150.0, 300.0, 90.0]),
+    "coulomb": np.array([60.0, 50.0, 40.0, 80.0, 30.0, 20.0]),
+    "reflected_mass": np.array([9.9, 20.0, 5.0, 12.0, 0.0, 30.0]),
+}
+
+
+def state(t, axes=range(6)):
+    moved = AMPLITUDE * np.isin(np.arange(6), list(axes))
+    chi = CENTRE + moved * np.sin(OMEGA * t)
+    rate, second = moved * OMEGA * np.cos(OMEGA * t), -moved * OMEGA**2 * np.sin(OMEGA * t)
+    R, w, dw = rotation_motion_kernel(chi[3:].copy(), rate[3:].copy(), second[3:].copy())
+    return chi[:3], R, np.concatenate([rate[:3], w]), np.concatenate([second[:3], dw])
+
+
+def made(model, seconds=6.0, axes=range(6), late_s=0.0):
+    """Return what a noiseless log would hold of a motion; the forces are those of `late_s` before."""
+    states = [state(k * T, axes) for k in range(round(seconds / T))]
+    force = [model.inverse_dynamics(*state(k * T - late_s, axes)) for k in range(len(states))]
+    return LegSignals(
+        T,
+        np.array([leg_lengths(PLATFORM, p, R) for p, R, _, _ in states]),
+        np.array(force),
+        np.array([s[0] for s in states]),
+        np.array([s[1] for s in states]),
+        np.ones(len(states), bool),
+    )
+
+
+def fitted(signals, reflected=None, platform=PLATFORM):
+    equations = equations_of(Model(platform), signals, reflected)
+    return solve(equations, BELIEVED, SCALE, reflected=reflected is None)
+
+
+@pytest.fixture(scope="module")
+def laden():
+    return made(Model(LADEN, **FRICTION), late_s=3e-4)
+
+
+@pytest.mark.long
+def test_platform_friction_reflected_mass_and_lateness_are_found_all_at_once(laden):
+    """Left is what a filter of 20 ms makes of a nonlinear model."""
+    found = fitted(laden)
+    body = parameters_of(LADEN.platform)
+    assert found.theta[0] == pytest.approx(1380.0, rel=1e-4)
+    assert np.abs(found.theta[1:4] - body[1:4]).max() < 1e-3 * 115.0
+    assert np.abs(found.theta[4:SIZE] - body[4:]).max() < 1e-3 * 660.0
+    assert found.theta[VISCOUS : VISCOUS + 6] == pytest.approx(FRICTION["viscous"], abs=1.0)
+    assert found.theta[COULOMB : COULOMB + 6] == pytest.approx(FRICTION["coulomb"], abs=0.5)
+    assert found.theta[REFLECTED:] == pytest.approx(FRICTION["reflected_mass"], abs=0.3)
+    assert found.theta[LATE] == pytest.approx(3e-4, abs=1e-5)
+    assert not found.hidden.size
+    assert found.condition < 20.0
+
+
+def test_a_reflected_mass_that_is_given_is_no_unknown(laden):
+    found = fitted(laden, FRICTION["reflected_mass"])
+    assert found.theta[0] == pytest.approx(1380.0, rel=1e-4)
+    assert not found.theta[REFLECTED:].any()
+    assert not found.std[REFLECTED:].any()
+    wrong = fitted(laden, np.zeros(6))
+    assert np.abs(wrong.residual_N).max() > 3.0 * np.abs(found.residual_N).max()
+
+
+def test_a_model_of_massless_legs_would_not_do():
+    """The legs' part is the model's, so it counts: the same fit without it is off by the legs' masses."""
+    light = {**PLATFORM.to_dict()}
+    for part in ("cylinder", "rod"):
+        light[part] = {"mass": 0.0, "com": 0.0, "inertia_axial": 0.0, "inertia_transverse": 0.0}
+    signals = made(Model(PLATFORM), 3.0)
+    right, wrong = fitted(signals), fitted(signals, platform=Platform.from_dict(light))
+    assert right.theta[0] == pytest.approx(1150.0, rel=1e-4)
+    assert wrong.theta[0] > 1250.0
+
+
+def test_what_one_axis_cannot_show_stays_as_believed_and_is_named():
+    """Straight up and down: mass shows, and where it is across; no inertia, no height."""
+    found = fitted(made(Model(LADEN), 6.0, axes=[2]), np.zeros(6))
+    assert found.theta[0] == pytest.approx(1380.0, rel=1e-3)
+    assert found.theta[1:3] == pytest.approx([115.0, 69.0], abs=0.2)
+    assert found.theta[3:SIZE] == pytest.approx(BELIEVED[3:SIZE], abs=1e-6)
+    assert (found.unknown[3:SIZE] > 0.9).all()
+    assert (found.unknown[:3] < 0.1).all()
+
+
+def test_a_leg_that_never_slides_is_refused():
+    signals = made(Model(PLATFORM), 2.0)
+    still = np.tile(signals.length[:1], (len(signals.length), 1))
+    with pytest.raises(IdentificationError, match="too little motion: leg 0 slides one way"):
+        fitted(signals._replace(length=still, p=signals.p * 0 + signals.p[0], R=signals.R * 0 + signals.R[0]))
+
+
+def test_rows_around_a_turn_and_a_gap_are_left_out(laden):
+    good = laden.good.copy()
+    good[3000:3010] = False
+    e = equations_of(Model(PLATFORM), laden._replace(good=good), None)
+    assert not ((e.sample > 2960) & (e.sample < 3049)).any()
+    rate = np.array([jacobian(PLATFORM, *s[:2]) @ s[2] for s in (state(k * T) for k in range(len(good)))])
+    for leg in range(6):
+        turns = np.flatnonzero(np.diff(np.sign(rate[:, leg])))
+        at = e.sample[e.leg == leg]
+        assert len(at) > 100
+        assert np.abs(at[:, None] - turns[None]).min() >= 29
+
+
+def test_a_held_out_half_is_predicted_as_well_as_the_half_that_was_fitted(laden):
+    first, second = halves(equations_of(Model(PLATFORM), laden, None))
+    assert first.sample.max() < second.sample.min()
+    fit = solve(first, BELIEVED, SCALE, reflected=True)
+    assert prediction_error(second, fit.theta) < 3.0 * np.sqrt(np.mean(fit.residual_N**2))
+    assert prediction_error(second, BELIEVED) > 100.0 * prediction_error(second, fit.theta)
+
+
+def test_logs_are_joined_without_mixing_their_instants(laden):
+    e = equations_of(Model(PLATFORM), laden, None)
+    both = joined([e, e])
+    assert both.sample[len(e.y)] > both.sample[len(e.y) - 1]
+    assert len(np.unique(both.sample)) == 2 * len(np.unique(e.sample))
+    one, two = solve(e, BELIEVED, SCALE, reflected=True), solve(both, BELIEVED, SCALE, reflected=True)
+    np.testing.assert_allclose(two.theta, one.theta, rtol=0, atol=1e-6 * SCALE.max())
+
+
+# -- what a body can have ------------------------------------------------------------------------------------
+
+
+def noisy(signals, rng, sigma_m=5e-6, sigma_N=3.0):
+    shape = signals.length.shape
+    return signals._replace(
+        length=signals.length + rng.normal(0.0, sigma_m, shape),
+        force=signals.force + rng.normal(0.0, sigma_N, shape),
+    )
+
+
+def test_a_payload_without_size_comes_out_as_a_body_and_the_report_knows_that_least_squares_did_not():
+    point = Body(230.0, np.array([0.5, 0.3, 0.5]), 1e-9 * np.eye(3))
+    whole = combine([PLATFORM.platform, point])
+    keys = {k: np.asarray(v).tolist() for k, v in vars(whole).items()}
+    signals = made(Model(Platform.from_dict({**BOOK["geometry"], "platform": keys})), 4.0)
+    estimate = fitted(noisy(signals, np.random.default_rng(2)))
+    found = consistent(estimate, PLATFORM.radius, BELIEVED[:SIZE])
+    assert found.smallest < 0.0
+    body = found.theta[:SIZE] - BELIEVED[:SIZE]
+    assert np.linalg.eigvalsh(pseudo_inertia(body)).min() > 0.0
+    assert physical(body_of(body).inertia)
+    assert body[0] == pytest.approx(230.0, rel=2e-3)
+    assert body_of(body).com == pytest.approx([0.5, 0.3, 0.5], abs=2e-3)
+    assert 0.0 < found.shift < 4.0
+
+
+def test_the_nearest_body_costs_no_more_than_any_other_near_it():
+    """Among bodies the weighted residual has its least there: steps into bodies on every side are worse."""
+    estimate = fitted(noisy(made(Model(PLATFORM), 4.0), np.random.default_rng(4), 2e-5))
+    bent = estimate._replace(theta=estimate.theta.copy())
+    bent.theta[4] += 30.0  # I_xx above I_yy + I_zz
+    found = consistent(bent, PLATFORM.radius)
+    assert found.smallest < 0.0
+
+    def cost(theta):
+        return float(((estimate.root @ (theta - bent.theta)) ** 2).sum())
+
+    rng, tried = np.random.default_rng(5), 0
+    for _ in range(400):
+        step = np.zeros(COLUMNS)
+        step[:SIZE] = rng.normal(0.0, 1e-3, SIZE) * SCALE[:SIZE]
+        if np.linalg.eigvalsh(pseudo_inertia((found.theta + step)[:SIZE])).min() > 0.0:
+            tried += 1
+            assert cost(found.theta + step) > cost(found.theta) * (1.0 - 1e-6)
+    assert tried > 20
+    assert cost(found.theta) > 0.0
+
+
+def test_a_body_is_left_as_it_is(laden):
+    estimate = fitted(laden)
+    found = consistent(estimate, PLATFORM.radius)
+    assert found.shift == 0.0
+    np.testing.assert_array_equal(found.theta, estimate.theta)
+
+
+# -- standard errors -----------------------------------------------------------------------------------------
+
+
+def test_a_leg_with_a_noisy_drive_does_not_spoil_what_the_others_say(laden):
+    """500 N on leg 0: it counts by its residual, next to nothing."""
+    force = laden.force.copy()
+    force[:, 0] += np.random.default_rng(7).normal(0.0, 500.0, len(force))
+    quiet, loud = fitted(laden), fitted(laden._replace(force=force))
+    assert loud.residual_N[0] > 30.0 * quiet.residual_N[0]
+    assert loud.theta[0] == pytest.approx(quiet.theta[0], abs=0.03)
+    assert loud.theta[4:SIZE] == pytest.approx(quiet.theta[4:SIZE], abs=0.3)
+
+
+def test_white_residuals_give_the_textbook_variance():
+    """sigma^2 (Z^T Z)^-1, on average over many series."""
+    rng, n = np.random.default_rng(10), 2000
+    Z = np.column_stack([np.sin(0.05 * np.arange(n)), np.cos(0.08 * np.arange(n))])
+    hat = Z @ np.linalg.pinv(Z)
+    said = []
+    for _ in range(150):
+        noise = rng.normal(0.0, 3.0, n)
+        said.append(np.diag(coloured_covariance(Z, noise - hat @ noise, np.arange(n))))
+    expected = np.diag(9.0 * np.linalg.inv(Z.T @ Z))
+    assert np.mean(said, axis=0) / expected == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_coloured_residuals_count_at_the_frequency_of_the_regressor():
+    """A sine in differentiated noise: known spread, which white noise of that variance would overstate 30-fold."""
+    rng, n = np.random.default_rng(8), 4000
+    Z = np.sin(2 * np.pi * 0.002 * np.arange(n))[:, None]
+    found, said, white = [], [], []
+    for _ in range(60):
+        noise = np.diff(rng.normal(0.0, 1.0, n + 2), 2)
+        x = float(Z[:, 0] @ noise / (Z[:, 0] @ Z[:, 0]))
+        residual = noise - Z[:, 0] * x
+        found.append(x)
+        said.append(coloured_covariance(Z, residual, np.arange(n))[0, 0])
+        white.append(residual.var() / (Z[:, 0] @ Z[:, 0]))
+    ratio = np.sqrt(np.mean(said)) / np.std(found)
+    assert 0.5 < ratio < 2.0
+    assert np.sqrt(np.mean(white)) / np.std(found) > 5.0
+
+
+def test_slow_residuals_are_not_taken_for_many_independent_ones():
+    rng, n = np.random.default_rng(9), 4000
+    Z = np.sin(2 * np.pi * 0.002 * np.arange(n))[:, None]
+    found, said, white = [], [], []
+    for _ in range(60):
+        noise = np.convolve(rng.normal(0.0, 1.0, n + 99), np.ones(100), "valid")
+        x = float(Z[:, 0] @ noise / (Z[:, 0] @ Z[:, 0]))
+        residual = noise - Z[:, 0] * x
+        found.append(x)
+        said.append(coloured_covariance(Z, residual, np.arange(n))[0, 0])
+        white.append(residual.var() / (Z[:, 0] @ Z[:, 0]))
+    assert 0.5 < np.sqrt(np.mean(said)) / np.std(found) < 2.0
+    assert np.sqrt(np.mean(white)) / np.std(found) < 0.3
+
+
+@pytest.mark.long
+def test_the_standard_errors_are_the_spread_over_seeds(capsys):
+    """Noise of encoders and forces alone, 30 seeds, each unknown. Both are known to some 15 %."""
+    signals = made(Model(LADEN, **FRICTION), 6.0)
+    found = [fitted(noisy(signals, np.random.default_rng(seed))) for seed in range(30)]
+    spread = np.std([f.theta for f in found], axis=0, ddof=1)
+    said = np.sqrt(np.mean([f.std**2 for f in found], axis=0))
+    ratio = said / spread
+    with capsys.disabled():
+        print(
+            f"\nstandard error over spread: {ratio.min():.2f} .. {ratio.max():.2f}, median {np.median(ratio):.2f}"
+        )
+    assert 0.7 < np.median(ratio) < 1.4
+    assert ratio.min() > 0.5
+    assert ratio.max() < 2.0

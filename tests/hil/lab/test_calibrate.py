@@ -1,0 +1,226 @@
+"""Calibration recovers a perturbed robot as surely as it says, and names what the poses do not tell."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, kstest, norm
+
+from drivers.errors import CalibrationError
+from hil.lab.calibrate import fit as module
+from hil.lab.calibrate.fit import Measurements, calibrate, suspicion
+from hil.robot.geometry import Platform
+
+HEXAGON = np.deg2rad([-10, 10, 110, 130, 230, 250])
+NOMINAL = Platform.from_dict(
+    {
+        "base_joints": np.stack([0.75 * np.cos(HEXAGON), 0.75 * np.sin(HEXAGON), 0 * HEXAGON], axis=1),
+        "platform_joints": [
+            [0.6 * np.cos(t), 0.6 * np.sin(t), 0.0] for t in np.deg2rad([310, 50, 70, 170, 190, 290])
+        ],
+        "platform": {"mass": 1.0, "com": [0, 0, 0], "inertia": np.eye(3)},
+        "cylinder": {"mass": 0.0, "com": 0.0, "inertia_axial": 0.0, "inertia_transverse": 0.0},
+        "rod": {"mass": 0.0, "com": 0.0, "inertia_axial": 0.0, "inertia_transverse": 0.0},
+        "gravity": [0, 0, -9.81],
+    }
+)
+
+
+def synthetic(seed, n=40, length=2e-5, position=0.0, rotation=0.0, tilt_deg=12.0, move=0.12):
+    """A perturbed robot and its measured pairs; lengths by scipy's rotations, leg by leg."""
+    g = np.random.default_rng(seed)
+    a = NOMINAL.base_joints + g.normal(0, 2e-3, (6, 3))
+    b = NOMINAL.platform_joints + g.normal(0, 2e-3, (6, 3))
+    offset = g.normal(0, 5e-3, 6)
+    p = np.array([0, 0, 0.85]) + g.uniform(-move, move, (n, 3))
+    R = Rotation.from_rotvec(np.deg2rad(g.uniform(-tilt_deg, tilt_deg, (n, 3))))
+    q = np.empty((n, 6))
+    for k in range(n):
+        for i in range(6):
+            q[k, i] = np.sqrt(np.sum((p[k] + R[k].apply(b[i]) - a[i]) ** 2)) + offset[i]
+    q += g.normal(0, length, (n, 6))
+    p = p + g.normal(0, 1, (n, 3)) * position
+    R = Rotation.from_rotvec(g.normal(0, 1, (n, 3)) * rotation) * R
+    measured = Measurements(
+        p,
+        R.as_rotvec(),
+        q,
+        np.full(n, length),
+        np.full(n, position) if position else None,
+        np.full(n, rotation) if rotation else None,
+    )
+    return np.hstack([a, b, offset[:, None]]), measured
+
+
+def unweighted(measured):
+    return Measurements(measured.p, measured.rotation_vector, measured.q)
+
+
+def estimate(fit):
+    return np.hstack([fit.base_joints, fit.platform_joints, fit.offsets[:, None]])
+
+
+def test_exact_pairs_give_the_robot_back():
+    true, measured = synthetic(1, length=0.0)
+    fit = calibrate(NOMINAL, unweighted(measured))
+    assert estimate(fit) == pytest.approx(true, abs=1e-9)
+    assert np.abs(fit.residuals).max() < 1e-12
+    assert fit.dof == 6 * 40 - 42
+    assert fit.undetermined == ()
+
+
+@pytest.mark.parametrize(
+    "kind", [{}, {"position": 3e-5, "rotation": 6e-5}], ids=["lengths noisy", "poses noisy, too"]
+)
+def test_errors_are_as_large_as_the_reported_uncertainty(kind):
+    """Over seeds: normalised errors are standard normal, within 3 sigma as often as they should; chi-square."""
+    errors, energy, chi_square = [], [], []
+    for seed in range(40):
+        true, measured = synthetic(seed, **kind)
+        fit = calibrate(NOMINAL, measured)
+        error = (estimate(fit) - true).ravel()
+        errors.append(error / fit.std.ravel())
+        energy.append(error @ np.linalg.solve(fit.covariance, error))
+        chi_square.append(fit.chi_square)
+        assert fit.p_value == pytest.approx(chi2.sf(fit.chi_square, fit.dof), rel=1e-9)
+    z = np.array(errors)
+    # 1680 normalised errors, those of a leg correlated: 0.27 % lie outside 3 sigma.
+    assert np.mean(np.abs(z) > 3) < 0.01
+    assert 0.93 < np.sqrt(np.mean(z**2)) < 1.07
+    assert kstest(z[:, 0], norm.cdf).pvalue > 1e-3
+    # all 42 together: error^T C^-1 error is chi-square with 42 degrees of freedom
+    assert kstest(energy, chi2(42).cdf).pvalue > 1e-3
+    assert kstest(chi_square, chi2(198).cdf).pvalue > 1e-3
+
+
+def test_without_deviations_they_come_from_the_residuals():
+    sigma, scaled = [], []
+    for seed in range(20):
+        true, measured = synthetic(seed)
+        fit = calibrate(NOMINAL, unweighted(measured))
+        assert fit.chi_square is None
+        sigma.append(fit.sigma)
+        scaled.append((estimate(fit) - true) / fit.std)
+    assert np.mean(sigma) == pytest.approx(2e-5, rel=0.05)
+    assert 0.9 < np.sqrt(np.mean(np.square(scaled))) < 1.1
+
+
+def test_four_times_the_poses_halve_the_uncertainty():
+    few = np.mean([calibrate(NOMINAL, synthetic(s, n=60)[1]).std for s in range(5)], axis=0)
+    many = np.mean([calibrate(NOMINAL, synthetic(s, n=240)[1]).std for s in range(5)], axis=0)
+    assert np.mean(few / many) == pytest.approx(2, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [{}, {"position": 2e-5, "rotation": 5e-5}], ids=["exact", "noisy"])
+def test_poses_that_do_not_tilt_leave_base_and_platform_together_open(noise):
+    true, measured = synthetic(2, tilt_deg=0.0, **noise)
+    fit = calibrate(NOMINAL, measured)
+    assert fit.dof == 240 - 24
+    named = {(c.leg, tuple(sorted(c.coefficients))) for c in fit.undetermined}
+    assert named == {(leg, (f"base {x}", f"platform {x}")) for leg in range(6) for x in "xyz"}
+    for c in fit.undetermined:
+        assert c.std is None
+        assert all(v == pytest.approx(1, abs=0.05) for v in c.coefficients.values())
+    assert np.isnan(fit.std[:, :6]).all()
+    assert np.isfinite(fit.std[:, 6]).all()
+    # the difference is determined nevertheless, the sum is as it was
+    x = estimate(fit)
+    between = (x[:, 3:6] - x[:, 0:3]) - (true[:, 3:6] - true[:, 0:3])
+    assert np.abs(between).max() < 0.02
+    nominal = NOMINAL.base_joints + NOMINAL.platform_joints
+    assert x[:, 0:3] + x[:, 3:6] == pytest.approx(nominal, abs=1e-9 if not noise else 2e-5)
+
+
+def test_tilting_about_one_axis_alone_leaves_that_axis_open():
+    true, measured = synthetic(4, length=1e-5)
+    tilt = measured.rotation_vector * [1.0, 0.0, 0.0]
+    a, b, offset = true[:, 0:3], true[:, 3:6], true[:, 6]
+    R = Rotation.from_rotvec(tilt)
+    q = np.stack(
+        [np.linalg.norm(measured.p + R.apply(b[i]) - a[i], axis=1) + offset[i] for i in range(6)], axis=1
+    )
+    fit = calibrate(NOMINAL, Measurements(measured.p, tilt, q, measured.length_std))
+    assert {(c.leg, tuple(c.coefficients)) for c in fit.undetermined} == {
+        (leg, ("base x", "platform x")) for leg in range(6)
+    }
+    assert np.isnan(fit.std[:, [0, 3]]).all()
+    closed = [1, 2, 4, 5, 6]
+    assert estimate(fit)[:, closed] == pytest.approx(true[:, closed], abs=1e-8)
+
+
+def test_small_motion_makes_offset_against_joints_along_the_leg_weak():
+    _, measured = synthetic(3, move=0.02, tilt_deg=2.0)
+    fit = calibrate(NOMINAL, measured)
+    assert fit.undetermined == ()
+    worst = {leg: max((c for c in fit.weak if c.leg == leg), key=lambda c: c.std or 0.0) for leg in range(6)}
+    home = NOMINAL.platform_joints + np.array([0, 0, 0.85]) - NOMINAL.base_joints
+    s = home / np.linalg.norm(home, axis=1)[:, None]
+    for leg, c in worst.items():
+        assert abs(c.coefficients["offset"]) > 0.8
+        shift = np.array([c.coefficients.get(f"base {x}", 0) for x in "xyz"]) / c.coefficients["offset"]
+        # a base joint further up the leg shortens it, a larger offset makes up for it
+        assert shift @ s[leg] / np.linalg.norm(shift) > 0.97
+        assert c.std is not None
+        assert c.std > 5e-3
+    whole = calibrate(NOMINAL, synthetic(3, tilt_deg=25.0, move=0.2)[1])
+    assert whole.weak == ()
+
+
+def test_a_slip_in_one_reading_stands_out():
+    _, measured = synthetic(5)
+    q = measured.q.copy()
+    q[17, 2] += 1e-3
+    fit = calibrate(NOMINAL, Measurements(measured.p, measured.rotation_vector, q, measured.length_std))
+    assert np.argmax(np.abs(fit.standardised)) == 17 * 6 + 2
+    assert fit.standardised[17, 2] > 20
+    assert fit.p_value is not None
+    assert fit.p_value < 1e-6
+
+
+def test_the_slopes_are_the_derivatives_of_the_lengths():
+    theta, measured = synthetic(6, n=8)
+    R = measured.rotations()
+    assert pytest.approx(Rotation.from_rotvec(measured.rotation_vector).as_matrix(), abs=1e-14) == R
+    _, slopes = module._model(theta, measured.p, R)
+    h = 1e-6
+    for j in range(7):
+        step = np.zeros((6, 7))
+        step[:, j] = h
+        ahead, back = (module._model(theta + s * step, measured.p, R)[0] for s in (1, -1))
+        assert slopes[:, :, j] == pytest.approx((ahead - back) / (2 * h), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: Measurements(m.p * 1e3, m.rotation_vector, m.q), "positions in mm"),
+        (lambda m: Measurements(m.p, m.rotation_vector, m.q * 1e3), "lengths in mm"),
+        (lambda m: Measurements(m.p * 1e3, m.rotation_vector, m.q * 1e3), "positions and lengths in mm"),
+        (lambda m: Measurements(m.p, np.deg2rad(m.rotation_vector), m.q), "in rad instead of deg"),
+        (
+            lambda m: Measurements(
+                -Rotation.from_rotvec(m.rotation_vector).inv().apply(m.p), -m.rotation_vector, m.q
+            ),
+            "inverse poses",
+        ),
+    ],
+)
+def test_another_unit_or_direction_is_recognised(change, words):
+    _, measured = synthetic(7)
+    assert suspicion(NOMINAL, measured) is None
+    assert words in (suspicion(NOMINAL, change(measured)) or "")
+
+
+def test_too_few_or_unusable_pairs_are_refused():
+    _, m = synthetic(8, n=7)
+    with pytest.raises(CalibrationError, match="7 poses, allowed: at least 8"):
+        calibrate(NOMINAL, m)
+    _, m = synthetic(8, n=8)
+    assert calibrate(NOMINAL, m).dof == 6
+    q = m.q.copy()
+    q[3, 4] = np.nan
+    with pytest.raises(CalibrationError, match="q: row 3 is not finite"):
+        calibrate(NOMINAL, Measurements(m.p, m.rotation_vector, q))
+    with pytest.raises(CalibrationError, match="length_std: 0, allowed: greater than 0"):
+        calibrate(NOMINAL, Measurements(m.p, m.rotation_vector, m.q, np.zeros(8)))
+    with pytest.raises(CalibrationError, match="weight is not known"):
+        calibrate(NOMINAL, Measurements(m.p, m.rotation_vector, m.q, None, np.ones(8)))

@@ -1,0 +1,269 @@
+"""Linear systems: eigenvalues against numpy and closed forms, quadratic V of many states, and V that is proposed."""
+
+import itertools
+import random
+import time
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from hil.proof import Budget, Certificate, Equilibrium, Truth, verify
+from hil.proof import quadratic as form
+from hil.proof.eigenvalues import of_rationals
+from hil.proof.linearisation import Eigenvalues, eigenvalues, jacobian
+from hil.proof.orthant import sign
+from hil.proof.signs import Signs
+from hil.proof.system import make_system
+from tests.broad import broad
+
+x, y, z, v, w = sp.symbols("x y z v w")
+R = sp.Rational
+NAMES = [
+    "s",
+    "t",
+    "lambda",
+    "E",
+    "x",
+    "I",
+    "N",
+    "S",
+    "Q",
+    "p",
+    "s1",
+    "beta",
+    "gamma",
+    "pi",
+    "O",
+    "C",
+    "u0",
+    "eigenvalue",
+]
+
+
+@pytest.mark.parametrize("name", broad(NAMES, quick=6))
+def test_a_parameter_of_any_name_is_a_parameter(name):
+    k = sp.Symbol(name)
+    q, r = sp.symbols("state other")
+    options = {"parameters": {k: (R(1, 2), 3)}} if name == "t" else {}
+    assert verify({q: k * q}, **options).equilibrium.status is Equilibrium.UNSTABLE
+    assert verify({q: -k * q}, **options).equilibrium.asymptotic is Truth.PROVEN
+    assert verify({q: r, r: -q + k * r}, **options).linearisation is Eigenvalues.RIGHT
+    assert verify({q: r, r: -q - k * r}, **options).linearisation is Eigenvalues.LEFT
+    assert verify({q: k * q}, q**2, **options).certificate.status is Certificate.GROWS
+    assert (
+        verify({q: -k * q**3}, q**2, **options).equilibrium.status
+        is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    )
+    state = sp.Symbol(name)
+    assert verify({state: -state + state**2}).equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+
+
+@pytest.mark.parametrize(
+    ("A", "where"),
+    [
+        ([[1, 0], [0, -1]], "R"), ([[-1, 0], [0, 1]], "R"), ([[0, 1], [1, 0]], "R"), ([[-3, 1], [4, 1]], "R"),
+        ([[0, 0], [0, 1]], "R"), ([[0, 0], [0, -1]], "0"), ([[0, 1], [-1, 0]], "0"), ([[0, 1], [0, 0]], "0"),
+        ([[0, 1, 0], [-1, 0, 0], [0, 0, -1]], "0"), ([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "R"),
+        ([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-3, -2, -2, -1]], "R"),  # a zero in Routh's column
+        ([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-4, 0, -5, 0]], "0"),  # (s^2 + 1)(s^2 + 4)
+        ([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-4, 0, 0, 0]], "R"),  # s^4 + 4
+        ([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, -2, 0]], "0"),  # (s^2 + 1)^2
+        ([[0, 1, 0], [0, 0, 1], [-2, -2, -1]], "0"),  # (s + 1)(s^2 + 2)
+        ([[0, 1, 0], [0, 0, 1], [-6, -11, -6]], "L"), ([[-1, 100], [0, -1]], "L"),
+    ],
+)  # fmt: skip
+def test_a_matrix_of_fractions_is_decided_exactly(A, where):
+    found = {"L": Eigenvalues.LEFT, "R": Eigenvalues.RIGHT, "0": Eigenvalues.UNKNOWN}[where]
+    assert of_rationals(sp.Matrix(A)) is found
+
+
+@pytest.mark.parametrize("digits", [20, 60, 200])
+def test_no_damping_is_too_small(digits):
+    small = R(1, 10**digits)
+    assert of_rationals(sp.Matrix([[0, 1], [-1, -small]])) is Eigenvalues.LEFT
+    assert of_rationals(sp.Matrix([[0, 1], [-1, small]])) is Eigenvalues.RIGHT
+    third = sp.Matrix([[0, 1, 0], [0, 0, 1], [-1 + small, -1, -1]])  # s^3 + s^2 + s + 1 - small
+    assert of_rationals(third) is Eigenvalues.LEFT
+    third[2, 0] = -1 - small
+    assert of_rationals(third) is Eigenvalues.RIGHT
+
+
+def test_a_saddle_of_mixed_signs_is_unstable_whatever_its_parameters():
+    a, b = sp.symbols("a b")
+    for f in (
+        {x: a * x, y: -b * y},
+        {x: -a * x, y: b * y},
+        {x: a * y, y: b * x},
+        {x: -a * x + b * y, y: a * x + y},
+    ):
+        assert verify(f, x**2 + y**2).equilibrium.status is Equilibrium.UNSTABLE
+    assert verify({x: x, y: -y, z: -z}).equilibrium.status is Equilibrium.UNSTABLE
+    assert verify({x: sp.S.Zero, y: y}).equilibrium.status is Equilibrium.UNSTABLE
+    assert verify({x: a * x, y: -y}, parameters={a: (-1, 1)}).equilibrium.status is Equilibrium.NO_CONCLUSION
+
+
+def test_polynomials_of_positive_numbers():
+    a, b, c = sp.symbols("a b c", positive=True)
+    every = [
+        a,
+        a * b + 1,
+        a**2 - a * b + b**2,
+        (a - b) ** 2 + a * b / 100,
+        (a + 1) / b,
+        a**4 - a + 1,
+        a**2 + b**2 + c**2 - a * b - b * c,
+    ]
+    for e in every:
+        assert sign(sp.expand(e), (a, b, c), Budget()) == 1
+        assert sign(sp.expand(-e), (a, b, c), Budget()) == -1
+    for e in (
+        a - b,
+        (a - b) ** 2,
+        a * b - c,
+        a**2 - 2 * a + 1,
+        sp.S.Zero,
+        a**2 - 2 * a * b + b**2 * R(99, 100),
+    ):
+        assert sign(sp.expand(e), (a, b, c), Budget()) == 0
+
+
+def test_forms_are_decomposed_exactly():
+    S = [[form.fraction(c) for c in row] for row in sp.Matrix([[2, -1, 0], [-1, 2, -1], [0, -1, 2]]).tolist()]
+    assert form.definite(S)
+    assert sp.Matrix(form.inverse(S)) * sp.Matrix(S) == sp.eye(3)
+    chance = random.Random(3)
+    for _ in range(200):
+        n = chance.randint(1, 5)
+        B = sp.Matrix(n, n, lambda *_: chance.randint(-2, 2))
+        A = B * sp.diag(*(chance.choice([1, 1, 1, 0, -1]) for _ in range(n))) * B.T
+        rows = [[form.fraction(c) for c in row] for row in A.tolist()]
+        least = min(np.linalg.eigvalsh(np.array(A.tolist(), float)))
+        falls = form.falls(rows)
+        assert (falls is None) == (least > 1e-9) == form.definite(rows)
+        if falls is not None:
+            d = sp.Matrix([form.rational(c) for c in falls])
+            assert any(d)
+            assert (d.T * A * d)[0, 0] <= 0
+        assert (form.lines(rows, sp.symbols(f"q:{n}")) is None) == (least < -1e-9)
+
+
+def coupled(n, seed=1, stable=True):
+    chance = random.Random(seed)
+    q = sp.symbols(f"q0:{n}")
+    A = [[chance.randint(-3, 3) - (25 if stable else 0) * (i == j) for j in range(n)] for i in range(n)]
+    return {q[i]: sum(a * s for a, s in zip(A[i], q, strict=True)) for i in range(n)}, q
+
+
+def test_a_quadratic_V_of_twelve_coupled_states_is_decided_at_once():
+    f, q = coupled(12)
+    V = sum(s**2 for s in q) + sum(a * b for a, b in itertools.pairwise(q)) / 2
+    began = time.process_time()
+    report = verify(f, V)
+    assert time.process_time() - began < 5
+    assert report.certificate.status is Certificate.VALID
+    assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    bad = verify(f, V - 3 * q[0] * q[11])
+    assert bad.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
+    at = bad.certificate.at
+    assert (V - 3 * q[0] * q[11]).subs(at) == bad.certificate.value <= 0
+    assert any(at.values())
+
+
+def test_a_V_is_proposed_and_proven_for_the_whole_system():
+    report = verify({x: v, v: -x - v + x**3})
+    assert report.certificate.status is Certificate.VALID
+    V, V_dot = report.certificate.V, report.certificate.V_dot
+    assert sp.expand(V - (v**2 + v * x + R(3, 2) * x**2)) == 0  # A^T P + P A = -1, by hand
+    assert sp.expand(sp.diff(V, x) * v + sp.diff(V, v) * (-x - v + x**3) - V_dot) == 0
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+    box, level = report.equilibrium.box, report.equilibrium.level
+    assert level > 0
+    chance = random.Random(1)
+    for _ in range(300):
+        at = {s: R(chance.randint(-100, 100), 100) * box[s][1] for s in (x, v)}
+        assert V_dot.subs(at) < 0 or not any(at.values())
+        edge = at | {x: box[x][1]}
+        assert V.subs(edge) >= level
+    assert "proposed" in str(report)
+
+
+def test_a_proposed_V_is_global_for_what_is_linear_and_local_for_what_is_not():
+    a, b = sp.symbols("a b")
+    linear = verify({x: v, v: -a * x - b * v})
+    assert linear.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert linear.certificate.V.free_symbols == {x, v, a, b}
+    assert verify({x: -x - x**3, y: -y}).equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert verify({x: -x + x**3}).equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert verify({x: -sp.sin(x)}).equilibrium.box is not None
+    assert verify({x: 1 - x**2}, at={x: 1}).equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+    ranged = verify({x: v, v: -a * x - v + x**2}, parameters={a: (1, 2)})
+    assert ranged.equilibrium.asymptotic is Truth.PROVEN
+    assert ranged.certificate.status is Certificate.VALID
+    assert verify({x: -x, y: sp.S.Zero}).certificate.status is Certificate.NONE
+
+
+def test_a_proposed_V_holds_on_a_box_of_many_states():
+    f, q = coupled(5)
+    f[q[0]] += q[1] ** 2 * q[2] + sp.sin(q[3]) ** 2
+    report = verify(f)
+    assert report.certificate.status is Certificate.VALID
+    assert report.equilibrium.box is not None
+    assert report.equilibrium.level > 0
+
+
+def _system(chance):
+    """A stable or unstable random matrix of 2 to 6 states in up to three parameters, and what they may be."""
+    n = chance.randint(2, 6)
+    m = chance.randint(1, 3)
+    names = chance.sample(NAMES, m)
+    p = sp.symbols(names)
+    shift = chance.choice([-4, -2, 0, 2]) - (n if chance.random() < 0.6 else 0)
+    A = sp.Matrix(n, n, lambda i, j: chance.randint(-3, 3) * (chance.random() < 0.6) + shift * (i == j))
+    for k in p:
+        i, j = chance.randrange(n), chance.randrange(n)
+        A[i, j] += chance.choice([1, -1, 2]) * k
+    if chance.random() < 0.3:
+        A *= p[0]
+    ranges = {k: (R(1, chance.randint(2, 4)), R(chance.randint(2, 4), 2)) for k in p}
+    return A, {k: r for k, r in ranges.items() if k in A.free_symbols}
+
+
+def _rightmost(A, ranges, chance):
+    """Return the least and the greatest real part of the rightmost eigenvalue at 20 points, by numpy."""
+    numbers = sp.lambdify(list(ranges), A, "numpy")
+    at = [[chance.uniform(float(low), float(high)) for low, high in ranges.values()] for _ in range(20)]
+    right = [max(np.linalg.eigvals(np.array(numbers(*p), float)).real) for p in at]
+    return min(right), max(right)
+
+
+def judge(count, seed):
+    """Return how many random systems were contradicted, decided, and how many have one verdict at 20 points."""
+    chance = random.Random(seed)
+    wrong = decided = uniform = 0
+    for _ in range(count):
+        A, ranges = _system(chance)
+        q = sp.symbols(f"q0:{A.rows}")
+        f = dict(zip(q, A * sp.Matrix(q), strict=True))
+        signs = Signs(make_system(f, None, None, None, ranges), Budget(2000))
+        found = eigenvalues(jacobian(signs.system), signs)
+        least, greatest = _rightmost(A, ranges, chance)
+        wrong += found is Eigenvalues.LEFT and greatest > 1e-9
+        wrong += found is Eigenvalues.RIGHT and least < -1e-9
+        decided += found is not Eigenvalues.UNKNOWN
+        uniform += bool(greatest < -1e-6 or least > 1e-6)
+    return wrong, decided, uniform
+
+
+def test_random_linear_systems_are_not_contradicted():
+    wrong, decided, uniform = judge(20, seed=7)
+    assert wrong == 0
+    assert decided >= 0.8 * uniform
+
+
+@pytest.mark.long
+def test_five_hundred_random_linear_systems_are_not_contradicted():
+    wrong, decided, uniform = judge(500, seed=2026)
+    assert wrong == 0
+    assert decided >= 0.8 * 500
+    assert decided >= 0.9 * uniform

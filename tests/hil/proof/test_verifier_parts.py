@@ -1,0 +1,220 @@
+"""The parts of the verifier, each against what is known without it."""
+
+import pytest
+import sympy as sp
+from flint import arb
+
+from drivers.errors import ModelError
+from hil.proof import verify
+from hil.proof.branch_and_bound import Budget, covered, positive, without
+from hil.proof.cancellation import cancelled, continuous, lie_derivative, squares
+from hil.proof.interval import Ball, Enclosure, outward
+from hil.proof.lasalle import _ways, leaves
+from hil.proof.level import largest_level
+from hil.proof.origin import definite_near, weights_of
+from hil.proof.picture import draw
+from hil.proof.signs import NOWHERE, Signs
+from hil.proof.system import make_system
+from hil.proof.tail import definite_far
+
+x, y = sp.symbols("x y", real=True)
+R = sp.Rational
+
+
+def signs(box=None):
+    return Signs(make_system({x: -x, y: -y}, None, None, box, None), Budget())
+
+
+@pytest.mark.parametrize(
+    "e",
+    [
+        x**2 - y,
+        x**3 * y,
+        sp.sin(x) * y,
+        sp.Abs(x) ** R(3, 2),
+        sp.exp(-x) / (2 + y),
+        sp.tanh(x - y),
+        x**-2 + y,
+    ],
+)
+def test_an_enclosure_holds_the_value_at_every_point(e):
+    box = Enclosure(e, (x, y)).on(((0.25, 1.5), (-1.0, 0.5)))
+    for a in (R(1, 4), R(7, 10), R(3, 2)):
+        for b in (-1, R(-1, 3), R(1, 2)):
+            assert box.contains(arb(str(sp.N(e.subs({x: a, y: b}), 30))).mid())
+
+
+def test_an_even_power_is_not_negative_and_a_pole_has_no_bound():
+    across = ((-1.0, 1.0),)
+    assert Enclosure(1 + x**2, (x,)).on(across) > 0.99
+    for e in (1 / x, sp.log(x), sp.sqrt(x), sp.tan(2 * x)):
+        value = Enclosure(e, (x,)).on(across)
+        assert not (value > -1e300) or not (value < 1e300)
+
+
+def test_decimal_ends_are_rounded_outward():
+    low, high = outward(R(1, 10), sp.pi)
+    assert R(low) < R(1, 10)
+    assert R(high) > sp.pi
+    assert outward(R(-1, 2), sp.oo) == (-0.5, float("inf"))
+
+
+def test_branch_and_bound_covers_and_gives_up():
+    g = Enclosure(x**2 - x + R(26, 100), (x,))  # least value 1/100
+    assert positive([g], [((-2.0, 2.0),)], Budget())
+    assert not positive([g], [((-2.0, 2.0),)], Budget(5))
+    assert not positive([Enclosure(x**2 - x + R(25, 100), (x,))], [((-2.0, 2.0),)], Budget())
+    seen: list[Ball] = []
+
+    def small(b):
+        seen.append(b[0])
+        return b[0].rad() < 0.2
+
+    assert covered([((0.0, 1.0),)], small, Budget())
+    assert sum(float(b.rad()) for b in seen if b.rad() < 0.2) == pytest.approx(0.5, rel=1e-6)
+
+
+def test_a_box_without_another_is_covered():
+    outer, inner = ((-1.0, 1.0), (-2.0, 2.0)), ((-0.5, 0.25), (-1.0, 3.0))
+    slabs = without(outer, inner)
+    area = sum((a[1] - a[0]) * (b[1] - b[0]) for a, b in slabs)
+    assert area == pytest.approx(2 * 4 - 0.75 * 3)
+
+
+def test_exact_cancellation_leaves_what_textbooks_print():
+    v, m, b = x, sp.Symbol("m", positive=True), sp.Symbol("b", positive=True)
+    k = sp.Symbol("k", positive=True)
+    field = {y: v, v: -(b * v * sp.Abs(v) + k * y) / m}
+    assert sp.expand(lie_derivative(m * v**2 / 2 + k * y**2 / 2, field) + b * v**2 * sp.Abs(v)) == 0
+    assert cancelled((x**2 - 1) / (x - 1) - x - 1) == 0
+    assert cancelled(x * sp.sin(y) ** 2 + x * sp.cos(y) ** 2 - x) == 0
+
+
+def test_a_jump_is_told_from_a_kink():
+    assert continuous(sp.diff(sp.Abs(x) ** 3, x)) == 3 * x * sp.Abs(x)
+    assert continuous(x * sp.sign(x)) == sp.Abs(x)
+    assert continuous(x * sp.sign(x) ** 2) == x
+    for jump in (sp.sign(x), sp.sign(x) ** 2, (1 + x) * sp.sign(x), sp.sign(x - y) * y, sp.exp(sp.sign(x))):
+        with pytest.raises(ModelError, match=r"continuous|jumps"):
+            continuous(jump)
+
+
+def test_the_lowest_order_form_sees_a_minimum_that_an_enclosure_cannot():
+    assert definite_near(1 - sp.cos(x) + y**2, (x, y), [], Budget())
+    assert weights_of(y**2 + x**4, (x, y)) == (1, 2)
+    assert definite_near(y**2 + x**4 - x**2 * y, (x, y), [], Budget())
+    assert definite_near(y**2 + x**4 - 2 * x**2 * y, (x, y), [], Budget()) is None  # (y - x^2)^2
+    assert definite_near(x**2 - y**2, (x, y), [], Budget()) is None
+    assert definite_near(x**3, (x,), [], Budget()) is None
+    assert definite_near(x - sp.sin(x), (x,), [], Budget(), side=1)  # x^3 / 6
+    assert definite_near(sp.Abs(x) ** 3 + y**2, (x, y), [], Budget())
+    assert definite_near(sp.sqrt(1 + x**2) - 1, (x,), [], Budget())
+    assert definite_near(sp.sqrt(sp.Abs(x)), (x,), [], Budget()) is None
+
+
+def test_the_tail_bound_is_a_radius_beyond_which_it_is_true():
+    radii = definite_far(x**2 - 100 * x * sp.sin(x), (x,), {}, Budget())
+    assert radii is not None
+    assert 100 <= radii[0] <= 1024
+    assert definite_far(x**4 + y**2 - 10 * x**2, (x, y), {}, Budget())
+    for g in (x**2 - x**4, x**2 * y**2 + 1, sp.cos(x) + 2, x**2 / (1 + x**2), x**2 - 2 * x * y + y**2):
+        assert definite_far(g, tuple(sorted(g.free_symbols, key=str)), {}, Budget()) is None
+
+
+def test_semidefinite_functions_name_their_zeros():
+    s = signs()
+    assert s.nonnegative(x**2) == ((x,),)
+    assert s.nonnegative(x**2 * (2 + sp.sin(y))) == ((x,),)
+    assert s.nonnegative(sp.expand((x + y) ** 2)) == ((x + y,),)
+    assert s.nonnegative(1 + x**2) == NOWHERE
+    assert s.nonnegative(x * sp.tanh(x)) == ((x,),)
+    assert s.nonnegative(x * sp.tanh(y)) is None
+    assert s.nonnegative(x * y) is None
+    assert s.nonnegative(x**2 - y**4) is None
+    assert not s.definite(x**2 - x**4)
+    assert squares(x**2 + 4 * x * y + y**2, (x, y)) == [(1, x + 2 * y), (-3, y)]
+
+
+def test_all_branches_of_the_zeros_are_named():
+    branches = {frozenset(branch) for branch in signs().nonnegative(x**2 * y**2 + x**4) or ()}
+    assert branches == {frozenset({x}), frozenset({x, y})}
+
+
+def test_a_cell_about_the_origin_ends_before_the_function_changes_sign():
+    near = definite_near(x**2 - 5 * x**4, (x,), [], Budget())
+    assert near is not None
+    assert near[0][0][1] ** 2 < 1 / 5
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_powers_beside_a_sine_hold_at_the_place_where_its_derivative_is_taken(direction):
+    """x^2 / 10 - 200 x^3 / 3 + ...: positive up to x = 0.0015 alone. At x itself, powers beside the second
+    derivative elsewhere would seem to be positive up to 0.06."""
+    at = direction * x
+    e = at**2 - 100 * at**3 - R(9, 5) * (1 - sp.cos(at)) + R(100, 3) * sp.sin(at) ** 3
+    assert sp.N(e.subs(x, direction * R(16, 10**4))) < 0
+    near = definite_near(e, (x,), [], Budget())
+    assert near is not None
+    assert near[0][0][1] < 0.0015
+
+
+def test_a_dip_far_from_the_origin_is_no_proof():
+    dip = x**2 * ((x - R(141421, 10**5)) ** 2 - R(1, 10**10))
+    assert not signs({x: (-2, 2), y: (-2, 2)}).definite(dip)
+    assert signs({x: (-1, 1), y: (-1, 1)}).definite(dip)
+
+
+def test_parameters_leave_a_sum_only_if_each_term_keeps_its_sign():
+    k, b = (sp.Symbol(name, positive=True) for name in "kb")
+    s = Signs(make_system({x: -k * x, y: -b * y}, None, None, None, None), Budget())
+    assert s.freed(k * x**2 + b * y**2 / k) == x**2 + y**2
+    assert s.freed(k * x**2 + b * x * y + y**2) is None
+    assert s.freed((k - b) * x**2) is None
+    assert s.freed(x**2 / (k - b)) is None
+    assert s.freed(x**2 * sp.exp(k * x)) is None  # has not the tail of x^2
+
+
+def test_only_factors_that_can_be_zero_are_followed():
+    assert _ways((1 + x**2) * y * (x - y) / (2 + sp.cos(x)), signs()) in ([y, x - y], [x - y, y])
+    assert _ways(1 + x**2, signs()) == []
+
+
+def test_an_equation_that_is_too_long_is_not_followed():
+    long = sp.expand((1 + x + y) ** 16) * x
+    assert leaves(((x, y),), signs())
+    assert not leaves(((long, y),), signs())
+
+
+def test_an_end_that_is_a_zero_is_left_out_by_no_more_than_was_shown():
+    wide = 10**12 * sp.pi
+    s = Signs(make_system({x: -x}, None, None, {x: (-1, wide)}, None), Budget())
+    trimmed = s._open(x * (wide - x), x, s.sides[x])
+    assert trimmed is not None
+    assert wide - 1 <= R(trimmed[1]) < wide  # positive within 1 of the end, doubles are 4e-4 apart there
+
+
+def test_the_level_is_the_least_value_on_the_boundary():
+    box = {x: (-1, 1), y: (-2, 3)}
+    assert largest_level(x**2 + y**2, signs(box)) == 1
+    level = largest_level(x**2 + x * y + y**2, signs({x: (-1, 1), y: (-5, 5)}))
+    assert level is not None
+    assert 0.98 * 3 / 4 < level <= R(3, 4)
+
+
+def test_two_states_are_drawn(tmp_path):
+    v = sp.Symbol("v")
+    b = sp.Symbol("b")
+    f, V = {x: v, v: -b * v - sp.sin(x)}, 1 - sp.cos(x) + v**2 / 2
+    box = {x: (-3, 3), v: (-3, 3)}
+    report = verify(f, V, box=box, parameters={b: (R(1, 2), 1)})
+    picture = draw(f, V, box, tmp_path / "pendulum.png", parameters={b: 1}, report=report)
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(ModelError, match="a str"):
+        draw(f, "x**2", box, tmp_path / "no.png", parameters={b: 1})
+    with pytest.raises(ModelError, match="no value of b"):
+        draw(f, V, box, tmp_path / "no.png")
+    for ends in ({x: (-1, 1)}, {x: (-1, 1), v: (0, sp.oo)}):
+        with pytest.raises(ModelError, match="two ends"):
+            draw({x: v, v: -v - x}, V, ends, tmp_path / "no.png")
+    with pytest.raises(ModelError, match="two states"):
+        draw({x: -x}, x**2, {x: (-1, 1)}, tmp_path / "no.png")

@@ -1,0 +1,318 @@
+"""Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
+
+import errno
+import json
+import os
+import random
+import re
+import time
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import ConfigurationError
+from hil.cli import main
+from hil.record.figures import figures
+from hil.record.log import Log
+from hil.study.campaign import parquet
+from hil.study.campaign import row as row_of
+from hil.study.campaign.command import run_campaign
+from hil.study.campaign.figures import METRICS
+from hil.study.campaign.page import write_page
+from hil.study.campaign.plan import identity, read_plan
+from hil.study.campaign.rerun import rerun
+from hil.study.campaign.row import run_row
+from hil.study.campaign.show import rerun_command, summary_lines
+from hil.study.campaign.store import Store, stored_rows
+from plant_fmu.stewart.build import build
+from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, written
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Return a campaign of four rows that has run in this process, and its folder."""
+    folder = tmp_path_factory.mktemp("campaign")
+    plan = read_plan(written(folder, SMALL))
+    return plan, folder / "results", run_campaign(plan, folder / "results", jobs=1)
+
+
+def test_a_row_is_its_values_and_what_came_of_it(small):
+    plan, folder, summary = small
+    rows = parquet.read(folder / "table.parquet")
+    assert rows == summary["matrix"]
+    assert [row["fault"] for row in rows] == ["none", "jump"] * 2
+    assert [row["friction_N"] for row in rows] == [plan.values(k)["friction_N"] for k in range(4)]
+    assert [(row["passed"], row["ended"], row["faults"]) for row in rows] == [
+        (True, "complete", ""), (False, "fault", "ENCODER")
+    ] * 2  # fmt: skip
+    assert "leg 1" in rows[1]["trouble"]
+    assert rows[0]["tracked_s"] == pytest.approx(0.05)
+    assert (summary["rows"], summary["failed"], summary["success"]) == (4, 2, False)
+    assert summary["failed_interval_percent"] == pytest.approx([15.0, 85.0], abs=0.1)
+
+
+def test_a_failed_run_ends_at_once(small):
+    """The jump is at the release of the brakes: what passes is over later."""
+    good, bad = small[2]["matrix"][:2]
+    assert bad["ended_s"] < good["ended_s"] - 0.3
+
+
+def test_the_table_says_what_its_columns_are(small):
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    schema = pyarrow.read_schema(small[1] / "table.parquet")
+    assert schema.field("peak_force_N").metadata[b"unit"] == b"N"
+    assert schema.field("friction_N").metadata[b"meaning"] == b"plant.model.coulomb_friction_N"
+    text = repr(schema.metadata) + (small[1] / "campaign.json").read_text()
+    assert str(os.getpid()) not in text.replace("0.", "")
+    assert time.strftime("%Y-%m") not in text
+
+
+def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(small, tmp_path):
+    plan, folder, _ = small
+
+    def press(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(
+        KeyboardInterrupt, match=r"with 2 of 4 rows in .*; the same command goes on from there"
+    ):
+        run_campaign(plan, tmp_path, jobs=1, progress=press)
+    seen = []
+    summary = run_campaign(plan, tmp_path, jobs=2, progress=lambda *counts: seen.append(counts))
+    assert (summary["rows_kept"], summary["rows_run"]) == (2, 2)
+    assert seen == [(2, 4), (3, 4)]
+    assert (tmp_path / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
+    again = run_campaign(plan, tmp_path, jobs=1)
+    assert again["rows_run"] == 0
+    assert again["matrix"] == summary["matrix"]
+
+
+def test_a_row_again_has_the_same_bits_and_its_log_does(small, tmp_path):
+    plan, folder, summary = small
+    found = rerun(plan, folder, 0, tmp_path / "row.mcap")
+    assert found["success"], found["trouble"]
+    assert found["compared_with"] == "the stored row"
+    row = summary["matrix"][0]
+    log = figures(Log(tmp_path / "row.mcap").rows())["tracking"]  # the figures of `hil sim`
+    for name in (
+        "peak_leg_error_mm",
+        "rms_leg_error_mm",
+        "peak_position_error_mm",
+        "peak_rotation_error_deg",
+    ):
+        assert log[name] == pytest.approx(row[name], rel=1e-12)
+
+
+@pytest.mark.long
+def test_a_row_that_ended_in_a_fault_has_the_same_bits_in_its_log(small, tmp_path):
+    assert rerun(small[0], small[1], 1, tmp_path / "row.mcap")["success"]
+
+
+def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
+    plan, _, summary = small
+    rows = [dict(row) for row in summary["matrix"]]
+    rows[2]["peak_force_N"] = float(np.nextafter(rows[2]["peak_force_N"], np.inf))
+    columns = parquet.columns(plan)
+    with Store(tmp_path, columns, identity(plan)) as running:
+        for row in rows:
+            running.add(row)
+        running.flush()
+        found = rerun(plan, tmp_path, 2, None)  # while the campaign is running
+    assert (found["success"], found["different"]) == (False, 1)
+    assert "peak_force_N of run again" in found["trouble"]
+
+
+def test_there_is_no_row_behind_the_last(small):
+    with pytest.raises(ConfigurationError, match="row 4: allowed: 0 to 3"):
+        rerun(small[0], small[1], 4, None)
+
+
+def test_a_limit_ends_a_run_that_is_past_it(small, tmp_path):
+    text = SMALL.replace("0.05", "0.5") + "limits: {peak_true_leg_error_mm: {max: 1e-4}}\n"
+    plan = read_plan(written(tmp_path, text))
+    row = run_row(plan.job(0))
+    assert (row["passed"], row["ended"], row["faulted"]) == (False, "limit", 0)
+    assert row["peak_true_leg_error_mm"] > 1e-4
+    assert row["tracked_s"] < 0.15  # limits are judged every 100 ticks
+    assert small[2]["matrix"][0]["passed"]
+
+
+def test_a_combination_that_cannot_run_is_a_failed_row_that_says_why(tmp_path):
+    """The path needs 0.847 m: each end alone leaves that, both together do not."""
+    text = """
+    kind: campaign
+    duration_s: 0.05
+    grid:
+      least_m: {key: platform.length_min_m, values: [0.75, 0.82]}
+      margin_m: {key: limits.stroke_margin_m, values: [0.02, 0.08]}
+    """
+    row = run_row(read_plan(written(tmp_path, text)).job(3))
+    first = read_plan(written(tmp_path, text.replace("[0.75, 0.82]", "[0.82, 0.75]")))
+    assert identity(first) != {}  # although margin_m 0.08 does not go with the first value of least_m
+    assert (row["passed"], row["ended"]) == (False, "refused")
+    assert "out of reach, allowed leg lengths: 0.9 to" in row["trouble"]
+    assert "with the changes of" not in row["trouble"]  # a place in a text that nobody has, and where it lies
+    assert {row[name] for name in METRICS} == {None}
+
+
+def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small, tmp_path, monkeypatch):
+    def diverging(*_):
+        raise ValueError("array must not contain infs or NaNs")
+
+    monkeypatch.setattr(row_of, "run", diverging)
+    plan = small[0]
+    row = run_campaign(plan, tmp_path, jobs=1)["matrix"][2]
+    assert (row["passed"], row["ended"]) == (False, "error")
+    assert row["trouble"] == "ValueError: array must not contain infs or NaNs"
+    assert rerun(plan, tmp_path, 2, None)["success"]
+    with pytest.raises(ConfigurationError, match=r"row 2: ValueError: .* no run to record"):
+        rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
+
+
+@pytest.mark.parametrize(
+    ("lack", "why"),
+    [
+        (MemoryError(), "no memory is left for a row"),
+        (OSError(errno.EMFILE, "Too many open files", "/dev/shm"), "/dev/shm: Too many open files"),
+        (OSError("no more"), "no more"),
+    ],
+)
+def test_what_the_machine_lacks_is_no_figure_of_a_row_and_no_verdict(small, tmp_path, monkeypatch, lack, why):
+    whole = row_of.run
+
+    def short(c, job, measured):
+        if job.number == 1:
+            raise lack
+        return whole(c, job, measured)
+
+    monkeypatch.setattr(row_of, "run", short)
+    folder = tmp_path / "results"
+    done = CliRunner().invoke(main, ["campaign", str(small[0].path), "--jobs", "1", "--out", str(folder)])
+    assert done.exit_code == 2
+    said = f"hil: {why}.*; ended with 1 of 4 rows in {folder}; the same command goes on from there\n"
+    assert re.fullmatch(said, done.stderr)
+    assert sorted(stored_rows(folder, identity(small[0]))) == [0]
+
+
+def test_what_went_wrong_says_no_folder_of_this_machine(tmp_path):
+    (tmp_path / "own.fmu").write_text("no archive")
+    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
+    text = f"""
+    kind: campaign
+    duration_s: 0.05
+    changes: {{plant: {{model: {{type: fmu, path: own.fmu, step_us: 100, {names}}}}}}}
+    grid: {{wn: {{key: controller.wn_rad_s, values: [20]}}}}
+    """
+    row = run_row(read_plan(written(tmp_path, text)).job(0))
+    assert (row["passed"], row["ended"]) == (False, "error")
+    assert row["trouble"].startswith("own.fmu: not an FMU")
+
+
+def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
+    text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
+    plan = read_plan(written(tmp_path, text))
+    parked, stopped = run_row(plan.job(0)), run_row(plan.job(1))
+    assert (parked["passed"], parked["ended"], parked["travel_mm"]) == (True, "complete", 0.0)
+    assert 1.5 < parked["ended_s"] < 5.0  # the whole path takes 20 s
+    assert stopped["ended"] == "fault"
+    assert 0.0 < stopped["travel_mm"] < 10.0
+
+
+def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(small, tmp_path):
+    plan, _, summary = small
+    write_page(tmp_path / "page.html", plan, summary, tmp_path / "<out>")
+    text = (tmp_path / "page.html").read_text()
+    assert "script-src 'none'" in text
+    assert "<script" not in text
+    assert "http" not in text.replace("http-equiv", "")
+    for word in ("2 of 4 rows failed: 50 %", "friction_N", "peak_force_N", "ENCODER", "<svg"):
+        assert word in text
+    command = rerun_command(plan, 1, tmp_path / "<out>")
+    assert command.startswith("hil campaign rerun ")
+    assert command.replace("<", "&lt;").replace(">", "&gt;").replace("'", "&#x27;") in text
+
+
+def test_an_interval_up_to_all_rows_is_said_in_figures_that_one_reads(small):
+    plan, _, summary = small
+    lines = summary_lines(plan, summary | {"failed_interval_percent": [43.85, 100.0]})
+    assert lines["failed_interval_percent"] == "43.9 to 100"
+
+
+def test_the_command_line(small, tmp_path, monkeypatch):
+    """Kept rows are shown, written as JUnit and JSON; exit code 1, as some failed; 2 for bad input."""
+    plan, folder, _ = small
+    out = ["--out", str(folder)]
+    files = ["--junit", str(tmp_path / "j.xml"), "--json", str(tmp_path / "j.json")]
+    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, *files])
+    assert result.exit_code == 1
+    assert "campaign: failed" in result.output
+    assert f"hil campaign rerun {plan.path} 1 --out {folder} --log" in result.output
+    assert "15 to 85 %" in result.output
+    assert (folder / "report.html").is_file()
+    suite = ET.parse(tmp_path / "j.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures")) == ("4", "2")
+    cases = suite.findall("testcase")
+    assert [case.find("failure") is None for case in cases] == [True, False] * 2
+    assert "fault=jump" in cases[1].get("name", "")
+    assert json.loads((tmp_path / "j.json").read_text())["failed"] == 2
+
+    result = CliRunner().invoke(main, ["campaign", "rerun", str(plan.path), "0", *out])
+    assert result.exit_code == 0, result.output
+
+    changed = written(tmp_path, SMALL.replace("seed: 3", "seed: 4"))
+    result = CliRunner().invoke(main, ["campaign", str(changed), *out])
+    assert (result.exit_code, "changed since: campaign, values of the rows" in result.stderr) == (2, True)
+    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(plan.path)])
+    assert (result.exit_code, "exists and is not overwritten" in result.stderr) == (2, True)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "payload").mkdir()
+    assert len(read_plan(Path("payload"))) == 500  # the shipped one, whatever folder has that name
+    result = CliRunner().invoke(main, ["campaign", "nosuch"])
+    assert (result.exit_code, "shipped campaigns are: builds, payload, wear" in result.stderr) == (2, True)
+
+
+@pytest.mark.long
+def test_the_shipped_campaign_is_valid():
+    plan = read_plan(Path("payload"))
+    assert len(plan) == 500
+    assert run_row(plan.job(0))["ended"] in {"complete", "fault", "limit"}
+
+
+@pytest.mark.long
+def test_after_kill_9_at_three_random_instants_the_table_is_the_same(tmp_path):
+    plan = read_plan(written(tmp_path, MANY))
+    run_campaign(plan, tmp_path / "whole", jobs=2)
+    kill_thrice(plan, tmp_path / "killed", random.Random(1), "--jobs", "2")
+    summary = run_campaign(plan, tmp_path / "killed", jobs=1)
+    assert 0 < summary["rows_kept"] < 80
+    assert [row["row"] for row in summary["matrix"]] == list(range(80))
+    tables = [(tmp_path / name / "table.parquet").read_bytes() for name in ("killed", "whole")]
+    assert tables[0] == tables[1]
+
+
+@pytest.mark.long
+def test_a_foreign_fmu_in_its_child_is_an_option_and_its_failure_is_a_row(tmp_path):
+    """Our FMU as a stranger with the same physics: the figures are those of our own plant, nearly."""
+    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
+    text = f"""
+    kind: campaign
+    duration_s: 0.1
+    grid:
+      plant:
+        options:
+          own: {{}}
+          foreign: {{plant: {{model: {{type: fmu, path: "{build("3.0")}", step_us: 100, {names}}}}}}}
+      fault: {{faults: {{none: [], crash: [plant_crash mode=TRACKING]}}}}
+    """
+    plan = read_plan(written(tmp_path, text))
+    summary = run_campaign(plan, tmp_path / "results", jobs=2)
+    own, own_crash, foreign, crash = summary["matrix"]
+    assert foreign["plant"] == "foreign"
+    assert foreign["passed"]
+    assert foreign["peak_force_N"] == pytest.approx(own["peak_force_N"], rel=0.02)
+    assert [row["ended"] for row in (own_crash, crash)] == ["plant", "plant"]
+    assert {row["passed"] for row in (own_crash, crash)} == {False}

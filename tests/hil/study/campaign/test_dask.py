@@ -1,0 +1,230 @@
+"""Campaigns on a Dask cluster: the table of the processes here, whoever dies; and what is said of a cluster."""
+
+import os
+import random
+import signal
+import socket
+import sys
+import threading
+import time
+from collections import UserList
+
+import distributed
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.study.campaign import dask_cluster
+from hil.study.campaign.command import run_campaign
+from hil.study.campaign.plan import read_plan
+from hil.study.campaign.row import Job
+from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, started, wait_for_a_part, written
+from tests.hil.study.campaign.clusters import cluster
+
+DEADLY = """
+import os, signal
+from hil.study.campaign import row
+
+if not hasattr(row, "harmless"):
+    row.harmless = row._performed
+
+    def deadly(job):
+        if job.number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return row.harmless(job)
+
+    row._performed = deadly
+"""
+"""What a worker loads whose process row 1 kills."""
+
+
+def campaign(folder, text):
+    """Return a campaign, and the bytes of its table from processes of this machine."""
+    plan = read_plan(written(folder, text))
+    run_campaign(plan, folder / "here", jobs=2 if len(plan) > 2 else 1)
+    return plan, (folder / "here" / "table.parquet").read_bytes()
+
+
+def local_cluster(workers, threads, *, processes):
+    """Return a cluster that listens on the loopback only; its usual port may be taken."""
+    return distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=threads,
+        processes=processes,
+        dashboard_address="127.0.0.1:0",
+        worker_dashboard_address="127.0.0.1:0",
+    )
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    return campaign(tmp_path_factory.mktemp("two"), SMALL.replace("count: 2", "count: 1"))
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    return campaign(tmp_path_factory.mktemp("many"), MANY)
+
+
+@pytest.fixture(scope="module")
+def threads():
+    """Return the address of a cluster in this process: a worker of two threads."""
+    with local_cluster(1, 2, processes=False) as running:
+        yield running.scheduler_address
+
+
+def test_two_threads_of_a_worker_make_the_table_of_one_process(two, threads, tmp_path):
+    plan, table = two
+    seen = []
+    run_campaign(plan, tmp_path, scheduler=threads, progress=lambda *counts: seen.append(counts))
+    assert (tmp_path / "table.parquet").read_bytes() == table
+    assert seen == [(0, 2), (1, 2)]
+
+
+def counted(jobs, taken):
+    """Yield jobs, and keep which have been taken."""
+    for job in jobs:
+        taken.append(job)
+        yield job
+
+
+class Few(UserList[Job]):
+    """Jobs that are taken one by one. State: those that were."""
+
+    taken: list[Job]
+
+    def __iter__(self):
+        self.taken = []
+        return counted(self.data, self.taken)
+
+
+def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another(two, threads, monkeypatch):
+    """Two threads: eight rows at most are under way."""
+    ran = []
+
+    def run_row(job):
+        ran.append(job.number)
+        return {"row": job.number}
+
+    monkeypatch.setattr(dask_cluster, "run_row", run_row)
+    jobs = Few([two[0].job(0)] * 40)
+    for done, _ in enumerate(dask_cluster.perform(threads, jobs, None), 1):
+        assert len(jobs.taken) <= done + 2 * dask_cluster._AHEAD
+    assert len(ran) == 40
+
+
+def test_a_worker_of_another_version_runs_no_row(two, threads, tmp_path, monkeypatch):
+    def version(_):
+        return "1.0.0" if threading.current_thread() is threading.main_thread() else "0.9.0"
+
+    monkeypatch.setattr(dask_cluster, "version", version)
+    refused = pytest.raises(ConfigurationError, match=r"at a worker: .*hexapod-hil 0\.9\.0, allowed: 1\.0\.0")
+    with refused:
+        run_campaign(two[0], tmp_path, scheduler=threads)
+
+
+def test_whatever_a_worker_raises_arrives(two, threads, tmp_path, monkeypatch):
+    """A traceback as deep as this one cannot be pickled."""
+
+    def deeper(job):
+        return deeper(job)
+
+    monkeypatch.setattr(dask_cluster, "run_row", deeper)
+    with pytest.raises(ConfigurationError, match=r"at a worker: row [01]: RecursionError"):
+        run_campaign(two[0], tmp_path, scheduler=threads)
+
+
+def test_an_address_where_nobody_answers_is_refused_with_what_is_allowed(two, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_cluster, "WAIT_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    for address in (f"tcp://127.0.0.1:{port}", "nowhere://at.all:1"):
+        with pytest.raises(ConfigurationError, match=r"no scheduler answers .* allowed: the address"):
+            run_campaign(two[0], tmp_path, scheduler=address)
+
+
+@pytest.mark.parametrize("said", [TypeError("TLS expects a `ssl_context`"), UnicodeError("label empty")])
+def test_an_address_that_dask_cannot_use_is_refused_with_what_is_allowed(two, tmp_path, monkeypatch, said):
+    """Of tls:// without certificates Dask says a TypeError, of a name that none can be a UnicodeError."""
+
+    def client(*_, **__):
+        raise said
+
+    monkeypatch.setattr(distributed, "Client", client)
+    with pytest.raises(ConfigurationError, match=r"no scheduler answers .* allowed: the address"):
+        run_campaign(two[0], tmp_path, scheduler="tls://a..b:1")
+
+
+def test_without_dask_a_scheduler_is_refused_with_what_to_install(two, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigurationError, match=r'pip install "hexapod-hil\[dask\]"'):
+        run_campaign(two[0], tmp_path, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.long
+def test_the_table_is_the_same_on_a_local_cluster(two, tmp_path):
+    plan, table = two
+    with local_cluster(2, 1, processes=True) as running:
+        run_campaign(plan, tmp_path, scheduler=running.scheduler_address)
+    assert (tmp_path / "table.parquet").read_bytes() == table
+
+
+@pytest.mark.long
+def test_the_table_is_the_same_by_address_after_kill_9_of_the_command_and_of_a_worker(many, tmp_path):
+    """The command dies at three random instants; then one of the two workers, for good."""
+    plan, table = many
+    with cluster(tmp_path, 2) as running:
+        kill_thrice(plan, tmp_path / "out", random.Random(1), "--scheduler", running.address)
+
+        def kill_one(done, of):
+            if done == of - 4:
+                os.kill(running.workers[0].pid, signal.SIGKILL)
+
+        summary = run_campaign(plan, tmp_path / "out", scheduler=running.address, progress=kill_one)
+        assert running.workers[0].wait() == -signal.SIGKILL
+        assert running.workers[1].poll() is None
+    assert 0 < summary["rows_kept"] < 76
+    assert (tmp_path / "out" / "table.parquet").read_bytes() == table
+
+
+@pytest.mark.long
+def test_a_row_that_kills_its_workers_takes_no_other_with_it(tmp_path):
+    """Its neighbours wait at the same workers; alone they run."""
+    plan = read_plan(written(tmp_path, SMALL))
+    (tmp_path / "deadly.py").write_text(DEADLY)
+    with cluster(tmp_path, 1, "--nanny", preload=tmp_path / "deadly.py") as running:
+        rows = run_campaign(plan, tmp_path / "out", scheduler=running.address)["matrix"]
+    assert [row["ended"] for row in rows] == ["complete", "died", "complete", "fault"]
+    assert rows[1]["trouble"] == "its process died, twice"  # as in processes of this machine
+
+
+@pytest.mark.long
+def test_a_scheduler_that_dies_ends_the_command_and_the_rows_so_far_are_kept(many, tmp_path):
+    plan, table = many
+    with cluster(tmp_path, 1) as running:
+
+        def kill(done, _):
+            if done == 3:
+                running.scheduler.kill()
+
+        with pytest.raises(ConfigurationError, match=r"it is gone, or has dropped rows .* the same command"):
+            run_campaign(plan, tmp_path / "out", scheduler=running.address, progress=kill)
+    summary = run_campaign(plan, tmp_path / "out", jobs=2)
+    assert 3 <= summary["rows_kept"] < 80
+    assert (tmp_path / "out" / "table.parquet").read_bytes() == table
+
+
+@pytest.mark.long
+def test_ctrl_c_takes_its_rows_off_the_cluster(tmp_path):
+    plan = read_plan(written(tmp_path, MANY.replace("count: 40", "count: 400")))
+    with (
+        cluster(tmp_path, 1) as running,
+        started(plan, tmp_path / "out", "--scheduler", running.address) as process,
+    ):
+        wait_for_a_part(tmp_path / "out", process)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60.0) == 130
+        with distributed.Client(running.address, set_as_default=False) as client:
+            end = time.monotonic() + 20.0
+            while any(client.processing().values()):  # the row that a worker had begun
+                assert time.monotonic() < end, "rows are still on the cluster"
+                time.sleep(0.1)

@@ -1,0 +1,148 @@
+"""What is measured of ticks, against figures written by hand, in blocks of any share of the ticks."""
+
+import numpy as np
+import pytest
+
+from drivers.signals import Fault, Mode, Warn
+from drivers.tick_columns import ROW
+from hil.study.campaign.figures import BLOCK, METRICS, Measurement, broken
+from hil.study.campaign.settings import Limit
+
+N = BLOCK + 37
+"""Ticks: a block and a part of one."""
+
+
+def ticks():
+    """Return rows at rest at the pose p_d = p, R_d = R = 1, tracking from tick 10 on, and true lengths."""
+    rows = np.zeros(N, ROW)
+    rows["mode"] = np.where(np.arange(N) < 10, Mode.APPROACH, Mode.TRACKING)
+    rows["R"] = rows["R_d"] = np.eye(3)
+    rows["lyapunov_share"] = np.nan
+    rows["reference_time_s"] = 1e-3 * np.arange(N)
+    rows["q"] = rows["q_d"] = 1.0
+    return rows, np.ones((N, 6))
+
+
+def figures(rows, lengths, *, travels=False):
+    measured = Measurement(travels=travels)
+    full = [measured.take(row, length) for row, length in zip(rows, lengths, strict=True)]
+    assert sum(full) == N // BLOCK
+    return measured.figures()
+
+
+def test_peaks_and_means_are_of_the_ticks_that_track():
+    rows, lengths = ticks()
+    rows["q"][5, 0] = 2.0  # still on the way to the reference
+    rows["q"][20, 3] = 0.998
+    rows["q"][BLOCK + 20, 2] = 1.001
+    lengths[30, 1] = 1.003
+    rows["p_d"][40, 0], rows["p"][40, 1] = 3e-3, 4e-3
+    rows["dq"][50, 5] = -0.7
+    found = figures(rows, lengths)
+    assert found["peak_leg_error_mm"] == pytest.approx(2.0)
+    assert found["rms_leg_error_mm"] == pytest.approx(np.sqrt((2.0**2 + 1.0**2) / (6 * (N - 10))))
+    assert found["peak_true_leg_error_mm"] == pytest.approx(3.0)
+    assert found["rms_true_leg_error_mm"] == pytest.approx(np.sqrt(9.0 / (6 * (N - 10))))
+    assert found["peak_position_error_mm"] == pytest.approx(5.0)
+    assert found["rms_position_error_mm"] == pytest.approx(5.0 / np.sqrt(N - 10))
+    assert found["peak_rotation_error_deg"] == pytest.approx(0.0)
+    assert found["peak_leg_rate_m_s"] == pytest.approx(0.7)
+    assert found["tracked_s"] == rows["reference_time_s"][-1]
+
+
+def test_a_turn_is_an_angle():
+    rows, lengths = ticks()
+    c, s = np.cos(0.1), np.sin(0.1)
+    rows["R"][60] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    assert figures(rows, lengths)["peak_rotation_error_deg"] == pytest.approx(np.rad2deg(0.1))
+
+
+def test_forces_are_of_the_whole_run_and_their_changes_go_on_over_blocks():
+    rows, lengths = ticks()
+    rows["tau"][3, 2] = -500.0  # before it tracks
+    rows["tau"][BLOCK:, 1] = 40.0  # a jump between two blocks
+    rows["tau"][BLOCK + 5, 1] = 60.0
+    found = figures(rows, lengths)
+    assert found["peak_force_N"] == 500.0
+    assert found["force_variation_N"] == 40.0 + 2 * 20.0
+
+
+def test_what_is_counted():
+    rows, lengths = ticks()
+    rows["warnings"][7] = Warn.FORCE_LIMIT
+    rows["warnings"][[8, N - 1]] = Warn.FORCE_STEP | Warn.FORCE_WINDOW
+    rows["age"][30:33, 4] = 1
+    rows["mode"][0], rows["age"][0] = Mode.IDLE, 9  # without power nothing is expected
+    rows["lyapunov_share"][[4, 70]] = 0.5, 0.25
+    found = figures(rows, lengths)
+    assert (found["limited_ticks"], found["stale_ticks"], found["faulted"]) == (3, 3, 0)
+    assert found["certificate_percent"] == 50.0
+
+
+POWERED = {
+    Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.UNLOADING,
+    Mode.HELD,
+}  # fmt: skip
+"""Modes in which the drives are, and feedback of every leg is expected."""
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_a_tick_without_feedback_of_a_leg_is_stale_wherever_the_drives_are_powered(mode):
+    rows, lengths = ticks()
+    rows["mode"] = mode
+    rows["age"][[4, 70, N - 1], [0, 3, 5]] = 1, 2, 9
+    assert figures(rows, lengths)["stale_ticks"] == (3 if mode in POWERED else 0)
+
+
+def test_travel_counts_from_the_first_latched_fault_where_a_run_goes_on():
+    rows, lengths = ticks()
+    lengths[:50, 0] = 5.0
+    rows["faults"][50:] = Fault.DRIVE
+    lengths[50:BLOCK, 0], lengths[BLOCK:, 0] = 1.5, 1.51
+    lengths[BLOCK + 9, 0] = 1.52
+    assert figures(rows, lengths, travels=True)["travel_mm"] == pytest.approx(20.0)
+    found = figures(rows, lengths)
+    assert found["travel_mm"] is None
+    assert found["faulted"] == 1
+
+
+def test_what_was_not_measured_is_none():
+    rows, lengths = ticks()
+    rows["mode"] = Mode.LOADING
+    found = figures(rows, lengths)
+    assert set(found) == set(METRICS)
+    assert {name for name, value in found.items() if value is not None} == {
+        "faulted", "peak_force_N", "limited_ticks", "stale_ticks",
+    }  # fmt: skip
+
+
+def test_a_limit_holds_at_its_value_and_for_what_was_not_measured():
+    limits = {"peak_force_N": Limit(max=5.0), "tracked_s": Limit(min=1.0, max=2.0)}
+    assert broken(limits, {"peak_force_N": 5.0, "tracked_s": 1.0}) == []
+    assert broken(limits, {"peak_force_N": 5.1, "tracked_s": 0.9}) == ["peak_force_N", "tracked_s"]
+    assert broken(limits, {"peak_force_N": None, "tracked_s": 2.1}) == ["peak_force_N", "tracked_s"]
+
+
+def test_a_run_need_not_go_on_past_a_limit_of_what_only_grows():
+    rows, lengths = ticks()
+    rows["tau"][20, 0] = 10.0
+    measured = Measurement(travels=False)
+    for row, length in zip(rows[:BLOCK], lengths[:BLOCK], strict=True):
+        measured.take(row, length)
+    assert measured.passed_limit({"peak_force_N": Limit(max=9.0)})
+    assert not measured.passed_limit({"peak_force_N": Limit(max=10.0)})
+    assert not measured.passed_limit({"peak_force_N": Limit(min=50.0)})
+    assert not measured.passed_limit({"rms_leg_error_mm": Limit(max=-1.0)})  # it may fall again
+
+
+def test_what_is_no_finite_number_is_not_measured_and_keeps_no_limit():
+    """A peak, a mean and a sum: in the table none of them may pass for a figure, or stop the page."""
+    rows, lengths = ticks()
+    rows["q"][20, 3] = np.nan
+    lengths[30, 1] = 1e200  # its square is infinite
+    rows["tau"][40, 2] = np.inf
+    found = figures(rows, lengths)
+    names = ("peak_leg_error_mm", "rms_leg_error_mm", "rms_true_leg_error_mm", "force_variation_N")
+    assert [found[name] for name in names] == [None] * 4
+    assert found["peak_true_leg_error_mm"] > 1e199
+    assert broken({"rms_leg_error_mm": Limit(max=1.0)}, found) == ["rms_leg_error_mm"]

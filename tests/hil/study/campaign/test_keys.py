@@ -1,0 +1,89 @@
+"""Keys that reach into each other: every axis acts in every row, however the file orders and spells them."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import Any
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.study.campaign.keys import apply
+from hil.study.campaign.plan import read_plan
+from hil.study.campaign.row import row_configuration
+from hil.study.campaign.settings import ListedAxis
+from tests.hil.study.campaign.campaigns import SMALL, written
+
+SECTION = {"type": "stewart", "coulomb_friction_N": 1.0, "gravity_m_s2": [0, 0, -9.8]}
+AXES = {
+    "model": ListedAxis(key="plant.model", values=[SECTION]),
+    "friction_N": ListedAxis(key="plant.model.coulomb_friction_N", values=[250.0]),
+    "gravity": ListedAxis(key="plant.model.gravity_m_s2", values=[[0, 0, -3.7]]),
+    "across": ListedAxis(key=["loop.rate_Hz", "plant.model.gravity_m_s2[1]"], values=[0.5]),
+    "bent": ListedAxis(faults={"pulled": ["payload_step mass=5"]}),
+    "mass_kg": ListedAxis(key="plant.faults[1].mass_kg", values=[7.0]),
+}
+VALUES: dict[str, Any] = {name: next(iter(axis.values or axis.faults or {})) for name, axis in AXES.items()}
+
+
+def base() -> dict[str, Any]:
+    return {"plant": {"model": {"type": "bench"}, "faults": [{"kind": "drive_gain", "leg": 1}]}}
+
+
+def test_an_axis_acts_whichever_of_those_that_reach_into_it_is_written_first() -> None:
+    expected = {"type": "stewart", "coulomb_friction_N": 250.0, "gravity_m_s2": [0, 0.5, -3.7]}
+    for order in permutations(AXES):
+        found = apply(base(), {name: AXES[name] for name in order}, VALUES)
+        assert (order, found["plant"]["model"]) == (order, expected)
+        assert (order, found["loop"]) == (order, {"rate_Hz": 0.5})
+        assert [fault.get("mass_kg") for fault in found["plant"]["faults"]] == [None, 7.0], order
+
+
+@pytest.mark.parametrize("key", ["plant", "plant.faults"])
+def test_faults_of_an_axis_come_to_those_of_a_section_that_another_brings(key: str) -> None:
+    faults = [{"kind": "drive_gain", "leg": 4, "factor": 0.9}]
+    axes = {
+        "bent": AXES["bent"],
+        "whole": ListedAxis(key=key, values=[faults if key.endswith("faults") else {"faults": faults}]),
+        "leg": ListedAxis(key="plant.faults[0].leg", values=[3]),
+    }
+    values = VALUES | {"whole": (axes["whole"].values or [])[0], "leg": 3}
+    found = apply(base(), axes, values)["plant"]["faults"]
+    assert [(fault["kind"], fault.get("leg")) for fault in found] == [
+        ("drive_gain", 3),
+        ("payload_step", None),
+    ]
+
+
+def test_what_is_sampled_acts_in_a_section_that_the_grid_brings(tmp_path: Any) -> None:
+    """The rows of a sample come before the grid in the file."""
+    text = SMALL.partition("grid:")[0] + (
+        "grid:\n"
+        "  plant: {key: plant.model, values: [{type: stewart}, {type: stewart, viscous_friction_N_s_m: 5}]}\n"
+    )
+    plan = read_plan(written(tmp_path, text))
+    for k in range(len(plan)):
+        plant = row_configuration(plan.job(k)).plant
+        assert plant is not None
+        assert plant.model.model_dump()["coulomb_friction_N"] == plan.values(k)["friction_N"]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("plant.faults[0].mass_kg", "plant.faults[00].mass_kg"),
+        ("plant.faults[10].mass_kg", "plant.faults[010].mass_kg"),
+        ("plant.faults[1].position_m[02]", "plant.faults[001].position_m[2]"),
+    ],
+)
+def test_one_key_in_two_spellings_is_swept_once(tmp_path: Any, one: str, other: str) -> None:
+    text = f"""
+    kind: campaign
+    grid:
+      a: {{key: "{one}", values: [1, 2]}}
+      b: {{key: "{other}", values: [3, 4]}}
+    """
+    with pytest.raises(ConfigurationError) as error:
+        read_plan(written(tmp_path, text))
+    (problem,) = error.value.problems
+    assert f"grid.b: {other} is swept by a, too, allowed: one axis for each key" in problem

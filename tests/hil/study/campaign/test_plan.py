@@ -1,0 +1,313 @@
+"""The campaign file: which rows it means, and what is wrong with one, each with its place."""
+
+import json
+from pathlib import Path
+
+import jsonschema  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+from scipy.stats import truncnorm
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import load
+from hil.app.configuration.yaml_positions import parse
+from hil.study.campaign import schema
+from hil.study.campaign.plan import read_plan, shipped
+from hil.study.campaign.row import row_configuration
+from hil.study.campaign.sampling import draw, value_at
+from hil.study.campaign.settings import Sample, SampledAxis
+from tests.broad import broad
+from tests.hil.study.campaign.campaigns import SMALL, written
+
+ALL = """
+kind: campaign
+changes:
+  plant: {faults: [{kind: payload_step, mass_kg: 10, position_m: [0, 0, 0]}]}
+sample:
+  method: halton
+  count: 2
+  axes:
+    mass_kg: {key: "plant.faults[0].mass_kg", uniform: [10, 20]}
+list:
+  wn: {key: controller.wn_rad_s, values: [10, 20]}
+  place_m: {key: ["plant.faults[0].position_m[0]", "plant.faults[0].position_m[1]"], values: [0.1, 0.2]}
+grid:
+  law:
+    options:
+      own: {}
+      pd: {controller: {law: pd, kp_N_m: 1e6, kv_N_s_m: 1e5}}
+  fault: {faults: {none: [], two: ["drive_gain leg=2 factor=0.9", "frames_loss probability=0.1"]}}
+"""
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    text = ALL.replace("wn: {key: controller.wn_rad_s", "wn: {key: limits.condition")
+    return read_plan(written(tmp_path_factory.mktemp("plan"), text))
+
+
+def test_every_sample_comes_with_every_row_of_the_list_and_every_combination_of_the_grid(plan):
+    rows = [plan.values(k) for k in range(len(plan))]
+    (a, b) = dict.fromkeys(row.pop("mass_kg") for row in rows)
+    listed = [{"wn": 10, "place_m": 0.1}, {"wn": 20, "place_m": 0.2}]
+    grid = [{"law": law, "fault": fault} for law in ("own", "pd") for fault in ("none", "two")]
+    assert rows == [one | other for _ in (a, b) for one in listed for other in grid]
+    assert {10 <= a <= 20, 10 <= b <= 20, a != b} == {True}
+
+
+def test_a_row_is_its_configuration(plan):
+    """Row 7: the first sample, the second line of the list, law pd, two more faults."""
+    c = row_configuration(plan.job(7))
+    shipped = load("virtual")
+    assert c.controller.model_dump() == {**c.controller.model_dump(), "law": "pd", "kp_N_m": 1e6}
+    assert c.plant is not None
+    assert [fault.model_dump(mode="json", exclude_unset=True) for fault in c.plant.faults] == [
+        {"kind": "payload_step", "mass_kg": plan.values(7)["mass_kg"], "position_m": [0.2, 0.2, 0.0]},
+        {"kind": "drive_gain", "leg": 2, "factor": 0.9},
+        {"kind": "frames_loss", "probability": 0.1},
+    ]
+    assert c.limits == shipped.limits.model_copy(update={"condition": 20.0})
+    assert c.platform == shipped.platform
+
+
+def test_rows_of_one_sample_share_their_chance(plan):
+    assert [plan.job(k).seed for k in range(len(plan))] == [0] * 8 + [1] * 8
+
+
+def test_the_key_seed_sets_the_chance_of_a_row(tmp_path):
+    plan = read_plan(
+        written(
+            tmp_path,
+            "kind: campaign\ngrid: {s: {key: seed, values: [4, 9223372036854775807]}}\nduration_s: 1\n",
+        )
+    )
+    assert [plan.job(k).seed for k in range(2)] == [4, 2**63 - 1]
+
+
+def axis(**words):
+    return SampledAxis.model_validate({"key": "x.y"} | words)
+
+
+@pytest.mark.parametrize("method", broad(["sobol", "latin_hypercube"], 1))
+def test_sixteen_points_have_one_in_each_sixteenth_of_every_axis(method):
+    """A net of base 2, and a Latin hypercube: https://docs.scipy.org/doc/scipy/reference/stats.qmc.html."""
+    axes = {name: axis(uniform=(0.0, 16.0)) for name in "abc"}
+    points = np.array(draw(Sample(method=method, count=16, seed=5, axes=axes)))
+    assert (np.sort(np.floor(points), axis=0) == np.arange(16.0)[:, None]).all()
+
+
+def test_a_draw_is_its_seed():
+    draws = [
+        draw(Sample(method="halton", count=3, seed=seed, axes={"a": axis(uniform=(0.0, 1.0))}))
+        for seed in (1, 1, 2)
+    ]
+    assert draws[0] == draws[1] != draws[2]
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (30.0, 45.0), (-45.0, -30.0), (40.0, 41.0)])
+def test_a_normal_distribution_is_cut_at_its_ends(low, high):
+    """Quantiles by SciPy's own truncated normal; far out in a tail only the logarithms keep their digits."""
+    mean, std = 1.0, 2.0
+    cut = axis(normal={"mean": mean, "std": std, "min": mean + std * low, "max": mean + std * high})
+    u = np.array([0.0, 0.01, 0.3, 0.5, 0.99, 1.0])
+    expected = truncnorm.ppf(u, low, high, loc=mean, scale=std)
+    assert [value_at(cut, x) for x in u] == pytest.approx(expected, rel=1e-9)
+
+
+def test_distributions_have_the_quantiles_of_their_names():
+    assert value_at(axis(loguniform=(1e-6, 1e-2)), 0.25) == pytest.approx(1e-5)
+    assert value_at(axis(uniform=(-2.0, 6.0)), 0.25) == 0.0
+    whole = [value_at(axis(integers=(3, 5)), u) for u in np.linspace(0.0, 1.0, 301)]
+    assert [whole.count(k) for k in (2, 3, 4, 5, 6)] == [0, 100, 100, 101, 0]
+    names = axis(values=["a", "b"])
+    assert [value_at(names, u) for u in (0.0, 0.49, 0.5, 1.0)] == ["a", "a", "b", "b"]
+
+
+WRONG = [
+    ("kind: campaign\n", ":1:1: nothing is swept, allowed: a section sample, list or grid"),
+    (
+        "kind: campaign\ngrid: {a: {key: plant.drives.encoder_resolution, values: [1]}}\n",
+        ":2:8: grid.a: plant.drives.encoder_resolution: unknown key, allowed: encoder_resolution_m",
+    ),
+    (
+        "kind: campaign\ngrid: {a: {key: controller.wn_rad_s, values: [20, -1]}}\n",
+        ":2:8: grid.a: controller.wn_rad_s: out of range, allowed: a number greater than 0 or a list",
+    ),
+    (
+        "kind: campaign\ngrid:\n  a: {key: 'plant.faults[0].mass_kg', values: [1]}\n",
+        ":3:3: grid.a: plant.faults[0].mass_kg: plant.faults has no entry 0, it has 0; give it one in `changes`",
+    ),
+    (
+        "kind: campaign\ngrid:\n  a: {key: loop.rate_Hz.x, values: [1]}\n",
+        ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a value, allowed: a section",
+    ),
+    (
+        "kind: campaign\ngrid:\n  a: {key: 'plant faults', values: [1]}\n",
+        ":3:3: grid.a: plant faults: no key, allowed: names with dots and indices",
+    ),
+    (
+        "kind: campaign\ngrid:\n  a: {faults: {jump: ['encoder_jmp leg=1']}}\n",
+        "encoder_jmp leg=1\": unknown kind 'encoder_jmp', did you mean encoder_jump?",
+    ),
+    (
+        "kind: campaign\ngrid:\n  a: {key: x.y, values: [1], options: {b: {}}}\n",
+        "grid.a: allowed: exactly one of values, options, faults, given: values, options",
+    ),
+    (
+        "kind: campaign\nsample:\n  method: sobol\n  count: 4\n  axes:\n    a: {key: x.y, loguniform: [0, 1]}\n",
+        "sample.axes.a: loguniform: allowed: two numbers > 0, given: [0.0, 1.0]",
+    ),
+    (
+        "kind: campaign\nlist:\n  a: {key: x.y, values: [1]}\n  b: {key: x.z, values: [1, 2]}\n",
+        "list: allowed: axes with equally many values, given: a 1, b 2",
+    ),
+    (
+        "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {peak_leg_eror_mm: {max: 1}}\n",
+        ":3:10: limits.peak_leg_eror_mm: unknown metric, did you mean peak_leg_error_mm? allowed: faulted",
+    ),
+    (
+        "kind: campaign\ngrid: {ended: {key: seed, values: [1]}}\n",
+        ":2:8: grid.ended: is the name of a column of the table, allowed: a name of its own",
+    ),
+    (
+        "kind: campaign\nconfiguration: nosuch\ngrid: {a: {key: seed, values: [1]}}\n",
+        ":2:1: configuration: nosuch: no such file; shipped configurations are: ",
+    ),
+    (
+        "kind: campaign\nchanges: {loop: {rate: 5}}\ngrid: {a: {key: seed, values: [1]}}\n",
+        ":2:1: changes: loop.rate: ",
+    ),
+    (
+        "kind: campaign\ngrid:\n  a: {key: x.y, values: [1]}\n  b: {key: [x.z, x.y], values: [1]}\n",
+        ":4:3: grid.b: x.y is swept by a, too, allowed: one axis for each key",
+    ),
+    (
+        "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {travel_mm: {max: 1}}\n",
+        ":3:10: limits.travel_mm: not measured in runs that end with their fault, allowed: with after_fault: rest",
+    ),
+    ("kind: campaign\nduration_s: 1.0e+306\ngrid: {a: {key: seed, values: [1]}}\n", "duration_s: "),
+    *(
+        (
+            f"kind: campaign\nchanges: {{{changes}sensors: {{tracker: {{rate_Hz: 200}}}}}}\ngrid: {{{axes}}}\n",
+            said,
+        )
+        for changes, axes, said in (
+            ("plant: null, ", "a: {key: seed, values: [1]}", "plant"),
+            ("", "a: {key: seed, values: [1]}, b: {key: plant.sensors, values: [null]}", "plant.sensors"),
+            (
+                "",
+                "a: {key: seed, values: [1]}, b: {key: plant.sensors.seed, values: [x]}",
+                "plant.sensors.seed",
+            ),
+        )
+    ),
+    *(
+        (f"kind: campaign\n{axes}\n", f"seed: allowed: whole numbers from 0 to 2**63 - 1, given: {given}")
+        for axes, given in (
+            ("grid: {a: {key: seed, values: [1, x]}}", "'x'"),
+            ("grid: {a: {key: [seed], values: [true]}}", "True"),
+            ("list: {a: {key: seed, values: [1, -1]}}", "-1"),
+            ("list: {a: {key: seed, values: [1, 9223372036854775808]}}", "9223372036854775808"),
+            (
+                "sample: {method: halton, count: 1, axes: {a: {key: seed, integers: [0, 9223372036854775808]}}}",
+                "9223372036854775808",
+            ),
+        )
+    ),
+    ("kind: campaing\ngrid: {}\n", "is of kind 'campaing'; allowed: a file with `kind: campaign`"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG)
+def test_what_is_wrong_has_its_place_and_what_is_allowed(tmp_path, text, message):
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigurationError) as error:
+        read_plan(path)
+    assert message in str(error.value)
+    assert str(path) in str(error.value) or "--fault" in message
+    assert "row 0" not in str(error.value)  # rows are not the user's yet
+
+
+def test_what_is_wrong_with_one_axis_is_not_said_of_another(tmp_path):
+    text = """
+    kind: campaign
+    grid:
+      a: {key: plant.drives.encoder_resolution, values: [1]}
+      b: {key: loop.rate_Hz, values: [1000]}
+      c: {faults: {x: [encoder_jmp leg=1]}}
+    """
+    with pytest.raises(ConfigurationError) as error:
+        read_plan(written(tmp_path, text))
+    first, second = error.value.problems
+    assert "grid.a: plant.drives.encoder_resolution: unknown key" in first
+    assert "grid.c.faults.x: --fault" in second  # which of the options or faults, too
+
+
+def test_an_axis_may_reach_into_what_another_brings(tmp_path):
+    text = """
+    kind: campaign
+    grid:
+      law: {options: {pd: {controller: {law: pd, kp_N_m: 1e6, kv_N_s_m: 1e5}}}}
+      kp_N_m: {key: controller.kp_N_m, values: [1e6, 2e6]}
+    """
+    plan = read_plan(written(tmp_path, text))
+    assert [row_configuration(plan.job(k)).controller.model_dump()["kp_N_m"] for k in range(2)] == [1e6, 2e6]
+
+
+def emulated(plan, row):
+    """Return section `plant` of a row's configuration."""
+    plant = row_configuration(plan.job(row)).plant
+    assert plant is not None
+    return plant
+
+
+def test_an_axis_that_reaches_into_the_value_of_another_changes_its_own_row_alone(tmp_path):
+    text = """
+    kind: campaign
+    duration_s: 0.05
+    changes: {plant: {faults: [{kind: payload_step, mass_kg: 10, position_m: [0, 0, 0]}]}}
+    grid:
+      place: {key: "plant.faults[0].position_m", values: [[0, 0, 0], [0, 0, 0.1]]}
+      x_m: {key: "plant.faults[0].position_m[0]", values: [0.2, 0.3]}
+    """
+    plan = read_plan(written(tmp_path, text))
+    places = [emulated(plan, k).faults[0].model_dump()["position_m"] for k in range(4)]
+    assert places == [(0.2, 0, 0), (0.3, 0, 0), (0.2, 0, 0.1), (0.3, 0, 0.1)]
+    assert [plan.values(k)["place"] for k in (1, 3)] == [[0, 0, 0], [0, 0, 0.1]]
+
+
+def test_rows_begin_where_the_plant_does_and_share_no_homing_file(tmp_path):
+    text = SMALL + "changes: {plant: {homing_file: parked.yaml}}\n"
+    assert emulated(read_plan(written(tmp_path, text)), 0).homing_file is None
+
+
+def test_no_row_waits_for_an_operator(tmp_path):
+    """It would stand at the start of its path, without an error, and pass."""
+    text = SMALL + "changes: {operator: {start: asked, deadman_s: 0.2, stays: true}}\n"
+    operator = row_configuration(read_plan(written(tmp_path, text)).job(0)).operator
+    assert (operator.start, operator.deadman_s, operator.stays) == ("automatic", None, False)
+
+
+def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
+    with pytest.raises(
+        ConfigurationError, match=r"no such file; shipped campaigns are: builds, payload, wear$"
+    ):
+        read_plan(tmp_path / "no.yaml")
+    assert shipped() == ("builds", "payload", "wear")
+
+
+def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campaign():
+    """Else: python -c 'from hil.study.campaign.schema import text; print(text(), end="")' > its file."""
+    folder = Path(__file__).parents[4] / "configs/campaigns"
+    committed = (folder / "campaign.schema.json").read_text()
+    assert committed == schema.text()
+    check = jsonschema.Draft202012Validator(json.loads(committed))
+    shipped = sorted(folder.glob("*.yaml"))
+    assert len(shipped) == 3
+    for path in shipped:
+        shipped_text = path.read_text()
+        assert shipped_text.startswith("# yaml-language-server: $schema=campaign.schema.json\n")
+        check.validate(parse(shipped_text).value)
+        assert (len(read_plan(path)), read_plan(path).name) == (500, path.stem)
+    with pytest.raises(jsonschema.ValidationError, match="sobl"):
+        check.validate(parse(shipped_text.replace("method: sobol", "method: sobl")).value)

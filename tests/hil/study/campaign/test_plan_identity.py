@@ -1,0 +1,129 @@
+"""What a campaign is made of: its identity, and the files that its rows name."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import load
+from hil.study.campaign import row
+from hil.study.campaign.plan import identity, read_plan
+from hil.study.campaign.row import row_configuration, run_row
+from tests.hil.study.campaign.campaigns import SMALL, written
+from tests.hil.study.campaign.test_plan import ALL
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    text = ALL.replace("wn: {key: controller.wn_rad_s", "wn: {key: limits.condition")
+    return read_plan(written(tmp_path_factory.mktemp("plan"), text))
+
+
+def test_the_identity_changes_with_what_makes_the_rows_and_with_nothing_else(tmp_path):
+    def parts(text, name="c.yaml"):
+        return identity(read_plan(written(tmp_path, text, name)))
+
+    own = parts(SMALL)
+    assert parts("# a remark\n" + SMALL, "other.yaml") == own
+    seed = parts(SMALL.replace("seed: 3", "seed: 4"))
+    assert {name for name in own if own[name] != seed[name]} == {"campaign", "values of the rows"}
+    text = load("virtual").text.replace("wn_rad_s: 20", "wn_rad_s: 21")
+    (tmp_path / "changed.yaml").write_text(text)
+    other = parts(SMALL.replace("configuration: virtual", "configuration: changed.yaml"))
+    assert {name for name in own if own[name] != other[name]} == {"campaign", "configuration"}
+
+
+def path_csv(end_m):
+    """Return a path along z as CSV, which ends so high."""
+    rows = [f"{t},0,0,{1 + (end_m - 1) * (t > 1)},0,0,0" for t in range(4)]
+    return "\n".join(("t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows))
+
+
+SAMPLED = SMALL + "changes: {reference: {type: sampled, path: path.csv}}\n"
+
+
+def test_a_file_that_a_configuration_names_is_part_of_the_identity_wherever_it_lies(tmp_path):
+    """Beside the configuration; or beside the campaign, as the shipped configuration's folder is nobody's."""
+    (tmp_path / "own.yaml").write_text(load("virtual").text)
+    for text in (SAMPLED, SAMPLED.replace("configuration: virtual", "configuration: own.yaml")):
+        found = []
+        for folder, end_m in (("a", 1.001), ("a", 1.0011), ("b", 1.0011)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            (tmp_path / folder / "own.yaml").write_text(load("virtual").text)
+            (tmp_path / folder / "path.csv").write_text(path_csv(end_m))
+            found.append(identity(read_plan(written(tmp_path / folder, text))))
+        one, other, elsewhere = found
+        assert {name for name in one if one[name] != other[name]} == {"file path.csv"}
+        assert other == elsewhere
+
+
+def test_of_files_of_one_name_each_is_part_of_the_identity_and_their_order_is(plan):
+    def made_of(**files: str) -> dict[str, str]:
+        there = {f"/{folder}/path.csv": digest for folder, digest in files.items()}
+        return identity(replace(plan, subject=plan.subject._replace(files=there)))
+
+    found = [
+        made_of(a="1", b="2"), made_of(a="3", b="2"), made_of(a="1", b="3"), made_of(a="2", b="1"),
+        made_of(a="1"), made_of(a="2"), made_of(a="1", b="2", c="3"),
+    ]  # fmt: skip
+    assert all(one != other for one, other in combinations(found, 2))
+    assert made_of(a="1", b="2") == made_of(elsewhere="1", there="2")
+
+
+def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign(tmp_path):
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "own.yaml").write_text(load("virtual").text)
+    (tmp_path / "path.csv").write_text(path_csv(1.001))
+    text = SAMPLED.replace("configuration: virtual", "configuration: robot/own.yaml")
+    found = row_configuration(read_plan(written(tmp_path, text)).job(0)).reference
+    assert found.model_dump()["path"] == str(tmp_path / "path.csv")
+    (tmp_path / "robot" / "path.csv").write_text(path_csv(1.0011))
+    found = row_configuration(read_plan(written(tmp_path, text)).job(0)).reference
+    assert found.model_dump()["path"] == "path.csv"
+
+
+def test_the_identity_has_files_that_only_some_combination_reads(tmp_path):
+    """Neither value of `which` fits the path of the configuration; with the second option both do."""
+    text = """
+    kind: campaign
+    duration_s: 0.05
+    grid:
+      path: {options: {sampled: {reference: {type: sampled, path: c.csv}}, own: {}}}
+      which: {key: reference.path, values: [a.csv, b.csv]}
+    """
+    for name in ("a.csv", "b.csv", "c.csv"):
+        (tmp_path / name).write_text(path_csv(1.001))
+    found = identity(read_plan(written(tmp_path, text)))
+    assert [name for name in found if name.startswith("file")] == ["file c.csv", "file a.csv", "file b.csv"]
+
+
+def test_a_file_that_changes_while_a_row_runs_gives_no_row(tmp_path, monkeypatch):
+    file = tmp_path / "path.csv"
+    file.write_text(path_csv(1.001))
+    plan = read_plan(written(tmp_path, SAMPLED))
+    harmless = row._performed
+
+    def meanwhile(job):
+        ran = harmless(job)
+        file.write_text(path_csv(1.002))
+        return ran
+
+    monkeypatch.setattr(row, "_performed", meanwhile)
+    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since"):
+        run_row(plan.job(0))
+
+
+@pytest.mark.parametrize("change", ["other", "gone"])
+def test_a_file_that_changes_while_a_campaign_runs_gives_no_row(tmp_path, change):
+    file = tmp_path / "path.csv"
+    file.write_text(path_csv(1.001))
+    plan = read_plan(written(tmp_path, SAMPLED))
+    if change == "gone":
+        file.unlink()
+    else:
+        file.write_text(path_csv(1.002))
+    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since .* Restore it and repeat"):
+        run_row(plan.job(0))
+    file.write_text(path_csv(1.001))
+    assert run_row(plan.job(0))["passed"]

@@ -1,0 +1,104 @@
+"""How often runs pass: intervals, values and quarters of an axis, the worst rows."""
+
+import pytest
+
+from hil.study.campaign.figures import METRICS
+from hil.study.campaign.rates import by_value, causes, why, wilson, worst
+from hil.study.campaign.settings import Limit, ListedAxis, SampledAxis
+
+LIMITS = {"faulted": Limit(max=0.0), "peak_force_N": Limit(max=100.0)}
+
+
+def row(number, *, passed=True, ended="complete", ended_s=1.0, trouble="", **values):
+    return {
+        "row": number, "passed": passed, "ended": ended, "ended_s": ended_s, "trouble": trouble,
+        "faults": "DRIVE" if ended == "fault" else "",
+        **dict.fromkeys(METRICS), "faulted": 0, **values,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("passed", "n", "low", "high"),
+    [
+        # R. G. Newcombe, Two-sided confidence intervals for the single proportion, Statistics in Medicine 17
+        # (1998) 857: table I, method 3, the score method of Wilson without continuity correction
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+        (20, 20, 0.8389, 1.0),
+    ],
+)
+def test_the_interval_is_that_of_wilson(passed, n, low, high):
+    assert wilson(passed, n) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_nothing_is_known_of_no_rows():
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_options_are_in_the_order_of_the_file_each_with_its_rows():
+    axis = ListedAxis(options={"pd": {}, "inverse": {}})
+    rows = [row(0, law="inverse"), row(1, law="pd", passed=False), row(2, law="inverse")]
+    found = by_value("law", axis, rows)
+    assert [(r.label, r.rows, r.passed) for r in found] == [("pd", 1, 0), ("inverse", 2, 2)]
+
+
+def test_a_value_that_stands_in_several_rows_of_a_list_is_one_line():
+    axis = ListedAxis(key="x.y", values=[1, 1, 2])
+    found = by_value("mass", axis, [row(k, mass=mass) for k, mass in enumerate((1, 1, 2))])
+    assert [(r.label, r.rows) for r in found] == [("1", 2), ("2", 1)]
+
+
+def test_many_numbers_are_quarters_by_value_not_by_row():
+    axis = SampledAxis(key="x.y", uniform=(0.0, 20.0))
+    rows = [row(k, mass=float(19 - k), passed=k >= 5) for k in range(20)]
+    found = by_value("mass", axis, rows)
+    labels = ["0 to 4", "5 to 9", "10 to 14", "15 to 19"]
+    assert [(r.label, r.rows, r.passed) for r in found] == [
+        (label, 5, passed) for label, passed in zip(labels, (5, 5, 5, 0), strict=True)
+    ]
+
+
+def test_the_worst_rows_are_the_worst_of_each_cause():
+    rows = [
+        row(0, passed=False, peak_force_N=110.0),
+        row(1),
+        row(2, passed=False, peak_force_N=300.0),
+        row(3, passed=False, ended="fault", ended_s=0.5, faulted=1),
+        row(4, passed=False, ended="fault", ended_s=0.1, faulted=1),
+    ]
+    assert [r["row"] for r in worst(rows, LIMITS, 3)] == [4, 2, 3]
+    assert [r["row"] for r in worst(rows, LIMITS, 9)] == [4, 2, 3, 0]
+    assert sorted(causes(rows)) == [("fault DRIVE", 2), ("limit", 2)]
+
+
+def test_the_worst_of_a_limit_from_below_is_the_farthest_below_it():
+    rows = [row(k, passed=False, peak_force_N=force) for k, force in enumerate((90.0, 10.0, 50.0))]
+    assert [r["row"] for r in worst(rows, {"peak_force_N": Limit(min=100.0)}, 3)] == [1, 2, 0]
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_limits_of_different_units_are_compared_by_the_share_they_are_passed_by(scale):
+    """Of row 0 the force is 10 % too large, of row 1 the error 50 %; of row 2 the path 80 % too short."""
+    limits = {
+        "peak_force_N": Limit(max=100.0 * scale),
+        "rms_leg_error_mm": Limit(max=0.2),
+        "tracked_s": Limit(min=5.0),
+    }
+    fine = {"peak_force_N": 90.0 * scale, "rms_leg_error_mm": 0.1, "tracked_s": 6.0}
+    broken = [{"peak_force_N": 110.0 * scale}, {"rms_leg_error_mm": 0.3}, {"tracked_s": 1.0}]
+    rows = [row(k, passed=False, **fine | each) for k, each in enumerate(broken)]
+    rows.append(row(3, passed=False, **fine | broken[0] | {"rms_leg_error_mm": 0.32}))
+    assert [r["row"] for r in worst(rows, limits, 4)] == [2, 3, 1, 0]
+
+
+def test_why_a_row_has_failed_names_value_and_limit():
+    assert why(row(0, passed=False, peak_force_N=110.5), LIMITS) == "peak_force_N 110.5, allowed: at most 100"
+    ended = row(0, passed=False, ended="plant", trouble="the FMU failed\nfar away", peak_force_N=1.0)
+    assert why(ended, LIMITS) == "plant: the FMU failed"
+    assert why(row(0, passed=False), LIMITS) == "not measured: peak_force_N"
+
+
+def test_a_row_without_the_fault_that_has_to_come_says_so():
+    assert why(row(0, passed=False), {"faulted": Limit(min=1.0)}) == "faulted 0, allowed: at least 1"

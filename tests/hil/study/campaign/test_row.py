@@ -1,0 +1,95 @@
+"""A row of a campaign: its chance, its watchdog, when it has passed, and the columns of its values."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from drivers.errors import PlantError
+from drivers.signals import Fault
+from hil.app.compose import build_cycle
+from hil.study.campaign import row
+from hil.study.campaign.figures import METRICS, Measurement
+from hil.study.campaign.parquet import kind
+from hil.study.campaign.plan import read_plan
+from hil.study.campaign.row import row_configuration, run_row
+from hil.study.campaign.settings import ListedAxis
+from tests.hil.study.campaign.campaigns import written
+from tests.hil.study.campaign.test_plan import ALL
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    text = ALL.replace("wn: {key: controller.wn_rad_s", "wn: {key: limits.condition")
+    return read_plan(written(tmp_path_factory.mktemp("row"), text))
+
+
+def test_chance_differs_from_row_to_row_and_the_noise_of_sensors_from_the_configured_one_on(tmp_path):
+    text = ALL.replace("changes:\n", "changes:\n  sensors: {tracker: {rate_Hz: 200}}\n").replace(
+        "plant: {", "plant: {sensors: {seed: 7}, "
+    )
+    plan = read_plan(written(tmp_path, text.replace("controller.wn_rad_s", "limits.condition")))
+    jobs = [plan.job(k) for k in range(len(plan))]
+    assert {job.seed for job in jobs} == {0, 1}
+    for job in jobs:
+        plant = row_configuration(job).plant
+        assert plant is not None
+        assert plant.sensors.seed == 7 + job.seed
+
+
+def test_a_row_has_its_own_chance_and_its_watchdog_in_seconds(plan, monkeypatch):
+    seen = []
+
+    def cycle(c, rate_Hz, watchdog_s):
+        assert watchdog_s == pytest.approx(1e-3 * c.drives.watchdog_ms)
+        return build_cycle(c, rate_Hz, watchdog_s)
+
+    def nodes(_c, faults):
+        seen.append(faults.seed)
+        raise PlantError("enough")
+
+    monkeypatch.setattr(row, "build_cycle", cycle)
+    monkeypatch.setattr(row, "build_nodes", nodes)
+    jobs = [plan.job(k) for k in (0, len(plan) - 1)]
+    assert [run_row(job)["trouble"] for job in jobs] == ["enough"] * 2
+    assert seen == [job.seed for job in jobs] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("how", "passed"),
+    [("complete", True), ("fault", True), ("limit", False), ("stopped", False), ("plant", False)],
+)
+def test_a_row_passes_only_where_its_run_has_ended_by_itself_or_in_a_fault(plan, how, passed):
+    measured = SimpleNamespace(figures=lambda: dict.fromkeys(METRICS, 0))
+    assert (
+        row.outcome(plan.job(0), 1e3, row.Ended(how, "", 5), Fault(0), cast("Measurement", measured))[
+            "passed"
+        ]
+        is passed
+    )
+
+
+def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, monkeypatch):
+    assert row.LONGEST_S == 3600.0
+    monkeypatch.setattr(row, "LONGEST_S", 0.05)
+    job = plan.job(0)
+    found = run_row(job._replace(subject=job.subject._replace(duration_s=0.1)))
+    assert (found["ended"], found["passed"], found["ended_s"]) == ("stopped", False, pytest.approx(0.15))
+    assert "it has not ended 0.05 s after the" in found["trouble"]
+
+
+@pytest.mark.parametrize(
+    ("values", "column"),
+    [
+        ([1, 2], "int64"),
+        ([1, 2.5], "float64"),
+        ([True, False], "text"),
+        ([1, "one"], "text"),
+        ([1, True], "text"),
+        ([2**63 - 1, -(2**63) + 1], "int64"),
+        ([1, 2**63], "text"),
+        ([1.5, -(10**400)], "text"),
+    ],
+)
+def test_the_column_of_an_axis_is_of_numbers_where_all_its_values_are(values, column):
+    assert kind(ListedAxis(key="limits.condition", values=values)) == column

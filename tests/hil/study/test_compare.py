@@ -1,0 +1,494 @@
+"""`hil compare`: laws from the configuration, paths, what disturbs, what faults, and what is written."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.image import imread
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.compare import DisturbanceSettings, StepSettings
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.controller_file import shipped_controllers
+from hil.cli import main
+from hil.config.delay import DelayCompensation
+from hil.control import LAWS
+from hil.control.cartesian_pd import CartesianPDSettings
+from hil.control.law import ModelBasedSettings
+from hil.control.pd import PDSettings
+from hil.control.state_space import StateSpaceSettings
+from hil.study.compare.command import _perform, compare, with_options
+from hil.study.compare.conditions import paths, with_law, without_limits
+from hil.study.compare.laws import VARIANTS, chosen, desired_loop, with_scale
+from hil.study.compare.measure import Job, measure
+from hil.study.compare.table import result, show, unrest
+from plant_fmu.config import StewartPlant
+
+DATA = Path(__file__).parents[2] / "data"
+BOOK = json.loads((DATA / "book_closed_loop.json").read_text())["rows"]
+WN = 20.0
+SHIPPED_RATE_HZ = 1000.0
+DESIGNED = f"{{law: state_space, controller_file: {DATA / 'controller.yaml'}}}"
+HOLD_S = 0.5e-3
+"""A force held for a period of 1 ms is late by half of it."""
+BUS_S = (6 * 64.6 + 60.0 + 105.6) * 1e-6
+"""Six feedbacks of 12 bytes, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s: the error is that
+of the lengths as they are measured, at the end of SYNC."""
+LENGTH = np.sqrt(1.0 + 2.0**2 + 1.0**2 - 2 * 2.0 * 1.0 * np.cos(np.pi / 6))
+"""m, of every leg of the book's platform at home: 1 m up, joint circles of 2 and 1 m, 30 degrees apart."""
+S_Z = 1.0 / LENGTH
+ROD, CYLINDER = 22.0, 85.0
+"""kg, centres of mass 0.75 m from the platform's and from the base joint."""
+TURNING = (CYLINDER * 0.75**2 + 16.0 + ROD * (LENGTH - 0.75) ** 2 + 4.1) / LENGTH**2
+"""kg, a leg's inertia about its base joint as a mass at the platform."""
+VERTICAL_MASS = 1150.0 + 6 * (ROD * S_Z**2 + TURNING * (1 - S_Z**2))
+"""kg, for vertical motion: a rod moves along its leg, both halves turn."""
+LEVER = (CYLINDER * 0.75 + ROD * (LENGTH - 0.75)) / LENGTH
+VERTICAL_WEIGHT = 9.81 * (1150.0 + 6 * (ROD * S_Z**2 + LEVER * (1 - S_Z**2)))
+"""N, what the platform's vertical motion lifts."""
+LAG_S = 1 / (2 * np.pi * 200.0)
+"""First-order force loop of 200 Hz."""
+
+
+@pytest.fixture(scope="module")
+def virtual():
+    return load("virtual")
+
+
+@pytest.fixture(scope="module")
+def ideal():
+    return load("ideal")
+
+
+def job(c, law="inverse_dynamics", **changes):
+    base = Job(law, "own", with_law(c, chosen(c, [law])[law]), 0.1, None, None, 30 / WN)
+    return base._replace(**changes)
+
+
+def hil(*arguments):
+    return CliRunner().invoke(main, ["compare", *map(str, arguments)])
+
+
+def with_section(text):
+    return load("virtual").text + text
+
+
+# -- which laws ----------------------------------------------------------------------------------------------
+
+
+def every_law(c):
+    """All of the table, where a controller made for the loop's rate is shipped."""
+    designed = "hinf" in shipped_controllers() and c.loop.rate_Hz == SHIPPED_RATE_HZ
+    return (set(LAWS) | set(VARIANTS)) - (set() if designed else {"state_space"})
+
+
+def test_every_law_has_a_row_by_default(virtual):
+    found = chosen(virtual)
+    assert set(found) == every_law(virtual)
+    assert found["inverse_dynamics"] == virtual.controller, "the configuration's own law is as configured"
+
+
+def test_pd_gains_are_those_of_the_heaviest_motion_of_the_legs(virtual):
+    """J^-T M J^-1 of the book's platform at home: the largest eigenvalue is 1595.67 kg."""
+    pd = chosen(virtual, ["pd"])["pd"]
+    assert isinstance(pd, PDSettings)
+    assert pd.kp_N_m == pytest.approx(1595.673 * WN**2, rel=1e-6)
+    assert pd.kv_N_s_m == pytest.approx(2 * 1595.673 * WN, rel=1e-6)
+
+
+def test_a_configuration_with_pd_gives_the_others_its_frequency_and_damping(virtual):
+    c = with_law(virtual, chosen(virtual, ["pd"])["pd"])
+    f = desired_loop(c)
+    assert (f.wn, f.zeta) == pytest.approx((WN, 1.0))
+
+
+def test_a_configuration_with_pd_on_the_pose_does_so_too(virtual):
+    """Of the gains along the axes and the heaviest translation of the platform."""
+    law = chosen(virtual, ["cartesian_pd"])["cartesian_pd"]
+    assert isinstance(law, CartesianPDSettings)
+    stiffer = law.model_copy(
+        update={"kp_position_N_m": 9 * law.kp_position_N_m, "kv_position_N_s_m": 6 * law.kv_position_N_s_m}
+    )
+    f = desired_loop(with_law(virtual, stiffer))
+    assert (f.wn, f.zeta) == pytest.approx((3 * WN, 2.0))
+
+
+@pytest.mark.parametrize("name", ["bench", "ideal", "lab", "vcan50", "virtual"])
+def test_every_shipped_bench_has_settings_for_every_law(name):
+    c = load(name)
+    assert set(chosen(c)) == every_law(c)
+
+
+def test_a_designed_controller_is_compared_under_its_own_name(virtual):
+    c = loads(with_section(f"\ncompare:\n  laws:\n    mine: {DESIGNED}\n"), "my.yaml", Path())
+    assert list(chosen(c)) == ["mine"]
+    scaled = with_scale(chosen(c)["mine"], 0.9)
+    assert isinstance(scaled, StateSpaceSettings)
+    assert scaled.model.inertia_scale == 0.9
+    own = with_law(virtual, chosen(c)["mine"])
+    assert chosen(own)["state_space"] == own.controller, "the configuration's own law is as configured"
+
+
+def test_without_a_controller_for_the_rate_there_is_no_designed_law_by_default(virtual):
+    loop = virtual.loop.model_copy(update={"rate_Hz": 777.0})
+    slow = virtual.model_copy(update={"loop": loop})
+    assert "state_space" not in chosen(slow)
+    with pytest.raises(ConfigurationError, match=r"law state_space: .*; give it in section compare.laws"):
+        chosen(slow, ["state_space"])
+
+
+def test_a_law_that_is_none_is_refused_with_those_that_are(virtual):
+    with pytest.raises(ConfigurationError, match="no law lqr; there are pd, "):
+        chosen(virtual, ["pd", "lqr"])
+
+
+OWN = """
+compare:
+  laws:
+    stiff: {law: pd, kp_N_m: 2e6, kv_N_s_m: 5e4}
+    light: {law: inverse_dynamics, wn_rad_s: 10, model: {inertia_scale: 0.8}}
+"""
+
+
+def test_the_section_names_own_laws_which_then_are_the_default():
+    c = loads(with_section(OWN), "my.yaml")
+    assert list(chosen(c)) == ["stiff", "light"]
+    assert list(chosen(c, ["stiff", "pd"])) == ["stiff", "pd"]
+    assert chosen(c)["stiff"] == PDSettings(law="pd", kp_N_m=2e6, kv_N_s_m=5e4)
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ("laws: {a: {law: pd, kp_N_m: 1e6}}", "compare.laws.a.kv_N_s_m: missing"),
+        ("laws: {a: {law: lqr}}", "compare.laws.a.law: unknown value"),
+        ("laws: {'a,b': {law: pd, kp_N_m: 1e6, kv_N_s_m: 1e4}}", "text without a comma"),
+        ("disturbance: {force_N: [0, 0]}", "compare.disturbance.force_N"),
+        ("disturbance: {start_s: 2, stop_s: 1}", "allowed: more than 2, given: 1"),
+        ("inertia_scale: 0", "compare.inertia_scale: out of range, allowed: a number greater than 0"),
+        ("step: {axis: z, size: 0.001}", "compare.step.axis: unknown value"),
+        ("disturbence: {}", "did you mean disturbance?"),
+    ],
+)
+def test_a_section_that_cannot_be_is_refused_with_its_place(section, message):
+    with pytest.raises(ConfigurationError) as caught:
+        loads(with_section(f"\ncompare:\n  {section}\n"), "my.yaml")
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("my.yaml:")
+
+
+# -- paths ---------------------------------------------------------------------------------------------------
+
+
+def test_an_ideal_bench_has_one_path_and_a_real_one_four(virtual, ideal):
+    assert list(paths(ideal)) == ["ideal"]
+    found = paths(virtual)
+    assert list(found) == ["ideal", "encoders", "bus", "drives"]
+    models = [c.plant.model for c in found.values() if c.plant and isinstance(c.plant.model, StewartPlant)]
+    layouts = [c.bus.layout for c in found.values()]
+    assert layouts == ["ideal", "ideal", "fd", "fd"]
+    steps = [c.plant.drives.encoder_resolution_m for c in found.values() if c.plant]
+    assert steps == [0.0, 1e-6, 1e-6, 1e-6]
+    assert [model.force_bandwidth_Hz for model in models] == [0.0, 0.0, 0.0, 200.0]
+    assert found["drives"] == virtual
+
+
+def looking_ahead(c, **delays_ms):
+    return c.controller.model_copy(update={"delay_compensation": DelayCompensation(**delays_ms)})
+
+
+def delay_of_law(c):
+    assert isinstance(c.controller, ModelBasedSettings)
+    return c.controller.delay_compensation
+
+
+def test_on_each_path_law_and_observer_know_of_the_delays_that_are_left(virtual):
+    wrench = virtual.estimation.wrench.model_copy(update={"bus_ms": 0.5, "drive_lag_ms": 0.8})
+    c = virtual.model_copy(
+        update={
+            "controller": looking_ahead(virtual, bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5),
+            "estimation": virtual.estimation.model_copy(update={"wrench": wrench}),
+        }
+    )
+    left = {"ideal": (0.0, 0.0), "encoders": (0.0, 0.0), "bus": (0.5, 0.0), "drives": (0.5, 0.8)}
+    for name, bench in paths(c).items():
+        law, observer = delay_of_law(bench), bench.estimation.wrench
+        assert law
+        assert (law.bus_ms, law.drive_lag_ms) == (observer.bus_ms, observer.drive_lag_ms) == left[name]
+        assert law.hold_ms == 0.5
+    without_hold = with_law(c, looking_ahead(c, bus_ms=0.5, drive_lag_ms=0.8))
+    assert delay_of_law(paths(without_hold)["ideal"]) is None
+
+
+def test_a_law_that_looks_ahead_does_so_on_the_ideal_path_and_on_that_of_the_bus(virtual):
+    """Looking ahead by delays that are not there would be worse than not at all: 1.8 ms early for 0.5 late."""
+    law = looking_ahead(virtual, bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
+    found = paths(with_law(virtual, law))
+    for bench in (found["ideal"], found["bus"]):
+        blind = with_law(bench, virtual.controller)
+        rms = [
+            measure(Job("a", "own", c, 0.4, None, None, 1.0)).figures["rms_leg_error_mm"]
+            for c in (bench, blind)
+        ]
+        assert rms[0] < rms[1] / 2
+
+
+@pytest.mark.long
+def test_each_path_costs_its_delay(virtual):
+    """The error of exact inverse dynamics is proportional to the delay; that of the hold is known from outside."""
+    zoh = BOOK["joint_IDC_exact_wn20_1kHz_ZOH"]["peak_leg_err_mm"]
+    found = {
+        name: measure(job(bench, duration_s=2.0)).figures["peak_leg_error_mm"]
+        for name, bench in paths(virtual).items()
+    }
+    assert found["ideal"] == pytest.approx(zoh, rel=0.10)
+    assert found["ideal"] < found["encoders"] < found["ideal"] + 2e-3
+    assert found["bus"] == pytest.approx(zoh * (HOLD_S + BUS_S) / HOLD_S, rel=0.02)
+    assert found["drives"] == pytest.approx(zoh * (HOLD_S + BUS_S + LAG_S) / HOLD_S, rel=0.05)
+
+
+# -- one measurement -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def measured(ideal):
+    return measure(job(ideal, duration_s=0.3, step=StepSettings(), settle_s=0.6))
+
+
+def test_a_step_has_the_rise_and_bandwidth_of_the_linear_loop(measured):
+    """wn 20 rad/s, zeta 1: 10 to 90 % in 3.358 / wn, -3 dB at 0.6436 wn; the hold is late by half a tick."""
+    assert measured.fault is None
+    found = measured.figures
+    assert found["rise_ms"] == pytest.approx(3358 / WN, rel=0.01)
+    assert found["bandwidth_Hz"] == pytest.approx(0.6436 * WN / (2 * np.pi), rel=0.01)
+    assert found["overshoot_percent"] < 0.1
+    assert found["settled"]
+    assert found["steady_leg_error_mm"] < 1e-6
+
+
+def test_a_step_in_rotation_has_the_same_bandwidth(ideal, measured):
+    step = StepSettings(axis="rx_deg", size=0.05)
+    found = measure(job(ideal, duration_s=0.01, step=step, settle_s=0.6)).figures
+    assert found["bandwidth_Hz"] == pytest.approx(measured.figures["bandwidth_Hz"], rel=0.01)
+
+
+def believing(c, scale):
+    return with_law(c, with_scale(chosen(c, ["inverse_dynamics"])["inverse_dynamics"], scale))
+
+
+def test_masses_believed_too_small_make_the_loop_slower(ideal):
+    """s M (K_D dE + K_P E) instead of M (...): wn and zeta become sqrt(s) of what they were. Without weight."""
+    s = 0.25
+    weightless = ideal.platform.model_copy(update={"gravity_m_s2": (0.0, 0.0, 0.0)})
+    c = believing(ideal.model_copy(update={"platform": weightless}), s)
+    zeta, wn = np.sqrt(s), np.sqrt(s) * WN
+    a = 1 - 2 * zeta**2
+    found = measure(job(ideal, configuration=c, duration_s=0.01, step=StepSettings())).figures
+    bandwidth = wn / (2 * np.pi) * np.sqrt(a + np.sqrt(1 + a**2))
+    assert found["bandwidth_Hz"] == pytest.approx(bandwidth, rel=0.02)
+    overshoot = np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2))
+    assert found["overshoot_percent"] == pytest.approx(100 * overshoot, rel=0.05)
+
+
+def test_masses_believed_too_small_let_the_platform_sag(ideal):
+    """At rest s M wn^2 dz = (1 - s) G, every leg s_z dz short."""
+    s = 0.9
+    found = measure(job(ideal, configuration=believing(ideal, s), step=StepSettings(), settle_s=0.6)).figures
+    sag = (1 - s) / s * VERTICAL_WEIGHT / VERTICAL_MASS / WN**2
+    assert found["steady_leg_error_mm"] == pytest.approx(1e3 * S_Z * sag, rel=0.01)
+
+
+def test_a_load_that_no_law_knows_is_borne_by_the_stiffness(ideal):
+    """At rest M wn^2 dz = 500 N, every leg s_z dz short."""
+    load = DisturbanceSettings(force_N=(0, 0, -500), start_s=0.05)
+    quiet = measure(job(ideal)).figures
+    found = measure(job(ideal, disturbance=load, step=StepSettings(), settle_s=0.6)).figures
+    assert found["peak_leg_error_mm"] > 10 * quiet["peak_leg_error_mm"], "acts along the reference, too"
+    sag = 500 / VERTICAL_MASS / WN**2
+    assert found["disturbed_steady_leg_error_mm"] == pytest.approx(1e3 * S_Z * sag, rel=0.01)
+    assert found["steady_leg_error_mm"] < 1e-6
+
+
+def test_a_law_that_faults_keeps_what_it_did_until_then(virtual):
+    o = measure(job(virtual, "pd", duration_s=2.0))
+    assert o.fault == "FOLLOWING"
+    assert o.fault_s is not None
+    assert 0.1 < o.fault_s < 1.0
+    assert 9.0 < o.figures["peak_leg_error_mm"] < 12.0, "limits.following_error_m is 10 mm"
+    assert o.figures["tracked_s"] == o.fault_s
+    assert len(o.traces["t"]) > 100
+
+
+def test_without_limits_it_goes_on_until_the_mathematics_ends(virtual):
+    o = measure(job(without_limits(virtual), "pd", duration_s=1.0))
+    assert o.fault is None
+    assert o.figures["peak_leg_error_mm"] > 20.0
+
+
+def test_a_bench_that_cannot_run_is_a_row_that_says_so(virtual):
+    broken = virtual.platform.model_copy(update={"platform_joints_m": virtual.platform.base_joints_m})
+    o = measure(job(virtual, configuration=virtual.model_copy(update={"platform": broken})))
+    assert o.fault
+    assert not o.figures
+
+
+class Killer(Job):
+    """A job at whose sight a process dies."""
+
+    def __reduce__(self):
+        return os._exit, (1,)
+
+
+def test_a_process_that_dies_takes_no_other_law_with_it(ideal):
+    one = job(ideal, duration_s=0.01)
+    found = {o.law: o for o in _perform([one, Killer(*one._replace(law="deadly"))], 2, None)}
+    assert found["deadly"].fault == "its process died"
+    assert found["inverse_dynamics"].fault is None
+    assert found["inverse_dynamics"].figures == measure(one).figures, "to the bit, in whatever process"
+
+
+# -- the command ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare")
+    result = CliRunner(env={"COLUMNS": "100"}).invoke(
+        main,
+        [
+            *("compare", "virtual", "--laws", "pd,inverse_dynamics,printed", "--duration", "0.7"),
+            *("--jobs", "1", "--picture", str(folder), "--json", str(folder / "a.json")),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    return folder, result.output, json.loads((folder / "a.json").read_text())
+
+
+def test_the_table_has_a_row_a_law_and_says_which_faulted(compared):
+    _, output, _ = compared
+    rows = {line.split()[0]: line for line in output.splitlines() if line.strip()}
+    assert "FOLLOWING at 0." in next(line for line in output.splitlines() if line.startswith("pd "))
+    assert {"pd", "inverse_dynamics", "printed"} <= set(rows)
+    assert "--lift-limits" in output
+
+
+def test_all_figures_are_there_in_100_columns_and_no_line_is_longer(compared, capsys):
+    _, _, summary = compared
+    longest = {"robust_inverse_dynamics": {**summary["laws"]["pd"]}, **summary["laws"]}
+    show({**summary, "laws": longest}, 100)
+    output = capsys.readouterr().out
+    assert max(map(len, output.splitlines())) <= 100
+    row = next(line for line in output.splitlines() if line.startswith("robust_inverse_dynamics"))
+    assert row.rstrip().endswith(" s"), "fault and time in one line"
+    for title in ("RMS", "position", "rotation", "peak N", "var. N", "rise", "shoot %", "-3 dB", "at rest"):
+        assert title in output
+
+
+@pytest.mark.parametrize("width", [None, 40])
+def test_nothing_of_a_table_is_cut_in_a_pipe_or_a_narrow_terminal(compared, capsys, width):
+    _, _, summary = compared
+    show(summary, width)
+    output = capsys.readouterr().out
+    assert "…" not in output
+    if width is None:
+        assert "FOLLOWING at 0." in output
+
+
+def test_a_row_says_what_is_wrong_with_it():
+    good = {"fault": None, "fault_s": None, "settled": True, "limited_ticks": {"FORCE_STEP": 0}}
+    assert not result(good)
+    assert result(good | {"fault": "STROKE", "fault_s": 0.25}) == "STROKE at 0.250 s"
+    assert not unrest(good)
+    assert unrest(good | {"settled": False}) == "not at rest in the end"
+    assert (
+        result(good | {"limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 3}}) == "limited ticks: force_step 3"
+    )
+
+
+def test_the_json_file_holds_figures_settings_losses_and_claims(compared):
+    _, _, summary = compared
+    assert summary["success"], "the configuration's own law went well"
+    assert summary["laws"]["pd"]["fault"] == "FOLLOWING"
+    assert summary["laws"]["inverse_dynamics"]["fault"] is None
+    assert summary["laws"]["inverse_dynamics"]["settings"]["wn_rad_s"] == WN
+    printed = summary["laws"]["printed"]
+    worst = max(printed["per_axis"]["peak_position_error_mm"])
+    assert worst <= printed["peak_position_error_mm"] <= 3**0.5 * worst, "a distance, as in hil sim"
+    assert summary["laws"]["printed"]["force_variation_N"] > 1000
+    losses = summary["paths"]["inverse_dynamics"]
+    assert list(losses) == ["ideal", "encoders", "bus", "as configured"]
+    peaks = [o["peak_leg_error_mm"] for o in losses.values()]
+    assert peaks == sorted(peaks)
+    claims = {c["claim"]: c["holds"] for c in summary["claims"]}
+    assert claims["the law may be printed without (dJ/dt) twist"] is False
+    assert claims["inverse dynamics leaves E'' + K_D E' + K_P E = 0"] is True
+
+
+def test_the_picture_goes_into_the_folder_and_has_a_line_a_law(compared):
+    folder, _, summary = compared
+    (file,) = folder.glob("virtual-compare-*.png")
+    assert summary["picture"] == str(file)
+    image = imread(file)
+    assert image.shape[:2] == (1000, 1400)
+    for colour in (
+        (0x1F, 0x77, 0xB4),
+        (0xFF, 0x7F, 0x0E),
+        (0x2C, 0xA0, 0x2C),
+    ):  # the first three of matplotlib
+        assert (np.abs(image[:480, :700, :3] - np.array(colour) / 255).max(axis=2) < 0.02).sum() > 100
+
+
+@pytest.mark.long
+def test_when_the_own_law_faults_the_exit_code_says_so(tmp_path):
+    text = load("virtual").text.replace("following_error_m: 0.01\n", "following_error_m: 0.00001\n")
+    (tmp_path / "my.yaml").write_text(text)
+    common = (tmp_path / "my.yaml", "--laws", "inverse_dynamics", "--duration", "0.3", "--paths", "none")
+    result = hil(*common, "--picture", tmp_path / "a.png", "--jobs", 1)
+    assert result.exit_code == 1, result.output
+    assert "FOLLOWING" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--laws", "lqr"), "no law lqr; there are pd, "),
+        (("--laws", ","), "Invalid value for '--laws': no name in it"),
+        (("--duration", "nan"), "'nan' is not a finite number"),
+        (("--inertia-scale", "inf"), "'inf' is not a finite number"),
+        (("--wrench", "nan", *"00000"), "'nan' is not a finite number"),
+        (("--wrench-at", 0.5), "--wrench-at says when --wrench comes"),
+        (("--wrench", *"100000", "--wrench-at", 2), "the reference is over before the load comes"),
+        (("--laws", "pd", "--paths", "printed"), "printed is not among the compared laws: pd"),
+        (("--picture", "a.pdf"), "let its name end in .png"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_runs(arguments, message):
+    result = hil("virtual", *arguments)
+    assert result.exit_code == 2
+    assert message in result.output
+
+
+def test_options_go_into_the_section(virtual):
+    c = with_options(virtual, inertia_scale=0.9, wrench=(1, 2, 3, 4, 5, 6), wrench_at_s=0.5)
+    assert c.compare.inertia_scale == 0.9
+    assert c.compare.disturbance == DisturbanceSettings(force_N=(1, 2, 3), moment_N_m=(4, 5, 6), start_s=0.5)
+    assert with_options(virtual) == virtual
+
+
+def test_a_reference_without_end_needs_a_duration(virtual, tmp_path):
+    hold = load("virtual").text
+    first, last = hold.index("\nreference:") + 1, hold.index("\nlimits:") + 1
+    c = loads(hold[:first] + "reference: {type: hold}\n" + hold[last:], "my.yaml")
+    with pytest.raises(ConfigurationError, match="it has no end"):
+        compare(c, laws=["inverse_dynamics"], picture=tmp_path / "a.png")
+
+
+def test_the_section_in_the_guide_is_one():
+    guide = (Path(__file__).parents[3] / "docs/guides/compare.md").read_text()
+    section = guide.split("```yaml\n")[1].split("```")[0]
+    c = loads(with_section("\n" + section), "my.yaml")
+    assert list(chosen(c)) == ["stiff", "slow"]
+    assert c.compare.disturbance == DisturbanceSettings(force_N=(0, 0, -500), start_s=0.5)

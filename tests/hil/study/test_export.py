@@ -1,0 +1,373 @@
+"""`hil export`: what other tools read back is what was recorded, at the right instant, and nothing is lost."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from can.io.asc import ASCReader
+from can.io.blf import BLFReader
+from can.io.canutils import CanutilsLogReader
+from click.testing import CliRunner
+from pyarrow import parquet
+
+from drivers.can.frame_files import WRITERS
+from drivers.errors import LogError
+from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from hil.cli import main
+from hil.record import Recording
+from hil.record.log import Log
+from hil.study.export.command import FRAMES, export_log, utc_ns
+from tests.hil.samples import log_of, random_ticks
+
+TICKS = random_ticks(700, seed=33)
+SIMULATED = 946_684_800.0
+"""2000-01-01T00:00:00Z in Unix time."""
+FIRST_NS = int(TICKS[0].row["t_ns"])
+CANDUMP = re.compile(r"\(\d{9,10}\.\d{6}\) [\w.-]+ (?:[0-9A-F]{3}|[0-9A-F]{8})#(?:#[0-3])?(?:[0-9A-F]{2})*")
+READERS: dict[str, Any] = {
+    "log": CanutilsLogReader,
+    "asc": lambda path: ASCReader(path, relative_timestamp=False),
+    "blf": BLFReader,
+}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return log_of(TICKS, tmp_path_factory, configuration="", can_channel="vcan0")
+
+
+def hil(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def recorded():
+    """Every frame of TICKS in the order of its time: s, frame, whether it was sent."""
+    found = []
+    for tick in TICKS:
+        found += [(t_ns, frame, False) for t_ns, frame in tick.received]
+        found += [(int(tick.row["t_ns"]), frame, True) for frame in tick.sent]
+    found.sort(key=lambda item: item[0])
+    return [(t_ns * 1e-9, frame, sent) for t_ns, frame, sent in found]
+
+
+def flags_of(message):
+    return (
+        EXTENDED * message.is_extended_id | FD * message.is_fd | BRS * message.bitrate_switch
+        | ESI * message.error_state_indicator | REMOTE * message.is_remote_frame | ERROR * message.is_error_frame
+    )  # fmt: skip
+
+
+@pytest.fixture(params=["UTC0", "XST-5:30", "XST8"], ids=["UTC", "east", "west"])
+def zone(request, monkeypatch):
+    monkeypatch.setenv("TZ", request.param)
+    time.tzset()
+    yield request.param
+    monkeypatch.undo()
+    time.tzset()
+
+
+# -- frames --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_python_can_reads_back_every_frame_at_its_absolute_time(path, tmp_path, zone, ending):
+    out = tmp_path / f"a.{ending}"
+    summary = export_log(path, [out])
+    expected, found = recorded(), list(READERS[ending](out))
+    assert len(found) == len(expected) == summary["written"][str(out)]["frames"]
+    for message, (t_s, frame, sent) in zip(found, expected, strict=True):
+        assert message.timestamp == pytest.approx(SIMULATED + t_s, abs=1.1e-6, rel=0)
+        assert message.arbitration_id == frame.id
+        assert bytes(message.data) == frame.data
+        remote = (
+            REMOTE if ending == "asc" and frame.flags & FD and not frame.data else 0
+        )  # python-can's reading
+        assert flags_of(message) == frame.flags % BUS | remote
+        if ending == "log":
+            assert message.channel == ("vcan0" if frame.bus == 0 else f"vcan0_{frame.bus}")
+        else:
+            assert message.is_rx is not sent
+            assert message.channel == frame.bus
+
+
+@pytest.mark.parametrize("ending", READERS)
+@pytest.mark.parametrize("start", ["2026-01-31T13:00:00.250001+01:00", "2026-01-31T12:00:00.250001"])
+def test_the_start_is_the_instant_of_the_first_tick(path, tmp_path, ending, start):
+    out = tmp_path / f"a.{ending}"
+    summary = export_log(path, [out], start=start)
+    begin = datetime(2026, 1, 31, 12, 0, 0, 250_001, tzinfo=UTC).timestamp() - FIRST_NS * 1e-9
+    expected, found = recorded(), list(READERS[ending](out))
+    for message, (t_s, _, _) in zip(found, expected, strict=True):
+        assert message.timestamp == pytest.approx(begin + t_s, abs=1.1e-6, rel=0)
+    assert summary["first_tick_utc"] == "2026-01-31T12:00:00.250001Z"
+    assert "remark" not in summary
+
+
+@pytest.mark.parametrize("start", ["9999-01-01", "9999-12-31T23:59:59.999999", "9998-12-31T23:30:00-01:00"])
+def test_a_start_after_which_no_file_tells_the_date_is_refused(path, tmp_path, start):
+    with pytest.raises(LogError, match=f"--start {start}: allowed: to the end of 9998"):
+        export_log(path, [tmp_path / "a.blf"], start=start)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_last_start_that_is_allowed_is_written_into_every_file_of_frames(path, tmp_path):
+    outs = [tmp_path / f"a{ending}" for ending in FRAMES]
+    found = export_log(path, outs, start="9998-12-31T23:59:59+00:00")
+    assert found["first_tick_utc"].startswith("9998-12-31T23:59:59")
+    assert all(out.stat().st_size for out in outs)
+
+
+def test_simulated_time_without_a_start_is_said(path, tmp_path):
+    assert "--start" in export_log(path, [tmp_path / "a.log"])["remark"]
+
+
+GOLDEN = [
+    (Frame(0x123, b"\x01\x02"), "(1769860800.000001) vcan0 123#0102"),
+    (Frame(0x1ABCDEF0, b"\x11", EXTENDED), "(1769860800.000001) vcan0 1ABCDEF0#11"),
+    (Frame(0x110, bytes(range(12)), FD | BRS), "(1769860800.000001) vcan0 110##1000102030405060708090A0B"),
+    (Frame(0x110, b"", FD | ESI), "(1769860800.000001) vcan0 110##2"),
+    (Frame(0x7FF, b"", BUS), "(1769860800.000001) vcan0_1 7FF#"),
+    (Frame(0x601, b"", REMOTE), "(1769860800.000001) vcan0 601#R"),
+    (Frame(0x88, bytes(8), ERROR), "(1769860800.000001) vcan0 20000088#0000000000000000"),
+]
+
+
+def test_the_lines_of_candump_are_those_of_can_utils(tmp_path):
+    out = tmp_path / "a.log"
+    writer = WRITERS["candump"](out, ["vcan0"])
+    for frame, _ in GOLDEN:
+        writer.write(1_769_860_800_000_000_500, frame, sent=False)
+    writer.close()
+    assert out.read_text().splitlines() == [line for _, line in GOLDEN]
+
+
+@pytest.mark.parametrize("ending", ["asc", "blf"])
+def test_remote_and_error_frames_come_back_as_such(tmp_path, ending):
+    out = tmp_path / f"a.{ending}"
+    writer = WRITERS[ending](out, "")
+    for frame in (
+        Frame(0x601, b"", REMOTE),
+        Frame(0x1F00_0000, b"", REMOTE | EXTENDED),
+        Frame(0, b"", ERROR),
+    ):
+        writer.write(1_769_860_800_123_456_000, frame, sent=False)
+    writer.close()
+    found = list(READERS[ending](out))
+    assert [flags_of(m) & (REMOTE | ERROR) for m in found] == [REMOTE, REMOTE, ERROR]
+    assert [m.arbitration_id for m in found[:2]] == [0x601, 0x1F00_0000]
+    assert all(m.timestamp == pytest.approx(1_769_860_800.123456, abs=1.1e-6, rel=0) for m in found)
+
+
+def test_a_strange_name_of_a_bus_stays_one_word(tmp_path):
+    writer = WRITERS["candump"](tmp_path / "a.log", ["/dev/tty ACM0"])
+    writer.write(0, Frame(1, b""), sent=True)
+    writer.close()
+    assert (tmp_path / "a.log").read_text() == "(0.000000) _dev_tty_ACM0 001#\n"
+
+
+def test_every_line_of_candump_has_its_form(path, tmp_path):
+    export_log(path, [tmp_path / "a.log"])
+    assert [x for x in (tmp_path / "a.log").read_text().splitlines() if not CANDUMP.fullmatch(x)] == []
+
+
+@pytest.mark.skipif(
+    shutil.which("tshark") is None, reason="tshark is not installed (Debian: apt install tshark)"
+)
+def test_tshark_reads_the_frames_of_candump(path, tmp_path):
+    export_log(path, [tmp_path / "a.log"], start="2026-01-31T12:00:00")
+    fields = ("frame.time_epoch", "can.id", "can.len", "data.data")
+    done = subprocess.run(
+        # identifier 0 would be taken for AUTOSAR network management, and its data not shown as data
+        [
+            "tshark",
+            "--disable-protocol",
+            "autosar-nm",
+            "-r",
+            tmp_path / "a.log",
+            "-T",
+            "fields",
+            *(word for f in fields for word in ("-e", f)),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    found = [line.split("\t") for line in done.stdout.splitlines()]
+    begin = datetime(2026, 1, 31, 12, tzinfo=UTC).timestamp() - FIRST_NS * 1e-9
+    for (t, identifier, length, data), (t_s, frame, _) in zip(found, recorded(), strict=True):
+        assert float(t) == pytest.approx(begin + t_s, abs=1.1e-6, rel=0)
+        assert (int(identifier), int(length), bytes.fromhex(data)) == (frame.id, len(frame.data), frame.data)
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_a_frame_that_was_consumed_seconds_late_keeps_its_own_time(tmp_path, ending):
+    late = Received(100_500_000, Frame(0x7AA, b"late"))
+    rows = np.zeros(3000, TICKS[0].row.dtype)
+    rows["tick"], rows["t_ns"] = np.arange(3000), np.arange(3000) * 1_000_000
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        for k, row in enumerate(rows):
+            recording.tick(np.asarray(row), (late,) if k == 2500 else (), (Frame(0x80, b"\x01"),))
+    out = tmp_path / f"a.{ending}"
+    export_log(tmp_path / "a.mcap", [out])
+    found = list(READERS[ending](out))
+    assert len(found) == 3001
+    (odd,) = (message for message in found if message.arbitration_id == 0x7AA)
+    assert odd.timestamp == pytest.approx(SIMULATED + 0.1005, abs=1.1e-6, rel=0)
+    others = [message.timestamp for message in found if message is not odd]
+    np.testing.assert_allclose(others, SIMULATED + np.arange(3000) * 1e-3, atol=1.1e-6, rtol=0)
+
+
+def test_a_log_without_frames_gives_files_that_are_empty_and_can_be_read(tmp_path):
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        recording.tick(np.asarray(TICKS[0].row), (), ())
+    outs = [tmp_path / f"a.{ending}" for ending in READERS]
+    assert export_log(tmp_path / "a.mcap", outs)["success"]
+    assert [list(READERS[out.suffix[1:]](out)) for out in outs] == [[], [], []]
+
+
+# -- columns -------------------------------------------------------------------------------------------------
+
+
+def test_pandas_reads_the_parquet_as_the_frame_of_the_log(path, tmp_path):
+    export_log(path, [tmp_path / "a.parquet"])
+    found, expected = pd.read_parquet(tmp_path / "a.parquet"), Log(path).frame()
+    assert list(found.columns) == ["t_s", *expected.columns]
+    assert found["t_s"].to_numpy().tobytes() == expected.index.to_numpy().tobytes()
+    for name in expected.columns:
+        if isinstance(expected[name].dtype, pd.CategoricalDtype):
+            assert found[name].astype(str).tolist() == expected[name].astype(str).tolist()
+        else:
+            assert found[name].to_numpy().tobytes() == expected[name].to_numpy().tobytes(), name
+    assert found.attrs["units"] == {"t_s": "s"} | expected.attrs["units"]
+    assert found.attrs["epoch_ns"] == SIMULATED * 1e9
+
+
+def test_a_field_of_the_parquet_carries_unit_and_meaning(path, tmp_path):
+    export_log(path, [tmp_path / "a.parquet"], columns=["wrench"])
+    schema = parquet.read_schema(tmp_path / "a.parquet")
+    assert schema.names == ["t_s", *(f"wrench.{axis}" for axis in ("fx", "fy", "fz", "mx", "my", "mz"))]
+    assert schema.field("wrench.mz").metadata[b"unit"] == b"N m"
+    assert b"base frame" in schema.field("wrench.fx").metadata[b"meaning"]
+
+
+def test_the_csv_names_units_and_gives_every_number_back(path, tmp_path):
+    export_log(path, [tmp_path / "a.csv"], columns=["tau.leg_3", "mode", "twist"])
+    found, log = pd.read_csv(tmp_path / "a.csv"), Log(path)
+    assert list(found.columns) == [
+        "t_s [s]", "tau.leg_3 [N]", "mode", "twist.vx [m/s]", "twist.vy [m/s]", "twist.vz [m/s]",
+        "twist.wx [rad/s]", "twist.wy [rad/s]", "twist.wz [rad/s]",
+    ]  # fmt: skip
+    rows = log.rows()
+    np.testing.assert_array_equal(found["tau.leg_3 [N]"], rows["tau"][:, 3])
+    np.testing.assert_array_equal(found["twist.wz [rad/s]"], rows["twist"][:, 5])
+    assert found["mode"].astype(str).tolist() == log.frame("mode")["mode"].astype(str).tolist()
+
+
+def test_many_rows_with_new_names_on_the_way_come_back(tmp_path):
+    count = 40_000
+    rows = np.zeros(count, TICKS[0].row.dtype)
+    rows["tick"], rows["t_ns"] = np.arange(count), np.arange(count) * 1_000_000
+    rows["warnings"] = np.arange(count) // 10_000
+    with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
+        for row in rows:
+            recording.tick(np.asarray(row), (), ())
+    export_log(tmp_path / "a.mcap", [tmp_path / "a.parquet"], columns=["warnings", "tick"])
+    found = pd.read_parquet(tmp_path / "a.parquet")
+    assert found["tick"].tolist() == list(range(count))
+    assert found["warnings"].iloc[::10_000].tolist() == ["NONE", "STALE", "LATE", "STALE|LATE"]
+
+
+# -- refusals ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["log", "candump", "asc", "blf", "csv", "parquet"])
+def test_nothing_is_overwritten_without_force(path, tmp_path, ending):
+    out = tmp_path / f"a.{ending}"
+    out.write_bytes(b"dear")
+    refused = hil("export", path, out)
+    assert refused.exit_code == 2
+    assert "exists and is not overwritten" in refused.stderr
+    assert out.read_bytes() == b"dear"
+    forced = hil("export", path, out, "--force")
+    assert forced.exit_code == 0, forced.output
+    assert out.read_bytes() != b"dear"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [out.name]
+
+
+def test_a_cut_log_is_exported_as_far_as_it_goes_and_says_so(path, tmp_path):
+    bad = tmp_path / "cut.mcap"
+    size = path.stat().st_size // 2
+    bad.write_bytes(path.read_bytes()[:size])
+    done = hil("export", bad, tmp_path / "a.log", tmp_path / "a.csv", "--json", tmp_path / "a.json")
+    assert done.exit_code == 1
+    assert f"cut at {size} bytes" in done.stderr
+    there = Log(bad).summary
+    assert 0 < there.ticks < len(TICKS)
+    assert len((tmp_path / "a.log").read_text().splitlines()) == there.frames
+    assert len(pd.read_csv(tmp_path / "a.csv")) == there.ticks
+    summary = json.loads((tmp_path / "a.json").read_text())
+    assert summary["written"][str(tmp_path / "a.csv")] == {"rows": there.ticks}
+
+
+def test_a_damaged_log_leaves_no_half_of_a_file(path, tmp_path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(content)
+    for ending in ("log", "blf", "csv", "parquet"):
+        done = hil("export", bad, tmp_path / f"a.{ending}")
+        assert done.exit_code == 2
+        assert re.search(r"damaged (at|somewhere before) byte \d+", done.stderr)
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["a.mat"], "allowed: .log, .candump, .asc, .blf, .csv, .parquet"),
+        (["a.csv", "--start", "2026-01-31"], "leave it out"),
+        (["a.log", "--column", "q"], "leave it out"),
+        (["a.log", "--start", "yesterday"], "ISO 8601"),
+        (["a.log", "--start", "1969-12-31"], "before 1970"),
+        (["a.csv", "--column", "taus"], "did you mean tau"),
+        (["a.log", "./a.log"], "name each once"),
+        (["no/a.log"], "there is no folder"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_done_is_refused_before_anything_is_written(
+    path, tmp_path, monkeypatch, words, message
+):
+    monkeypatch.chdir(tmp_path)
+    done = hil("export", path, *words)
+    assert done.exit_code == 2
+    assert message in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_log_itself_is_never_written_over(path, tmp_path):
+    own = tmp_path / "a.log"
+    shutil.copy(path, own)
+    with pytest.raises(LogError, match="is the log itself"):
+        export_log(own, [own], overwrite=True)
+
+
+def test_without_pyarrow_the_message_says_how_to_install_it(path, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(LogError, match=r'pip install "hexapod-hil\[analysis\]"'):
+        export_log(path, [tmp_path / "a.parquet"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_instant_keeps_its_microseconds_far_from_1970():
+    assert utc_ns("2026-01-31T12:00:00.000001") == 1_769_860_800_000_001_000
+    assert utc_ns("2026-01-31T14:00:00+02:00") == 1_769_860_800_000_000_000

@@ -1,0 +1,219 @@
+"""A case of the fault matrix whose plant fails by itself, before or after the fault has begun."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import PlantError
+from drivers.signals import Doubt, Fault, Mode
+from hil.app import compose
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.fault_words import with_faults
+from hil.app.configuration.platform import pose_arrays
+from hil.config.reference import HoldReference
+from hil.loop.modes import Durations
+from hil.study.faults import case_run
+from hil.study.faults import cases as cases_module
+from hil.study.faults.case_run import Job, run_case
+from hil.study.faults.cases import cases
+from hil.study.faults.command import run_matrix
+from hil.study.faults.expected import PLANT_FAILS
+from hil.study.faults.sizes import draw, robot_of
+from hil.study.faults.verdict import Bounds
+from hil.trajectory.path import PoseSample
+from tests.records import record_of
+
+BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_s=0.01)
+REFUSED = "the FMU refused to step"
+
+
+@pytest.fixture
+def refuses(monkeypatch):
+    """Let the plant of a case refuse every step once it has lived for so long, s, or since its fault began."""
+    build = compose.build_nodes
+
+    def from_s(at_s: float | None) -> None:
+        def built(*arguments: Any) -> Any:
+            nodes, physics = build(*arguments)
+            plant: Any = physics
+            step, moved = plant.step, plant.moved
+
+            def refuse(*given: Any) -> Any:
+                if nodes.schedule.begun(nodes.now_ns) if at_s is None else nodes.now_ns >= 1e9 * at_s:
+                    raise PlantError(REFUSED)
+                plant.moved = moved
+                answer = step(*given)
+                plant.moved = None
+                return answer
+
+            plant.step, plant.moved = refuse, None  # not by the address of its function
+            return nodes, physics
+
+        monkeypatch.setattr(case_run, "build_nodes", built)
+
+    return from_s
+
+
+def run(name: str, *own: str) -> dict[str, Any]:
+    """Run a case of a configuration that has faults of its own."""
+    (case,) = cases(with_faults(load("virtual"), own), [name])
+    return run_case(Job(case, BOUNDS))
+
+
+@pytest.mark.parametrize("kind", [*PLANT_FAILS, "encoder_jump"])
+@pytest.mark.parametrize("at_s", [0.0, 0.02], ids=["in the first tick", "later"])
+def test_a_plant_that_fails_before_the_fault_has_begun_is_not_judged_as_that_fault(refuses, kind, at_s):
+    refuses(at_s)
+    found = run(f"{kind}/LOADING")
+    assert not found["success"]
+    assert found["verdict"].startswith("could not be run: the fault did not begin")
+    assert found["verdict"].endswith(REFUSED)
+
+
+@pytest.mark.parametrize("kind", PLANT_FAILS)
+def test_a_plant_that_fails_by_its_fault_has_said_so(kind):
+    found = run(f"{kind}/LOADING")
+    assert found["success"], found
+    assert (found["ended"] == "plant failed") is (kind != "plant_hang")
+
+
+def test_a_plant_that_fails_after_a_fault_of_another_kind_has_begun_is_a_failure(refuses):
+    refuses(None)
+    found = run("encoder_jump/LOADING")
+    assert not found["success"]
+    assert found["verdict"].startswith("the plant failed, allowed of ")
+    assert found["reason"].startswith(REFUSED)
+
+
+@pytest.mark.parametrize("own", ["encoder_noise leg=1 sigma=1e-9", "payload_step mass=10"])
+def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(refuses, own):
+    found = run("drive_silence/LOADING", own)
+    assert found["after_ms"] == pytest.approx(4), found
+    assert found["success"], found
+    refuses(0.02)
+    unbegun = run("plant_crash/LOADING", own)
+    assert unbegun["verdict"].startswith("could not be run: the fault did not begin"), unbegun
+
+
+def test_a_plant_that_fails_in_the_first_tick_of_a_case_does_not_end_the_matrix(refuses):
+    refuses(0.0)
+    found = run_matrix(load("virtual"), only=["plant_crash/LOADING", "drive_reset/LOADING"], jobs=1)
+    assert (found["cases"], found["failed"], found["success"]) == (2, 2, False)
+
+
+def seen(**columns: Any) -> Any:
+    """Return a cycle with such a tick."""
+    return SimpleNamespace(tick=record_of(**columns))
+
+
+def test_a_leg_whose_encoder_counted_for_nothing_for_a_while_is_known_at_the_end():
+    named = case_run._Named()
+    for lost in (0b000100, 0b100000, 0):
+        named.look(seen(legs_lost=lost))
+    assert named.lost == {2, 5}
+
+
+def test_legs_that_a_fault_has_named_in_any_tick_are_its_legs():
+    named = case_run._Named()
+    for leg in (1, 4):
+        named.look(seen(legs_moved=1 << leg, legs_doubted=1 << 3))
+    named.look(seen())
+    ending: Any = SimpleNamespace(faults=Fault.BRAKE | Fault.ENCODER, story=None)
+    cycle: Any = seen(doubt=Doubt.NONE)
+    assert named.causes(cycle, ending) == {"BRAKE": {1, 4}, "ENCODER": {3}}
+
+
+@pytest.mark.parametrize(("entered", "ended"), [(100, 400), (400, 100)])
+def test_a_platform_that_is_held_again_and_again_is_watched_no_longer_than_from_the_first_time(
+    entered, ended
+):
+    parts = SimpleNamespace(rate_Hz=1000.0)
+    cycle: Any = SimpleNamespace(mode=Mode.HELD, mode_tick=entered, parts=parts)
+    last = 100 + round(1000 * case_run.HELD_S)
+    assert [case_run._goes_on(cycle, tick, 0, ended) for tick in (last - 1, last, last + 1)] == [
+        True,
+        True,
+        False,
+    ]
+
+
+def test_a_case_has_a_minute_beside_what_its_configuration_asks_for(monkeypatch):
+    monkeypatch.setattr(case_run, "LONGEST_S", 1.0)  # the run takes two
+    assert run("plant_crash/UNLOADING")["verdict"] == "the plant failed and said so"
+
+
+@pytest.mark.parametrize(
+    ("engage", "least_s"),
+    [
+        ({"force_ramp_s": 30.0}, 60.0 + 90.0),
+        ({"brake_release_s": 50.0}, 60.0 + 50.0),
+        ({"brake_close_s": 50.0}, 60.0 + 50.0),
+        ({"approach_speed_m_s": 1e-3}, 60.0 + 1e3 * (2.2 - 0.75)),
+        ({"blend_s": 50.0}, 60.0 + 50.0),
+        ({"stop_s": 50.0}, 60.0 + 50.0),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_slow_start_or_stop_is_no_case_that_does_not_end(engage, least_s):
+    c = load("virtual")
+    (case,) = cases(loads(with_changes(c.text, {"engage": engage}), "my.yaml"), ["bus_off/PARKING"])
+    settings = case.configuration.engage
+    durations = Durations(settings.force_ramp_s, settings.brake_release_s, settings.closing_s)
+    assert least_s <= case_run._longest_s(case, durations) < least_s + 15.0
+
+
+OFFLINE = {"law": "feedforward_pd", "evaluation": "offline", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
+LEARNED = {"file": "learned.csv", "limit_N": 500.0}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"controller": {**OFFLINE, "wn_rad_s": None, "damping_ratio": None}},
+        {"feedforward": LEARNED},
+    ],
+    ids=["a law that needs a reference that ends", "forces learned on another reference"],
+)
+def test_the_reference_that_stands_serves_every_configuration(changes):
+    c = loads(with_changes(load("virtual").text, changes), "my.yaml")
+    (case,) = cases(c, ["plant_crash/HOLD"])
+    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
+
+
+@pytest.mark.parametrize("moment", ["LOADING", "UNLOADING"])
+def test_a_reference_that_is_fastest_at_once_is_followed_before_the_run_is_stopped(moment):
+    """One that stands, for example: no instant of it is faster than the first."""
+    c = load("virtual")
+    held = c.model_copy(update={"reference": HoldReference(type="hold", duration_s=10.0)})
+    (case,) = cases(held, [f"plant_crash/{moment}"])
+    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_fault_in_motion_comes_where_a_leg_is_fastest_whichever_way_it_moves(monkeypatch, sign):
+    """Straight up and down: at 1 s with 1 m/s one way, at 2 s with half of that the other way."""
+    c = load("virtual")
+    home = pose_arrays(c.platform.home)
+
+    def sample(t: float) -> PoseSample:
+        speed = sign * (np.exp(-(((t - 1.0) / 0.1) ** 2)) - 0.5 * np.exp(-(((t - 2.0) / 0.1) ** 2)))
+        return PoseSample(*home, np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]), np.zeros(6))
+
+    monkeypatch.setattr(cases_module, "build_trajectory", lambda *_: SimpleNamespace(sample=sample))
+    monkeypatch.setattr(cases_module, "span_s", lambda _: None)
+    assert cases_module._fastest_s(c) == pytest.approx(1.0)
+
+
+def test_pushes_are_drawn_from_all_sides():
+    robot = robot_of(load("virtual"))
+    drawn = [draw("wrench_step", robot, 0, np.random.default_rng(seed))["force_N"] for seed in range(200)]
+    octants = {tuple(np.sign(force)) for force in drawn}
+    assert len(octants) == 8
+    sizes = np.linalg.norm(drawn, axis=1) / robot.weight_N
+    assert 0.0199 < sizes.min() < 0.03
+    assert 0.2 < sizes.max() < 0.2501

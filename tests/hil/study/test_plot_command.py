@@ -1,0 +1,186 @@
+"""`hil plot`: any column by name, several logs over each other, and what it refuses."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.errors import LogError
+from drivers.signals import Warn
+from drivers.tick_columns import RECORDED, ROW
+from hil.app.configuration.configuration import load
+from hil.app.output import PNG
+from hil.app.readable import readable
+from hil.app.sim.command import simulate
+from hil.cli import main
+from hil.study.log_columns import Signal, named_columns, signals
+from hil.study.plot.command import plot
+from hil.study.plot.draw import Curve, draw
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for name, duration in (("one", 0.3), ("two", 0.5)):
+        simulate(load("ideal"), log=folder / f"{name}.mcap", duration_s=duration, check_replay=False)
+    return folder / "one.mcap", folder / "two.mcap"
+
+
+def texts(path):
+    """All that an SVG file says."""
+    return ["".join(e.itertext()) for e in ET.parse(path).iter("{http://www.w3.org/2000/svg}text")]
+
+
+@pytest.mark.parametrize("name", [c.name for c in RECORDED])
+def test_every_column_gives_its_elements_with_their_units_and_names(name):
+    rows = np.zeros(3, ROW)
+    rows[name] = np.arange(rows[name].size).reshape(rows[name].shape)
+    (column,) = (c for c in RECORDED if c.name == name)
+    found = signals(RECORDED, rows, name)
+    labels = [f"{name}.{e}" for e in column.elements] or [name]
+    assert [s.label for s in found] == labels
+    for k, signal in enumerate(found):
+        assert signal.values.tolist() == rows[name].reshape(3, -1)[:, k].tolist()
+        assert signals(RECORDED, rows, signal.label)[0].values.tolist() == signal.values.tolist()
+        assert signal.unit in column.unit
+
+
+def test_the_first_and_last_three_of_six_have_units_of_their_own():
+    found = signals(RECORDED, np.zeros(1, ROW), "twist")
+    assert [s.unit for s in found] == ["m/s"] * 3 + ["rad/s"] * 3
+
+
+def test_a_difference_is_taken_element_by_element():
+    rows = np.zeros(2, ROW)
+    rows["q_d"], rows["q"] = 3.0, np.arange(6.0)
+    assert [s.values[0] for s in signals(RECORDED, rows, "q_d - q")] == [3.0, 2.0, 1.0, 0.0, -1.0, -2.0]
+    (one,) = signals(RECORDED, rows, "q_d.leg_1 - q.leg_5")
+    assert (one.values[0], one.unit) == (-2.0, "m")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("qq", r"'qq': there is none .* allowed: .*\bq\b"),
+        ("", r"there is none .* allowed: tick, t_ns"),
+        ("q.leg_6", "no element 'leg_6', allowed: leg_0, leg_1"),
+        ("tick.x", "is one number"),
+        ("q - p", "no difference"),
+        ("q - dq", "no difference"),
+        ("mode - faults", "no difference"),
+    ],
+)
+def test_a_wrong_name_is_refused_with_those_that_are_allowed(name, message):
+    with pytest.raises(LogError, match=message):
+        signals(RECORDED, np.zeros(1, ROW), name)
+
+
+def test_a_picture_has_units_names_of_values_and_both_logs(logs, tmp_path):
+    out = tmp_path / "both.svg"
+    plot(logs, ("tau.leg_3", "mode", "dq"), out=out)
+    said = texts(out)
+    assert {"one: tau.leg_3", "two: tau.leg_3", "N", "m/s", "s", "TRACKING", "PARKED"} <= set(said)
+
+
+def test_logs_of_one_name_in_two_folders_are_told_apart(logs, tmp_path):
+    (tmp_path / "one.mcap").write_bytes(logs[1].read_bytes())
+    plot([logs[0], tmp_path / "one.mcap"], ("tick",), out=tmp_path / "x.svg")
+    assert {f"{logs[0]}: tick", f"{tmp_path / 'one.mcap'}: tick"} <= set(texts(tmp_path / "x.svg"))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_flags_of_a_log_without_their_names_stand_beside_those_with_names(tmp_path, order):
+    values = np.array([0.0, float(Warn.LATE), 0.0])
+    named = Signal("warnings", "", values, {str(w.name): int(w) for w in Warn}, flags=True)
+    bare = named._replace(names={}, flags=False)
+    curves = [Curve("new: warnings", 0, values, named), Curve("old: warnings", 1, values, bare)]
+    draw(("warnings",), [curves[::order]], tmp_path / "x.svg", "")
+    assert {"new: LATE", "old: LATE"} <= set(texts(tmp_path / "x.svg"))
+
+
+def test_only_the_columns_that_are_drawn_are_held(logs):
+    assert named_columns(("q_d - q", "tau.leg_3", " mode ")) == {"q_d", "q", "tau", "mode"}
+    with readable(logs[0], {"tau", "t_ns", "nothing"}) as found:
+        assert found.rows.dtype.names == ("t_ns", "tau")
+
+
+def test_the_command_draws_a_difference_as_png(tmp_path, logs):
+    out = tmp_path / "x.png"
+    result = CliRunner().invoke(
+        main, ["plot", str(logs[0]), "-c", "p - p_d", "--out", str(out), "--to", "0.1"]
+    )
+    assert (result.exit_code, out.read_bytes()[: len(PNG)]) == (0, PNG)
+
+
+def test_only_the_time_between_from_and_to_is_drawn(logs, tmp_path):
+    plot(logs[:1], ("reference_time_s",), out=tmp_path / "a.svg", start_s=0.05, end_s=0.06)
+    ticks = [float(t.replace("−", "-")) for t in texts(tmp_path / "a.svg") if t.replace(".", "").isdigit()]
+    assert max(t for t in ticks if t < 1.0) <= 0.07
+    with pytest.raises(LogError, match="allowed: within 0 to"):
+        plot(logs[:1], ("q",), out=tmp_path / "b.svg", start_s=1e3)
+
+
+def test_nothing_is_overwritten_without_force(logs, tmp_path):
+    out = tmp_path / "x.svg"
+    out.write_text("mine")
+    with pytest.raises(LogError, match=r"not overwritten.*--force"):
+        plot(logs[:1], ("q",), out=out)
+    assert out.read_text() == "mine"
+    plot(logs[:1], ("q",), out=out, force=True)
+    assert out.read_text() != "mine"
+    with pytest.raises(LogError, match=r"endings \.png and \.svg"):
+        plot(logs[:1], ("q",), out=logs[1], force=True)
+
+
+def test_of_each_log_that_is_damaged_or_cut_the_summary_says_so_beside_the_picture(
+    logs, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("hil.study.plot.command.draw", lambda *_: None)
+    whole = logs[1].read_bytes()
+    cut, torn = tmp_path / "cut.mcap", tmp_path / "torn.mcap"
+    cut.write_bytes(whole[: int(0.9 * len(whole))])
+    torn.write_bytes(whole[: len(whole) // 2] + bytes(64) + whole[len(whole) // 2 + 64 :])
+    assert plot(logs, ("q",), out=tmp_path / "a.svg")["remark"] is None
+    found = plot([cut, logs[0], torn], ("q",), out=tmp_path / "b.svg")
+    first, second = found["remark"].split("; " + str(torn))
+    assert first.startswith(f"{cut}: the log is ")
+    assert second.startswith(": the log is damaged; ")
+    assert "bytes are lost" in second
+
+
+def test_a_name_with_dollar_signs_is_a_name_and_no_formula(logs, tmp_path):
+    odd = tmp_path / "a$\\frac{$b.mcap"
+    odd.write_bytes(logs[0].read_bytes())
+    plot([odd, logs[1]], ("q",), out=tmp_path / "x.svg")
+    assert any("a$\\frac{$b" in text for text in texts(tmp_path / "x.svg"))
+
+
+def test_an_unknown_column_is_said_before_a_picture_that_exists_and_both_are(logs, tmp_path):
+    picture = tmp_path / "there.png"
+    picture.write_bytes(b"mine")
+    with pytest.raises(LogError, match=r"^column 'nosuch': there is none.*; and .*there.png: exists"):
+        plot([logs[0]], ["nosuch"], out=picture)
+    with pytest.raises(LogError, match=r"^--out .*there.png: exists"):
+        plot([logs[0]], ["q"], out=picture)
+    assert picture.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1.7e308, -1.7e308])
+def test_numbers_that_no_axis_holds_leave_a_gap_and_the_others_are_drawn(tmp_path, value):
+    values = np.array([0.0, 2.0, value, value, 3.0])
+    curve = Curve("tau", 0, np.arange(5.0), Signal("tau", "N", values, {}, False))
+    draw(["tau"], [[curve]], tmp_path / "a.svg", "a")
+    ticks = [float(text.replace("\u2212", "-")) for text in texts(tmp_path / "a.svg") if text[-1:].isdigit()]
+    assert len(ticks) > 8
+    assert (min(ticks), max(ticks)) == (0.0, 4.0), "the time; the values end at 3"
+
+
+def test_a_difference_without_a_value_is_none():
+    rows = np.zeros(3, ROW)
+    rows["q"][1], rows["q_d"][1], rows["q_d"][2] = np.inf, np.inf, -1.7e308
+    rows["q"][2] = 1.7e308
+    found = signals(RECORDED, rows, "q_d - q")
+    assert [str(each.values.tolist()) for each in found] == ["[0.0, nan, -inf]"] * 6

@@ -1,0 +1,290 @@
+"""The layouts for Foxglove, Lichtblick and PlotJuggler: what they name is in the log, and of a kind they draw."""
+
+import json
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+from click.testing import CliRunner
+from google.protobuf import descriptor_pb2, descriptor_pool
+from mcap.reader import make_reader
+
+from hil.cli import main
+from hil.record import Recording
+from hil.record.log import Log
+from hil.record.row import TICKS
+from hil.study.view import foxglove, plotjuggler
+from hil.study.view.command import VIEWERS
+from hil.study.view.foxglove import SCRIPT_TOPIC
+from tests.hil.samples import random_ticks, record
+
+ROOT = Path(__file__).parents[3]
+NUMBERS = {"double", "float", "int64", "sfixed64", "fixed32", "uint32", "bool"}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    with Recording.start(path, configuration="", lockstep=True) as recording:
+        record(recording, random_ticks(40, seed=1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(path):
+    return Log(path)
+
+
+def messages(path):
+    """Topic -> protobuf descriptor, as a viewer reads them from the file."""
+    found = {}
+    with Path(path).open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        pool = descriptor_pool.DescriptorPool()
+        for one in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(one)
+        found[channel.topic] = pool.FindMessageTypeByName(schema.name)
+    return found
+
+
+KINDS = {
+    1: "double",
+    2: "float",
+    3: "int64",
+    7: "fixed32",
+    8: "bool",
+    13: "uint32",
+    14: "enum",
+    16: "sfixed64",
+    11: "message",
+}
+
+
+def kind_at(descriptor, names):
+    """Kind of the value at names of fields, `x[3]` of a repeated one; None where there is none."""
+    for k, name in enumerate(names):
+        plain, indexed, _ = name.partition("[")
+        field = descriptor.fields_by_name.get(plain)
+        if field is None or field.is_repeated != bool(indexed):
+            return None
+        if k == len(names) - 1:
+            return KINDS.get(field.type)
+        descriptor = field.message_type
+        if descriptor is None:
+            return None
+    return None
+
+
+def resolve(found, value):
+    """Kind of the value at a message path of Foxglove."""
+    topic = next((t for t in found if value.startswith(f"{t}.")), None)
+    return topic and kind_at(found[topic], value[len(topic) + 1 :].split("."))
+
+
+def parts(log):
+    content = json.loads(foxglove.layout(log.columns, log.topic))
+    return content, content["configById"]
+
+
+def test_each_path_of_a_foxglove_plot_is_a_number_of_the_log(log):
+    found = messages(log.path)
+    content, panels = parts(log)
+    paths = [p["value"] for name, c in panels.items() if name.startswith("Plot!") for p in c["paths"]]
+    assert len(paths) > 40
+    script = "".join(s["sourceCode"] for s in content["userNodes"].values())
+    for value in paths:
+        if value.startswith(SCRIPT_TOPIC):
+            name, element = value[len(SCRIPT_TOPIC) + 1 :].split(".")
+            assert re.search(rf"{name}: {{.*\b{element}: row\.", script), value
+            assert re.search(rf"{name}: {{.*\b{element}: number", script), value
+        else:
+            assert resolve(found, value) in NUMBERS, value
+    sources = re.findall(r"row\.([\w.\[\]]+)", script)
+    assert len(sources) == 2 * 9
+    assert {resolve(found, f"{log.topic}.{source}") for source in sources} == {"double"}
+
+
+def test_each_state_of_the_foxglove_layout_has_names_in_the_log(path):
+    found = messages(path)
+    _, panels = parts(Log(path))
+    lanes = {p["value"] for name, c in panels.items() if name.startswith("StateT") for p in c["paths"]}
+    assert {resolve(found, value) for value in lanes} == {"enum", "bool"}
+    named = {c.name for c in TICKS.columns if c.names}
+    assert {value.split(".")[1] for value in lanes} == named, "all that has names is somewhere"
+    assert {"/tick.mode", "/tick.drive_state.leg_5", "/tick.faults.STALE"} <= lanes
+
+
+def test_every_panel_of_the_foxglove_layout_is_shown_once(log):
+    content, panels = parts(log)
+    shown = []
+
+    def walk(node):
+        if isinstance(node, str):
+            shown.append(node)
+        else:
+            assert node["direction"] in {"row", "column"}
+            assert 0 < node["splitPercentage"] < 100
+            walk(node["first"])
+            walk(node["second"])
+
+    walk(content["layout"])
+    for tab in panels["Tab!columns"]["tabs"]:
+        walk(tab["layout"])
+    assert sorted(shown) == sorted(panels)
+    assert {name.split("!")[0] for name in shown} >= {"3D", "Plot", "Tab", "RosOut", "RawMessages"}
+
+
+def test_the_3d_panel_shows_a_topic_and_a_frame_that_the_log_has(path):
+    found = messages(path)
+    robot = parts(Log(path))[1]["3D!robot"]
+    assert {found[topic].full_name for topic in robot["topics"]} == {"foxglove.SceneUpdate"}
+    assert found["/tf"].full_name == "foxglove.FrameTransform"
+    assert found[parts(Log(path))[1]["RosOut!events"]["topicToRender"]].full_name == "foxglove.Log"
+
+
+def names_in_plotjuggler(descriptor, prefix):
+    """Series of numbers that PlotJuggler's reader of protobuf makes of a message: fields joined by `/`."""
+    for field in descriptor.fields:
+        name = f"{prefix}/{field.name}"
+        if field.is_repeated:
+            yield from (f"{name}[{i}]" for i in range(9))
+        elif field.message_type is not None:
+            yield from names_in_plotjuggler(field.message_type, name)
+        elif field.enum_type is None:  # an enumeration is a series of texts, which no plot draws
+            yield name
+
+
+def test_each_curve_of_plotjuggler_is_a_number_of_the_log_or_made_of_two(log):
+    there = set(names_in_plotjuggler(messages(log.path)[log.topic], log.topic))
+    root = ET.fromstring(plotjuggler.layout(log.columns, log.topic))
+    made = set()
+    for snippet in root.iter("snippet"):
+        sources = {snippet.findtext("linked_source"), snippet.findtext("additional_sources/v1")}
+        assert len(sources) == 2
+        assert sources <= there
+        assert snippet.findtext("function") == "return value - v1"
+        made.add(snippet.get("name"))
+    curves = [curve.get("name") for curve in root.iter("curve")]
+    assert len(curves) > 40
+    assert set(curves) <= there | made
+    assert made <= set(curves)
+
+
+def test_plotjuggler_tabs_count_their_plots(path):
+    root = ET.fromstring(plotjuggler.layout(Log(path).columns, "/tick"))
+    for splitter in root.iter("DockSplitter"):
+        areas = splitter.findall("DockArea")
+        assert splitter.attrib["count"] == str(len(areas))
+        assert len(splitter.attrib["sizes"].split(";")) == len(areas)
+        assert all(len(area.findall("plot")) == 1 for area in areas)
+
+
+def test_plotjuggler_opens_the_log_and_its_rows_alone(path):
+    root = ET.fromstring(plotjuggler.layout(Log(path).columns, "/tick", log=path))
+    (file,) = root.findall("previouslyLoaded_Datafiles/fileInfo")
+    (plugin,) = file.findall("plugin")
+    (parameters,) = plugin.findall("parameters")
+    assert file.get("filename") == str(path)
+    assert plugin.get("ID") == "DataLoad MCAP"
+    assert parameters.get("selected_topics") == "/tick"
+
+
+@pytest.mark.parametrize(
+    "name", ["jos\u00e9", "tab\there", "a\nb", '<&">', "\U0001f916", "bell\x07", "half\udcff", "\ufffe"]
+)
+def test_a_layout_is_utf_8_that_xml_allows_in_any_locale_and_names_its_log_or_none(
+    path, tmp_path, monkeypatch, name
+):
+    told = []
+
+    def write_text(file, text, encoding=None):
+        told.append(encoding)
+        return file.write_bytes(text.encode(encoding or "latin-1"))
+
+    monkeypatch.setattr(Path, "write_text", write_text)
+    there = tmp_path / name
+    there.mkdir()
+    log, file = there / "a.mcap", tmp_path / "a.xml"
+    log.write_bytes(path.read_bytes())
+    VIEWERS["plotjuggler"].write(Log(log), file)
+    named = [found.get("filename") for found in ET.parse(file).iter("fileInfo")]
+    assert told == ["utf-8"]
+    assert named == ([] if name in {"bell\x07", "half\udcff", "\ufffe"} else [str(log)])
+
+
+@pytest.mark.parametrize(
+    ("name", "layout"), [("foxglove.json", foxglove.layout), ("plotjuggler.xml", plotjuggler.layout)]
+)
+def test_the_shipped_layout_is_the_one_of_the_table_of_columns(name, layout):
+    assert (ROOT / "configs" / "viewers" / name).read_text() == layout(TICKS.columns, TICKS.topic), (
+        f"write configs/viewers/{name} anew: docs/guides/viewers.md says how"
+    )
+
+
+def hil(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.mark.parametrize(
+    ("viewer", "program", "suffix", "words"),
+    [
+        ("plotjuggler", "plotjuggler", "-plotjuggler.xml", "-n -l {file}"),
+        ("foxglove", "lichtblick", "-foxglove.json", "{log}"),
+        ("foxglove", "foxglove-studio", "-foxglove.json", "{log}"),
+    ],
+)
+def test_the_viewer_is_started_with_its_file(path, tmp_path, monkeypatch, viewer, program, suffix, words):
+    told = tmp_path / "told"
+    fake = tmp_path / program
+    fake.write_text(f'#!/bin/sh\nprintf %s "$*" > {told}\n')
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
+    log = tmp_path / "run.mcap"
+    log.write_bytes(path.read_bytes())
+    done = hil("view", log, "--with", viewer)
+    assert done.exit_code == 0, done.output
+    file = tmp_path / f"run{suffix}"
+    assert file.stat().st_size > 1000
+    assert told.read_text().strip() == words.format(file=file, log=log)
+    assert hil("view", log, "--with", viewer).exit_code == 0, "a second time, too"
+
+
+def test_a_viewer_that_fails_is_no_success(path, tmp_path, monkeypatch):
+    fake = tmp_path / "plotjuggler"
+    fake.write_text("#!/bin/sh\nexit 3\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
+    done = hil("view", path, "--with", "plotjuggler", "--out", tmp_path / "a.xml")
+    assert done.exit_code == 1
+    assert "exit code 3" in done.output
+
+
+def test_without_the_viewer_the_summary_says_what_to_do(path, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    done = hil("view", path, "--with", "foxglove", "--out", tmp_path / "a.json")
+    assert done.exit_code == 0
+    assert "import the layout" in done.output
+    assert hil("view", path, "--with", "foxglove", "--out", tmp_path / "a.json").exit_code == 2, (
+        "not overwritten"
+    )
+    assert hil("view", path, "--with", "foxglove", "--out", tmp_path / "a.json", "--force").exit_code == 0
+
+
+def test_no_log_is_overwritten_by_a_layout(path, tmp_path):
+    other = tmp_path / "b.mcap"
+    other.write_bytes(path.read_bytes())
+    done = hil("view", path, "--with", "foxglove", "--no-start", "--out", other, "--force")
+    assert done.exit_code == 2
+    assert other.read_bytes() == path.read_bytes()
+
+
+def test_without_rerun_the_message_says_what_to_install(path, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    done = hil("view", path, "--out", tmp_path / "a.rrd")
+    assert done.exit_code == 2
+    assert "hexapod-hil[viewers]" in done.output

@@ -1,0 +1,250 @@
+"""A log as a Rerun recording: Rerun's own check and its own query find the scalars, the states, the robot."""
+
+import subprocess
+import sys
+from itertools import groupby
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from drivers.errors import LogError
+from drivers.signals import Mode, Warn
+from hil.cli import main
+from hil.record import Recording
+from hil.record.log import Log
+from hil.study.export.command import export_log
+from hil.study.view import command
+from hil.study.view import recording as rrd
+from hil.study.view.scene import outline, plate
+from tests.hil.samples import random_ticks, record
+
+EXTRA = "optional extra `viewers`: pip install 'hexapod-hil[viewers]'"
+
+
+def simulated(path):
+    """A short run with a fault: an encoder jumps, the brakes close."""
+    words = ["sim", "virtual", "--duration", "3", "--fault", "encoder_jump leg=0 at=2.5 by=5e-3"]
+    done = CliRunner().invoke(main, [*words, "--log", str(path)])
+    assert path.exists(), done.output
+    return path
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return simulated(tmp_path_factory.mktemp("log") / "a.mcap")
+
+
+@pytest.fixture(scope="module")
+def rows(path):
+    return Log(path).rows()
+
+
+@pytest.fixture(scope="module")
+def recording(path):
+    """The recording, written in several groups."""
+    pytest.importorskip("rerun", reason=EXTRA)
+    patch = pytest.MonkeyPatch()
+    patch.setattr(rrd, "GROUP", 300)
+    out = path.with_suffix(".rrd")
+    export_log(path, [out])
+    patch.undo()
+    return out
+
+
+@pytest.fixture(scope="module")
+def query(recording):
+    """Ask Rerun's catalog: entity and component -> ticks and values, without those that are missing."""
+    pytest.importorskip("datafusion", reason=EXTRA)
+    from rerun.server import Server  # noqa: PLC0415 - needs the extra
+
+    with Server(host="127.0.0.1", datasets={"log": [str(recording)]}) as server:
+        data = server.client().get_dataset("log")
+
+        def ask(entity, component):
+            table = data.filter_contents([entity]).reader(index="tick").to_arrow_table()
+            name = f"{entity}:{component}"
+            if "tick" not in table.column_names or name not in table.column_names:
+                return None
+            pairs = zip(table["tick"].to_pylist(), table[name].to_pylist(), strict=True)
+            return sorted(
+                ((t, v) for t, v in pairs if v is not None), key=lambda pair: (pair[0] is None, pair[0])
+            )
+
+        yield ask
+
+
+@pytest.mark.long
+def test_rerun_finds_nothing_wrong(recording):
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(recording)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "1 file verified without error" in done.stdout + done.stderr
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("entity", "column", "element"), [("tau/leg_3", "tau", 3), ("p/z", "p", 2)])
+def test_a_component_is_a_scalar_of_its_name_in_every_tick(query, rows, entity, column, element):
+    ticks, values = zip(*query(f"/tick/{entity}", "Scalars:scalars"), strict=True)
+    np.testing.assert_array_equal(ticks, rows["tick"])
+    np.testing.assert_array_equal(np.ravel(values), rows[column][:, element])
+
+
+@pytest.mark.long
+def test_a_scalar_has_its_unit_in_its_name(query):
+    assert {tuple(v) for _, v in query("/tick/tau/leg_3", "SeriesLines:names")} == {("tau.leg_3 [N]",)}
+    assert {tuple(v) for _, v in query("/tick/skipped", "SeriesLines:names")} == {("skipped",)}
+
+
+@pytest.mark.long
+def test_the_error_of_a_leg_is_there_although_no_log_has_it(query, rows):
+    values = [v[0] for _, v in query("/differences/q_d-q/leg_5", "Scalars:scalars")]
+    np.testing.assert_allclose(values, rows["q_d"][:, 5] - rows["q"][:, 5], rtol=0, atol=0)
+
+
+@pytest.mark.long
+def test_modes_stand_by_name_at_the_ticks_where_they_change(query, rows):
+    expected = []
+    for number, ticks in groupby(rows[["tick", "mode"]].tolist(), key=lambda pair: pair[1]):
+        expected.append((next(ticks)[0], [Mode(number).name]))
+    assert len(expected) > 5, "the run has to go through its modes"
+    assert query("/tick/mode", "StateChange:state") == expected
+
+
+@pytest.mark.long
+def test_flags_stand_by_name(query, rows):
+    seen = {name for _, (text,) in query("/tick/warnings", "StateChange:state") for name in text.split("|")}
+    assert seen == {flag.name for n in set(rows["warnings"].tolist()) for flag in Warn(n)} | {"NONE"}
+
+
+@pytest.mark.long
+def test_the_platform_moves_as_the_log_says(query, rows):
+    pose = dict(query("/robot/platform", "Transform3D:translation"))
+    turned = dict(query("/robot/platform", "Transform3D:quaternion"))
+    assert len(pose) > 50
+    by_tick = dict(zip(rows["tick"].tolist(), rows, strict=True))
+    for tick, (p,) in pose.items():
+        np.testing.assert_allclose(p, by_tick[tick]["p"], atol=1e-6)
+        x, y, z, w = turned[tick][0]
+        third = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+        np.testing.assert_allclose(third, by_tick[tick]["R"][:, 2], atol=1e-6)
+    assert np.ptp([p[0][2] for p in pose.values()]) > 1e-3, "it has to move"
+    assert query("/robot/platform", "Mesh3D:triangle_indices"), "and there has to be something that moves"
+
+
+@pytest.mark.long
+def test_each_leg_is_as_long_as_its_encoder_says(query, rows):
+    by_tick = dict(zip(rows["tick"].tolist(), rows, strict=True))
+    strips = query("/robot/legs", "LineStrips3D:strips")
+    assert len(strips) > 50
+    for tick, legs in strips:
+        if not by_tick[tick]["faults"]:  # after the jump one encoder says something else
+            ends = np.array(legs, float)
+            lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+            np.testing.assert_allclose(lengths, by_tick[tick]["q"], atol=2e-4)
+
+
+@pytest.mark.long
+def test_events_stand_with_their_level(query, path):
+    texts = [v for _, v in query("/events", "TextLog:text")]
+    levels = [v for _, v in query("/events", "TextLog:level")]
+    events = Log(path).events()
+    assert events
+    assert [[e.text] for e in sorted(events)] == texts
+    assert [[{"warning": "WARN"}.get(e.level, e.level.upper())] for e in sorted(events)] == levels
+
+
+@pytest.mark.long
+def test_a_log_without_a_platform_is_written_without_a_robot(tmp_path):
+    pytest.importorskip("rerun", reason=EXTRA)
+    log = tmp_path / "a.mcap"
+    with Recording.start(log, configuration="", lockstep=True) as started:
+        record(started, random_ticks(40, seed=3))
+    result = export_log(log, [tmp_path / "a.rrd"], columns=["tau.leg_3", "mode"])
+    assert result["written"][str(tmp_path / "a.rrd")] == {"rows": 40}
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "print", str(tmp_path / "a.rrd")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "/tick/tau/leg_3" in done.stdout
+    assert "/tick/tau/leg_2" not in done.stdout
+    assert " - /robot" not in done.stdout
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", ["empty", "cut"])
+def test_an_empty_and_a_cut_log_are_written_without_a_complaint(tmp_path, path, what):
+    pytest.importorskip("rerun", reason=EXTRA)
+    log = tmp_path / "a.mcap"
+    if what == "cut":
+        log.write_bytes(path.read_bytes()[:2_000_000])
+    else:
+        with Recording.start(log, configuration="", lockstep=True):
+            pass
+    out = tmp_path / "a.rrd"
+    result = export_log(log, [out])
+    assert result["success"] == (what != "cut")
+    assert result["written"][str(out)]["rows"] == len(Log(log).rows())
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(out)], capture_output=True, check=False
+    )
+    assert done.returncode == 0
+
+
+@pytest.mark.long
+def test_rerun_is_started_on_the_recording_and_listens_on_this_machine_alone(path, tmp_path, monkeypatch):
+    pytest.importorskip("rerun", reason=EXTRA)
+    started: list[list[str]] = []
+
+    def run(words, **_):
+        started.append(words)
+        return subprocess.CompletedProcess(words, 0)
+
+    monkeypatch.setattr("hil.study.view.command.subprocess.run", run)
+    out = tmp_path / "a.rrd"
+    assert command.view(path, "rerun", out=out)["success"]
+    assert started == [[sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(out)]]
+    assert out.stat().st_size > 100_000
+
+
+def test_without_the_extra_the_message_says_what_to_install(path, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):
+        export_log(path, [tmp_path / "a.rrd"])
+    assert not list(tmp_path.iterdir())
+
+
+RING = np.array([[1.0, 0, 0], [1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0.0]])
+
+
+@pytest.mark.parametrize("turn", [[0, 0, 0], [np.pi / 2, 0, 0], [0, -np.pi / 2, 0], [1, -2, 0.5]])
+def test_a_plate_is_closed_and_looks_outward_in_whatever_plane_its_joints_lie(turn):
+    solid = plate(Rotation.from_rotvec(turn).apply(RING[[2, 0, 3, 1]]), 0.1)
+    corners = solid.vertices[solid.triangles]
+    volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert volume == pytest.approx(0.1 * 0.5 * 1.5 * 1.6)  # thickness times the triangle's area
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("ni,ni->n", flat, solid.normals[solid.triangles[:, 0]]) > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(solid.normals, axis=1), 1)
+
+
+def test_a_side_between_joints_one_above_the_other_has_no_face_without_a_normal():
+    """Three pairs, one of them across the plate; the others have theirs in its plane."""
+    pair = np.array([[2.0, 0.0, 0.1], [2.0, 0.0, -0.1]])
+    ring = np.concatenate([pair, [[-1.0, 1.5, 0], [-1.2, 1.2, 0], [-1.2, -1.2, 0], [-1.0, -1.5, 0]]])
+    solid = plate(ring, 0.1)
+    assert np.linalg.norm(solid.normals, axis=1) == pytest.approx(np.ones(len(solid.normals)))
+    assert len(solid.vertices) == len(solid.normals) == 2 * 6 + 4 * 5
+    assert sorted(set(solid.triangles.ravel().tolist())) == list(range(len(solid.vertices)))
+
+
+def test_an_outline_goes_round_once_and_closes():
+    ring = outline(RING[[3, 1, 2]])
+    assert len(ring) == 4
+    assert (ring[0] == ring[-1]).all()
+    assert sorted(ring[:3, 1].tolist()) == [-0.8, 0.0, 0.8]

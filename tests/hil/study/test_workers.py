@@ -1,0 +1,139 @@
+"""Jobs in processes: each has one outcome, whichever dies, and none is made long before its turn."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from contextlib import nullcontext
+from functools import partial
+from operator import call
+
+import pytest
+
+from drivers.errors import RunError
+from hil.study.workers import AHEAD, perform
+from tests.realtime.rig import wait_until_gone
+
+
+class Work(list):  # type: ignore[type-arg]
+    """Jobs, and how many of them were asked for."""
+
+    made = 0
+
+    def __iter__(self):
+        for job in super().__iter__():
+            self.made += 1
+            yield job
+
+
+def test_a_process_that_dies_takes_few_jobs_with_it_and_none_of_a_million_is_made_before_its_turn():
+    work = Work([os.getpid] * 40)
+    work[5] = partial(os._exit, 1)
+    outcomes = perform(work, call, lambda _: "died", 2, None)
+    found = [next(outcomes)]
+    assert work.made <= 2 * AHEAD + 1
+    found += outcomes
+    assert len(found) == 40
+    assert found.count("died") == 1
+    alone = 2 * AHEAD  # as many as were under way
+    assert len(set(found)) <= 2 + alone + 2
+
+
+LONG = """
+import os, time
+from contextlib import nullcontext
+from functools import partial
+from operator import call
+from hil.study.workers import perform
+from hil.cli.interrupts import OF_THIS_PROCESS
+
+with OF_THIS_PROCESS.attached():
+    for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
+        print(found, flush=True)
+"""
+"""Tells its workers' numbers, and has them sleep. Ctrl-C is a command's: Python drops some, and it repeats them."""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_who_started_them_in_the_middle_of_their_jobs(how):
+    with subprocess.Popen(
+        [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        workers = {int(process.stdout.readline()) for _ in range(8)}
+        process.send_signal(how)
+        wait_until_gone(process.pid, *workers)
+    assert process.returncode != 0
+
+
+def test_one_job_has_a_process_of_its_own_unless_this_one_is_asked_for():
+    """One that crashes would take the command with it."""
+    (found,) = perform([os.getpid], call, str, None, None)
+    assert found != os.getpid()
+    assert list(perform([partial(os._exit, 1)], call, lambda _: "died", None, None)) == ["died"]
+    assert list(perform([os.getpid], call, str, 1, None)) == [os.getpid()]
+
+
+DIES_ONCE = """
+import os, time
+if not os.path.exists({file!r}):
+    open({file!r}, "w").close()
+    os._exit(1)
+with open({file!r} + ".new", "w") as file:
+    file.write(str(os.getpid()))
+os.rename({file!r} + ".new", {file!r})
+time.sleep(100.0)
+"""
+ALONE = """
+import sys
+import time
+from contextlib import nullcontext
+from functools import partial
+from operator import call
+from hil.study.workers import perform
+from hil.cli.interrupts import OF_THIS_PROCESS
+
+with OF_THIS_PROCESS.attached():
+    list(perform([partial(exec, sys.argv[1])], call, str, 2, None))
+"""
+
+
+def test_ctrl_c_ends_a_job_that_runs_again_alone(tmp_path):
+    file = tmp_path / "worker"
+    code = DIES_ONCE.format(file=str(file))
+    with subprocess.Popen([sys.executable, "-c", ALONE, code], stderr=subprocess.DEVNULL) as process:
+        try:
+            end = time.monotonic() + 60.0
+            while not (file.exists() and file.read_text()):
+                assert time.monotonic() < end
+                time.sleep(0.02)
+            process.send_signal(signal.SIGINT)
+            process.wait(20.0)
+        finally:
+            process.kill()
+    wait_until_gone(int(file.read_text()))
+
+
+@pytest.mark.parametrize(("most", "enough"), [(35, False), (36, True), (resource.RLIM_INFINITY, True)])
+def test_processes_that_may_not_open_their_files_are_refused_before_the_first_one_starts(
+    monkeypatch, most, enough
+):
+    started: list[int] = []
+
+    def lent(count, _):
+        started.append(count)
+        return nullcontext()
+
+    monkeypatch.setattr("hil.study.workers.resource.getrlimit", lambda _: (most, resource.RLIM_INFINITY))
+    monkeypatch.setattr("hil.study.workers._processes", lent)
+    monkeypatch.setattr("hil.study.workers._until_one_dies", lambda *_: iter([7, 8]))
+    outcomes = perform([1, 2], abs, abs, 2, None)
+    if enough:
+        assert list(outcomes) == [7, 8]
+    else:
+        with pytest.raises(RunError, match=f"2 processes .* 36 .* here: {most};"):
+            next(outcomes)
+    assert started == [2] * enough
+    assert list(perform([-1, -2], abs, abs, 1, None)) == [1, 2], "this process needs no more"

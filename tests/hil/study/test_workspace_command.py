@@ -1,0 +1,168 @@
+"""`hil workspace`: summary, picture, JSON, and what it refuses."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.image import imread
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import load, loads
+from hil.cli import main
+from hil.study.workspace import command
+from hil.study.workspace.command import build_surveyor
+from hil.study.workspace.limits import KINDS
+from hil.study.workspace.position import map_positions
+
+LAB = load("lab").text
+ANGLES = "  length_max_m: 1.2\n"
+
+
+def hil(*arguments):
+    return CliRunner().invoke(main, ["workspace", *map(str, arguments)])
+
+
+def edited(*changes):
+    text = LAB
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("workspace")
+    result = hil("lab", "--resolution", 12, "--picture", folder / "lab.png", "--json", folder / "lab.json")
+    assert result.exit_code == 0, result.output
+    return folder, result.output
+
+
+def test_the_summary_says_what_an_engineer_asks_for(mapped):
+    _, output = mapped
+    for words in ("volume", "largest sphere", "largest cylinder", "condition of J", "singularity measure"):
+        assert words in output
+    for words in ("tilt", "torsion", "extents", "boundary", "static leg force", "lab.png"):
+        assert words in output
+
+
+def test_the_json_file_holds_the_figures(mapped):
+    folder, _ = mapped
+    summary = json.loads((folder / "lab.json").read_text())
+    assert summary["success"]
+    assert summary["kind"] == "workspace"
+    assert summary["resolution"] == 12
+    positions = summary["positions"]
+    assert positions["volume_m3"] == pytest.approx(0.1169, rel=0.05)  # at resolution 160
+    assert set(positions["boundary_points"]) == set(KINDS)
+    assert sum(positions["boundary_points"].values()) > 100
+    assert sum(positions["boundary_shares"].values()) == pytest.approx(1)
+    assert [set(entry) for entry in positions["convergence"]] == [{"step_m", "volume_m3"}] * 3
+    for low, high in positions["extents_m"].values():
+        assert low < high
+    home = load("lab").platform.home.position_m
+    low, high = positions["extents_m"]["z"]
+    assert low < home[2] - summary["largest_sphere"]["radius_m"] < home[2] < high
+    assert summary["limits"]["length_m"] == [0.76, 1.19]  # soft ends: 10 mm inside the hard ones
+    assert summary["limits"]["base_joint_angle_deg"] is None
+
+
+def test_the_largest_cylinder_stands_at_heights_of_the_base_frame_about_home(mapped):
+    folder, output = mapped
+    summary = json.loads((folder / "lab.json").read_text())
+    cylinder, (low, high) = summary["largest_cylinder"], summary["positions"]["extents_m"]["z"]
+    bottom, top = cylinder["z_m"]
+    home = load("lab").platform.home.position_m[2]
+    assert low - 1e-6 <= bottom < home < top <= high + 1e-6
+    assert cylinder["volume_m3"] == pytest.approx(np.pi * cylinder["radius_m"] ** 2 * (top - bottom))
+    assert f"{bottom:.3f}" in output
+
+
+def test_the_picture_is_a_png_with_the_colours_of_the_limits(mapped):
+    folder, _ = mapped
+    image = imread(folder / "lab.png")
+    assert image.shape[:2] == (950, 1500)
+    red = np.array([0xD6, 0x27, 0x28]) / 255  # tab:red, stroke
+    near = np.abs(image[..., :3] - red).max(axis=2) < 0.02
+    thirds = near[60:420].reshape(360, 3, 500).sum(axis=(0, 2))
+    assert (thirds > 100).all()
+
+
+def test_the_map_keeps_to_the_joint_angles_of_the_configuration():
+    more = "  base_joint_angle_max_deg: 8\n  platform_joint_angle_max_deg: 100\n"
+    c = loads(edited((ANGLES, ANGLES + more)), "my.yaml")
+    surveyor = build_surveyor(c)
+    kinds = map_positions(surveyor, 10).kinds
+    assert (kinds == KINDS.index("joint angle")).mean() > 0.5
+    assert surveyor.limits.base_angle == pytest.approx(np.deg2rad(8))
+
+
+def test_a_home_beyond_a_joint_angle_is_refused_with_its_line():
+    upwards = "[" + ", ".join(["[0, 0, 1]"] * 6) + "]"
+    text = edited((ANGLES, f"{ANGLES}  base_joint_angle_max_deg: 5\n  base_joint_axes: {upwards}\n"))
+    line = text[: text.index("\n  home:")].count("\n") + 2
+    with pytest.raises(ConfigurationError) as caught:
+        build_surveyor(loads(text, "my.yaml"))
+    (problem,) = caught.value.problems
+    assert problem.startswith(f"my.yaml:{line}:3: platform.home: home, p = [0.0, 0.0, 0.85] m, is outside")
+    assert "deg from its axis (allowed 5)" in problem
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("base_joint_angle_max_deg: 190", "platform.base_joint_angle_max_deg: out of range"),
+        ("base_joint_angle_max_deg: 0", "platform.base_joint_angle_max_deg: out of range"),
+        (
+            "platform_joint_axes: [" + ", ".join(["[0, 0, 0]"] * 6) + "]",
+            "platform_joint_axes has a direction",
+        ),
+    ],
+)
+def test_joint_limits_that_are_none_are_refused(line, message):
+    with pytest.raises(ConfigurationError, match=message):
+        loads(edited((ANGLES, f"{ANGLES}  {line}\n")), "my.yaml")
+
+
+def test_a_payload_that_home_cannot_hold_is_refused(tmp_path):
+    result = hil("lab", "--payload", 5000, "--picture", tmp_path / "x.png")
+    assert result.exit_code == 2
+    assert "static leg force" in result.output
+    assert "(allowed 2500)" in result.output
+    assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize("stated", [0.0, 200.0])
+def test_the_payload_that_home_is_said_to_hold_is_held_and_no_more_beside_what_is_stated(mapped, stated):
+    """The largest that `--payload` takes: whoever has stated 200 kg may not put so much more on it."""
+    folder, _ = mapped
+    c, at = load("lab"), (0.0, 0.0, 0.3)
+    summary = json.loads((folder / "lab.json").read_text()) | {"picture": "", "wall_s": 0.0}
+    summary["home"] = command._home(build_surveyor(c, stated, at))
+    words = re.search(
+        r"home holds a payload of up to (\d+) kg in all", command.shown(summary)["static leg force"]
+    )
+    assert words
+    held = float(words[1])
+    build_surveyor(c, held - 0.5, at)
+    with pytest.raises(ConfigurationError, match="static leg force"):
+        build_surveyor(c, held + 0.5, at)
+
+
+def test_a_position_out_of_reach_is_refused(tmp_path):
+    result = hil("lab", "--resolution", 8, "--position", 0, 0, 2, "--picture", tmp_path / "x.png")
+    assert result.exit_code == 2
+    assert "not reached from home: the straight line meets the limit stroke" in result.output
+
+
+def test_a_file_that_is_no_picture_is_not_overwritten(tmp_path):
+    kept: Path = tmp_path / "notes.png"
+    kept.write_text("notes")
+    result = hil("lab", "--picture", kept)
+    assert result.exit_code == 2
+    assert "is not overwritten" in result.output
+    assert kept.read_text() == "notes"
+    assert hil("lab", "--picture", tmp_path / "map.pdf").exit_code == 2

@@ -5,9 +5,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers import PROTOCOLS
 from drivers.bus_address import BusAddress
 from drivers.errors import ConfigurationError
+from drivers.registry import registered
 from drivers.section import Section
 from drivers.signals import LEGS
 
@@ -182,14 +182,14 @@ class HomingSettings(Section):
 
 
 def _name_protocols(schema: dict[str, Any]) -> None:
-    schema["enum"] = list(PROTOCOLS)
+    schema["enum"] = list(registered("hil.protocols"))
 
 
 class DriveSettings(Section):
     """The six drives."""
 
     protocol: Annotated[str, Field(json_schema_extra=_name_protocols)] = "legs"
-    """Drive family: a row of `drivers.PROTOCOLS`."""
+    """Drive family: an entry point of the group `hil.protocols`."""
     node_ids: Annotated[list[int], Field(min_length=6, max_length=6)] = [1, 2, 3, 4, 5, 6]
     """Node number of each leg's drive, leg order, as its protocol counts them: 1 to 127 with `legs`."""
     options: dict[str, str | int | float | bool] = {}
@@ -213,8 +213,9 @@ class DriveSettings(Section):
     @field_validator("protocol")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in PROTOCOLS:
-            raise ValueError(f"unknown value, allowed: {', '.join(PROTOCOLS)}, given: {name}")
+        known = registered("hil.protocols")
+        if name not in known:
+            raise ValueError(f"unknown value, allowed: {', '.join(known)}, given: {name}")
         return name
 
     @field_validator("node_ids")

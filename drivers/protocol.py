@@ -131,7 +131,7 @@ class Traits:
     """What a family of drives is, as data: no frame changes it."""
 
     family: str
-    """Names the emulated drives in `plant_fmu.drives.FAMILIES`."""
+    """Emulated drives: an entry point of the group `hil.emulated_drives`."""
     resolution: Resolution
     """How far readings and commands are off by the steps of the frames."""
     sent: tuple[Frame, ...]

@@ -1,1 +1,18 @@
 """The framing of the MIT mini-cheetah motor and of those that took it over, as one protocol with variants."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from drivers.config import BusSettings, DriveSettings
+    from drivers.mit.protocol import MitProtocol
+
+
+def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol:
+    """Codec of the configured variant."""
+    from drivers.mit.protocol import MitProtocol  # noqa: PLC0415 - compiled code
+    from drivers.mit.robstride import RobStrideProtocol  # noqa: PLC0415
+
+    kind = RobStrideProtocol if drives.options.get("variant") == "robstride" else MitProtocol
+    return kind(bus, drives)

@@ -1,40 +1,37 @@
-"""Control laws: one per file, one row in the table of ControllerSettings."""
+"""Control laws: one per file, each an entry point of the group `hil.laws`."""
 
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args
 
-from pydantic import Field
+from pydantic import Field, create_model
 
-from hil.control.cartesian_pd import CartesianPDSettings
-from hil.control.feedforward_pd import FeedforwardPDSettings
-from hil.control.inverse_dynamics import InverseDynamicsSettings
+from drivers.errors import ConfigurationError
+from drivers.registry import loaded, registered
 from hil.control.law import LawSettings
-from hil.control.partial_linearisation import PartialLinearisationSettings
-from hil.control.pd import PDSettings
-from hil.control.pd_gravity import PDGravitySettings
-from hil.control.pid import PIDSettings
-from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
-from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
-from hil.control.sliding_mode import SlidingModeSettings
-from hil.control.state_space import StateSpaceSettings
 
-ControllerSettings = Annotated[
-    PDSettings
-    | PIDSettings
-    | PDGravitySettings
-    | CartesianPDSettings
-    | FeedforwardPDSettings
-    | PoseInverseDynamicsSettings
-    | PartialLinearisationSettings
-    | InverseDynamicsSettings
-    | SlidingModeSettings
-    | RobustInverseDynamicsSettings
-    | StateSpaceSettings,
-    Field(discriminator="law"),
-]
-"""Section `controller`: one row a law."""
+
+def named(name: str, settings: Any) -> type[LawSettings]:
+    """Class of a law's settings, under the name that `controller.law` has for it.
+
+    Raises ConfigurationError for what is not a subclass of LawSettings, or has another name.
+    """
+    if not (isinstance(settings, type) and issubclass(settings, LawSettings)):
+        raise ConfigurationError(f"law {name}: {settings!r} is not a subclass of hil.control.law.LawSettings")
+    own = get_args(settings.model_fields["law"].annotation)
+    if own and own != (name,):
+        raise ConfigurationError(f"law {name}: {settings.__qualname__}.law is {own[0]}; give both one name")
+    if own:
+        return settings
+    fixed = create_model(settings.__name__, __base__=settings, law=(Literal[name], ...))  # type: ignore[call-overload]
+    return cast("type[LawSettings]", fixed)
+
 
 LAWS: dict[str, type[LawSettings]] = {
-    get_args(kind.model_fields["law"].annotation)[0]: kind
-    for kind in get_args(get_args(ControllerSettings)[0])
+    name: named(name, loaded("hil.laws", name)) for name in registered("hil.laws")
 }
 """`controller.law` of the configuration -> its settings."""
+
+if TYPE_CHECKING:
+    ControllerSettings = LawSettings
+else:
+    ControllerSettings = Annotated[Union[tuple(LAWS.values())], Field(discriminator="law")]  # noqa: UP007
+"""Section `controller`: one of LAWS."""

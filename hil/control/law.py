@@ -102,10 +102,12 @@ class DesiredLoop(NamedTuple):
 class LawSettings(Section):
     """Section `controller` of one law, and what others need to know of the law.
 
-    A law derives from it, adds `law: Literal["its name"]` and its keys, and overrides what differs from a
-    law without a model of which nothing is proven.
+    A law derives from it, adds its keys, and overrides what differs from a law without a model of which
+    nothing is proven.
     """
 
+    law: str
+    """Control law."""
     axes: ClassVar[AxisSpace | Literal["designed"] | None] = None
     """Axes in which the law linearises the robot; `designed`: those of its controller file."""
     compensates_wrench: ClassVar[bool] = True

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from drivers import PROTOCOLS
 from drivers.mit.fields import VARIANTS
+from drivers.registry import registered
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import loads
 from hil.app.sim.command import simulate
@@ -57,7 +57,7 @@ def pasted(text: str, block: str) -> str:
 
 
 def test_every_family_has_a_block():
-    assert set(BLOCKS) == set(PROTOCOLS) - {"legs", "mit"} | set(VARIANTS)
+    assert set(BLOCKS) == set(registered("hil.protocols")) - {"legs", "mit"} | set(VARIANTS)
 
 
 @pytest.mark.parametrize("name", broad(BLOCKS, quick=2))

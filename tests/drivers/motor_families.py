@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers import PROTOCOLS
 from drivers import motor_kernels as kernels
 from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
@@ -17,6 +16,7 @@ from drivers.frame_pointers import code, value
 from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame
+from drivers.registry import loaded
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.drives.ends import DrivesEnd
@@ -169,7 +169,7 @@ class MitProtocol(Motors):
             "velocity_rad_s": ranges.velocity,
             "torque_N_m": ranges.torque,
         }
-        made: Any = PROTOCOLS["mit"](*sections("mit", nodes, legs, options))
+        made: Any = loaded("hil.protocols", "mit")(*sections("mit", nodes, legs, options))
         made.transmission, made.ranges = gear, ranges
         super().__init__(made)
 
@@ -210,7 +210,7 @@ class ODriveProtocol(Motors):
     ) -> None:
         times = {"watchdog_ms": 1e3 * watchdog_s, "heartbeat_ms": 1e3 * heartbeat_s}
         options = {"encoder_msg_rate_ms": round(1e3 * unasked_s)}
-        made: Any = PROTOCOLS["odrive"](*sections("odrive", nodes, legs, options, **times))
+        made: Any = loaded("hil.protocols", "odrive")(*sections("odrive", nodes, legs, options, **times))
         made.transmission, made.delivered_s = gear, watchdog_s
         super().__init__(made)
 
@@ -223,6 +223,6 @@ class MoteusProtocol(Motors):
     ) -> None:
         word = "stopped" if mode == Reaction.BRAKE else "zero_velocity"
         options = {"host_id": host, "timeout_mode": word, "torque_N_m": most}
-        made: Any = PROTOCOLS["moteus"](*sections("moteus", nodes, legs, options))
+        made: Any = loaded("hil.protocols", "moteus")(*sections("moteus", nodes, legs, options))
         made.transmission = gear
         super().__init__(made)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import PROTOCOLS
 from drivers.can.bus_time import BitTiming
 from drivers.cia402.objects import check_eds
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.protocol import DriveSetup
+from drivers.registry import loaded
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.configuration.bus_budget import budget
 from tests.drivers.by_value import ByValue
@@ -28,7 +28,7 @@ def made(*, layout="classic", transmission=None, **options):
     bus = BusSettings(layout=layout)
     screw = settings() if transmission is None else transmission
     found = DriveSettings(protocol="cia402", options=OPTIONS | options, transmission=screw)
-    return PROTOCOLS["cia402"](bus, found)
+    return loaded("hil.protocols", "cia402")(bus, found)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_each_setting_of_the_drives_reaches_the_object_that_it_is_for():
         "force_limit_N": 500.0,
     }
     found = DriveSettings(protocol="cia402", options=OPTIONS, transmission=settings(), **own)
-    protocol = PROTOCOLS["cia402"](BusSettings(layout="classic"), found)
+    protocol = loaded("hil.protocols", "cia402")(BusSettings(layout="classic"), found)
     plans = ByValue(protocol).plans(DriveSetup(0.04, Reaction.BRAKE, 250.0))
     told = [{s.key: s.value for s in plan if s.kind == "write"} for plan in plans]
     assert [each[0x1017, 0] for each in told] == [35] * 6
@@ -130,9 +130,11 @@ def test_the_encoder_is_checked_unless_the_configuration_says_not_to():
 
 def test_it_needs_a_transmission_and_a_rated_torque():
     with pytest.raises(ConfigurationError, match=r"drives\.transmission: protocol cia402 speaks of motors"):
-        PROTOCOLS["cia402"](BusSettings(layout="classic"), DriveSettings(protocol="cia402", options=OPTIONS))
+        loaded("hil.protocols", "cia402")(
+            BusSettings(layout="classic"), DriveSettings(protocol="cia402", options=OPTIONS)
+        )
     with pytest.raises(ConfigurationError, match=r"rated_torque_Nm of .*given: nothing"):
-        PROTOCOLS["cia402"](
+        loaded("hil.protocols", "cia402")(
             BusSettings(layout="classic"), DriveSettings(protocol="cia402", transmission=settings())
         )
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from drivers import PROTOCOLS
 from drivers.cia402 import objects as o
 from drivers.cia402.end import TRIES
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
+from drivers.registry import loaded
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
 from plant_fmu.drives.cia402_dictionary import signed
@@ -81,7 +81,7 @@ def test_a_drive_that_allows_no_remote_frames_on_its_pdos_is_set_up(monkeypatch)
 def test_the_counts_of_a_turn_are_read_unless_the_configuration_says_not_to(checks):
     options: dict[str, str | int | float | bool] = {"rated_torque_Nm": 9.0, "check_encoder": checks}
     found = DriveSettings(protocol="cia402", options=options, transmission=settings())
-    protocol = PROTOCOLS["cia402"](BusSettings(layout="classic"), found)
+    protocol = loaded("hil.protocols", "cia402")(BusSettings(layout="classic"), found)
     assert steps(protocol, "read", o.ENCODER_INCREMENTS) == [[COUNTS] * checks] * LEGS
     assert steps(protocol, "read", o.MOTOR_REVOLUTIONS) == [[1] * checks] * LEGS
 

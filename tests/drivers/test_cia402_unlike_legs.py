@@ -7,12 +7,12 @@ import struct
 import numpy as np
 import pytest
 
-from drivers import PROTOCOLS
 from drivers.cia402 import objects as o
 from drivers.cia402.states import State
 from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import received_array
 from drivers.protocol import Frame, Received
+from drivers.registry import loaded
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import new_record
 from tests.drivers.by_value import ByValue
@@ -77,7 +77,7 @@ def test_the_drives_own_limit_is_that_of_the_configured_rated_force(force_limit_
         transmission=settings(),
         force_limit_N=force_limit_N,
     )
-    protocol = PROTOCOLS["cia402"](BusSettings(layout="classic"), found)
+    protocol = loaded("hil.protocols", "cia402")(BusSettings(layout="classic"), found)
     assert written(protocol, o.MAX_TORQUE) == [int(force_limit_N / PERMILLE_N) + 1] * LEGS
 
 

@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import drivers
-from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, SensorSettings, TrackerSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.messages import COMMANDS
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.registry import loaded
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
@@ -151,7 +151,9 @@ def test_fd_attributes_and_cycle_times():
 
 
 def test_table_makes_the_protocol_of_the_configuration():
-    protocol = PROTOCOLS["legs"](BusSettings(layout="classic"), DriveSettings(node_ids=[9, 8, 7, 6, 5, 4]))
+    protocol = loaded("hil.protocols", "legs")(
+        BusSettings(layout="classic"), DriveSettings(node_ids=[9, 8, 7, 6, 5, 4])
+    )
     assert protocol.traits.feedback_ids == {0x180 + n for n in (4, 5, 6, 7, 8, 9)}
 
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import PROTOCOLS
 from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
@@ -19,6 +18,7 @@ from drivers.frame_array import NO_FRAMES, received_array
 from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.mit.protocol import ENABLE
 from drivers.protocol import EXTENDED, DriveSetup, Frame, Received
+from drivers.registry import loaded
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
@@ -584,14 +584,14 @@ def settings(**changes: Any) -> tuple[BusSettings, DriveSettings]:
 )
 def test_settings_that_the_variant_does_not_have_are_refused_by_name(changes, message):
     with pytest.raises(ConfigurationError) as caught:
-        PROTOCOLS["mit"](*settings(**changes))
+        loaded("hil.protocols", "mit")(*settings(**changes))
     assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("variant", list(VARIANTS))
 def test_each_variant_can_be_configured(variant):
     model = next(iter(VARIANTS[variant].models))
-    protocol = PROTOCOLS["mit"](*settings(options={"variant": variant, "model": model}))
+    protocol = loaded("hil.protocols", "mit")(*settings(options={"variant": variant, "model": model}))
     assert len(protocol.traits.cyclic_frames) == 12
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.mit.fields import VARIANTS, Ranges
+from drivers.registry import loaded
 from drivers.transmission import Transmission
 from tests.drivers.motor_families import MitProtocol
 
@@ -57,7 +57,9 @@ def test_a_range_that_is_configured_takes_the_place_of_its_own_and_of_no_other(v
         "options": {"variant": variant, "model": model, key: 33.5},
         "force_limit_N": 500.0,
     }
-    protocol: Any = PROTOCOLS["mit"](BusSettings(layout="classic"), DriveSettings.model_validate(values))
+    protocol: Any = loaded("hil.protocols", "mit")(
+        BusSettings(layout="classic"), DriveSettings.model_validate(values)
+    )
     delivered = VARIANTS[variant].models[model]._asdict()
     assert 33.5 not in delivered.values()
     assert protocol.ranges._asdict() == delivered | {field: 33.5}

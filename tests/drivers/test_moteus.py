@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.moteus import QUERY, STOP, pad, torque_command
 from drivers.protocol import BRS, EXTENDED, FD, DriveSetup, Frame, Said
+from drivers.registry import loaded
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from tests.drivers import moteus_foreign as foreign
@@ -361,7 +361,7 @@ def test_a_row_names_what_it_does_not_have(change, message):
     }
     drives = DriveSettings.model_validate(values | change)
     with pytest.raises(ConfigurationError) as caught:
-        PROTOCOLS["moteus"](BusSettings(layout="fd"), drives)
+        loaded("hil.protocols", "moteus")(BusSettings(layout="fd"), drives)
     assert message in str(caught.value)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers import PROTOCOLS
+from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.motor_settings import Options, refuse_torque, unwatched
@@ -101,7 +101,7 @@ def made(name: str, layout: Any, **values: Any) -> Any:
         "node_ids": [7, 2, 3, 4, 5, 6],
     }
     drives = DriveSettings.model_validate(known | {"protocol": name} | values)
-    return PROTOCOLS[name](BusSettings(layout=layout), drives)
+    return build_protocol(BusSettings(layout=layout), drives)
 
 
 def test_a_moteus_is_made_with_its_nodes_the_controllers_number_its_torque_and_what_it_does_in_silence():

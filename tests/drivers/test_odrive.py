@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import received_array
 from drivers.protocol import REMOTE, DriveSetup, Frame, Received
+from drivers.registry import loaded
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
 from tests.drivers.by_value import ByValue, Remembered
@@ -238,13 +238,15 @@ def test_a_row_names_what_it_does_not_have(change, message):
     values: dict[str, Any] = {"protocol": "odrive", "transmission": {"lead_m": 0.02}}
     drives = DriveSettings.model_validate(values | change)
     with pytest.raises(ConfigurationError) as caught:
-        PROTOCOLS["odrive"](BusSettings(layout="classic"), drives)
+        loaded("hil.protocols", "odrive")(BusSettings(layout="classic"), drives)
     assert message in str(caught.value)
 
 
 def test_the_watchdog_and_the_heartbeats_of_an_axis_are_those_of_the_configuration():
     values = {"protocol": "odrive", "transmission": {"lead_m": 0.02}, "watchdog_ms": 40, "heartbeat_ms": 125}
-    made = PROTOCOLS["odrive"](BusSettings(layout="classic"), DriveSettings.model_validate(values))
+    made = loaded("hil.protocols", "odrive")(
+        BusSettings(layout="classic"), DriveSettings.model_validate(values)
+    )
     protocol = ByValue(made)
     dialogue: Any = protocol.start(DriveSetup(0.04, Reaction.BRAKE, 250.0))
     assert dialogue.patience_ticks == 94, "three heartbeats of 0.125 s, whole ticks"

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import PROTOCOLS, build_protocol
+from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.frame_array import received_array, sent_array
 from drivers.protocol import DriveSetup, Frame, Received
+from drivers.registry import loaded
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
 from hil.app.check.bus import answered_ns
@@ -87,7 +88,7 @@ def configured(options: dict[str, int], **bus: Any) -> Any:
 
 
 def test_axes_that_are_set_to_send_none_send_none():
-    protocol = PROTOCOLS["odrive"](
+    protocol = loaded("hil.protocols", "odrive")(
         BusSettings(layout="classic"),
         DriveSettings.model_validate(
             {

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from importlib import resources
+from importlib.metadata import EntryPoint
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from drivers import PROTOCOLS
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
@@ -18,6 +18,7 @@ from drivers.errors import ConfigurationError
 from drivers.frame_array import received_array, received_frames, sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, Frame, Received
+from drivers.registry import registered
 from drivers.signals import Command, DriveMode, DriveState, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
@@ -30,10 +31,11 @@ from hil.record.log import Log
 from plant_fmu.drives import drives_end
 from tests.drivers.messages import DeviceCommand, hear
 from tests.drivers.protocol_contract import Ends, ProtocolContract
-from tests.drivers.stub_protocol import MOST_SET_UP, StubProtocol, stub
+from tests.drivers.stub_protocol import MOST_SET_UP, StubProtocol
 from tests.drivers.trouble_contract import TroubleContract
 
 NODES = "node_ids: [1, 2, 3, 4, 5, 6]"
+STUB = EntryPoint("stub", "tests.drivers.stub_protocol:stub", "hil.protocols")
 STUB_NODES = "protocol: stub\n  node_ids: [4096, 513, 770, 1027, 1284, 65535]"
 
 
@@ -116,8 +118,8 @@ class Wire:
 
 @pytest.fixture
 def row(monkeypatch):
-    """The table with one row more; no other test sees it in the schema."""
-    monkeypatch.setitem(PROTOCOLS, "stub", stub)
+    """One more entry point; no other test sees it in the schema."""
+    monkeypatch.setitem(registered("hil.protocols"), "stub", STUB)
     json_schema.cache_clear()
     yield
     json_schema.cache_clear()
@@ -135,7 +137,7 @@ def configuration(*changes: tuple[str, str], name: str = "vcan50") -> Configurat
 def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("stub") / "run.mcap"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PROTOCOLS, "stub", stub)
+        patch.setitem(registered("hil.protocols"), "stub", STUB)
         summary = simulate(configuration((NODES, STUB_NODES)), log=path, duration_s=3.0)
     return summary, Log.open(path)
 

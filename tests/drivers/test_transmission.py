@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from drivers import PROTOCOLS
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
+from drivers.registry import loaded
 from drivers.transmission import Transmission, forgotten_length
 
 SCREW = {"lead_m": 0.005, "gear_ratio": 2.0, "efficiency": 0.8, "back_driving_efficiency": 0.6}
@@ -152,4 +152,4 @@ def test_what_no_transmission_can_be_is_refused(wrong, message):
 def test_our_own_protocol_has_no_transmission():
     drives = DriveSettings(transmission=TransmissionSettings(lead_m=0.005))
     with pytest.raises(ConfigurationError, match=r"^drives\.transmission: protocol legs"):
-        PROTOCOLS["legs"](BusSettings(), drives)
+        loaded("hil.protocols", "legs")(BusSettings(), drives)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers import PROTOCOLS
+from drivers import build_protocol
 from drivers.arrays import Array, Rows
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError, HilError, LogError
@@ -104,7 +104,7 @@ def _configuration(log: Log) -> tuple[Configuration | None, str]:
 
 def _codec(c: Configuration) -> Family | None:
     try:
-        return PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+        return build_protocol(c.bus, c.drives)
     except HilError:
         return None
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import PROTOCOLS
+from drivers import build_protocol
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load
 from hil.record.log import Event
@@ -62,7 +62,7 @@ def test_a_finding_may_have_any_number_anywhere(number, rate_Hz):
 @pytest.mark.parametrize("number", CODES, ids=range(len(CODES)))
 def test_a_drive_may_have_said_any_number(number, name):
     c = load(name)
-    protocol = PROTOCOLS[c.drives.protocol](c.bus, c.drives)
+    protocol = build_protocol(c.bus, c.drives)
     drives = [{"state": "FAULT", "fault": number, "age": number}] * 6
     story = json.dumps({"findings": [{"fault": "DRIVE"}], "drives": drives})
     found, _ = page({SUMMARY: {"story": story}}, protocol=protocol)

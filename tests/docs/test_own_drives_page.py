@@ -4,28 +4,17 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/guides/own-drives.md").read_text()
-BLOCK = re.compile(r"^```\{code-block\} python\n:caption: (.*?)\n\n(.*?)^```", re.DOTALL | re.MULTILINE)
-FILES = "drivers/cheetah.py", "plant_fmu/drives/cheetah.py", "tests/drivers/test_cheetah.py"
-PRELUDE = """
-import sys
-from pathlib import Path
-import drivers, plant_fmu.drives
-from drivers import row
-folder = Path(sys.argv[1])
-drivers.__path__.append(str(folder / "drivers"))
-plant_fmu.drives.__path__.append(str(folder / "plant_fmu/drives"))
-drivers.PROTOCOLS |= {%s}
-plant_fmu.drives.FAMILIES |= {%s}
-"""
+BLOCK = re.compile(r"^```\{code-block\} \w+\n:caption: (.*?)\n\n(.*?)^```", re.DOTALL | re.MULTILINE)
 CONTRACT = """
-import pytest
-sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "-p", "no:randomly", "--rootdir", sys.argv[1], sys.argv[2]]))
+import pytest, sys
+sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "-p", "no:randomly", "tests"]))
 """
 SUCCESS = """
 assert run.success, run.summary
@@ -35,14 +24,15 @@ assert run.summary["rejected_frames"] == 0
 
 SAME = """
 import numpy as np
-from drivers.cheetah import CheetahProtocol
+from cheetah.codec import CheetahProtocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.mit import mit
 from drivers.protocol import Frame
 
 bus, gear = BusSettings(layout="classic"), TransmissionSettings(lead_m=0.01)
 one = CheetahProtocol(bus, DriveSettings(protocol="cheetah", transmission=gear, force_limit_N=5000))
 options = {"variant": "mini_cheetah"}
-other = drivers.PROTOCOLS["mit"](
+other = mit(
     bus, DriveSettings(protocol="mit", transmission=gear, force_limit_N=5000, options=options)
 )
 assert one.requests(1.0) == other.requests(1.0)
@@ -56,25 +46,30 @@ for seed in range(300):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """A folder with the files of the page, and its other blocks by caption."""
+    """The package of the page, as an installation leaves it on the path, and the other blocks by caption."""
     folder = tmp_path_factory.mktemp("page")
     blocks: dict[str, str] = {}
     for caption, code in BLOCK.findall(PAGE):
         blocks[caption] = f"{blocks[caption]}\n\n{code}" if caption in blocks else code
-    for name in FILES:
+    for name in [name for name in blocks if "." in name]:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(blocks.pop(name))
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    installed = folder / f"{project['name']}-{project['version']}.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0.1.0\n")
+    lines = [
+        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items())
+        for group, entries in project["entry-points"].items()
+    ]
+    (installed / "entry_points.txt").write_text("\n".join(lines))
     return folder, blocks
 
 
 def run(written, code):
-    folder, blocks = written
-    rows = [
-        next(code for caption, code in blocks.items() if name in caption)
-        for name in ("PROTOCOLS", "FAMILIES")
-    ]
-    command = [sys.executable, "-c", PRELUDE % tuple(rows) + code, str(folder), str(folder / FILES[2])]
-    here = os.environ | {"PYTHONPATH": str(ROOT)}
+    folder, _ = written
+    here = os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
+    command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=folder, env=here, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

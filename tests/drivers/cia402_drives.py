@@ -10,10 +10,10 @@ from drivers.cia402.states import State
 from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
 from drivers.protocol import ALL_LEGS, DriveSetup
 from drivers.signals import DriveState, Reaction
+from hil.contracts.by_value import Remembered
+from hil.contracts.drives_end import memory_of
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.cia402_dictionary import PLACE, fill_pdos
-from tests.drivers.by_value import Remembered
-from tests.drivers.drives_end import memory_of
 
 
 class Slope(NamedTuple):

@@ -13,10 +13,10 @@ from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, Reaction
 from drivers.tick_columns import Record, new_record
+from hil.contracts.drives_end import answers, go_back, memory_of
+from hil.contracts.messages import DeviceMessage, Sync, hear
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
-from tests.drivers.drives_end import answers, go_back, memory_of
-from tests.drivers.messages import DeviceMessage, Sync, hear
 
 SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.moteus import read
 from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import DriveState, Reaction
-from tests.drivers.messages import Sync
+from hil.contracts.messages import Sync
 from tests.drivers.motor_families import MoteusProtocol
 from tests.drivers.test_odrive import UNIT
 

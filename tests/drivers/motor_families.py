@@ -19,9 +19,9 @@ from drivers.protocol import ALL_LEGS, DriveSetup, Frame
 from drivers.registry import loaded
 from drivers.signals import LEGS, Reaction
 from drivers.transmission import Transmission
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.drives_end import memory_of
 from plant_fmu.drives.ends import DrivesEnd
-from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.drives_end import memory_of
 
 
 class Heard(NamedTuple):

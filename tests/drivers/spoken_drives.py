@@ -20,7 +20,7 @@ from drivers.protocol import ALWAYS, DriveSetup, Frame, Received, Traits
 from drivers.signals import DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
-from tests.drivers.by_value import Remembered
+from hil.contracts.by_value import Remembered
 from tests.drivers.motor_families import Heard, Motors
 
 UNLIKE_GEAR = TransmissionSettings(

@@ -21,9 +21,9 @@ from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
+from hil.contracts.by_value import ByValue
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
-from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, RATED_Nm, SCREW_m, drives
 from tests.drivers.cia402_sheet import sheet
 

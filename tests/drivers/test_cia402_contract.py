@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from hil.contracts.protocol import ProtocolContract
+from hil.contracts.trouble import TroubleContract
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives
-from tests.drivers.protocol_contract import ProtocolContract
-from tests.drivers.trouble_contract import TroubleContract
 
 
 class TestCia402WithVelocity(TroubleContract):

@@ -12,11 +12,9 @@ from drivers.cia402 import objects as o
 from drivers.cia402.states import State
 from drivers.protocol import Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
-from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, missing, refused, signed
-from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.cia402_drives import changed, drives, holding
-from tests.drivers.drives_end import plain
-from tests.drivers.messages import (
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.drives_end import plain
+from hil.contracts.messages import (
     Alive,
     Answer,
     Configure,
@@ -26,6 +24,8 @@ from tests.drivers.messages import (
     Status,
     Sync,
 )
+from plant_fmu.drives.cia402_dictionary import ENTRIES, PLACE, missing, refused, signed
+from tests.drivers.cia402_drives import changed, drives, holding
 
 LEG, NODE = 3, 4
 P = ByValue(drives((1, 2, 3, NODE, 5, 6), lead_m=2 * np.pi * 9e-3 / 2.5, counts_per_turn=4096))

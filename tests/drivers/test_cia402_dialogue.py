@@ -14,9 +14,11 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.messages import Answer, DeviceCommand, Status, Sync, UnwatchedCommand
+from hil.contracts.protocol import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
-from tests.drivers.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import (
     PERMILLE_N,
     SCREW_m,
@@ -27,8 +29,6 @@ from tests.drivers.cia402_drives import (
     drives,
     holding,
 )
-from tests.drivers.messages import Answer, DeviceCommand, Status, Sync, UnwatchedCommand
-from tests.drivers.protocol_contract import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 
 RUN = Command(DriveMode.RUN, FORCE)
 READY = Command(DriveMode.READY, FORCE)

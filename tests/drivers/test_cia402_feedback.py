@@ -13,7 +13,7 @@ from drivers.frame_array import received_array
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import NEVER, DriveFault, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record, new_record
-from tests.drivers.by_value import ByValue, Remembered
+from hil.contracts.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import Slope, difference, drives, made
 from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR, last_tick
 

@@ -18,9 +18,9 @@ from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.by_value import ByValue
+from hil.contracts.by_value import ByValue
+from hil.contracts.messages import Status, Sync
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, SCREW_m, STEP_m, changed, drives, holding
-from tests.drivers.messages import Status, Sync
 
 DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
 VECTORS = DATA["vectors"]

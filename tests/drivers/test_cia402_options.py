@@ -17,7 +17,7 @@ from drivers.protocol import DriveSetup
 from drivers.registry import loaded
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.configuration.bus_budget import budget
-from tests.drivers.by_value import ByValue
+from hil.contracts.by_value import ByValue
 from tests.drivers.cia402_drives import PERMILLE_N, drives, settings
 from tests.drivers.cia402_sheet import sheet
 

@@ -13,11 +13,11 @@ from drivers.protocol import DriveSetup, Frame, Received
 from drivers.registry import loaded
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
+from hil.contracts.by_value import ByValue
+from hil.contracts.messages import EmergencyStop
+from hil.contracts.protocol import SETUP, Ends
 from plant_fmu.drives.cia402_dictionary import signed
-from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import COUNTS, NODES, drives, holding, settings
-from tests.drivers.messages import EmergencyStop
-from tests.drivers.protocol_contract import SETUP, Ends
 
 ON_ITS_OWN = 1 << 30
 """CiA 301: "no RTR allowed on this PDO", bit 30 of a COB-ID."""

@@ -9,9 +9,9 @@ from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.by_value import ByValue
+from hil.contracts.by_value import ByValue
+from hil.contracts.messages import Status
 from tests.drivers.cia402_drives import NODES, drives, holding
-from tests.drivers.messages import Status
 
 P = ByValue(drives())
 SETUP = DriveSetup(0.05, Reaction.DAMP, 250.0)

@@ -11,9 +11,9 @@ from drivers.cia402.states import State
 from drivers.errors import ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import DriveState
-from tests.drivers.by_value import ByValue, Remembered
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.messages import Alive, Answer, Sync
 from tests.drivers.cia402_drives import changed, drives, holding, made
-from tests.drivers.messages import Alive, Answer, Sync
 from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR
 
 NODES = (11, 12, 13, 14, 15, 16)

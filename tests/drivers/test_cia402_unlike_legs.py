@@ -15,9 +15,9 @@ from drivers.protocol import Frame, Received
 from drivers.registry import loaded
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import new_record
-from tests.drivers.by_value import ByValue
+from hil.contracts.by_value import ByValue
+from hil.contracts.protocol import SETUP, Ends
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives, settings
-from tests.drivers.protocol_contract import SETUP, Ends
 
 SIGN = (1, -1, 1, -1, 1, 1)
 LOSSES = [(0.8, 1.0), (1.0, 0.5)]

@@ -11,7 +11,7 @@ from drivers.cia402.states import DRIVE_STATE, STATE_OF, STATUSWORDS, State, com
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Reaction
-from tests.drivers.by_value import ByValue, Remembered
+from hil.contracts.by_value import ByValue, Remembered
 from tests.drivers.cia402_drives import PERMILLE_N, drives, made
 from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR
 

@@ -24,10 +24,10 @@ from drivers.registry import loaded
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.drives_end import answers, reports
+from hil.contracts.drives_end import answers, reports
+from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Rejected, Status, Sync
+from hil.contracts.protocol import at_tick
 from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, opening, parse
-from tests.drivers.messages import Configure, DeviceCommand, EmergencyStop, Rejected, Status, Sync
-from tests.drivers.protocol_contract import at_tick
 from tests.drivers.test_crc import bitwise_crc16
 
 FILES = [Path(drivers.__file__).parent / name for name in ("legs/legs.dbc", "sensors.dbc")]

@@ -17,7 +17,7 @@ from drivers.mit.fields import Ranges
 from drivers.moteus import COMMAND, MODE, TIMEOUT, WRITE
 from drivers.protocol import BRS, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import LEGS, DriveMode, Reaction
-from tests.drivers.messages import Answer, Configure, DeviceCommand, EmergencyStop, Rejected, Sync
+from hil.contracts.messages import Answer, Configure, DeviceCommand, EmergencyStop, Rejected, Sync
 from tests.drivers.moteus_ends import asked, registers
 from tests.drivers.motor_families import (
     MitProtocol,

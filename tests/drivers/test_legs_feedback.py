@@ -12,9 +12,9 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
-from tests.drivers.drives_end import answers, reports
+from hil.contracts.drives_end import answers, reports
+from hil.contracts.messages import Configure, Status, Sync
 from tests.drivers.legs_frames import command_frames, opening
-from tests.drivers.messages import Configure, Status, Sync
 from tests.drivers.spoken_drives import last_tick
 from tests.drivers.test_dbc import resealed
 

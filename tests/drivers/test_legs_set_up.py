@@ -14,11 +14,11 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import ALL_LEGS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.drives_end import reading_of, reports
+from hil.contracts.messages import Configure, Rejected, Status, Sync, hear, reply
 from plant_fmu.drives import drives_end
-from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.drives_end import reading_of, reports
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.drivers.messages import Configure, Rejected, Status, Sync, hear, reply
 
 NODES = (127, 20, 30, 40, 50, 1)
 P = LegsProtocol("fd", NODES, 32_000.0)

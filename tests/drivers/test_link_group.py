@@ -16,8 +16,8 @@ from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import BUS, Frame
 from drivers.signals import Command, DriveMode, DriveState
+from hil.contracts.messages import Alive, EmergencyStop, Sync
 from tests.drivers.cia402_drives import holding
-from tests.drivers.messages import Alive, EmergencyStop, Sync
 from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, FakeLink, Still, fakes, family
 
 DEADLINE_NS = 900_000_000

@@ -21,12 +21,14 @@ from drivers.protocol import EXTENDED, DriveSetup, Frame, Received
 from drivers.registry import loaded
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
+from hil.contracts.by_value import ByValue
+from hil.contracts.drives_end import answers
+from hil.contracts.messages import Sync
+from hil.contracts.protocol import PERIOD_NS, Ends, Given, at_tick
+from hil.contracts.trouble import TroubleContract
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.mit import device_motion
 from plant_fmu.drives.nodes import Nodes
-from tests.drivers.by_value import ByValue
-from tests.drivers.drives_end import answers
-from tests.drivers.messages import Sync
 from tests.drivers.motor_families import (
     Heard,
     MitProtocol,
@@ -35,8 +37,6 @@ from tests.drivers.motor_families import (
     read_reply,
     unpack_command,
 )
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, Given, at_tick
-from tests.drivers.trouble_contract import TroubleContract
 
 DATA = Path(__file__).parents[1] / "data" / "drives"
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)

@@ -21,12 +21,12 @@ from drivers.protocol import BRS, EXTENDED, FD, DriveSetup, Frame, Said
 from drivers.registry import loaded
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
+from hil.contracts.messages import Configure, DeviceCommand, Rejected, Sync
+from hil.contracts.protocol import PERIOD_NS, Ends, ProtocolContract, at_tick
+from hil.contracts.trouble import TroubleContract
 from tests.drivers import moteus_foreign as foreign
-from tests.drivers.messages import Configure, DeviceCommand, Rejected, Sync
 from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import Heard, MoteusProtocol
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, ProtocolContract, at_tick
-from tests.drivers.trouble_contract import TroubleContract
 from tests.plant_fmu.by_hand import enter
 
 DATA = Path(__file__).parents[1] / "data/drives"

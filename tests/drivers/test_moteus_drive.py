@@ -13,9 +13,9 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.moteus import STOP, pad, torque_command
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
-from tests.drivers.by_value import Remembered
-from tests.drivers.drives_end import command, plain
-from tests.drivers.messages import Configure, Rejected, Sync
+from hil.contracts.by_value import Remembered
+from hil.contracts.drives_end import command, plain
+from hil.contracts.messages import Configure, Rejected, Sync
 from tests.drivers.moteus_ends import asked, registers
 from tests.drivers.motor_families import Heard, MoteusProtocol
 from tests.drivers.spoken_drives import UNLIKE

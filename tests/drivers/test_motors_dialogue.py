@@ -12,7 +12,7 @@ from drivers.motor_kernels import ENABLE
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import NEVER, Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
-from tests.drivers.messages import Status
+from hil.contracts.messages import Status
 from tests.drivers.motor_families import Heard
 from tests.drivers.spoken_drives import SETUP, UNLIKE, Spoken
 from tests.drivers.test_no_reading import FAMILIES

@@ -12,10 +12,10 @@ import pytest
 from drivers.mit.fields import Ranges
 from drivers.protocol import Frame
 from drivers.signals import INVALID, LEGS, DriveState, Reaction
-from tests.drivers.by_value import ByValue
+from hil.contracts.by_value import ByValue
+from hil.contracts.drives_end import answers
+from hil.contracts.messages import Sync
 from tests.drivers.cia402_drives import drives, holding
-from tests.drivers.drives_end import answers
-from tests.drivers.messages import Sync
 from tests.drivers.motor_families import MitProtocol, MoteusProtocol, ODriveProtocol, RobStrideProtocol
 from tests.drivers.test_odrive import GEAR, NODES
 

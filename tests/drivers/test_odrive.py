@@ -19,12 +19,12 @@ from drivers.protocol import REMOTE, DriveSetup, Frame, Received
 from drivers.registry import loaded
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.transmission import Transmission
-from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.drives_end import answers, reports
-from tests.drivers.messages import Configure, DeviceCommand, Rejected, Status, Sync
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.drives_end import answers, reports
+from hil.contracts.messages import Configure, DeviceCommand, Rejected, Status, Sync
+from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
+from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODriveProtocol
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
-from tests.drivers.trouble_contract import TroubleContract
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/odrive.json").read_text("utf-8"))["vectors"]
 GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))

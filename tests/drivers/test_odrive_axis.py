@@ -11,9 +11,9 @@ import pytest
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Said
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
-from tests.drivers.by_value import Remembered
-from tests.drivers.drives_end import command, plain
-from tests.drivers.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, Status, Sync
+from hil.contracts.by_value import Remembered
+from hil.contracts.drives_end import command, plain
+from hil.contracts.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, Status, Sync
 from tests.drivers.motor_families import ODriveProtocol
 from tests.drivers.spoken_drives import UNLIKE
 

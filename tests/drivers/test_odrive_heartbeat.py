@@ -12,9 +12,9 @@ from drivers.config import TransmissionSettings
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState
 from drivers.transmission import Transmission
+from hil.contracts.protocol import BEAT_TICKS, FORCE, OFF, PERIOD_NS
+from hil.contracts.trouble import READY, RESET, Line
 from tests.drivers.motor_families import ODriveProtocol
-from tests.drivers.protocol_contract import BEAT_TICKS, FORCE, OFF, PERIOD_NS
-from tests.drivers.trouble_contract import READY, RESET, Line
 
 NODES = (0, 1, 2, 3, 5, 62)
 GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))

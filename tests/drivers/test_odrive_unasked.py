@@ -18,9 +18,9 @@ from drivers.transmission import Transmission
 from hil.app.check.bus import answered_ns
 from hil.app.configuration.bus_budget import unasked_readings
 from hil.app.encoder_limits import encoder_limits
+from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
 from hil.loop.latches import checked
 from tests.drivers.motor_families import ODriveProtocol
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.hil.lab.bringup.families import family
 
 NODES = (0, 1, 2, 3, 5, 62)

@@ -24,15 +24,15 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
+from hil.contracts.messages import DeviceCommand, hear
+from hil.contracts.protocol import Ends, ProtocolContract
+from hil.contracts.trouble import TroubleContract
 from hil.loop.clock import Deadlines
 from hil.loop.daemon import switch_off
 from hil.loop.report import waiting_text
 from hil.record.log import Log
 from plant_fmu.drives import drives_end
-from tests.drivers.messages import DeviceCommand, hear
-from tests.drivers.protocol_contract import Ends, ProtocolContract
 from tests.drivers.stub_protocol import MOST_SET_UP, StubProtocol
-from tests.drivers.trouble_contract import TroubleContract
 
 NODES = "node_ids: [1, 2, 3, 4, 5, 6]"
 STUB = EntryPoint("stub", "tests.drivers.stub_protocol:stub", "hil.protocols")

@@ -12,9 +12,9 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.mit.fields import Ranges
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Said
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
-from tests.drivers.by_value import Remembered
-from tests.drivers.drives_end import command, plain
-from tests.drivers.messages import Answer, Configure, Rejected, Sync
+from hil.contracts.by_value import Remembered
+from hil.contracts.drives_end import command, plain
+from hil.contracts.messages import Answer, Configure, Rejected, Sync
 from tests.drivers.motor_families import Heard, RobStrideProtocol
 from tests.drivers.spoken_drives import UNLIKE
 

@@ -22,13 +22,13 @@ from drivers.protocol import BUS, DriveSetup, Frame, Received, off_bus
 from drivers.sensors import SensorProtocol
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
+from hil.contracts.by_value import ByValue
+from hil.contracts.messages import Answer, Configure, DeviceCommand, Sync, hear
+from hil.contracts.protocol import Ends
 from plant_fmu.drives import drives_end
-from tests.drivers.by_value import ByValue
 from tests.drivers.cia402_drives import holding
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.drivers.messages import Answer, Configure, DeviceCommand, Sync, hear
-from tests.drivers.protocol_contract import Ends
 from tests.sensed import Readings
 from tests.sensed import decode as decode_samples
 

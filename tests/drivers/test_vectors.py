@@ -18,9 +18,9 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, FD, Frame, Received
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
-from tests.drivers.drives_end import reports
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Status, Sync
 from tests.drivers.legs_frames import command_frames, decode, one_feedback, opening, parse
-from tests.drivers.messages import Configure, DeviceCommand, EmergencyStop, Status, Sync
 
 NODES = (1, 2, 3, 4, 5, 6)
 RATED_N = 32_000.0

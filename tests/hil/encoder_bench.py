@@ -10,11 +10,11 @@ import pytest
 
 from drivers.signals import Doubt, DriveState, Mode
 from hil.config.limits import LimitSettings
+from hil.contracts.records import record_of
 from hil.loop.probe import fill_probe
 from hil.safety import guard
 from hil.safety.encoder_limits import EncoderLimits
 from hil.safety.kernels import powered
-from tests.records import record_of
 
 T = 1.0 / 64.0
 PERIOD_NS = 15_625_000

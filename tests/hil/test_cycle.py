@@ -17,14 +17,14 @@ from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
 from drivers.tick_columns import copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Status
 from hil.loop.ramps import tau_at_rest
 from hil.loop.sight import Sight
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.signals import Operator, TickInput
 from hil.trajectory.path import PoseSample
-from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import one_feedback, parse
-from tests.drivers.messages import Configure, DeviceCommand, EmergencyStop, Status
 from tests.stories import fault_text
 
 PERIOD_NS = 1_000_000

@@ -12,6 +12,7 @@ from drivers.signals import DriveState, Fault, Mode, Refusal, Stop
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
 from hil.config.reference import LiveReference
+from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
 from hil.loop.ramps import tau_at_rest
 from hil.signals import Operator, Order, SetPoint
@@ -20,7 +21,6 @@ from hil.trajectory.path import PoseSample
 from tests.hil.control.test_pid import pid
 from tests.hil.test_cycle import Bench, held_to
 from tests.live_reference import LIVE_REFERENCE
-from tests.records import record_of
 
 VIRTUAL = load("virtual")
 BRISK = VIRTUAL.engage.model_copy(

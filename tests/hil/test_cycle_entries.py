@@ -11,11 +11,11 @@ import pytest
 
 from drivers.signals import Mode
 from hil.app.compose import build_cycle
+from hil.contracts.records import record_of
 from hil.loop.admission import NO_SETPOINTS
 from hil.signals import Operator
 from tests.hil.test_cycle import Bench, held_to
 from tests.hil.test_cycle_again import VIRTUAL, a_bench
-from tests.records import record_of
 
 
 def stopped(mode: Mode) -> Bench:

@@ -12,12 +12,12 @@ import pytest
 from drivers.signals import DriveMode, DriveState, Fault, Mode
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import loads
+from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
 from hil.signals import Operator
 from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import BRISK, VIRTUAL, a_bench
 from tests.hil.test_modes import FOLLOW
-from tests.records import record_of
 
 
 @pytest.mark.parametrize(

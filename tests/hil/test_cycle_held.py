@@ -10,10 +10,10 @@ import pytest
 
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.compose import build_cycle
+from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
 from hil.safety.motion import REST_m_s
 from tests.hil.test_cycle_again import VIRTUAL
-from tests.records import record_of
 
 LOAD = np.array([100.0, -50.0, -700.0, 20.0, 10.0, -5.0])
 OLD_LOAD = np.array([0.0, 0.0, -300.0, 0.0, 0.0, 0.0])

@@ -11,6 +11,7 @@ import pytest
 from drivers.signals import Fault, Mode, Stop
 from drivers.tick_columns import new_record
 from hil.app.compose import build_cycle
+from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.modes import Durations
@@ -18,7 +19,6 @@ from hil.robot.kinematics import leg_lengths
 from hil.trajectory.override import PEAK
 from tests.hil.test_cycle import Bench
 from tests.hil.test_cycle_again import LIVE, VIRTUAL, a_bench
-from tests.records import record_of
 
 UNLIKE = VIRTUAL.engage.model_copy(
     update={"force_ramp_s": 0.02, "brake_release_s": 0.03, "brake_close_s": 0.07, "stop_s": 0.9}

@@ -18,14 +18,14 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load, loads
+from hil.contracts.drives_end import answers
+from hil.contracts.messages import DeviceCommand, Sync, hear
 from hil.loop.clock import Deadlines
 from hil.loop.daemon import Shell, _answers, run, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from plant_fmu.drives import drives_end
-from tests.drivers.drives_end import answers
 from tests.drivers.frames_heard import got
-from tests.drivers.messages import DeviceCommand, Sync, hear
 
 TICK = 1003
 

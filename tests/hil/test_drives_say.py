@@ -6,10 +6,10 @@ import pytest
 from drivers.compiled.compiler import kernel, record
 from drivers.signals import LEGS, DriveFault, DriveState, Mode
 from drivers.tick_columns import TICK
+from hil.contracts.records import record_of
 from hil.loop.compiled_pass import all_free
 from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready, unconfirmed
 from hil.safety.motion import REST_m_s
-from tests.records import record_of
 
 
 def one(leg, value, others):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ModelError
+from hil.contracts.records import referred
 from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kernel
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import forward_dynamics_kernel, inverse_dynamics_kernel, joint_idc_kernel
@@ -18,7 +19,6 @@ from hil.robot.kinematics import KinematicsError, jacobian, jacobian_rate
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.trajectory.path import PoseSample
 from tests.broad import broad
-from tests.records import referred
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ModelError
 from hil.config.model import ModelSettings
+from hil.contracts.records import arrived, asked
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.law import LawContext
 from hil.robot.dynamics import Model, Variant
@@ -21,7 +22,6 @@ from hil.robot.geometry import Platform
 from hil.robot.kinematics import KinematicsError
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from tests.records import arrived, asked
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())

@@ -17,6 +17,7 @@ from drivers.signals import LEGS, DriveState, Fault, Mode
 from drivers.tick_columns import Record, copy_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
+from hil.contracts.records import record_of
 from hil.estimation.external_wrench import ExternalWrench
 from hil.loop import effort as effort_module
 from hil.loop import modes
@@ -26,7 +27,6 @@ from hil.loop.learned import LearnedForces
 from hil.robot.force_path import ForcePath
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.move import GeodesicMove
-from tests.records import record_of
 
 OWN = np.array([100.0, -200.0, 300.0, -400.0, 500.0, -600.0])
 HOLDING = np.array([900.0, 800.0, 700.0, 600.0, 500.0, 400.0])

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hil.contracts.records import record_of
 from hil.estimation.pose import Estimator
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import KinematicsError, leg_lengths
 from hil.robot.kinematics_kernels import forward_kinematics_kernel, jacobian_kernel, leg_lengths_kernel
-from tests.records import record_of
 
 DATA = Path(__file__).parents[1] / "data"
 BOOK = json.loads((DATA / "book_platform.json").read_text())

@@ -10,11 +10,11 @@ from drivers.frame_array import sent_frames
 from drivers.legs.protocol import TRIES, LegsProtocol
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Fault, Foreign, Mode, Reaction, Warn
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, EmergencyStop, Status
 from hil.loop.report import waiting_text
 from hil.signals import Operator
-from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
-from tests.drivers.messages import Configure, EmergencyStop, Status
 from tests.hil.test_cycle import PERIOD_NS, Bench
 from tests.stories import fault_text
 

@@ -14,6 +14,7 @@ from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import DriveState
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
+from hil.contracts.records import altered, record_of
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_kernels import bend
 from hil.estimation.fusion_layout import LegErrors
@@ -21,7 +22,6 @@ from hil.estimation.fusion_tick import LEFT_OUT_TICKS, SLIP_TICKS
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from tests import sensed
-from tests.records import altered, record_of
 from tests.sensed import Readings, Sample
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())["geometry"]

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from drivers.compiled.compiler import MATRIX, kernel, record
 from drivers.compiled.pointed import context_of
 from drivers.tick_columns import TICK, part
+from hil.contracts.records import record_of
 from hil.estimation.fusion_kernels import fill_estimate
 from hil.estimation.fusion_layout import FUSION, STEP
 from tests.hil.test_fusion import PLATFORM, A, B, legs
-from tests.records import record_of
 
 fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
 ROBOT = context_of(FUSION, base_joints=A, platform_joints=B, radius=PLATFORM.radius)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from drivers.config import ImuSettings
 from hil.config.estimation import FusionSettings
+from hil.contracts.records import altered
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_tick import LEFT_OUT_TICKS, SLIP_TICKS
 from hil.robot.dynamics import Model
@@ -29,7 +30,6 @@ from tests.hil.test_fusion import (
     settled,
     update,
 )
-from tests.records import altered
 from tests.sensed import Readings, Sample
 
 ON_EACH_LEG = pytest.mark.parametrize("leg", range(6))

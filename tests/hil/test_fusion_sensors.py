@@ -12,6 +12,7 @@ from drivers.config import ImuSettings
 from drivers.signals import DriveState, Fault, Warn
 from drivers.tick_columns import TICK
 from hil.config.estimation import FusionSettings
+from hil.contracts.records import altered, record_of
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
 from hil.estimation.fusion_layout import FUSION, KEPT
@@ -33,7 +34,6 @@ from tests.hil.test_fusion import (
     legs,
     measurement,
 )
-from tests.records import altered, record_of
 from tests.sensed import Readings, Sample
 
 PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)

@@ -6,13 +6,13 @@ import pytest
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.compose import build_cycle
 from hil.config.operator import OperatorSettings
+from hil.contracts.records import record_of
 from hil.loop.cycle import REST_PATIENCE_S, Cycle
 from hil.signals import Operator, Order
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
 from tests.hil.test_cycle_again import VIRTUAL, ticked
 from tests.hil.test_operating import HOLD, KEY, PARK, START
-from tests.records import record_of
 
 END = 400
 """The tick at which the motion ends unless it is held."""

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from hil.contracts.records import referred
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import (
     KinematicsError,
@@ -21,7 +22,6 @@ from hil.robot.kinematics import (
 )
 from hil.robot.kinematics_kernels import forward_kinematics_kernel, leg_lengths_kernel
 from hil.trajectory.path import PoseSample
-from tests.records import referred
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())

@@ -15,16 +15,16 @@ from drivers.tick_columns import row_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
+from hil.contracts.drives_end import reading_of
+from hil.contracts.messages import Sync, hear, reply
+from hil.contracts.records import record_of
 from hil.estimation.fusion_tick import latched_at
 from hil.loop import latches
 from hil.loop.replay import recorded_input
 from hil.record.log import Tick
 from hil.signals import TickInput
 from plant_fmu.drives import drives_end
-from tests.drivers.drives_end import reading_of
 from tests.drivers.legs_frames import opening
-from tests.drivers.messages import Sync, hear, reply
-from tests.records import record_of
 
 
 def latch_ns(family, opening, sent_ns, woke_ns):

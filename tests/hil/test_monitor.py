@@ -13,6 +13,7 @@ from hil.app.configuration.configuration import load
 from hil.config.delay import DelayCompensation
 from hil.config.limits import LimitSettings
 from hil.config.monitor import MonitorSettings
+from hil.contracts.records import record_of
 from hil.control import LAWS
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.law import LawSettings
@@ -27,7 +28,6 @@ from hil.robot.kinematics import jacobian
 from hil.safety import Safety
 from hil.safety.certificate import NO_WATCH
 from hil.safety.error_axes import error_axes
-from tests.records import record_of
 
 T = 1e-3
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))

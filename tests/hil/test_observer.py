@@ -9,13 +9,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from drivers.signals import DriveState
+from hil.contracts.records import altered, record_of
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.observer import observe as take_on
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, leg_lengths
-from tests.records import altered, record_of
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])

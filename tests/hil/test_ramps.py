@@ -11,10 +11,10 @@ from drivers.signals import Mode
 from drivers.tick_columns import Record, copy_of
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
+from hil.contracts.records import record_of
 from hil.loop.ramps import holding_share, smoothstep, tau_at_rest
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.path import PoseSample
-from tests.records import record_of
 
 PLATFORM = build_platform(load("virtual").platform)
 QUARTER = 0.103515625

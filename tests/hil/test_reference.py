@@ -9,11 +9,11 @@ import pytest
 from drivers.signals import Mode
 from hil.config.reference import WaypointReference
 from hil.config.values import Pose
+from hil.contracts.records import referred
 from hil.robot.geometry import Platform
 from hil.signals import Operator
 from hil.trajectory.build import build_trajectory
 from tests.hil.test_cycle_again import a_bench
-from tests.records import referred
 
 BOOK = json.loads((Path(__file__).parent.parent / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])

@@ -8,11 +8,11 @@ import pytest
 from drivers.arrays import Array
 from drivers.signals import DriveState, Fault, Foreign, Mode, Stop, Warn
 from hil.config.limits import LimitSettings
+from hil.contracts.records import record_of
 from hil.safety import guard
 from hil.safety.certificate import Watch
 from hil.safety.encoder_limits import NONE
 from tests.hil.encoder_bench import probed
-from tests.records import record_of
 
 POWERED = (
     Mode.LOADING,

@@ -22,6 +22,7 @@ from drivers.tick_columns import tick_at
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.config.estimation import FusionSettings
+from hil.contracts.records import record_of
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_layout import LegErrors
@@ -31,7 +32,6 @@ from hil.loop.cycle import Cycle
 from hil.loop.sight import Sight
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
-from tests.records import record_of
 
 VIRTUAL = load("virtual")
 ALL = 0b111111

@@ -27,6 +27,9 @@ from hil.app.encoder_limits import encoder_limits
 from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Status
+from hil.contracts.records import altered, arrived, record_of
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_layout import LegErrors
@@ -42,11 +45,8 @@ from hil.safety.certificate import Watch
 from hil.signals import Operator
 from tests import sensed
 from tests.broad import broad
-from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import SETUP, one_feedback
-from tests.drivers.messages import Status
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
-from tests.records import altered, arrived, record_of
 from tests.sensed import Readings, Sample
 
 ODD = 0x5EED_5EED_5EED_5EED | 1

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from drivers.signals import NEVER, Fault, Mode
+from hil.contracts.records import record_of
 from hil.loop.console import status_text, waits_for
 from hil.loop.operating import NO_KEY
-from tests.records import record_of
 
 
 def course(

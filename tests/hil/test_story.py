@@ -17,16 +17,16 @@ from drivers.legs.messages import set_up_checksum
 from drivers.protocol import DriveSetup
 from drivers.signals import DriveFault, DriveState, Fault, Foreign, Mode, Reaction, Stop, Warn
 from hil.app.configuration.configuration import load
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, Status
+from hil.contracts.records import altered
 from hil.loop.story.faults import FAULTS
 from hil.loop.story.narrator import Narrator, said
 from hil.loop.story.told import DONE, GLOSSARY, DriveSaid, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
-from tests.drivers.drives_end import reports
-from tests.drivers.messages import Configure, Status
 from tests.hil.test_cycle import Bench
 from tests.hil.test_frames import OURS
-from tests.records import altered
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / GLOSSARY).read_text()

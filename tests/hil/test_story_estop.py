@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from drivers.signals import DriveFault, DriveState, Mode, Reaction
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, Status
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Step, Story
 from hil.signals import Operator
-from tests.drivers.drives_end import reports
-from tests.drivers.messages import Configure, Status
 from tests.hil.test_cycle import Bench
 from tests.hil.test_frames import OURS
 from tests.hil.test_story import go_on

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from drivers.signals import DriveState, Fault, Mode
+from hil.contracts.records import altered
 from hil.loop.story.narrator import Narrator
 from hil.signals import Operator
 from tests.hil.test_cycle import Bench
 from tests.hil.test_story import told
-from tests.records import altered
 
 OFF, READY, RUN = (int(state) for state in (DriveState.OFF, DriveState.READY, DriveState.RUN))
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from drivers.signals import Mode
+from hil.contracts.records import record_of
 from hil.loop.report import moving_text, waiting_text
 from hil.safety.motion import REST_m_s
 from tests.hil.test_cycle import Bench
-from tests.records import record_of
 
 
 class Late(Bench):

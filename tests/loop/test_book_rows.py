@@ -26,6 +26,7 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.sim.lockstep import Lockstep
+from hil.contracts.records import asked, referred
 from hil.control.law import LawContext
 from hil.loop.cycle import Cycle
 from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
@@ -38,7 +39,6 @@ from plant_fmu.plant import Robot
 from plant_fmu.stewart.build import build
 from plant_fmu.stewart.plant import stewart_parameters
 from tests.broad import broad
-from tests.records import asked, referred
 
 ROWS = json.loads((Path(__file__).parents[1] / "data" / "book_closed_loop.json").read_text())["rows"]
 LOADED = "joint_FF_PD_exact_10kN_step_xyz_from_0.5s_1kHz_ZOH"

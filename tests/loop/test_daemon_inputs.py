@@ -14,6 +14,7 @@ from drivers.protocol import Frame, Received
 from drivers.signals import BusState, DriveMode, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import load
+from hil.contracts.messages import DeviceCommand, hear
 from hil.loop.clock import Wake
 from hil.loop.daemon import Shell, _ask, run, switch_off
 from hil.loop.panel import OperatorPanel
@@ -21,7 +22,6 @@ from hil.loop.run_end import Course
 from hil.operate.channel import Heard
 from hil.signals import Operator, Order, TickInput
 from plant_fmu.drives import drives_end
-from tests.drivers.messages import DeviceCommand, hear
 from tests.drivers.stub_protocol import InPython
 from tests.loop.test_run_end_daemon import Wire
 

@@ -16,11 +16,11 @@ import pytest
 from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
+from hil.contracts.records import referred
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.build import build_trajectory
 from tests.loop import unrecorded
-from tests.records import referred
 
 W_N = 20.0
 SHARE_kg = 1000.0

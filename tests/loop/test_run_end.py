@@ -10,10 +10,10 @@ import pytest
 from drivers.protocol import DriveSetup
 from drivers.signals import NEVER, DriveState, Fault, Mode, Reaction, Stop
 from drivers.tick_columns import FIRST
+from hil.contracts.records import altered, record_of
 from hil.loop.modes import Durations
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
-from tests.records import altered, record_of
 
 RATE_Hz = 100.0
 SET_UP = SimpleNamespace(

@@ -10,9 +10,9 @@ import pytest
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
-from tests.drivers.drives_end import reports
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, Rejected, Status
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.drivers.messages import Configure, Rejected, Status
 from tests.plant_fmu.test_nodes import MS, Rig
 
 LAYOUTS = ("classic", "fd", "ideal")

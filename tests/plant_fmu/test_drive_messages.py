@@ -16,15 +16,15 @@ from drivers.frame_array import FRAME
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received, Traits
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, Status
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.ends import ALIVE
 from plant_fmu.drives.legs import LegsDrives
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import DriveSilence
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.drives_end import reports
 from tests.drivers.legs_frames import command_frames, opening
-from tests.drivers.messages import Configure, Status
 from tests.plant_fmu.test_nodes import MS, Masses, Rig
 
 

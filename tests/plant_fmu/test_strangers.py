@@ -15,13 +15,13 @@ from drivers.family import Family
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
+from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.gateway import Gateway
 from plant_fmu.faults import stranger
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import BusSecondController, FramesForgedCommand
 from plant_fmu.faults.plan import FaultPlan, Schedule
-from tests.drivers.protocol_contract import PERIOD_NS, Ends, at_tick
 from tests.hil.lab.bringup.families import FAMILIES, family
 
 FORCE_N = 30.0

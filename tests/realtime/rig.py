@@ -23,10 +23,10 @@ from drivers.can.bus import Bus
 from drivers.signals import LEGS, NEVER, DriveMode
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
+from hil.contracts.messages import DeviceCommand, Sync
 from hil.loop.clock import fifo_allowed
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import decode, parse
-from tests.drivers.messages import DeviceCommand, Sync
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = "test-" + os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))[:12]

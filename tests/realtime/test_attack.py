@@ -20,10 +20,10 @@ from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from hil.app.check.command import stopping_distances_m
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration, load
+from hil.contracts.messages import Sync
 from hil.record.log import Log
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
-from tests.drivers.messages import Sync
 from tests.realtime.rig import Listener, Process, configuration, gone
 
 pytestmark = [pytest.mark.realtime(patient=True), pytest.mark.long]

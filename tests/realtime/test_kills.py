@@ -16,10 +16,10 @@ from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Fault
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
+from hil.contracts.messages import DeviceCommand
 from hil.record.log import Log
 from hil.record.salvage import salvage
 from tests.drivers.legs_frames import parse
-from tests.drivers.messages import DeviceCommand
 from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, wait_until_gone
 
 pytestmark = pytest.mark.realtime

@@ -15,9 +15,9 @@ from drivers.protocol import Frame
 from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
+from hil.contracts.messages import Sync
 from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.drivers.messages import Sync
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
 pytestmark = pytest.mark.realtime(patient=True)

@@ -18,6 +18,7 @@ from drivers.signals import Command, DriveMode, Mode
 from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
+from hil.contracts.records import asked, record_of
 from hil.control import LAWS
 from hil.control.law import LawContext
 from hil.loop.parts import Parts
@@ -26,7 +27,6 @@ from hil.study.campaign.plan import read_plan
 from hil.trajectory.holding import HoldTrajectory
 from tests.drivers.legs_frames import command_frames, opening
 from tests.hil.study.campaign.campaigns import SMALL, written
-from tests.records import asked, record_of
 from tools.benchmarks import campaign, cyclictest, realtime, versions
 from tools.benchmarks.__main__ import PARTS, main
 from tools.benchmarks.benchmark import CHANNEL, Benchmark

@@ -12,9 +12,9 @@ from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 from hil.app.encoder_limits import encoder_limits, friction_N, read_noise
 from hil.app.unknown_payload import unknown_payload
+from hil.contracts.records import record_of
 from hil.safety import Safety
 from tests.hil.encoder_bench import WIDE, six
-from tests.records import record_of
 
 pytestmark = pytest.mark.usefixtures("unproven")
 

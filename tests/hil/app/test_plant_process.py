@@ -26,8 +26,8 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import plant_process
 from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
 from hil.cli import main
-from tests.drivers.by_value import ByValue
-from tests.drivers.messages import Configure
+from hil.contracts.by_value import ByValue
+from hil.contracts.messages import Configure
 from tests.hil.lab.bringup.families import FAMILIES
 
 Begin = Callable[[str], SupervisedPlant]

@@ -15,7 +15,7 @@ from drivers.protocol import Frame
 from hil.app import plant
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
-from tests.records import record_of
+from hil.contracts.records import record_of
 
 LATER = Frame(5, b"later")
 

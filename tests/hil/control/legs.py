@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.contracts.records import arrived, asked
 from hil.control.law import LawContext
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from tests.records import arrived, asked
 
 BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])

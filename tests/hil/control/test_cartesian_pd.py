@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.config.model import ModelSettings
+from hil.contracts.records import arrived, asked, referred
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.law import LawContext
 from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from tests.records import arrived, asked, referred
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 NONE = np.zeros(6)

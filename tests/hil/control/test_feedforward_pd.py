@@ -11,13 +11,13 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.config.model import ModelSettings
 from hil.config.reference import Waypoint, WaypointReference
+from hil.contracts.records import altered, arrived, asked, referred
 from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.law import LawContext
 from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
-from tests.records import altered, arrived, asked, referred
 
 DATA = Path(__file__).parents[2] / "data"
 BOOK = json.loads((DATA / "book_platform.json").read_text())

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.contracts.records import altered, arrived, asked
 from hil.control import LAWS
 from hil.trajectory.path import PoseSample
 from tests.hil.control.legs import CONTEXT, HOME, PLATFORM
-from tests.records import altered, arrived, asked
 
 SIX = np.array([1.0, 1.7, 0.6, 2.3, 0.8, 1.2])
 GAINS: dict[str, dict[str, float]] = {

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from hil.contracts.records import asked, referred
 from hil.control.law import LawContext
 from hil.control.partial_linearisation import PartialLinearisationSettings
 from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from tests.records import asked, referred
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 SETTINGS = PartialLinearisationSettings(law="partial_linearisation", wn_rad_s=20.0, damping_ratio=0.5)

@@ -9,10 +9,10 @@ import pytest
 
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load, loads
+from hil.contracts.records import asked, record_of
 from hil.control.pd import JointPD
 from hil.control.pid import JointPID
 from tests.loop import unrecorded
-from tests.records import asked, record_of
 
 NONE = np.zeros(6)
 PERIOD = 1e-3

@@ -8,10 +8,10 @@ import pytest
 from drivers.compiled.compiler import INTEGER, kernel, record
 from drivers.compiled.pointed import address_of, of_python
 from drivers.tick_columns import TICK, copy_of
+from hil.contracts.records import asked, record_of
 from hil.control.pd import JointPD
 from hil.control.pointed_law import ask, called_by_pointer
 from tests.hil.control.test_laws import BOOK, SETTINGS, make, on_reference, sample
-from tests.records import asked, record_of
 
 
 @kernel(INTEGER, INTEGER, INTEGER, INTEGER, record(TICK))

@@ -10,12 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from hil.contracts.records import altered, asked, referred
 from hil.control.law import LawContext
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings, demanded_dtwist, pose_errors
 from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from tests.records import altered, asked, referred
 
 TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 W_N = np.array([3.0, 4.0, 5.0, 3.0, 4.0, 5.0])

@@ -12,6 +12,7 @@ from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.config.values import Pose
+from hil.contracts.records import arrived, asked
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.linearised_axes import accelerations, pose_acceleration
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings, pose_errors
@@ -21,7 +22,6 @@ from hil.mathematics.rotations import rotation_from_vector, rotation_vector
 from hil.robot.dynamics import Model
 from hil.trajectory.path import PoseSample
 from tests.hil.control.legs import BOOK, CONTEXT, NONE, PLATFORM, at_rest
-from tests.records import arrived, asked
 
 CASE = BOOK["states"][7]
 PUSH = np.array([1e3, -2e3, 500.0, 0.0, 3e3, -700.0])

@@ -16,6 +16,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.configuration.platform import pose_arrays
 from hil.config.reference import HoldReference
+from hil.contracts.records import record_of
 from hil.loop.modes import Durations
 from hil.study.faults import case_run
 from hil.study.faults import cases as cases_module
@@ -26,7 +27,6 @@ from hil.study.faults.expected import PLANT_FAILS
 from hil.study.faults.sizes import draw, robot_of
 from hil.study.faults.verdict import Bounds
 from hil.trajectory.path import PoseSample
-from tests.records import record_of
 
 BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_s=0.01)
 REFUSED = "the FMU refused to step"

@@ -12,6 +12,7 @@ from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
 from drivers.protocol import EXTENDED, REMOTE, Frame, Said
 from hil.app.compose import build_protocol
+from hil.contracts.messages import Rejected, hear
 from hil.lab.bringup.checklist import checklist
 from hil.lab.bringup.procedure import STEPS
 from hil.lab.bringup.store import refuse_malformed
@@ -19,7 +20,6 @@ from plant_fmu.drives import drives_end
 from plant_fmu.drives.cia402_dictionary import PLACE, defaults
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
-from tests.drivers.messages import Rejected, hear
 from tests.drivers.motor_families import Motors
 from tests.hil.lab.bringup.families import FAMILIES, family
 from tests.hil.lab.bringup.kit import Rehearsal

@@ -7,9 +7,9 @@ import numpy as np
 
 from drivers.arrays import Array, Ints
 from drivers.protocol import Frame
+from hil.contracts.messages import DeviceCommand, DeviceMessage, Status, Sync, announce, reply
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import READING
-from tests.drivers.messages import DeviceCommand, DeviceMessage, Status, Sync, announce, reply
 
 
 def answers(

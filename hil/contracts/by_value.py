@@ -16,10 +16,10 @@ from drivers.frame_array import sent_frames
 from drivers.protocol import ALWAYS, DriveSetup, Frame
 from drivers.signals import Command
 from drivers.tick_columns import Record
+from hil.contracts.drives_end import go_back, memory_of, reading_of
+from hil.contracts.messages import DeviceMessage, Status, Sync, announce, hear, reply
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.ends import DrivesEnd
-from tests.drivers.drives_end import go_back, memory_of, reading_of
-from tests.drivers.messages import DeviceMessage, Status, Sync, announce, hear, reply
 
 
 class Remembered:

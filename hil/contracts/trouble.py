@@ -18,15 +18,9 @@ from drivers.errors import ProtocolError
 from drivers.family import Family
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
-from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.kernels import fail
-from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.kinds import DriveReset, DriveSilence
-from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.by_value import ByValue
-from tests.drivers.messages import Configure, Status, announce
-from tests.drivers.protocol_contract import (
+from hil.contracts.by_value import ByValue
+from hil.contracts.messages import Configure, Status, announce
+from hil.contracts.protocol import (
     FORCE,
     LENGTH,
     PERIOD_NS,
@@ -35,6 +29,12 @@ from tests.drivers.protocol_contract import (
     ProtocolContract,
     reaction_of,
 )
+from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.kernels import fail
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.kinds import DriveReset, DriveSilence
+from plant_fmu.faults.plan import FaultPlan
 
 RUN = Command(DriveMode.RUN, FORCE)
 READY = Command(DriveMode.READY, np.zeros(LEGS))

@@ -23,14 +23,14 @@ from drivers.frame_array import NO_FRAMES, received_array
 from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
+from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.drives_end import answers
+from hil.contracts.messages import Sync
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveSilence, FramesLoss
 from plant_fmu.faults.plan import FaultPlan
-from tests.drivers.by_value import ByValue, Remembered
-from tests.drivers.drives_end import answers
-from tests.drivers.messages import Sync
 
 PERIOD_NS = 4_000_000
 SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)

@@ -1,0 +1,9 @@
+"""Contract suites for laws and drive protocols, ours and those of other packages.
+
+A test class inherits one: `hil.contracts.law.LawContract`, `hil.contracts.trouble.TroubleContract`. pytest loads
+this file by an entry point, so that assertions in the suites show their values.
+"""
+
+import pytest
+
+pytest.register_assert_rewrite("hil.contracts.law", "hil.contracts.protocol", "hil.contracts.trouble")

@@ -1,0 +1,106 @@
+"""What every control law promises. A law's test class gives its settings.
+
+::
+
+    class TestMine(LawContract):
+        settings = MySettings(law="mine", kp_N_m=1e5)
+"""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from drivers.tick_columns import Record
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.contracts.records import arrived, asked
+from hil.control.law import Law, LawContext, LawSettings
+from hil.loop.reference import fill_reference
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.geometry import Platform
+from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.path import PoseSample
+
+
+class LawContract:
+    """The suite: `settings`, or a fixture `law`, and where it matters a robot of one's own."""
+
+    settings: ClassVar[LawSettings]
+
+    @pytest.fixture
+    def platform(self) -> Platform:
+        """The robot of the shipped configuration `virtual`."""
+        return build_platform(load("virtual").platform)
+
+    @pytest.fixture
+    def home(self) -> PoseSample:
+        """A pose of the robot, at rest."""
+        return PoseSample(*pose_arrays(load("virtual").platform.home), np.zeros(6), np.zeros(6))
+
+    @pytest.fixture
+    def samples(self, home: PoseSample) -> list[PoseSample]:
+        """Poses near home in motion: within 3 cm and 0.1 rad, at up to some m/s, rad/s, m/s^2, rad/s^2."""
+        random = np.random.default_rng(5)
+        return [
+            PoseSample(
+                home.p + random.uniform(-0.03, 0.03, 3),
+                rotation_from_vector(random.uniform(-0.1, 0.1, 3)) @ home.R,
+                *random.normal(0.0, [[0.3], [2.0]], (2, 6)),
+            )
+            for _ in range(20)
+        ]
+
+    @pytest.fixture
+    def law(self, platform: Platform, home: PoseSample) -> Law:
+        return self.settings.build(LawContext(platform, "none", 1e-3, HoldTrajectory(home.p, home.R)))
+
+    @pytest.fixture
+    def ticks(self, platform: Platform, samples: list[PoseSample]) -> list[Record]:
+        return [arrived(platform, sample) for sample in samples]
+
+    def test_finite_in_finite_out(self, law: Law, ticks: list[Record]) -> None:
+        random = np.random.default_rng(7)
+        for tick in ticks:
+            tick["q"] += random.normal(0, 0.01, 6)
+            tick["dq"] += random.normal(0, 0.1, 6)
+            assert np.isfinite(asked(law, tick)).all()
+
+    def test_reset_repeats_to_the_bit(self, law: Law, ticks: list[Record]) -> None:
+        first = [asked(law, tick).tobytes() for tick in ticks]
+        law.reset()
+        assert [asked(law, tick).tobytes() for tick in ticks] == first
+
+    def test_any_finite_input_gives_a_number_or_nan(self, law: Law, platform: Platform) -> None:
+        """Poses far out of reach, any turn, speeds and shortfalls that no machine has; nothing is raised."""
+        random = np.random.default_rng(3)
+        for size in np.repeat([0.1, 1.0, 30.0, 1e3], 25):
+            p, p_d = random.normal(0, size, (2, 3))
+            R, R_d = (rotation_from_vector(turn) for turn in random.normal(0, 2.0, (2, 3)))
+            twist, twist_d, dtwist_d = random.normal(0, size, (3, 6))
+            tick = arrived(platform, PoseSample(p, R, twist, np.zeros(6)))
+            tick["q"] += random.normal(0, size, 6)
+            tick["wrench"] = random.normal(0, 1e3 * size, 6)
+            fill_reference(platform, PoseSample(p_d, R_d, twist_d, dtwist_d), tick)
+            assert not np.isinf(asked(law, tick, shortfall=random.normal(0, 1e4 * size, 6))).any()
+
+    def test_no_number_is_given_where_the_pose_has_none(self, law: Law, ticks: list[Record]) -> None:
+        """A pose that is not a number must never become a force: NaN, which safety latches, or a raised stop."""
+        tau = asked(law, ticks[0], q=np.nan, dq=np.nan, p=np.nan, R=np.nan, J=np.nan, twist=np.nan)
+        assert np.isnan(tau).all()
+
+    def test_what_a_limit_holds_back_does_not_pile_up(self, law: Law, ticks: list[Record]) -> None:
+        """Half of the force is given, for 2 s and for 20 s: the law wants the same in the end."""
+        tick = ticks[5]
+        tick["q"] -= 2e-3
+        limit = 0.5 * np.abs(asked(law, tick))
+        last = []
+        for calls in (2_000, 20_000):
+            law.reset()
+            tick["shortfall"] = 0.0
+            for _ in range(calls):
+                law.effort(tick)
+                tau = tick["tau_law"].copy()
+                tick["shortfall"] = np.clip(tau, -limit, limit) - tau
+            last.append(tau)
+        np.testing.assert_allclose(last[1], last[0], rtol=1e-9)

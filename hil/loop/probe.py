@@ -13,6 +13,11 @@ load: what inverse dynamics asks for along the reference, at the measured pose. 
 configured or identified counts. Beyond that band a free leg would be on its way: where it would have moved
 visibly, the leg is pushed on that way by twice the friction and more: one that stands for another reason,
 or by up to three times the friction, moves then.
+
+The load may be another than the model's. In motion a frozen reading strays from its reference, and the law's
+force shows it. At rest it does not. There, where the force that acts on any leg is beyond its band, less what
+the acceleration of the legs takes, the band of a leg that stands says nothing: it is pushed, too. While such
+a load acts one push decides nothing, as the load may hold the leg against it: the other way follows.
 """
 
 from math import copysign
@@ -24,11 +29,16 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.compiled.pointed import reals_at
 from drivers.signals import LEGS
+from hil.mathematics.linear_algebra import lu_factor, lu_solve
 from hil.robot.dynamics_kernels import FULL, SIZE, inverse_dynamics_kernel
 from hil.safety.residuals import MOVED
 
 KNOWN = 0.02
 """Share of its load by which the load of a leg may be wrong."""
+KNOWN_INERTIA = 0.2
+"""Share by which the force of an acceleration may be wrong."""
+LEAST_S, LONGEST_S = 0.01, 0.05
+"""For how long forces are compared with the load, at least and at most."""
 
 
 @helper
@@ -46,6 +56,9 @@ def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_
         wrench[:] = tick.wrench
     load = inverse_dynamics_kernel(c, FULL, tick.p, tick.R, tick.twist, tick.dtwist_d, wrench)
     acting = window[(memory.newest - limits.acting_ticks) % limits.window_ticks]
+    rests = np.abs(tick.dq_d).max() * LEAST_S <= limits.length_noise_m
+    is_unknown = weigh(tick, limits, memory, c, load, acting, wrench)
+    is_young = memory.weighed * limits.period_s < LEAST_S
     for i in range(LEGS):
         if not memory.strays >> i & 1:
             continue
@@ -58,7 +71,9 @@ def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_
         )
         if memory.push[i] != 0:
             way = 1 if memory.push[i] > 0 else -1
-            if abs(memory.push[i]) < limits.push_ticks or excess * way > 0.0:
+            if abs(memory.push[i]) == limits.push_ticks and (is_unknown or is_young):
+                memory.both_ways |= 1 << i
+            if abs(memory.push[i]) < limits.push_ticks or memory.both_ways >> i & 1 or excess * way > 0.0:
                 memory.push[i] += way
                 continue
             memory.push[i] = 0  # the law works against it: the push proves nothing
@@ -68,6 +83,45 @@ def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_
         memory.free_m[i] += memory.free_m_s[i] * limits.period_s
         if abs(memory.free_m[i]) > MOVED * limits.length_noise_m:
             memory.push[i] = 1 if memory.free_m[i] > 0.0 else -1
+        elif is_unknown and rests:
+            memory.push[i] = 1 if excess >= 0.0 else -1
+        memory.both_ways &= ~(1 << i)
+
+
+@helper
+def weigh(tick: Any, limits: Any, memory: Any, c: Array, load: Array, acting: Array, wrench: Array) -> bool:
+    """Tell whether a load acts that the model does not know; correct the load for how the legs accelerate.
+
+    Means since legs began to stray, N: what acted, less the load, less what changed the rates r of the legs,
+
+        J^-T M J^-1 (r - r_then) / T,    r = dq - dq_d.
+    """
+    if memory.weighed_tick != tick.tick or memory.weighed * limits.period_s >= LONGEST_S:
+        memory.weighed = 0
+        memory.impulse[:] = 0.0
+        for i in range(LEGS):
+            memory.rate_then[i] = tick.rate[i] - tick.dq_d[i]
+    memory.weighed_tick = tick.tick + 1
+    memory.weighed += 1
+    for i in range(LEGS):
+        memory.impulse[i] += (acting[i] - load[i]) * limits.period_s
+    T = memory.weighed * limits.period_s
+    if T < LEAST_S:
+        return False
+    changed, LU, order = np.empty(6), np.empty((6, 6)), np.empty(6, np.int64)
+    if not lu_factor(tick.J, LU, order):
+        return True
+    lu_solve(LU, order, (tick.rate - tick.dq_d - memory.rate_then) / T, changed)
+    moved = inverse_dynamics_kernel(c, FULL, tick.p, tick.R, tick.twist, tick.dtwist_d + changed, wrench)
+    is_unknown = False
+    for i in range(LEGS):
+        takes = moved[i] - load[i]
+        force = load[i] + memory.impulse[i] / T - takes
+        friction = limits.friction_N + KNOWN * abs(load[i]) + KNOWN_INERTIA * abs(takes)
+        if beyond(force, load[i], friction, limits.driving[i], limits.back_driving[i]) != 0.0:
+            is_unknown = True
+        load[i] = moved[i]
+    return is_unknown
 
 
 @helper
@@ -97,12 +151,14 @@ def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
 def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
     """Force that is added to a leg, N; 0 where it is not pushed.
 
-    Where it sticks, one way, within `rise` ticks to the whole force; 1: at once. Else `ticks` its first way,
-    then the other, along straight lines.
+    `ticks` its first way, then the other: along straight lines, or, where it sticks, within `rise` ticks to
+    the whole force; 1: at once.
     """
     if so_far == 0:
         return 0.0
     first, k = copysign(force, so_far), abs(so_far)
+    if sticks and k > ticks:
+        first, k = -first, k - ticks
     if sticks:
         return first * min(k / rise, 1.0)
     return first * min(2 * k, ticks, max(3 * ticks - 2 * k, -ticks)) / ticks

@@ -236,7 +236,8 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Any) -> None:
             else:
                 towards = memory.push[i] < 0 or (memory.push[i] == 0 and deviation[i] > 0.0)
                 memory.push[i] += -1 if towards else 1  # first towards its reference
-        if abs(memory.push[i]) > (1 if limits.sticks != 0 else 2) * limits.push_ticks:
+        ways = 2 if limits.sticks == 0 or memory.both_ways >> i & 1 else 1
+        if abs(memory.push[i]) > ways * limits.push_ticks:
             doubt_leg(tick, limits, memory, i, Doubt.STILL.value, moved, residuals.SUSPECT * noise)
 
 

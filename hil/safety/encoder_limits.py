@@ -94,6 +94,11 @@ ENCODER_MEMORY = [
     ("free_m", "<f8", (LEGS,)),  # how far a free leg would have gone meanwhile
     ("free_m_s", "<f8", (LEGS,)),  # how fast it would be
     ("push", "<i8", (LEGS,)),  # ticks of the push; < 0 retracts the leg
+    ("both_ways", "<i8"),  # bit i: the push on leg i goes the other way, too, as an unknown load acts
+    ("weighed_tick", "<i8"),  # tick + 1 in which the load was last compared with what acts
+    ("weighed", "<i8"),  # ticks in a row for which it was
+    ("impulse", "<f8", (LEGS,)),  # N s, of what acted beyond the load meanwhile
+    ("rate_then", "<f8", (LEGS,)),  # m/s, rates less those of the reference, before
     ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
 ]
 """Fields of what the rules remember of encoders."""

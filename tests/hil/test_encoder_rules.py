@@ -287,12 +287,12 @@ def test_residuals_stillness_of_one_leg_is_held_against_the_farthest_that_is_hea
 
 
 @BOTH_SIGNS
-def test_residuals_stillness_a_push_goes_one_way_where_the_leg_sticks_else_both_along_lines(sign):
+def test_residuals_stillness_a_push_goes_both_ways_at_once_where_the_leg_sticks_else_along_lines(sign):
     assert push_of(0, 5, 10.0, False, 1) == push_of(0, 5, 10.0, True, 1) == 0.0
     ticks = [sign * n for n in (1, 2, 5, 6, 10, 11)]
     lines = [sign * push_of(n, 5, 10.0, False, 1) for n in ticks]
     assert lines == [4.0, 8.0, 10.0, 6.0, -10.0, -10.0]
-    assert [sign * push_of(n, 5, 10.0, True, 1) for n in ticks] == [10.0] * 6
+    assert [sign * push_of(n, 5, 10.0, True, 1) for n in ticks] == [10.0] * 3 + [-10.0] * 3
     assert [sign * push_of(sign * n, 11, 10.0, True, 4) for n in range(6)] == [0.0, 2.5, 5.0, 7.5, 10.0, 10.0]
 
 

@@ -16,7 +16,7 @@ from hil.app.configuration.platform import build_platform
 from hil.app.reachability import span_s
 from hil.config.reference import HoldReference, LiveReference
 from hil.robot.kinematics import jacobian
-from hil.study.faults.sizes import SIZES, Robot, draw, robot_of
+from hil.study.faults.sizes import Robot, robot_of, size_of
 from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant
 from plant_fmu.faults import FAULTS
@@ -93,21 +93,16 @@ def cases(
 def _sizes(
     r: Robot, name: str, moment: Moment, legs: Sequence[int], seed: int | None
 ) -> Iterator[dict[str, Any]]:
-    """Yield leg and size of a kind, once for each leg that is asked for; of a seed, one that it draws."""
-    fields, size = FAULTS[name].model_fields, SIZES.get(name)
+    """Yield leg and size of a kind, once for each leg of `legs`; of a seed, one that it draws."""
+    fields = FAULTS[name].model_fields
     of_a_leg = "leg" in fields
-    if seed is None:
-        for leg in (legs or (LEG,)) if of_a_leg else (LEG,):
-            usual = {} if size is None else size.usual(r, leg)
-            yield ({"leg": leg} if of_a_leg else {}) | usual
-        return
-    chance = np.random.default_rng((seed, crc32(f"{name}/{moment}".encode())))
-    leg = int(chance.choice(legs or range(LEGS)))
-    drawn: dict[str, Any] = {"leg": leg} if of_a_leg else {}
-    drawn |= draw(name, r, leg, chance)
-    if "seed" in fields:
-        drawn["seed"] = int(chance.integers(1 << 31))
-    yield drawn
+    chance = None if seed is None else np.random.default_rng((seed, crc32(f"{name}/{moment}".encode())))
+    whose = legs if legs and of_a_leg else (LEG,)
+    for leg in whose if chance is None else [int(chance.choice(legs or range(LEGS)))]:
+        size = ({"leg": leg} if of_a_leg else {}) | size_of(name, r, leg, chance)
+        yield (
+            size if chance is None or "seed" not in fields else size | {"seed": int(chance.integers(1 << 31))}
+        )
 
 
 def _chosen(found: list[Case], only: Sequence[str]) -> list[Case]:

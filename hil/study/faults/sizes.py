@@ -24,13 +24,8 @@ class Robot(NamedTuple):
     period_ms: float
 
 
-class Size(NamedTuple):
-    """The size of a kind of fault."""
-
-    usual: Callable[[Robot, int], dict[str, Any]]
-    """Return its keys for a leg."""
-    drawn: Callable[[Robot, int, Chance], dict[str, Any]]
-    """Return them from the range of the kind, with either sign where it has one."""
+Size = Callable[[Robot, int, Chance | None], dict[str, Any]]
+"""Robot, leg and what draws -> keys of a kind; the usual ones where nothing draws."""
 
 
 def robot_of(c: Configuration) -> Robot:
@@ -42,120 +37,107 @@ def robot_of(c: Configuration) -> Robot:
     return Robot(c, np.abs(tau), weight, 1e3 / c.loop.rate_Hz)
 
 
-def _between(chance: Chance, low: float, high: float) -> float:
+def _log(chance: Chance, low: float, high: float) -> float:
     """Draw a number whose logarithm is uniform: small ones as often as large ones."""
     return float(np.exp(chance.uniform(np.log(low), np.log(high))))
 
 
-def _within(chance: Chance, low: float, high: float) -> float:
+def _even(chance: Chance, low: float, high: float) -> float:
     return float(chance.uniform(low, high))
 
 
 def _signed(chance: Chance, low: float, high: float) -> float:
-    return float(chance.choice((-1.0, 1.0))) * _between(chance, low, high)
+    return float(chance.choice((-1.0, 1.0))) * _log(chance, low, high)
 
 
-def _share(r: Robot, leg: int, of_need: float) -> dict[str, Any]:
-    """Return the share of a brake's force that is so much of what the leg needs to stand."""
+def _whole(chance: Chance, low: float, high: float) -> int:
+    return int(chance.integers(int(low), int(high)))
+
+
+def _row(
+    key: str,
+    usual: float | None,
+    draw: Callable[[Chance, float, float], float],
+    low: float,
+    high: float,
+    scaled: Callable[[Robot, int, float], float] = lambda _r, _leg, x: x,
+) -> Size:
+    """Size with one key: its usual value, None: the default of the kind; range, and unit of the robot."""
+
+    def size(r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
+        x = usual if chance is None else draw(chance, low, high)
+        return {} if x is None else {key: scaled(r, leg, x)}
+
+    return size
+
+
+def _periods(r: Robot, _leg: int, x: float) -> float:
+    return r.period_ms * x
+
+
+def _rated(r: Robot, _leg: int, x: float) -> float:
+    return r.c.drives.force_limit_N * x
+
+
+def _of_brake(r: Robot, leg: int, of_need: float) -> float:
+    """Share of a brake's force that is so much of what the leg needs to stand."""
     assert r.c.plant is not None
     model = r.c.plant.model
     whole = model.brake_force_N if isinstance(model, StewartPlant) else r.c.drives.force_limit_N
-    return {"share": min(1.0, of_need * float(r.static_N[leg]) / whole)}
+    return min(1.0, of_need * float(r.static_N[leg]) / whole)
 
 
-def _most_N(r: Robot, leg: int, of_need: float) -> dict[str, Any]:
-    """Return a limit of a drive's force; without a load a share of the rated force."""
-    return {"limit_N": of_need * float(r.static_N[leg]) or 0.02 * r.c.drives.force_limit_N}
+def _of_load(r: Robot, leg: int, of_need: float) -> float:
+    """Limit of a drive's force; without a load a share of the rated force."""
+    return of_need * float(r.static_N[leg]) or 0.02 * r.c.drives.force_limit_N
 
 
-def _push(r: Robot, chance: Chance) -> dict[str, Any]:
-    """Draw a force from any direction."""
+def _push(r: Robot, _leg: int, chance: Chance | None) -> dict[str, Any]:
+    """Force from above, or from any direction."""
+    if chance is None:
+        return {"force_N": (0.0, 0.0, -0.25 * r.weight_N)}
     way = chance.standard_normal(3)
-    force = way / np.linalg.norm(way) * r.weight_N * _between(chance, 0.02, 0.25)
+    force = way / np.linalg.norm(way) * r.weight_N * _log(chance, 0.02, 0.25)
     return {"force_N": tuple(force.tolist())}
 
 
-def _payload(r: Robot, of_mass: float, position_m: tuple[float, float, float]) -> dict[str, Any]:
-    return {"mass_kg": of_mass * r.c.platform.platform.mass_kg, "position_m": position_m}
+def _payload(r: Robot, _leg: int, chance: Chance | None) -> dict[str, Any]:
+    of_mass, x, y = 0.2, 0.2, 0.0
+    if chance is not None:
+        of_mass, x, y = _log(chance, 0.02, 0.2), _even(chance, -0.2, 0.2), _even(chance, -0.2, 0.2)
+    return {"mass_kg": of_mass * r.c.platform.platform.mass_kg, "position_m": (x, y, 0.2)}
 
 
-def _place(chance: Chance) -> tuple[float, float, float]:
-    return _within(chance, -0.2, 0.2), _within(chance, -0.2, 0.2), 0.2
-
-
-def _probability(low: float, high: float) -> Callable[[Robot, int, Chance], dict[str, Any]]:
-    return lambda _r, _leg, chance: {"probability": _within(chance, low, high)}
-
-
+_FOREIGN = _row("force_N", None, _signed, 0.01, 0.2, _rated)
 SIZES: dict[str, Size] = {
-    "encoder_jump": Size(
-        lambda _r, _leg: {"by_m": 5e-3}, lambda _r, _leg, chance: {"by_m": _signed(chance, 1e-3, 0.5)}
-    ),
-    "encoder_drift": Size(
-        lambda _r, _leg: {"by_m_s": 5e-3}, lambda _r, _leg, chance: {"by_m_s": _signed(chance, 5e-4, 0.02)}
-    ),
-    "encoder_noise": Size(
-        lambda _r, _leg: {"sigma_m": 1e-4}, lambda _r, _leg, chance: {"sigma_m": _between(chance, 1e-6, 1e-3)}
-    ),
-    "encoder_late": Size(
-        lambda r, _leg: {"by_ms": r.period_ms},
-        lambda r, _leg, chance: {"by_ms": r.period_ms * _within(chance, 0.2, 2.0)},
-    ),
-    "encoder_scale": Size(
-        lambda _r, _leg: {"factor": 1.01},
-        lambda _r, _leg, chance: {"factor": 1.0 + _signed(chance, 1e-2, 0.05)},
-    ),
-    "drive_gain": Size(
-        lambda _r, _leg: {"factor": 0.5}, lambda _r, _leg, chance: {"factor": _within(chance, 0.0, 2.0)}
-    ),
-    "drive_saturation": Size(
-        lambda r, leg: _most_N(r, leg, 0.5),
-        lambda r, leg, chance: _most_N(r, leg, _between(chance, 0.1, 1.0)),
-    ),
-    "brake_slow": Size(
-        lambda _r, _leg: {"by_ms": 200.0}, lambda _r, _leg, chance: {"by_ms": _between(chance, 10.0, 500.0)}
-    ),
-    "brake_slipping": Size(
-        lambda r, leg: _share(r, leg, 0.5), lambda r, leg, chance: _share(r, leg, _within(chance, 0.0, 1.0))
-    ),
-    "frames_loss": Size(lambda _r, _leg: {"probability": 0.3}, _probability(0.01, 1.0)),
-    "frames_duplicate": Size(lambda _r, _leg: {}, _probability(0.1, 1.0)),
-    "frames_delay": Size(
-        lambda r, _leg: {"by_ms": 2.0 * r.period_ms},
-        lambda r, _leg, chance: {"by_ms": r.period_ms * _between(chance, 0.2, 5.0)},
-    ),
-    "frames_reorder": Size(lambda _r, _leg: {"probability": 0.5}, _probability(0.05, 1.0)),
-    "frames_corrupt": Size(lambda _r, _leg: {"probability": 0.3}, _probability(0.01, 1.0)),
-    "frames_old": Size(lambda _r, _leg: {}, lambda _r, _leg, chance: {"back": int(chance.integers(1, 20))}),
-    "frames_forged_command": Size(
-        lambda r, _leg: {"force_N": 0.1 * r.c.drives.force_limit_N},
-        lambda r, _leg, chance: {"force_N": r.c.drives.force_limit_N * _signed(chance, 0.01, 0.2)},
-    ),
-    "frames_forged_feedback": Size(
-        lambda _r, _leg: {"by_m": 5e-3}, lambda _r, _leg, chance: {"by_m": _signed(chance, 1e-3, 0.5)}
-    ),
-    "bus_second_controller": Size(
-        lambda r, _leg: {"rate_Hz": r.c.loop.rate_Hz},
-        lambda r, _leg, chance: {
-            "rate_Hz": r.c.loop.rate_Hz,
-            "force_N": r.c.drives.force_limit_N * _signed(chance, 0.01, 0.2),
-        },
-    ),
-    "wrench_step": Size(
-        lambda r, _leg: {"force_N": (0.0, 0.0, -0.25 * r.weight_N)}, lambda r, _leg, chance: _push(r, chance)
-    ),
-    "payload_step": Size(
-        lambda r, _leg: _payload(r, 0.2, (0.2, 0.0, 0.2)),
-        lambda r, _leg, chance: _payload(r, _between(chance, 0.02, 0.2), _place(chance)),
-    ),
+    "encoder_jump": _row("by_m", 5e-3, _signed, 1e-3, 0.5),
+    "encoder_drift": _row("by_m_s", 5e-3, _signed, 5e-4, 0.02),
+    "encoder_noise": _row("sigma_m", 1e-4, _log, 1e-6, 1e-3),
+    "encoder_late": _row("by_ms", 1.0, _even, 0.2, 2.0, _periods),
+    "encoder_scale": _row("factor", 0.01, _signed, 1e-2, 0.05, lambda _r, _leg, x: 1.0 + x),
+    "drive_gain": _row("factor", 0.5, _even, 0.0, 2.0),
+    "drive_saturation": _row("limit_N", 0.5, _log, 0.1, 1.0, _of_load),
+    "brake_slow": _row("by_ms", 200.0, _log, 10.0, 500.0),
+    "brake_slipping": _row("share", 0.5, _even, 0.0, 1.0, _of_brake),
+    "frames_loss": _row("probability", 0.3, _even, 0.01, 1.0),
+    "frames_duplicate": _row("probability", None, _even, 0.1, 1.0),
+    "frames_delay": _row("by_ms", 2.0, _log, 0.2, 5.0, _periods),
+    "frames_reorder": _row("probability", 0.5, _even, 0.05, 1.0),
+    "frames_corrupt": _row("probability", 0.3, _even, 0.01, 1.0),
+    "frames_old": _row("back", None, _whole, 1, 20),
+    "frames_forged_command": _row("force_N", 0.1, _signed, 0.01, 0.2, _rated),
+    "frames_forged_feedback": _row("by_m", 5e-3, _signed, 1e-3, 0.5),
+    "bus_second_controller": lambda r, leg, chance: {"rate_Hz": r.c.loop.rate_Hz} | _FOREIGN(r, leg, chance),
+    "wrench_step": _push,
+    "payload_step": _payload,
 }
 """Of the kinds that have a size and not only a default."""
 
 
-def draw(kind: str, r: Robot, leg: int, chance: Chance) -> dict[str, Any]:
-    """Return keys of a kind drawn from its range, to four digits: its words give them whole."""
-    drawn = SIZES[kind].drawn(r, leg, chance) if kind in SIZES else {}
-    return {key: _rounded(value) for key, value in drawn.items()}
+def size_of(kind: str, r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
+    """Keys of a kind, drawn ones to four digits: its words give them whole."""
+    found = SIZES[kind](r, leg, chance) if kind in SIZES else {}
+    return found if chance is None else {key: _rounded(value) for key, value in found.items()}
 
 
 def _rounded(value: Any) -> Any:

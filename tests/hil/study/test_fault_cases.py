@@ -24,7 +24,7 @@ from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
 from hil.study.faults.command import run_matrix
 from hil.study.faults.expected import PLANT_FAILS
-from hil.study.faults.sizes import draw, robot_of
+from hil.study.faults.sizes import robot_of, size_of
 from hil.study.faults.verdict import Bounds
 from hil.trajectory.path import PoseSample
 
@@ -211,7 +211,7 @@ def test_a_fault_in_motion_comes_where_a_leg_is_fastest_whichever_way_it_moves(m
 
 def test_pushes_are_drawn_from_all_sides():
     robot = robot_of(load("virtual"))
-    drawn = [draw("wrench_step", robot, 0, np.random.default_rng(seed))["force_N"] for seed in range(200)]
+    drawn = [size_of("wrench_step", robot, 0, np.random.default_rng(seed))["force_N"] for seed in range(200)]
     octants = {tuple(np.sign(force)) for force in drawn}
     assert len(octants) == 8
     sizes = np.linalg.norm(drawn, axis=1) / robot.weight_N

@@ -64,36 +64,20 @@ def paired(
     Raises LogError: a log is damaged.
     """
     blocks = [_from(log, names, start) for log, start in zip((one, other), starts, strict=True)]
-    held = [next(each, None) for each in blocks]
-    lacking = (alone.one, alone.other)
-    while True:
-        for n in (0, 1):
-            rows = held[n]
-            if rows is not None and not len(rows):
-                held[n] = next(blocks[n], None)
-        a, b = held
-        if a is None or b is None:
-            break
-        if not (len(a) and len(b)):
-            continue
-        counts = _count(a, starts[0]), _count(b, starts[1])
-        end = min(int(counts[0][-1]), int(counts[1][-1]))
-        cuts = [int(np.searchsorted(count, end, side="right")) for count in counts]
-        heads, rests = (
-            [rows[:cut] for rows, cut in zip((a, b), cuts, strict=True)],
-            [a[cuts[0] :], b[cuts[1] :]],
-        )
-        common, i, j = np.intersect1d(counts[0][: cuts[0]], counts[1][: cuts[1]], return_indices=True)
-        for n, kept in ((0, i), (1, j)):
-            lacking[n].add(np.delete(heads[n]["tick"], kept))
+    held, lacking = [next(each, None) for each in blocks], (alone.one, alone.other)
+    while (a := held[0]) is not None and (b := held[1]) is not None:
+        counts: tuple[Ints, Ints] = (a["tick"] - starts[0], b["tick"] - starts[1])
+        end = min(counts[0][-1], counts[1][-1])
+        common, i, j = np.intersect1d(*counts, return_indices=True)
         if len(common):
-            yield heads[0][i], heads[1][j]
-        held = [rests[0], rests[1]]
-    for n in (0, 1):
-        rest = held[n]
-        while rest is not None:
-            lacking[n].add(rest["tick"])
-            rest = next(blocks[n], None)
+            yield a[i], b[j]
+        for n, rows in enumerate((a, b)):
+            lacking[n].add(rows["tick"][(counts[n] <= end) & ~np.isin(counts[n], common)])
+            rest = rows[counts[n] > end]
+            held[n] = rest if len(rest) else next(blocks[n], None)
+    for n, left in enumerate(held):
+        for rows in () if left is None else (left, *blocks[n]):
+            lacking[n].add(rows["tick"])
 
 
 def _from(log: Log, names: tuple[str, ...], start: int) -> Iterator[Rows]:
@@ -101,8 +85,3 @@ def _from(log: Log, names: tuple[str, ...], start: int) -> Iterator[Rows]:
         kept = rows[rows["tick"] >= start]
         if len(kept):
             yield kept
-
-
-def _count(rows: Rows, start: int) -> Ints:
-    found: Ints = rows["tick"] - start
-    return found

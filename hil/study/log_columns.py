@@ -1,26 +1,47 @@
-"""Columns of a log by name: values, unit and names of values, from the table that the log carries."""
+"""Columns of a log by name, and one less another: units and names of values from the table in the log."""
 
 from collections.abc import Iterable, Sequence
 from enum import IntFlag
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
+from hil.record.selection import Component, components
 
 DIFFERENCE = " - "
 """Between two names: the one less the other."""
+
+
+class Curve(NamedTuple):
+    """One number over time, wherever its rows are."""
+
+    label: str
+    """`tau.leg_3`, or `q_d.leg_3 - q.leg_3`."""
+    unit: str
+    part: Component
+    less: Component | None = None
+    """What is subtracted."""
+
+    def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[Any]]:
+        """Values (n,) in rows."""
+        return self.part.of(rows) - self.less.of(rows) if self.less else self.part.of(rows)
+
+    @property
+    def title(self) -> str:
+        """Label with its unit."""
+        return titled(self.label, self.unit)
 
 
 class Signal(NamedTuple):
     """One number over time."""
 
     label: str
-    """Column, with the element where it has several."""
+    """As of a curve."""
     unit: str
-    """Empty for what has none."""
+    """Empty where there is no unit."""
     values: Array
     """(n,), one a row."""
     names: dict[str, int]
@@ -29,62 +50,51 @@ class Signal(NamedTuple):
     """The names are of bits, of which a value may have several."""
 
 
-def signals(columns: Sequence[Column], rows: Rows, name: str) -> list[Signal]:
-    """Return what a name stands for: `column`, `column.element`, or `one - other` of two alike.
+def titled(label: str, unit: str) -> str:
+    """Label with its unit, `tau.leg_3 [N]`."""
+    return f"{label} [{unit}]" if unit else label
 
-    rows has the dtype of the log. A column of several elements gives one signal each.
 
-    Raises
-    ------
-    LogError
-        No such column or element, or a difference of what is not alike.
+def curves(columns: Sequence[Column], name: str, log: str = "") -> list[Curve]:
+    """Curves of `column`, `column.element`, or `one - other` of two alike; one for each element.
 
+    Raises LogError, which names the log: no such column or element, or a difference of two of another shape
+    or unit.
     """
-    if DIFFERENCE not in name:
-        return _of(columns, rows, name.strip())
-    left, _, right = name.partition(DIFFERENCE)
-    pair = _of(columns, rows, left.strip()), _of(columns, rows, right.strip())
-    kinds = [[(s.unit, bool(s.names)) for s in side] for side in pair]
+    first, minus, second = (side.strip() for side in name.partition(DIFFERENCE))
+    ones = components(columns, [first], log)
+    if not minus:
+        return [Curve(part.label, part.unit, part) for part in ones]
+    others = components(columns, [second], log)
+    kinds = [[(part.unit, bool(part.column.names)) for part in side] for side in (ones, others)]
     if kinds[0] != kinds[1] or kinds[0][0][1]:
         raise LogError(
             f"{name}: no difference can be made: allowed are two columns of one shape and one unit"
         )
+    return [Curve(f"{a.label}{DIFFERENCE}{b.label}", a.unit, a, b) for a, b in zip(ones, others, strict=True)]
+
+
+def signals(columns: Sequence[Column], rows: Rows, name: str, log: str = "") -> list[Signal]:
+    """Curves of a name in rows, which have the dtype of the log. Raises LogError, as `curves`."""
     with np.errstate(invalid="ignore", over="ignore"):
         return [
-            a._replace(label=f"{a.label}{DIFFERENCE}{b.label}", values=a.values - b.values)
-            for a, b in zip(*pair, strict=True)
+            Signal(
+                curve.label,
+                curve.unit,
+                curve.of(rows).astype(np.float64),
+                curve.part.column.names,
+                issubclass(curve.part.column.type, IntFlag),
+            )
+            for curve in curves(columns, name, log)
         ]
 
 
-def _of(columns: Sequence[Column], rows: Rows, name: str) -> list[Signal]:
-    head, _, element = name.partition(".")
-    column = next((c for c in columns if c.name == head), None)
-    if column is None:
-        near = [c.name for c in columns if head and (head in c.name or c.name in head)]
-        allowed = ", ".join(near or [c.name for c in columns])
-        raise LogError(f"column {head!r}: there is none of that name, allowed: {allowed}")
-    parts = column.elements or tuple(map(str, range(column.size))) * bool(column.shape)
-    values = np.asarray(rows[column.name], np.float64).reshape(len(rows), max(len(parts), 1))
-    names, flags = column.names, issubclass(column.type, IntFlag)
-    if not parts:
-        if element:
-            raise LogError(f"column {name!r}: {head} is one number, allowed: {head!r}")
-        return [Signal(head, column.unit, values[:, 0], names, flags)]
-    if element and element not in parts:
-        raise LogError(f"column {name!r}: {head} has no element {element!r}, allowed: {', '.join(parts)}")
-    return [
-        Signal(f"{head}.{part}", column.units[k], values[:, k], names, flags)
-        for k, part in enumerate(parts)
-        if element in ("", part)
-    ]
-
-
 def named_columns(names: Iterable[str]) -> set[str]:
-    """Return the columns that names as `signals` takes them stand for."""
+    """Columns that names as `curves` takes them stand for."""
     sides = (side for name in names for side in name.split(DIFFERENCE))
     return {side.strip().partition(".")[0] for side in sides}
 
 
 def seconds(rows: Rows) -> Array:
-    """Return the time of each row (n,) in s since the first."""
+    """Time of each row (n,) in s since the first."""
     return np.asarray((rows["t_ns"] - rows["t_ns"][:1]) * 1e-9, np.float64)

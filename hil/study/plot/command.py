@@ -26,7 +26,7 @@ def plot(
 ) -> dict[str, Any]:
     """Draw columns of logs, one panel a name, and return the summary.
 
-    columns: names as `hil.study.log_columns.signals` takes them. start_s and end_s cut all logs, s since the
+    columns: names as `hil.study.log_columns.curves` takes them. start_s and end_s cut all logs, s since the
     first tick of each. Every log is drawn over the others, in a line style of its own.
 
     Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
@@ -74,7 +74,7 @@ def _read(
             for panel, name in zip(panels, names, strict=True):
                 panel += [
                     Curve(f"{shown[n]}: {s.label}" if len(logs) > 1 else s.label, n, t[kept], s)
-                    for s in signals(log.columns, rows[kept], name)
+                    for s in signals(log.columns, rows[kept], name, str(log_path))
                 ]
     return panels, remarks
 

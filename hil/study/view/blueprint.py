@@ -1,12 +1,18 @@
-"""What a Rerun viewer opens: the robot in 3D, lanes of states, plots in tabs, events."""
+"""What a Rerun viewer opens: the robot in 3D, lanes of states, plots in tabs, events; and where each is."""
 
 from collections.abc import Sequence
 from typing import Any
 
 from drivers.tick_columns import Column
+from hil.record.selection import Component
+from hil.study.log_columns import Curve
 from hil.study.view.panels import Plot, plots, states
-from hil.study.view.paths import EVENTS, SCENE, curve_path
 
+SCENE = "/robot"
+"""The robot; its frame is the base frame."""
+EVENTS = "/events"
+DIFFERENCES = "/differences"
+"""What is one column less another."""
 TIME = "log_time"
 """Time line that is shown: UTC."""
 
@@ -49,3 +55,20 @@ def _states(rrb: Any, topic: str, names: Sequence[str], title: str) -> Any:
 def _plot(rrb: Any, plot: Plot, topic: str) -> Any:
     contents = [f"+ {curve_path(topic, curve)}" for curve in plot.curves]
     return rrb.TimeSeriesView(origin="/", contents=contents, name=plot.title)
+
+
+def scalar_path(topic: str, part: Component) -> str:
+    """Return the entity of a component: `/tick/tau/leg_3`."""
+    return f"{topic}/{part.label.replace('.', '/')}"
+
+
+def difference_path(curve: Curve) -> str:
+    """Return the entity of a difference: `/differences/q_d-q/leg_3`."""
+    assert curve.less is not None
+    element = curve.part.label.removeprefix(curve.part.column.name).replace(".", "/")
+    return f"{DIFFERENCES}/{curve.part.column.name}-{curve.less.column.name}{element}"
+
+
+def curve_path(topic: str, curve: Curve) -> str:
+    """Return the entity of a curve."""
+    return difference_path(curve) if curve.less else scalar_path(topic, curve.part)

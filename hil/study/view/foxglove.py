@@ -4,14 +4,15 @@ Source: the exported layouts of Lichtblick 1.2x (`LayoutData` of @lichtblick/sui
 less another is made by a user script in the viewer.
 """
 
+import importlib.resources
 import json
 from collections.abc import Sequence
 from enum import IntFlag
 from typing import Any
 
 from drivers.tick_columns import Column
-from hil.record.scene import BASE
-from hil.study.view.panels import Curve, differences, field, plots, states
+from hil.study.log_columns import Curve
+from hil.study.view.panels import differences, field, plots, states
 
 SCRIPT_TOPIC = "/studio_script/differences"
 """Topic that the user script fills."""
@@ -21,12 +22,9 @@ _LANES = 24
 
 def layout(columns: Sequence[Column], topic: str) -> str:
     """Return the layout for logs with these columns as JSON."""
-    panels: dict[str, Any] = {
-        "3D!robot": _robot(),
-        "StateTransitions!mode": _transitions("Mode", _mode(columns, topic)),
-        "RosOut!events": {"topicToRender": "/events", "minLogLevel": 1, "searchTerms": []},
-        "RawMessages!row": {"topicPath": topic, "diffEnabled": False, "diffMethod": "previous message"},
-    }
+    fixed = importlib.resources.files("hil.study.view").joinpath("foxglove-panels.json").read_text("utf-8")
+    panels: dict[str, Any] = json.loads(fixed.replace("TOPIC", topic))
+    panels["StateTransitions!mode"] = _transitions("Mode", _mode(columns, topic))
     pages: dict[str, list[str]] = {}
     for plot in plots(columns):
         place = f"Plot!{_identifier(plot.title)}"
@@ -117,31 +115,6 @@ def _series(topic: str, curve: Curve) -> dict[str, Any]:
 def _transitions(title: str, lanes: Sequence[tuple[str, str]]) -> dict[str, Any]:
     paths = [{"value": path, "label": label, "timestampMethod": "receiveTime"} for label, path in lanes]
     return {"foxglovePanelTitle": title, "isSynced": True, "paths": paths}
-
-
-def _robot() -> dict[str, Any]:
-    grid = {"layerId": "foxglove.Grid", "instanceId": "grid", "frameId": BASE, "size": 4, "divisions": 8}
-    return {
-        "foxglovePanelTitle": "Robot",
-        "followTf": BASE,
-        "followMode": "follow-none",
-        "topics": {"/scene": {"visible": True}},
-        "transforms": {},
-        "scene": {"transforms": {"showLabel": True, "axisScale": 0.3}},
-        "layers": {"grid": {**grid, "visible": True, "label": "Grid"}},
-        "cameraState": {
-            "perspective": True,
-            "distance": 5,
-            "phi": 65,
-            "thetaOffset": 40,
-            "target": [0, 0, 0],
-            "targetOffset": [0, 0, 0.5],
-            "targetOrientation": [0, 0, 0, 1],
-            "fovy": 45,
-            "near": 0.01,
-            "far": 500,
-        },
-    }
 
 
 def _scripts(columns: Sequence[Column], topic: str) -> dict[str, Any]:

@@ -1,15 +1,12 @@
 """What the viewers show: the one table of plots, resolved against the columns that a log has."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from drivers.arrays import Rows
 from drivers.tick_columns import Column
 from hil.record.row import NUMBER
-from hil.record.selection import Component, components
-from hil.study.log_columns import DIFFERENCE
+from hil.record.selection import Component
+from hil.study.log_columns import DIFFERENCE, Curve, curves
 
 TABS: dict[str, dict[str, tuple[str, ...]]] = {
     "Errors": {"Leg error": ("q_d - q",), "Position error": ("p_d - p",), "Innovation": ("innovation_q",)},
@@ -30,37 +27,12 @@ NAMED_FIRST = ("mode", "command_mode", "faults", "warnings", "drive_state")
 """States that stand on top; the others follow in the order of the columns."""
 
 
-class Curve(NamedTuple):
-    """One line of a plot."""
-
-    label: str
-    """`tau.leg_3`, or `q_d.leg_3 - q.leg_3`."""
-    unit: str
-    part: Component
-    less: Component | None = None
-    """What is subtracted."""
-
-    def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[Any]]:
-        """Return its values (n,) in rows."""
-        return self.part.of(rows) - self.less.of(rows) if self.less else self.part.of(rows)
-
-    @property
-    def title(self) -> str:
-        """Label with its unit."""
-        return titled(self.label, self.unit)
-
-
 class Plot(NamedTuple):
     """Curves over time."""
 
     tab: str
     title: str
     curves: tuple[Curve, ...]
-
-
-def titled(label: str, unit: str) -> str:
-    """Return a label with its unit, `tau.leg_3 [N]`."""
-    return f"{label} [{unit}]" if unit else label
 
 
 def plots(columns: Sequence[Column]) -> list[Plot]:
@@ -70,17 +42,10 @@ def plots(columns: Sequence[Column]) -> list[Plot]:
     for tab, titles in TABS.items():
         for title, names in titles.items():
             kept = [name for name in names if there.issuperset(name.split(DIFFERENCE))]
-            curves = tuple(curve for name in kept for curve in _curves(columns, name))
-            if curves:
-                found.append(Plot(tab, title, curves))
+            shown = tuple(curve for name in kept for curve in curves(columns, name))
+            if shown:
+                found.append(Plot(tab, title, shown))
     return found
-
-
-def _curves(columns: Sequence[Column], name: str) -> list[Curve]:
-    sides = [components(columns, [side], "") for side in name.split(DIFFERENCE)]
-    if len(sides) == 1:
-        return [Curve(part.label, part.unit, part) for part in sides[0]]
-    return [Curve(f"{a.label}{DIFFERENCE}{b.label}", a.unit, a, b) for a, b in zip(*sides, strict=True)]
 
 
 def differences(columns: Sequence[Column]) -> list[Curve]:

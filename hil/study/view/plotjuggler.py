@@ -4,20 +4,17 @@ Source: `xmlLoadState` of MainWindow, PlotDocker, PlotWidget and DataLoadMCAP in
 of protobuf joins topic and fields by `/`, `/tick/tau/leg_3`; it draws numbers, so states stand by number.
 """
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from drivers.files import real_path
 from drivers.tick_columns import Column
-from hil.record.selection import Component, components
-from hil.study.view.panels import Curve, Plot, differences, field, plots
+from hil.record.selection import Component
+from hil.study.log_columns import Curve, curves
+from hil.study.view.panels import NAMED_FIRST, Plot, differences, field, plots
 
 COLOURS = ("#1f77b4", "#d62728", "#1ac938", "#ff7f0e", "#9467bd", "#17becf", "#f14cc1", "#bcbd22")
-_STATES = ("mode", "command_mode", "faults", "warnings", "drive_state")
-_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Signs that stand in no XML 1.0 file, and bytes of a path that are no UTF-8."""
 
 
 def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) -> str:
@@ -40,7 +37,7 @@ def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) ->
     ET.SubElement(area, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
     name = "" if log is None else str(real_path(log))
-    if name and not _NO_XML.search(name):
+    if name and name.isprintable():
         files = ET.SubElement(root, "previouslyLoaded_Datafiles")
         file = ET.SubElement(files, "fileInfo", filename=name, prefix="")
         plugin = ET.SubElement(file, "plugin", ID="DataLoad MCAP")
@@ -61,12 +58,8 @@ def series(topic: str, part: Component) -> str:
 
 
 def _states(columns: Sequence[Column]) -> list[Plot]:
-    found = []
-    for c in columns:
-        if c.name in _STATES and c.names:
-            curves = tuple(Curve(part.label, part.unit, part) for part in components(columns, [c.name], ""))
-            found.append(Plot("States", c.name, curves))
-    return found
+    shown = [c.name for c in columns if c.name in NAMED_FIRST and c.names]
+    return [Plot("States", name, tuple(curves(columns, name))) for name in shown]
 
 
 def _dock(splitter: ET.Element, plot: Plot, topic: str) -> None:

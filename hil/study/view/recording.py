@@ -19,11 +19,12 @@ from hil.record.log import Log
 from hil.record.scene import quaternion
 from hil.record.schema import CONFIGURATION
 from hil.record.selection import Component, components, name_of
+from hil.robot.around import around
+from hil.study.log_columns import titled
+from hil.study.report.scene import has_pose
 from hil.study.row_groups import row_groups
-from hil.study.view import scene
-from hil.study.view.blueprint import TIME, blueprint
-from hil.study.view.panels import differences, titled
-from hil.study.view.paths import EVENTS, SCENE, difference_path, scalar_path
+from hil.study.view.blueprint import EVENTS, SCENE, TIME, blueprint, difference_path, scalar_path
+from hil.study.view.panels import differences
 
 APPLICATION = "hexapod-hil"
 TICK = "tick"
@@ -32,6 +33,8 @@ GROUP = 8192
 """Rows that are written together."""
 POSES_PER_S = 100
 """Of the moving parts, at most."""
+THICKNESS = 0.03
+"""Of the lines of the robot, as a share of the base's radius."""
 _GREY, _BLUE, _ORANGE, _PALE = (115, 122, 133), (31, 107, 181), (237, 140, 36), (31, 107, 181, 90)
 
 
@@ -107,22 +110,16 @@ class _Writer:
     def _robot(self, a: Array, b: Array) -> None:
         """Write the parts that keep their shape; joints (n, 3) m in their own frames."""
         rr, stream = self._rr, self._stream
-        thick = scene.THICKNESS * float(np.linalg.norm(a, axis=1).max())
+        thick = THICKNESS * float(np.linalg.norm(a, axis=1).max())
         stream.log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        base = rr.LineStrips3D([scene.outline(a)], radii=thick / 2.0, colors=[_GREY])
+        base = rr.LineStrips3D([outline(a)], radii=thick / 2.0, colors=[_GREY])
         stream.log(f"{SCENE}/base", base, static=True)
-        solid = scene.plate(b, thick)
-        mesh = rr.Mesh3D(
-            vertex_positions=solid.vertices,
-            triangle_indices=solid.triangles,
-            vertex_normals=solid.normals,
-            albedo_factor=_BLUE,
-        )
-        stream.log(f"{SCENE}/platform", mesh, static=True)
+        platform = rr.LineStrips3D([outline(b)], radii=thick / 2.0, colors=[_BLUE])
+        stream.log(f"{SCENE}/platform", platform, static=True)
         # of the legs that move only the ends are written anew
         legs = rr.LineStrips3D.from_fields(radii=[thick / 2.0] * len(a), colors=[_ORANGE] * len(a))
         stream.log(f"{SCENE}/legs", legs, static=True)
-        ghost = rr.LineStrips3D([scene.outline(b)], radii=thick / 4.0, colors=[_PALE])
+        ghost = rr.LineStrips3D([outline(b)], radii=thick / 4.0, colors=[_PALE])
         stream.log(f"{SCENE}/reference", ghost, static=True)
 
     def _rows(self, rows: Rows) -> None:
@@ -166,14 +163,14 @@ class _Writer:
         """Write poses and legs, at most POSES_PER_S."""
         rows = rows[self._at_pose_rate(rows["t_ns"].tolist())]
         for name, p, R in (("platform", "p", "R"), ("reference", "p_d", "R_d")):
-            there = scene.posed(rows, p, R)
+            there = _posed(rows, p, R)
             if len(there):
                 turned = [quaternion(rotation.reshape(3, 3)) for rotation in there[R]]
                 columns = self._rr.Transform3D.columns(translation=there[p], quaternion=turned)
                 self._send(f"{SCENE}/{name}", self._index(there["tick"], there["t_ns"]), columns)
-        there = scene.posed(rows, "p", "R")
+        there = _posed(rows, "p", "R")
         if len(there):
-            strips = scene.legs(there, a, b)
+            strips = _legs(there, a, b)
             n, count = strips.shape[:2]
             columns = self._rr.LineStrips3D.columns(strips=list(strips.reshape(n * count, 2, 3)))
             index = self._index(there["tick"], there["t_ns"])
@@ -204,3 +201,22 @@ def _joints(log: Log) -> tuple[Array, Array] | None:
     except (LogError, ConfigurationError, ModelError):
         return None
     return np.array(robot["base_joints"], float), np.array(robot["platform_joints"], float)
+
+
+def outline(joints: Array) -> Array:
+    """Joints (n, 3) m by their angle about their centre, the first once more at the end."""
+    ring = joints[around(joints)]
+    return np.concatenate((ring, ring[:1]))
+
+
+def _posed(rows: Rows, p: str, R: str) -> Rows:
+    """Rows that hold a pose; none where the columns are missing."""
+    there = {p, R} <= set(rows.dtype.names or ())
+    found: Rows = rows[has_pose(rows, p, R)] if there else rows[:0]
+    return found
+
+
+def _legs(rows: Rows, a: Array, b: Array) -> Array:
+    """Both ends of the legs (n, legs, 2, 3) m, base frame: a_i, and p + R b_i."""
+    tops = rows["p"][:, None, :] + np.einsum("nij,kj->nki", rows["R"].reshape(-1, 3, 3), b)
+    return np.stack((np.broadcast_to(a, tops.shape), tops), axis=2)

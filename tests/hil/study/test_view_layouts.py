@@ -214,7 +214,7 @@ def test_a_layout_is_utf_8_that_xml_allows_in_any_locale_and_names_its_log_or_no
     VIEWERS["plotjuggler"].write(Log(log), file)
     named = [found.get("filename") for found in ET.parse(file).iter("fileInfo")]
     assert told == ["utf-8"]
-    assert named == ([] if name in {"bell\x07", "half\udcff", "\ufffe"} else [str(log)])
+    assert named == ([] if not name.isprintable() else [str(log)])
 
 
 @pytest.mark.parametrize(

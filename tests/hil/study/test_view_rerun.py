@@ -7,7 +7,6 @@ from itertools import groupby
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.spatial.transform import Rotation
 
 from drivers.errors import LogError
 from drivers.signals import Mode, Warn
@@ -17,7 +16,7 @@ from hil.record.log import Log
 from hil.study.export.command import export_log
 from hil.study.view import command
 from hil.study.view import recording as rrd
-from hil.study.view.scene import outline, plate
+from hil.study.view.recording import outline
 from tests.hil.samples import random_ticks, record
 
 EXTRA = "optional extra `viewers`: pip install 'hexapod-hil[viewers]'"
@@ -134,7 +133,7 @@ def test_the_platform_moves_as_the_log_says(query, rows):
         third = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
         np.testing.assert_allclose(third, by_tick[tick]["R"][:, 2], atol=1e-6)
     assert np.ptp([p[0][2] for p in pose.values()]) > 1e-3, "it has to move"
-    assert query("/robot/platform", "Mesh3D:triangle_indices"), "and there has to be something that moves"
+    assert query("/robot/platform", "LineStrips3D:strips"), "and there has to be something that moves"
 
 
 @pytest.mark.long
@@ -220,27 +219,6 @@ def test_without_the_extra_the_message_says_what_to_install(path, tmp_path, monk
 
 
 RING = np.array([[1.0, 0, 0], [1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0.0]])
-
-
-@pytest.mark.parametrize("turn", [[0, 0, 0], [np.pi / 2, 0, 0], [0, -np.pi / 2, 0], [1, -2, 0.5]])
-def test_a_plate_is_closed_and_looks_outward_in_whatever_plane_its_joints_lie(turn):
-    solid = plate(Rotation.from_rotvec(turn).apply(RING[[2, 0, 3, 1]]), 0.1)
-    corners = solid.vertices[solid.triangles]
-    volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-    assert volume == pytest.approx(0.1 * 0.5 * 1.5 * 1.6)  # thickness times the triangle's area
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert (np.einsum("ni,ni->n", flat, solid.normals[solid.triangles[:, 0]]) > 0).all()
-    np.testing.assert_allclose(np.linalg.norm(solid.normals, axis=1), 1)
-
-
-def test_a_side_between_joints_one_above_the_other_has_no_face_without_a_normal():
-    """Three pairs, one of them across the plate; the others have theirs in its plane."""
-    pair = np.array([[2.0, 0.0, 0.1], [2.0, 0.0, -0.1]])
-    ring = np.concatenate([pair, [[-1.0, 1.5, 0], [-1.2, 1.2, 0], [-1.2, -1.2, 0], [-1.0, -1.5, 0]]])
-    solid = plate(ring, 0.1)
-    assert np.linalg.norm(solid.normals, axis=1) == pytest.approx(np.ones(len(solid.normals)))
-    assert len(solid.vertices) == len(solid.normals) == 2 * 6 + 4 * 5
-    assert sorted(set(solid.triangles.ravel().tolist())) == list(range(len(solid.vertices)))
 
 
 def test_an_outline_goes_round_once_and_closes():

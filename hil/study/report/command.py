@@ -27,7 +27,7 @@ from hil.study.report import sections
 from hil.study.report.charts import Chart, charts
 from hil.study.report.html import Html, tag
 from hil.study.report.margins import margins
-from hil.study.report.page import drawn, figure, page
+from hil.study.report.page import asset, drawn, figure, page
 from hil.study.report.scene import scene
 from hil.study.report.story import Told, told
 from hil.study.report.timing import counts, spreads, stood_still, traffic
@@ -47,7 +47,7 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
         events = log.events()
         configuration, why_not = _configuration(log)
         codec = None if configuration is None else _codec(configuration)
-        story = told(log.metadata, events, found.rows, rate_Hz, codec)
+        story = told(log.metadata, found.rows, rate_Hz, codec)
         text = _page(path, found, configuration, why_not, story, events, rate_Hz)
     try:
         write_whole(target, text)
@@ -134,7 +134,7 @@ def _page(
     ]
     body += [sections.what_went_wrong(story)] if story.headline else []
     body.append(sections.limits([] if c is None else margins(rows, c, rate_Hz), t, why_not))
-    body += [_pose()] if moving is not None else []
+    body += [Html(asset("pose.html"))] if moving is not None else []
     machine = log.metadata.get(ENVIRONMENT, {}) | _scheduled(log)
     stood = figure_rows(stood_still(rows))
     certificate = sections.timing(
@@ -175,35 +175,3 @@ def _curves(shown: Sequence[Chart], t: Array, further: dict[str, list[Html]]) ->
         figures = [figure(chart, t) for chart in shown if chart.section == name]
         made.append(tag("section", tag("h2", name), *figures, *further.get(name, [])))
     return made
-
-
-def _pose() -> Html:
-    """Return the place of the 3D view and its handles."""
-    return tag(
-        "section",
-        tag("h2", "Pose"),
-        tag("canvas", id="scene", tabindex=0, role="img", aria_label="platform, legs and base in 3D"),
-        tag(
-            "div",
-            tag("button", "Play", id="play", type="button"),
-            tag(
-                "label",
-                "time ",
-                Html('<input id="time" type="range" min="0" max="1" step="0.001" value="0">'),
-            ),
-            tag("output", "0.000 s", id="now"),
-            tag(
-                "label",
-                "speed ",
-                tag("select", *(tag("option", f"{s:g}", value=s) for s in (1.0, 0.25, 0.1, 4.0)), id="speed"),
-            ),
-            class_="handles",
-        ),
-        tag(
-            "p",
-            "Drag or use the arrow keys to turn the view. Colour of a leg: its force, grey none, blue pulls, "
-            "orange pushes, of the largest that is allowed. Dashed: the reference.",
-            class_="note",
-        ),
-        id="pose",
-    )

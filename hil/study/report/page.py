@@ -16,8 +16,7 @@ import numpy as np
 from drivers.arrays import Array
 from hil.study.report.charts import Chart
 from hil.study.report.html import Html, joined, table, tag
-from hil.study.report.pack import packed
-from hil.study.report.thin import thin
+from hil.study.report.samples import packed, thin
 
 STYLES = ("uPlot.min.css", "report.css")
 SCRIPTS = ("uPlot.iife.min.js", "scene.js", "report.js")

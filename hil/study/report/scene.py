@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from drivers.arrays import Array, Rows
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import platform_dict
-from hil.study.report.pack import packed
+from hil.study.report.samples import packed
 
 FRAMES = 1500
 """At most; a picture of each moment between two is made by the page."""

@@ -42,9 +42,7 @@ def what_went_wrong(told: Told) -> Html:
             f.fault,
             "" if f.time_s is None else f"{f.time_s:.3f}",
             f.mode,
-            f.leg,
-            f.value,
-            f.limit,
+            *f.cells,
             prose(f.text),
         )
         for f in told.findings

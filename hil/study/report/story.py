@@ -1,39 +1,74 @@
-"""What a log tells of its faults: from the story of its end, else from its events, else from its rows."""
+"""What a log has of its faults: the story of its end, else the faults of its rows."""
 
-import json
 import re
-from collections.abc import Mapping, Sequence
-from math import isfinite
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from drivers.arrays import Rows
 from drivers.family import Family
-from drivers.signals import LEGS, DriveState, Fault, Mode
+from drivers.signals import DriveState, Fault, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.terminal import one_line
 from hil.loop.report import because
 from hil.loop.story.told import GLOSSARY, done_text
-from hil.record.log import Event
 from hil.record.schema import SUMMARY
 from hil.study.report.timeline import spells
 
 _NEXT = re.compile(r"next: (?P<text>.*) \((?P<page>[^()]*)\)")
+_END = "in the end: "
+Whole = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class Found(NamedTuple):
-    """One fault at one leg or as a whole, all of it as texts but the time."""
+class Finding(BaseModel):
+    """One fault at one leg or as a whole."""
 
     fault: str
-    time_s: float | None
-    mode: str
-    leg: str
-    value: str
-    limit: str
+    time_s: FiniteFloat | None = None
+    mode: str = ""
+    leg: Whole | None = None
+    value: FiniteFloat | str | None = None
+    limit: FiniteFloat | str | None = None
+    unit: str = ""
+    limit_key: str = ""
+    text: str = ""
+    next: str = ""
+    page: str = ""
+
+    @property
+    def cells(self) -> tuple[str, str, str]:
+        """Leg, value and limit in words; empty where the log has none."""
+        value, limit = (
+            quantity(x, self.unit) if isinstance(x, float) else x or "" for x in (self.value, self.limit)
+        )
+        key = f" ({self.limit_key})" if limit and self.limit_key else ""
+        return "" if self.leg is None else str(self.leg), value, limit + key
+
+
+class _Drive(BaseModel):
+    state: str = ""
+    fault: Whole = 0
+    age: Whole = 0
+
+    def words(self, protocol: Family | None) -> str:
+        heard = f", last heard {self.age} ticks before" if self.age else ""
+        return f"{self.state}{_reason(self.fault, protocol)}{heard}"
+
+
+class _Step(BaseModel):
     text: str
-    next: str
-    page: str
+    time_s: FiniteFloat | None = None
+
+
+class _Story(BaseModel):
+    """The story of a run's faults as the summary of its log has it."""
+
+    findings: tuple[Finding, ...] = ()
+    drives: Annotated[tuple[_Drive, ...], Field(max_length=6)] = ()
+    done: tuple[_Step, ...] = ()
+    lines: tuple[str, ...] = ()
 
 
 class Told(NamedTuple):
@@ -41,84 +76,55 @@ class Told(NamedTuple):
 
     headline: str
     """Empty where nothing is known to have gone wrong."""
-    findings: tuple[Found, ...]
+    findings: tuple[Finding, ...]
     drives: tuple[str, ...]
-    """What each drive said in the tick of the first fault."""
+    """What each drive reported in the tick of the first fault."""
     done: tuple[tuple[float | None, str], ...]
     """When, s, and what."""
     at_end: str
-    """What the drives said and what moved in the end; empty where the log does not have it."""
+    """What the drives reported and what moved in the end; empty where the log does not have it."""
     next: tuple[tuple[str, str], ...]
     """What to do, and the page that explains it."""
 
 
 def told(
-    metadata: Mapping[str, Mapping[str, str]],
-    events: Sequence[Event],
-    rows: Rows,
-    rate_Hz: float,
-    protocol: Family | None = None,
+    metadata: Mapping[str, Mapping[str, str]], rows: Rows, rate_Hz: float, protocol: Family | None = None
 ) -> Told:
-    """Return what went wrong in a run.
+    """Tell what went wrong in a run.
 
     metadata: that of the log; protocol: that of its configuration, None where that cannot be used. A story
-    that is no story of ours counts as none: a log may hold anything.
+    that is not one of ours counts as none: a log may hold anything.
     """
     ending = metadata.get(SUMMARY, {})
-    story = _mapping(ending.get("story", ""))
-    found = [_found(_mapping(each)) for each in _list(story.get("findings"))]
-    if not found:
-        found = [_found(fields) for event in events if (fields := _fields(event))]
-    if not found:
-        found = _from_rows(rows, rate_Hz)
-    reason = _text(ending.get("reason"))
+    try:
+        story = _Story.model_validate_json(ending.get("story", "{}"))
+    except ValidationError:
+        story = _Story()
+    found = story.findings or tuple(_from_rows(rows, rate_Hz))
     names = ", ".join(dict.fromkeys(each.fault for each in found))
-    headline = f"latched fault {names}" if names else reason
-    advice = _advice(story) or {each.next: each.page for each in found if each.next}
+    advice = [each.groupdict() for line in story.lines if (each := _NEXT.fullmatch(line))]
+    nexts = {each["text"]: each["page"] for each in advice} or {e.next: e.page for e in found if e.next}
+    first_s = min((each.time_s for each in found if each.time_s is not None), default=None)
     return Told(
-        headline,
-        tuple(found),
-        tuple(_drives(story.get("drives"), protocol) or _drives_of_row(rows, found, rate_Hz, protocol)),
-        tuple(_done(story, rows, found, rate_Hz, protocol)),
-        _at_end(story),
-        tuple(advice.items()),
+        one_line(f"latched fault {names}" if names else ending.get("reason", "")),
+        found,
+        tuple(each.words(protocol) for each in story.drives)
+        or _drives_of_row(rows, first_s, rate_Hz, protocol),
+        tuple((step.time_s, step.text) for step in story.done) or _done(rows, first_s, rate_Hz, protocol),
+        next((line.removeprefix(_END) for line in story.lines if line.startswith(_END)), ""),
+        tuple(nexts.items()),
     )
 
 
-def _fields(event: Event) -> dict[str, Any]:
-    """Return the fields of an event that tells a finding; empty for others."""
-    fields = _mapping(event.text.rpartition("\n")[2]) if event.level == "error" else {}
-    return fields if "fault" in fields else {}
-
-
-def _found(fields: Mapping[str, Any]) -> Found:
-    unit = _text(fields.get("unit"))
-    limit = _quantity(fields.get("limit"), unit)
-    key = _text(fields.get("limit_key"))
-    return Found(
-        _text(fields.get("fault")),
-        _number(fields.get("time_s")),
-        _text(fields.get("mode")),
-        _text(fields.get("leg")),
-        _quantity(fields.get("value"), unit),
-        f"{limit} ({key})" if limit and key else limit,
-        _text(fields.get("text")),
-        _text(fields.get("next")),
-        _text(fields.get("page")),
-    )
-
-
-def _from_rows(rows: Rows, rate_Hz: float) -> list[Found]:
-    """Return the faults that are latched in the rows, without the story that is lost."""
+def _from_rows(rows: Rows, rate_Hz: float) -> list[Finding]:
+    """Faults that are latched in the rows, without the story that is lost."""
     found = []
     for fault in Fault:
         struck: Any = np.flatnonzero(rows["faults"] & fault) if fault else []
         if len(struck):
-            row, name = rows[struck[0]], str(fault.name)
-            mode = rows["mode"][max(struck[0] - 1, 0)]
-            page = f"{GLOSSARY}#fault-{name.lower()}"
-            time_s = int(row["tick"]) / rate_Hz
-            found.append(Found(name, time_s, mode_name(int(mode)), "", "", "", "", "see the glossary", page))
+            name, mode = str(fault.name), mode_name(int(rows["mode"][max(struck[0] - 1, 0)]))
+            page, time_s = f"{GLOSSARY}#fault-{name.lower()}", int(rows["tick"][struck[0]]) / rate_Hz
+            found.append(Finding(fault=name, time_s=time_s, mode=mode, next="see the glossary", page=page))
     return sorted(found, key=lambda each: each.time_s or 0.0)
 
 
@@ -131,88 +137,27 @@ def _reason(fault: int, protocol: Family | None) -> str:
     return because(fault, "" if protocol is None or not fault else protocol.fault_text(fault))
 
 
-def _drives(said: Any, protocol: Family | None) -> list[str]:
-    texts = []
-    for drive in map(_mapping, _list(said)):
-        fault, age = drive.get("fault"), drive.get("age")
-        heard = f", last heard {age} ticks before" if isinstance(age, int) and age else ""
-        reason = _reason(fault, protocol) if isinstance(fault, int) else ""
-        texts.append(f"{_text(drive.get('state'))}{reason}{heard}")
-    return texts[:LEGS]
-
-
-def _drives_of_row(rows: Rows, found: Sequence[Found], rate_Hz: float, protocol: Family | None) -> list[str]:
-    times = [each.time_s for each in found if each.time_s is not None]
-    at: Any = np.flatnonzero(rows["tick"] >= np.rint(min(times) * rate_Hz)) if times else []
+def _drives_of_row(
+    rows: Rows, first_s: float | None, rate_Hz: float, protocol: Family | None
+) -> tuple[str, ...]:
+    at: Any = [] if first_s is None else np.flatnonzero(rows["tick"] >= np.rint(first_s * rate_Hz))
     if not len(at):
-        return []
+        return ()
     row = rows[at[0]]
     pairs = zip(row["drive_state"].tolist(), row["drive_fault"].tolist(), strict=True)
     known = {int(s): s.name for s in DriveState}
-    return [f"{known.get(state, state)}{_reason(fault, protocol)}" for state, fault in pairs]
+    return tuple(f"{known.get(state, state)}{_reason(fault, protocol)}" for state, fault in pairs)
 
 
 def _done(
-    story: Mapping[str, Any],
-    rows: Rows,
-    found: Sequence[Found],
-    rate_Hz: float,
-    protocol: Family | None,
-) -> list[tuple[float | None, str]]:
-    steps = [_mapping(each) for each in _list(story.get("done"))]
-    if steps:
-        return [(_number(step.get("time_s")), _text(step.get("text"))) for step in steps]
-    times = [each.time_s for each in found if each.time_s is not None]
-    if not times:
-        return []
+    rows: Rows, first_s: float | None, rate_Hz: float, protocol: Family | None
+) -> tuple[tuple[float | None, str], ...]:
+    if first_s is None:
+        return ()
     modes = [(int(rows["tick"][a]) / rate_Hz, mode) for mode, a, _ in spells(rows["mode"])]
     force = protocol is None or protocol.traits.force_on_brakes
     known = {int(mode): done_text(mode, force_on_brakes=force) for mode in Mode}
-    return [(t, known[mode]) for t, mode in modes if t >= min(times) and mode in known]
-
-
-def _at_end(story: Mapping[str, Any]) -> str:
-    lines = [_text(line) for line in _list(story.get("lines"))]
-    return next((line.partition(": ")[2] for line in lines if line.startswith("in the end: ")), "")
-
-
-def _mapping(value: Any) -> dict[str, Any]:
-    """Return a mapping, or the one that a JSON text holds; empty for anything else."""
-    if isinstance(value, str):
-        try:
-            value = json.loads(value)
-        except (ValueError, RecursionError):
-            return {}
-    return value if isinstance(value, dict) else {}
-
-
-def _advice(story: Mapping[str, Any]) -> dict[str, str]:
-    """Return what the lines of a story say to do next, each with its page."""
-    lines = (_NEXT.fullmatch(_text(line)) for line in _list(story.get("lines")))
-    return {found["text"]: found["page"] for found in lines if found}
-
-
-def _list(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []
-
-
-def _text(value: Any) -> str:
-    return "" if value is None else one_line(str(value))
-
-
-def _number(value: Any) -> float | None:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:  # JSON's whole numbers have no end
-        return None
-    return number if isfinite(number) else None
-
-
-def _quantity(value: Any, unit: str) -> str:
-    number = _number(value)
-    return _text(value) if number is None else quantity(number, unit)
+    return tuple((t, known[mode]) for t, mode in modes if t >= first_s and mode in known)
 
 
 def quantity(value: float, unit: str) -> str:

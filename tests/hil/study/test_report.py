@@ -23,8 +23,8 @@ from hil.study.report.command import report
 from hil.study.report.html import prose, tag
 from hil.study.report.margins import margins
 from hil.study.report.page import as_script, drawn
+from hil.study.report.samples import thin
 from hil.study.report.story import told
-from hil.study.report.thin import thin
 from hil.study.report.timeline import lanes, spells
 from tests.broad import broad
 from tests.hil.samples import random_ticks, record
@@ -373,27 +373,12 @@ def test_a_good_run_opens_with_its_margins(logs, tmp_path):
     assert "What went wrong" not in text
 
 
-def test_without_the_end_of_the_log_the_story_comes_from_its_events_and_rows():
+def test_without_the_end_of_the_log_the_faults_come_from_its_rows():
     rows = rows_of(100)
     rows["mode"][60:], rows["faults"][60:] = Mode.FAULT, Fault.SPEED
-    fields = {
-        "fault": "SPEED",
-        "time_s": 0.06,
-        "leg": 1,
-        "value": 2.5,
-        "limit": 2.0,
-        "unit": "m/s",
-        "next": "look",
-    }
-    events = [Event(60_000_000, "error", "fault SPEED\n" + json.dumps(fields))]
-    found = told({}, events, rows, RATE_Hz)
-    assert (found.findings[0].leg, found.findings[0].value, found.findings[0].limit) == (
-        "1",
-        "2.5 m/s",
-        "2 m/s",
-    )
+    found = told({}, rows, RATE_Hz)
     assert found.done == ((0.06, "the drives were told to switch off"),)
-    (bare,) = told({}, [], rows, RATE_Hz).findings
+    (bare,) = found.findings
     assert (bare.fault, bare.time_s, bare.mode) == ("SPEED", 0.06, "TRACKING")
     assert bare.page.endswith("#fault-speed")
 
@@ -411,7 +396,7 @@ def test_without_the_end_of_the_log_the_story_comes_from_its_events_and_rows():
     ],
 )
 def test_a_story_that_is_none_of_ours_breaks_nothing(story):
-    found = told({"summary": {"story": story}}, [], rows_of(5), RATE_Hz)
+    found = told({"summary": {"story": story}}, rows_of(5), RATE_Hz)
     assert "<" in sections.what_went_wrong(found)
 
 
@@ -426,7 +411,7 @@ def test_a_limit_beyond_all_numbers_is_no_line_of_a_chart():
 
 def test_texts_of_a_log_are_escaped_wherever_they_stand():
     finding = dict.fromkeys(
-        ("fault", "mode", "leg", "value", "limit", "unit", "limit_key", "text", "next", "page"), HOSTILE
+        ("fault", "mode", "value", "limit", "unit", "limit_key", "text", "next", "page"), HOSTILE
     )
     story = {
         "findings": [finding],
@@ -434,7 +419,7 @@ def test_texts_of_a_log_are_escaped_wherever_they_stand():
         "drives": [{"state": HOSTILE, "age": 2}],
         "lines": [f"in the end: {HOSTILE}", f"next: {HOSTILE} ({HOSTILE})"],
     }
-    found = told({"summary": {"story": json.dumps(story), "reason": HOSTILE}}, [], rows_of(5), RATE_Hz)
+    found = told({"summary": {"story": json.dumps(story), "reason": HOSTILE}}, rows_of(5), RATE_Hz)
     event = Event(0, HOSTILE, HOSTILE)
     parts = [
         sections.opening(found, rows_of(5), HOSTILE),

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from rich.table import Table
 from rich.text import Text
 
 from drivers.errors import HilError, LogError
@@ -16,6 +15,7 @@ from hil.app.replay import replay_log
 from hil.record.log import Log
 from hil.record.schema import IDENTITY
 from hil.study.junit import Verdict
+from hil.study.table import results
 from hil.study.workers import Progress, perform
 
 RUNS = ("run", "sim")
@@ -119,11 +119,7 @@ def summary(folder: Path, cases: Sequence[Case], wall_s: float) -> dict[str, Any
 
 def show(folder: Path, cases: Sequence[Case]) -> None:
     """Print a line for each log."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("log", "verdict"):
-        table.add_column(title)
-    table.add_column("s", justify="right")
-    table.add_column("found")
+    table = results("log", "verdict", "s", "found", left=("log", "verdict", "found"))
     styles = {"fail": "red", "skipped": "yellow"}
     for case in sorted(cases, key=lambda case: case.log):
         style = styles.get(case.verdict, "")

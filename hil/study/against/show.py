@@ -2,30 +2,22 @@
 
 from typing import Any
 
-from rich.table import Table
 from rich.text import Text
 
 from hil.app.output import print_table
+from hil.study.table import results
+
+TITLES = (
+    *("column", "first tick", "s", "log", "other"),
+    *("in ticks", "largest", "at tick", "allowed", "unit"),
+)
 
 
 def show(result: dict[str, Any]) -> None:
     """Print a line for each column with a difference; nothing where there is none."""
     if not result["columns"]:
         return
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in (
-        "column",
-        "first tick",
-        "s",
-        "log",
-        "other",
-        "in ticks",
-        "largest",
-        "at tick",
-        "allowed",
-        "unit",
-    ):
-        table.add_column(title, justify="left" if title in {"column", "unit"} else "right")
+    table = results(*TITLES, left=("column", "unit"))
     for each in result["columns"]:
         style = "red" if each["diverges"] else ""
         table.add_row(*(Text(cell, style=style) for cell in _cells(each)))

@@ -13,7 +13,7 @@ from hil.study.campaign.figures import COUNTS, METRICS
 from hil.study.campaign.parquet import Row
 from hil.study.campaign.plan import Plan
 from hil.study.campaign.rates import by_value, causes, judged, shown, why, worst
-from hil.study.campaign.show import cells, rerun_command
+from hil.study.campaign.show import HEAD, cells, rerun_command
 from hil.study.report.html import Html, table, tag
 from hil.study.report.page import document
 
@@ -67,8 +67,7 @@ def _axes(plan: Plan, rows: Sequence[Row]) -> Iterator[Html]:
     for name, axis in plan.subject.axes.items():
         rates = by_value(name, axis, rows)
         yield intervals(name, rates)
-        head = ("value", "rows", "failed", "pass %", "95 % interval")
-        yield tag("details", tag("summary", "Figures"), table(head, map(cells, rates)))
+        yield tag("details", tag("summary", "Figures"), table(HEAD, map(cells, rates)))
 
 
 def _distributions(plan: Plan, rows: Sequence[Row]) -> Iterator[Html]:

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
 from rich.text import Text
 
 from hil.app.output import print_table
@@ -13,19 +12,18 @@ from hil.app.terminal import visible
 from hil.study.campaign.plan import Plan
 from hil.study.campaign.rates import Rate, by_value, causes, judged, shown, why, worst
 from hil.study.junit import Verdict
+from hil.study.table import results
 
 WORST = 10
 """Failed rows that are shown."""
+HEAD = ("value", "rows", "failed", "pass %", "95 % interval")
+"""Of `cells`."""
 
 
 def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
     """Print the tables of a campaign; `folder`: that of --out, for the commands that repeat a row."""
     rows = summary["matrix"]
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("axis", "value"):
-        table.add_column(title)
-    for title in ("rows", "failed", "pass %", "95 % interval"):
-        table.add_column(title, justify="right")
+    table = results("axis", *HEAD, left=("axis", "value"))
     for name, axis in plan.subject.axes.items():
         for n, each in enumerate(by_value(name, axis, rows)):
             table.add_row(visible(name) if n == 0 else "", *cells(each))

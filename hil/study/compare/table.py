@@ -8,6 +8,7 @@ from rich.text import Text
 
 from hil.app.output import Terminal, number, print_table
 from hil.app.terminal import visible
+from hil.study.table import results
 
 Columns = tuple[tuple[str, str, str], ...]
 """Title, key of a law's figures, format; empty: as in summaries, whatever the robot's size."""
@@ -75,9 +76,7 @@ def shown(summary: dict[str, Any]) -> dict[str, Any]:
 def _laws(
     summary: dict[str, Any], columns: Columns, remark: Callable[[dict[str, Any]], str] | None = None
 ) -> Table:
-    table = _table()
-    for title, *_ in columns:
-        table.add_column(title, justify="right", no_wrap=True)
+    table = results("law", *(title for title, *_ in columns), left=("law",))
     remarks = {name: remark(row) if remark else "" for name, row in summary["laws"].items()}
     if any(remarks.values()):
         table.add_column("", style="red")
@@ -102,29 +101,21 @@ def result(row: dict[str, Any]) -> str:
 
 
 def _paths(summary: dict[str, Any]) -> Table:
-    table = _table()
     names = list(dict.fromkeys(path for found in summary["paths"].values() for path in found))
-    for n, name in enumerate(names):
-        table.add_column(name if n == 0 or n == len(names) - 1 else f"+ {name}", justify="right")
+    titles = (name if name in (names[0], names[-1]) else f"+ {name}" for name in names)
+    table = results("law", *titles, left=("law",))
     for law, found in summary["paths"].items():
         table.add_row(visible(law), *(_path_cell(found.get(name)) for name in names))
     return table
 
 
 def _claims(summary: dict[str, Any]) -> Table:
-    table = _table("section")
-    table.add_column("claim", max_width=34)
-    table.add_column("holds")
-    table.add_column("measured")
+    titles = ("section", "claim", "holds", "measured")
+    table = results(*titles, left=titles)
+    table.columns[1].max_width = 34
     for claim in summary["claims"]:
         holds = Text("yes", style="green") if claim["holds"] else Text("no", style="red")
         table.add_row(claim["section"], claim["claim"], holds, claim["figures"])
-    return table
-
-
-def _table(first: str = "law") -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column(first, no_wrap=True)
     return table
 
 

@@ -4,21 +4,17 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from rich.table import Table
 from rich.text import Text
 
 from hil.app.output import print_table
 from hil.study.junit import Verdict
+from hil.study.table import results
 
 
 def show(summary: dict[str, Any]) -> None:
     """Print one line a case."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("fault", "when", "leg and size", "reaction"):
-        table.add_column(title, overflow="fold")
-    table.add_column("fault after ms", justify="right")
-    table.add_column("motion mm", justify="right")
-    table.add_column("verdict", overflow="fold")
+    words = ("fault", "when", "leg and size", "reaction")
+    table = results(*words, "fault after ms", "motion mm", "verdict", left=(*words, "verdict"))
     last = ""
     for case in summary["matrix"]:
         name = case["kind"] if case["kind"] != last else ""

@@ -3,17 +3,17 @@
 from collections.abc import Iterator
 from typing import Any
 
-from rich.table import Table
-
 from drivers.protocol import Frame
 from drivers.signals import LEGS, Warn
 from hil.app.output import print_table
 from hil.loop.what_if import Answer, OtherFrames
 from hil.record.divergence import ColumnDivergence, Place
+from hil.study.table import results
 from hil.study.what_if.recorded import OPEN_LOOP
 
 LIMITS = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
 """Warnings by which a limit of the force acts."""
+COLUMNS = ("column", "from tick", "in ticks", "largest", "unit", "at tick")
 SHOWN = 12
 """Columns and changes that a terminal shows; the JSON file has all."""
 
@@ -89,7 +89,7 @@ def tables(result: dict[str, Any]) -> None:
     if not result["different_ticks"]:
         return
     forces = result["forces"]
-    table = _table("leg", "largest N", "at tick", "RMS N")
+    table = results("leg", "largest N", "at tick", "RMS N")
     for leg in range(LEGS):
         at = forces["at_tick"][leg]
         cells = (
@@ -102,7 +102,7 @@ def tables(result: dict[str, Any]) -> None:
     print_table(table)
     columns = result["columns"]
     if columns:
-        table = _table("column", "from tick", "in ticks", "largest", "unit", "at tick")
+        table = results(*COLUMNS, left=("column", "unit"))
         for each in columns[:SHOWN]:
             at = each["at"]
             largest = "-" if each["largest"] is None else f"{each['largest']:.4g}"
@@ -119,13 +119,6 @@ def story(result: dict[str, Any]) -> Iterator[str]:
         yield "what the faults of the what-if have to tell:"
         for line in result["what_if_story"]["lines"]:
             yield f"  {line}"
-
-
-def _table(*titles: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in titles:
-        table.add_column(title, justify="left" if title in {"column", "unit"} else "right")
-    return table
 
 
 def _faults(result: dict[str, Any]) -> list[str]:

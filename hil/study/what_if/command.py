@@ -45,6 +45,13 @@ from hil.study.what_if.changes import changed
 from hil.study.what_if.picture import Forces
 from hil.study.what_if.recorded import record
 
+FILES = (
+    (REFERENCE_CSV, "reference", "path", SampledReference),
+    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
+    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
+)
+"""Files that a controller reads: name in a log, section and key that name it, settings that have this key."""
+
 
 def what_if_log(
     path: Path,
@@ -162,12 +169,8 @@ def _other_files(here: Configuration, log: Log) -> list[str]:
     """Return which files of a configuration have another content than those of the log."""
     there = log.attachments
     return [
-        f"{key}: the file has another content than that of the log"
-        for name, key in (
-            (REFERENCE_CSV, "reference.path"),
-            (CONTROLLER_FILE, "controller.controller_file"),
-            (FEEDFORWARD_CSV, "feedforward.file"),
-        )
+        f"{section}.{key}: the file has another content than that of the log"
+        for name, section, key, _ in FILES
         if name in there and there[name] != dict(attachments(here)).get(name, there[name])
     ]
 
@@ -184,11 +187,7 @@ def _cycle(log: Log, run: dict[str, Any], own: Configuration, here: Configuratio
 
 def _refuse_new_files(own: Configuration, here: Configuration) -> None:
     """Refuse changes to a log's own configuration that name a file: it has a folder no more."""
-    for section, key, kind in (
-        ("reference", "path", SampledReference),
-        ("controller", "controller_file", StateSpaceSettings),
-        ("feedforward", "file", FeedforwardSettings),
-    ):
+    for _, section, key, kind in FILES:
         there, given = getattr(own, section), getattr(here, section)
         if not isinstance(given, kind):
             continue

@@ -7,11 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from drivers.can.frame_files import WRITERS
 from drivers.errors import LogError
 from drivers.files import real_path
+from drivers.protocol import BUS, Frame
 from hil.app.files import made_whole, new_file
 from hil.record.log import Log
-from hil.study.export.frames import write_frames
 from hil.study.export.signals import write_csv, write_parquet
 from hil.study.view.recording import write_rrd
 
@@ -22,10 +23,6 @@ SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
     ".rrd": write_rrd,
 }
 """Ending of a file -> what is written into it."""
-
-
-LAST_YEAR = 9998
-"""In which the first tick may be: no file tells a date after 9999."""
 
 
 def utc_ns(text: str) -> int:
@@ -45,8 +42,6 @@ def utc_ns(text: str) -> int:
     ns = ((span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds) * 1000
     if ns < 0:
         raise LogError(f"--start {text}: before 1970-01-01, where the time of these files begins")
-    if instant.astimezone(UTC).year > LAST_YEAR:
-        raise LogError(f"--start {text}: allowed: to the end of {LAST_YEAR}; the frames follow for a while")
     return ns
 
 
@@ -120,3 +115,22 @@ def _check(
         raise LogError(
             "--column: chooses columns for .csv, .parquet and .rrd, and no such file is named; leave it out"
         )
+
+
+def write_frames(log: Log, path: Path, form: str, shift_ns: int) -> int:
+    """Write all frames; return their number.
+
+    form : a key of `drivers.can.frame_files.WRITERS`; shift_ns : what is added to the log's UTC. A frame that
+    the log has more than a second after its time stands later in the file, at its own time.
+
+    Raises LogError: the log is damaged.
+    """
+    writer = WRITERS[form](path, log.can_channels)
+    offset, count = log.epoch_ns + shift_ns, 0
+    try:
+        for t_ns, _, sent, bus, can_id, data, flags in log.can_frames():
+            writer.write(t_ns + offset, Frame(can_id, data, flags + bus * BUS), sent=sent)
+            count += 1
+    finally:
+        writer.close()
+    return count

@@ -24,7 +24,7 @@ from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, 
 from hil.cli import main
 from hil.record import Recording
 from hil.record.log import Log
-from hil.study.export.command import FRAMES, export_log, utc_ns
+from hil.study.export.command import export_log, utc_ns
 from tests.hil.samples import log_of, random_ticks
 
 TICKS = random_ticks(700, seed=33)
@@ -109,20 +109,6 @@ def test_the_start_is_the_instant_of_the_first_tick(path, tmp_path, ending, star
         assert message.timestamp == pytest.approx(begin + t_s, abs=1.1e-6, rel=0)
     assert summary["first_tick_utc"] == "2026-01-31T12:00:00.250001Z"
     assert "remark" not in summary
-
-
-@pytest.mark.parametrize("start", ["9999-01-01", "9999-12-31T23:59:59.999999", "9998-12-31T23:30:00-01:00"])
-def test_a_start_after_which_no_file_tells_the_date_is_refused(path, tmp_path, start):
-    with pytest.raises(LogError, match=f"--start {start}: allowed: to the end of 9998"):
-        export_log(path, [tmp_path / "a.blf"], start=start)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_last_start_that_is_allowed_is_written_into_every_file_of_frames(path, tmp_path):
-    outs = [tmp_path / f"a{ending}" for ending in FRAMES]
-    found = export_log(path, outs, start="9998-12-31T23:59:59+00:00")
-    assert found["first_tick_utc"].startswith("9998-12-31T23:59:59")
-    assert all(out.stat().st_size for out in outs)
 
 
 def test_simulated_time_without_a_start_is_said(path, tmp_path):

@@ -1,7 +1,7 @@
 """`hil compare CONFIG`: all laws on one platform, trajectory, disturbance and model mismatch."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from hil.control import ControllerSettings
 from hil.record.metrics import Share, force_shares
 from hil.robot.dynamics import Model
 from hil.study.compare.claims import Evidence, judge
-from hil.study.compare.conditions import paths, with_law, without_limits
+from hil.study.compare.conditions import changed, paths, without_limits
 from hil.study.compare.laws import chosen, desired_loop, with_scale
 from hil.study.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
 from hil.study.compare.plot import draw
@@ -70,7 +70,7 @@ def compare(
     _refuse_load(c, duration)
     build_nodes(c)[1].close()  # each law would fail of a plant that cannot be opened
     work = _jobs(compared, believed, extra, duration)
-    done = {(o.law, o.path): o for o in _perform(work, jobs, progress)}
+    done = {(o.law, o.path): o for o in perform(work, measure, _died, jobs, progress)}
     own = {name: done[name, OWN] for name in settings}
     losses = {name: _along(name, work, done) for name in extra}
     assert c.plant is not None
@@ -108,12 +108,12 @@ def with_options(
     """Return the configuration with what the command line says of its section `compare`; None leaves it."""
     changes: dict[str, Any] = {}
     if inertia_scale is not None:
-        changes["inertia_scale"] = inertia_scale
+        changes["compare.inertia_scale"] = inertia_scale
     if wrench is not None:
-        changes["disturbance"] = DisturbanceSettings(
+        changes["compare.disturbance"] = DisturbanceSettings(
             force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s
         )
-    return c.model_copy(update={"compare": c.compare.model_copy(update=changes)})
+    return changed(c, changes)
 
 
 def _path_laws(
@@ -164,13 +164,14 @@ def _jobs(
     settle = max(SETTLE_PERIODS / desired_loop(c).wn, 0.3)
     step, disturbance = c.compare.step, c.compare.disturbance
     work = [
-        Job(name, OWN, with_law(c, s), duration, disturbance, step, settle) for name, s in settings.items()
+        Job(name, OWN, changed(c, {"controller": s}), duration, disturbance, step, settle)
+        for name, s in settings.items()
     ]
     for name in extra:
-        own = with_law(c, settings[name])
-        for path, changed in paths(own).items():
-            if changed != own:  # the last one is the row of the table
-                work.append(Job(name, path, changed, duration, disturbance, None, settle))
+        own = changed(c, {"controller": settings[name]})
+        for path, other in paths(own).items():
+            if other != own:  # the last one is the row of the table
+                work.append(Job(name, path, other, duration, disturbance, None, settle))
     return work
 
 
@@ -178,11 +179,6 @@ def _along(name: str, work: Iterable[Job], done: dict[tuple[str, str], Outcome])
     """Return what the law did path by path, the configuration's own last."""
     found = {job.path: done[name, job.path] for job in work if job.law == name and job.path != OWN}
     return found | {"as configured": done[name, OWN]}
-
-
-def _perform(work: list[Job], jobs: int | None, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield every outcome, in the order in which they are ready."""
-    return perform(work, measure, _died, jobs, progress)
 
 
 def _died(job: Job) -> Outcome:

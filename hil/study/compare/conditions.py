@@ -1,14 +1,17 @@
 """The paths of a comparison: the configuration, and what it is when its losses are taken out."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
 
 from hil.app.configuration.configuration import Configuration
-from hil.control import ControllerSettings
 from plant_fmu.config import StewartPlant
 
 PATHS = ("ideal", "encoders", "bus", "drives")
 """What is added from one path to the next; the last is the configuration itself."""
 
+Part = TypeVar("Part", bound=BaseModel)
 IDEAL: dict[str, Any] = {
     "protocol": "legs", "node_ids": [1, 2, 3, 4, 5, 6], "options": {}, "transmission": None, "homing": None
 }  # fmt: skip
@@ -24,46 +27,39 @@ def paths(c: Configuration) -> dict[str, Configuration]:
     it is protocol `legs` that carries the numbers: another may have no layout that takes no time.
     """
     without_lag = _no_lag(c)
-    without_bus = _knowing(without_lag, bus_ms=0.0).model_copy(
-        update={
-            "bus": c.bus.model_copy(update={"layout": "ideal"}),
-            "drives": c.drives.model_copy(update=IDEAL),
-        }
-    )
-    assert without_bus.plant is not None
-    exact = without_bus.plant.drives.model_copy(update={"encoder_resolution_m": 0.0})
-    ideal = without_bus.model_copy(update={"plant": without_bus.plant.model_copy(update={"drives": exact})})
+    on_no_bus = {"bus.layout": "ideal"} | {f"drives.{key}": value for key, value in IDEAL.items()}
+    without_bus = changed(_knowing(without_lag, bus_ms=0.0), on_no_bus)
+    ideal = changed(without_bus, {"plant.drives.encoder_resolution_m": 0.0})
     found: dict[str, Configuration] = {}
-    for name, changed in zip(PATHS, (ideal, without_bus, without_lag, c), strict=True):
-        if changed not in found.values():
-            found[name] = changed
+    for name, path in zip(PATHS, (ideal, without_bus, without_lag, c), strict=True):
+        if path not in found.values():
+            found[name] = path
     return found
+
+
+def changed(section: Part, changes: Mapping[str, Any]) -> Part:
+    """Copy of a section with some keys changed, `plant.drives.encoder_resolution_m`; nothing is validated."""
+    for key, value in changes.items():
+        head, _, rest = key.partition(".")
+        inner = changed(getattr(section, head), {rest: value}) if rest else value
+        section = section.model_copy(update={head: inner})
+    return section
 
 
 def _no_lag(c: Configuration) -> Configuration:
     assert c.plant is not None
-    drives = c.plant.drives.model_copy(update={"force_bandwidth_Hz": 0.0})
-    changes: dict[str, Any] = {"drives": drives}
-    if isinstance(c.plant.model, StewartPlant):
-        changes["model"] = c.plant.model.model_copy(update={"force_bandwidth_Hz": 0.0})
-    return _knowing(c, drive_lag_ms=0.0).model_copy(update={"plant": c.plant.model_copy(update=changes)})
+    places = ["plant.drives", *(["plant.model"] if isinstance(c.plant.model, StewartPlant) else [])]
+    return changed(_knowing(c, drive_lag_ms=0.0), {f"{place}.force_bandwidth_Hz": 0.0 for place in places})
 
 
 def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
     """Return the configuration with other delays for those who reckon with one: law and wrench observer."""
-    wrench = c.estimation.wrench.model_copy(update=delays_ms)
-    changes: dict[str, Any] = {"estimation": c.estimation.model_copy(update={"wrench": wrench})}
-    law = c.controller
-    if law.lookahead is not None:
-        delay = law.lookahead.model_copy(update=delays_ms)
+    changes: dict[str, Any] = {f"estimation.wrench.{key}": value for key, value in delays_ms.items()}
+    if c.controller.lookahead is not None:
+        delay = c.controller.lookahead.model_copy(update=delays_ms)
         some = delay.bus_ms or delay.drive_lag_ms or delay.hold_ms
-        changes["controller"] = law.model_copy(update={"delay_compensation": delay if some else None})
-    return c.model_copy(update=changes)
-
-
-def with_law(c: Configuration, settings: ControllerSettings) -> Configuration:
-    """Return the configuration with another law."""
-    return c.model_copy(update={"controller": settings})
+        changes["controller.delay_compensation"] = delay if some else None
+    return changed(c, changes)
 
 
 def without_limits(c: Configuration) -> Configuration:
@@ -73,17 +69,11 @@ def without_limits(c: Configuration) -> Configuration:
     stay: beyond them there is nothing to compare.
     """
     force = c.drives.force_limit_N
-    limits = c.limits.model_copy(
-        update={
-            "force_N": force,
-            "force_step_N": 2 * force,
-            "force_window_N": 2 * force,
-            "following_error_m": FAR,
-            "speed_m_s": FAR,
-            "deceleration_m_s2": FAR * FAR,
-        }
+    far = dict.fromkeys(("following_error_m", "speed_m_s"), FAR)
+    limits = far | {"force_N": force, "force_step_N": 2 * force, "force_window_N": 2 * force}
+    return changed(
+        c, {f"limits.{key}": value for key, value in limits.items()} | {"limits.deceleration_m_s2": FAR * FAR}
     )
-    return c.model_copy(update={"limits": limits})
 
 
 FAR = 1e3

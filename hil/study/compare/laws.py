@@ -17,6 +17,7 @@ from hil.control import LAWS, ControllerSettings
 from hil.control.law import DesiredLoop
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
+from hil.study.compare.conditions import changed
 
 Kind = TypeVar("Kind", bound=Section)
 WN_RAD_S = 20.0
@@ -121,5 +122,4 @@ def with_scale(settings: ControllerSettings, scale: float) -> ControllerSettings
     model = getattr(settings, "model", None)
     if model is None or scale == 1.0:
         return settings
-    scaled = model.model_copy(update={"inertia_scale": model.inertia_scale * scale})
-    return settings.model_copy(update={"model": scaled})
+    return changed(settings, {"model.inertia_scale": model.inertia_scale * scale})

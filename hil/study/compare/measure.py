@@ -92,10 +92,7 @@ def measure(job: Job) -> Outcome:
 
 def _measure(job: Job) -> Outcome:
     c = job.configuration
-    faults = None
-    if job.disturbance is not None:
-        faults = _wrench(job.disturbance, _engagement_s(c))
-    rows = _run(c, job.duration_s, faults=faults)
+    rows = _run(c, job.duration_s, load=job.disturbance)
     fault, tracked = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
     figures = _tracking(tracked) if len(tracked) else {}
     figures["limited_ticks"] = limited_ticks(tracked)
@@ -115,12 +112,12 @@ def _run(
     duration_s: float,
     *,
     trajectory: Trajectory | None = None,
-    faults: FaultPlan | None = None,
+    load: DisturbanceSettings | None = None,
 ) -> Rows:
     """Return the rows from the start until `duration_s` of the trajectory, its end, or a fault."""
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
-    nodes, physics = build_nodes(c, faults)
+    nodes, physics = build_nodes(c, None if load is None else FaultPlan([_wrench(load)]))
     rows: list[Rows] = []
     begun: int | None = None
     ticks = math.floor(duration_s * rate + 1e-6)
@@ -139,16 +136,11 @@ def _run(
         physics.close()
 
 
-def _engagement_s(c: Configuration, trajectory: Trajectory | None = None) -> float:
-    """Return the time from the start to the first tick of the reference."""
-    rows = _run(c, 0.0, trajectory=trajectory)
-    return float(rows["t_ns"][-1]) * 1e-9
-
-
-def _wrench(d: DisturbanceSettings, offset_s: float) -> FaultPlan:
+def _wrench(d: DisturbanceSettings) -> WrenchStep:
     lasts = None if d.stop_s is None else d.stop_s - d.start_s
-    at = offset_s + d.start_s
-    return FaultPlan([WrenchStep(at_s=at, for_s=lasts, force_N=d.force_N, moment_N_m=d.moment_N_m)])
+    return WrenchStep(
+        mode="TRACKING", at_s=d.start_s, for_s=lasts, force_N=d.force_N, moment_N_m=d.moment_N_m
+    )
 
 
 def _fault(rows: Rows) -> str | None:
@@ -192,11 +184,8 @@ def _at_rest(
     stretches = 2 if d is None else 3
     # Half a tick early: the sum of periods may fall short of the instant by its rounding.
     trajectory = StepTrajectory(p, R, p1, R1, (n - 0.5) / rate, (stretches + 1) * n / rate)
-    faults = None
-    if d is not None:
-        always = DisturbanceSettings(force_N=d.force_N, moment_N_m=d.moment_N_m, start_s=(2 * n - 0.5) / rate)
-        faults = _wrench(always, _engagement_s(c, trajectory))
-    rows = _run(c, stretches * n / rate, trajectory=trajectory, faults=faults)
+    stays = None if d is None else d.model_copy(update={"start_s": (2 * n - 0.5) / rate, "stop_s": None})
+    rows = _run(c, stretches * n / rate, trajectory=trajectory, load=stays)
     fault, rows = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
     before, after, loaded = rows[:n], rows[n : 2 * n], rows[2 * n :]
     figures: dict[str, Any] = {}

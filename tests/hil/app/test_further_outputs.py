@@ -101,7 +101,7 @@ def undrawn(monkeypatch):
 def test_a_comparison_keeps_its_laws(tmp_path, monkeypatch, undrawn):
     undrawn(compare)
     outcome = Outcome("inverse_dynamics", compare.OWN, None, None, {"peak_leg_error_mm": 0.3}, {})
-    monkeypatch.setattr(compare, "_perform", lambda *_: [outcome])
+    monkeypatch.setattr(compare, "perform", lambda *_: [outcome])
     monkeypatch.setattr(compare, "_shares", lambda *_: {})
     monkeypatch.setattr(compare, "judge", lambda _: [])
     ideal, law = load("ideal"), ["inverse_dynamics"]

@@ -20,11 +20,12 @@ from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.law import ModelBasedSettings
 from hil.control.pd import PDSettings
 from hil.control.state_space import StateSpaceSettings
-from hil.study.compare.command import _perform, compare, with_options
-from hil.study.compare.conditions import paths, with_law, without_limits
+from hil.study.compare.command import _died, compare, with_options
+from hil.study.compare.conditions import changed, paths, without_limits
 from hil.study.compare.laws import VARIANTS, chosen, desired_loop, with_scale
 from hil.study.compare.measure import Job, measure
 from hil.study.compare.table import result, show, unrest
+from hil.study.workers import perform
 from plant_fmu.config import StewartPlant
 
 DATA = Path(__file__).parents[2] / "data"
@@ -51,6 +52,10 @@ VERTICAL_WEIGHT = 9.81 * (1150.0 + 6 * (ROD * S_Z**2 + LEVER * (1 - S_Z**2)))
 """N, what the platform's vertical motion lifts."""
 LAG_S = 1 / (2 * np.pi * 200.0)
 """First-order force loop of 200 Hz."""
+
+
+def with_law(c, settings):
+    return changed(c, {"controller": settings})
 
 
 @pytest.fixture(scope="module")
@@ -344,7 +349,8 @@ class Killer(Job):
 
 def test_a_process_that_dies_takes_no_other_law_with_it(ideal):
     one = job(ideal, duration_s=0.01)
-    found = {o.law: o for o in _perform([one, Killer(*one._replace(law="deadly"))], 2, None)}
+    work = [one, Killer(*one._replace(law="deadly"))]
+    found = {o.law: o for o in perform(work, measure, _died, 2, None)}
     assert found["deadly"].fault == "its process died"
     assert found["inverse_dynamics"].fault is None
     assert found["inverse_dynamics"].figures == measure(one).figures, "to the bit, in whatever process"

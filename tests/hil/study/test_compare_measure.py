@@ -29,9 +29,8 @@ def virtual():
 @pytest.mark.parametrize(("stop_s", "lasts"), [(2.0, 1.5), (None, None)])
 def test_a_load_comes_at_its_time_along_the_reference_and_goes_at_its_end(stop_s, lasts):
     load_ = DisturbanceSettings(force_N=FORCE, moment_N_m=MOMENT, start_s=0.5, stop_s=stop_s)
-    steps: Any = measure._wrench(load_, 10.0).faults
-    (step,) = steps
-    assert (step.at_s, step.for_s) == (10.5, lasts)
+    step = measure._wrench(load_)
+    assert (step.mode, step.at_s, step.for_s) == ("TRACKING", 0.5, lasts)
     assert (step.force_N, step.moment_N_m) == (FORCE, MOMENT)
 
 
@@ -39,8 +38,8 @@ def test_at_home_the_whole_load_comes_after_the_step_and_stays(virtual, monkeypa
     given: list[Any] = []
     rate, n = virtual.loop.rate_Hz, 600
 
-    def ran(c, duration_s, *, trajectory=None, faults=None):
-        given.append(faults)
+    def ran(c, duration_s, *, trajectory=None, load=None):
+        given.append(load)
         rows = np.zeros(3 * n, ROW)
         rows["mode"], rows["R"] = Mode.TRACKING, np.eye(3).reshape(ROW["R"].shape)
         rows["p"] = virtual.platform.home.position_m
@@ -48,13 +47,12 @@ def test_at_home_the_whole_load_comes_after_the_step_and_stays(virtual, monkeypa
         return rows
 
     monkeypatch.setattr(measure, "_run", ran)
-    monkeypatch.setattr(measure, "_engagement_s", lambda *_: 10.0)
     load_ = DisturbanceSettings(force_N=FORCE, moment_N_m=MOMENT, start_s=0.5, stop_s=2.0)
     job = Job("pd", "own", virtual, 1.0, load_, StepSettings(), n / rate)
     measure._at_rest(job, virtual, StepSettings())
-    ((step,),) = (plan.faults for plan in given)
-    assert (step.force_N, step.moment_N_m, step.for_s) == (FORCE, MOMENT, None)
-    assert step.at_s == pytest.approx(10.0 + 2 * n / rate, abs=1 / rate)
+    (step,) = given
+    assert (step.force_N, step.moment_N_m, step.stop_s) == (FORCE, MOMENT, None)
+    assert step.start_s == pytest.approx(2 * n / rate, abs=1 / rate)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -105,7 +103,7 @@ def test_a_law_that_could_not_be_run_at_all_fails_a_comparison_and_one_that_faul
 ):
     became = {"inverse_dynamics": own, "pd": other}
 
-    def perform(work, jobs, progress):
+    def perform(work, *_):
         for job in work:
             fault, measured = became[job.law]
             yield Outcome(
@@ -113,7 +111,7 @@ def test_a_law_that_could_not_be_run_at_all_fails_a_comparison_and_one_that_faul
             )
 
     for name, stand_in in (
-        ("_perform", perform), ("_shares", lambda *_: {}), ("judge", lambda _: []), ("draw", lambda *_: None),
+        ("perform", perform), ("_shares", lambda *_: {}), ("judge", lambda _: []), ("draw", lambda *_: None),
     ):  # fmt: skip
         monkeypatch.setattr(command, name, stand_in)
     found = command.compare(

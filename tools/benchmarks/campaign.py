@@ -20,6 +20,8 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -30,7 +32,7 @@ from hil.study import workers
 from hil.study.campaign import parquet
 from hil.study.campaign.command import line
 from hil.study.campaign.plan import Plan, campaign_file, identity, read_plan
-from hil.study.campaign.row import Job, run_row
+from hil.study.campaign.row import Job, not_run, run_row
 from hil.study.campaign.store import Store
 from tools.benchmarks.figures import Figure, Mark, lines, number
 from tools.benchmarks.process import memory_kB
@@ -86,10 +88,9 @@ def measured(plan: Plan, store: Store, outcomes: Outcomes) -> Block:
 
 def in_pool(pool: ProcessPoolExecutor, jobs: Sequence[Job], count: int) -> Outcomes:
     """Yield the outcomes of rows from processes that are there already."""
-    lost: list[Job] = []
-    yield from workers._until_one_dies(pool, iter(jobs), run_row, workers.AHEAD * count, lost)  # noqa: SLF001 - their start is no part of a block
-    if lost:
-        raise RunError(f"a worker died at rows {[job.number for job in lost]}")
+    # their start is no part of a block
+    most = workers.AHEAD * count
+    yield from workers.batch(jobs, run_row, not_run, lambda _: nullcontext(pool), most, BrokenProcessPool)
 
 
 def gain(pool: ProcessPoolExecutor, loop: Callable[[int], object]) -> float:
@@ -104,7 +105,7 @@ def gain(pool: ProcessPoolExecutor, loop: Callable[[int], object]) -> float:
 def start(job: Job) -> list[Figure]:
     """Start a worker as the first one of a command, and look at what it holds after its rows."""
     begun = time.perf_counter()
-    with workers._pool(1, run_row) as pool:  # noqa: SLF001
+    with workers.processes(1, run_row) as pool:
         pid = pool.submit(os.getpid).result()
         took = [time.perf_counter() - begun]
         for _ in range(3):
@@ -134,7 +135,7 @@ def blocks(plan: Plan, size: int, folder: Path, say: Callable[[str], None]) -> l
     two: list[Block] = []
     loops: dict[str, list[float]] = {"Python": [], "C": []}
     with (
-        workers._pool(2, run_row) as pool,  # noqa: SLF001
+        workers.processes(2, run_row) as pool,
         Store(folder / "one", columns, mark) as alone,
         Store(folder / "two", columns, mark) as both,
     ):

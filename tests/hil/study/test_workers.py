@@ -1,18 +1,15 @@
 """Jobs in processes: each has one outcome, whichever dies, and none is made long before its turn."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
 from functools import partial
 from operator import call
 
 import pytest
 
-from drivers.errors import RunError
 from hil.study.workers import AHEAD, perform
 from tests.realtime.rig import wait_until_gone
 
@@ -114,26 +111,3 @@ def test_ctrl_c_ends_a_job_that_runs_again_alone(tmp_path):
         finally:
             process.kill()
     wait_until_gone(int(file.read_text()))
-
-
-@pytest.mark.parametrize(("most", "enough"), [(35, False), (36, True), (resource.RLIM_INFINITY, True)])
-def test_processes_that_may_not_open_their_files_are_refused_before_the_first_one_starts(
-    monkeypatch, most, enough
-):
-    started: list[int] = []
-
-    def lent(count, _):
-        started.append(count)
-        return nullcontext()
-
-    monkeypatch.setattr("hil.study.workers.resource.getrlimit", lambda _: (most, resource.RLIM_INFINITY))
-    monkeypatch.setattr("hil.study.workers._processes", lent)
-    monkeypatch.setattr("hil.study.workers._until_one_dies", lambda *_: iter([7, 8]))
-    outcomes = perform([1, 2], abs, abs, 2, None)
-    if enough:
-        assert list(outcomes) == [7, 8]
-    else:
-        with pytest.raises(RunError, match=f"2 processes .* 36 .* here: {most};"):
-            next(outcomes)
-    assert started == [2] * enough
-    assert list(perform([-1, -2], abs, abs, 1, None)) == [1, 2], "this process needs no more"

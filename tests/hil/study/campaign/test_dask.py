@@ -98,7 +98,6 @@ class Few(UserList[Job]):
 
 
 def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another(two, threads, monkeypatch):
-    """Two threads: eight rows at most are under way."""
     ran = []
 
     def run_row(job):
@@ -106,9 +105,10 @@ def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another
         return {"row": job.number}
 
     monkeypatch.setattr(dask_cluster, "run_row", run_row)
+    monkeypatch.setattr(dask_cluster, "AHEAD", 8)
     jobs = Few([two[0].job(0)] * 40)
     for done, _ in enumerate(dask_cluster.perform(threads, jobs, None), 1):
-        assert len(jobs.taken) <= done + 2 * dask_cluster._AHEAD
+        assert len(jobs.taken) <= done + 8
     assert len(ran) == 40
 
 

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +10,6 @@ from hil.study.campaign.figures import METRICS
 from hil.study.campaign.parquet import Column, Row, cell, kind
 from hil.study.campaign.settings import Limit, ListedAxis, entries
 
-Z = 1.959963984540054
-"""Quantile of the standard normal distribution at 97.5 %: two-sided 95 %."""
 BINS = 4
 """Of an axis with more values than MOST: equally many rows in each."""
 MOST = 12
@@ -29,17 +26,16 @@ class Rate(NamedTuple):
 
 
 def wilson(passed: int, n: int) -> tuple[float, float]:
-    """Return the 95 % score interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22, 209).
+    """95 % score interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) of none.
 
-    (p + z^2/2n +- z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n); (0, 1) of none. Rows are taken as
-    independent draws: points of a low-discrepancy sequence usually scatter less.
+    Rows are taken as independent draws: points of a low-discrepancy sequence usually scatter less.
     """
+    from scipy.stats import binomtest  # noqa: PLC0415 - most of a second
+
     if not n:
         return 0.0, 1.0
-    p, z2 = passed / n, Z * Z
-    middle, half = p + z2 / (2 * n), Z * sqrt(p * (1.0 - p) / n + z2 / (4 * n * n))
-    low, high = (middle - half) / (1.0 + z2 / n), (middle + half) / (1.0 + z2 / n)
-    return 0.0 if passed == 0 else low, 1.0 if passed == n else high
+    low, high = binomtest(passed, n).proportion_ci(0.95, "wilson")
+    return float(low), float(high)
 
 
 def rate(label: str, rows: Sequence[Row]) -> Rate:

@@ -4,7 +4,7 @@ Sobol' points are scrambled (Owen 1995), so that none of them is exactly 0 or 1 
 balanced where their number is a power of two.
 """
 
-from math import exp, floor, inf, log
+from math import exp, floor, log
 from typing import Any
 
 import numpy as np
@@ -44,29 +44,16 @@ def value_at(axis: SampledAxis, u: float) -> Any:
     if axis.loguniform is not None:
         low, high = axis.loguniform
         return min(high, max(low, exp(log(low) + u * (log(high) - log(low)))))
-    if axis.normal is not None:
-        return _normal(axis, u)
+    if (s := axis.normal) is not None:
+        from scipy.stats import truncnorm  # noqa: PLC0415
+
+        a, b = (s.min - s.mean) / s.std, (s.max - s.mean) / s.std
+        return min(s.max, max(s.min, s.mean + s.std * float(truncnorm.ppf(u, a, b))))
     if axis.integers is not None:
         first, last = axis.integers
         return min(last, first + floor(u * (last - first + 1)))
     listed = entries(axis)
     return listed[min(len(listed) - 1, floor(u * len(listed)))]
-
-
-def _normal(axis: SampledAxis, u: float) -> float:
-    """Return the quantile of a truncated normal: Phi^-1((1 - u) Phi(a) + u Phi(b)), a and b its ends.
-
-    By logarithms, since Phi is 0 from 38 standard deviations on.
-    """
-    from scipy.special import log_ndtr, ndtri_exp  # noqa: PLC0415
-
-    s = axis.normal
-    assert s is not None
-    a, b = (s.min - s.mean) / s.std, (s.max - s.mean) / s.std
-    side = -1.0 if a > 0.0 else 1.0  # in the upper tail Phi is 1 to the last bit: from the lower one
-    of_a, of_b = (log(share) if share > 0.0 else -inf for share in (1.0 - u, u))
-    x = side * float(ndtri_exp(np.logaddexp(of_a + log_ndtr(side * a), of_b + log_ndtr(side * b))))
-    return min(s.max, max(s.min, s.mean + s.std * x))
 
 
 def ends(axis: SampledAxis) -> list[Any]:

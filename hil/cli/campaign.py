@@ -102,9 +102,9 @@ def command(
     take which values (sample, list, grid), and the limits that a run has to keep. A run that has failed ends
     at once. Nothing is recorded: `hil campaign rerun FILE ROW --log` makes any row again, with its log.
 
-    Rows are kept as they come, in FOLDER/parts; after Ctrl-C or a crash the same command goes on with the
-    rows that are missing. FOLDER/table.parquet has all of them in the end, with the same bytes for any number
-    of processes and after any interruption. Guide: docs/guides/campaigns.md.
+    Rows are kept as they come, in FOLDER/campaign.sqlite; after Ctrl-C or a crash the same command goes on
+    with the rows that are missing. FOLDER/table.parquet has all of them in the end, with the same bytes for
+    any number of processes and after any interruption. Guide: docs/guides/campaigns.md.
 
     \b
     Examples:

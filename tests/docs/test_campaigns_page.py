@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
+import pyarrow.parquet as pq
 from click.testing import CliRunner
 
 from hil.cli import main
-from hil.study.campaign import parquet
 from hil.study.campaign.figures import METRICS
 
 PAGE = (Path(__file__).parents[2] / "docs/guides/campaigns.md").read_text()
@@ -19,7 +19,7 @@ def test_the_first_campaign_of_the_page_runs(tmp_path, monkeypatch):
     Path("first.yaml").write_text(example[1])
     result = CliRunner().invoke(main, ["campaign", "first.yaml", "--out", "first", "--jobs", "1"])
     assert result.exit_code in (0, 1), result.output
-    rows = parquet.read(Path("first/table.parquet"))
+    rows = pq.read_table("first/table.parquet").to_pylist()
     assert [row["law"] for row in rows] == ["own", "soft"] * 2
     assert len({row["friction_N"] for row in rows}) == 2
     assert (result.exit_code == 0) == all(row["passed"] for row in rows)

@@ -140,7 +140,7 @@ def blocks(plan: Plan, size: int, folder: Path, say: Callable[[str], None]) -> l
         Store(folder / "two", columns, mark) as both,
     ):
         run_row(plan.job(0))  # what comes first loads kernels, and Parquet
-        parquet.write(folder / "first.parquet", columns, [], {})
+        parquet.write(folder / "first.parquet", columns, [])
         list(in_pool(pool, [plan.job(0)] * 8, 2))
         for first in range(0, len(plan), size):
             jobs = [plan.job(k) for k in range(first, min(first + size, len(plan)))]
@@ -153,8 +153,6 @@ def blocks(plan: Plan, size: int, folder: Path, say: Callable[[str], None]) -> l
             loops["C"].append(gain(pool, c_loop))
             rows = first + len(jobs)
             say(f"row {rows} of {len(plan)}: {gained(one, two):.2f} times one worker")
-        for store in (alone, both):
-            store.flush()
         tables = {store.finish(store.rows()).read_bytes() for store in (alone, both)}
     if len(tables) != 1:
         raise RunError("the tables of one worker and of two are not the same")

@@ -8,16 +8,13 @@ from typing import Any
 
 from drivers.errors import RunError
 from hil.app.interrupted import leaving
-from hil.study import workers
 from hil.study.campaign import dask_cluster, parquet
 from hil.study.campaign.parquet import Row, cell
 from hil.study.campaign.plan import Plan, identity
 from hil.study.campaign.rates import rate
 from hil.study.campaign.row import Job, not_run, run_row
 from hil.study.campaign.store import Store
-
-Progress = Callable[[int, int], None]
-"""Called with how many rows are there, and of how many."""
+from hil.study.workers import Progress, perform
 
 
 class _Jobs(Sequence[Job]):
@@ -62,8 +59,17 @@ def run_campaign(
         def there() -> str:
             return f"with {len(rows)} of {len(plan)} rows in {folder}; the same command goes on from there"
 
+        def of_all(done: int, of: int) -> None:
+            if progress is not None:
+                progress(kept + done, kept + of)
+
+        work = _Jobs(plan, missing)
+        if scheduler is not None and work:
+            outcomes = dask_cluster.perform(scheduler, work, of_all)
+        else:
+            outcomes = perform(work, run_row, not_run, jobs, of_all)
         with leaving(there), _lacking(there):
-            for outcome in _outcomes(_Jobs(plan, missing), jobs, scheduler, _counted(progress, kept)):
+            for outcome in outcomes:
                 row = line(plan, outcome, columns)
                 rows[row["row"]] = row
                 store.add(row)
@@ -108,17 +114,3 @@ def line(plan: Plan, outcome: dict[str, Any], columns: Sequence[parquet.Column])
     job = plan.job(outcome["row"])
     whole = {"seed": job.seed} | job.values | outcome
     return {column.name: cell(column, whole[column.name]) for column in columns}
-
-
-def _counted(progress: Progress | None, kept: int) -> Progress | None:
-    if progress is None:
-        return None
-    return lambda done, of: progress(kept + done, kept + of)
-
-
-def _outcomes(
-    work: Sequence[Job], jobs: int | None, scheduler: str | None, progress: Progress | None
-) -> Iterator[dict[str, Any]]:
-    if scheduler is not None and work:
-        return dask_cluster.perform(scheduler, work, progress)
-    return workers.perform(work, run_row, not_run, jobs, progress)

@@ -79,8 +79,8 @@ def require() -> None:
     _arrow()
 
 
-def write(path: Path, columns: Sequence[Column], rows: Sequence[Row], marks: dict[str, str]) -> None:
-    """Write rows into a file; `marks` stand in its metadata. Raises OSError."""
+def write(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> None:
+    """Write rows into a file. Raises OSError."""
     pa, parquet = _arrow()
     kinds = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
     fields = [
@@ -91,13 +91,9 @@ def write(path: Path, columns: Sequence[Column], rows: Sequence[Row], marks: dic
         "units": {each.name: each.unit for each in columns},
         "meanings": {each.name: each.meaning for each in columns},
     }
-    schema = pa.schema(fields, metadata=marks | {"PANDAS_ATTRS": json.dumps(attributes)})
-    arrays = [
-        pa.array([row[each.name] for row in rows], type=kinds[each.kind], from_pandas=False)
-        for each in columns
-    ]
+    schema = pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps(attributes)})
     parquet.write_table(
-        pa.Table.from_arrays(arrays, schema=schema),
+        pa.Table.from_pylist(rows, schema),
         path,
         compression="zstd",
         compression_level=3,
@@ -108,30 +104,6 @@ def write(path: Path, columns: Sequence[Column], rows: Sequence[Row], marks: dic
         row_group_size=65_536,
         store_schema=True,
     )
-
-
-def read(path: Path, marks: dict[str, str] | None = None) -> list[Row]:
-    """Return the rows of a file that `write` has made, with these marks unless they are None.
-
-    Raises LogError: it is damaged or another's; FileNotFoundError.
-    """
-    pa, parquet = _arrow()
-    try:
-        table = parquet.read_table(path)
-        there = table.schema.metadata or {}
-        if marks is not None and any(there.get(k.encode()) != v.encode() for k, v in marks.items()):
-            raise LogError(
-                f"{path}: its rows are of another campaign than its folder, or of an earlier state of it; "
-                "remove it to run them again"
-            )
-        found: list[Row] = table.to_pylist()
-    except FileNotFoundError:
-        raise
-    except (pa.ArrowException, OSError) as error:
-        raise LogError(
-            f"{path}: cannot be read as rows of a campaign: {error}; remove it to run them again"
-        ) from None
-    return found
 
 
 def _arrow() -> tuple[Any, ModuleType]:

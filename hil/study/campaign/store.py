@@ -1,42 +1,35 @@
 """The folder of a campaign's results: rows as they come, whole after a crash at any instant; then one table.
 
-campaign.json        what the campaign is made of: others are refused
-parts/*.parquet      rows in the order in which they were ready, a file for some of them
-table.parquet        all rows by number, once all are there; the parts are gone then
+campaign.sqlite      what the campaign is made of, and each row as JSON, on the disk once it is added
+table.parquet        all rows by number, once all are there
 """
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import json
-import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import RLock, Timer
 from types import TracebackType
-from typing import IO, Self
+from typing import Self
 
 from drivers.errors import LogError
-from drivers.files import made_folder, whole_file
+from drivers.files import made_folder
+from hil.app.files import made_whole
 from hil.study.campaign import parquet
 from hil.study.campaign.parquet import Column, Row
 
 TABLE = "table.parquet"
-MANIFEST = "campaign.json"
-_FORMAT = 1
-_HALF, _OWN = "tmp" + 8 * "[a-z0-9_]", ("json", "parquet", "html")
-"""Names of files that were never finished, and of which kinds they are in the campaign's folder."""
-_ROWS, _SECONDS = 1000, 2.0
-"""A part is written after so many rows, or so long after its first one."""
+DATABASE = "campaign.sqlite"
+_SCHEMA = {"made_of": "name TEXT PRIMARY KEY, digest TEXT", "rows": "number INTEGER PRIMARY KEY, cells TEXT"}
+_LOCKED = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 
 
 class Store:
     """Rows of one campaign on the disk, one process at a time.
 
-    Mutable state: the lock, the rows that are on no disk yet and the timer that writes them, which failed or
-    not, the number of the next part.
+    Mutable state: the database, in a transaction from its opening to its end: the lock that keeps others out.
     """
 
     def __init__(
@@ -44,26 +37,24 @@ class Store:
     ) -> None:
         """Open or make the folder; `fresh` discards the rows that are there, whatever campaign's they are.
 
-        Raises LogError: it is no folder of a campaign, of another one, or in use; or cannot be written.
+        Raises LogError: not the folder of a campaign, of another one, or in use; or it cannot be written.
         """
-        self.folder, self._columns, self._identity = folder, columns, identity
-        self._waiting: list[Row] = []
-        self._access = RLock()
-        self._timer: Timer | None = None
-        self._failed: LogError | None = None
+        self.folder, self._columns = folder, columns
         try:
-            self._refuse_strange()
-            made_folder(folder / "parts")
-            self._lock = self._locked()
-            try:
-                self._clear(fresh=fresh)
-                self._check()
-            except BaseException:
-                self._lock.close()
-                raise
+            _refuse_strange(folder)
+            made_folder(folder)
         except OSError as error:
             raise LogError(f"{folder}: cannot be used: {error.strerror or error}") from None
-        self._next = 1 + max((int(p.stem.removeprefix("part-")) for p in _parts(self.folder)), default=-1)
+        with _explained(folder):
+            self._db = sqlite3.connect(folder / DATABASE, timeout=0.0, isolation_level=None)
+        try:
+            with _explained(folder):
+                self._begin()
+                self._db.execute("PRAGMA busy_timeout = 10000")  # a commit waits for those who read
+                self._take_over(identity, fresh=fresh)
+        except BaseException:
+            self._db.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -71,137 +62,86 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            self.flush()
-        finally:
-            self._lock.close()
+        self._db.close()
 
     def rows(self) -> dict[int, Row]:
-        """Return the rows that are there, by number. Raises LogError: a file is damaged or another's."""
-        return _rows(self.folder, self._identity)
+        """Rows on the disk by number. Raises LogError: the file is damaged."""
+        with _explained(self.folder):
+            return _rows(self._db)
 
     def add(self, row: Row) -> None:
-        """Take a row in; now and then write what has come. Raises LogError, also of an earlier row."""
-        with self._access:
-            self._waiting.append(row)
-            if self._failed is not None or len(self._waiting) >= _ROWS:
-                self.flush()
-            elif self._timer is None:
-                self._timer = Timer(_SECONDS, self._flush_in_time)
-                self._timer.daemon = True
-                self._timer.start()
-
-    def flush(self) -> None:
-        """Write the rows that have come since as a part, whole and on the disk. Raises LogError."""
-        with self._access:
-            if self._timer is not None:
-                self._timer.cancel()
-            self._timer = self._failed = None
-            if not self._waiting:
-                return
-            self._write(self.folder / "parts" / f"part-{self._next:06d}.parquet", self._waiting)
-            self._next += 1
-            self._waiting = []
-
-    def _flush_in_time(self) -> None:
-        """Write what waits, whenever the next row comes; of a failure its writer hears with that row."""
-        with self._access:
-            try:
-                self.flush()
-            except LogError as error:
-                self._failed = error
+        """Write a row: it is whole and on the disk when this returns. Raises LogError: it is not."""
+        with _explained(self.folder):
+            self._db.execute("INSERT OR REPLACE INTO rows VALUES (?, ?)", (row["row"], json.dumps(row)))
+            self._commit()
 
     def finish(self, rows: dict[int, Row]) -> Path:
-        """Write the table of all rows by number, and remove the parts. Raises LogError."""
-        self.flush()
+        """Write the table of all rows by number. Raises LogError: it cannot be written."""
         table = self.folder / TABLE
-        if _parts(self.folder) or not table.exists():
-            self._write(table, [rows[number] for number in sorted(rows)])
-            for part in _parts(self.folder):
-                part.unlink()
+        try:
+            with made_whole(table, overwrite=True) as temporary:
+                parquet.write(temporary, self._columns, [rows[number] for number in sorted(rows)])
+        except OSError as error:
+            raise LogError(f"{table}: cannot be written: {error.strerror or error}") from None
         return table
 
-    def _write(self, path: Path, rows: list[Row]) -> None:
-        try:
-            with _durable(path) as temporary:
-                parquet.write(temporary, self._columns, rows, _marks(self._identity))
-        except OSError as error:
-            raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None
+    def _begin(self) -> None:
+        self._db.execute("BEGIN IMMEDIATE")
 
-    def _refuse_strange(self) -> None:
-        """Refuse a folder that holds something, and no campaign: nothing of it is touched."""
-        if self.folder.exists() and not self.folder.is_dir():
-            raise LogError(f"{self.folder}: is a file; name a folder with --out")
-        if not self.folder.is_dir():
-            return
-        there = {file.name for file in self.folder.iterdir()}
-        # a crash may leave `parts` before there is a lock in it; others have folders of that name, too
-        begun = there == {"parts"} and not any((self.folder / "parts").iterdir())
-        if there and not begun and not (self.folder / "parts" / "lock").is_file():
-            raise LogError(
-                f"{self.folder}: holds no results of a campaign; name an empty or new folder with --out"
-            )
+    def _commit(self) -> None:
+        self._db.execute("COMMIT")
+        self._begin()
 
-    def _locked(self) -> IO[bytes]:
-        file = (self.folder / "parts" / "lock").open("ab")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            raise LogError(
-                f"{self.folder}: another process works on this campaign; wait for it, or name another folder "
-                "with --out"
-            ) from None
-        return file
-
-    def _clear(self, *, fresh: bool) -> None:
-        """Remove what a crash has left half written; `fresh`: the rows, too."""
-        parts = self.folder / "parts"
-        halves = [
-            *parts.glob(f"{_HALF}.parquet"),
-            *(f for k in _OWN for f in self.folder.glob(f"{_HALF}.{k}")),
-        ]
-        rows = [*_parts(self.folder), self.folder / TABLE, self.folder / MANIFEST] if fresh else []
-        for file in (*halves, *rows):
-            file.unlink(missing_ok=True)
-
-    def _check(self) -> None:
-        """Take the manifest over, or refuse to mix the rows of two campaigns."""
-        manifest = self.folder / MANIFEST
-        mine = {"kind": "campaign", "format": _FORMAT, "made_of": self._identity}
-        if not manifest.exists():
-            with _durable(manifest) as temporary:
-                temporary.write_text(json.dumps(mine, indent=1) + "\n", "utf-8")
-            return
-        _refuse_other(self.folder, self._identity)
+    def _take_over(self, identity: dict[str, str], *, fresh: bool) -> None:
+        """Refuse to mix the rows of two campaigns; a new database is this one's."""
+        tables = {name for (name,) in self._db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if tables - _SCHEMA.keys():
+            raise LogError(f"{self.folder / DATABASE}: not a database of a campaign; name another folder")
+        for name, columns in _SCHEMA.items():
+            self._db.execute(f"CREATE TABLE IF NOT EXISTS {name} ({columns})")
+            if fresh:
+                self._db.execute(f"DELETE FROM {name}")  # noqa: S608 - names of ours
+        if fresh:
+            (self.folder / TABLE).unlink(missing_ok=True)
+        if _made_of(self._db):
+            _refuse_other(self.folder, self._db, identity)
+        else:
+            self._db.executemany("INSERT INTO made_of VALUES (?, ?)", identity.items())
+        self._commit()
 
 
 def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
-    """Return the rows of a campaign that are on the disk, while another process adds to them, too.
+    """Rows of a campaign that are on the disk, by number, while another process adds to them, too.
 
     Nothing is written: the folder may be read-only. Raises LogError: another campaign's, or damaged.
     """
-    if not (folder / MANIFEST).is_file():
+    file = folder / DATABASE
+    if not file.is_file():
         return {}
-    _refuse_other(folder, identity)
-    return _rows(folder, identity)
+    with _explained(folder):
+        db = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)
+        try:
+            _refuse_other(folder, db, identity)
+            return _rows(db)
+        finally:
+            db.close()
 
 
-def _refuse_other(folder: Path, identity: dict[str, str]) -> None:
-    """Refuse to take the rows of another campaign for those of this one."""
-    manifest = folder / MANIFEST
-    try:
-        there = json.loads(manifest.read_text("utf-8"))
-        made_of = dict(there["made_of"]) | {"format": there["format"]}
-    except OSError as error:
-        raise LogError(f"{manifest}: cannot be read: {error.strerror}") from None
-    except (ValueError, TypeError, KeyError, RecursionError):
+def _refuse_strange(folder: Path) -> None:
+    """Refuse a folder that holds something else than a campaign: nothing in it is touched."""
+    if folder.exists() and not folder.is_dir():
+        raise LogError(f"{folder}: is a file; name a folder with --out")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / DATABASE).is_file():
         raise LogError(
-            f"{manifest}: is no manifest of a campaign, or damaged; remove it (files of rows say whose they "
-            "are, too), or name another folder with --out"
-        ) from None
-    now = identity | {"format": _FORMAT}
-    changed = [name for name in {**now, **made_of} if now.get(name) != made_of.get(name)]
+            f"{folder}: holds no results of a campaign of this version; name an empty or new folder with "
+            "--out"
+        )
+
+
+def _refuse_other(folder: Path, db: sqlite3.Connection, identity: dict[str, str]) -> None:
+    """Refuse to take the rows of another campaign for those of this one."""
+    made_of = _made_of(db)
+    changed = [name for name in {**identity, **made_of} if identity.get(name) != made_of.get(name)]
     if changed:
         raise LogError(
             f"{folder}: its rows are of another campaign, changed since: {', '.join(changed)}; "
@@ -210,35 +150,25 @@ def _refuse_other(folder: Path, identity: dict[str, str]) -> None:
         )
 
 
-def _rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
-    found: dict[int, Row] = {}
-    for file in (*_parts(folder), folder / TABLE):  # parts go only when the table is there
-        with contextlib.suppress(FileNotFoundError):
-            found |= {row["row"]: row for row in parquet.read(file, _marks(identity))}
-    return found
+def _made_of(db: sqlite3.Connection) -> dict[str, str]:
+    return dict(db.execute("SELECT name, digest FROM made_of").fetchall())
 
 
-def _parts(folder: Path) -> list[Path]:
-    return sorted((folder / "parts").glob("part-" + 6 * "[0-9]" + ".parquet"))
-
-
-def _marks(identity: dict[str, str]) -> dict[str, str]:
-    """Return what a file of rows says of the campaign that they are of."""
-    return {"campaign": json.dumps(identity)}
+def _rows(db: sqlite3.Connection) -> dict[int, Row]:
+    return {number: json.loads(cells) for number, cells in db.execute("SELECT number, cells FROM rows")}
 
 
 @contextmanager
-def _durable(path: Path) -> Iterator[Path]:
-    """Yield a new file that gets its name when its content is on the disk. Raises OSError."""
-    with whole_file(path) as temporary:
-        yield temporary
-        _sync(temporary)
-    _sync(path.parent)
-
-
-def _sync(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY)
+def _explained(folder: Path) -> Iterator[None]:
+    """Raise LogError for what the database cannot do."""
     try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+        yield
+    except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) in _LOCKED:
+            raise LogError(
+                f"{folder}: another process works on this campaign; wait for it, or name another folder "
+                "with --out"
+            ) from None
+        damaged = not isinstance(error, sqlite3.OperationalError)
+        hint = "; remove it to run its rows again" if damaged else ""
+        raise LogError(f"{folder / DATABASE}: cannot be used: {error}{hint}") from None

@@ -2,11 +2,12 @@
 
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import textwrap
 import time
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 ROOT = Path(__file__).parents[4]
@@ -60,13 +61,22 @@ def started(plan, out, *words):
         process.wait()
 
 
-def wait_for_a_part(out, process, within_s=300.0):
-    """Wait until the first rows are on the disk."""
+def wait_for_a_row(out, process, within_s=300.0):
+    """Wait until the first row is on the disk."""
     end = time.monotonic() + within_s
-    while not list((out / "parts").glob("part-*")):
+    while not _has_rows(out / "campaign.sqlite"):
         assert process.poll() is None, "it has ended"
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def _has_rows(database):
+    with (
+        suppress(sqlite3.OperationalError),
+        closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as db,
+    ):
+        return db.execute("SELECT count(*) FROM rows").fetchone()[0] > 0
+    return False
 
 
 def kill_thrice(plan, out, chance, *words):
@@ -77,7 +87,7 @@ def kill_thrice(plan, out, chance, *words):
     for k in range(3):
         with started(plan, out, *words) as process:
             if k == 0:
-                wait_for_a_part(out, process)
+                wait_for_a_row(out, process)
             time.sleep(chance.uniform(0.0, 1.0) if k == 0 else chance.uniform(0.5, 4.0))
             assert process.poll() is None, "it was over before"
             os.kill(process.pid, signal.SIGKILL)

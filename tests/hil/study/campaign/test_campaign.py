@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
@@ -41,7 +42,7 @@ def small(tmp_path_factory):
 
 def test_a_row_is_its_values_and_what_came_of_it(small):
     plan, folder, summary = small
-    rows = parquet.read(folder / "table.parquet")
+    rows = pq.read_table(folder / "table.parquet").to_pylist()
     assert rows == summary["matrix"]
     assert [row["fault"] for row in rows] == ["none", "jump"] * 2
     assert [row["friction_N"] for row in rows] == [plan.values(k)["friction_N"] for k in range(4)]
@@ -61,11 +62,10 @@ def test_a_failed_run_ends_at_once(small):
 
 
 def test_the_table_says_what_its_columns_are(small):
-    pyarrow = pytest.importorskip("pyarrow.parquet")
-    schema = pyarrow.read_schema(small[1] / "table.parquet")
+    schema = pq.read_schema(small[1] / "table.parquet")
     assert schema.field("peak_force_N").metadata[b"unit"] == b"N"
     assert schema.field("friction_N").metadata[b"meaning"] == b"plant.model.coulomb_friction_N"
-    text = repr(schema.metadata) + (small[1] / "campaign.json").read_text()
+    text = repr(schema.metadata)
     assert str(os.getpid()) not in text.replace("0.", "")
     assert time.strftime("%Y-%m") not in text
 
@@ -120,7 +120,6 @@ def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
     with Store(tmp_path, columns, identity(plan)) as running:
         for row in rows:
             running.add(row)
-        running.flush()
         found = rerun(plan, tmp_path, 2, None)  # while the campaign is running
     assert (found["success"], found["different"]) == (False, 1)
     assert "peak_force_N of run again" in found["trouble"]

@@ -17,7 +17,7 @@ from hil.study.campaign import dask_cluster
 from hil.study.campaign.command import run_campaign
 from hil.study.campaign.plan import read_plan
 from hil.study.campaign.row import Job
-from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, started, wait_for_a_part, written
+from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, started, wait_for_a_row, written
 from tests.hil.study.campaign.clusters import cluster
 
 DEADLY = """
@@ -220,7 +220,7 @@ def test_ctrl_c_takes_its_rows_off_the_cluster(tmp_path):
         cluster(tmp_path, 1) as running,
         started(plan, tmp_path / "out", "--scheduler", running.address) as process,
     ):
-        wait_for_a_part(tmp_path / "out", process)
+        wait_for_a_row(tmp_path / "out", process)
         process.send_signal(signal.SIGINT)
         assert process.wait(60.0) == 130
         with distributed.Client(running.address, set_as_default=False) as client:

@@ -27,14 +27,12 @@ from hil.lab.bringup.drives import Drives
 from hil.lab.bringup.ends import Agree, End, machine_end, rehearsed_end, served_end
 from hil.lab.bringup.found import FIRST_M, found_text, mended
 from hil.lab.bringup.hands import asked, hands_socket
-from hil.lab.bringup.homing import mark_moved, state_lengths
 from hil.lab.bringup.machine import bringup_rate, build_machine
 from hil.lab.bringup.procedure import Outcome, bring_up
-from hil.lab.bringup.rehearsal import build_bench
+from hil.lab.bringup.rehearsal import build_bench, wiring_of
+from hil.lab.bringup.release import Together, lines_of, mark_moved, six_legs, state_lengths
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
-from hil.lab.bringup.together import Together, lines_of, six_legs
-from hil.lab.bringup.words import wiring_of
 from hil.record import Recording
 from plant_fmu.rehearsal.bench import RehearsalBench
 

@@ -6,7 +6,7 @@ are powered, on shut brakes, and a latched drive obeys no command but RESET. Not
 """
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,7 +16,30 @@ from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import SERIAL, DriveSetup, Frame, Received, Said
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
-from hil.lab.bringup.line import Line
+
+
+class Heard(NamedTuple):
+    """What a tick has brought."""
+
+    since_ns: int
+    """When the tick began."""
+    frames: tuple[Received, ...]
+    """All frames since the last tick, the answers to this one's first frames among them."""
+    stretched_ns: int = 0
+    """How long the bench's time has stood still since the last tick."""
+
+
+class Line(Protocol):
+    """The bus to six drives. Mutable state: the tick, and what is under way."""
+
+    rate_Hz: float
+
+    def exchange(self, opening: Sequence[Frame]) -> Heard:
+        """Wait for the next tick, send what starts it, and collect the answers."""
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Send the frames that end a tick."""
+
 
 LOCK_S = 1e-6
 """Watchdog of a drive that is to stay out: `legs` has no shorter one."""

@@ -23,8 +23,7 @@ from hil.app.configuration.fault_rules import refuse_on_trestles
 from hil.app.plant import Bench
 from hil.lab.bringup.context import Act, Operator, Request
 from hil.lab.bringup.machine import known_poses
-from hil.lab.bringup.rehearsal import PATIENCE, BenchHands, build_bench, mounted
-from hil.lab.bringup.words import wiring_of
+from hil.lab.bringup.rehearsal import PATIENCE, BenchHands, build_bench, mounted, wiring_of
 
 _LONGEST = 4096
 

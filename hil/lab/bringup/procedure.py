@@ -6,8 +6,7 @@ Nothing later begins while a gate has findings. Facts that are known are not ask
 from typing import NamedTuple
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Gap, RefusedError, Request, StoppedError
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import Context, Finding, Gap, RefusedError, Request, Step, StoppedError
 from hil.lab.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
 
 STEPS: tuple[Step, ...] = (

@@ -16,8 +16,7 @@ from hil.app import plant
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import read_fault
-from hil.lab.bringup.rehearsal import build_bench
-from hil.lab.bringup.words import wiring_of
+from hil.lab.bringup.rehearsal import build_bench, wiring_of
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan

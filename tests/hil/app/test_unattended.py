@@ -16,7 +16,7 @@ from hil.app.configuration.unattended import unattended, without_operator
 from hil.app.sim import command as sim
 from hil.app.sim.build import build_lockstep
 from hil.config.operator import OperatorSettings
-from hil.lab.bringup import together
+from hil.lab.bringup import release
 from hil.lab.identify import delay
 from hil.lab.learn import rehearsal
 from hil.lab.learn.command import Knowledge
@@ -67,7 +67,7 @@ RUNS: dict[str, Any] = {
         "simulate",
         lambda c, _: delay.run_for(delay.Excited(c, 1.0), None, real_time=False, with_plant=False, arm=False),
     ),
-    "bringup": (together, "build_cycle", lambda c, _: together.six_legs(c, None)),  # type: ignore[arg-type]
+    "bringup": (release, "build_cycle", lambda c, _: release.six_legs(c, None)),  # type: ignore[arg-type]
     "campaign": (compare, "chosen", campaign),
     "sim": (sim, "build_cycle", lambda c, _: sim.simulate(c)),
 }

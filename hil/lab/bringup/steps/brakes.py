@@ -10,8 +10,7 @@ from statistics import median
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Gap, Request
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Gap, Request, Step
 
 PUSH_S = 0.15
 RATE_WITHIN = 0.6, 1.6

@@ -4,8 +4,7 @@ from math import sqrt
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Request
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import Context, Finding, Request, Step
 from hil.lab.bringup.steps.ids import drive_of
 
 ENDS_M = 2e-3

@@ -10,8 +10,7 @@ from typing import Any
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.lab.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, StoppedError
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Finding, Step, StoppedError
 
 RAMP_S = 0.8
 SETTLE_S = 0.02

@@ -7,8 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Request
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import Context, Finding, Request, Step
 from hil.lab.bringup.steps.brakes import friction
 from hil.lab.bringup.steps.encoder import tolerance
 from hil.lab.bringup.steps.force import breakaway, guard

@@ -3,8 +3,7 @@
 import numpy as np
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Request
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import Context, Finding, Request, Step
 
 MOVE_SHARE = 0.1
 """Of the stroke, by hand."""

@@ -4,8 +4,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Gap, Request
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import Context, Finding, Gap, Request, Step
 
 FIT_M = 4e-3
 """Largest accepted difference of a length at a pose that is known by a jig."""

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 from drivers.protocol import SERIAL, Said
 from drivers.signals import LEGS, DriveState, Foreign
-from hil.lab.bringup.context import Context, Finding
+from hil.lab.bringup.context import Context, Finding, Step
 from hil.lab.bringup.facts import forget_legs
-from hil.lab.bringup.step import Step
 
 LISTEN_S = 0.4
 TWICE = 1.5

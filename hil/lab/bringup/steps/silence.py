@@ -12,8 +12,7 @@ from typing import Any
 
 from drivers.signals import LEGS, DriveMode, DriveState
 from drivers.tick_columns import Record
-from hil.lab.bringup.context import Context, Finding, Gap
-from hil.lab.bringup.step import Step
+from hil.lab.bringup.context import Context, Finding, Gap, Step
 
 POWER_S = 0.1
 WAIT, WAIT_S = 6.0, 0.4

@@ -9,12 +9,11 @@ import numpy as np
 from drivers.arrays import Array
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration, load
-from hil.lab.bringup.context import Context, Request
+from hil.lab.bringup.context import Context, Request, Step
 from hil.lab.bringup.drives import Drives
 from hil.lab.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.lab.bringup.procedure import STEPS, Outcome, bring_up
 from hil.lab.bringup.rehearsal import BenchHands, BenchLine, build_bench
-from hil.lab.bringup.step import Step
 from plant_fmu.plant import Plant
 from plant_fmu.rehearsal.bench import RehearsalBench
 from plant_fmu.rehearsal.wiring import Wiring

@@ -11,10 +11,10 @@ from hil.app.configuration.configuration import load
 from hil.lab.bringup.command import run_bringup
 from hil.lab.bringup.context import RefusedError, Request
 from hil.lab.bringup.procedure import STEPS
+from hil.lab.bringup.rehearsal import wiring_of
 from hil.lab.bringup.steps import gauge
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
-from hil.lab.bringup.words import wiring_of
 from plant_fmu.rehearsal.wiring import MISTAKES, RANGES, Wiring
 from tests.hil.lab.bringup.families import family
 from tests.hil.lab.bringup.kit import Rehearsal

@@ -10,7 +10,7 @@ from drivers.clock import Clock
 from drivers.errors import BusError
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame, Received
-from hil.lab.bringup.bus_line import BusLine
+from hil.lab.bringup.ends import BusLine
 
 POLL, ANSWER, LATE = Frame(1, b"p"), Frame(2, b"a"), Frame(3, b"l")
 

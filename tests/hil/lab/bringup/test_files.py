@@ -24,10 +24,10 @@ from hil.lab.bringup.found import commented, found_text, mended
 from hil.lab.bringup.hands import RemoteHands, hands_socket, served_bench
 from hil.lab.bringup.machine import build_machine
 from hil.lab.bringup.procedure import Outcome
+from hil.lab.bringup.rehearsal import mistake_of, wiring_of
 from hil.lab.bringup.steps import encoder, ids, scan, silence
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
-from hil.lab.bringup.words import mistake_of, wiring_of
 from hil.record.log import Log
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal

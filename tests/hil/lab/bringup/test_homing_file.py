@@ -9,9 +9,8 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing.command import state_homing
 from hil.app.homing.file import read_homing
-from hil.lab.bringup.homing import mark_moved, state_lengths
 from hil.lab.bringup.procedure import STEPS
-from hil.lab.bringup.together import six_legs
+from hil.lab.bringup.release import mark_moved, six_legs, state_lengths
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal, named
 

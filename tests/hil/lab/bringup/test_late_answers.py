@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from drivers.protocol import Frame, Received
-from hil.lab.bringup.line import Heard, Line
+from hil.lab.bringup.drives import Heard, Line
 from hil.lab.bringup.steps import scan, silence
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal, named

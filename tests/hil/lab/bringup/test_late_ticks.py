@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from drivers.protocol import Frame
-from hil.lab.bringup.line import Heard
+from hil.lab.bringup.drives import Heard
 from hil.lab.bringup.rehearsal import BenchLine
 from hil.lab.bringup.steps import scan, silence
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired

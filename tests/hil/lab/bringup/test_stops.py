@@ -10,9 +10,8 @@ import pytest
 
 from drivers.signals import DriveFault, DriveMode, DriveState
 from drivers.tick_columns import new_record
-from hil.lab.bringup.context import OLD_TICKS, Context, Finding, RefusedError, Request, StoppedError
+from hil.lab.bringup.context import OLD_TICKS, Context, Finding, RefusedError, Request, Step, StoppedError
 from hil.lab.bringup.procedure import bring_up
-from hil.lab.bringup.step import Step
 
 UNSAFE = ("runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps")
 

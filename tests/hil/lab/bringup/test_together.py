@@ -12,7 +12,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.encoder_limits import encoder_limits
 from hil.cli import main
 from hil.lab.bringup.found import found_text
-from hil.lab.bringup.together import six_legs
+from hil.lab.bringup.release import six_legs
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
 from tests.hil.lab.bringup.kit import Rehearsal

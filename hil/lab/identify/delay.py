@@ -23,8 +23,8 @@ from hil.config.reference import Evaluated, HoldReference
 from hil.config.values import Pose
 from hil.control.model import build_model
 from hil.lab.identify.estimators.axis_fit import Fit
-from hil.lab.identify.estimators.delay import Delay, Motion, force_delay
 from hil.lab.identify.estimators.excitation import delay_excitation
+from hil.lab.identify.estimators.force_delay import Delay, Motion, force_delay
 from hil.record.mcap_file import MAGIC
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import COULOMB, VISCOUS

@@ -1,5 +1,10 @@
-"""The linearised axes of a log or a configuration: which law, which axes, which part of the run."""
+"""The linearised axes of a log or a configuration: which law, which axes, which part of the run.
 
+A law that linearises sends tau = A(x) v + b(x), x the measured state, for a demanded acceleration v. So v
+follows from what was sent, limits included, whatever made v: reference, gains, a switching term.
+"""
+
+from collections.abc import Callable
 from fractions import Fraction
 from math import gcd, lcm
 from typing import NamedTuple
@@ -9,16 +14,20 @@ import numpy as np
 from drivers.arrays import Array, Flags, Ints, Rows
 from drivers.errors import ConfigurationError, IdentificationError, LogError
 from drivers.signals import Mode
+from drivers.tick_columns import Record, new_record
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.platform import build_platform
 from hil.config.axis_model import AxisSpace
 from hil.config.reference import MultisineReference, ReferenceSettings, SinusoidReference
 from hil.control import LAWS
+from hil.control.inverse_dynamics import linearising_tau
 from hil.control.model import build_model
-from hil.lab.identify.estimators.linearised import AxisSignals, demanded_accelerations, state_of
+from hil.lab.identify.estimators.response import AxisSignals
 from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
+from hil.robot.kinematics_kernels import jacobian_kernel
 from hil.trajectory.multisine import pick_lines
 
 LEAST_MOTION_m = 1e-4
@@ -159,3 +168,36 @@ def at_full_speed(good: Flags, t: Array, period_s: float) -> Flags:
     found = good.copy()
     found[ticks[~(np.abs(late) < APART * period_s)]] = False
     return found
+
+
+Law = Callable[[Model, Record, Array], Array]
+
+
+def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record], tau: Array) -> Array:
+    """Return v (n, 6) for which the law of `model` sends tau (n, 6) N in each state.
+
+    joint: accelerations of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
+    A and b are taken from the law's own kernel, so every variant of the model is its own inverse.
+    """
+    law, still = _LAWS[space], np.zeros(6)
+    axes = np.eye(6)
+    b = np.array([law(model, state, still) for state in states])
+    A = np.array([[law(model, state, axis) for axis in axes] for state in states]) - b[:, None, :]
+    return np.linalg.solve(A.transpose(0, 2, 1), (tau - b)[:, :, None])[:, :, 0]
+
+
+def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> Record:
+    """Return a tick with what a law's kernels read of the state, from a row of the log."""
+    tick = new_record()
+    tick["p"], tick["R"], tick["twist"], tick["wrench"] = p, R, twist, wrench
+    tick["J"] = jacobian_kernel(model.platform.base_joints, model.platform.platform_joints, p, R)
+    return tick
+
+
+def _pose(model: Model, tick: Record, v: Array) -> Array:
+    return inverse_dynamics_kernel(
+        model.constants, model.code, tick["p"], tick["R"], tick["twist"], v, tick["wrench"]
+    )
+
+
+_LAWS: dict[AxisSpace, Law] = {"joint": linearising_tau, "pose": _pose}

@@ -17,15 +17,16 @@ from hil.config.model import ModelSettings
 from hil.config.platform import PayloadSettings
 from hil.control.model import build_model
 from hil.lab.identify.delay import recorded_run, refuse_fused
-from hil.lab.identify.estimators.consistent import Consistent, consistent
-from hil.lab.identify.estimators.delay import mean_forces
-from hil.lab.identify.estimators.least_squares import (
+from hil.lab.identify.estimators.body_fit import (
+    Consistent,
     Estimate,
+    consistent,
     halves,
     prediction_error,
     solve,
     unknowns_scale,
 )
+from hil.lab.identify.estimators.force_delay import mean_forces
 from hil.lab.identify.estimators.leg_equations import (
     COLUMNS,
     COULOMB,

@@ -17,8 +17,7 @@ from hil.control.law import ErrorDynamics, LawSettings
 from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import gains
 from hil.design.stability.sampled_loop import sampled_axis, sampled_controller
-from hil.lab.identify.estimators.linearised import state_of
-from hil.lab.identify.linearised import linearised_law
+from hil.lab.identify.linearised import linearised_law, state_of
 from hil.lab.learn.convergence import Choice, Uncertainty, choose, contraction, stated
 from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
 from hil.mathematics.linear_system import LinearSystem, lag

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from hil.app.output import print_table
-from hil.lab.identify import plot as axes_plot
+from hil.lab.identify.axes import draw
 from hil.study.campaign.rates import Rate
 from hil.study.campaign.show import cells
 from hil.study.compare import plot, table
@@ -117,6 +117,6 @@ def test_the_picture_of_axes_is_named_after_its_log_whatever_its_name(
         measured=[axis] * 6,
         uncertainty=SimpleNamespace(frequency_Hz=f, bound=f),
     )
-    axes_plot.draw(model, tmp_path / "a.png", "$\\frac$ \udce9")
+    draw(model, tmp_path / "a.png", "$\\frac$ \udce9")
     (figure,) = drawn
     assert figure.get_suptitle() == "$\\frac$ \ufffd"

@@ -13,7 +13,7 @@ from drivers.errors import IdentificationError
 from hil.config.axis_model import AxisSpace
 from hil.config.reference import Sinusoid, SinusoidReference
 from hil.config.values import AXES, Pose
-from hil.lab.identify.estimators.spectra import FEWEST_BLOCKS
+from hil.lab.identify.estimators.response import FEWEST_BLOCKS
 from hil.mathematics.rotations import rotation_from_vector, rotation_vector_rate
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian

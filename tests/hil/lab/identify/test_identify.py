@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.lab.identify.estimators.delay import mean_forces
+from hil.lab.identify.estimators.force_delay import mean_forces
 from hil.robot.force_path import ForcePath
 
 T = 1e-3

@@ -7,11 +7,8 @@ import pytest
 from scipy.signal import cont2discrete
 
 from drivers.errors import IdentificationError
-from hil.lab.identify.estimators.axis_fit import fit_axes, uncertainty
-from hil.lab.identify.estimators.linearised import AxisSignals
-from hil.lab.identify.estimators.nominal import axis_response
-from hil.lab.identify.estimators.response import Response, estimate
-from hil.lab.identify.estimators.spectra import Spectra, periodic, segmented
+from hil.lab.identify.estimators.axis_fit import axis_response, fit_axes, uncertainty
+from hil.lab.identify.estimators.response import AxisSignals, Response, Spectra, estimate, periodic, segmented
 
 T = 1e-3
 LAG = 0.8e-3

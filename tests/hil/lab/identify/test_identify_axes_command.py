@@ -20,7 +20,7 @@ from hil.config.reference import MultisineAxis, MultisineReference, Sinusoid, Si
 from hil.config.values import Pose
 from hil.lab.identify.axes import excited_axes
 from hil.lab.identify.estimators.excitation import axis_excitation
-from hil.lab.identify.estimators.linearised import AxisSignals
+from hil.lab.identify.estimators.response import AxisSignals
 from hil.lab.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.robot.kinematics import jacobian
 

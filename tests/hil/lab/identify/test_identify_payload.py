@@ -7,9 +7,9 @@ import pytest
 
 from drivers.arrays import Array
 from drivers.errors import IdentificationError
-from hil.lab.identify.estimators.consistent import consistent
-from hil.lab.identify.estimators.least_squares import (
+from hil.lab.identify.estimators.body_fit import (
     coloured_covariance,
+    consistent,
     halves,
     prediction_error,
     solve,

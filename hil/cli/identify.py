@@ -189,13 +189,13 @@ def command(
       2  not measured: configuration, log, or too little excitation; the message says what
     """
     from hil.app.output import log_path
-    from hil.lab.identify import axes
+    from hil.lab.identify import axes, runs
     from hil.lab.identify import delay as delay_of
 
     if delay and model:
         raise click.UsageError("--model has no use with --delay, which prints what it finds")
     made = run = files = None
-    if delay_of.is_log(configuration):
+    if runs.is_log(configuration):
         if real_time or with_plant or arm or force or duration or log:
             raise click.UsageError(
                 f"{configuration} is a log: --run, --plant, --arm, --force, --duration, --log have no use"
@@ -211,7 +211,7 @@ def command(
     if not delay:
         files = axes.outputs(log, model)
     if made is not None:
-        run = delay_of.run_for(made, log, real_time=real_time, with_plant=with_plant, arm=arm)
+        run = runs.run_for(made, log, real_time=real_time, with_plant=with_plant, arm=arm)
         if not run["success"]:
             click.echo(
                 f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True

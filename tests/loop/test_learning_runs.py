@@ -19,7 +19,7 @@ from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import read_feedforward
 from hil.app.replay import replay_log
 from hil.cli import main
-from hil.lab.identify.delay import recorded_run
+from hil.lab.identify.runs import recorded_run
 from hil.lab.learn import rehearsal, report, runs
 from hil.lab.learn.command import Knowledge, learn, learned
 from hil.lab.learn.model import belief_of, learner

@@ -17,19 +17,7 @@ from hil.app.output import further, picture_beside
 from hil.app.recorded_files import attached
 from hil.config.axis_model import AxisModel, AxisResponse, AxisSpace, NominalAxis, UncertaintyProfile
 from hil.config.reference import MultisineReference, SinusoidReference
-from hil.lab.identify.delay import (
-    Excited,
-    compensation,
-    compensation_lines,
-    delay_figures,
-    delay_rows,
-    exact_model,
-    excitation_force,
-    excitation_pose,
-    excited_by,
-    recorded_run,
-    refuse_fused,
-)
+from hil.lab.identify.delay import compensation, compensation_lines, delay_figures, delay_rows
 from hil.lab.identify.estimators.axis_fit import (
     COHERENT,
     Fit,
@@ -41,6 +29,15 @@ from hil.lab.identify.estimators.axis_fit import (
 from hil.lab.identify.estimators.excitation import axis_excitation
 from hil.lab.identify.estimators.response import Response, Spectra, estimate, periodic, segmented
 from hil.lab.identify.linearised import linearised_law, repeating, settled, signals_of
+from hil.lab.identify.runs import (
+    Excited,
+    exact_model,
+    excitation_force,
+    excitation_pose,
+    excited_by,
+    recorded_run,
+    refuse_fused,
+)
 
 REMARK = "Made by hil identify: the linearised axes from demanded acceleration to measured position."
 

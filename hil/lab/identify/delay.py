@@ -1,65 +1,30 @@
-"""`hil identify --delay`, and what all of `hil identify` shares: runs made for it, and logs."""
+"""`hil identify --delay`: the delay from a measurement to the force that answers it."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import yaml
 
 from drivers.arrays import Rows
-from drivers.errors import ConfigurationError, LogError
-from drivers.files import open_regular
-from drivers.signals import DriveState
-from hil.app.check.command import refuse_unreachable
-from hil.app.configuration.configuration import Configuration, loads
-from hil.app.configuration.platform import build_platform
-from hil.app.configuration.unattended import unattended
-from hil.app.configuration.yaml_positions import parse
-from hil.app.replay import open_run
-from hil.app.run.command import run_daemon
-from hil.app.sim.command import simulate
-from hil.config.model import ModelSettings
-from hil.config.reference import Evaluated, HoldReference
-from hil.config.values import Pose
-from hil.control.model import build_model
+from hil.app.configuration.configuration import Configuration
 from hil.lab.identify.estimators.axis_fit import Fit
 from hil.lab.identify.estimators.excitation import delay_excitation
 from hil.lab.identify.estimators.force_delay import Delay, Motion, force_delay
-from hil.record.mcap_file import MAGIC
+from hil.lab.identify.runs import (
+    Excited,
+    brakes_open,
+    episode,
+    exact_model,
+    excitation_force,
+    excitation_pose,
+    excited_by,
+    recorded_run,
+    refuse_fused,
+)
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import COULOMB, VISCOUS
 
 DURATION_S = 4.0
-FORCE_SHARE = 0.02
-"""Excitation as a share of limits.force_N ..."""
-STEP_SHARE = 0.1
-"""... and at most of limits.force_step_N and limits.force_window_N."""
-
-
-class Excited(NamedTuple):
-    """A configuration with its reference replaced by an excitation."""
-
-    configuration: Configuration
-    force_N: float
-    """Largest leg force of the excitation."""
-
-
-class Recorded(NamedTuple):
-    """A log of a run."""
-
-    configuration: Configuration
-    rows: Rows
-    rate_Hz: float
-    attachments: dict[str, bytes]
-
-
-def is_log(source: Path) -> bool:
-    """Tell whether a file is a log (MCAP) rather than a configuration."""
-    try:
-        with open_regular(source) as file:
-            return file.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
 
 
 def excited(configuration: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
@@ -77,90 +42,13 @@ def excited(configuration: Configuration, force_N: float | None, duration_s: flo
     return excited_by(c, reference, force)
 
 
-def refuse_fused(c: Configuration, where: object, task: str = "identify") -> None:
-    """Raise ConfigurationError where a log has another motion than that of the encoders; it lacks theirs.
-
-    task: what is done from the run.
-    """
-    if c.estimation.pose == "fused":
-        raise ConfigurationError(
-            f"{where}: estimation.pose: fused, so that lengths, pose and rates of the log are the filter's, "
-            "drawn to what the controller believes of masses and forces; allowed: legs, in the run to "
-            f"{task} from"
-        )
-
-
-def excitation_force(c: Configuration, force_N: float | None) -> float:
-    """Return the largest leg force of an excitation: what was asked for, or what the limits leave room for.
-
-    Raises ConfigurationError: a force that the limits would cut.
-    """
-    most = STEP_SHARE * min(c.limits.force_step_N, c.limits.force_window_N)
-    force = min(FORCE_SHARE * c.limits.force_N, most) if force_N is None else force_N
-    if force > 5 * most:
-        raise ConfigurationError(
-            f"--force {force:g}: more than half of limits.force_step_N or limits.force_window_N, which would "
-            f"cut it, allowed: up to {5 * most:g}"
-        )
-    return force
-
-
-def excitation_pose(c: Configuration) -> Pose:
-    """Return the pose that is held, else home."""
-    held = c.reference.pose if isinstance(c.reference, HoldReference) else None
-    return held or c.platform.home
-
-
-def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excited:
-    """Return the configuration with another reference.
-
-    Raises ConfigurationError for one that cannot be reached.
-    """
-    document = dict(parse(c.text).value or {})
-    document["name"] = f"{c.name[:80]}-identify"
-    document["reference"] = reference.model_dump(mode="json")
-    document.pop("feedforward", None)
-    text = "# Made by hil identify: the reference is an excitation.\n"
-    text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
-    made = loads(text, c.source, c.folder)
-    refuse_unreachable(made)
-    return Excited(made, force_N)
-
-
-def exact_model(configuration: Configuration) -> Model:
-    """Return the full model with what the controller believes of friction and inertia, where it does."""
-    c = configuration
-    believed = c.controller.believed or ModelSettings()
-    full = believed.model_copy(update={"variant": "full", "frozen_at": None})
-    return build_model(full, build_platform(c.platform), c.platform.leg_spin)
-
-
 def motion_of(rows: Rows, period_s: float) -> Motion:
-    """Return a log's ticks with open brakes as the estimator wants them; ticks that are missing are held."""
-    running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
-    if not running.any():
-        raise LogError("the brakes were never open in this log: nothing moved")
-    ticks = rows["tick"]
-    first, last = ticks[running][0], ticks[running][-1]
-    source = np.searchsorted(ticks, np.arange(first, last + 1), side="right") - 1
-    there = ticks[source] == np.arange(first, last + 1)
-    rows = rows[source]
-    good = there & running[source] & (rows["age"] == 0).all(axis=1) & np.isfinite(rows["twist"]).all(axis=1)
-    return Motion(
-        period_s,
-        np.ascontiguousarray(rows["tau"]),
-        np.ascontiguousarray(rows["p"]),
-        np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3),
-        np.ascontiguousarray(rows["twist"]),
-        np.ascontiguousarray(rows["dq"]),
-        good[1:] & good[:-1],
-    )
-
-
-def recorded_run(path: Path) -> Recorded:
-    """Return what a log of `hil run` or `hil sim` holds. Raises LogError for what is no such log."""
-    log, run, configuration = open_run(path)
-    return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
+    """Take the ticks from the first to the last with open brakes. Raises LogError without any."""
+    running = np.flatnonzero(brakes_open(rows))
+    rows, p, R, good = episode(rows[running[0] : running[-1] + 1])
+    good = good & brakes_open(rows)
+    tau, twist, rate = (np.ascontiguousarray(rows[name]) for name in ("tau", "twist", "dq"))
+    return Motion(period_s, tau, p, R, twist, rate, good[1:] & good[:-1])
 
 
 def delay_of_log(path: Path) -> dict[str, Any]:
@@ -276,22 +164,3 @@ def report(result: dict[str, Any]) -> list[str]:
         rows = [f"    {key}: {value}" for key, value in result["friction"].items()]
         block += ["  model:", *rows]
     return [*lines, *block]
-
-
-def run_for(
-    made: Excited, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
-) -> dict[str, Any]:
-    """Run an excited configuration, in lockstep or in real time; return the summary of that run.
-
-    with_plant, arm: as for `run_daemon`, in real time.
-
-    Raises ConfigurationError for what cannot run: lockstep needs a plant.
-    """
-    if real_time:
-        return run_daemon(made.configuration, log=log, with_plant=with_plant, draw=False, arm=arm)
-    if made.configuration.plant is None:
-        raise ConfigurationError(
-            f"{made.configuration.source}: no section plant, so there is nothing to simulate: these are real "
-            "drives. Use --run, which moves them"
-        )
-    return simulate(unattended(made.configuration), log=log)

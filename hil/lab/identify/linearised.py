@@ -24,6 +24,7 @@ from hil.control import LAWS
 from hil.control.inverse_dynamics import linearising_tau
 from hil.control.model import build_model
 from hil.lab.identify.estimators.response import AxisSignals
+from hil.lab.identify.runs import episode
 from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import inverse_dynamics_kernel
@@ -86,24 +87,16 @@ def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSign
             f"too little motion: no leg moves by more than {1e3 * motion:.2g} mm, allowed: at least "
             f"{1e3 * LEAST_MOTION_m:g} mm; excite it, or raise --force"
         )
-    ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
-    source = np.searchsorted(rows["tick"], ticks, side="right") - 1
-    there = np.asarray(rows["tick"][source] == ticks)
-    fresh = np.asarray((rows["age"] == 0).all(axis=1) & np.isfinite(rows["twist"]).all(axis=1))
-    p, twist = np.ascontiguousarray(rows["p"]), np.nan_to_num(rows["twist"])
-    R = np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3)
-    wrench = np.ascontiguousarray(rows["wrench"]) * law.takes_wrench_off
-    states = [state_of(law.model, p[k], R[k], twist[k], wrench[k]) for k in range(len(rows))]
+    rows, p, R, good = episode(rows)
+    twist, wrench = np.nan_to_num(rows["twist"]), np.ascontiguousarray(rows["wrench"]) * law.takes_wrench_off
+    states = [state_of(law.model, *state) for state in zip(p, R, twist, wrench, strict=True)]
     v = demanded_accelerations(law.space, law.model, states, rows["tau"])
     if law.space == "joint":
         y, r = rows["q"], rows["ddq_d"]
     else:
-        turns = [relative_rotation(R[0], each) for each in R]
-        y, r = np.hstack([p, turns]), rows["dtwist_d"]
-    finite = np.asarray(np.isfinite(v).all(axis=1))
-    good = there & (fresh & finite)[source]
-    signals = AxisSignals(1.0 / rate_Hz, v[source], y[source], r[source], good)
-    return signals, rows["reference_time_s"][source]
+        y, r = np.hstack([p, [relative_rotation(R[0], each) for each in R]]), rows["dtwist_d"]
+    good = good & np.isfinite(v).all(axis=1)
+    return AxisSignals(1.0 / rate_Hz, v, y, r, good), rows["reference_time_s"]
 
 
 def repeating(reference: ReferenceSettings, rate_Hz: float) -> Lines | None:

@@ -7,16 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import HilError, IdentificationError, LogError
+from drivers.errors import HilError, IdentificationError
 from drivers.files import real_path
-from drivers.signals import DriveState
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_body
 from hil.app.loop_delay import LoopDelay, loop_delay
 from hil.config.model import ModelSettings
 from hil.config.platform import PayloadSettings
 from hil.control.model import build_model
-from hil.lab.identify.delay import recorded_run, refuse_fused
 from hil.lab.identify.estimators.body_fit import (
     Consistent,
     Estimate,
@@ -38,6 +36,7 @@ from hil.lab.identify.estimators.leg_equations import (
 )
 from hil.lab.identify.estimators.leg_motion import LegSignals
 from hil.lab.identify.estimators.rigid_body import SIZE, parameters_of
+from hil.lab.identify.runs import brakes_open, episode, recorded_run, refuse_fused
 from hil.robot.dynamics import Model
 
 SURE = 3.0
@@ -153,35 +152,22 @@ def identify_payload(
 def _source(path: Path, reflected_kg: float | None) -> Source:
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
-    c, rows, period = recorded.configuration, recorded.rows, 1.0 / recorded.rate_Hz
-    if not (rows["drive_state"] == DriveState.RUN).all(axis=1).any():
-        raise LogError(f"{path}: the brakes were never open in this log: nothing moved")
-    ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
-    source = np.searchsorted(rows["tick"], ticks, side="right") - 1
-    there = np.asarray(rows["tick"][source] == ticks)
-    rows = rows[source]
-    running = (rows["drive_state"] == DriveState.RUN).all(axis=1)
-    sent = None if rows["drive_force"].any() else (recorded.rate_Hz, loop_delay(c))
-    if sent is None:
-        force = np.asarray(rows["drive_force"], np.float64)
-    else:
-        delay = sent[1]
-        mean = mean_forces(np.ascontiguousarray(rows["tau"]), period, delay.transport_s, delay.lag_s)
-        # of the periods before and after each tick
-        force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
-    good = there & running & (rows["age"] == 0).all(axis=1) & np.isfinite(rows["p"]).all(axis=1)
-    good &= np.isfinite(force).all(axis=1)
-    signals = LegSignals(
-        period,
-        np.ascontiguousarray(rows["q"]),
-        force,
-        np.ascontiguousarray(rows["p"]),
-        np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3),
-        good,
-    )
+    c, period = recorded.configuration, 1.0 / recorded.rate_Hz
     model = _model(c)
     given = None if reflected_kg is None else np.full(6, reflected_kg)
     try:
+        brakes_open(recorded.rows)
+        rows, p, R, good = episode(recorded.rows)
+        running = brakes_open(rows)
+        sent = None if rows["drive_force"].any() else (recorded.rate_Hz, loop_delay(c))
+        force = np.asarray(rows["drive_force"], np.float64)
+        if sent is not None:
+            delay = sent[1]
+            mean = mean_forces(np.ascontiguousarray(rows["tau"]), period, delay.transport_s, delay.lag_s)
+            # of the periods before and after each tick
+            force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
+        good = good & running & np.isfinite(force).all(axis=1)
+        signals = LegSignals(period, np.ascontiguousarray(rows["q"]), force, p, R, good)
         equations = equations_of(model, signals, given)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None

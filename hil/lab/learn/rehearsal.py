@@ -10,7 +10,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.unattended import unattended
 from hil.app.sim.command import simulate
-from hil.lab.identify.delay import refuse_fused
+from hil.lab.identify.runs import refuse_fused
 from hil.lab.learn.command import Knowledge, Outcome, Step, learned, limit_of
 from hil.lab.learn.runs import LearningRun, learning_run
 

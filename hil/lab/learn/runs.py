@@ -13,8 +13,8 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.feedforward_file import made_for, read_feedforward
 from hil.app.recorded_files import attached
 from hil.config.feedforward import FeedforwardHead, MadeFor
-from hil.lab.identify.delay import recorded_run, refuse_fused
 from hil.lab.identify.linearised import linearised_law
+from hil.lab.identify.runs import recorded_run, refuse_fused
 from hil.lab.learn.model import decay_rate, force_per_acceleration
 from hil.lab.learn.trial import LEAD_S, Trial, trial
 from hil.trajectory.build import build_trajectory

@@ -17,7 +17,7 @@ from hil.app.sim import command as sim
 from hil.app.sim.build import build_lockstep
 from hil.config.operator import OperatorSettings
 from hil.lab.bringup import release
-from hil.lab.identify import delay
+from hil.lab.identify import runs
 from hil.lab.learn import rehearsal
 from hil.lab.learn.command import Knowledge
 from hil.study.campaign.plan import read_plan
@@ -63,9 +63,9 @@ RUNS: dict[str, Any] = {
     "faults": (faults, "cases", lambda c, _: faults.run_matrix(c)),
     "learn": (rehearsal, "simulate", lambda c, at: rehearsal.rehearse(c, 2, Knowledge(), at, lambda _: None)),
     "identify": (
-        delay,
+        runs,
         "simulate",
-        lambda c, _: delay.run_for(delay.Excited(c, 1.0), None, real_time=False, with_plant=False, arm=False),
+        lambda c, _: runs.run_for(runs.Excited(c, 1.0), None, real_time=False, with_plant=False, arm=False),
     ),
     "bringup": (release, "build_cycle", lambda c, _: release.six_legs(c, None)),  # type: ignore[arg-type]
     "campaign": (compare, "chosen", campaign),

@@ -185,7 +185,7 @@ def test_identify_run_starts_the_daemon_as_run_does(monkeypatch, tmp_path):
         return {"success": False, "trouble": "not run", "faults": [], "log": "none"}
 
     monkeypatch.setattr("hil.app.run.command.run_daemon", daemon)
-    monkeypatch.setattr("hil.lab.identify.delay.run_daemon", daemon)
+    monkeypatch.setattr("hil.lab.identify.runs.run_daemon", daemon)
     identify("virtual", "--delay", "--run", "--plant", "--arm", "--log", tmp_path / "a.mcap")
     CliRunner().invoke(main, ["run", "virtual", "--plant", "--arm", "--log", str(tmp_path / "b.mcap")])
     of_identify, of_run = calls

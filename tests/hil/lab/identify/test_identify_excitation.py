@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from hil.app.configuration.configuration import load
 from hil.config.values import Pose
-from hil.lab.identify.delay import exact_model, excitation_pose, excited
+from hil.lab.identify.delay import excited
 from hil.lab.identify.estimators.excitation import CARRIER_Hz, delay_excitation
+from hil.lab.identify.runs import exact_model, excitation_pose
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths

@@ -17,8 +17,9 @@ from hil.config.delay import DelayCompensation
 from hil.config.reference import SinusoidReference
 from hil.lab.identify import axes, delay, payload
 from hil.lab.identify.axes import axes_of_log, excited_axes
-from hil.lab.identify.delay import Recorded, delay_of_log, exact_model, excited, friction_block, motion_of
+from hil.lab.identify.delay import delay_of_log, excited, friction_block, motion_of
 from hil.lab.identify.linearised import linearised_law, signals_of
+from hil.lab.identify.runs import Recorded, exact_model
 from hil.robot.kinematics import jacobian
 
 COUNT = 12
@@ -204,7 +205,7 @@ def test_the_block_has_the_friction_that_the_model_has_and_what_the_log_shows_be
 def test_the_platform_is_shaken_about_the_pose_that_is_held_and_else_about_home(
     monkeypatch, reference, position, turn
 ):
-    monkeypatch.setattr("hil.lab.identify.delay.refuse_unreachable", lambda _: None)
+    monkeypatch.setattr("hil.lab.identify.runs.refuse_unreachable", lambda _: None)
     c = load("virtual")
     if isinstance(reference, str):
         first, last = c.text.index("\nreference:") + 1, c.text.index("\nlimits:") + 1

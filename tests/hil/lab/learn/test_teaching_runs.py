@@ -12,7 +12,7 @@ from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Mode, Warn
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
-from hil.lab.identify.delay import Recorded
+from hil.lab.identify.runs import Recorded
 from hil.lab.learn import rehearsal, runs
 from hil.lab.learn.command import Knowledge
 from hil.lab.learn.runs import learning_run

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import math
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,8 +14,7 @@ from drivers.errors import CalibrationError, ConfigurationError, LogError
 from drivers.files import read_regular, real_path
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
-from hil.app.configuration.problems import split_unit
-from hil.app.files import made_whole
+from hil.app.files import made_whole, new_file
 from hil.app.output import further
 from hil.config.number import ALLOWED, in_reason, plain_number
 from hil.config.values import AXES
@@ -75,7 +73,9 @@ def run_calibration(
     pairs, no convergence), LogError (`out`). Where that fails in the end, the figures say so: `further`.
     """
     if out is not None:
-        _check_out(out, json_file)
+        if json_file is not None and real_path(out) == real_path(json_file):
+            raise LogError(f"--out {out}: is the file of --json, too; name another file")
+        new_file(out, force=None)
     configuration = load(path)
     pairs = read_pairs(poses)
     robot = build_platform(configuration.platform)
@@ -93,31 +93,22 @@ def read_pairs(path: Path) -> Pairs:
 
     Raises ConfigurationError with every problem as `file:line: ...`.
     """
-    problems: list[str] = []
-    rows: list[list[float]] = []
-    numbers: list[int] = []
     try:
         reader = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
         header = [word.strip() for word in next(reader, [])]
-        wrong = _header_problems(header)
-        if wrong:
-            raise ConfigurationError(*(f"{path}:1: {w}" for w in wrong))
-        for words in reader:
-            if not any(word.strip() for word in words):
-                continue
-            row, problem = _row(header, words)
-            rows.append(row)
-            numbers.append(reader.line_num)
-            if problem:
-                problems.append(f"{path}:{reader.line_num}: {problem}")
+        lines = [(reader.line_num, words) for words in reader if any(word.strip() for word in words)]
     except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}") from None
-    if problems:
-        raise ConfigurationError(*problems)
-    table = np.array(rows).reshape(len(rows), len(header))
-    columns = {name: table[:, k] for k, name in enumerate(header)}
+    wrong = [f"{path}:1: {problem}" for problem in _header_problems(header)]
+    if wrong:
+        raise ConfigurationError(*wrong)
+    wrong = [f"{path}:{number}: {text}" for number, words in lines if (text := _row_problem(header, words))]
+    if wrong:
+        raise ConfigurationError(*wrong)
+    table = np.array([list(map(plain_number, words)) for _, words in lines]).reshape(len(lines), len(header))
+    columns = dict(zip(header, table.T, strict=True))
     turn = np.deg2rad(columns["rotation_std_deg"]) if "rotation_std_deg" in columns else None
     measured = Measurements(
         p=np.stack([columns[name] for name in AXES[:3]], axis=1),
@@ -127,56 +118,39 @@ def read_pairs(path: Path) -> Pairs:
         position_std=columns.get("position_std_m"),
         rotation_std=turn,
     )
-    return Pairs(measured, numbers)
+    return Pairs(measured, [number for number, _ in lines])
 
 
 def _header_problems(header: list[str]) -> list[str]:
-    known = (*AXES, *LENGTHS, *DEVIATIONS)
-    found = []
-    missing = [name for name in (*AXES, *LENGTHS) if name not in header]
-    for name in header:
-        if name in known:
-            continue
-        stem = split_unit(name)[0]
-        meant = next((k for k in known if split_unit(k)[0] == stem), None)
-        near = get_close_matches(name, [k for k in known if k not in header], 1)
-        if meant is not None:
-            missing = [m for m in missing if m != meant]
-            found.append(f"column {name}: wrong unit: the column is {meant}")
-        else:
-            hint = f", did you mean {near[0]}?" if near else f", allowed: {','.join(known)}"
-            found.append(f"unknown column {name!r}{hint}")
-    twice = sorted({name for name in header if header.count(name) > 1})
-    found += [f"column {name} is there twice" for name in twice]
-    if missing:
-        found.insert(0, f"missing columns {','.join(missing)}; needed: {','.join((*AXES, *LENGTHS))}")
+    needed = (*AXES, *LENGTHS)
+    known = (*needed, *DEVIATIONS)
+    missing = [name for name in needed if name not in header]
+    found = [f"missing columns {','.join(missing)}; needed: {','.join(needed)}"] if missing else []
+    found += [f"unknown column {name!r}, allowed: {','.join(known)}" for name in header if name not in known]
+    found += [f"column {name} is there twice" for name in sorted(set(header)) if header.count(name) > 1]
     if "length_std_m" not in header and {"position_std_m", "rotation_std_deg"} & set(header):
         found.append("deviations of the poses need length_std_m, too: what is their weight against a length?")
     return found
 
 
-def _row(header: list[str], words: list[str]) -> tuple[list[float], str]:
-    """Return the numbers of a line and what is wrong with them, or nothing."""
-    nothing = [0.0] * len(header)
+def _row_problem(header: list[str], words: list[str]) -> str:
+    """Find what is wrong with a line; empty: nothing."""
     if len(words) != len(header):
-        return nothing, f"{len(words)} values, allowed: {len(header)}, one for each column"
-    numbers = []
-    for name, word in zip(header, words, strict=True):
-        number = plain_number(word)
+        return f"{len(words)} values, allowed: {len(header)}, one for each column"
+    values = dict(zip(header, map(plain_number, words), strict=True))
+    for (name, number), word in zip(values.items(), words, strict=True):
+        positive = name in LENGTHS or name == "length_std_m"
         if not math.isfinite(number):
-            return nothing, f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
+            return f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
         if not in_reason(number):
-            return nothing, f"{name}: allowed in size: {ALLOWED}, given: {number:g}"
-        if name in DEVIATIONS and (number < 0 or (name == "length_std_m" and number == 0)):
-            bound = "greater than 0" if name == "length_std_m" else "at least 0"
-            return nothing, f"{name}: allowed: {bound}, given: {number:g}"
-        if name in LENGTHS and number <= 0:
-            return nothing, f"{name}: allowed: greater than 0, given: {number:g}"
-        numbers.append(number)
-    angle = math.hypot(*(numbers[header.index(name)] for name in AXES[3:]))
+            return f"{name}: allowed in size: {ALLOWED}, given: {number:g}"
+        if (positive and number <= 0) or (name in DEVIATIONS and number < 0):
+            bound = "greater than 0" if positive else "at least 0"
+            return f"{name}: allowed: {bound}, given: {number:g}"
+    angle = math.hypot(*(values[name] for name in AXES[3:]))
     if angle > 180 * (1 + 1e-12):
-        return nothing, f"rotation vector of {angle:g} deg, allowed: at most half a turn, 180 deg"
-    return numbers, ""
+        return f"rotation vector of {angle:g} deg, allowed: at most half a turn, 180 deg"
+    return ""
 
 
 def _refuse_strange(c: Configuration, robot: Platform, pairs: Pairs, poses: Path) -> None:
@@ -375,13 +349,3 @@ def _fragment(c: Configuration, poses: Path, fit: Calibration, rms: float, n: in
 
 def _deviations(std: Array) -> str:
     return " ".join("?" if math.isnan(s) else f"{1e3 * s:.3f}" for s in std)
-
-
-def _check_out(out: Path, json_file: Path | None) -> None:
-    """Refuse a fragment that could not be written, before the work."""
-    if json_file is not None and real_path(out) == real_path(json_file):
-        raise LogError(f"--out {out}: is the file of --json, too; name another file")
-    if out.exists() or out.is_symlink():
-        raise LogError(f"--out {out}: exists and is not overwritten; name another file")
-    if not out.parent.is_dir():
-        raise LogError(f"--out {out}: there is no folder {out.parent}; make it first")

@@ -223,7 +223,7 @@ BAD = [
     (scaled({0, 1, 2}, 1e3), HEADER, "would if these were positions in mm instead of m"),
     (scaled(set(range(6, 12)), 1e3), HEADER, "would if these were lengths in mm instead of m"),
     (scaled({3, 4, 5}, np.pi / 180), HEADER, "would if these were rotation vectors in rad instead of deg"),
-    (rows(), ["x_mm", *HEADER[1:]], "poses.csv:1: column x_mm: wrong unit: the column is x_m"),
+    (rows(), ["x_mm", *HEADER[1:]], "poses.csv:1: missing columns x_m"),
     (rows(), [*HEADER[:11], "l7_m"], "poses.csv:1: missing columns l6_m"),
     (rows(), [*HEADER[:11], "l5_m"], "poses.csv:1: column l5_m is there twice"),
     ([[*r, 1e-5] for r in rows()], [*HEADER, "position_std_m"], "need length_std_m, too"),

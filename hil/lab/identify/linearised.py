@@ -170,13 +170,20 @@ def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record],
     """Return v (n, 6) for which the law of `model` sends tau (n, 6) N in each state.
 
     joint: accelerations of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
-    A and b are taken from the law's own kernel, so every variant of the model is its own inverse.
+    """
+    A, b = law_terms(space, model, states)
+    return np.linalg.solve(A, (tau - b)[:, :, None])[:, :, 0]
+
+
+def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Array, Array]:
+    """Return A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state.
+
+    They are taken from the law's own kernel, so every variant of the model is its own inverse.
     """
     law, still = _LAWS[space], np.zeros(6)
-    axes = np.eye(6)
     b = np.array([law(model, state, still) for state in states])
-    A = np.array([[law(model, state, axis) for axis in axes] for state in states]) - b[:, None, :]
-    return np.linalg.solve(A.transpose(0, 2, 1), (tau - b)[:, :, None])[:, :, 0]
+    columns = [np.array([law(model, state, axis) for state in states]) - b for axis in np.eye(6)]
+    return np.stack(columns, axis=2), b
 
 
 def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> Record:

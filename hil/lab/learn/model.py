@@ -12,12 +12,11 @@ from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.section_file import read_section
 from hil.app.loop_delay import loop_delay
 from hil.config.axis_model import AxisModel
-from hil.control.inverse_dynamics import linearising_tau
 from hil.control.law import ErrorDynamics, LawSettings
 from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import gains
 from hil.design.stability.sampled_loop import sampled_axis, sampled_controller
-from hil.lab.identify.linearised import linearised_law, state_of
+from hil.lab.identify.linearised import law_terms, linearised_law, state_of
 from hil.lab.learn.convergence import Choice, Uncertainty, choose, contraction, stated
 from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
 from hil.mathematics.linear_system import LinearSystem, lag
@@ -160,8 +159,6 @@ def force_per_acceleration(model: Model, p: Array, R: Array) -> Array:
 
     A = J^-T M J^-1 at p (n, 3) m and R (n, 3, 3): tau = A a makes six axes of the legs that are alike.
     """
-    still, axes = np.zeros(6), np.eye(6)
+    still = np.zeros(6)
     states = [state_of(model, place, turn, still, still) for place, turn in zip(p, R, strict=True)]
-    first = np.array([linearising_tau(model, state, still) for state in states])
-    columns = [np.array([linearising_tau(model, state, axis) for state in states]) - first for axis in axes]
-    return np.stack(columns, axis=2)
+    return law_terms("joint", model, states)[0]

@@ -41,6 +41,19 @@ DRIFT_Hz = 5e-4
 """Of a sinusoid of which only the straight part is seen."""
 
 
+class _Directions(NamedTuple):
+    """What one m or rad of each axis is, at a pose; columns are axes."""
+
+    forces: Array
+    """(6, 6) N of the legs for one m/s^2 or rad/s^2."""
+    leg_rates: Array
+    """(6, 6)."""
+    words: Array
+    """(6, 6) m, deg of the pose."""
+    together: Array
+    """(6,) m, deg of the pose for one metre of all legs."""
+
+
 def delay_excitation(
     model: Model, pose: Pose, rate_Hz: float, force_N: float, duration_s: float
 ) -> SinusoidReference:
@@ -52,16 +65,9 @@ def delay_excitation(
     """
     slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
     frequency = slower * _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
-    phases, axis = _phases_and_axes(len(frequency))
     at = _directions(model, pose, "pose")
-    acceleration = 1.0 / np.abs(at.forces).max(axis=0)[axis]
-    t = np.arange(0.0, 1.0 / slower, 0.1 / frequency[-1])
-    waves = acceleration[:, None] * np.sin(2.0 * pi * np.outer(frequency, t) + phases[:, None])
-    acceleration *= force_N / np.abs(at.forces @ _on_axes(waves, axis)).max()
-    components = _sinusoids(at.together * CARRIER_m, CARRIER_Hz, 0.0)
-    for k, f in enumerate(frequency):
-        moved = at.words[:, axis[k]] * acceleration[k] / (2.0 * pi * f) ** 2
-        components += _sinusoids(moved, float(f), phases[k])
+    components, _ = _multisine(at, frequency, 1.0 / slower, force_N, equal=2)
+    components = _sinusoids(at.together * CARRIER_m, CARRIER_Hz, 0.0) + components
     return SinusoidReference(
         type="sinusoids",
         centre=pose,
@@ -98,23 +104,37 @@ def axis_excitation(
             f"least {FEWEST_BLOCKS}, {settled + FEWEST_BLOCKS * period_s:g} s with fading"
         )
     frequency = _spread(n, round(LOWEST_Hz * period_s), int(HIGHEST * rate_Hz * period_s)) / period_s
-    phases, axis = _phases_and_axes(n)
     at = _directions(model, pose, space)
-    t = np.arange(0.0, period_s, 0.1 / frequency[-1])
-    turns = 2.0 * pi * np.outer(frequency, t) + phases[:, None]
-    rate = 1.0 / np.abs(at.forces).max(axis=0) / (2.0 * pi * frequency[-1])  # of each line of each axis
-    forces = at.forces @ _on_axes(rate[axis, None] * 2.0 * pi * frequency[:, None] * np.sin(turns), axis)
-    rate *= force_N / np.abs(forces).max()
-    fastest = float(np.abs(at.leg_rates @ _on_axes(rate[axis, None] * np.cos(turns), axis)).max())
+    components, fastest = _multisine(at, frequency, period_s, force_N, equal=1)
     duration = settled + periods * period_s
     drift = max(SLIDING * fastest, SLOWEST_m_s) / (2.0 * pi * DRIFT_Hz)
-    components = _sinusoids(at.together * drift, DRIFT_Hz, -pi * DRIFT_Hz * duration)
-    for k in range(n):
-        moved = at.words[:, axis[k]] * rate[axis[k]] / (2.0 * pi * frequency[k])
-        components += _sinusoids(moved, float(frequency[k]), phases[k])
+    components = _sinusoids(at.together * drift, DRIFT_Hz, -pi * DRIFT_Hz * duration) + components
     return SinusoidReference(
         type="sinusoids", centre=pose, components=components, ramp_s=RAMP_S, duration_s=duration
     )
+
+
+def _multisine(
+    at: _Directions, frequency: Array, period_s: float, force_N: float, *, equal: int
+) -> tuple[list[Sinusoid], float]:
+    """Make lines at frequencies (n,) Hz, neighbours on different axes; return the largest leg rate, m/s, too.
+
+    The axes load the legs equally, by force_N at most. The lines of an axis are alike in the derivative of
+    order `equal`: 1 their rates, 2 their accelerations.
+    """
+    n, w = len(frequency), 2.0 * pi * frequency
+    phases, axis = np.array(schroeder(n, 0)), np.arange(n) % 6
+    turns = np.outer(w, np.arange(0.0, period_s, 0.1 / frequency[-1])) + phases[:, None]
+    amplitude = 1.0 / np.abs(at.forces).max(axis=0)[axis] / w**equal
+
+    def largest(of_axes: Array, waves: Array) -> float:
+        sums = np.array([waves[axis == j].sum(axis=0) for j in range(6)])
+        return float(np.abs(of_axes @ sums).max())
+
+    amplitude *= force_N / largest(at.forces, (amplitude * w**2)[:, None] * np.sin(turns))
+    lines = zip(at.words[:, axis].T * amplitude[:, None], frequency.tolist(), phases, strict=True)
+    components = [each for line in lines for each in _sinusoids(*line)]
+    return components, largest(at.leg_rates, (amplitude * w)[:, None] * np.cos(turns))
 
 
 def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid]:
@@ -131,35 +151,12 @@ def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid
     ]
 
 
-def _phases_and_axes(n: int) -> tuple[Array, Ints]:
-    """Return the phase in rad (n,) and the axis (n,) of each line; neighbours belong to different axes."""
-    return np.array(schroeder(n, 0)), np.arange(n) % 6
-
-
-def _on_axes(waves: Array, axis: Ints) -> Array:
-    """Return the sums (6, n) of the lines of each axis."""
-    return np.array([waves[axis == j].sum(axis=0) for j in range(6)])
-
-
 def _spread(n: int, lowest: float, highest: float) -> Ints:
     """Return n different whole numbers, spread evenly on a logarithmic scale where there is room."""
     found = np.geomspace(lowest, highest, n).round().astype(np.int64)
     for k in range(1, n):
         found[k] = max(found[k], found[k - 1] + 1)
     return found
-
-
-class _Directions(NamedTuple):
-    """What one m or rad of each axis is, at a pose; columns are axes."""
-
-    forces: Array
-    """(6, 6) N of the legs for one m/s^2 or rad/s^2."""
-    leg_rates: Array
-    """(6, 6)."""
-    words: Array
-    """(6, 6) m, deg of the pose."""
-    together: Array
-    """(6,) m, deg of the pose for one metre of all legs."""
 
 
 def _directions(model: Model, pose: Pose, space: AxisSpace) -> _Directions:

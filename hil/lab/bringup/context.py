@@ -188,6 +188,10 @@ class Context:
         """Return the fact of a step about a leg; None where it has to be found."""
         return self.facts.get(step, {}).get(str(leg))
 
+    def missing(self, step: str) -> Iterator[int]:
+        """Give the legs, or drives, about which a step has no fact yet, one after the other."""
+        return (leg for leg in range(LEGS) if self.known(step, leg) is None)
+
     def keep(self, step: str, leg: int | str, fact: Any) -> None:
         """Keep a fact."""
         self.facts.setdefault(step, {})[str(leg)] = fact

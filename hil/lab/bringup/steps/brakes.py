@@ -27,14 +27,11 @@ FEWEST = 3
 
 def find(c: Context) -> None:
     """Have each leg pushed with all brakes shut, then each with its drive's brake open."""
-    for leg in range(LEGS):
-        if c.known("held", leg) is None:
-            c.take_down()
-            c.keep("held", leg, holds(c, leg))
+    for leg in c.missing("held"):
+        c.take_down()
+        c.keep("held", leg, holds(c, leg))
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
-    for drive in range(LEGS):
-        if c.known("opens", drive) is not None:
-            continue
+    for drive in c.missing("opens"):
         firm = [leg for leg in range(LEGS) if not c.known("held", leg)["moved"]]
         likely = list(dict.fromkeys([drive, counts.get(drive, drive), *firm]))
         fact: dict[str, Any] = {"legs": [], "hand_N": None, "rate_share": None}

@@ -20,9 +20,7 @@ SIGMAS = 4.0
 def find(c: Context) -> None:
     """Have each leg moved to its ends by hand and measured, with all drives off."""
     drives = drive_of(c)
-    for leg in range(LEGS):
-        if c.known("encoder", leg) is not None:
-            continue
+    for leg in c.missing("encoder"):
         c.take_down()
         tape, reads = [], []
         within = c.machine.length_min / FAR, c.machine.length_max * FAR

@@ -28,11 +28,10 @@ def find(c: Context) -> None:
     if any(c.known("held", leg)["moved"] for leg in range(LEGS)):
         return
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
-    for drive in range(LEGS):
+    for drive in c.missing("force"):
         own = c.known("opens", drive)["legs"] == [counts.get(drive)]
-        if c.known("force", drive) is not None or not own or len(counts) < LEGS:
-            continue
-        c.keep("force", drive, {"plus": _ramp(c, drive, 1.0), "minus": _ramp(c, drive, -1.0)})
+        if own and len(counts) == LEGS:
+            c.keep("force", drive, {"plus": _ramp(c, drive, 1.0), "minus": _ramp(c, drive, -1.0)})
 
 
 def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:

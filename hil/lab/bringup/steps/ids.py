@@ -16,9 +16,7 @@ RESPONDS = 0.1
 def find(c: Context) -> None:
     """Have each leg moved by hand with all drives off."""
     by_m = MOVE_SHARE * c.machine.stroke
-    for leg in range(LEGS):
-        if c.known("ids", leg) is not None:
-            continue
+    for leg in c.missing("ids"):
         c.take_down()
         c.rest(0.02)
         before = c.lengths()

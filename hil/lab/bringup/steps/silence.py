@@ -37,15 +37,14 @@ def find(c: Context) -> None:
     again.
     """
     protocol = c.drives.protocol
-    if not _observable(c) or all(c.known("watchdog", leg) is not None for leg in range(LEGS)):
+    if not _observable(c) or not list(c.missing("watchdog")):
         return
     if protocol.traits.force_on_brakes:
         _keep(c, range(LEGS), partial(_find_shut, c))
         return
     find_one = _find_asked if _is_asked(c) else _find_watched
-    for leg in range(LEGS):
-        if c.known("watchdog", leg) is None:
-            _keep(c, [leg], partial(find_one, c, leg))
+    for leg in c.missing("watchdog"):
+        _keep(c, [leg], partial(find_one, c, leg))
 
 
 def _keep(c: Context, legs: Sequence[int], measure: Callable[[], list[Fact]]) -> None:

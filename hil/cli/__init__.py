@@ -142,9 +142,10 @@ def main() -> None:
     \b
     Exit codes of every command:
       0  success
-      1  it ran, and something was wrong; the summary says what, or it cannot be written
-      2  refused before anything moved; the message says why and what is allowed
-      130  interrupted by Ctrl-C before there was a result; one line says what there is
+      1  it ran, and something is wrong: a fault, a limit not kept, a difference, a result that is refused
+         or not proven, an output that cannot be written; the summary tells
+      2  refused before anything moved; the message tells why and what is allowed
+      130  interrupted by Ctrl-C before there was a result; one line tells what there is
       141  nobody reads its output any more, as after `| head -1`
     """
 

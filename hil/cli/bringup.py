@@ -35,26 +35,20 @@ def command(
 ) -> None:
     """Bring a machine up, from parts to a moving platform, one leg at a time.
 
-    Each step says what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
+    Each step explains what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
     the step `mounted`. At most one brake is open, its force at most 2 % of the rated one, and it is let go
     after a tenth of a millimetre. Answers are kept: give the command again to go on. Ctrl-C at any moment,
-    or a terminal that goes, takes force and power away.
-
-    Writes the configuration that it has found and a checklist beside CONFIGURATION, never over it.
+    or a terminal that goes, takes force and power away. The configuration that it has found and a checklist
+    are written next to CONFIGURATION, never over it.
 
     \b
     Examples:
       hil bringup my.yaml                                             at the machine
       hil bringup virtual --rehearse                                  on an emulated bench
-      hil bringup virtual                                             beside `hil plant virtual --bench`
+      hil bringup virtual                                             with `hil plant virtual --bench`
       hil bringup virtual --rehearse --yes --mistake "ids_swapped leg=1 other=4"
 
-    \b
-    Exit code:
-      0  all steps passed
-      1  a mistake was found, or it was ended; the checklist tells
-      2  not begun: options, configuration, bus, state or log file; or ended by one of them on the way: the
-         bus went down, the state could not be written. The message says what; what was found is kept
+    Guide: docs/guides/bringup.md.
     """
     if mistakes and not rehearse:
         raise click.UsageError(

@@ -20,18 +20,14 @@ def command(configuration: str, poses: Path, out: Path | None, json_file: Path |
     Columns x_m,y_m,z_m,rx_deg,ry_deg,rz_deg (pose of the platform, rotation vector) and l1_m to l6_m (what
     the legs read, in the order of the joint lists); optional standard deviations length_std_m,
     position_std_m, rotation_std_deg. At least 8 rows; some 30, all over the workspace and tilted, are good.
-    Says how sure each figure is, and which these poses cannot determine. CONFIGURATION is not changed.
+    Prints how sure each figure is, and which these poses cannot determine. CONFIGURATION is not changed.
 
     \b
     Examples:
       hil calibrate my.yaml poses.csv                      the report
       hil calibrate my.yaml poses.csv --out joints.yaml    and the joints, to copy into my.yaml
 
-    \b
-    Exit code:
-      0  fitted; read the warnings
-      1  fitted, and the file could not be written in the end
-      2  not fitted: configuration, CSV file, units, too few poses; the message says what
+    Guide: docs/guides/parameters.md.
     """
     from hil.app.output import show_lines
     from hil.lab.calibrate.command import run_calibration

@@ -29,20 +29,16 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: Path | None) -> None:
     """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
 
-    With --log the run is recorded, and the figures of the log are compared, too: `hil report` then tells what
+    With --log the run is recorded, and the figures of the log are compared, too: `hil report` then shows what
     went on in this row. Put --log last, or name its file. Without --out a row that is not stored can be
-    recorded, too: nothing stored is compared then, and the summary says so.
+    recorded, too: nothing stored is compared then, and the summary reports that.
 
     \b
     Examples:
       hil campaign rerun payload 17 --log
       hil campaign rerun my-campaign.yaml 3 --log row3.mcap
 
-    \b
-    Exit code:
-      0  the figures are the same, to the bit; or the row is recorded, and none is stored
-      1  they differ; the message says which
-      2  not run: campaign file, row, log file, or no row is stored to compare it with; the message says what
+    Guide: docs/guides/campaigns.md.
     """
     from hil.study.campaign.plan import read_plan
     from hil.study.campaign.rerun import rerun
@@ -96,15 +92,13 @@ def command(
     junit: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Run a configuration many times in simulated time, with its keys swept, and say how often it fails.
+    """Run a configuration many times in simulated time, with its keys swept, and count how often it fails.
 
-    FILE is a YAML file, or the name of a shipped campaign: payload. It says which keys of which configuration
-    take which values (sample, list, grid), and the limits that a run has to keep. A run that has failed ends
-    at once. Nothing is recorded: `hil campaign rerun FILE ROW --log` makes any row again, with its log.
-
-    Rows are kept as they come, in FOLDER/campaign.sqlite; after Ctrl-C or a crash the same command goes on
-    with the rows that are missing. FOLDER/table.parquet has all of them in the end, with the same bytes for
-    any number of processes and after any interruption. Guide: docs/guides/campaigns.md.
+    FILE is a YAML file, or the name of a shipped campaign: payload. It states which keys of which
+    configuration take which values (sample, list, grid), and the limits that a run has to keep. Rows are kept
+    as they come, in FOLDER/campaign.sqlite; after Ctrl-C or a crash the same command goes on with the rows that are
+    missing. FOLDER/table.parquet has all of them in the end. Nothing is recorded: `hil campaign rerun FILE
+    ROW --log` makes any row again, with its log.
 
     \b
     Examples:
@@ -113,12 +107,7 @@ def command(
       hil campaign my.yaml --scheduler tcp://10.0.0.5:8786
       hil campaign rerun payload 17 --log         one row again, recorded
 
-    \b
-    Exit code:
-      0  every row is within the limits
-      1  some are not, and the tables say which; or an output file could not be written in the end
-      2  not begun, or ended before all rows: campaign file, configuration, a file that it names, folder or
-         cluster; the message says what
+    Guide: docs/guides/campaigns.md.
     """
     if jobs is not None and scheduler is not None:
         raise click.UsageError("--jobs counts processes here, --scheduler runs elsewhere: give one of them.")

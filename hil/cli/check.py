@@ -11,22 +11,19 @@ from hil.cli.shared import configuration_argument, finish_lines, load, reporting
 @configuration_argument
 @reporting
 def command(configuration: str, json_file: Path | None) -> None:
-    """Say what the bus, the legs and the limits have to say about CONFIGURATION, before anything moves.
+    """Print what the bus, the legs and the limits of CONFIGURATION have to do, before anything moves.
 
     Bus time of a tick with its arithmetic, forces and lengths at home and along the whole reference, drive
     watchdog, delay against the law's bandwidth, what is proven of the law (more: hil stability), real-time
-    rights of this machine. Opens no bus, writes no log.
+    rights of this machine. Opens no bus, writes no log. Of a configuration that cannot be used all problems
+    are printed at once, each as FILE:LINE:COLUMN: path: what, allowed, given.
 
     \b
     Examples:
       hil check                             the default configuration
       hil check my.yaml --json my-check.json
 
-    \b
-    Exit code:
-      0  usable; read the warnings
-      2  not usable: all problems at once, each as FILE:LINE:COLUMN: path: what, allowed, given;
-         where FILE has none, why its FMU or its robot cannot be what it says
+    Guide: docs/guides/configuration.md.
     """
     from drivers.errors import HilError
 

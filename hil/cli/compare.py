@@ -86,15 +86,11 @@ def command(
 ) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
-    Each law follows the reference and answers a step of 1 mm at home. Gains come from the configuration's
-    own law: the same natural frequency and damping, PD gains from those and the inertia that the legs feel.
-    The tables have leg, position and rotation error, peak force and how much the force varies (sum of its
-    changes); the error at rest, rise time, overshoot and -3 dB bandwidth of the step. Then: what encoders,
-    bus time and drive lag cost, one after the other; and the claims of the control chapter, each with the
-    figures that say whether it holds here.
-
-    A law that a limit stops keeps its row, with the fault and its time; see `--lift-limits`. Own laws, gains,
-    step and load: section `compare` of the configuration.
+    Each law follows the reference and answers a step of 1 mm at home, with gains of the natural frequency and
+    damping of the configuration's own law. Printed are errors, forces, step response and bandwidth, what
+    encoders, bus time and drive lag cost, and the claims of the control chapter with the figures that judge
+    them. A law that a limit stops keeps its row; see `--lift-limits`. The picture goes to --picture, else to
+    runs/NAME-compare-TIME.png (recording.folder). No log.
 
     \b
     Examples:
@@ -103,13 +99,7 @@ def command(
       hil compare virtual --inertia-scale 0.9 --wrench 0 0 -500 0 0 0 --wrench-at 0.5
       hil compare my.yaml --json my.json --picture plots/
 
-    The picture goes to --picture, else to runs/NAME-compare-TIME.png (recording.folder). No log.
-
-    \b
-    Exit code:
-      0  compared; laws other than the configuration's own may have faulted, the table says which
-      1  the configuration's own law faulted, a run could not be made, or the picture not be written
-      2  not begun: configuration, unknown law, FMU or file; the message says what
+    Guide: docs/guides/compare.md.
     """
     if wrench_at is not None and wrench is None:
         raise click.UsageError("--wrench-at says when --wrench comes: give both.")

@@ -47,11 +47,7 @@ def command(
       hil ctl my.yaml key --for 10
       hil ctl my.yaml jog leg3 -0.5
 
-    \b
-    Exit code:
-      0  taken
-      1  refused, or the controller ended while a key was held or a jog said; the summary says why
-      2  not said: no such configuration, or no controller runs or answers there
+    Guide: docs/guides/operate.md.
     """
     from hil.app import operate
     from hil.app.configuration.address import address

@@ -42,9 +42,8 @@ def command(
       .parquet       the same with units and meanings as metadata (needs the extra `analysis`)
       .rrd           Rerun: scalars, states and events by name, the robot in 3D (extra `viewers`)
 
-    Frames are in the order of their times; a sent frame has the time of its tick. Simulated time
-    begins on 2000-01-01: --start moves the first tick elsewhere. Nothing is overwritten without --force. A
-    log that was cut is exported as far as it goes. Guide: docs/guides/analysis.md.
+    Simulated time begins on 2000-01-01: --start moves the first tick elsewhere. A log that was cut is
+    exported as far as it goes.
 
     \b
     Examples:
@@ -53,11 +52,7 @@ def command(
       hil export runs/today.mcap forces.csv --column tau --column mode
       hil export runs/today.mcap today.parquet
 
-    \b
-    Exit code:
-      0  written
-      1  written as far as the log goes: it is cut
-      2  not begun: no log, a file that exists, an unknown ending or column; the message says what
+    Guide: docs/guides/analysis.md.
     """
     from hil.app.early import refuse_folder
 

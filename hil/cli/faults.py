@@ -54,24 +54,18 @@ def command(
 ) -> None:
     """Inject each kind of fault once at each moment of a run, in simulated time, and judge what follows.
 
-    The moments: LOADING, APPROACH, TRACKING where the reference is fastest, HOLD, PARKING, UNLOADING. Motion
-    is that of the plant's true legs: from the reference before the reaction, from where they were after it.
-    A case passes if the run ends held within the bound of its kind and names a right cause and the leg, or if
-    nothing came of the fault; what the sensors cannot see is said to be so, with the error that it leaves.
+    The moments: LOADING, APPROACH, TRACKING where the reference is fastest, HOLD, PARKING, UNLOADING. A case
+    passes if the run ends held within the bound of its kind and names a right cause and the leg, or if
+    nothing came of the fault; where the sensors cannot see it, the error that it leaves is printed.
 
     \b
     Examples:
       hil faults                            the default configuration
-      hil faults lab --only 'brake_*' --only 'encoder_*/TRACKING'
-      hil faults --legs 0,3 --only 'encoder_*'
+      hil faults lab --legs 0,3 --only 'brake_*' --only 'encoder_*/TRACKING'
       hil faults --seed 7                   other legs, sizes and signs, the same each time
       hil faults my.yaml --jobs 4 --junit faults.xml --json faults.json
 
-    \b
-    Exit code:
-      0  every case is within its bound
-      1  a case is not, and the table says which; or an output file could not be written in the end
-      2  not begun: configuration, pattern, FMU or file; the message says what
+    Guide: docs/guides/faults.md.
     """
     loaded = load(configuration, "sim")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn

@@ -44,10 +44,7 @@ def fmu_build_command(
       hil fmu build                         both versions, into the cache
       hil fmu build --fmi 3.0 --output .    ./stewart-fmi3.fmu for another tool
 
-    \b
-    Exit code:
-      0  built; the summary names the files
-      2  no compiler, it failed, or FOLDER cannot be written
+    Guide: docs/guides/own-fmu.md.
     """
     from hil.app.fmu import build_fmus
 
@@ -63,17 +60,14 @@ def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
     """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.
 
     Only its description is read; nothing of it is loaded or run. `hil check` on a configuration with it loads
-    it, pushes each leg once and says what is odd.
+    it, pushes each leg once and reports what is odd.
 
     \b
     Examples:
       hil fmu show my_robot.fmu
       hil fmu show my_robot.fmu --json my-map.json
 
-    \b
-    Exit code:
-      0  shown; what could not be mapped is left empty
-      2  no FMU, or not for co-simulation
+    Guide: docs/guides/own-fmu.md.
     """
     from hil.app.fmu import show_fmu
     from hil.app.terminal import one_line

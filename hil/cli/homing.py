@@ -34,11 +34,11 @@ def command(
     emulated: bool,
     json_file: Path | None,
 ) -> None:
-    """Show where the legs were parked, or say where they stand; for motors that forget their turns.
+    """Show where the legs were parked, or state where they stand; for motors that forget their turns.
 
     A run writes drives.homing.file when it ends at rest, and the next one finds each motor's turn by it. It
     is not armed where a leg is found elsewhere, nor after a run that was killed in motion. Then measure the
-    legs and say their lengths: nearer than a quarter of what a drive forgets, the encoder knows the rest.
+    legs and state their lengths: nearer than a quarter of what a drive forgets, the encoder knows the rest.
     Nothing moves, and no bus is opened.
 
     \b
@@ -48,10 +48,7 @@ def command(
       hil homing my.yaml --leg 2 0.3127                   leg 2 was moved by hand, the others were not
       hil homing my.yaml --lengths .31 .31 .32 .32 .31 .31
 
-    \b
-    Exit code:
-      0  shown or written
-      2  refused: no drives.homing, a length outside the stroke, a file of another robot
+    Guide: docs/guides/drives.md.
     """
     if at_home and lengths is not None:
         raise click.UsageError("--at-home and --lengths contradict each other: give one of them")

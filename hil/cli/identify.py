@@ -38,19 +38,10 @@ def payload(
 ) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
-    Least squares over the leg forces: the ten parameters of the platform with all it carries (mass, first
-    moments, inertia about its origin), and of each leg viscous and Coulomb friction and the reflected mass of
-    its motor (--reflected: given instead). The legs' own masses are taken from section `platform`. What is
-    found is a body: its pseudo-inertia is positive definite.
-
-    Printed are standard errors that count coloured residuals, the condition number, what this motion cannot
-    show (it stays as believed), and how well each log is predicted from the others; of a single log, each
-    half from the other. In the end a block for the configuration: the payload beyond the believed platform,
-    or the platform's own figures, where they are others than those believed, and the friction for
-    `controller.model`.
-
-    Any log with motion of all six axes serves. Nothing but gravity may act on the platform: a load that
-    pushes looks like mass. Nothing runs and nothing moves. Guide: docs/guides/identify.md.
+    Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
+    acts on the platform. Printed are standard errors, what this motion cannot show, how well each log is
+    predicted from the others, and a block for the configuration: payload, platform and `controller.model`.
+    The legs' own masses are taken from section `platform`. Nothing runs and nothing moves.
 
     \b
     Examples:
@@ -58,11 +49,7 @@ def payload(
       hil identify payload runs/a.mcap runs/b.mcap -o payload.yaml
       hil identify payload runs/today.mcap --reflected 9.9
 
-    \b
-    Exit code:
-      0  identified
-      1  identified, and the file could not be written in the end
-      2  not identified: no log, or too little motion; the message says what
+    Guide: docs/guides/identify.md.
     """
     from rich.text import Text
 
@@ -144,49 +131,20 @@ def command(
 ) -> None:
     """Measure what the loop is like, from a run that excites it or from a log that is there.
 
-    Masses, inertia and friction are found by `hil identify payload LOG...`, which has a help of its own.
-
-    Without --delay: the linearised axes, from the acceleration that the law demands of each leg (pose laws:
-    of x, y, z and the rotations about them) to where it is. Frequency response with coherence and standard
-    deviations, the nominal axis gain exp(-transport s) / (lag s + 1) / s^2 behind the hold, and a bound of
-    |P/P0 - 1| over frequency, as `hil design` takes them (-o), with a picture. It needs a law that
-    linearises: inverse_dynamics, pose_inverse_dynamics, partial_linearisation, sliding_mode,
-    robust_inverse_dynamics or state_space.
-
-    --delay: how long it takes from the encoders' latch to the force that answers it, split into transport
-    (a pure delay: feedback, computing, command), lag (the drives' force loop, first order) and hold (half a
-    period). A law with a model compensates it: section controller.delay_compensation; the wrench observer
-    wants transport and lag, too: section estimation.wrench. With any law.
-
-    With CONFIG, the platform is moved by small sinusoids about home (or the pose of a hold reference):
-    engage, excite, park, as an ordinary run, with all its limits. Each axis has 12 lines of its own from 1 Hz
-    to a tenth of the rate, while all legs extend by some 50 mm, more with more --force, so that friction does
-    not change its sign.
-    With --delay there are 36 lines from 10 Hz to 0.3 of the rate, while all legs extend and retract slowly by
-    3 mm. Ctrl-C stops and parks. In lockstep by default, which needs a section plant; with --run in real
-    time, which moves real drives.
-
-    With LOG, nothing runs. Sinusoids and multisines are cut into whole periods, anything else (a chirp) into
-    segments of 2 s; what is not coherent with its reference is not used. For --delay any log serves in which
-    the forces vary, and one with quick changes tells the split.
-
-    Uncertainties are two standard deviations. Guide: docs/guides/identify.md.
+    The linearised axes with coherence, a nominal model and the bound of its error, as `hil design` takes
+    them; with --delay only the time from the encoders' latch to the force that answers it, split into
+    transport, lag and hold. With CONFIG small sinusoids move the platform about home, in lockstep, or with
+    --run in real time, which moves real drives by some 50 mm; Ctrl-C stops and parks. With LOG nothing runs.
+    Masses, inertia and friction: `hil identify payload LOG...`, which has a help of its own.
 
     \b
     Examples:
-      hil identify virtual                        the axes of the virtual plant, in lockstep
-      hil identify virtual -o axes.yaml           the same, into a file of your own
-      hil identify my.yaml --run                  real drives: they move by some 50 mm
-      hil identify my.yaml --run --force 800      more force, where friction or noise hides the answer
+      hil identify virtual -o axes.yaml           the axes of the virtual plant, in lockstep
+      hil identify my.yaml --run --force 800      real drives; more force, where friction hides the answer
       hil identify runs/today.mcap                a run that is there already
       hil identify virtual --delay --run --plant --arm    only the delay, in real time
-      hil identify payload runs/today.mcap        masses, inertia and friction of the robot
 
-    \b
-    Exit code:
-      0  measured
-      1  the run for it ended in a fault, and its log tells; or a file could not be written in the end
-      2  not measured: configuration, log, or too little excitation; the message says what
+    Guide: docs/guides/identify.md.
     """
     from hil.app.output import log_path
     from hil.lab.identify import axes, runs

@@ -77,19 +77,10 @@ def command(
 ) -> None:
     """Learn from run to run: a feed-forward of the leg forces over the time of the reference.
 
-    What repeats from run to run (masses, friction and loads that the law does not know, the delay of bus and
-    drives) is in the error of every run over the same reference. Each call takes the log of the last run and
-    the one before, and writes the next feed-forward; the configuration names it in section `feedforward`. The
-    first call takes the log of a run without any. Nothing runs and nothing moves, but with --runs.
-
-    The filter is the widest for which the error falls monotonically for every plant of the stated
-    uncertainty: --axes FILE of `hil identify`, else --gain-error and --delay-error around the delays of the
-    configuration, up to a tenth of the rate. A run whose error does not fall as that says is refused, and
-    what ran before it stays the best. Learning ends at the floor, which is printed with its cause.
-
-    It needs a law of leg axes that linearises (inverse_dynamics, partial_linearisation, state_space), and
-    runs at full speed, without hold, fault or limit. A feed-forward acts on the very reference, controller
-    and platform that it was learned on. Guide: docs/guides/learning.md.
+    Each call takes the log of the last run and the one before, and writes the next feed-forward, which the
+    configuration names in section `feedforward`; the first call takes the log of a run without any. It needs
+    a law of leg axes that linearises, and the same reference, controller and platform. A run whose error does
+    not fall as the stated uncertainty predicts is refused. Nothing runs and nothing moves, but with --runs.
 
     \b
     Examples:
@@ -98,12 +89,7 @@ def command(
       hil learn runs/first.mcap -o next.csv --axes axes.yaml --limit 800
       hil learn virtual --runs 10 --inertia-scale 0.9 -o learned.csv
 
-    \b
-    Exit code:
-      0  learned, or learned out: the floor is reached and nothing is written
-      1  refused, as a run contradicts the stated uncertainty; or a run of --runs failed;
-         or the file could not be written in the end
-      2  not begun: configuration, logs or uncertainty; the message says what
+    Guide: docs/guides/learning.md.
     """
     from hil.app.configuration.feedforward_file import BEGINNING
     from hil.app.files import new_file

@@ -47,9 +47,9 @@ def command(
 ) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
 
-    Asks what no option answers, each with its unit and range, and says at once what cannot work. The rest
-    follows by rules that stand beside the numbers in FILE, or is called usual there: nothing comes from
-    another robot. What it writes passes `hil check`.
+    Asks what no option answers, each with its unit and range, and refuses at once what cannot work. The rest
+    follows by rules that stand next to the numbers in FILE, or is called usual there: nothing comes from
+    another robot. What it writes passes `hil check`, whose warnings are printed.
 
     \b
     Examples:
@@ -58,10 +58,7 @@ def command(
       hil new my.yaml --fmu my_robot.fmu
       hil new my.yaml --drives cubemars --model AK80-9 --travel 0.126
 
-    \b
-    Exit code:
-      0  written; the lines below it are what `hil check` warns of
-      2  not written: an answer that cannot work, or missing with --yes; FILE exists
+    Guide: docs/guides/parameters.md.
     """
     from hil.app.check.command import inspect
     from hil.app.files import new_file, write_whole

@@ -52,24 +52,18 @@ def command(
     """Serve six emulated drives and the plant behind them on the bus, in real time.
 
     The other end for `hil run` without hardware, or for somebody else's controller. Brakes hold at boot and
-    after a fault. Logs the true pose. Ends with Ctrl-C or after --duration.
+    after a fault. Ends with Ctrl-C or after --duration. The log goes to --log, else to
+    runs/NAME-TIME-plant.mcap (recording.folder), with the true pose; `plant.log: false` in the configuration
+    writes none.
 
     \b
     Examples:
       hil plant                             then, in another terminal: hil run
-      hil plant lab --duration 60
-      hil plant --fault "drive_silence leg=2 at=5 for=0.5"
+      hil plant --duration 60 --fault "drive_silence leg=2 at=5 for=0.5"
       hil plant vcan50                      on a SocketCAN bus, for any controller
       hil plant --bench --mistake "ids_swapped leg=1 other=4"   then, in another terminal: hil bringup
 
-    The log goes to --log, else to runs/NAME-TIME-plant.mcap (recording.folder); `plant.log: false` in the
-    configuration writes none.
-
-    \b
-    Exit code:
-      0  ended as asked
-      1  the plant failed on the way
-      2  not begun: configuration, bus, FMU or log file; the message says what
+    Guide: docs/guides/foreign-controllers.md.
     """
     loaded = load(configuration, "plant")
     from hil.app.configuration.fault_words import with_faults

@@ -35,9 +35,8 @@ def command(
 ) -> None:
     """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
 
-    Any log of ours will do, the plant's, too, and one that is cut as far as it goes. Units and names of
-    values come from the log; docs/guides/columns.md lists the columns. Without --column: leg error, force,
-    mode.
+    Any log of ours will do, the plant's, too, and one that is cut as far as it goes. Without --column: leg
+    error, force, mode. The picture goes to --out, else next to the first log, as ...-plot.png.
 
     \b
     Examples:
@@ -45,12 +44,7 @@ def command(
       hil plot before.mcap after.mcap -c tau.leg_3 -c "q_d - q" --from 2 --to 3 --out change.svg
       hil plot fault.mcap -c mode -c faults -c warnings -c lyapunov_share
 
-    The picture goes to --out, else beside the first log, as ...-plot.png. It ends in .png or .svg.
-
-    \b
-    Exit code:
-      0  drawn
-      2  not begun: no such log, column or time, or the file exists and --force is not given
+    Guide: docs/guides/columns.md, which lists the columns.
     """
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")

@@ -73,29 +73,19 @@ from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, reporti
 def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
-    LOG comes from `hil run` or `hil sim`; its configuration is inside. Only reads: nothing is sent, LOG
-    stays as it is. Names the first tick and each column that differs there, with both values.
-
-    With --what-if or --set another controller is given the same inputs. The measurements do not follow its
-    forces: the figures say what it would have answered, not how the robot would have moved.
+    LOG comes from `hil run` or `hil sim`; its configuration is inside, and it stays as it is. Printed are the
+    first tick and each column that differs there, with both values; on another CPU columns may differ by
+    1e-9. With --what-if or --set another controller is given the same inputs: its answers, not how the robot
+    would have moved. --against compares two logs, --suite replays a folder.
 
     \b
     Examples:
-      hil replay runs/virtual-20260131T120000.mcap
       hil replay cut.mcap --salvage whole.mcap
       hil replay run.mcap --set controller.wn_rad_s=25 --plot forces.png
-      hil replay run.mcap --what-if new.yaml --log answer.mcap
       hil replay run.mcap --against golden.mcap --tolerance 1e-9 --tolerance tau=0.5
       hil replay --suite runs --jobs 4 --junit replay.xml
 
-    \b
-    Exit code:
-      0  all ticks identical to the bit (on another CPU: all frames, columns to 1e-9); two logs the same
-         within the tolerances; all logs of a folder; a what-if: answered, whatever differs
-      1  differences, or ticks missing from the log; a what-if: the log could not be read to its end;
-         or an output file could not be written in the end
-      2  not begun: no such file, no log, made by another version, cut (then use --salvage), or a
-         configuration to which its inputs mean something else
+    Guide: docs/guides/replay.md; docs/guides/what-if.md.
     """
     form = replay_forms.chosen_form(log, given)
     if form == "--suite":

@@ -16,21 +16,16 @@ def command(log: Path, out: Path | None, force: bool, json_file: Path | None) ->
     """Write one HTML page about a run: what went wrong, or how much of every limit was left.
 
     Then tracking by axis and leg, forces, V and its bound where the law has a certificate, modes and faults
-    over time, wake-up and latency, bus load, the pose in 3D that plays. The page is one file that fetches
-    nothing; any browser shows it, without network. A log that is cut is shown as far as it goes, and the page
-    says so.
+    over time, wake-up and latency, bus load, the pose in 3D that plays. Any browser shows the page, without
+    network. A log that is cut is shown as far as it goes. LOG comes from `hil run` or `hil sim`; the page
+    goes to --out, else next to the log, as ....html.
 
     \b
     Examples:
       hil report runs/virtual-20260131T120000.mcap
       hil report runs/fault.mcap --out fault.html --force
 
-    LOG comes from `hil run` or `hil sim`. The page goes to --out, else beside the log, as ....html.
-
-    \b
-    Exit code:
-      0  written, whatever it has to say of the run
-      2  not begun: no such log, a log of another kind, or the file exists and --force is not given
+    Guide: docs/guides/report.md.
     """
     from hil.app.files import new_file
 

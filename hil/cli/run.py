@@ -62,37 +62,19 @@ def command(
     """Run the daemon in real time.
 
     Waits for six drives, and for the operator's word that the platform may move: Enter, --arm, or
-    `hil ctl CONFIG arm` from another terminal, for which --wait-for-arm waits without one here. Then it
-    builds up the holding force against the closed brakes, opens them, moves to the start of the reference,
-    tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C is an
-    emergency stop. Ends with a summary, a picture and the result of replaying its log.
-
-    Before the brakes open, and after they have closed, they carry the platform without force and no leg may
-    move. Where one does, the force comes back, and the run holds the platform until --release.
+    `hil ctl CONFIG arm` from another terminal. Then it proves the brakes, moves to the start of the
+    reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C
+    is an emergency stop. The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder), with a
+    picture beside it; with --plant the plant's own log is NAME-plant. It is replayed at the end.
 
     \b
     Examples:
-      hil run --plant --arm                 all virtual; needs nothing but this machine
-      hil run --plant --arm --duration 5    the same, parked after 5 s
-      hil run --plant --arm --watch         the same, with a live page in any browser
-      hil run --plant --arm --fault "encoder_jump leg=0 at=2 by=5e-3"
-      hil run socketcan                     real drives on can0; they move when Enter is pressed
-      hil run socketcan --reset             the same, clearing faults that the drives have latched
-      hil run my.yaml --log today.mcap --json today.json
+      hil run --plant --arm --watch         all virtual, with a live page; needs nothing but this machine
+      hil run --plant --arm --duration 5 --fault "encoder_jump leg=0 at=2 by=5e-3"
+      hil run socketcan --reset             real drives on can0; clears faults that the drives have latched
       hil run my.yaml --release             let go of a held platform, from another terminal
 
-    The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder). With --plant the plant's own log,
-    with the true pose, stands beside it as NAME-plant; the picture is the log's name with .png, and takes
-    the place of an earlier picture only.
-
-    While this machine is too busy for one side of an all virtual bench, the bench's time stands still
-    (loop.on_stall: stretch); the summary says how often. With `fault` it goes on, as on hardware.
-
-    \b
-    Exit code:
-      0  parked as planned or on request, and what was recorded replays exactly
-      1  a latched fault, no drives, or stopped by safety; the log is closed and tells
-      2  not begun: configuration, bus, plant or log file; the message says what
+    Guide: docs/guides/first-run.md; at a machine docs/guides/operate.md.
     """
     if release:
         from hil.app.configuration.configuration import load as read

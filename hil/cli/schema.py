@@ -11,7 +11,7 @@ from hil.cli.shared import FILE, finish_lines, reporting
 @click.argument("file", type=FILE, required=False)
 @reporting
 def command(file: Path | None, json_file: Path | None) -> None:
-    """Name the JSON Schema of configurations, or let the configuration FILE name it.
+    """Print where the JSON Schema of configurations is, or name it in the configuration FILE.
 
     Editors with a YAML language server complete keys and underline mistakes by it. A configuration that was
     copied away from its schema loses it; with FILE its first line names that of this installation by its
@@ -22,10 +22,7 @@ def command(file: Path | None, json_file: Path | None) -> None:
       hil schema
       hil schema my.yaml
 
-    \b
-    Exit code:
-      0  named
-      2  FILE cannot be read or written
+    Guide: docs/guides/service.md.
     """
     from hil.app.configuration.schema import schema_line, schema_path, with_schema
     from hil.app.configuration.text_file import read_text

@@ -33,16 +33,10 @@ def command(
 
     \b
     Examples:
-      hil setpoint my.yaml --position 0.1 0 1.05
       hil setpoint my.yaml --position 0 0 1 --rotation 0 5 10
       hil setpoint my.yaml                  one for each line typed, until Ctrl-D
 
-    \b
-    Exit code:
-      0  all set-points were taken
-      1  some were refused, there were none, or the controller ended meanwhile; the summary says why
-      2  nothing was taken: no such configuration, its reference is not live, or no controller listens or
-         answers
+    Guide: docs/guides/references.md.
     """
     from hil.app.configuration.address import address
     from hil.app.setpoint import send_setpoints

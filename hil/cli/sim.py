@@ -53,26 +53,18 @@ def command(
     """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
 
     Deterministic: the same configuration gives the same frames and rows, byte for byte. The bus takes its
-    worst-case bit time. `--duration` stops along the path at S simulated seconds and parks. `--setpoints`
-    sends a reference of type live from pose to pose, at their times along it. Without `--commands` nobody
-    is waited for, whatever section operator asks for.
+    worst-case bit time. `--duration` stops along the path at S simulated seconds and parks. Without
+    `--commands` nobody is waited for, whatever section operator asks for. The log goes to --log, else to
+    runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
 
     \b
     Examples:
-      hil sim                               the default configuration, ten periods of the path
       hil sim ideal                         theory: exact lengths and rates, no bus time
       hil sim lab --duration 3 --log lab.mcap --json lab.json
-      hil sim my.yaml --setpoints poses.csv --duration 10
-      hil sim virtual --commands operator.txt
+      hil sim my.yaml --setpoints poses.csv --commands operator.txt --duration 10
       hil sim virtual --duration 2 --fault "brake_stuck_open leg=3 mode=PARKING"
 
-    The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
-
-    \b
-    Exit code:
-      0  parked without a fault, and the log replays exactly
-      1  a latched fault, or the replay differs
-      2  not begun: configuration, FMU or log file; the message says what
+    Guide: docs/guides/first-run.md.
     """
     from hil.app.early import refuse_log_folder
 

@@ -66,39 +66,22 @@ def command(
     payload: tuple[float, Point] | None,
     json_file: Path | None,
 ) -> None:
-    """Say what is proven of the law of CONFIGURATION, by which function, and under which conditions.
+    """Print what is proven of the law of CONFIGURATION, by which function, and under which conditions.
 
-    \b
-    proven        its conditions are checked here, for the loop as it is sampled, held and late
-    conditional   proven if the conditions listed hold; they are not checked here
-    not proven    no theorem applies; says nothing against the law
-    unstable      refuted: an eigenvalue of the sampled loop lies outside the unit circle
-
-    \b
-    Laws that linearise the robot (inverse dynamics in joint and pose space, without H):
-      eigenvalues of the sampled, held, late loop, and the ultimate bound of the error by its
-      peak gains and small gain: of delay along the reference, of stale J and M, of the stated
-      payload and model error, and of the load, which is J M^-1 w of an axis. Beside it
-      V = x^T P x of the loop without delay.
-    Sliding mode and robust inverse dynamics: the reaching condition, the boundary layer, the
-      time to it; from section uncertainty, or from what is given here.
-    PD, PD with gravity, feed-forward, Cartesian PD: the energy as V, LaSalle, and the largest
-      sublevel set within stroke and away from singularities. For a reference at rest.
-    PID: eigenvalues at the reference's start. Designed controllers: those of the sampled loop.
-    All: eigenvalues and margins of the loop as it is sampled, held and late.
+    The verdict is proven; conditional, if the listed conditions hold, which are not checked here; not proven,
+    where no theorem applies; or unstable. All laws: eigenvalues and margins of the loop as it is sampled,
+    held and late. Laws that linearise: the ultimate bound of the error. Sliding mode and robust inverse
+    dynamics: reaching condition and boundary layer. PD laws, at rest: the energy as V, LaSalle, and the
+    largest sublevel set within stroke and away from singularities.
 
     \b
     Examples:
       hil stability                                      the default configuration
       hil stability virtual --disturbance-force 10000    and 10 kN that nobody measures
-      hil stability virtual --payload 230kg@0.5,0.3,0.5  and a load that the law is not told of
+      hil stability virtual --payload 230kg@0.5,0.3,0.5  and a load that the law does not know
       hil stability my.yaml --disturbance-force 2000 --model-error 0.1 --json proof.json
 
-    \b
-    Exit code:
-      0  proven, or conditional
-      1  not proven, or unstable
-      2  refused: the configuration, an option or the file
+    Guide: docs/theory/stability.md.
     """
     from hil.app.output import console
 

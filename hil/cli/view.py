@@ -26,13 +26,9 @@ def command(
 ) -> None:
     """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
 
-    \b
-      rerun        writes LOG.rrd, a recording with its views, and starts Rerun (extra `viewers`)
-      foxglove     writes LOG-foxglove.json, a layout to import, and starts Lichtblick or Foxglove
-      plotjuggler  writes LOG-plotjuggler.xml, a layout that loads the log, and starts PlotJuggler
-
-    The file goes to --out, else beside the log, in the place of an earlier one. Where the viewer is not
-    installed, the summary says what to do by hand. Guide: docs/guides/viewers.md.
+    Writes a Rerun recording, or a layout for Lichtblick and Foxglove or for PlotJuggler, and starts the
+    viewer (Rerun: extra `viewers`). The file goes to --out, else next to the log, in the place of an earlier
+    one. Where the viewer is not installed, the summary tells what to do by hand.
 
     \b
     Examples:
@@ -40,11 +36,7 @@ def command(
       hil view runs/today.mcap --with plotjuggler
       hil view runs/today.mcap --with foxglove --no-start --out layout.json
 
-    \b
-    Exit code:
-      0  written, and the viewer was closed
-      1  the log is cut, or the viewer failed
-      2  not begun: no log, no extra, a file that exists; the message says what
+    Guide: docs/guides/viewers.md.
     """
     from hil.study.view.command import view
 

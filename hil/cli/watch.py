@@ -20,13 +20,10 @@ def command(
 ) -> None:
     """Serve a live page about the run on the bus of CONFIG: pose, legs, forces, errors, timing, faults.
 
-    It prints a link; any browser opens it, without network. Whatever runs next on the bus is shown by itself.
-    The page reads what the recorder shows of the run: the run neither waits for it nor knows of it. Ctrl-C
-    ends it, and nothing else.
-
-    Others see the page with --host; the token of the link is needed for everything then. There is no
-    encryption: use it in a network that you trust, or through a tunnel. With watch.operate in CONFIG the page
-    has buttons too, which need the token on the loopback as well.
+    Prints a link, which any browser opens without network; the run neither waits for the page nor knows of
+    it. Ctrl-C ends the page, and nothing else. With --host others see it, too, and need the token of the
+    link; there is no encryption: use it in a network that you trust, or through a tunnel. With watch.operate
+    in CONFIG the page has buttons, which need the token on this machine as well.
 
     \b
     Examples:
@@ -34,10 +31,7 @@ def command(
       hil watch my.yaml --port 9000
       hil watch my.yaml --host 0.0.0.0      for other machines and phones, with a token
 
-    \b
-    Exit code:
-      0  ended on request
-      2  not begun: configuration, address or port; the message says what
+    Guide: docs/guides/watch.md.
     """
     from hil.app.configuration.configuration import load
     from hil.app.watch.command import watch

@@ -65,7 +65,7 @@ def command(
     Translations at home's orientation: volume, extents, sections with the limit that is met along the edge,
     the largest sphere and cylinder. Tilt and torsion at one position. Condition number and singularity
     measure, static leg forces. What lies behind a singularity or a gap is not reachable and does not count.
-    Joint angles: platform.base_joint_angle_max_deg and platform.platform_joint_angle_max_deg.
+    The picture goes to --picture, else to runs/NAME-workspace-TIME.png (recording.folder).
 
     \b
     Examples:
@@ -74,13 +74,7 @@ def command(
       hil workspace lab --payload 200 --position 0 0 0.9
       hil workspace my.yaml --resolution 120 --leg-diameter 0.08
 
-    The picture goes to --picture, else to runs/NAME-workspace-TIME.png (recording.folder).
-
-    \b
-    Exit code:
-      0  mapped
-      1  mapped, and the picture could not be written in the end
-      2  not begun: configuration, home outside a limit, position not reached, file
+    Guide: docs/guides/workspace.md.
     """
     from hil.app.output import console
 

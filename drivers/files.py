@@ -6,6 +6,7 @@ end, and either may stand where a file is named. Who can write to a folder could
 
 import contextlib
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -44,8 +45,8 @@ def real_path(path: Path) -> Path:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new file beside `path`; give it that name at the end, or remove it where something failed.
 
-    An earlier file is replaced; its rights, owner and group go on, as far as may be. What is there and
-    no file, as a pipe, is yielded itself.
+    An earlier file is replaced, and its rights go on. What is there and no file, as a pipe, is yielded
+    itself.
     Raises OSError, which names `path`: a full disk names none, and nobody knows the new file's name.
     """
     target = real_path(path)
@@ -59,7 +60,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror, str(path)) from error
     try:
         yield temporary
-        _as_before(temporary, target)
+        _set_rights(temporary, target)
         temporary.replace(target)
     except OSError as error:
         if error.filename not in (None, str(temporary)):
@@ -69,23 +70,14 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _as_before(new: Path, target: Path) -> None:
-    """Give a new file the owner, group and rights of the one that it replaces; else those of any new file."""
-    try:
-        there = target.stat()
-    except FileNotFoundError:
-        umask = os.umask(0)
-        os.umask(umask)
-        new.chmod(0o666 & ~umask)
+def _set_rights(new: Path, target: Path) -> None:
+    """Give a new file the rights of the one that it replaces, else those of any new file."""
+    if target.exists():
+        shutil.copymode(target, new)
         return
-    mode = stat.S_IMODE(there.st_mode)
-    with contextlib.suppress(OSError):
-        os.chown(new, there.st_uid, -1)
-    try:
-        os.chown(new, -1, there.st_gid)
-    except OSError:
-        mode &= ~stat.S_IRWXG  # what that group may is nothing for another one
-    new.chmod(mode)
+    umask = os.umask(0)
+    os.umask(umask)
+    new.chmod(0o666 & ~umask)
 
 
 def made_folder(path: Path) -> Path:

@@ -47,7 +47,6 @@ _PLACES = {
 _SOURCES = {".py", ".dbc", ".eds"}
 _EARLIER_NS = 50_000_000
 """By which a source may be read before this package is imported, or the stamp of a file be late."""
-_watching: list[Callable[[bool], None]] = []
 
 
 def _room_of(file: Path) -> str | None:
@@ -118,12 +117,5 @@ def source_of(function: Callable[..., Any]) -> Path:
     return Path(function.__code__.co_filename).resolve()
 
 
-def watch(show: Callable[[bool], None]) -> None:
-    """Have `show` called with True before a kernel is compiled, with False after it."""
-    _watching[:] = [show]
-
-
-def tell(*, compiling: bool) -> None:
-    """Call who watches."""
-    for show in _watching:
-        show(compiling)
+def progress(compiling: bool) -> None:
+    """Take note that a kernel is about to be compiled, or was; who shows that replaces this function."""

@@ -88,7 +88,7 @@ class Kept:
             library, rest = pickle.loads(kept[_DIGEST:] if whole else b"")  # noqa: S301 - of this user alone
             self.code = library[1]
         except Exception:  # noqa: BLE001 - whatever a damaged file raises
-            cache.tell(compiling=True)
+            cache.progress(True)
             return None
         return CompileResult._rebuild(target, library, *rest)  # type: ignore[no-untyped-call, no-any-return]
 
@@ -101,7 +101,7 @@ class Kept:
             with contextlib.suppress(OSError), whole_file(made_folder(file.parent) / file.name) as new:
                 kept = pickle.dumps(((name, self.code, names, bitcode), rest))
                 new.write_bytes(hashlib.sha256(kept).digest() + kept)
-        cache.tell(compiling=False)
+        cache.progress(False)
 
     def _file(self, signature: Any, target: Any) -> Any:
         return cache.place_of(self._function, f"{signature} {__version__} {target.codegen().magic_tuple()}")

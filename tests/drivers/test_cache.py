@@ -17,8 +17,8 @@ from tools.compile_kernels import PACKAGES, modules
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = """
-from drivers.compiled.cache import watch
-watch(lambda begins: print("compiles" if begins else "compiled"))
+from drivers.compiled import cache
+cache.progress = lambda begins: print("compiles" if begins else "compiled")
 import kernels_of_a_test
 print(kernels_of_a_test.twice(1.0))
 """

@@ -111,8 +111,8 @@ def test_what_is_compiled_is_found_by_the_same_sources_elsewhere_and_by_no_other
     source = other / "hil/robot/kinematics_kernels.py"
     source.write_bytes(source.read_bytes() + b"# as if edited\n")
     script = (
-        "import sys; from drivers.compiled.cache import watch; "
-        "watch(lambda _: sys.exit('compiles')); import hil.app.compose"
+        "import sys; from drivers.compiled import cache; "
+        "cache.progress = lambda _: sys.exit('compiles'); import hil.app.compose"
     )
     ends = [outside(place, tmp_path, "-c", script) for place in (installed, other)]
     assert [(end.returncode, end.stderr) for end in ends] == [(0, ""), (1, "compiles\n")]

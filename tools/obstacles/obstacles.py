@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import resource
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 FOREIGN = 65534
 """Another user: nobody."""
-_MB = 1024 * 1024
 
 
 class Place(NamedTuple):
@@ -90,10 +88,6 @@ OBSTACLES = {
     ),
     "cache_open": Obstacle("cache of mode 0777", lambda p: (p.cache / "hexapod-hil").chmod(0o777)),
     "cache_foreign": Obstacle("cache of another user", _cache_foreign, root_only=True),
-    "files_16": Obstacle("`ulimit -n 16`", limits={resource.RLIMIT_NOFILE: 16}),
-    "memory_200": Obstacle("`ulimit -v 204800` (200 MiB)", limits={resource.RLIMIT_AS: 200 * _MB}),
-    "memory_400": Obstacle("`ulimit -v 409600` (400 MiB)", limits={resource.RLIMIT_AS: 400 * _MB}),
-    "memory_1000": Obstacle("`ulimit -v 1048576` (1 GiB)", limits={resource.RLIMIT_AS: 1024 * _MB}),
     "disk_full": Obstacle("`runs` on a disk with 200 kB left", disk_bytes=200_000),
     "disk_none": Obstacle("`runs` on a disk with 4 kB left", disk_bytes=4096),
 }

@@ -7,7 +7,6 @@ import re
 import resource
 import shutil
 import signal
-import stat
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from click.testing import CliRunner
 from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.section_file import check_section_path
-from hil.app.files import made_whole, new_file, printable, write_whole
+from hil.app.files import made_whole, new_file, printable
 from hil.app.output import check_json_path, log_path, picture_path
 from hil.app.sim.command import simulate
 from hil.cli import main
@@ -235,54 +234,6 @@ def test_what_fails_leaves_the_earlier_file(tmp_path):
         half()
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
     assert out.read_text() == "old"
-
-
-@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664, 0o444])
-def test_a_file_that_is_replaced_keeps_its_rights(tmp_path, mode):
-    out = tmp_path / "a.yaml"
-    out.write_text("old")
-    out.chmod(mode)
-    write_whole(out, "new")
-    assert (out.read_text(), stat.S_IMODE(out.stat().st_mode)) == ("new", mode)
-    link = tmp_path / "link.yaml"
-    link.symlink_to("a.yaml")
-    write_whole(link, "newer")
-    assert (out.read_text(), stat.S_IMODE(out.stat().st_mode)) == ("newer", mode)
-    assert link.is_symlink()
-
-
-@pytest.mark.parametrize("umask", [0o022, 0o077])
-def test_a_new_file_has_the_rights_of_any_new_file(tmp_path, umask):
-    before = os.umask(umask)
-    try:
-        write_whole(tmp_path / "a.yaml", "new")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a.yaml").stat().st_mode) == 0o666 & ~umask
-
-
-@pytest.mark.parametrize(
-    ("refused", "mode"), [((), 0o640), (("owner",), 0o640), (("group",), 0o600), (("owner", "group"), 0o600)]
-)
-def test_a_file_that_is_replaced_keeps_owner_and_group_or_takes_the_rights_from_another_group(
-    tmp_path, monkeypatch, refused, mode
-):
-    """Who writes a file of another owner as root leaves it theirs."""
-    given: list[tuple[int, int]] = []
-
-    def chown(_, user, group):
-        given.append((user, group))
-        if ("group" if user == -1 else "owner") in refused:
-            raise PermissionError
-
-    out = tmp_path / "a.yaml"
-    out.write_text("old")
-    out.chmod(0o640)
-    found = out.stat()
-    monkeypatch.setattr(os, "chown", chown)
-    write_whole(out, "new")
-    assert given == [(found.st_uid, -1), (-1, found.st_gid)]
-    assert (out.read_text(), stat.S_IMODE(out.stat().st_mode)) == ("new", mode)
 
 
 def test_a_name_that_is_no_text_is_shown_with_signs_in_its_place(path, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import os
@@ -21,7 +20,6 @@ from drivers.errors import HilError, LogError
 from drivers.files import made_folder, real_path
 from drivers.signals import Mode
 from hil.app.files import may_write, printable, write_whole
-from hil.app.reserved import reserved
 from hil.app.terminal import visible
 
 if TYPE_CHECKING:
@@ -29,14 +27,10 @@ if TYPE_CHECKING:
 
 
 class Terminal(Console):
-    """A console: no text is markup, and its caller decides what a pipe without a reader means."""
+    """A console on which no text is markup."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, **options)
-
-    def on_broken_pipe(self) -> None:
-        """Raise BrokenPipeError."""
-        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
 
 
 TABLE_WIDTH = 180
@@ -77,11 +71,11 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
 
 
 def _dated(folder: Path, name: str, end: str) -> Path:
-    """Return a dated name that no file has, and that no other process of this second is given."""
+    """Find a dated name that no file has."""
     stem = f"{name}-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}"
     path = folder / f"{stem}{end}"
     number = 2
-    while not reserved(path) or os.path.lexists(path):
+    while os.path.lexists(path):
         path = folder / f"{stem}-{number}{end}"
         number += 1
     return path
@@ -167,25 +161,9 @@ def write_json(path: Path, summary: dict[str, Any]) -> None:
     """
     text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
     try:
-        if path.exists() and not path.is_file():  # a pipe or a terminal
-            _write_there(path, text)
-            return
         write_whole(path, text)
     except OSError as error:
         raise LogError(f"--json {path}: cannot be written: {error.strerror}") from None
-
-
-def _write_there(path: Path, text: str) -> None:
-    """Write into a pipe that somebody reads, or a terminal. Raises OSError: nobody does."""
-    try:
-        fd = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError as error:
-        raise OSError(
-            error.errno, "nobody reads it" if error.errno == errno.ENXIO else error.strerror
-        ) from None
-    os.set_blocking(fd, True)
-    with os.fdopen(fd, "w") as file:
-        file.write(text)
 
 
 def _plain(value: Any) -> Any:

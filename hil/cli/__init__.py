@@ -2,7 +2,6 @@
 # ruff: noqa: E402
 
 import signal
-import sys
 
 _handler = signal.getsignal(signal.SIGINT)
 if _handler is signal.default_int_handler:  # Ctrl-C during these imports ends the process without a word
@@ -16,11 +15,9 @@ from typing import Any
 import click
 
 from hil.cli.interrupts import OF_THIS_PROCESS, one_line_of_interrupt
-from hil.cli.pipes import quiet_pipe
 from hil.cli.streams import own_streams
 
-# Of our own process it stays so until the command begins.
-if _handler is signal.default_int_handler and os.path.basename(sys.argv[0]) not in ("-m", "hil"):  # noqa: PTH119
+if _handler is signal.default_int_handler:
     signal.signal(signal.SIGINT, _handler)
 
 # Before anything imports NumPy: the threads of its BLAS, which no loop uses, would spin beside the loop.
@@ -73,40 +70,18 @@ class _Table(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
-        from hil.cli.shared import require_memory
-
-        require_memory(cmd_name)
         command = import_module(f"hil.cli.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command
 
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
-        """Read the words; print the help where they ask for it."""
-        with quiet_pipe(), one_line_of_interrupt():
-            return super().make_context(info_name, args, parent, **extra)
-
     def invoke(self, ctx: click.Context) -> Any:
         """Call the command."""
-        with quiet_pipe(), one_line_of_interrupt():
-            try:
-                return super().invoke(ctx)
-            except (MemoryError, OSError) as error:  # of what only lists a command's options
-                from hil.cli.shared import refuse_without_memory
-
-                refuse_without_memory(error)
-                raise
-            except EOFError as error:  # click would say "Aborted!"
-                from hil.cli.shared import refuse_cut_modules
-
-                refuse_cut_modules(error)
-            finally:
-                OF_THIS_PROCESS.settle()
+        with one_line_of_interrupt():
+            return super().invoke(ctx)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Be the work of this process."""
-        with own_streams(), one_line_of_interrupt(), OF_THIS_PROCESS.attached():
+        with own_streams(), OF_THIS_PROCESS.attached():
             return super().__call__(*args, **kwargs)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

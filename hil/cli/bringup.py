@@ -54,13 +54,11 @@ def command(
         raise click.UsageError(
             "--mistake is for a rehearsal: add --rehearse, or give it to `hil plant --bench`."
         )
-    from hil.app.early import refuse_log_folder
-
-    refuse_log_folder(configuration, log)
     loaded = load(configuration)
     from hil.lab.bringup.command import run_bringup
+    from hil.loop.panel import signals_to
 
-    with OF_THIS_PROCESS.also_where_the_terminal_goes():
+    with signals_to(OF_THIS_PROCESS.pressed):  # a closed terminal leaves nothing under power
         summary = run_bringup(
             configuration,
             loaded,

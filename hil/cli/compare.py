@@ -103,11 +103,6 @@ def command(
     """
     if wrench_at is not None and wrench is None:
         raise click.UsageError("--wrench-at says when --wrench comes: give both.")
-    from hil.app.early import recordings, refuse_folder
-
-    folder = recordings(configuration) if picture is None else picture if picture.is_dir() else picture.parent
-    if folder is not None:
-        refuse_folder(folder, "name another file with --picture")
     loaded = load(configuration, "sim")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -54,11 +54,6 @@ def command(
 
     Guide: docs/guides/analysis.md.
     """
-    from hil.app.early import refuse_folder
-
-    for each in out:
-        if each.parent.is_dir():
-            refuse_folder(each.parent, "name another file")
     from hil.study.export.command import export_log
 
     finish("export", export_log(log, out, start=start, columns=columns, overwrite=force), json_file)

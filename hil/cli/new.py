@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.interrupts import comes_of_interrupt
 from hil.cli.shared import FILE, finish_lines, force_option, reporting
 
 if TYPE_CHECKING:
@@ -132,6 +131,6 @@ def _typed(question: Question, default: Any) -> str:
             f"at {question.key}, nothing is written; begin again, or give what was answered as options "
             f"({question.option} for this one)"
         )
-        if comes_of_interrupt(error):
+        if isinstance(error.__context__, KeyboardInterrupt):
             raise KeyboardInterrupt(there) from None
         raise ConfigurationError(f"hil new: ended {there}") from None

@@ -83,9 +83,6 @@ def command(
         finish("release", release_held(read(configuration)), json_file)
     if arm and wait_for_arm:
         raise click.UsageError("--arm lets the platform move by itself: leave out --wait-for-arm, or --arm.")
-    from hil.app.early import refuse_log_folder
-
-    refuse_log_folder(configuration, log)
     loaded = load(configuration, "run")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.run.command import run_daemon

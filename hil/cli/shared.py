@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import math
-import os
-import resource
 import shlex
 import sys
 from collections.abc import Callable, Iterable
@@ -16,8 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from hil.cli.interrupts import OF_THIS_PROCESS
-from hil.cli.pipes import reader_gone
 from hil.config.number import ALLOWED, in_reason
 
 if TYPE_CHECKING:
@@ -78,17 +73,10 @@ force_option = click.option("--force", is_flag=True, help="Write over an existin
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
-LEAST_BYTES = 768 * 2**20
-"""Of address space for Python, NumPy, SciPy and Numba: `hil check` takes 684 MB. With less, how a library
-ends depends on the byte: in one line, with a traceback, by a signal, or not at all."""
-_LIGHT = frozenset({"ctl", "plot"})
-"""Commands that load no Numba: 30 and 200 MB."""
 _NAMED = ("configuration", "design", "robot", "what_if")
 """Arguments that name a file, or one that is shipped."""
 _RAN = 1
 """Exit code of what had begun."""
-_DATE, _YEAR_9999 = "SOURCE_DATE_EPOCH", 253_402_300_799
-"""Name of the variable, and the last second that a date can tell."""
 _REPORTED = frozenset({"run", "sim"})
 """Kinds of summary whose log `hil report` shows."""
 
@@ -97,7 +85,6 @@ def finish(
     title: str, summary: dict[str, Any], json_file: Path | None, shown: dict[str, Any] | None = None
 ) -> None:
     """Write a summary's JSON twin, print it (`shown`, where that says it better), exit 0 only on success."""
-    OF_THIS_PROCESS.settle()
     from hil.app.output import last_ticks_table, show
     from hil.app.terminal import visible
 
@@ -117,7 +104,6 @@ def finish(
 
 def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
     """As `finish`, for a few plain figures, without the imports that lay out tables: an operator waits."""
-    OF_THIS_PROCESS.settle()
     from hil.app.terminal import visible
 
     unwritten = _write_twin(json_file, summary)
@@ -135,7 +121,6 @@ def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) 
 
 def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> None:
     """Write a report's JSON twin, print it, exit 0 only on success."""
-    OF_THIS_PROCESS.settle()
     from hil.app.output import show_lines
 
     unwritten = _write_twin(json_file, summary)
@@ -180,14 +165,10 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         from drivers.errors import HilError, LogError
         from hil.app.terminal import one_line
 
-        _refuse_odd_date()
         try:
             from hil.app.compiling import show_compilation
 
             show_compilation()
-            from hil.app.picture_folder import choose_picture_folder
-
-            choose_picture_folder()
             _refuse_shared_outputs(kwargs)
             if kwargs["json_file"] is not None:
                 from hil.app.output import check_json_path
@@ -198,40 +179,11 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             _refuse(one_line(str(error)))
         except HilError as error:
             _refuse(str(error))
-        except MemoryError as error:
-            refuse_without_memory(error)
-        except ImportError as error:
-            if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
-                raise
-            _refuse(f"{_no_memory()} ({one_line(str(error))})")
         except OSError as error:
-            if reader_gone():
-                raise
-            refuse_without_memory(error)
-            if error.errno == errno.EMFILE:
-                most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-                _refuse(f"a process may open {most} files here, and that is too few: raise `ulimit -n`")
             place = "" if error.filename is None else f"{error.filename}: "
             _refuse(f"{place}{error.strerror or error}")
 
     return reporting
-
-
-def _refuse_odd_date() -> None:
-    """Refuse a date for made files at which NumPy and Matplotlib fail when they are imported."""
-    given = os.environ.get(_DATE, "0")
-    if not (given.isascii() and given.isdigit() and len(given) < 20 and int(given) <= _YEAR_9999):
-        _refuse(f"{_DATE}={given[:60]!r}: allowed: whole seconds since 1970; mend or unset it")
-
-
-def refuse_cut_modules(error: EOFError) -> NoReturn:
-    """Refuse to go on with modules of which a full disk kept a part; whatever else ended is a defect."""
-    if "marshal" not in str(error):
-        raise RuntimeError("something ended too early") from error
-    _refuse(
-        "a module that Python keeps compiled is cut, as a full disk leaves it: remove every folder "
-        f"__pycache__ below {sys.modules['hil.cli'].__path__[0].removesuffix('/hil/cli')}; they are made anew"
-    )
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:
@@ -266,32 +218,6 @@ def _refuse(message: str, code: int = 2) -> NoReturn:
 
     click.echo(visible(f"hil: {message}"), err=True)
     sys.exit(code)
-
-
-def refuse_without_memory(error: MemoryError | OSError) -> None:
-    """Say in one line that there is too little memory, and exit, where that is what an error means."""
-    if isinstance(error, MemoryError):
-        _refuse(_no_memory(), _RAN)
-    elif error.errno is None and "llvmlite" in str(error):
-        _refuse(f"Numba cannot be loaded: {_no_memory()}")
-
-
-def require_memory(command: str) -> None:
-    """Refuse an address space that is too small for a command, before a library that needs it is loaded."""
-    most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if command in _LIGHT or most == resource.RLIM_INFINITY or most >= LEAST_BYTES:
-        return
-    _refuse(
-        f"a process may have {most / 1e6:.0f} MB of address space here, allowed: {LEAST_BYTES / 1e6:.0f} MB "
-        f"or more; raise `ulimit -v` to {LEAST_BYTES // 1024} or to unlimited"
-    )
-
-
-def _no_memory() -> str:
-    most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if most == resource.RLIM_INFINITY:
-        return "no memory is left on this machine: end what takes it"
-    return f"a process may have {most / 1e6:.0f} MB here, and that is too little: raise `ulimit -v`"
 
 
 def load(configuration: str, command: Literal["run", "plant", "sim"] | None = None) -> Configuration:

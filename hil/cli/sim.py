@@ -66,9 +66,6 @@ def command(
 
     Guide: docs/guides/first-run.md.
     """
-    from hil.app.early import refuse_log_folder
-
-    refuse_log_folder(configuration, log)
     loaded = load(configuration, "sim")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.sim.command import simulate

@@ -16,7 +16,7 @@ from hil.record.ring import Ring
 def spawn(ring: Ring) -> subprocess.Popen[bytes]:
     """Start the recorder with the ring and two pipes."""
     # a Ctrl-C while the recorder starts must not end it: it inherits the mask and opens it when it is ready
-    held = {signal.SIGINT, signal.SIGALRM, signal.SIGTERM, signal.SIGHUP}  # SIGALRM: a press that is repeated
+    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, held)
     try:
         return start(

@@ -144,11 +144,11 @@ def _await_parent() -> None:
 def _undisturbed() -> Iterator[None]:
     """Let Ctrl-C wait while processes are started: one that is half started could not be ended.
 
-    And the timer that repeats one. They inherit that. A terminal sends Ctrl-C to all, and it is for this
+    They inherit that. A terminal sends Ctrl-C to all, and it is for this
     process alone, which ends them.
     """
     ensure_tracker()  # started later it would let Ctrl-C through
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGALRM})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:

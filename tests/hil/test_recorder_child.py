@@ -18,7 +18,7 @@ from hil.record import child
 from hil.record.recorder import answer
 from hil.record.recording import Live
 
-HELD = {signal.SIGINT, signal.SIGALRM, signal.SIGTERM, signal.SIGHUP}
+HELD = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
 @pytest.mark.parametrize("refused", [False, True])

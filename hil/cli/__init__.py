@@ -75,8 +75,10 @@ class _Table(click.Group):
         return command
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Call the command."""
-        with one_line_of_interrupt():
+        """Call the command; Ctrl-C, and what a user can fix, end it in one line."""
+        from hil.cli.shared import one_line_of_error
+
+        with one_line_of_interrupt(), one_line_of_error():
             return super().invoke(ctx)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:

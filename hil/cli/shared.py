@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
@@ -152,38 +153,41 @@ def _end(summary: dict[str, Any], unwritten: list[str]) -> NoReturn:
 
 
 def reporting(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --json, and turn errors that a user can mend into one message and exit code 2.
-
-    The output files are checked before the command begins.
-    """
+    """Add --json, and check the output files before the command begins."""
 
     @click.option(
         "--json", "json_file", type=FILE, metavar="FILE", help="Write the summary there as JSON, too."
     )
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
-        from drivers.errors import HilError, LogError
-        from hil.app.terminal import one_line
+        from hil.app.compiling import show_compilation
 
-        try:
-            from hil.app.compiling import show_compilation
+        show_compilation()
+        _refuse_shared_outputs(kwargs)
+        if kwargs["json_file"] is not None:
+            from hil.app.output import check_json_path
 
-            show_compilation()
-            _refuse_shared_outputs(kwargs)
-            if kwargs["json_file"] is not None:
-                from hil.app.output import check_json_path
-
-                check_json_path(kwargs["json_file"], *_other_files(kwargs))
-            command(*args, **kwargs)
-        except LogError as error:
-            _refuse(one_line(str(error)))
-        except HilError as error:
-            _refuse(str(error))
-        except OSError as error:
-            place = "" if error.filename is None else f"{error.filename}: "
-            _refuse(f"{place}{error.strerror or error}")
+            check_json_path(kwargs["json_file"], *_other_files(kwargs))
+        command(*args, **kwargs)
 
     return reporting
+
+
+@contextmanager
+def one_line_of_error() -> Iterator[None]:
+    """Turn errors that a user can fix into one message and exit code 2."""
+    from drivers.errors import HilError, LogError
+    from hil.app.terminal import one_line
+
+    try:
+        yield
+    except LogError as error:
+        _refuse(one_line(str(error)))
+    except HilError as error:
+        _refuse(str(error))
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        _refuse(f"{place}{error.strerror or error}")
 
 
 def _other_files(arguments: dict[str, Any]) -> list[Path]:

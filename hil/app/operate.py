@@ -57,44 +57,29 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value) or "nothing"
 
 
-def hold_key(bus: BusAddress, seconds: float | None = None) -> dict[str, Any]:
-    """Send a key frame every 20 ms until Ctrl-C, or for `seconds`; return the summary.
+def repeat(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
+    """Hold the key, or repeat a jog word, until Ctrl-C or for `seconds`; return the summary.
 
-    Its trouble is a controller that ended meanwhile. Raises RunError where none runs.
+    Its trouble is a controller that refused the word or ended meanwhile. Raises RunError where none runs or
+    answers.
     """
-    sent, begun, trouble = 0, time.monotonic(), dict[str, Any]()
-    with OperatorClient(*bus) as client, contextlib.suppress(KeyboardInterrupt):
-        try:
-            while seconds is None or time.monotonic() - begun < seconds:
-                client.key()
-                sent += 1
-                time.sleep(REPEAT_S)
-        except RunError as error:
-            if not sent:
-                raise
-            trouble = {"success": False, "trouble": str(error)}
-    return {"success": True, "kind": "ctl", "command": "key", "sent": sent} | trouble
-
-
-def jog(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
-    """Say a jog word every 20 ms until Ctrl-C, for `seconds`, or until it is refused; return the summary.
-
-    Its trouble is a controller that refused or ended meanwhile. Raises RunError where none runs or answers.
-    """
-    line, sent, begun = " ".join(words), 0, time.monotonic()
-    result = {"success": True, "kind": "ctl", "command": line}
+    line, sent, begun, trouble = " ".join(words), 0, time.monotonic(), ""
     with OperatorClient(*bus) as client:
         try:
             with contextlib.suppress(KeyboardInterrupt):
                 while seconds is None or time.monotonic() - begun < seconds:
-                    answer = client.say(line)
-                    if not answer:
-                        return result | {"success": False, "sent": sent, "trouble": f"refused: {answer.why}"}
+                    if line == "key":
+                        client.key()
+                    elif not (answer := client.say(line)):
+                        trouble = f"refused: {answer.why}"
+                        break
                     sent += 1
                     time.sleep(REPEAT_S)
-            client.say(f"jog {words[1]} 0")
+            if line != "key" and not trouble:
+                client.say(f"jog {words[1]} 0")
         except RunError as error:
             if not sent:
                 raise
-            return result | {"success": False, "sent": sent, "trouble": str(error)}
-    return result | {"sent": sent}
+            trouble = str(error)
+    result = {"success": not trouble, "kind": "ctl", "command": line, "sent": sent}
+    return result | {"trouble": trouble} if trouble else result

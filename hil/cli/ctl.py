@@ -58,10 +58,8 @@ def command(
     if words == ("status",):
         summary = operate.status(bus)
         finish_lines(operate.status_lines(summary), summary, json_file)
-    if words == ("key",):
-        if seconds is None:
-            click.echo("the key is held; Ctrl-C lets go of it", err=True)
-        finish_briefly("ctl", operate.hold_key(bus, seconds), json_file)
-    if words[0] == "jog":
-        finish_briefly("ctl", operate.jog(bus, words, seconds), json_file)
+    if words == ("key",) and seconds is None:
+        click.echo("the key is held; Ctrl-C lets go of it", err=True)
+    if words == ("key",) or words[0] == "jog":
+        finish_briefly("ctl", operate.repeat(bus, words, seconds), json_file)
     finish_briefly("ctl", operate.command(bus, words), json_file)

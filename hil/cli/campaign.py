@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, finish, reporting
+from hil.cli.shared import FILE, OUTPUT, finish, jobs_option, reporting
 
 SAY_S = 20.0
 """Where there is no terminal for a bar, a line of progress comes that often."""
@@ -63,9 +63,7 @@ class _OrRerun(click.Command):
 @click.command(cls=_OrRerun)
 @click.argument("file", metavar="FILE", type=FILE)
 @click.option("--out", type=FOLDER, metavar="FOLDER", help="Of the results; default runs/NAME-campaign.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
-)
+@jobs_option
 @click.option(
     "--scheduler",
     metavar="ADDRESS",

@@ -10,7 +10,9 @@ from hil.cli.shared import (
     POSITIVE,
     FiniteRange,
     configuration_argument,
+    counted,
     finish,
+    jobs_option,
     load,
     reporting,
 )
@@ -61,9 +63,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     help="When --wrench comes, along the reference; default: at its start.",
 )
 @click.option("--lift-limits", is_flag=True, help="Without the limits of error, force change and speed.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
-)
+@jobs_option
 @click.option(
     "--picture",
     type=click.Path(path_type=Path),
@@ -104,16 +104,11 @@ def command(
     if wrench_at is not None and wrench is None:
         raise click.UsageError("--wrench-at says when --wrench comes: give both.")
     loaded = load(configuration, "sim")
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from hil.app.output import console
     from hil.study.compare import table
     from hil.study.compare.command import compare, with_options
 
     loaded = with_options(loaded, inertia_scale=inertia_scale, wrench=wrench, wrench_at_s=wrench_at or 0.0)
-    columns = (TextColumn("running the laws"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=None)
+    with counted("running the laws") as progress:
         summary = compare(
             loaded,
             laws=laws,
@@ -122,7 +117,7 @@ def command(
             lift_limits=lift_limits,
             jobs=jobs,
             picture=picture,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=progress,
         )
     table.show(summary)
     finish("compare", summary, json_file, table.shown(summary))

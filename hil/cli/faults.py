@@ -4,7 +4,15 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import OUTPUT, configuration_argument, finish, load, reporting
+from hil.cli.shared import (
+    OUTPUT,
+    configuration_argument,
+    counted,
+    finish,
+    jobs_option,
+    load,
+    reporting,
+)
 
 
 def _legs(text: str | None) -> tuple[int, ...]:
@@ -33,9 +41,7 @@ def _legs(text: str | None) -> tuple[int, ...]:
     metavar="N",
     help="Draws leg, size and sign of each case; default: leg 2 and the usual sizes.",
 )
-@click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
-)
+@jobs_option
 @click.option(
     "--junit",
     type=OUTPUT,
@@ -68,25 +74,21 @@ def command(
     Guide: docs/guides/faults.md.
     """
     loaded = load(configuration, "sim")
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from hil.app.output import console, further
+    from hil.app.output import further
     from hil.study.faults.command import run_matrix
     from hil.study.faults.report import show, shown, verdicts
     from hil.study.junit import check_junit_path, write_junit
 
     if junit is not None:
         check_junit_path(junit)
-    columns = (TextColumn("injecting faults"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=None)
+    with counted("injecting faults") as progress:
         summary = run_matrix(
             loaded,
             only=only,
             legs=_legs(legs),
             seed=seed,
             jobs=jobs,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=progress,
         )
     show(summary)
     if junit is not None:

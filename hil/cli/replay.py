@@ -127,7 +127,7 @@ def _replay(log: Path, json_file: Path | None) -> None:
     from hil.app.replay import replay_log
     from hil.app.terminal import one_line
 
-    with replay_forms.counted() as progress:
+    with replay_forms.counted_ticks() as progress:
         comparison, summary = replay_log(log, progress)
     for difference in comparison.first:
         click.echo(one_line(f"hil: {difference}"), err=True)

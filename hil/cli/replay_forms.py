@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import finish
+from hil.cli.shared import counted, finish
 
 OF_FORM = {
     "--set": "--what-if",
@@ -53,7 +53,7 @@ def chosen_form(log: Path | None, given: dict[str, Any]) -> str:
 
 
 @contextmanager
-def counted() -> Iterator[Callable[[int], None] | None]:
+def counted_ticks() -> Iterator[Callable[[int], None] | None]:
     """Yield what counts ticks on a terminal, over itself; None elsewhere."""
     if not sys.stderr.isatty():
         yield None
@@ -68,7 +68,7 @@ def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
     from hil.study.what_if import show
     from hil.study.what_if.command import what_if_log
 
-    with counted() as progress:
+    with counted_ticks() as progress:
         result = what_if_log(
             log,
             given["what_if"],
@@ -94,9 +94,7 @@ def against(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
 
 def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     """Replay every log of a folder."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from hil.app.output import console, further
+    from hil.app.output import further
     from hil.study.junit import check_junit_path, write_junit
     from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
@@ -105,13 +103,9 @@ def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     paths = logs_in(folder)
     cases: list[Case] = []
     begun = time.perf_counter()
-    columns = (TextColumn("replaying"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-            task = bar.add_task("", total=len(paths))
-            for case in run_suite(
-                paths, given["jobs"], lambda done, of: bar.update(task, completed=done, total=of)
-            ):
+        with counted("replaying") as progress:
+            for case in run_suite(paths, given["jobs"], progress):
                 cases.append(case)  # noqa: PERF402 - one by one: an interrupt shows those that are done
     except KeyboardInterrupt:
         show(folder, cases)

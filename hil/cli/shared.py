@@ -70,6 +70,9 @@ picture_option = click.option(
 out_option = click.option(
     "--out", type=OUTPUT, metavar="FILE", help="File to write; an existing one is refused."
 )
+jobs_option = click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
+)
 force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
@@ -171,6 +174,19 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
         command(*args, **kwargs)
 
     return reporting
+
+
+@contextmanager
+def counted(text: str) -> Iterator[Callable[[int, int], None]]:
+    """Draw how far a batch is, on a terminal alone; yield what takes the count of jobs done and of all."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from hil.app.output import console
+
+    columns = (TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
 @contextmanager

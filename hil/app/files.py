@@ -3,8 +3,9 @@
 import contextlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from drivers.errors import LogError
 from drivers.files import real_path, whole_file
@@ -36,42 +37,53 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
             raise LogError(f"{path}: exists and is not overwritten; name another file")
 
 
-def new_file(path: Path, *, force: bool | None, option: str = "--out", own: bytes = b"") -> Path:
+class Kind(NamedTuple):
+    """A kind of output, by which a command knows an earlier file of its own: that one is replaced."""
+
+    name: str
+    """What is missed of another file: `a PNG picture`."""
+    holds: Callable[[Path], bool]
+    """Whether a file is of this kind."""
+
+
+def beginning(name: str, head: bytes) -> Kind:
+    """Make a kind of files that begin with `head`."""
+    return Kind(name, lambda path: _begins(path, head))
+
+
+PICTURE = beginning("a PNG picture", b"\x89PNG\r\n")
+
+
+def new_file(
+    path: Path, *, option: str = "--out", force: bool | None = None, own: Kind | None = None
+) -> Path:
     """Return the output file `path`, checked before the work begins.
 
-    force: whether --force is given; None: the command has none. option: what the file was named with, empty
-    for an argument. A file that begins with `own` is an earlier one of the same command, and is replaced
-    without `force`, too.
+    option: what the file was named with, empty for an argument. force: whether --force is given; None: the
+    command has none. own: a file of this kind, or an empty one, is replaced without `force`, and no other is.
 
-    Raises LogError: it exists and `force` is not set, is a log, a folder or a device, or its folder cannot be
-    written.
+    Raises LogError: it exists and may not be replaced, is a log, a folder or a device, or its folder cannot
+    be written.
     """
-    where = f"{option} {path}".strip()
     if path.is_dir():
-        raise LogError(f"{where}: is a folder; name a file")
-    if path.exists() and not path.is_file():
-        raise LogError(f"{where}: is a device or a pipe, which no file replaces; name a file")
-    if os.path.lexists(path) and not force and not (own and _begins(path, own)):
-        hint = "name another file" if force is None else "name another file, or add --force"
-        if own:
-            hint = "no earlier file of this command; name another file"
-        raise LogError(f"{where}: exists and is not overwritten; {hint}")
-    if path.is_file() and _begins(path, MAGIC):
-        raise LogError(f"{where}: is a log, and no log is ever overwritten; name another file")
-    if not path.parent.is_dir():
-        raise LogError(f"{where}: there is no folder {path.parent}; make it first")
-    if not may_write(path):
-        raise LogError(f"{where}: no right to write there; name another file")
-    return path
-
-
-def may_write(path: Path) -> bool:
-    """Tell whether there is a right to write a file: a new one is made in its folder and takes its name."""
-    if path.exists() and not os.access(path, os.W_OK):
-        return False
-    if path.exists() and not path.is_file():  # a pipe or a terminal
-        return True
-    return os.access(real_path(path).parent, os.W_OK | os.X_OK)
+        why = "is a folder; name a file"
+    elif path.exists() and not path.is_file():
+        why = "is a device or a pipe, which no file replaces; name a file"
+    elif _begins(path, MAGIC):
+        why = "is a log, and no log is ever overwritten; name another file"
+    elif own and path.exists() and path.stat().st_size and not own.holds(path):
+        why = f"exists, is not {own.name} and is not overwritten; name another file"
+    elif not own and not force and os.path.lexists(path):
+        why = "exists and is not overwritten; name another file" + ", or add --force" * (force is not None)
+    elif not path.parent.is_dir():
+        why = f"there is no folder {path.parent}; make it first"
+    elif not os.access(real_path(path).parent, os.W_OK | os.X_OK) or (
+        path.exists() and not os.access(path, os.W_OK)
+    ):
+        why = "no right to write there; name another file"
+    else:
+        return path
+    raise LogError(f"{option} {path}: {why}".strip())
 
 
 def printable(name: str | os.PathLike[str]) -> str:

@@ -19,7 +19,7 @@ from rich.text import Text
 from drivers.errors import HilError, LogError
 from drivers.files import made_folder, real_path
 from drivers.signals import Mode
-from hil.app.files import may_write, printable, write_whole
+from hil.app.files import PICTURE, Kind, new_file, printable, write_whole
 from hil.app.terminal import visible
 
 if TYPE_CHECKING:
@@ -49,8 +49,6 @@ def print_table(table: Table, width: int | None = None) -> None:
 
 
 console = Terminal(stderr=True)
-PNG = b"\x89PNG\r\n"
-"""How every PNG file begins."""
 
 
 def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Path:
@@ -105,17 +103,10 @@ def picture_path(folder: str, stem: str, given: Path | None, option: str = "--pi
         path = _dated(path, stem, ".png")
     if path.suffix.lower() != ".png":
         raise LogError(f"{option} {path}: the picture is a PNG file; let its name end in .png")
-    try:
-        if path.exists() and path.stat().st_size and not path.read_bytes().startswith(PNG):
-            raise LogError(f"{option} {path}: exists, is no PNG picture and is not overwritten")
-    except OSError as error:
-        raise LogError(f"{option} {path}: {error.strerror}") from None
     trouble = _no_folder(path.parent)
     if trouble:
         raise LogError(f"{option} {path}: {path.parent} {trouble}; name another file with {option}")
-    if not may_write(path):
-        raise LogError(f"{option} {path}: no right to write there; name another file")
-    return path
+    return new_file(path, option=option, own=PICTURE)
 
 
 def picture_beside(file: Path, option: str) -> Path:
@@ -128,25 +119,15 @@ def picture_beside(file: Path, option: str) -> Path:
 def check_json_path(path: Path, *inputs: Path) -> None:
     """Refuse a summary file that could not be written in the end, before anything starts.
 
-    `inputs` are files of the same command. Raises LogError: no such folder, no right to write, or a file that
-    is no earlier summary: that one is not overwritten.
+    `inputs` are files of the same command. Raises LogError, as `new_file`; a pipe or a device is written to.
     """
-    where = f"--json {path}"
-    if not path.parent.is_dir():
-        raise LogError(f"{where}: there is no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise LogError(f"{where}: is a folder; name a file")
     if any(real_path(path) == real_path(other) for other in inputs):
-        raise LogError(f"{where}: is another file of this command; name a file of its own")
-    if not may_write(path):
-        raise LogError(f"{where}: no right to write there")
-    if path.is_file() and not _is_summary(path):
-        raise LogError(f"{where}: exists, is no summary of hil and is not overwritten; name another file")
+        raise LogError(f"--json {path}: is another file of this command; name a file of its own")
+    if path.is_file() or path.is_dir() or not path.exists():
+        new_file(path, option="--json", own=Kind("a summary of hil", _is_summary))
 
 
 def _is_summary(path: Path) -> bool:
-    if not path.stat().st_size:
-        return True
     try:
         found = json.loads(path.read_bytes())
     except (ValueError, RecursionError):

@@ -32,7 +32,7 @@ def command(configuration: str, poses: Path, out: Path | None, json_file: Path |
     from hil.app.output import show_lines
     from hil.lab.calibrate.command import run_calibration
 
-    report = run_calibration(configuration, poses, out, json_file)
+    report = run_calibration(configuration, poses, out)
     show_lines(report.lines)
     if out is None or "unwritten" in report.figures:
         click.echo(report.fragment, nl=False)

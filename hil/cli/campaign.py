@@ -122,7 +122,7 @@ def command(
     if junit is not None:
         check_junit_path(junit)
     if page is not None:
-        new_file(page, force=None, option="--page")
+        new_file(page, option="--page")
     plan = read_plan(file)
     folder = plan.folder if out is None else out
     columns = (

@@ -53,14 +53,15 @@ def payload(
     """
     from rich.text import Text
 
-    from hil.app.files import new_file, write_whole
+    from hil.app.files import beginning, new_file, write_whole
     from hil.app.output import console, further, show_lines
     from hil.app.terminal import visible
     from hil.lab.identify import payload_block, payload_report
     from hil.lab.identify.payload import identify_payload
 
     if out is not None:
-        new_file(out, force=False, option="-o", own=payload_block.REMARK.encode())
+        own = beginning("a file of hil identify payload", payload_block.REMARK.encode())
+        new_file(out, option="-o", own=own)
     with console.status("reading") as status:
         found = identify_payload(list(logs), reflected, lambda what: status.update(Text(visible(what))))
     show_lines(payload_report.report(found))

@@ -92,7 +92,7 @@ def command(
     Guide: docs/guides/learning.md.
     """
     from hil.app.configuration.feedforward_file import BEGINNING
-    from hil.app.files import new_file
+    from hil.app.files import beginning, new_file
     from hil.lab.learn.command import Knowledge
 
     if runs is None and _is_configuration(sources[0]):
@@ -104,7 +104,7 @@ def command(
     if runs is not None and len(sources) != 1:
         raise click.UsageError("--runs takes one configuration")
     if out is not None:
-        new_file(out, force=False, option="-o", own=BEGINNING)
+        new_file(out, option="-o", own=beginning("a file of hil learn", BEGINNING))
     known = Knowledge(axes, gain_error, 1e-3 * delay_error, limit)
     if runs is None:
         _from_logs(sources, known, out, json_file)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from drivers.errors import LogError
-from hil.app.files import new_file, write_whole
+from hil.app.files import Kind, new_file, write_whole
 
 
 class Verdict(NamedTuple):
@@ -24,14 +24,13 @@ class Verdict(NamedTuple):
 
 
 def check_junit_path(path: Path) -> None:
-    """Refuse a file that could not be written in the end. Raises LogError."""
-    if path.is_file():
-        with path.open("rb") as file:
-            if b"<testsuite" not in file.read(1000):
-                raise LogError(
-                    f"--junit {path}: exists, is no JUnit report and is not overwritten; name another file"
-                )
-    new_file(path, force=True, option="--junit")
+    """Refuse a file that could not be written in the end; an earlier report is replaced. Raises LogError."""
+    new_file(path, option="--junit", own=Kind("a JUnit report", _is_report))
+
+
+def _is_report(path: Path) -> bool:
+    with path.open("rb") as file:
+        return b"<testsuite" in file.read(1000)
 
 
 def write_junit(path: Path, name: str, cases: Iterable[Verdict], wall_s: float | None = None) -> None:

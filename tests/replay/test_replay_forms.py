@@ -129,7 +129,7 @@ def test_a_junit_file_that_could_not_be_written_is_refused_before_a_log_is_repla
     monkeypatch.setattr("hil.study.replay_suite.run_suite", lambda *_: pytest.fail("a log was replayed"))
     found = replayed("--suite", tmp_path, "--junit", notes)
     assert found.exit_code == 2, found.output
-    assert f"--junit {notes}: exists, is no JUnit report" in " ".join(found.stderr.split())
+    assert f"--junit {notes}: exists, is not a JUnit report" in " ".join(found.stderr.split())
     assert notes.read_text() == "mine"
 
 

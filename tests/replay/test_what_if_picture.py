@@ -56,5 +56,7 @@ def test_an_earlier_picture_of_its_kind_is_replaced_and_no_other_file_is(tmp_pat
     path.write_bytes(own)
     new_picture(path)
     path.write_bytes(foreign)
-    with pytest.raises(LogError, match=rf"--plot .*{name}: exists and is not overwritten"):
+    with pytest.raises(
+        LogError, match=rf"--plot .*{name}: exists, is not an? \w+ picture and is not overwritten"
+    ):
         new_picture(path)

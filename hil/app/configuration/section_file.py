@@ -15,12 +15,12 @@ from drivers.section import Section
 from hil.app.configuration import problems as translate
 from hil.app.configuration.text_file import read_text
 from hil.app.configuration.yaml_positions import Document, lines, parse
-from hil.app.files import may_write, printable, write_whole
+from hil.app.files import Kind, new_file, printable, write_whole
 
-Kind = TypeVar("Kind", bound=Section)
+Of = TypeVar("Of", bound=Section)
 
 
-def read_section(path: Path, kind: type[Kind]) -> tuple[Kind, Document]:
+def read_section(path: Path, kind: type[Of]) -> tuple[Of, Document]:
     """Return the section that is the whole of a file, and where its keys and values stand.
 
     Raises ConfigurationError with all problems found.
@@ -75,17 +75,10 @@ def write_section(path: Path, section: Section, remark: str) -> None:
 def check_section_path(option: str, path: Path, kind: type[Section]) -> None:
     """Refuse a file that could not be written in the end, before anything starts; an earlier one is replaced.
 
-    Raises ConfigurationError: no such folder, no right to write, or a file of another kind.
+    Raises LogError, as `new_file`.
     """
-    where = f"{option} {path}"
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"{where}: there is no folder {path.parent}; make it first")
-    if not may_write(path):
-        raise ConfigurationError(f"{where}: no right to write there")
-    if path.exists() and not _says(path, _name(kind)):
-        raise ConfigurationError(
-            f"{where}: exists, is no {_name(kind)} and is not overwritten; name another file"
-        )
+    name = _name(kind)
+    new_file(path, option=option, own=Kind(f"a file of kind {name}", lambda file: _says(file, name)))
 
 
 def _name(kind: type[Section]) -> str:

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import CalibrationError, ConfigurationError, LogError
-from drivers.files import read_regular, real_path
+from drivers.errors import CalibrationError, ConfigurationError
+from drivers.files import read_regular
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
 from hil.app.files import made_whole, new_file
@@ -64,18 +64,14 @@ class Report(NamedTuple):
     fragment: str
 
 
-def run_calibration(
-    path: str | Path, poses: Path, out: Path | None = None, json_file: Path | None = None
-) -> Report:
-    """Fit, report, and write the fragment to `out`, which must not exist; `json_file` must be another.
+def run_calibration(path: str | Path, poses: Path, out: Path | None = None) -> Report:
+    """Fit, report, and write the fragment to `out`, which must not exist.
 
     Raises ConfigurationError (configuration, CSV file, units, poses out of reach), CalibrationError (too few
     pairs, no convergence), LogError (`out`). Where that fails in the end, the figures say so: `further`.
     """
     if out is not None:
-        if json_file is not None and real_path(out) == real_path(json_file):
-            raise LogError(f"--out {out}: is the file of --json, too; name another file")
-        new_file(out, force=None)
+        new_file(out)
     configuration = load(path)
     pairs = read_pairs(poses)
     robot = build_platform(configuration.platform)

@@ -21,9 +21,9 @@ from hil.app.compose import (
 )
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
-from hil.app.files import new_file, printable
+from hil.app.files import PICTURE, beginning, new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
-from hil.app.output import PNG, further, log_path
+from hil.app.output import further, log_path
 from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
 from hil.app.replay import open_replayable
@@ -121,7 +121,8 @@ def new_picture(path: Path) -> None:
     """Refuse a picture that could not be drawn; an earlier one is replaced. Raises LogError."""
     if path.suffix.lower() not in SUFFIXES:
         raise LogError(f"--plot {path}: allowed are the endings {' and '.join(SUFFIXES)}")
-    new_file(path, force=False, option="--plot", own=PNG if path.suffix.lower() == ".png" else b"<?xml")
+    own = PICTURE if path.suffix.lower() == ".png" else beginning("an SVG picture", b"<?xml")
+    new_file(path, option="--plot", own=own)
 
 
 def _answer(

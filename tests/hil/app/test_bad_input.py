@@ -315,7 +315,7 @@ def test_a_summary_into_a_folder_that_is_not_there_is_refused_before_the_run(ref
 def test_a_summary_does_not_overwrite_what_is_no_summary(refused, bench, log, tmp_path):
     config = bench()
     (tmp_path / "notes.json").write_text('{"mine": 1}')
-    assert "is no summary of hil" in refused("check", config, "--json", "notes.json")
+    assert "is not a summary of hil" in refused("check", config, "--json", "notes.json")
     assert "another file of this command" in refused("check", config, "--json", config)
     assert "another file of this command" in refused("replay", log, "--json", log)
     assert "another file of this command" in refused("sim", "--log", "new", "--json", "./new")

@@ -148,7 +148,7 @@ def test_other_files_are_not_overwritten_and_unknown_designs_are_named(tmp_path)
     other.write_text("a: 1\n")
     done = design("hinf", "-o", other)
     assert done.exit_code == 2
-    assert "is no linear-controller and is not overwritten" in done.output
+    assert "is not a file of kind linear-controller and is not overwritten" in done.output
     assert other.read_text() == "a: 1\n"
     assert "shipped designs are: constant_hinf, hinf" in design("nothing").output
     assert "there is no folder" in design("hinf", "-o", tmp_path / "no" / "c.yaml").output

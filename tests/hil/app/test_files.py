@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import LogError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.section_file import check_section_path
-from hil.app.files import made_whole, new_file, printable
+from hil.app.files import beginning, made_whole, new_file, printable
 from hil.app.output import check_json_path, log_path, picture_path
 from hil.app.sim.command import simulate
 from hil.cli import main
@@ -87,7 +87,7 @@ def test_an_output_in_a_folder_that_takes_no_new_file_is_refused_before_the_work
         path = tmp_path / name
         path.symlink_to(closed / name)
     monkeypatch.setattr("os.access", lambda at, mode: not (Path(at) == closed and mode & os.W_OK))
-    with pytest.raises((LogError, ConfigurationError), match=r"a\.png: no right to write there"):
+    with pytest.raises(LogError, match=r"a\.png: no right to write there"):
         check(path)
 
 
@@ -96,7 +96,7 @@ def test_an_earlier_output_that_may_not_be_written_is_not_replaced(tmp_path, mon
     path = tmp_path / "a.png"
     path.touch()
     monkeypatch.setattr("os.access", lambda at, mode: not (Path(at) == path and mode & os.W_OK))
-    with pytest.raises((LogError, ConfigurationError), match=r"a\.png: no right to write there"):
+    with pytest.raises(LogError, match=r"a\.png: no right to write there"):
         check(path)
 
 
@@ -124,7 +124,7 @@ def test_a_summary_goes_into_a_pipe_whatever_its_folder_takes(tmp_path, monkeypa
 def test_a_file_that_is_no_summary_is_not_overwritten_by_one(tmp_path, text):
     path = tmp_path / "a.json"
     path.write_text(text)
-    with pytest.raises(LogError, match="is no summary of hil and is not overwritten"):
+    with pytest.raises(LogError, match="is not a summary of hil and is not overwritten"):
         check_json_path(path)
     for earlier in ('{"success": false}', ""):
         path.write_text(earlier)
@@ -135,7 +135,7 @@ def test_a_file_that_is_no_summary_is_not_overwritten_by_one(tmp_path, text):
 def test_a_file_that_is_no_section_of_that_kind_is_not_overwritten_by_one(tmp_path, text):
     path = tmp_path / "a.yaml"
     path.write_text(text)
-    with pytest.raises(ConfigurationError, match=r"^-o .*a\.yaml: exists, is no axis-model and is not over"):
+    with pytest.raises(LogError, match=r"^-o .*a\.yaml: exists, is not a file of kind axis-model and is not"):
         check_section_path("-o", path, AxisModel)
 
 
@@ -150,9 +150,10 @@ def test_an_earlier_file_of_the_same_command_is_replaced_and_no_other_one(tmp_pa
     mine, other = tmp_path / "mine.yaml", tmp_path / "other.yaml"
     mine.write_text(f"{REMARK}a: 1\n")
     other.write_text("a: 1\n")
-    assert new_file(mine, force=False, option="-o", own=REMARK.encode()) == mine
-    with pytest.raises(LogError, match=r"^-o .*other\.yaml: exists and is not overwritten; no earlier file"):
-        new_file(other, force=False, option="-o", own=REMARK.encode())
+    own = beginning("a file of hil", REMARK.encode())
+    assert new_file(mine, option="-o", own=own) == mine
+    with pytest.raises(LogError, match=r"^-o .*other\.yaml: exists, is not a file of hil and is not over"):
+        new_file(other, option="-o", own=own)
     with pytest.raises(LogError, match="add --force"):
         new_file(mine, force=False)
 

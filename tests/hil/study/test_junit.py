@@ -39,7 +39,7 @@ def test_an_earlier_report_may_be_replaced_and_nothing_else(tmp_path):
     check_junit_path(tmp_path / "old.xml")
     (tmp_path / "mine.txt").write_text("mine")
     for path, message in (
-        ("mine.txt", "is no JUnit report"),
+        ("mine.txt", "is not a JUnit report"),
         (".", "is a folder"),
         ("no/x.xml", "no folder"),
     ):

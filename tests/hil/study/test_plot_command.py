@@ -12,13 +12,14 @@ from drivers.errors import LogError
 from drivers.signals import Warn
 from drivers.tick_columns import RECORDED, ROW
 from hil.app.configuration.configuration import load
-from hil.app.output import PNG
 from hil.app.readable import readable
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.study.log_columns import Signal, named_columns, signals
 from hil.study.plot.command import plot
 from hil.study.plot.draw import Curve, draw
+
+PNG = b"\x89PNG\r\n"
 
 
 @pytest.fixture(scope="module")

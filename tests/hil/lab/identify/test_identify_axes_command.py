@@ -59,7 +59,7 @@ def test_a_file_that_is_no_axis_model_is_not_overwritten(tmp_path):
     mine.write_text("name: mine\n")
     result = identify("virtual", "-o", mine, "--log", tmp_path / "a.mcap")
     assert result.exit_code == 2
-    assert "is no axis-model and is not overwritten" in result.stderr
+    assert "is not a file of kind axis-model and is not overwritten" in result.stderr
     assert mine.read_text() == "name: mine\n"
 
 

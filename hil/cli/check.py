@@ -29,11 +29,10 @@ def command(configuration: str, json_file: Path | None) -> None:
 
     try:
         loaded = load(configuration)
+        from hil.app.check.command import inspect
         from hil.app.check.progress import shown
 
         with shown() as tell:
-            from hil.app.check.command import inspect
-
             report = inspect(loaded, tell)
     except HilError as error:
         if json_file is not None:

@@ -86,10 +86,10 @@ def command(
     from hil.app.output import console
 
     loaded = load(configuration)
-    with console.status("looking for a proof"):
-        from hil.app.stability.command import assess, shown
-        from hil.app.stability.subject import NO_PAYLOAD, Payload
+    from hil.app.stability.command import assess, shown
+    from hil.app.stability.subject import NO_PAYLOAD, Payload
 
+    with console.status("looking for a proof"):
         summary = assess(
             loaded,
             force_N=force,

@@ -79,9 +79,9 @@ def command(
     from hil.app.output import console
 
     loaded = load(configuration)
-    with console.status("loading the mathematics") as status:
-        from hil.study.workspace.command import map_workspace, shown
+    from hil.study.workspace.command import map_workspace, shown
 
+    with console.status("mapping") as status:
         summary = map_workspace(
             loaded,
             resolution=resolution,

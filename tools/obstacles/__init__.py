@@ -1,1 +1,0 @@
-"""Obstacles that a command meets on a stranger's machine: folders, rights, limits, a full disk."""

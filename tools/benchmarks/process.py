@@ -16,9 +16,3 @@ def resident_kB(pid: int) -> int:
         if line.startswith("VmRSS:"):
             return int(line.split()[1])
     raise ProcessLookupError(f"process {pid} has ended")
-
-
-def memory_kB(pid: int) -> dict[str, int]:
-    """Return what a process holds, kB (1024 bytes), by name: `Rss`; `Pss`, with its share of shared pages."""
-    text = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
-    return {name.rstrip(":"): int(amount) for name, amount, *_ in map(str.split, text)}

@@ -13,7 +13,6 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.can.bus_time import BitTiming, frame_time_ns
-from drivers.errors import RunError
 from drivers.signals import Command, DriveMode, Mode
 from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration.configuration import load
@@ -23,11 +22,10 @@ from hil.control import LAWS
 from hil.control.law import LawContext
 from hil.loop.parts import Parts
 from hil.robot.geometry import Platform
-from hil.study.campaign.plan import read_plan
 from hil.trajectory.holding import HoldTrajectory
 from tests.drivers.legs_frames import command_frames, opening
-from tests.hil.study.campaign.campaigns import SMALL, written
-from tools.benchmarks import campaign, cyclictest, realtime, versions
+from hil.contracts.records import asked, record_of
+from tools.benchmarks import cyclictest, realtime, versions
 from tools.benchmarks.__main__ import PARTS, main
 from tools.benchmarks.benchmark import CHANNEL, Benchmark
 from tools.benchmarks.figures import Figure, Mark, lines, number, spread
@@ -44,7 +42,7 @@ from tools.benchmarks.plain import (
     forward_kinematics,
     joint_inverse_dynamics,
 )
-from tools.benchmarks.process import cpu_s, memory_kB, resident_kB
+from tools.benchmarks.process import cpu_s, resident_kB
 from tools.benchmarks.tick import tick
 from tools.benchmarks.timed_cycle import (
     BLOCK,
@@ -256,12 +254,6 @@ def test_processor_time_and_memory_of_a_process_are_those_that_it_counts_itself(
     assert resident_kB(os.getpid()) == pytest.approx(pages * os.sysconf("SC_PAGE_SIZE") / 1024, rel=0.02)
 
 
-def test_what_a_process_holds_is_told_from_its_share_of_it():
-    found = memory_kB(os.getpid())
-    assert found["Rss"] == pytest.approx(resident_kB(os.getpid()), rel=0.02)
-    assert 0 < found["Pss"] <= found["Rss"]
-
-
 def test_a_short_watch_of_the_memory_is_extrapolated_and_says_so():
     figures = memory_figures([102_400, 204_800, 103_424], minutes=1.0)  # 1 MB more at the end
     assert [f.values[""] for f in figures] == [200.0, 1.0, 10.0]
@@ -379,36 +371,6 @@ def test_every_law_of_the_table_is_timed_and_has_a_mark(benchmark):
     assert set(LAWS) <= set(figures)
     assert all(f.mark is not None for name, f in figures.items() if not name.startswith("no law"))
     assert all(0.0 < f.values["median"] <= f.values["p99"] for f in figures.values())
-
-
-def test_the_gain_of_a_worker_leaves_the_ends_of_blocks_out():
-    one = [campaign.Block(wall=10.0, end=0.5, own=0.0), campaign.Block(wall=6.0, end=0.5, own=0.0)]
-    two = [campaign.Block(wall=5.5, end=1.0, own=0.0), campaign.Block(wall=5.0, end=4.0, own=0.0)]
-    assert campaign.gained(one, two) == pytest.approx(16.0 / (5.0 + 3.0))
-
-
-@pytest.mark.long
-def test_rows_with_one_worker_and_with_two_have_to_be_the_same(monkeypatch, tmp_path):
-    plan = read_plan(written(tmp_path, SMALL))
-    monkeypatch.setattr(campaign, "gain", lambda *_: 2.0)
-    figures = {f.name.strip(): f for f in campaign.blocks(plan, 2, tmp_path, lambda _: None)}
-    for name in ("one worker", "two workers", "gain of the second worker", "with the end of each block"):
-        assert figures[name].values[""] > 0.0
-    assert figures["one worker"].note == "4 rows"
-    in_pool = campaign.in_pool
-
-    def another(*given):
-        return (found | {"peak_force_N": 1.0} for found in in_pool(*given))
-
-    monkeypatch.setattr(campaign, "in_pool", another)
-    with pytest.raises(RunError, match="are not the same"):
-        campaign.blocks(plan, 4, tmp_path / "other", lambda _: None)
-
-
-def test_the_campaign_that_is_measured_is_the_shipped_one_with_as_many_rows_as_asked_for(tmp_path):
-    plan = campaign.drawn(20, tmp_path)
-    assert len(plan) == 20
-    assert plan.values(3) == read_plan(Path("payload")).values(3)  # of one sequence
 
 
 # -- the command ---------------------------------------------------------------------------------------------

@@ -21,7 +21,6 @@ from tools.benchmarks.figures import EARLY, FAILED, Figure, lines
 from tools.benchmarks.fmu import fmu
 from tools.benchmarks.laws import laws
 from tools.benchmarks.lockstep import recorder, replaying, simulation
-from tools.benchmarks.mathematics import mathematics
 from tools.benchmarks.memory import memory
 from tools.benchmarks.realtime import realtime, two_buses
 from tools.benchmarks.tick import tick
@@ -33,7 +32,6 @@ PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {
         "real time: the loop at 2 kHz on two buses, as this machine allows",
     ),
     "tick": (tick, "tick compute, hot: recorded ticks back to back"),
-    "mathematics": (mathematics, "mathematics of one tick, hot"),
     "laws": (laws, "mathematics of one tick under each control law, hot"),
     "simulation": (simulation, "lockstep"),
     "replay": (replaying, "replay"),
@@ -86,7 +84,7 @@ def main(only: str | None, seconds: float, memory_minutes: float, json_file: Pat
     \b
     Examples:
       python -m tools.benchmarks                              everything, four to five minutes
-      python -m tools.benchmarks --only mathematics
+      python -m tools.benchmarks --only laws
       python -m tools.benchmarks --memory-minutes 10 --json benchmark.json
 
     The marks are for two cores with SCHED_FIFO and nothing else to do. Logs go to a folder

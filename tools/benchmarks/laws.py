@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS, DriveState
-from drivers.tick_columns import Record, copy_of
+from drivers.tick_columns import Record, copy_of, new_record
 from hil.app.compose import build_cycle, build_observer, build_predictor
 from hil.config.delay import DelayCompensation
 from hil.config.linear_controller import LinearController
@@ -19,10 +19,10 @@ from hil.estimation.observer import observe as take_on
 from hil.estimation.pose import Estimator
 from hil.estimation.predictor import ahead
 from hil.loop.parts import Parts
+from hil.loop.reference import fill_reference
 from hil.study.compare.laws import chosen
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
-from tools.benchmarks.mathematics import along
 
 TICK = Mark(40.0, of=("median",))
 """us, one tick of mathematics with any law."""
@@ -30,6 +30,8 @@ FULL_ORDER = Mark(20.0, of=("median",))
 """us, the same with a controller of mu synthesis that nobody has reduced."""
 STATES = 24
 """More than D-K iteration ends with for the shipped design: 16."""
+TICKS = 2000
+"""One period of the path at 1 kHz."""
 OFF = np.full(LEGS, 1e-4)
 """m: how far the legs are off the path."""
 Work = Callable[[Record], object]
@@ -42,7 +44,7 @@ def laws(benchmark: Benchmark) -> list[Figure]:
     c = benchmark.configuration
     period = 1.0 / c.loop.rate_Hz
     parts = build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3).parts
-    path = along(parts, c.loop.rate_Hz)
+    path = _along(parts, c.loop.rate_Hz)
     context = LawContext(parts.platform, parts.model.leg_spin, period, parts.trajectory)
     figures = []
     own = {name: settings for name, settings in chosen(c).items() if settings.law != "state_space"}
@@ -81,6 +83,18 @@ def laws(benchmark: Benchmark) -> list[Figure]:
     }.items():
         figures.append(Figure(name, spread(_follow(parts, path, work)), "us"))
     return figures
+
+
+def _along(parts: Parts, rate_Hz: float) -> list[Record]:
+    """Return the ticks of one period of the path: the reference, and the legs on it."""
+    path = []
+    for k in range(TICKS):
+        tick = new_record()
+        fill_reference(parts.platform, parts.trajectory.sample(k / rate_Hz), tick)
+        tick["tick"], tick["t_d"] = k, k / rate_Hz
+        tick["q"], tick["dq"] = tick["q_d"], tick["dq_d"]
+        path.append(tick)
+    return path
 
 
 def _full_order(rate_Hz: float) -> LinearController:

@@ -19,12 +19,8 @@ from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.contracts.records import asked, record_of
 from hil.control import LAWS
-from hil.control.law import LawContext
 from hil.loop.parts import Parts
-from hil.robot.geometry import Platform
-from hil.trajectory.holding import HoldTrajectory
 from tests.drivers.legs_frames import command_frames, opening
-from hil.contracts.records import asked, record_of
 from tools.benchmarks import cyclictest, realtime, versions
 from tools.benchmarks.__main__ import PARTS, main
 from tools.benchmarks.benchmark import CHANNEL, Benchmark
@@ -33,15 +29,6 @@ from tools.benchmarks.fmu import fmu
 from tools.benchmarks.laws import laws
 from tools.benchmarks.lockstep import recorder, replaying, simulation
 from tools.benchmarks.memory import memory_figures
-from tools.benchmarks.mujoco_model import MujocoRobot
-from tools.benchmarks.plain import (
-    PlainPose,
-    PlainRobot,
-    cayley,
-    cross,
-    forward_kinematics,
-    joint_inverse_dynamics,
-)
 from tools.benchmarks.process import cpu_s, resident_kB
 from tools.benchmarks.tick import tick
 from tools.benchmarks.timed_cycle import (
@@ -50,19 +37,6 @@ from tools.benchmarks.timed_cycle import (
     feed,
     quietest_figure,
 )
-
-TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
-PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
-CASES = [pytest.param(case, id=case["id"]) for case in TRUTH["cases"]]
-
-
-def relative(value, expected):
-    return np.abs(value - expected).max() / np.abs(expected).max()
-
-
-def state_of(case):
-    s = case["state"]
-    return np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"]), np.array(s["a"] + s["alpha"])
 
 
 def value(figures, name):
@@ -134,64 +108,6 @@ def test_numbers_have_three_digits_and_no_exponent_where_none_is_needed():
         "123456",
         "-250",
     ]
-
-
-# -- the plain NumPy version ---------------------------------------------------------------------------------
-
-
-def test_cross_is_the_cross_product_of_rows():
-    rng = np.random.default_rng(1)
-    u, v = rng.normal(size=(2, 6, 3))
-    assert np.abs(cross(u, v) - np.cross(u, v)).max() < 1e-15
-    assert np.abs(cross(u[0], v) - np.cross(u[0], v)).max() < 1e-15
-
-
-def test_cayley_of_twice_the_tangent_of_half_an_angle_turns_by_the_angle():
-    angle = 0.7
-    c, s = np.cos(angle), np.sin(angle)
-    C = cayley(np.array([0.0, 0.0, 2.0 * np.tan(angle / 2)]))
-    assert np.abs(C - [[c, -s, 0], [s, c, 0], [0, 0, 1]]).max() < 1e-15
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_plain_forward_kinematics_finds_the_pose_and_the_twist_of_the_engines(case):
-    p, R, twist, _ = state_of(case)
-    e = case["expected"]
-    turn = cayley(np.array([1e-3, -2e-3, 1e-3]))
-    pose = forward_kinematics(
-        PlainRobot.of(PLATFORMS[case["geometry"]]),
-        np.array(e["lengths"]), np.array(e["rates"]), p + 1e-3, turn @ R,
-    )  # fmt: skip
-    # the residual is at most 1e-10 m: the pose is as exact as the condition of J lets it be
-    assert np.abs(pose.p - p).max() < 1e-10 * e["cond_J"]
-    assert np.abs(pose.R - R).max() < 1e-10 * e["cond_J"]
-    assert np.abs(pose.twist - twist).max() < 1e-8
-    assert np.abs(pose.J - e["jacobian"]).max() < 1e-8
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_plain_inverse_dynamics_agrees_with_the_engines_and_the_kernel(case):
-    p, R, twist, _ = state_of(case)
-    e, platform = case["expected"], PLATFORMS[case["geometry"]]
-    J, q, dq, ddq = (np.array(e[k]) for k in ("jacobian", "lengths", "rates", "length_accels"))
-    tau = joint_inverse_dynamics(PlainRobot.of(platform), PlainPose(p, R, twist, J), ddq)
-    wrench = np.array(case["state"]["wrench"])
-    assert relative(tau - np.linalg.solve(J.T, wrench), np.array(e["leg_forces"])) < 1e-9
-    law = load("virtual").controller.build(LawContext(platform, "none", 1e-3, HoldTrajectory(p, R)))
-    columns = {"q": q, "dq": dq, "p": p, "R": R, "twist": twist, "J": J}
-    here = record_of(**columns, q_d=q, dq_d=dq, ddq_d=ddq)  # dtwist is not the law's to know
-    assert relative(asked(law, here), tau) < 1e-9
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_the_model_for_mujoco_is_the_same_mechanism(case):
-    p, R, twist, dtwist = state_of(case)
-    e = case["expected"]
-    robot = MujocoRobot(PLATFORMS[case["geometry"]], p, R)
-    robot.place(p, R, twist, dtwist)
-    robot.inverse()
-    J, wrench = np.array(e["jacobian"]), np.array(case["state"]["wrench"])
-    assert relative(robot.leg_forces() - np.linalg.solve(J.T, wrench), np.array(e["leg_forces"])) < 1e-6
 
 
 # -- the tick --------------------------------------------------------------------------------------------------
@@ -379,18 +295,13 @@ def test_every_law_of_the_table_is_timed_and_has_a_mark(benchmark):
 @pytest.mark.long
 def test_one_part_prints_the_machine_the_marks_and_the_same_as_json(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(main, ["--only", "mathematics", "--json", "benchmark.json"])
+    result = CliRunner().invoke(main, ["--only", "laws", "--json", "benchmark.json"])
     assert result.exit_code == 0, result.output
     summary = json.loads(Path("benchmark.json").read_text())
-    assert set(summary["parts"]) == {"mathematics"}
+    assert set(summary["parts"]) == {"laws"}
     assert summary["machine"]["cores"] == str(os.cpu_count())
     assert summary["machine"]["kernel"] == os.uname().release
     assert f"{summary['marks_met']} of {summary['marks']} marks met" in result.stdout
-    both = next(f for f in summary["parts"]["mathematics"] if f["name"] == "both")
-    assert both["mark"] == "<= 15"
-    assert both["met"] is (both["values"]["median"] <= 15)
-    difference = next(f for f in summary["parts"]["mathematics"] if "difference" in f["name"])
-    assert difference["values"][""] < 1e-9
     assert not list(Path("runs").iterdir()), "nothing stays behind"
 
 
@@ -431,7 +342,7 @@ def test_two_versions_in_turn_give_a_ratio_for_the_loop_and_for_replay(monkeypat
 def test_a_file_that_is_no_summary_is_not_overwritten(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     Path("notes.txt").write_text("keep me")
-    result = CliRunner().invoke(main, ["--only", "mathematics", "--json", "notes.txt"])
+    result = CliRunner().invoke(main, ["--only", "laws", "--json", "notes.txt"])
     assert result.exit_code == 2
     assert result.stderr.startswith("benchmark: --json notes.txt: exists")
     assert Path("notes.txt").read_text() == "keep me"

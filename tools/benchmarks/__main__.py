@@ -1,4 +1,4 @@
-"""`make bench`: how fast the parts are, each figure beside its mark.
+"""`make bench`: how fast the parts are, each figure with its mark.
 
 A benchmark, not a test: it exits 0 whatever the figures are, and 1 where a part could not be measured. The
 marks are for two cores with SCHED_FIFO and nothing else to do.
@@ -19,20 +19,14 @@ from hil.record import environment
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import EARLY, FAILED, Figure, lines
 from tools.benchmarks.fmu import fmu
-from tools.benchmarks.laws import laws
+from tools.benchmarks.live import memory, realtime, two_buses
 from tools.benchmarks.lockstep import recorder, replaying, simulation
-from tools.benchmarks.memory import memory
-from tools.benchmarks.realtime import realtime, two_buses
 from tools.benchmarks.tick import tick
 
 PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {
-    "realtime": (realtime, "real time: the loop at 1 kHz against hil plant on localcan"),
-    "two_buses": (
-        two_buses,
-        "real time: the loop at 2 kHz on two buses, as this machine allows",
-    ),
-    "tick": (tick, "tick compute, hot: recorded ticks back to back"),
-    "laws": (laws, "mathematics of one tick under each control law, hot"),
+    "realtime": (realtime, "real time: hil run virtual at 1 kHz against its plant on localcan"),
+    "two_buses": (two_buses, "real time: the loop at 2 kHz on two buses, as this machine allows"),
+    "tick": (tick, "tick compute, hot: recorded ticks back to back, and what a law takes of it"),
     "simulation": (simulation, "lockstep"),
     "replay": (replaying, "replay"),
     "recorder": (recorder, "recorder, fed without pause"),
@@ -44,7 +38,7 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
 
 
 def machine(priority: int) -> dict[str, str]:
-    """Return CPU, cores, kernel and the scheduler that the loop gets."""
+    """CPU, cores, kernel and the scheduler that the loop gets."""
     found = environment()
     return {
         "cpu": found.get("cpu", "unknown CPU"),
@@ -58,34 +52,19 @@ def machine(priority: int) -> dict[str, str]:
 @click.command(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option("--only", type=click.Choice(list(PARTS)), help="Run one part.")
 @click.option(
-    "--seconds",
-    type=_POSITIVE,
-    default=60.0,
-    show_default=True,
+    "--seconds", type=_POSITIVE, default=60.0, show_default=True,
     help="Length of the runs; on two buses at most 20 s, simulated to the end of the path.",
-)
+)  # fmt: skip
 @click.option(
-    "--memory-minutes",
-    type=_POSITIVE,
-    default=1.0,
-    show_default=True,
+    "--memory-minutes", type=_POSITIVE, default=1.0, show_default=True,
     help="How long the daemon's memory is watched; 10 measures the mark, less extrapolates.",
-)
+)  # fmt: skip
 @click.option(
-    "--json",
-    "json_file",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
+    "--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
     help="Write the figures there, too.",
-)
+)  # fmt: skip
 def main(only: str | None, seconds: float, memory_minutes: float, json_file: Path | None) -> None:
-    r"""Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU, memory.
-
-    \b
-    Examples:
-      python -m tools.benchmarks                              everything, four to five minutes
-      python -m tools.benchmarks --only laws
-      python -m tools.benchmarks --memory-minutes 10 --json benchmark.json
+    """Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU, memory.
 
     The marks are for two cores with SCHED_FIFO and nothing else to do. Logs go to a folder
     under runs/ that is removed at the end.

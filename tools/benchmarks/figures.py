@@ -1,4 +1,4 @@
-"""What the benchmark gives: figures, the mark beside each, and whether it is met."""
+"""What the benchmark gives: figures, the mark of each, and whether it is met."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,17 +12,11 @@ FAILED, EARLY = "failed", "ended early"
 
 
 class Mark(NamedTuple):
-    """What a figure is to be, on two cores with SCHED_FIFO."""
+    """What all values of a figure are to be, on two cores with SCHED_FIFO."""
 
     limit: float
     at_most: bool = True
     """Else at least."""
-    of: tuple[str, ...] = ()
-    """Names of the values that count; empty is all."""
-
-    def holds(self, value: float) -> bool:
-        """Say whether a value meets the mark; NaN does not."""
-        return value <= self.limit if self.at_most else value >= self.limit
 
     def __str__(self) -> str:
         return f"{'<=' if self.at_most else '>='} {self.limit:g}"
@@ -40,50 +34,38 @@ class Figure:
     note: str = ""
 
     @property
-    def outcomes(self) -> dict[str, bool]:
-        """Whether the mark is met, by each value that counts; empty without a mark or without values."""
-        mark = self.mark
-        if mark is None:
-            return {}
-        return {k: mark.holds(v) for k, v in self.values.items() if not mark.of or k in mark.of}
-
-    @property
     def met(self) -> bool | None:
-        """Whether every value that counts meets the mark; None without a mark or without values."""
-        outcomes = self.outcomes
-        return all(outcomes.values()) if outcomes else None
-
-    def outcome(self) -> str:
-        """Return `met`, `not met`, or which values meet the mark; `not measured` where there are none."""
-        outcomes = self.outcomes
-        if self.mark is None:
-            return ""
-        if not outcomes:
-            return "not measured"
-        if len(set(outcomes.values())) == 1:
-            return "met" if self.met else "not met"
-        return ", ".join(f"{name} {'met' if good else 'not met'}" for name, good in outcomes.items())
+        """Whether every value meets the mark, which NaN does not; None without a mark or without values."""
+        if self.mark is None or not self.values:
+            return None
+        limit, at_most = self.mark
+        return all(value <= limit if at_most else value >= limit for value in self.values.values())
 
     def text(self) -> str:
-        """Return the values with their unit."""
-        parts = (f"{name} {number(value)}".strip() for name, value in self.values.items())
+        """Show the values with their unit, to three digits."""
+        parts = (f"{name} {_number(value)}".strip() for name, value in self.values.items())
         return f"{', '.join(parts)} {self.unit}".strip() if self.values else ""
 
+    def remark(self) -> str:
+        """Show the mark with its outcome, and the note."""
+        outcome = {True: "met", False: "not met", None: "not measured"}[self.met]
+        mark = "" if self.mark is None else f"mark {self.mark} {self.unit}".rstrip() + f": {outcome}"
+        return "; ".join(filter(None, (mark, self.note)))
+
     def plain(self) -> dict[str, Any]:
-        """Return this for a JSON file."""
+        """Give plain values for a JSON file."""
         result: dict[str, Any] = {"name": self.name, "values": dict(self.values), "unit": self.unit}
         if self.mark is not None:
             result |= {"mark": str(self.mark), "met": self.met}
         return result | ({"note": self.note} if self.note else {})
 
 
-def number(value: float) -> str:
-    """Return three significant digits, without an exponent where one is not needed."""
+def _number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def spread(values: ArrayLike, *, largest: bool = False, scale: float = 1e-3) -> dict[str, float]:
-    """Return median and p99, and the maximum if asked for; the scale turns ns into us."""
+    """Median, p99 and, on request, the maximum; empty without values. The scale turns ns into us."""
     x = np.asarray(values, np.float64) * scale
     if not x.size:
         return {}
@@ -92,12 +74,7 @@ def spread(values: ArrayLike, *, largest: bool = False, scale: float = 1e-3) -> 
 
 
 def lines(name: str, figures: list[Figure]) -> list[str]:
-    """Return a part as text: its name, then one line for each figure, with columns under each other."""
+    """Lay out a part as text: its name, then one line for each figure, in columns."""
     first = max((len(f.name) for f in figures), default=0)
     second = max((len(f.text()) for f in figures), default=0)
-    result = [name]
-    for f in figures:
-        mark = "" if f.mark is None else f"mark {f.mark} {f.unit}".rstrip() + f": {f.outcome()}"
-        tail = "; ".join(filter(None, (mark, f.note)))
-        result.append(f"  {f.name:<{first}}  {f.text():<{second}}  {tail}".rstrip())
-    return result
+    return [name, *(f"  {f.name:<{first}}  {f.text():<{second}}  {f.remark()}".rstrip() for f in figures)]

@@ -9,27 +9,22 @@ from hil.app.compose import attachments, build_scene
 from hil.app.replay import replay_log
 from hil.record import Recording
 from tools.benchmarks.benchmark import Benchmark
-from tools.benchmarks.figures import Figure, Mark, number, spread
+from tools.benchmarks.figures import Figure, Mark, spread
 from tools.benchmarks.process import cpu_s
 
 TICKS = 12_000
 """Less than the ring below holds: nothing is dropped, however slow the recorder is."""
 RING = 16_384
+FAST = Mark(10.0, at_most=False)
+"""Times real time."""
 
 
 def simulation(benchmark: Benchmark) -> list[Figure]:
     """Run both ends of the bus in one process, recording."""
     summary = benchmark.simulated
+    note = f"{summary['ticks']} ticks, recording on, first to last tick"
     factor = {"": summary["real_time_factor"]}
-    return [
-        Figure(
-            "real-time factor of hil sim virtual",
-            factor,
-            "times",
-            Mark(10.0, at_most=False),
-            note=f"{summary['ticks']} ticks, recording on, first to last tick",
-        )
-    ]
+    return [Figure("real-time factor of hil sim virtual", factor, "times", FAST, note)]
 
 
 def replaying(benchmark: Benchmark) -> list[Figure]:
@@ -37,20 +32,13 @@ def replaying(benchmark: Benchmark) -> list[Figure]:
     log = Path(benchmark.simulated["log"])
     benchmark.say(f"hil replay {log.name}")
     comparison, summary = replay_log(log)
-    return [
-        Figure(
-            "speed of hil replay",
-            {"": summary["times_real_time"]},
-            "times real time",
-            Mark(10.0, at_most=False),
-            note=f"{comparison.ticks} ticks, {comparison.different_ticks} differences",
-        )
-    ]
+    note = f"{comparison.ticks} ticks, {comparison.different_ticks} differences"
+    return [Figure("speed of hil replay", {"": summary["times_real_time"]}, "times real time", FAST, note)]
 
 
 def recorder(benchmark: Benchmark) -> list[Figure]:
     """Feed recorded ticks of the simulated run into a recording, without pause."""
-    entries = benchmark.held.entries[:TICKS]
+    entries = benchmark.ticks[:TICKS]
     c = benchmark.configuration
     benchmark.say(f"{len(entries)} ticks into the recorder")
     recording = Recording.start(
@@ -74,7 +62,7 @@ def recorder(benchmark: Benchmark) -> list[Figure]:
         wall = time.perf_counter() - begun
     each = (closed.recorder_cpu_s - before) / len(entries) * 1e6
     return [
-        Figure("recorder, a tick", {"": each}, "us CPU", note=f"{number(1e6 / each)} ticks/s at most"),
+        Figure("recorder, a tick", {"": each}, "us CPU", note=f"{1e6 / each:.0f} ticks/s at most"),
         Figure("its share of a core at 1 kHz", {"": each / 10.0}, "%", Mark(15.0), note="computed from that"),
         Figure("its throughput, closing included", {"": closed.ticks / wall}, "ticks/s"),
         Figure("dropped ticks", {"": float(closed.dropped + closed.lost)}, "", Mark(0.0)),

@@ -50,7 +50,7 @@ class Stamps:
 
 
 def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
-    """Run and replay with the version that PYTHONPATH names; return the us of a tick in all blocks."""
+    """Run and replay with the version that PYTHONPATH names; give the us of a tick in all blocks."""
     from drivers.signals import Mode  # noqa: PLC0415
     from hil.app.compose import build_cycle, build_nodes  # noqa: PLC0415
     from hil.app.configuration.configuration import load  # noqa: PLC0415
@@ -94,7 +94,7 @@ def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
 
 
 def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str, list[float]]:
-    """Return what `measure` finds with a checkout, in a process of its own."""
+    """Call `measure` with a checkout, in a process of its own."""
     command = [sys.executable, "-P", __file__, "--configuration", configuration]
     command += ["--duration", str(duration_s)]
     own = os.environ | {"PYTHONPATH": str(checkout.resolve())}
@@ -120,44 +120,39 @@ def table(folder: Path) -> Iterator[tuple[str, str]]:
         yield what, str(file)
 
 
-def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> dict[str, list[list[float]]]:
-    """Measure versions in turn; return for each kind the quietest us of a tick, a row a round."""
+def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> Iterator[str]:
+    """Measure two versions in turn; yield cells of a table for each kind: us of a tick, times as fast."""
     found = [[measured(each, *run) for each in checkouts] for _ in range(rounds)]
-    return {kind: [[quietest(each[kind]) for each in row] for row in found] for kind in KINDS}
+    for kind in KINDS:
+        quietest = [[_quietest(each[kind]) for each in both] for both in found]
+        old, new = map(median, zip(*quietest, strict=True))
+        ratios = sorted(a / b for a, b in quietest)
+        yield f"{old:.1f}, {new:.1f} | {old / new:.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f})"
 
 
-def quietest(us: list[float]) -> float:
-    """Return the median of the quietest tenth of blocks."""
+def _quietest(us: list[float]) -> float:
+    """Take the median of the quietest tenth of blocks."""
     return median(sorted(us)[: max(1, len(us) // 10)])
 
 
 def main() -> None:
-    """Measure both versions in turn, and print both figures and their ratio."""
+    """Measure both versions in turn, and print both figures and their ratio, in single rounds from and to."""
     parser = argparse.ArgumentParser(description="Two versions in turn: what a tick takes in each.")
     parser.add_argument("checkouts", nargs="*", type=Path, help="two; without any, JSON of this one")
     parser.add_argument("--configuration", default="virtual")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="3 at least")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--table", action="store_true", help="a table of configurations in place of one")
+    parser.add_argument("--table", action="store_true", help="several configurations in place of one")
     given = parser.parse_args()
-    run = given.configuration, given.duration
     if not given.checkouts:
-        print(json.dumps(measure(*run)))
+        print(json.dumps(measure(given.configuration, given.duration)))
         return
-    if given.table:
-        print("| | lockstep, us | times | replay, us | times |\n|---|---|---|---|---|")
-        with tempfile.TemporaryDirectory() as folder:
-            for what, configuration in table(Path(folder)):
-                both = compare(given.checkouts, (configuration, given.duration), given.rounds)
-                cells = [map(median, zip(*both[kind], strict=True)) for kind in KINDS]
-                columns = [f"{a:.0f}, {b:.0f} | {a / b:.1f}" for a, b in cells]
-                print(f"| {what} | {' | '.join(columns)} |", flush=True)
-        return
-    for kind, rows in compare(given.checkouts, run, given.rounds).items():
-        old, new = map(median, zip(*rows, strict=True))
-        ratios = sorted(a / b for a, b in rows)
-        print(f"{kind:8s} {old:.2f} us a tick, then {new:.2f}: {old / new:.2f} times as fast")
-        print(f"         {ratios[0]:.2f} to {ratios[-1]:.2f} times in single rounds")
+    print("| | lockstep, us | times | replay, us | times |\n|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        one = [(f"`{given.configuration}`", given.configuration)]
+        for what, configuration in table(Path(folder)) if given.table else one:
+            cells = compare(given.checkouts, (configuration, given.duration), given.rounds)
+            print(f"| {what} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

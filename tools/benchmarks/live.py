@@ -1,0 +1,149 @@
+"""`hil run` with its plant in real time, as users start it: what is in its log, and its memory."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.errors import RunError
+from drivers.signals import Mode
+from hil.app.configuration.configuration import Configuration, load
+from hil.record.log import Log
+from tools.benchmarks.benchmark import Benchmark, patient
+from tools.benchmarks.figures import EARLY, Figure, Mark, spread
+from tools.benchmarks.process import resident_MB
+from tools.benchmarks.tick import COMPUTE
+
+TWO_BUSES_S = 20.0
+SETTLE_S = 10.0
+"""Engaging, and the first periods of the path; no longer than the memory is watched."""
+MARK_MINUTES = 10.0
+
+
+class LiveRun(NamedTuple):
+    """What a run leaves."""
+
+    summary: dict[str, Any]
+    resident_MB: list[float]
+    """Of the daemon, once a second while it ran."""
+
+
+def live_run(c: Configuration, seconds: float, folder: Path) -> LiveRun:
+    """Run the daemon with its plant for so long, watching its memory.
+
+    c comes from a file; log and summary go into a new folder in `folder`. Raises RunError: no summary.
+    """
+    made = Path(tempfile.mkdtemp(dir=folder))
+    log, told = made / "run.mcap", made / "run.json"
+    words = ("--plant", "--arm", "--duration", f"{seconds:g}", "--log", str(log), "--json", str(told))
+    command = [sys.executable, "-m", "hil.cli", "run", c.source, *words]
+    seen: list[float] = []
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors
+        )
+        over = 0.0
+        try:
+            while process.poll() is None:
+                if not over and log.exists():  # the loop begins next
+                    over = time.monotonic() + seconds
+                if time.monotonic() < over:  # afterwards it reads and replays its log
+                    with suppress(OSError):
+                        seen.append(resident_MB(process.pid))
+                time.sleep(1.0 if over else 0.1)
+        finally:
+            process.terminate()
+            process.wait()
+        if not told.exists():
+            errors.seek(0)
+            text = errors.read().decode(errors="replace").strip()
+            raise RunError(f"hil run ended with exit code {process.returncode}: {text[-2000:]}")
+    return LiveRun(json.loads(told.read_text()), seen)
+
+
+def realtime(benchmark: Benchmark) -> list[Figure]:
+    """Run the loop in real time, the plant in a second process, the recorder in a third.
+
+    Raises RunError for a run that never powered the drives.
+    """
+    return _figures(benchmark, "virtual", benchmark.seconds)
+
+
+def two_buses(benchmark: Benchmark) -> list[Figure]:
+    """Run the loop at 2 kHz on two buses, as far as this machine allows: figures without marks."""
+    found = _figures(benchmark, "two_buses", min(TWO_BUSES_S, benchmark.seconds))
+    return [replace(each, mark=None) for each in found]
+
+
+def _figures(benchmark: Benchmark, name: str, seconds: float) -> list[Figure]:
+    c, shipped = patient(name, benchmark.folder, seconds), load(name).limits
+    benchmark.say(f"hil run {name} at {c.loop.rate_Hz:g} Hz for {seconds:g} s")
+    summary = live_run(c, seconds, benchmark.folder).summary
+    log = Log.open(Path(summary["log"]))
+    rows = log.rows()
+    powered = rows[(rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING)]
+    if not len(powered):
+        raise RunError(f"the run ended before the drives were powered: {summary['trouble']}")
+    stale, skipped = summary["stale_ticks"], summary["skipped_ticks"]
+    missing = summary["real_time"]["missing"]
+    moving = np.isin(rows["mode"], (Mode.APPROACH, Mode.TRACKING))
+    answered = [
+        max(frame.t_ns for frame in tick.received) - int(tick.row["t_ns"] + tick.row["lateness_ns"])
+        for tick in log.ticks()
+        if tick.received and not tick.row["age"].any()
+    ]
+    missed = np.bincount(np.cumsum(powered["skipped"] == 0), powered["skipped"])
+    skew = Figure("SYNC, bus to bus", spread(rows["sync_skew_ns"], largest=True), "us")
+    return [
+        *([] if summary["success"] else [Figure(EARLY, note=str(summary["trouble"]))]),
+        Figure("rate", {"": summary["rate_Hz"]}, "Hz", note="; ".join((f"{len(rows)} ticks", *missing))),
+        Figure("wake-up lateness", summary["wake_up_us"], "us"),
+        Figure("wake-up to six feedbacks", spread(answered, largest=True), "us", note="their end on the bus"),
+        *([skew] if c.bus.channels else []),
+        _share("stale ticks", stale, len(powered), 0.5),
+        _share("skipped ticks", skipped, len(rows) + skipped, 0.1),
+        _lost("longest age of a leg's data", powered["age"].max(), shipped.stale_fault_ticks),
+        _lost("longest run of missed periods", missed.max(), shipped.missed_stop_ticks),
+        Figure("dropped ticks", {"": float(summary["dropped_ticks"])}, "", Mark(0.0)),
+        Figure("tick compute", spread(rows["compute_ns"][moving]), "us", COMPUTE),
+    ]
+
+
+def _share(name: str, count: int, of: int, most: float) -> Figure:
+    return Figure(name, {"": 100.0 * count / of}, "%", Mark(most), f"{count} of {of}")
+
+
+def _lost(name: str, ticks: float, limit: int) -> Figure:
+    return Figure(f"  {name}", {"": float(ticks)}, "ticks", note=f"the shipped limit, {limit}, ends a run")
+
+
+def memory(benchmark: Benchmark) -> list[Figure]:
+    """Run the daemon with its plant, and look at its memory once a second."""
+    minutes = benchmark.memory_minutes
+    settle_s = min(SETTLE_S, minutes * 60.0)
+    seconds = settle_s + minutes * 60.0
+    benchmark.say(f"memory of hil run for {minutes:g} min, after {settle_s:g} s to settle")
+    c = patient("virtual", benchmark.folder, seconds)
+    return memory_figures(live_run(c, seconds, benchmark.folder).resident_MB[round(settle_s) :], minutes)
+
+
+def memory_figures(samples_MB: list[float], minutes: float) -> list[Figure]:
+    """Peak and growth; a watch that is shorter than the mark's is extrapolated, and says so."""
+    short = minutes < MARK_MINUTES
+    grown_MB = samples_MB[-1] - samples_MB[0]
+    figures = [
+        Figure("daemon, resident", {"": max(samples_MB)}, "MB", Mark(300.0)),
+        Figure(f"its growth in {minutes:g} min", {"": grown_MB}, "MB", None if short else Mark(2.0)),
+    ]
+    if short:
+        each = grown_MB / minutes * MARK_MINUTES
+        note = f"EXTRAPOLATED from {minutes:g} min; --memory-minutes {MARK_MINUTES:g} measures it"
+        figures.append(Figure(f"  in {MARK_MINUTES:g} min", {"": each}, "MB", Mark(2.0), note))
+    return figures

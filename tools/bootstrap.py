@@ -6,7 +6,6 @@ where interpreter, place or locks differ, or there is no stamp, the environment 
 """
 
 import hashlib
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -86,29 +85,19 @@ def run(arguments: list[str], failure: str) -> None:
         raise BootstrapError(f"{failure}\n{tail}")
 
 
-def outer_pip_reaches_in() -> bool:
-    """Tell whether this interpreter has a pip that can install into another one (22.3 or later)."""
-    if importlib.util.find_spec("pip") is None:
-        return False
-    probe = subprocess.run(
-        [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON), "--version"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
-    return probe.returncode == 0
-
-
 def pip_of_environment() -> list[str]:
-    """Return the pip command that installs into the environment: its own, else the one outside.
+    """Return the pip command that installs into the environment: its own, else the one outside (pip 22.3).
 
     Debian ships `venv` without `ensurepip` unless python3-venv is installed.
     """
-    own = [str(VENV_PYTHON), "-m", "pip"]
-    if subprocess.run([*own, "--version"], capture_output=True, check=False).returncode == 0:
-        return own
-    if outer_pip_reaches_in():
-        return [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
+    inside = [str(VENV_PYTHON), "-m", "pip"]
+    outside = [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
+    for pip in (inside, outside):
+        tried = subprocess.run(
+            [*pip, "--version"], stdin=subprocess.DEVNULL, capture_output=True, check=False
+        )
+        if tried.returncode == 0:
+            return pip
     version = f"{sys.version_info[0]}.{sys.version_info[1]}"
     raise BootstrapError(
         f"{sys.executable} has neither ensurepip nor pip 22.3 or later, so nothing can be installed.\n"
@@ -119,14 +108,10 @@ def pip_of_environment() -> list[str]:
 def make_environment() -> list[str]:
     """Make an empty environment and return the pip command that installs into it."""
     venv = [sys.executable, "-m", "venv", str(VENV)]
-    with_pip = importlib.util.find_spec("ensurepip") is not None
-    if with_pip:
-        try:
-            run(venv, "python -m venv failed:")
-        except BootstrapError:
-            shutil.rmtree(VENV, ignore_errors=True)  # Debian leaves half of it behind
-            with_pip = False
-    if not with_pip:
+    try:
+        run(venv, "python -m venv failed:")
+    except BootstrapError:
+        shutil.rmtree(VENV, ignore_errors=True)  # Debian leaves half of it behind
         run([*venv, "--without-pip"], "python -m venv cannot make an environment:")
     return pip_of_environment()
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
+import os
 import re
-import tempfile
+import shutil
 import time
 import traceback
 import warnings
+from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
 from drivers.errors import HilError
-from tools.fuzz.targets import TARGETS, Stock
+from tools.fuzz.targets import TARGETS, Stock, stock
 
 LONGEST_S = 5.0
 """Of processor time: others may use the machine. Who waits for ever is found by the process above."""
@@ -39,6 +42,18 @@ class Result(NamedTuple):
     """Of the resident size at its peak, over what it was before."""
 
 
+def serve(connection: Connection, folder: Path, only: str | None) -> None:
+    """Be the process that runs cases: those whose seeds come in, until the other end is closed."""
+    with (folder / "printed.txt").open("wb") as printed:
+        os.dup2(printed.fileno(), 1)
+        os.dup2(printed.fileno(), 2)
+    faulthandler.enable()
+    sound = stock(folder)
+    with contextlib.suppress(EOFError):
+        while True:
+            connection.send(run(connection.recv(), sound, only))
+
+
 def kind_of(seed: int, only: str | None) -> tuple[str, Random]:
     """Return what a seed fuzzes, and the generator that draws its damage."""
     rng = Random(seed)  # noqa: S311 - no secret
@@ -48,16 +63,19 @@ def kind_of(seed: int, only: str | None) -> tuple[str, Random]:
 
 
 def run(seed: int, stock: Stock, only: str | None = None) -> Result:
-    """Run the case of a seed."""
+    """Run the case of a seed. Its files are in a new folder of the stock, and stay there with a finding."""
     target, rng = kind_of(seed, only)
+    folder = stock.folder / str(seed)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
     with contextlib.suppress(OSError):
         _CLEAR.write_text("5")  # the peak begins anew
     before, family = peak_MB(), children()
     begun, problem, detail = time.process_time(), "", ""
-    with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name, warnings.catch_warnings():
+    with warnings.catch_warnings():
         try:
             warnings.simplefilter("error", RuntimeWarning)  # who reads a command's lines would see it
-            said = TARGETS[target][0](stock, rng, Path(name))
+            said = TARGETS[target][0](stock, rng, folder)
         except HilError:
             said = ""  # what the command line shows of it is looked at where it is run
         except Exception as error:  # noqa: BLE001 - that is what is looked for
@@ -73,6 +91,8 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
         problem = "memory"
     if not problem and (left := children() - family):
         problem, detail = "process", f"left behind: {', '.join(map(str, sorted(left)))}"
+    if not problem:
+        shutil.rmtree(folder)
     return Result(seed, target, problem, detail, seconds, grown)
 
 

@@ -1,6 +1,9 @@
-"""What strangers hand in, damaged at random from a seed: an answer, a HilError, never a traceback, and soon."""
+"""Untrusted input, damaged at random from a seed: an answer, a HilError, never a traceback, and soon."""
 
+import os
 import subprocess
+import sys
+from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -56,6 +59,38 @@ def test_the_fuzzer_finds_a_reader_that_fails(sound, monkeypatch):
     with process:
         process.kill()
     assert (found.problem, found.detail) == ("process", f"left behind: {process.pid}")
+
+
+CRASH = """
+import os, signal, sys
+from types import ModuleType, SimpleNamespace
+
+def crash(stock, rng, folder):
+    (folder / "damaged.mcap").write_bytes(b"half a log")
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+planted = sys.modules["tools.fuzz.targets"] = ModuleType("targets")
+planted.TARGETS, planted.Stock = {"log": (crash, 1)}, SimpleNamespace
+planted.stock = lambda folder: SimpleNamespace(folder=folder)
+"""
+"""For each process of Python, in place of the targets: a reader whose process dies."""
+
+
+def test_a_crash_of_the_interpreter_is_a_finding_and_leaves_its_input_on_disk(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(CRASH)
+    path = os.pathsep.join((str(tmp_path), str(Path(__file__).parents[3])))
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.fuzz", "--seed", "7", "--cases", "2", "--only", "log"],
+        env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(tmp_path)},
+        cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert "seed 7: log: died: -11" in done.stdout
+    assert "2 cases from seed 7, 2 with a finding; go on with --seed 9" in done.stdout
+    (folder,) = tmp_path.glob("hil-fuzz-*")
+    assert str(folder) in done.stdout
+    assert [(folder / seed / "damaged.mcap").read_bytes() for seed in "78"] == [b"half a log"] * 2
+    assert "Segmentation fault" in (folder / "printed.txt").read_text()
 
 
 def test_what_is_put_into_the_rows_of_a_log_comes_out_of_them(sound, tmp_path):

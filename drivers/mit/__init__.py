@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from drivers.config import BusSettings, DriveSettings
-    from drivers.mit.protocol import MitProtocol
+    from drivers.mit.protocol import MitFamily
 
 
-def mit(bus: BusSettings, drives: DriveSettings) -> MitProtocol:
+def mit(bus: BusSettings, drives: DriveSettings) -> MitFamily:
     """Codec of the configured variant."""
     from drivers.mit.protocol import MitProtocol  # noqa: PLC0415 - compiled code
     from drivers.mit.robstride import RobStrideProtocol  # noqa: PLC0415

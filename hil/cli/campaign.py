@@ -94,9 +94,9 @@ def command(
 
     FILE is a YAML file, or the name of a shipped campaign: payload. It states which keys of which
     configuration take which values (sample, list, grid), and the limits that a run has to keep. Rows are kept
-    as they come, in FOLDER/campaign.sqlite; after Ctrl-C or a crash the same command goes on with the rows that
-    are missing. FOLDER/table.parquet has all of them in the end. Nothing is recorded: `hil campaign rerun FILE
-    ROW --log` makes any row again, with its log.
+    as they come, in FOLDER/campaign.sqlite; after Ctrl-C or a crash the same command goes on with the rows
+    that are missing. FOLDER/table.parquet has all of them in the end. Nothing is recorded: `hil campaign
+    rerun FILE ROW --log` makes any row again, with its log.
 
     \b
     Examples:

@@ -1,6 +1,6 @@
 """Control laws: one per file, each an entry point of the group `hil.laws`."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args
 
 from pydantic import Field, create_model
 
@@ -21,8 +21,8 @@ def named(name: str, settings: Any) -> type[LawSettings]:
         raise ConfigurationError(f"law {name}: {settings.__qualname__}.law is {own[0]}; give both one name")
     if own:
         return settings
-    fixed = create_model(settings.__name__, __base__=settings, law=(Literal[name], ...))  # type: ignore[call-overload]
-    return cast("type[LawSettings]", fixed)
+    kind: Any = Literal[name]
+    return create_model(settings.__name__, __base__=settings, law=(kind, ...))
 
 
 LAWS: dict[str, type[LawSettings]] = {

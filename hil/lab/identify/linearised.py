@@ -172,7 +172,7 @@ def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record],
     joint: accelerations of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
     """
     A, b = law_terms(space, model, states)
-    return np.linalg.solve(A, (tau - b)[:, :, None])[:, :, 0]
+    return np.asarray(np.linalg.solve(A, (tau - b)[:, :, None])[:, :, 0], float)
 
 
 def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Array, Array]:

@@ -122,7 +122,7 @@ def _controller(law: LawSettings, K_P: float, K_D: float, period_s: float) -> Li
 
 
 def _require_known(c: Configuration, law: LawSettings) -> None:
-    where = f"{c.source}: controller.law: {law.law}"  # type: ignore[attr-defined]
+    where = f"{c.source}: controller.law: {law.law}"
     if linearised_law(c).space != "joint":
         raise ConfigurationError(
             f"{where} controls the pose; learning is for laws of leg axes, allowed: inverse_dynamics, "

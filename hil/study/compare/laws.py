@@ -97,7 +97,7 @@ def _default(name: str, c: Configuration, loop: DesiredLoop) -> ControllerSettin
         pose = c.platform.home if name.startswith("constant") else None
         given["model"] = _model(c).model_copy(update={"variant": name, "frozen_at": pose})
     try:
-        settings: ControllerSettings = kind.model_validate(given)  # type: ignore[assignment]
+        settings: ControllerSettings = kind.model_validate(given)
     except ValidationError as error:
         missing = ", ".join(str(item["loc"][0]) if item["loc"] else item["msg"] for item in error.errors())
         raise ConfigurationError(

@@ -52,7 +52,7 @@ def by_hand(c: Configuration, stiffness: Array) -> float:
     subject = Subject(c, Stated())
     p, R = subject.path[0].p, subject.path[0].R
     M = subject.robot.mass_matrix(p, R)
-    _, K_v = c.controller.gains()  # type: ignore[union-attr]
+    _, K_v = c.controller.gains()  # type: ignore[attr-defined]
     A = np.zeros((12, 12))
     A[:6, 6:] = np.eye(6)
     A[6:, :6], A[6:, 6:] = -np.linalg.solve(M, stiffness), -np.linalg.solve(M, np.diag(K_v))
@@ -130,8 +130,8 @@ def forces(c: Configuration) -> Callable[[Array, Array, Array], Array]:
     model = None if believed is None else subject.believed(believed)
 
     def of_pose(p: Array, R: Array, twist: Array) -> Array:
-        K_p, K_v = law.gains()  # type: ignore[union-attr]
-        differs = law.rotation_error == "vector_difference"  # type: ignore[union-attr]
+        K_p, K_v = law.gains()  # type: ignore[attr-defined]
+        differs = law.rotation_error == "vector_difference"  # type: ignore[attr-defined]
         e_R = vector_of(R_d) - vector_of(R) if differs else vector_of(R_d @ R.T)
         pull = K_p * np.concatenate([p_d - p, e_R]) - K_v * twist
         if model is None:
@@ -143,7 +143,7 @@ def forces(c: Configuration) -> Callable[[Array, Array, Array], Array]:
         e = q_d - leg_lengths(subject.platform, p, R)
         at_p, at_R = (p_d, R_d) if law.law == "feedforward_pd" else (p, R)
         more = STILL if model is None else model.inverse_dynamics(at_p, at_R, STILL, STILL)
-        K_p, K_v = np.array(law.kp_N_m), np.array(law.kv_N_s_m)  # type: ignore[union-attr]
+        K_p, K_v = np.array(law.kp_N_m), np.array(law.kv_N_s_m)  # type: ignore[attr-defined]
         return np.asarray(K_p * e - K_v * rates + more, float)
 
     return of_pose if law.law == "cartesian_pd" else of_legs

@@ -231,7 +231,7 @@ def test_a_story_from_rows_has_the_mode_before_the_fault_and_the_drives_of_its_t
     rows["mode"][40:] = Mode.FAULT
     rows["drive_state"] = DriveState.RUN
     rows["drive_state"][60:] = DriveState.FAULT
-    found = told({}, [], rows, 1000.0)
+    found = told({}, rows, 1000.0)
     assert [(f.fault, f.time_s, f.mode) for f in found.findings] == [
         ("SPEED", 0.04, "TRACKING"),
         ("STALE", 0.07, "FAULT"),
@@ -259,9 +259,9 @@ def test_a_story_from_rows_has_the_mode_before_the_fault_and_the_drives_of_its_t
 def test_a_makers_code_is_shown_with_its_meaning(protocol, fault, said):
     rows = rows_of(10)
     rows["faults"][4:], rows["drive_state"], rows["drive_fault"] = Fault.DRIVE, DriveState.FAULT, fault
-    by_rows = told({}, [], rows, 1000.0, protocol)
+    by_rows = told({}, rows, 1000.0, protocol)
     story = {"findings": [{"fault": "DRIVE"}], "drives": [{"leg": 0, "state": "FAULT", "fault": int(fault)}]}
-    by_story = told({SUMMARY: {"story": json.dumps(story)}}, [], rows, 1000.0, protocol)
+    by_story = told({SUMMARY: {"story": json.dumps(story)}}, rows, 1000.0, protocol)
     assert by_rows.drives[0].startswith(said)
     assert by_story.drives[0].startswith(said)
 
@@ -270,10 +270,10 @@ def test_a_makers_code_is_shown_with_its_meaning(protocol, fault, said):
 def test_drives_without_force_on_closed_brakes_are_not_said_to_hold_the_platform(protocol):
     rows = rows_of(10)
     rows["faults"][4:], rows["mode"][4:] = Fault.STALE, Mode.HELD
-    (_, text), *_ = told({}, [], rows, 1000.0, protocol).done
+    (_, text), *_ = told({}, rows, 1000.0, protocol).done
     assert "on which they give no force" in text
     assert "the force held" not in text
-    (_, text), *_ = told({}, [], rows, 1000.0).done
+    (_, text), *_ = told({}, rows, 1000.0).done
     assert "the force held the platform" in text
 
 

@@ -68,7 +68,7 @@ def test_a_rate_that_no_loop_has_is_refused_in_short_as_windows_of_ticks_grow_wi
     ("remark", "verdict"), [("", "Parked without a fault"), ("the log is damaged", "ends in PARKED")]
 )
 def test_a_log_of_which_something_is_missing_is_not_called_a_run_without_a_fault(remark, verdict):
-    quiet = told({}, [], rows_of(5, mode=Mode.PARKED), 1000.0)
+    quiet = told({}, rows_of(5, mode=Mode.PARKED), 1000.0)
     made = sections.opening(quiet, rows_of(5, mode=Mode.PARKED), remark)
     assert verdict in made
     assert ("Parked without a fault" in made) is (not remark)

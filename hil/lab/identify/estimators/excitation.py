@@ -64,7 +64,8 @@ def delay_excitation(
     fading in and out.
     """
     slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
-    frequency = slower * _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
+    lines = _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
+    frequency = np.asarray(slower * lines, float)
     at = _directions(model, pose, "pose")
     components, _ = _multisine(at, frequency, 1.0 / slower, force_N, equal=2)
     components = _sinusoids(at.together * CARRIER_m, CARRIER_Hz, 0.0) + components

@@ -1,0 +1,47 @@
+"""What packages register by entry point: a package that is broken, or takes a name that is taken."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from drivers.registry import loaded, registered
+from hil.control import named
+from hil.control.law import LawSettings
+
+
+def test_a_package_that_cannot_be_imported_is_refused_with_its_entry_point(monkeypatch):
+    entry = EntryPoint("broken", "no_such_package:Law", "hil.laws")
+    monkeypatch.setitem(registered("hil.laws"), "broken", entry)
+    with pytest.raises(ConfigurationError, match=r"hil\.laws: broken = no_such_package:Law .*uninstall"):
+        loaded("hil.laws", "broken")
+
+
+def test_two_packages_with_one_name_are_refused_with_both(tmp_path):
+    for name in ("first", "second"):
+        installed = tmp_path / f"{name}-1.dist-info"
+        installed.mkdir()
+        (installed / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+        (installed / "entry_points.txt").write_text(f"[hil.protocols]\nmine = {name}:Mine\n")
+    code = "from drivers.registry import registered; registered('hil.protocols')"
+    here = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    done = subprocess.run([sys.executable, "-c", code], env=here, capture_output=True, text=True, check=False)
+    assert "mine is registered as first:Mine (package first) and as second:Mine" in done.stderr
+
+
+def test_settings_of_a_law_without_a_name_get_that_of_the_entry_point():
+    class Mine(LawSettings):
+        gain: float
+
+    made = named("mine", Mine).model_validate({"law": "mine", "gain": 1.0})
+    assert isinstance(made, Mine)
+    with pytest.raises(ValueError, match="law"):
+        named("mine", Mine).model_validate({"law": "other", "gain": 1.0})
+
+
+def test_settings_that_are_not_of_a_law_are_refused():
+    with pytest.raises(ConfigurationError, match=r"law mine: .* not a subclass"):
+        named("mine", dict)

@@ -49,10 +49,10 @@ def whole_file(path: Path) -> Iterator[Path]:
     itself.
     Raises OSError, which names `path`: a full disk names none, and nobody knows the new file's name.
     """
-    target = real_path(path)
-    if target.exists() and not target.is_file():
-        yield target
+    if path.exists() and not path.is_file():
+        yield path
         return
+    target = real_path(path)
     try:
         with tempfile.NamedTemporaryFile(dir=target.parent, suffix=target.suffix, delete=False) as file:
             temporary = Path(file.name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any, TypeVar, cast
 
@@ -95,12 +95,23 @@ _extending.lower_cast(types.NestedArray, types.Array)(lambda _context, _builder,
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C and the end of a time budget back to the end: half a kernel would crash the process."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGALRM})
+    """Hold Ctrl-C and the end of a time budget back to the end: half a kernel would crash the process.
+
+    A mask would not do: the kernel gives a press to any thread that does not block it.
+    """
+    held: list[int] = []
+    handlers: dict[int, Any] = {}
+    with suppress(ValueError):  # not the main thread, in which alone handlers run
+        for number in (signal.SIGINT, signal.SIGALRM):
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda given, _: held.append(given))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for restored, handler in handlers.items():
+            signal.signal(restored, handler)
+    if held:
+        signal.raise_signal(held[0])
 
 
 def compiled(made: Any, function: Callable[..., Any], *signature: Any) -> Kept:

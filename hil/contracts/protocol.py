@@ -6,184 +6,35 @@ A protocol's test class gives `protocol` and `RESOLUTION`; see test_protocols.py
 from __future__ import annotations
 
 import pickle
-from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import Any
 
 import cantools
 import numpy as np
 import pytest
 
-from drivers.arrays import Array, Rows
 from drivers.can.bus_time import frame_bits
-from drivers.config import DriveSettings
 from drivers.errors import ProtocolError
 from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, received_array
-from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
-from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
-from drivers.tick_columns import Record, copy_of, new_record
-from hil.contracts.by_value import ByValue, Remembered
+from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, Frame, Received
+from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState
+from drivers.tick_columns import new_record
+from hil.contracts.by_value import ByValue
 from hil.contracts.drives_end import answers
+from hil.contracts.ends import (
+    FORCE,
+    LENGTH,
+    PATIENCE,
+    PERIOD_NS,
+    RATE,
+    SETUP,
+    Ends,
+    Twice,
+    at_tick,
+    reaction_of,
+    shapes,
+)
 from hil.contracts.messages import Sync
-from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.nodes import Nodes
-from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveSilence, FramesLoss
-from plant_fmu.faults.plan import FaultPlan
-
-PERIOD_NS = 4_000_000
-SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)
-LENGTH = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
-RATE = np.array([0.25, -0.25, 0.5, -0.5, 0.75, -0.75])
-FORCE = np.array([1000.0, -2000.0, 3000.0, 4.0, -60.0, 0.0])
-OFF = Command(DriveMode.OFF, np.zeros(LEGS))
-BEAT_TICKS = 6
-"""Between two heartbeats of a drive."""
-PATIENCE = 200
-"""Ticks within which a dialogue without losses is over."""
-
-
-class Given:
-    """A plant whose legs are where they are."""
-
-    internal_step_s = 1e-4
-
-    def reset(self) -> tuple[Array, Array]:
-        return LENGTH.copy(), RATE.copy()
-
-    def step(self, _force: Array, _brake: Array, _wrench: Array, _dt_s: float) -> tuple[Array, Array]:
-        return self.reset()
-
-    def truth(self) -> None:
-        return None
-
-    def applied_force(self) -> Array | None:
-        return None
-
-    def close(self) -> None:
-        """Nothing to free."""
-
-
-class Twice(ByValue):
-    """A protocol that is asked everything twice, and may neither answer differently nor change its input."""
-
-    def decode(
-        self, dialogue: Remembered, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
-    ) -> Remembered:
-        """As the others, but for the tick, which it fills."""
-        given, other = (dialogue, frames, last), copy_of(tick)
-        before = pickle.dumps(given)
-        first = super().decode(*given, other, since_ns)
-        again = super().decode(*given, tick, since_ns)
-        assert pickle.dumps(given) == before
-        assert (pickle.dumps(first), other.tobytes()) == (pickle.dumps(again), tick.tobytes())
-        return again
-
-
-def _checked(name: str) -> Callable[..., Any]:
-    method = getattr(ByValue, name)
-
-    def call(*given: Any) -> Any:
-        before = pickle.dumps(given[1:])
-        first = pickle.dumps(method(*given))
-        again = method(*given)
-        assert pickle.dumps(given[1:]) == before
-        assert pickle.dumps(again) == first
-        return again
-
-    return call
-
-
-for _name in ("begin", "command", "set_up", "legs_set_up", "set_up_lacks"):
-    setattr(Twice, _name, _checked(_name))
-
-
-def at_tick(tick: int) -> Any:
-    """Return the record of a tick before anything has been heard."""
-    record = new_record()
-    record["tick"] = tick
-    return record
-
-
-def reaction_of(protocol: Family | ByValue) -> Reaction:
-    """Return DAMP, or what the protocol's drives do instead."""
-    return Reaction.DAMP if Reaction.DAMP in protocol.traits.reactions else protocol.traits.reactions[0]
-
-
-class Ends:
-    """Controller's end and drives' end of one protocol. State: both, and what goes between them."""
-
-    def __init__(self, protocol: Family | ByValue, *faults: Fault, setup: DriveSetup | None = None) -> None:
-        self.protocol = ByValue.of(protocol)
-        if setup is None:
-            setup = DriveSetup(0.05, reaction_of(protocol), 1e9 / PERIOD_NS)
-        settings = DriveSettings(heartbeat_ms=1e-6 * BEAT_TICKS * PERIOD_NS)
-        emulation = DriveEmulation(encoder_resolution_m=0.0)
-        self.nodes = Nodes(Given(), self.protocol.protocol, emulation, settings, FaultPlan(faults))
-        self.dialogue = self.protocol.start(setup)
-        self.measurement = new_record()
-        self.tick = -1
-        self.to_controller: list[Received] = []
-        self.opening: tuple[Frame, ...] = ()
-        self.sent: tuple[Frame, ...] = ()
-        self.set_up: tuple[Frame, ...] = ()
-        self.received: list[Received] = []
-
-    def step(
-        self, command: Command = OFF, *, set_up: bool = True, first: Sequence[Frame] = ()
-    ) -> tuple[Frame, ...]:
-        """Pass one tick; return the frames of its set-up. `first` goes before the command."""
-        self.tick += 1
-        t_ns, protocol = self.tick * PERIOD_NS, self.protocol
-        self.opening = protocol.begin(self.dialogue, self.tick)
-        self._to_drives(t_ns + 100_000, self.opening)
-        self.received, self.to_controller = self.to_controller, []
-        last, self.measurement = self.measurement, at_tick(self.tick)
-        self.dialogue = protocol.decode(
-            self.dialogue, received_array(self.received), last, self.measurement, t_ns
-        )
-        self.dialogue, self.sent = protocol.command(self.dialogue, command, self.tick)
-        self.set_up = ()
-        if set_up:
-            self.dialogue, self.set_up = protocol.set_up(self.dialogue, self.measurement)
-        self._to_drives(t_ns + 2_000_000, (*first, *self.sent, *self.set_up))
-        return self.set_up
-
-    def _to_drives(self, t_ns: int, frames: Sequence[Frame]) -> None:
-        replies = self.nodes.step(t_ns, [Received(t_ns, frame) for frame in frames])
-        self.to_controller += [Received(t, frame) for t, frame in replies]
-
-    def until_set_up(self, legs: Sequence[int] = range(LEGS)) -> None:
-        """Lead the dialogue to its end."""
-        for _ in range(PATIENCE):
-            self.step()
-            there = self.protocol.legs_set_up(self.dialogue)
-            if all(there[leg] and self.measurement["drive_state"][leg] == DriveState.OFF for leg in legs):
-                return
-        raise AssertionError(f"not set up: {self.measurement}")
-
-    @property
-    def told_ticks(self) -> int:
-        """Ticks within which drives change their state and tell it: at once, or by the next heartbeat."""
-        return 3 + BEAT_TICKS * int(self.protocol.traits.power_told == "heartbeat")
-
-    def restart(self, force: Array = FORCE) -> None:
-        """Bring drives that are set up to RUN with a force."""
-        for mode in (DriveMode.READY, DriveMode.RUN):
-            for _ in range(self.told_ticks):
-                self.step(Command(mode, force), set_up=False)
-        assert self.measurement["drive_state"].tolist() == [DriveState.RUN] * LEGS
-
-    def running(self, force: Array = FORCE) -> None:
-        """Set the drives up and bring them to RUN with a force."""
-        self.until_set_up()
-        self.restart(force)
-
-
-def shapes(frames: Sequence[Frame], *, named: bool) -> Counter[tuple[int, int, int]]:
-    """Return how often each shape is there; not `named`: whatever its identifier."""
-    return Counter((frame.id if named else 0, len(frame.data), frame.flags) for frame in frames)
 
 
 class ProtocolContract:

@@ -100,7 +100,7 @@ def package(monkeypatch, tmp_path):
         return made
 
     begin.folder, begin.compiled = folder, []  # type: ignore[attr-defined]
-    monkeypatch.setattr(cache, "_watching", [begin.compiled.append])  # type: ignore[attr-defined]
+    monkeypatch.setattr(cache, "progress", begin.compiled.append)  # type: ignore[attr-defined]
     yield begin
     for remembered in (cache._sources_of, cache._content, cache._folder_of):
         remembered.cache_clear()

@@ -15,8 +15,8 @@ from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
+from hil.contracts.ends import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 from hil.contracts.messages import Answer, DeviceCommand, Status, Sync, UnwatchedCommand
-from hil.contracts.protocol import FORCE, LENGTH, OFF, PERIOD_NS, SETUP, Ends, at_tick
 from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
 from tests.drivers.cia402_drives import (

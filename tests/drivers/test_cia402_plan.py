@@ -14,8 +14,8 @@ from drivers.registry import loaded
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
+from hil.contracts.ends import SETUP, Ends
 from hil.contracts.messages import EmergencyStop
-from hil.contracts.protocol import SETUP, Ends
 from plant_fmu.drives.cia402_dictionary import signed
 from tests.drivers.cia402_drives import COUNTS, NODES, drives, holding, settings
 

@@ -16,7 +16,7 @@ from drivers.registry import loaded
 from drivers.signals import LEGS, Command, DriveMode
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
-from hil.contracts.protocol import SETUP, Ends
+from hil.contracts.ends import SETUP, Ends
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives, settings
 
 SIGN = (1, -1, 1, -1, 1, 1)

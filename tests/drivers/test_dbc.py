@@ -25,8 +25,8 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.drives_end import answers, reports
+from hil.contracts.ends import at_tick
 from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Rejected, Status, Sync
-from hil.contracts.protocol import at_tick
 from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, opening, parse
 from tests.drivers.test_crc import bitwise_crc16
 

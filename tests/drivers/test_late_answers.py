@@ -9,7 +9,7 @@ import pytest
 from drivers.frame_array import received_array
 from drivers.protocol import Received
 from drivers.signals import LEGS
-from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
+from hil.contracts.ends import PERIOD_NS, Ends, at_tick
 from tests.drivers.test_mit import run_protocols
 
 LEG = 2

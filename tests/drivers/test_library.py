@@ -54,7 +54,7 @@ def imported(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cache, "CACHE_FOLDER", folder)
-        patch.setattr(cache, "_watching", [compiled.append])
+        patch.setattr(cache, "progress", compiled.append)
         time.sleep(0.1)
         patch.setattr(cache, "BEGAN_NS", time.time_ns())  # as in a process that began after it was written
         assert again().twice(3.0) == 6.0

@@ -23,8 +23,8 @@ from drivers.signals import Command, DriveFault, DriveMode, DriveState, Foreign,
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue
 from hil.contracts.drives_end import answers
+from hil.contracts.ends import PERIOD_NS, Ends, Given, at_tick
 from hil.contracts.messages import Sync
-from hil.contracts.protocol import PERIOD_NS, Ends, Given, at_tick
 from hil.contracts.trouble import TroubleContract
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.mit import device_motion

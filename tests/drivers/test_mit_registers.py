@@ -11,8 +11,8 @@ from drivers.frame_array import received_array
 from drivers.mit.fields import Ranges
 from drivers.protocol import EXTENDED, Frame, Received
 from drivers.signals import LEGS
+from hil.contracts.ends import SETUP, at_tick, reaction_of
 from hil.contracts.messages import Answer, Rejected
-from hil.contracts.protocol import SETUP, at_tick, reaction_of
 from tests.drivers.motor_families import MitProtocol, RobStrideProtocol
 from tests.drivers.test_odrive import GEAR
 

@@ -21,8 +21,9 @@ from drivers.protocol import BRS, EXTENDED, FD, DriveSetup, Frame, Said
 from drivers.registry import loaded
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
+from hil.contracts.ends import PERIOD_NS, Ends, at_tick
 from hil.contracts.messages import Configure, DeviceCommand, Rejected, Sync
-from hil.contracts.protocol import PERIOD_NS, Ends, ProtocolContract, at_tick
+from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
 from tests.drivers import moteus_foreign as foreign
 from tests.drivers.moteus_ends import registers

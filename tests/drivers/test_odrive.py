@@ -21,8 +21,8 @@ from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState,
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import answers, reports
+from hil.contracts.ends import PERIOD_NS, Ends, at_tick
 from hil.contracts.messages import Configure, DeviceCommand, Rejected, Status, Sync
-from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODriveProtocol
 

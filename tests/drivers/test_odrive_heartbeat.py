@@ -12,8 +12,8 @@ from drivers.config import TransmissionSettings
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState
 from drivers.transmission import Transmission
-from hil.contracts.protocol import BEAT_TICKS, FORCE, OFF, PERIOD_NS
-from hil.contracts.trouble import READY, RESET, Line
+from hil.contracts.ends import BEAT_TICKS, FORCE, OFF, PERIOD_NS
+from hil.contracts.line import READY, RESET, Line
 from tests.drivers.motor_families import ODriveProtocol
 
 NODES = (0, 1, 2, 3, 5, 62)

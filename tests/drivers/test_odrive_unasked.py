@@ -18,7 +18,7 @@ from drivers.transmission import Transmission
 from hil.app.check.bus import answered_ns
 from hil.app.configuration.bus_budget import unasked_readings
 from hil.app.encoder_limits import encoder_limits
-from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
+from hil.contracts.ends import PERIOD_NS, Ends, at_tick
 from hil.loop.latches import checked
 from tests.drivers.motor_families import ODriveProtocol
 from tests.hil.lab.bringup.families import family

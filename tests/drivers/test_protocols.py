@@ -24,8 +24,9 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
+from hil.contracts.ends import Ends
 from hil.contracts.messages import DeviceCommand, hear
-from hil.contracts.protocol import Ends, ProtocolContract
+from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
 from hil.loop.clock import Deadlines
 from hil.loop.daemon import switch_off
@@ -222,7 +223,7 @@ def test_drives_whose_set_up_is_not_complete_are_named(row):
     [
         (
             [(NODES, f"protocol: hart\n  {NODES}")],
-            "drives.protocol: unknown value, allowed: legs, cia402, mit, moteus, odrive, stub, given: hart",
+            "drives.protocol: unknown value, allowed: cia402, legs, mit, moteus, odrive, stub, given: hart",
         ),
         (
             [(NODES, "node_ids: [1, 2, 3, 4, 5, 128]")],

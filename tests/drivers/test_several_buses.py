@@ -23,8 +23,8 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
+from hil.contracts.ends import Ends
 from hil.contracts.messages import Answer, Configure, DeviceCommand, Sync, hear
-from hil.contracts.protocol import Ends
 from plant_fmu.drives import drives_end
 from tests.drivers.cia402_drives import holding
 from tests.drivers.frames_heard import got

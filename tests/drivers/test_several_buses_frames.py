@@ -6,7 +6,7 @@ import pytest
 
 from drivers.protocol import BUS
 from drivers.signals import Command, DriveMode
-from hil.contracts.protocol import PERIOD_NS, Ends, shapes
+from hil.contracts.ends import PERIOD_NS, Ends, shapes
 from tests.drivers.test_several_buses import FORCE, ODD, family
 
 HEARTBEAT = 0x700 + 127

@@ -16,8 +16,8 @@ FEEDS_THE_CYCLE = sorted(
         *(HIL / "robot" / name for name in ("inertia.py", "joints.py")),
         *(HIL / "safety").glob("*.py"),
         *(HIL / "loop" / name for name in ("cycle.py", "motion.py", "reference.py")),
-        HIL / "stability/monitor.py",
-        HIL / "stability/error_dynamics.py",
+        HIL / "design/stability/monitor.py",
+        HIL / "design/stability/error_dynamics.py",
         HIL / "app/configuration/platform.py",
     ]
 )

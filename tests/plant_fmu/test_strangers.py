@@ -15,7 +15,7 @@ from drivers.family import Family
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign, Reaction
-from hil.contracts.protocol import PERIOD_NS, Ends, at_tick
+from hil.contracts.ends import PERIOD_NS, Ends, at_tick
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.gateway import Gateway
 from plant_fmu.faults import stranger

@@ -25,25 +25,23 @@ NICE = 10
 """A tenth of the share of those who compute for the run; at 19 the page starves on a busy machine."""
 _HTML, _CSS, _JS = (f"text/{kind}; charset=utf-8" for kind in ("html", "css", "javascript"))
 _ASSETS = {
-    "/": ("watch", "watch.html", _HTML),
-    "/watch.css": ("watch", "watch.css", _CSS),
-    "/watch.js": ("watch", "watch.js", _JS),
-    "/rolling.js": ("watch", "rolling.js", _JS),
-    "/operate.js": ("watch", "operate.js", _JS),
-    "/scene.js": ("report", "scene.js", _JS),
-    "/uPlot.js": ("report", "uPlot.iife.min.js", _JS),
-    "/uPlot.css": ("report", "uPlot.min.css", _CSS),
-    "/uPlot-licence.txt": ("report", "uPlot-LICENSE.txt", "text/plain; charset=utf-8"),
+    "/": ("watch.html", _HTML),
+    "/watch.css": ("watch.css", _CSS),
+    "/watch.js": ("watch.js", _JS),
+    "/rolling.js": ("rolling.js", _JS),
+    "/operate.js": ("operate.js", _JS),
+    "/scene.js": ("scene.js", _JS),
+    "/uPlot.js": ("uPlot.iife.min.js", _JS),
+    "/uPlot.css": ("uPlot.min.css", _CSS),
+    "/uPlot-licence.txt": ("uPlot-LICENSE.txt", "text/plain; charset=utf-8"),
 }
-"""Path -> package below hil.app, file, media type."""
+"""Path -> file, media type."""
 
 
 def assets() -> dict[str, tuple[bytes, str]]:
-    """Return all that the page is made of: path -> content, media type."""
-    return {
-        path: (importlib.resources.files(f"hil.app.{package}").joinpath("assets", name).read_bytes(), media)
-        for path, (package, name, media) in _ASSETS.items()
-    }
+    """All that the page is made of: path -> content, media type."""
+    folder = importlib.resources.files("hil.app.watch").joinpath("assets")
+    return {path: (folder.joinpath(name).read_bytes(), media) for path, (name, media) in _ASSETS.items()}
 
 
 def watch(

@@ -21,11 +21,13 @@ from hil.study.report.samples import packed, thin
 STYLES = ("uPlot.min.css", "report.css")
 SCRIPTS = ("uPlot.iife.min.js", "scene.js", "report.js")
 LICENCE = "uPlot-LICENSE.txt"
+SHARED = {"scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
 
 
 def asset(name: str) -> str:
-    """Return a file of the folder assets."""
-    return importlib.resources.files("hil.study.report").joinpath("assets", name).read_text("utf-8")
+    """Content of a file of the report's assets, or of those that the live page has, too."""
+    room = "hil.app.watch" if name in SHARED else "hil.study.report"
+    return importlib.resources.files(room).joinpath("assets", name).read_text("utf-8")
 
 
 def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:

@@ -56,7 +56,7 @@ def ring(radius):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
-    script = importlib.resources.files("hil.study.report").joinpath("assets", "scene.js").read_text("utf-8")
+    script = importlib.resources.files("hil.app.watch").joinpath("assets", "scene.js").read_text("utf-8")
     (folder / "scene.html").write_text(PAGE.replace("SCRIPT", script), encoding="utf-8")
     with Browser() as browser:
         browser.open(folder / "scene.html")

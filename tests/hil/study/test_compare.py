@@ -146,7 +146,7 @@ def test_without_a_controller_for_the_rate_there_is_no_designed_law_by_default(v
 
 
 def test_a_law_that_is_none_is_refused_with_those_that_are(virtual):
-    with pytest.raises(ConfigurationError, match="no law lqr; there are pd, "):
+    with pytest.raises(ConfigurationError, match="no law lqr; there are cartesian_pd, "):
         chosen(virtual, ["pd", "lqr"])
 
 
@@ -460,7 +460,7 @@ def test_when_the_own_law_faults_the_exit_code_says_so(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--laws", "lqr"), "no law lqr; there are pd, "),
+        (("--laws", "lqr"), "no law lqr; there are cartesian_pd, "),
         (("--laws", ","), "Invalid value for '--laws': no name in it"),
         (("--duration", "nan"), "'nan' is not a finite number"),
         (("--inertia-scale", "inf"), "'inf' is not a finite number"),

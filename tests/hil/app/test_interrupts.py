@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -25,7 +26,8 @@ from hil.study import workers
 
 
 def press():
-    os.kill(os.getpid(), signal.SIGINT)
+    """Of the one thread that a command has; the runner of the tests has another one."""
+    signal.pthread_kill(threading.get_ident(), signal.SIGINT)
 
 
 @pytest.fixture(autouse=True)

@@ -139,6 +139,7 @@ def read_by_moteus() -> list[float]:
     return asyncio.run(read())
 
 
+@pytest.mark.long  # a plant in Python is late on a slow machine, and the master gives up
 @pytest.mark.realtime(patient=True)
 def test_a_canopen_master_moves_a_leg_of_an_fmu_of_somebody_else_and_reads_its_length(
     tmp_path, monkeypatch, capsys, foreign

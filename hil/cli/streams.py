@@ -1,7 +1,7 @@
 """Standard output and error of a process: no print fails at a full disk or a terminal that has gone.
 
 What cannot be written is dropped, and costs no result: one line reports it at the end, and the exit code is
-no success. A pipe that nobody reads any more, as that of `hil check | head -1`, ends the command quietly.
+no success. A pipe without a reader, as that of `hil check | head -1`, ends the command quietly.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ class Stream(io.FileIO):
         self.trouble = ""
 
     def write(self, data: Any) -> int:
-        """Write, or drop what cannot be written. Raises SystemExit, once, where nobody reads a pipe."""
+        """Write; what fails is dropped. Raises SystemExit, once, for a pipe without a reader."""
         try:
             if not self.trouble:
                 return super().write(data)

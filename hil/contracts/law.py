@@ -24,7 +24,7 @@ from hil.trajectory.path import PoseSample
 
 
 class LawContract:
-    """The suite: `settings`, or a fixture `law`, and where it matters a robot of one's own."""
+    """The suite: `settings`, or a fixture `law`, and a fixture `platform` for another robot."""
 
     settings: ClassVar[LawSettings]
 

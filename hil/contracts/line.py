@@ -61,7 +61,7 @@ class Line(Ends):
         return [int(state) for state in self.measurement["drive_state"]]
 
     def alone(self, ticks: int) -> None:
-        """Let the drives live without a controller; nobody hears them."""
+        """Let the drives run without a controller; their frames are lost."""
         for _ in range(ticks):
             self.tick += 1
             self._to_drives(self.tick * PERIOD_NS, ())

@@ -174,7 +174,7 @@ _KEYS = ("leg", "other", "third", "value")
 
 
 def mistake_of(words: str) -> Mistake:
-    """Return a mistake. Raises ConfigurationError for words that are none."""
+    """Return a mistake. Raises ConfigurationError for an unknown mistake."""
     name, *rest = words.split() or [""]
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
@@ -194,7 +194,7 @@ def mistake_of(words: str) -> Mistake:
 
 
 def _given(words: str, rest: Sequence[str]) -> dict[str, float]:
-    """Return the numbers by their keys. Raises ConfigurationError for the first word that is none."""
+    """Numbers by their keys. Raises ConfigurationError for the first word that is not one."""
     given: dict[str, float] = {}
     for word in rest:
         key, _, text = word.partition("=")

@@ -61,7 +61,7 @@ def lines_of(success: bool, *words: str) -> list[str]:
 def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
     """Mark the file before legs are moved by hand; where there is none there is nothing to mark.
 
-    Raises ConfigurationError for a file that is no homing file of this robot, or cannot be written.
+    Raises ConfigurationError for a file that is not a homing file of this robot, or cannot be written.
     """
     path = None if c.drives.homing is None else homing_path(c, emulated=False)
     if path is None or not path.exists():

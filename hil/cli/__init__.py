@@ -44,6 +44,7 @@ COMMANDS = {
     "faults": "Each kind of fault at each moment of a run, with verdicts.",
     "campaign": "Many runs with keys swept: how often it fails, and where.",
     "stability": "What can be proven of the law, with bounds; nothing moves.",
+    "prove": "Stability of a system of your own, by a Lyapunov function.",
     "ctl": "The operator's commands to a running controller: hold, start, park, key ...",
     "setpoint": "Send a live reference somewhere while it runs.",
     "homing": "Where the legs were parked, for motors that forget their turns.",

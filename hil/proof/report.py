@@ -5,6 +5,7 @@ A V that proves nothing says nothing of the system, so the two never speak for e
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import sympy as sp
 
@@ -103,6 +104,30 @@ class Report:
     boxes: int
     """Cells of the budget that were looked at."""
 
+    def figures(self) -> dict[str, Any]:
+        """Give the report as JSON takes it, expressions as text; `success`: V is valid."""
+        c, e = self.certificate, self.equilibrium
+        return {
+            "kind": "proof",
+            "success": c.status is Certificate.VALID,
+            "certificate": c.status.value,
+            "proposed_V": _text(c.V),
+            "V_dot": _text(c.V_dot),
+            "decrease": None if c.decrease is None else c.decrease.value,
+            "counterexample": None if c.at is None else {str(x): str(value) for x, value in c.at.items()},
+            "reason": c.reason,
+            "equilibrium": e.status.value,
+            "by": e.by,
+            "asymptotic_stability": e.asymptotic.value,
+            "box": None
+            if e.box is None
+            else {str(x): [str(end) for end in side] for x, side in e.box.items()},
+            "level": _text(e.level),
+            "linearisation": self.linearisation.value,
+            "parameters": {str(p): [str(end) for end in side] for p, side in self.parameters.items()},
+            "boxes": self.boxes,
+        }
+
     def __str__(self) -> str:
         c, e = self.certificate, self.equilibrium
         lines = [f"certificate: {c.status.value}{_where(c.at)}"]
@@ -126,6 +151,10 @@ class Report:
         if self.parameters:
             lines.append("for all " + ", ".join(_range(p, *side) for p, side in self.parameters.items()))
         return "\n".join(lines)
+
+
+def _text(e: sp.Expr | None) -> str | None:
+    return None if e is None else str(e)
 
 
 def _range(p: sp.Symbol, low: sp.Expr, high: sp.Expr) -> str:

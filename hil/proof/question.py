@@ -1,0 +1,144 @@
+"""A question to the verifier as a file states it: states, their derivatives, V and where V is claimed.
+
+An expression is text in a small grammar: numbers, names, + - * / **, brackets and the functions of FUNCTIONS.
+It is taken apart as a tree; nothing of it is evaluated.
+"""
+
+import ast
+import operator
+from collections.abc import Callable, Mapping
+from decimal import Decimal
+from typing import Annotated, Literal, TypeVar
+
+import sympy as sp
+from pydantic import AfterValidator, Field, StringConstraints
+
+from drivers.section import Section
+from hil.proof import interval
+from hil.proof.budget import Budget
+from hil.proof.report import Report
+from hil.proof.theorems import verify
+
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+LONGEST = 4000
+"""Characters of an expression, and digits of a power of numbers."""
+LARGEST = 300
+"""Decimal exponent of a number."""
+FUNCTIONS: dict[str, Callable[[sp.Expr], sp.Expr]] = {
+    **{function.__name__.lower(): function for function in interval.FUNCTIONS},
+    "sqrt": sp.sqrt,
+    "sign": sp.sign,
+}
+CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi, "e": sp.E}
+_OPERATORS: dict[type, Callable[..., sp.Expr]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+_SIZES = f"allowed: numbers up to 1e{LARGEST}, powers of numbers of up to {LONGEST} digits"
+_ALLOWED = f"allowed: numbers, names, + - * / ** ( ), {', '.join(sorted(FUNCTIONS))}"
+
+
+def expression(text: str | float) -> sp.Expr:
+    """Parse an expression of the grammar above; a name is a symbol, `pi` and `e` are the constants.
+
+    Raises ValueError for all else.
+    """
+    text = str(text)
+    if len(text) > LONGEST:
+        raise ValueError(f"{len(text)} characters, allowed: up to {LONGEST}")
+    try:
+        return _built(ast.parse(text.strip(), mode="eval").body, text.strip())
+    except (SyntaxError, RecursionError, MemoryError):
+        raise ValueError(f"{text[:60]!r} is not an expression, {_ALLOWED}") from None
+
+
+def _built(node: ast.expr, text: str) -> sp.Expr:
+    match node:
+        case ast.Constant(value=int() | float()) if not isinstance(node.value, bool):
+            return _number(ast.get_source_segment(text, node) or "")
+        case ast.Name(id=name) if name not in FUNCTIONS:
+            return CONSTANTS.get(name) or sp.Symbol(name)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            a, b = _built(left, text), _built(right, text)
+            if isinstance(op, ast.Div) and b == 0:
+                raise ValueError(f"{ast.unparse(node):.60} divides by zero")
+            if isinstance(op, ast.Pow) and a.is_Rational and b.is_Rational and not _held(a, b):
+                raise ValueError(f"{ast.unparse(node):.60} is out of range, {_SIZES}")
+            return _OPERATORS[type(op)](a, b)
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_built(operand, text))
+        case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
+            return FUNCTIONS[name](_built(argument, text))
+    raise ValueError(f"{ast.unparse(node):.60} is not in the grammar, {_ALLOWED}")
+
+
+def _held(a: sp.Rational, b: sp.Rational) -> bool:
+    """Tell whether a power of numbers is finite and short enough."""
+    if a == 0:
+        return bool(b >= 0)
+    return bool(max(a.p.bit_length(), a.q.bit_length()) * abs(b) <= 4 * LONGEST)
+
+
+def _number(text: str) -> sp.Expr:
+    try:
+        number = Decimal(text)
+    except ArithmeticError:
+        raise ValueError(f"{text:.60} is not a decimal number, {_ALLOWED}") from None
+    if number and abs(number.adjusted()) > LARGEST:
+        raise ValueError(f"{text:.60} is out of range, {_SIZES}")
+    return sp.Rational(str(number))
+
+
+def _checked(text: str | float) -> str | float:
+    expression(text)
+    return text
+
+
+Expression = Annotated[str | float, AfterValidator(_checked)]
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=50)]
+Range = tuple[Expression, Expression]
+
+
+class Question(Section):
+    """A file of `hil prove`."""
+
+    kind: Literal["proof"]
+    states: Annotated[dict[Name, Expression], Field(min_length=1)]
+    """State -> its time derivative."""
+    V: Expression | None = None
+    """Lyapunov candidate; without it one is proposed from the linearisation."""
+    at: dict[Name, Expression] = {}
+    """Equilibrium; a state that is missing is 0 there."""
+    box: dict[Name, Range] = {}
+    """Where V is claimed; a state that is missing is unbounded."""
+    parameters: dict[Name, Range] = {}
+    """Ranges of parameters; a parameter that is missing is any positive number."""
+    boxes: Annotated[int, Field(gt=0)] = 40_000
+    """Cells that the search may look at."""
+    seconds: Annotated[float, Field(gt=0)] = 15.0
+    """Longest search."""
+
+    def answer(self) -> Report:
+        """Ask the verifier. Raises ModelError, as `verify`."""
+        return verify(
+            _each(self.states, expression),
+            None if self.V is None else expression(self.V),
+            at=_each(self.at, expression),
+            box=_each(self.box, _ends),
+            parameters=_each(self.parameters, _ends),
+            budget=Budget(self.boxes, self.seconds),
+        )
+
+
+def _each(values: Mapping[str, Given], make: Callable[[Given], Made]) -> dict[sp.Symbol, Made]:
+    return {sp.Symbol(name): make(value) for name, value in values.items()}
+
+
+def _ends(ends: tuple[str | float, str | float]) -> tuple[sp.Expr, sp.Expr]:
+    return expression(ends[0]), expression(ends[1])

@@ -74,6 +74,8 @@ REFERENCE_CSV = "reference.csv"
 """Attachment of a log: the samples of its reference."""
 CONTROLLER_FILE = "controller.yaml"
 """Attachment of a log: the controller of law `state_space`."""
+LAW_FILE = "law.py"
+"""Attachment of a log: the source of a law in a file."""
 FEEDFORWARD_CSV = "feedforward.csv"
 """Attachment of a log: the learned feed-forward."""
 REFERENCE_PLAN = "reference.npy"
@@ -345,6 +347,7 @@ def record(
             "protocol": c.drives.protocol,
             "protocol_version": protocol_version(c),
             **({RUN: run} if run else {}),
+            **({} if c.law_file is None else c.law_file.described()),
         },
         scene=build_scene(c),
         can_channel=[each.channel for each in c.bus.buses],
@@ -390,6 +393,8 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     if isinstance(configuration.controller, StateSpaceSettings):
         path = controller_path(configuration.controller, configuration.folder)
         files.append((CONTROLLER_FILE, read_regular(path)))
+    if configuration.law_file is not None:
+        files.append((LAW_FILE, configuration.law_file.source))
     if configuration.feedforward is not None:
         path = feedforward_path(configuration.feedforward, configuration.folder)
         files.append((FEEDFORWARD_CSV, read_regular(path, MOST_BYTES)))

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import HilError, LogError
+from drivers.files import read_regular
 from drivers.tick_columns import RECORDED
-from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
+from hil.app.compose import LAW_FILE, REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.law_file import PATH, UnreadLaw, run_law
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import reason
 from hil.app.readable import MOST_RATE_HZ, lacking
@@ -66,11 +68,13 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     return log, run
 
 
-def open_replayable(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
+def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[str, Any], Configuration]:
     """Return a log that this version can replay, what it says of the run, and its configuration.
 
-    Raises LogError for a file that is no log of `hil run` or `hil sim`, and for one of other columns or
-    another protocol.
+    A law in a file is that of the disk where the log carries the same, or with `trust_code` the log's.
+
+    Raises LogError for a file that is no log of `hil run` or `hil sim`, and for one of other columns, of
+    another protocol or of a law that is not on the disk.
     """
     log, run = _open(path)
     difference = other_columns(log.columns)
@@ -81,20 +85,46 @@ def open_replayable(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
     if changed:
         name, text = changed[0]
         raise _other_version(log, f"{_versions(log, name, text)}it was made with another {name}", "replay")
-    return log, run, configuration
+    return log, run, law_of_log(configuration, log, run, trust_code=trust_code)
+
+
+def law_of_log(c: Configuration, log: Log, run: dict[str, Any], *, trust_code: bool) -> Configuration:
+    """Return a log's configuration with its law, where that is a file.
+
+    Raises LogError where the disk has not the file that the log carries, unless `trust_code`.
+    """
+    if not isinstance(c.controller, UnreadLaw):
+        return c
+    if LAW_FILE not in log.attachments:
+        raise LogError(f"{log.path}: its law is {c.controller.law}, and the log does not carry that file")
+    source, path = log.attachments[LAW_FILE], Path(run.get(PATH, ""))
+    if not trust_code and not _holds(path, source):
+        raise LogError(
+            f"{log.path}: its law is code, and {path} is not the file that the log carries ({LAW_FILE}, "
+            f"{len(source)} bytes). Restore the file; or read the code (`mcap get attachment`), then add "
+            "--trust-code"
+        )
+    return c.with_law(run_law(c.controller.law, source, path))
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    try:
+        return read_regular(path, len(content)) == content
+    except OSError:
+        return False
 
 
 def replay_log(
-    path: Path, progress: Callable[[int], None] | None = None
+    path: Path, progress: Callable[[int], None] | None = None, *, trust_code: bool = False
 ) -> tuple[Comparison, dict[str, Any]]:
     """Replay a log of `hil run` or `hil sim`; return the comparison and its summary.
 
-    `progress` is called with the number of ticks done, every thousand.
+    `progress` is called with the number of ticks done, every thousand; `trust_code` as `open_replayable`.
 
     Raises LogError for a file that is no such log, and for one of other columns or another protocol; OSError
     where the files that it carries cannot be written to the disk of temporary files.
     """
-    log, run, configuration = open_replayable(path)
+    log, run, configuration = open_replayable(path, trust_code=trust_code)
     with attached(configuration, log.attachments) as configuration:
         plan = log.attachments.get(REFERENCE_PLAN)
         last_pose = recorded(path, log.attachments.get(HOMING_JSON))

@@ -69,6 +69,11 @@ from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, reporti
     metavar="FILE",
     help="With --suite: a case a log as JUnit XML; an earlier one goes.",
 )
+@click.option(
+    "--trust-code",
+    is_flag=True,
+    help="Run a law in a file as the log carries it, if the disk has another one.",
+)
 @reporting
 def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
@@ -99,7 +104,7 @@ def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     if form == "--what-if":
         replay_forms.what_if(log, given, json_file)
     else:
-        _replay(log, json_file)
+        _replay(log, json_file, trust_code=given["trust_code"])
 
 
 def _whole(log: Path, salvage: Path | None) -> Path:
@@ -123,12 +128,12 @@ def _whole(log: Path, salvage: Path | None) -> Path:
     return salvage
 
 
-def _replay(log: Path, json_file: Path | None) -> None:
+def _replay(log: Path, json_file: Path | None, *, trust_code: bool) -> None:
     from hil.app.replay import replay_log
     from hil.app.terminal import one_line
 
     with replay_forms.counted_ticks() as progress:
-        comparison, summary = replay_log(log, progress)
+        comparison, summary = replay_log(log, progress, trust_code=trust_code)
     for difference in comparison.first:
         click.echo(one_line(f"hil: {difference}"), err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}

@@ -76,6 +76,7 @@ def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
             picture=given["picture"],
             out=given["out"],
             progress=progress,
+            trust_code=given["trust_code"],
         )
     show.tables(result)
     show_lines(show.story(result))

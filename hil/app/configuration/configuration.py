@@ -19,6 +19,7 @@ from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.fault_rules import cannot_serve
+from hil.app.configuration.law_file import LawFile, UnreadLaw, is_file, read_law
 from hil.app.configuration.magnitudes import beyond_reason
 from hil.app.configuration.plant_step import fitted
 from hil.app.configuration.text_file import read_configuration
@@ -72,6 +73,7 @@ class Configuration(Section):
     _text: str = PrivateAttr("")
     _source: str = PrivateAttr("")
     _folder: Path = PrivateAttr(Path())
+    _law_file: LawFile | None = PrivateAttr(None)
 
     @property
     def text(self) -> str:
@@ -87,6 +89,24 @@ class Configuration(Section):
     def folder(self) -> Path:
         """Base of relative paths."""
         return self._folder
+
+    @property
+    def law_file(self) -> LawFile | None:
+        """The file of a law in one file."""
+        return self._law_file
+
+    def with_law(self, file: LawFile) -> "Configuration":
+        """Return the configuration of a log with the law that its section `controller` belongs to.
+
+        Raises ConfigurationError where the law refuses the keys of this section.
+        """
+        try:
+            controller = file.settings.model_validate_json(self.controller.model_dump_json(), strict=True)
+        except ValidationError as error:
+            raise ConfigurationError(f"{file.path}: refuses section controller of the log: {error}") from None
+        changed = self.model_copy(update={"controller": controller})
+        changed._law_file = file  # noqa: SLF001
+        return changed
 
     def require(self, command: Command) -> None:
         """Refuse what cannot serve `command`.
@@ -153,15 +173,18 @@ def load(path: str | Path) -> Configuration:
 def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Configuration:
     """Read a configuration from text; `name` stands for the file in messages.
 
-    Without `folder`, files that the configuration names (CSV, FMU) are not looked for.
+    Without `folder`, files that the configuration names (CSV, FMU, a law's) are not looked for.
     Raises ConfigurationError with all problems found.
     """
     document = parse(text)
     found = list(document.problems)
     sections: dict[str, Any] = {}
+    file = None
     if document.value is not None:
+        file, law = _law(document, folder, found)
         for field, info in Configuration.model_fields.items():
-            sections |= _section(field, info, document, found)
+            kind = law if field == "controller" and law is not None else _ALONE[field]
+            sections |= _section(field, info, document, found, kind)
         found += _unknown_sections(document)
         told = {problem.path for problem in found}
         absurd = [problem for problem in beyond_reason(document) if problem.path not in told]
@@ -170,8 +193,10 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
             found += _together(sections, document, folder)
     if found:
         raise ConfigurationError(*lines(found, name))
-    configuration = Configuration(**({"name": short_name(name)} | sections))
+    # each section is valid; the law of a file is none of the union's
+    configuration = Configuration.model_construct(**({"name": short_name(name)} | sections))
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
+    configuration._law_file = file  # noqa: SLF001
     return configuration
 
 
@@ -188,7 +213,30 @@ def _together(sections: dict[str, Any], document: Document, folder: Path | None)
     ]
 
 
-def _section(field: str, info: FieldInfo, document: Document, found: list[Problem]) -> dict[str, Any]:
+def _law(
+    document: Document, folder: Path | None, found: list[Problem]
+) -> tuple[LawFile | None, type[Section] | None]:
+    """Return the file of a law in a file, and section `controller` of that law as a model of its own.
+
+    Without a folder the configuration is that of a log: its law stays unread.
+    """
+    section = (document.value or {}).get("controller")
+    law = section.get("law") if isinstance(section, dict) else None
+    if not is_file(law):
+        return None, None
+    file = None
+    try:
+        file = None if folder is None else read_law(law, folder)
+    except ConfigurationError as error:
+        place = ("controller", "law")
+        found.append(Problem(document.value_position(place), place, str(error)))
+    settings = UnreadLaw if file is None else file.settings
+    return file, create_model("controller", __base__=Section, controller=(settings, ...))
+
+
+def _section(
+    field: str, info: FieldInfo, document: Document, found: list[Problem], kind: type[Section]
+) -> dict[str, Any]:
     """Validate one section; a missing one with a default is not in the result's text but is valid."""
     assert document.value is not None
     if field not in document.value:
@@ -200,10 +248,11 @@ def _section(field: str, info: FieldInfo, document: Document, found: list[Proble
     text = json.dumps({field: document.value[field]})
     try:
         # JSON, because its strict mode takes a list for a tuple but no text and no boolean for a number.
-        return {field: getattr(_ALONE[field].model_validate_json(text, strict=True), field)}
+        return {field: getattr(kind.model_validate_json(text, strict=True), field)}
     except ValidationError as error:
         already = {p.path for p in document.problems}
-        for problem in translate.problems(error, document, json_schema()):
+        schema = json_schema() if kind is _ALONE[field] else kind.model_json_schema()
+        for problem in translate.problems(error, document, schema):
             if problem.path not in already:
                 found.append(problem)
         return {}

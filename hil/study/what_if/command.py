@@ -26,7 +26,7 @@ from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import further, log_path
 from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
-from hil.app.replay import open_replayable
+from hil.app.replay import law_of_log, open_replayable
 from hil.app.terminal import one_line
 from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import LiveReference, SampledReference
@@ -61,6 +61,7 @@ def what_if_log(
     picture: Path | None = None,
     out: Path | None = None,
     progress: Callable[[int], None] | None = None,
+    trust_code: bool = False,
 ) -> dict[str, Any]:
     """Give the controller of another configuration the inputs of a log, and return what it answers.
 
@@ -75,8 +76,9 @@ def what_if_log(
         new_picture(picture)
     if out is not None:
         log_path("", "", out)
-    log, run, own = open_replayable(path)
+    log, run, own = open_replayable(path, trust_code=trust_code)
     here = changed(own if config is None else load(config), words, own=config is None)
+    here = law_of_log(here, log, run, trust_code=trust_code)
     refuse_other_inputs(own, here, run["rate_Hz"])
     forces = None if picture is None else Forces()
     with contextlib.ExitStack() as stack:

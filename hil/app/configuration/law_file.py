@@ -1,0 +1,86 @@
+"""A law in one Python file: `controller.law: ./my_law.py:MyLaw`, its path from the configuration's folder."""
+
+import hashlib
+import re
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from pydantic import ConfigDict
+
+from drivers.errors import ConfigurationError
+from drivers.files import read_regular
+from hil.control import named
+from hil.control.law import Law, LawContext, LawSettings
+
+PATH = "law_path"
+"""Key of a log's metadata: where the file of its law was."""
+_NAMED = re.compile(r".+\.py:[A-Za-z_]\w*")
+
+
+class UnreadLaw(LawSettings):
+    """Section `controller` of a log whose law is a file: the keys as they are. The file has not been run."""
+
+    model_config = ConfigDict(extra="allow")
+
+    def build(self, context: LawContext) -> Law:
+        """Refuse: a log may be a stranger's. Raises ConfigurationError."""
+        del context
+        raise ConfigurationError(
+            f"controller.law: {self.law} is code in a file, and only `hil replay` runs the law of a log"
+        )
+
+
+class LawFile(NamedTuple):
+    """The file of a law, which has been run, and its settings."""
+
+    path: Path
+    source: bytes
+    settings: type[LawSettings]
+
+    def described(self) -> dict[str, str]:
+        """Return what a log states of it beside its source."""
+        return {PATH: str(self.path.resolve()), "law_sha256": hashlib.sha256(self.source).hexdigest()}
+
+
+def is_file(law: object) -> bool:
+    """Tell whether `controller.law` is a class in a file."""
+    return isinstance(law, str) and _NAMED.fullmatch(law) is not None
+
+
+def read_law(law: str, folder: Path) -> LawFile:
+    """Run the file of a law. Raises ConfigurationError where it cannot be read, and as `run_law`."""
+    path = folder / law.rpartition(":")[0]
+    try:
+        source = read_regular(path)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}") from None
+    return run_law(law, source, path)
+
+
+def run_law(law: str, source: bytes, path: Path) -> LawFile:
+    """Run the source of a law, once a process.
+
+    Raises ConfigurationError where it fails, or has no subclass of LawSettings of this name.
+    """
+    name = law.rpartition(":")[2]
+    settings: Any = getattr(_module(source, path), name, None)
+    if settings is None:
+        raise ConfigurationError(f"{path}: has no class {name}")
+    return LawFile(path, source, named(law, settings))
+
+
+def _module(source: bytes, path: Path) -> ModuleType:
+    name = f"hil_law_{hashlib.sha256(source).hexdigest()[:16]}"
+    if name not in sys.modules:
+        module = sys.modules[name] = ModuleType(name)
+        module.__file__ = str(path)
+        try:
+            exec(compile(source, str(path), "exec"), module.__dict__)  # noqa: S102 - the user's own law
+        except Exception as error:
+            del sys.modules[name]
+            line = traceback.extract_tb(error.__traceback__)[-1].lineno
+            raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
+    return sys.modules[name]

@@ -10,9 +10,14 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, Literal, TypeVar, get_args
+
+from pydantic import create_model
 
 from drivers.errors import ConfigurationError
+from drivers.section import Section
+
+Kind = TypeVar("Kind", bound=Section)
 
 
 @cache
@@ -47,6 +52,34 @@ def loaded(group: str, name: str) -> Any:
             f"{group}: {name} = {entry.value} of package {_package(entry)} cannot be loaded: "
             f"{type(error).__name__}: {error}; correct the package, or uninstall it"
         ) from error
+
+
+def sections(group: str, base: type[Kind], field: str) -> dict[str, type[Kind]]:
+    """Load the registered sections of the configuration, by name; `field` is the key that has the name.
+
+    Raises ConfigurationError as `loaded` and `named`.
+    """
+    return {name: named(name, loaded(group, name), base, field) for name in registered(group)}
+
+
+def named(name: str, section: Any, base: type[Kind], field: str) -> type[Kind]:
+    """Class of a section, with `name` as the only value of its key `field`.
+
+    Raises ConfigurationError for what is not a subclass of `base`, or has another name.
+    """
+    if not (isinstance(section, type) and issubclass(section, base)):
+        raise ConfigurationError(
+            f"{field} {name}: {section!r} is not a subclass of {base.__module__}.{base.__name__}"
+        )
+    own = get_args(section.model_fields[field].annotation)
+    if own and own != (name,):
+        raise ConfigurationError(
+            f"{field} {name}: {section.__qualname__}.{field} is {own[0]}; give both one name"
+        )
+    if own:
+        return section
+    fields: Any = {field: (Literal[name], ...)}
+    return create_model(section.__name__, __base__=section, **fields)
 
 
 def _package(entry: EntryPoint) -> str:

@@ -1,9 +1,10 @@
 """Configuration section `plant`: the other end of a virtual bus."""
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, Union
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
+from drivers.registry import sections
 from drivers.section import Section
 from plant_fmu.faults import AnyFault
 
@@ -39,10 +40,19 @@ class DriveEmulation(Section):
     """From the command to a brake that holds; until then the drive keeps its last force. 0: at once."""
 
 
-class StewartPlant(Section):
+class PlantModel(Section):
+    """Section `plant.model` of one kind of plant, an entry point of the group `hil.plants`."""
+
+    type: str
+    opens: ClassVar[str]
+    """`module:function` that opens the plant from this section, the robot and the configuration's folder."""
+
+
+class StewartPlant(PlantModel):
     """Our FMU: the platform of section `platform` with drives, friction, brakes and end stops."""
 
     type: Literal["stewart"]
+    opens = "plant_fmu.plants:stewart"
     fmi_version: Literal["2.0", "3.0"] = "3.0"
     isolation: Literal["in_process", "child_process"] = "in_process"
     force_bandwidth_Hz: Bandwidth = 200.0
@@ -58,10 +68,11 @@ class StewartPlant(Section):
     100 us."""
 
 
-class BenchPlant(Section):
+class BenchPlant(PlantModel):
     """Six uncoupled legs, m x'' + b x'|x'| + k0 x + k1 x^3 = f: for commissioning drives."""
 
     type: Literal["bench"]
+    opens = "plant_fmu.plants:bench"
     mass_kg: Annotated[float, Field(gt=0)] = 200.0
     damping_N_s2_m2: Annotated[float, Field(ge=0)] = 500.0
     stiffness_N_m: Annotated[float, Field(ge=0)] = 5_000.0
@@ -71,10 +82,11 @@ class BenchPlant(Section):
     """As that of `stewart`."""
 
 
-class FmuPlant(Section):
+class FmuPlant(PlantModel):
     """Any co-simulation FMU, with a map from our six legs to its variables."""
 
     type: Literal["fmu"]
+    opens = "plant_fmu.plants:fmu"
     path: str
     """The .fmu file, relative to the configuration file."""
     isolation: Literal["in_process", "child_process"] = "child_process"
@@ -194,10 +206,19 @@ class SensorEmulation(Section):
     wrench: WrenchEmulation = WrenchEmulation()
 
 
+PLANTS = sections("hil.plants", PlantModel, "type")
+"""`plant.model.type` of the configuration -> its section."""
+
+if TYPE_CHECKING:
+    AnyPlant = PlantModel
+else:
+    AnyPlant = Annotated[Union[tuple(PLANTS.values())], Field(discriminator="type")]  # noqa: UP007
+
+
 class PlantSettings(Section):
     """What stands in for drives and platform."""
 
-    model: Annotated[StewartPlant | BenchPlant | FmuPlant, Field(discriminator="type")]
+    model: AnyPlant
     drives: DriveEmulation = DriveEmulation()
     sensors: SensorEmulation = SensorEmulation()
     initial_position_m: tuple[float, float, float] | None = None

@@ -57,21 +57,36 @@ COMMANDS = {
     "learn": "A feed-forward for the next run, from the logs of those before.",
     "design": "A robust controller from weights: hinf, mu.",
 }
-"""Name -> what it is for, in the order of the help; the module of that name has it as `command`."""
+"""Name -> what it is for, in the order of the help; the module of that name has it as `command`.
+
+Other packages register theirs by entry points of the group `hil.commands`.
+"""
+
+
+def _foreign() -> dict[str, str]:
+    """Commands of other packages, each with where it is from."""
+    from drivers.registry import registered
+
+    return {name: f"From {entry.value}." for name, entry in registered("hil.commands").items()}
 
 
 class _Table(click.Group):
-    """COMMANDS; a module is imported when its command is called."""
+    """COMMANDS and those of other packages; a module is imported when its command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
-        return list(COMMANDS)
+        return [*COMMANDS, *_foreign()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         del ctx
-        if cmd_name not in COMMANDS:
+        if cmd_name in COMMANDS:
+            command = import_module(f"hil.cli.{cmd_name}").command
+        elif cmd_name in _foreign():
+            from drivers.registry import loaded
+
+            command = loaded("hil.commands", cmd_name)
+        else:
             return None
-        command = import_module(f"hil.cli.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command
 
@@ -90,7 +105,7 @@ class _Table(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         del ctx
         with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+            formatter.write_dl([*COMMANDS.items(), *_foreign().items()])
 
 
 @click.group(cls=_Table, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

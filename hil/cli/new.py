@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -37,14 +37,24 @@ class _Asked(click.Command):
 
 @click.command(cls=_Asked)
 @click.argument("file", type=FILE)
+@click.argument("name", required=False)
 @click.option("--fmu", type=FILE, help="A co-simulation FMU of yours as the plant, instead of ours.")
 @click.option("--yes", is_flag=True, help="Take defaults; ask nothing. What has none has to be an option.")
 @force_option
 @reporting
 def command(
-    file: Path, fmu: Path | None, yes: bool, force: bool, json_file: Path | None, **given: str | None
+    file: Path,
+    name: str | None,
+    fmu: Path | None,
+    yes: bool,
+    force: bool,
+    json_file: Path | None,
+    **given: str | None,
 ) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
+
+    `hil new law NAME` and `hil new protocol NAME` write a package for a law or a drive family of your own
+    into the folder NAME; it runs and passes its contract suite as it is.
 
     Asks what no option answers, each with its unit and range, and refuses at once what cannot work. The rest
     follows by rules that stand next to the numbers in FILE, or is called usual there: nothing comes from
@@ -56,8 +66,9 @@ def command(
       hil new my.yaml --mass 5 --stroke 0.1
       hil new my.yaml --fmu my_robot.fmu
       hil new my.yaml --drives cubemars --model AK80-9 --travel 0.126
+      hil new law soft
 
-    Guide: docs/guides/parameters.md.
+    Guides: docs/guides/parameters.md; docs/guides/own-laws.md, own-drives.md.
     """
     from hil.app.check.command import inspect
     from hil.app.files import new_file, write_whole
@@ -65,6 +76,8 @@ def command(
     from hil.app.new.command import new_configuration, recognised
     from hil.app.output import show_lines
 
+    if name is not None:
+        _skeleton(str(file), name, json_file)
     new_file(file, force=force, option="")
     plant = None if fmu is None else (fmu, recognised(fmu, file.parent))
     known = {SLOW_PLANT: plant is not None and plant[1].needs_tool}
@@ -76,6 +89,16 @@ def command(
     click.echo(f"next: hil sim {shlex.quote(str(file))}")  # in one line: it is to be copied
     summary = {"success": True, "kind": "new", "file": str(file), "warnings": report.warnings}
     finish_lines((), summary, json_file)
+
+
+def _skeleton(kind: str, name: str, json_file: Path | None) -> NoReturn:
+    from hil.app.new.skeleton import FILES, write_skeleton
+
+    if kind not in FILES:
+        raise click.UsageError(f"{kind} {name}: allowed: FILE alone, `law NAME` or `protocol NAME`")
+    written = [str(path) for path in write_skeleton(kind, name, Path())]
+    lines = [*(f"{path}: written" for path in written), f"next: pip install -e {name}; pytest {name}/tests"]
+    finish_lines(lines, {"success": True, "kind": f"new {kind}", "files": written}, json_file)
 
 
 def _answers(

@@ -1,4 +1,4 @@
-"""The package that a page writes, as an installation leaves it on the path."""
+"""A package that `hil new` writes, as an installation leaves it on the path."""
 
 import os
 import re
@@ -6,6 +6,8 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+
+from hil.app.new.skeleton import write_skeleton
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```\{code-block\} \w+\n:caption: (.*?)\n\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -21,19 +23,19 @@ assert run.summary["rejected_frames"] == 0
 
 
 class Package:
-    """Files of a page, and its other blocks by caption."""
+    """What `hil new KIND NAME` writes, and the other code blocks of its page by caption."""
 
-    def __init__(self, page: str, folder: Path) -> None:
-        """Write the blocks whose caption is a file."""
-        self.folder, self.blocks = folder, dict[str, str]()
-        for caption, code in BLOCK.findall((ROOT / "docs/guides" / page).read_text()):
-            known = self.blocks.get(caption)
-            self.blocks[caption] = code if known is None else f"{known}\n\n{code}"
-        for name in [name for name in self.blocks if "." in name]:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text(self.blocks[name])
-        project = tomllib.loads(self.blocks["pyproject.toml"])["project"]
-        installed = folder / f"{project['name']}-{project['version']}.dist-info"
+    def __init__(self, kind: str, name: str, page: str, folder: Path) -> None:
+        """Write the package."""
+        self.blocks = dict(BLOCK.findall((ROOT / "docs/guides" / page).read_text()))
+        self.files = {path.name: path for path in write_skeleton(kind, name, folder)}
+        self.folder = folder / name
+        self.install()
+
+    def install(self) -> None:
+        """Leave on the path what an installation does."""
+        project = tomllib.loads(self.files["pyproject.toml"].read_text())["project"]
+        installed = self.folder / f"{project['name']}-{project['version']}.dist-info"
         installed.mkdir()
         metadata = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
         (installed / "METADATA").write_text(metadata)

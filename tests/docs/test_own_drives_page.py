@@ -30,7 +30,7 @@ for seed in range(300):
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    return Package("own-drives.md", tmp_path_factory.mktemp("page"))
+    return Package("protocol", "cheetah", "own-drives.md", tmp_path_factory.mktemp("page"))
 
 
 def test_the_family_of_the_page_runs_to_parked_and_replays(package):

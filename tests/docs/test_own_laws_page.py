@@ -9,7 +9,7 @@ from tests.docs.page_package import CONTRACT, SUCCESS, Package
 
 @pytest.fixture
 def package(tmp_path):
-    return Package("own-laws.md", tmp_path)
+    return Package("law", "soft", "own-laws.md", tmp_path)
 
 
 def test_the_law_of_the_page_runs_and_replays(package):
@@ -17,7 +17,7 @@ def test_the_law_of_the_page_runs_and_replays(package):
 
 
 def test_the_law_of_the_page_has_at_most_thirty_lines(package):
-    assert len(package.blocks["soft/law.py"].splitlines()) <= 30
+    assert len(package.files["law.py"].read_text().splitlines()) <= 30
 
 
 def test_the_law_of_the_page_passes_the_contract_suite(package):

@@ -8,8 +8,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from drivers.errors import ConfigurationError
-from drivers.registry import loaded, registered
-from hil.control import named
+from drivers.registry import loaded, named, registered
 from hil.control.law import LawSettings
 
 
@@ -36,12 +35,12 @@ def test_settings_of_a_law_without_a_name_get_that_of_the_entry_point():
     class Mine(LawSettings):
         gain: float
 
-    made = named("mine", Mine).model_validate({"law": "mine", "gain": 1.0})
+    made = named("mine", Mine, LawSettings, "law").model_validate({"law": "mine", "gain": 1.0})
     assert isinstance(made, Mine)
     with pytest.raises(ValueError, match="law"):
-        named("mine", Mine).model_validate({"law": "other", "gain": 1.0})
+        named("mine", Mine, LawSettings, "law").model_validate({"law": "other", "gain": 1.0})
 
 
 def test_settings_that_are_not_of_a_law_are_refused():
     with pytest.raises(ConfigurationError, match=r"law mine: .* not a subclass"):
-        named("mine", dict)
+        named("mine", dict, LawSettings, "law")

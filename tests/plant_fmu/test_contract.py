@@ -1,18 +1,16 @@
 """What every plant owes its callers, whatever stands behind it."""
 
 import json
-from pathlib import Path
-from typing import Any, get_args
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu import plants
 from plant_fmu.bench import Bench
-from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
+from plant_fmu.config import PLANTS, BenchPlant, FmuPlant, StewartPlant
 from plant_fmu.plant import Robot, whole_steps
-from plant_fmu.plants import PLANTS, open_plant
+from plant_fmu.plants import open_plant
 from plant_fmu.stewart.build import build
 from plant_fmu.stewart.plant import stewart_plant
 
@@ -67,23 +65,18 @@ MADE = {
 }
 
 
-def test_every_kind_of_plant_in_the_configuration_can_be_opened():
-    assert set(get_args(PlantSettings.model_fields["model"].annotation)) == set(PLANTS)
+OPENED = {
+    "stewart": StewartPlant(type="stewart"),
+    "bench": BenchPlant(type="bench"),
+    "fmu": FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]),
+}
 
 
-def test_a_plant_is_opened_from_its_section_with_the_robot_or_the_folder_that_its_kind_needs(monkeypatch):
-    monkeypatch.setattr(plants, "fmu_spec", lambda settings, folder: (settings, folder))
-    for name in ("stewart_plant", "Bench"):
-        monkeypatch.setattr(plants, name, lambda *given, name=name: (name, *given))
-    monkeypatch.setattr(plants, "host", lambda spec: ("host", *spec))
-    robot, folder = "the robot", Path("/etc")
-    for section, opened in (
-        (StewartPlant(type="stewart"), ("stewart_plant", robot)),
-        (BenchPlant(type="bench"), ("Bench",)),
-        (FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]), ("host", folder)),
-    ):
-        found: Any = plants.open_plant(section, robot, folder)  # type: ignore[arg-type]
-        assert found == (opened[0], section, *opened[1:])
+def test_every_registered_plant_has_the_name_and_opener_of_its_section():
+    assert {name: model.type for name, model in OPENED.items()} == {name: name for name in PLANTS}
+    for model in OPENED.values():
+        assert isinstance(model, PLANTS[model.type])
+        assert callable(resolve_name(model.opens))
 
 
 @pytest.fixture(scope="module", params=MADE)

@@ -6,13 +6,13 @@ import sys
 import traceback
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 from pydantic import ConfigDict
 
 from drivers.errors import ConfigurationError
 from drivers.files import read_regular
-from hil.control import named
+from drivers.registry import named
 from hil.control.law import Law, LawContext, LawSettings
 
 PATH = "law_path"
@@ -45,7 +45,7 @@ class LawFile(NamedTuple):
         return {PATH: str(self.path.resolve()), "law_sha256": hashlib.sha256(self.source).hexdigest()}
 
 
-def is_file(law: object) -> bool:
+def is_file(law: object) -> TypeGuard[str]:
     """Tell whether `controller.law` is a class in a file."""
     return isinstance(law, str) and _NAMED.fullmatch(law) is not None
 
@@ -69,7 +69,7 @@ def run_law(law: str, source: bytes, path: Path) -> LawFile:
     settings: Any = getattr(_module(source, path), name, None)
     if settings is None:
         raise ConfigurationError(f"{path}: has no class {name}")
-    return LawFile(path, source, named(law, settings))
+    return LawFile(path, source, named(law, settings, LawSettings, "law"))
 
 
 def _module(source: bytes, path: Path) -> ModuleType:

@@ -1,0 +1,50 @@
+"""`hil new law NAME`, `hil new protocol NAME`: a package that runs and passes its contract, to begin with."""
+
+import importlib.resources
+import keyword
+import re
+from pathlib import Path
+
+from drivers.errors import ConfigurationError
+from drivers.registry import registered
+from hil.app.files import write_whole
+
+FILES = {
+    "law": {"law.py": "{name}/law.py"},
+    "protocol": {"codec.py": "{name}/codec.py", "drives.py": "{name}/drives.py"},
+}
+"""Kind -> file of the skeleton in `configs/skeletons` and its place in the package."""
+COMMON = {"pyproject.toml": "pyproject.toml", "test.py": "tests/test_{name}.py"}
+_NAMES = {"law": "soft", "protocol": "cheetah"}
+"""What the skeletons are called in themselves."""
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,49}")
+
+
+def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
+    """Write a package for a law or a protocol of the user's own into the new folder `name`; return its files.
+
+    Raises ConfigurationError for a name that is taken or cannot be that of a package, and for a folder that
+    exists or cannot be written.
+    """
+    if _NAME.fullmatch(name) is None or keyword.iskeyword(name):
+        raise ConfigurationError(f"{name!r}: allowed: a name of a-z, 0-9 and _, not a word of Python")
+    taken = registered(f"hil.{kind}s").get(name)
+    if taken is not None:
+        raise ConfigurationError(f"{name}: there is a {kind} of this name, {taken.value}; take another name")
+    root, given = folder / name, _NAMES[kind]
+    written = []
+    try:
+        root.mkdir()
+        for file, place in (FILES[kind] | COMMON).items():
+            path = root / place.format(name=name)
+            path.parent.mkdir(exist_ok=True)
+            text = (importlib.resources.files("configs") / "skeletons" / kind / file).read_text()
+            write_whole(path, text.replace(given, name).replace(given.title(), _camel(name)))
+            written.append(path)
+    except OSError as error:
+        raise ConfigurationError(f"{error.filename or root}: {error.strerror}") from None
+    return written
+
+
+def _camel(name: str) -> str:
+    return "".join(part.title() for part in name.split("_"))

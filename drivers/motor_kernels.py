@@ -73,6 +73,8 @@ IDLE, CLEAR, ENABLE, DRIVE, PREPARE = range(5)
 KEEPS, FALLS, PREPARES = range(3)
 """Rules of what an enabled or disabled drive is sent, see `row_of`."""
 IN_IDENTIFIER = -1
+SIGNED = -16
+"""Bits of a signed torque, which is little-endian."""
 MOTORS = np.dtype(
     [
         # the family
@@ -81,8 +83,8 @@ MOTORS = np.dtype(
         ("rule", "<i8"),
         ("clears", "<i8"),  # 1: a drive in fault is sent CLEAR while RESET is asked for
         ("torque_at", "<i8"),  # first byte of the torque, or IN_IDENTIFIER
-        ("torque_bits", "<i8"),  # 32: a single
-        ("torque_end", "<f8"),  # N m, of the field
+        ("torque_bits", "<i8"),  # 32: a single; -16: a signed number, little-endian
+        ("torque_end", "<f8"),  # N m, of the field; of a signed number, of the code -32768
         ("torque_limit", "<f8"),  # N m
         ("unasked", "<i8"),  # 1: drives send readings by a timer, too
         ("reports", "<i8"),  # 1: drives say whether they are enabled
@@ -350,6 +352,12 @@ def put_single(value: float, data: Bytes, at: int) -> None:
 
 
 @helper
+def signed_code(torque: float, end: float) -> int:
+    """Return the code of a torque in a signed field of 16 bits: truncated towards 0, saturated."""
+    return int(min(max(torque / end * 32768.0, -32768.0), 32767.0))
+
+
+@helper
 def send(m: Any, row: int, leg: int, into: int) -> None:
     """Put the frame of a row for a leg at an address."""
     words = _FRAME_BYTES // 8
@@ -361,6 +369,10 @@ def send(m: Any, row: int, leg: int, into: int) -> None:
     at, end = m.torque_at, m.torque_end
     if m.torque_bits == 32:
         put_single(m.torque[leg], frame.data, at)
+        return
+    if m.torque_bits == SIGNED:
+        number = signed_code(m.torque[leg], end)
+        frame.data[at], frame.data[at + 1] = number & 0xFF, number >> 8 & 0xFF
         return
     number = code(m.torque[leg], -end, end, m.torque_bits)
     if at == IN_IDENTIFIER:

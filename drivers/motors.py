@@ -224,8 +224,8 @@ class MotorProtocol(Family):
     ) -> None:
         """Take the drives' numbers, where a command has its torque, the legs of each bus and their answers.
 
-        torque_field: first byte, bits, end in N m. answers: identifiers of the feedbacks; legs, where
-        several drives share an identifier or change it.
+        torque_field: first byte, bits, end in N m, see `drivers.motor_kernels.MOTORS`. answers: identifiers
+        of the feedbacks; legs, where several drives share an identifier or change it.
         """
         super().__init__(nodes, legs)
         self.transmission, self.torque_field = transmission, torque_field
@@ -271,6 +271,8 @@ class MotorProtocol(Family):
     def coded(self, torque: Array) -> Array:
         """Return torques (6,) N m as the field carries them: truncated to its steps; singles unchanged."""
         _, bits, end = self.torque_field
+        if bits == kernels.SIGNED:
+            return np.array([kernels.signed_code(each, end) * end / 32768.0 for each in torque.tolist()])
         codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
 

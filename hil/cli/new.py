@@ -63,12 +63,11 @@ def command(
     \b
     Examples:
       hil new my.yaml
-      hil new my.yaml --mass 5 --stroke 0.1
       hil new my.yaml --fmu my_robot.fmu
       hil new my.yaml --drives cubemars --model AK80-9 --travel 0.126
       hil new law soft
 
-    Guides: docs/guides/parameters.md; docs/guides/own-laws.md, own-drives.md.
+    Guide: docs/guides/parameters.md; docs/guides/own-laws.md; docs/guides/own-drives.md.
     """
     from hil.app.check.command import inspect
     from hil.app.files import new_file, write_whole

@@ -30,7 +30,7 @@ def command(file: Path, json_file: Path | None) -> None:
       hil prove pendulum.yaml
       hil prove pendulum.yaml --json proof.json
 
-    Exit code 1: V is refuted or undecided. Theory: docs/theory/verifier.md.
+    Exit code 1: V is refuted or undecided. Guide: docs/theory/verifier.md.
     """
     from hil.app.configuration.section_file import read_section
     from hil.app.output import console

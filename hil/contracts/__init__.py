@@ -7,3 +7,8 @@ this file by an entry point, so that assertions in the suites show their values.
 import pytest
 
 pytest.register_assert_rewrite("hil.contracts.law", "hil.contracts.protocol", "hil.contracts.trouble")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the mark of the suites' slow tests."""
+    config.addinivalue_line("markers", 'long: takes a while; leave it out with -m "not long"')

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.family import Family
@@ -23,6 +23,9 @@ from hil.contracts.protocol import ProtocolContract
 from plant_fmu.drives.kernels import fail
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
+
+EXAMPLES = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+"""Of a property; a machine that is busy is no failure."""
 
 
 class TroubleContract(ProtocolContract):
@@ -78,7 +81,7 @@ class TroubleContract(ProtocolContract):
         for sign in (1.0, -1.0):
             arrives([sign * most] * LEGS)
         one = st.floats(-most, most)
-        settings(max_examples=30)(given(st.lists(one, min_size=LEGS, max_size=LEGS))(arrives))()
+        EXAMPLES(given(st.lists(one, min_size=LEGS, max_size=LEGS))(arrives))()
 
     def test_any_length_and_rate_within_the_fields_reach_the_controller(self, protocol):
         line = Line(protocol)
@@ -100,7 +103,7 @@ class TroubleContract(ProtocolContract):
             arrives([length] * LEGS, [rate] * LEGS)
         lengths, rates = st.floats(*self.LENGTHS), st.floats(-self.SPEED, self.SPEED)
         places, motions = (st.lists(one, min_size=LEGS, max_size=LEGS) for one in (lengths, rates))
-        settings(max_examples=30)(given(places, motions)(arrives))()
+        EXAMPLES(given(places, motions)(arrives))()
 
     @pytest.mark.parametrize("end", [0, 1])
     def test_what_lies_beyond_a_field_saturates_or_is_no_reading(self, protocol, end):

@@ -59,8 +59,10 @@ def foreign(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def patient_masters(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let masters wait for an answer as long as a busy machine may need: the package gives up after 0.3 s."""
+    """Let masters wait for an answer as long as a busy machine may need: the package gives up after 0.2 s."""
     monkeypatch.setattr("canopen.sdo.client.SdoClient.RESPONSE_TIMEOUT", 5.0)
+    for wait in ("CHECK_TPDO", "SWITCH_STATE_SINGLE", "SWITCH_STATE_FINAL", "SWITCH_OP_MODE"):
+        monkeypatch.setattr(f"canopen.profiles.p402.BaseNode402.TIMEOUT_{wait}", 5.0)
 
 
 def run_example(monkeypatch: pytest.MonkeyPatch, name: str, *arguments: str) -> None:

@@ -34,7 +34,7 @@ def sections(fmu: Path) -> dict[str, Any]:
                 "allow_execution_tool": True,
                 **numbered,
                 "assume_unit": {"force": "N", "length": "m", "rate": "m/s"},
-                "step_us": 1250,
+                "step_us": 2500,
                 "parameters": {
                     "mass": 1150.0,
                     "inertia_x": 570.0,

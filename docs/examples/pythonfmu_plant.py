@@ -26,6 +26,11 @@ def joints(radius, centres_deg, half_deg):
     return radius * np.column_stack((np.cos(angles), np.sin(angles), np.zeros(6)))
 
 
+def cross(a, b):
+    """Return the cross product of rows of three; np.cross takes ten times as long for so few."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+
+
 def turned(R, rotation):
     """Return R after a rotation vector (3,) rad in the base frame (Rodrigues)."""
     angle = float(np.linalg.norm(rotation))
@@ -74,7 +79,7 @@ class PythonPlant(Fmi2Slave):
         legs = self.c + r - self.a
         q = np.linalg.norm(legs, axis=1)
         s = legs / q[:, None]
-        return np.hstack((s, np.cross(r, s))), q
+        return np.hstack((s, cross(r, s))), q
 
     def show(self):
         """Fill the outputs."""
@@ -84,8 +89,8 @@ class PythonPlant(Fmi2Slave):
             setattr(self, f"rate{i}", float(rate))
 
     def do_step(self, current_time, step_size):
-        """Move on by step_size s in steps of at most 1 ms."""
-        steps = int(np.ceil(step_size / 1e-3 - 1e-9))
+        """Move on by step_size s in steps of at most 2.5 ms."""
+        steps = int(np.ceil(step_size / 2.5e-3 - 1e-9))
         for _ in range(steps):
             self.advance(step_size / steps)
         self.show()
@@ -100,7 +105,7 @@ class PythonPlant(Fmi2Slave):
         M = np.zeros((6, 6))
         M[:3, :3], M[3:, 3:] = self.mass * np.eye(3), I
         weight = np.array([0, 0, self.mass * self.gravity_z, 0, 0, 0])
-        weight[3:] = -np.cross(w, I @ w)
+        weight[3:] = -cross(w, I @ w)
         V = self.twist + dt * np.linalg.solve(M, J.T @ tau + weight)
         if shut.any():  # the impulses that leave the braked legs at rest
             B = J[shut]

@@ -23,6 +23,30 @@ COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
 """Byte of the counter of each command; in the lower half of it in layout ideal."""
 
 
+def bitwise_crc(data: bytes, width: int) -> int:
+    """CRC-8 of SAE J1850 or CRC-16/M17 (width 8 or 16), divided bit by bit as a shift register does."""
+    polynomial, final = {8: (0x1D, 0xFF), 16: (0x5935, 0)}[width]
+    register = (1 << width) - 1
+    for byte in data:
+        for position in range(7, -1, -1):
+            carry = (register >> width - 1) ^ (byte >> position & 1)
+            register = register << 1 & (1 << width) - 1
+            if carry:
+                register ^= polynomial
+    return register ^ final
+
+
+def resealed(frame: Frame, at: int, changed: bytes) -> Frame:
+    """A frame with other bytes from `at` on and the right check behind them."""
+    data, lead = bytearray(frame.data), bytes([frame.id % 256, frame.id // 256])
+    data[at : at + len(changed)] = changed
+    if frame.id == 0x110:
+        data[26:28] = bitwise_crc(lead + bytes(data[:26]), 16).to_bytes(2, "little")
+    else:
+        data[-1] = bitwise_crc(lead + bytes(data[:-1]), 8)
+    return frame._replace(data=bytes(data))
+
+
 @cache
 def _controller(protocol: Any) -> tuple[ControllerEnd, Any]:
     """Return a controller's end and its dialogue at the start: listeners decode thousands of frames a second."""

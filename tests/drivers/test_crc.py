@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.legs.kernels import check
+from tests.drivers.legs_frames import bitwise_crc
 
 
 def crc8(data: bytes) -> int:
@@ -17,18 +18,6 @@ def crc8(data: bytes) -> int:
 def crc16(data: bytes) -> int:
     """Return the CRC-16 as `crc8`."""
     return check(int.from_bytes(data[:2], "little"), data[2:], 2)
-
-
-def bitwise_crc8(data: bytes) -> int:
-    """Divide bit by bit, as a shift register does."""
-    register = 0xFF
-    for byte in data:
-        for position in range(7, -1, -1):
-            carry = (register >> 7) ^ (byte >> position & 1)
-            register = register << 1 & 0xFF
-            if carry:
-                register ^= 0x1D
-    return register ^ 0xFF
 
 
 @pytest.mark.parametrize(
@@ -45,15 +34,15 @@ def bitwise_crc8(data: bytes) -> int:
         (bytes.fromhex("FFFFFFFF"), 0x74),
     ],
 )
-def test_published_values(data, expected):
+def test_the_crc8_has_its_published_values(data, expected):
     assert crc8(data) == expected
-    assert bitwise_crc8(data) == expected
+    assert bitwise_crc(data, 8) == expected
 
 
 @given(st.binary(min_size=2, max_size=66))
-def test_agrees_with_bitwise_division(data):
-    assert crc8(data) == bitwise_crc8(data)
-    assert check(int.from_bytes(data[:2], "little"), data[2:], 1) == bitwise_crc8(data)
+def test_both_checks_agree_with_bitwise_division(data):
+    assert crc8(data) == bitwise_crc(data, 8)
+    assert crc16(data) == bitwise_crc(data, 16)
 
 
 @given(st.binary(min_size=2, max_size=65), st.data())
@@ -65,23 +54,9 @@ def test_every_burst_of_up_to_eight_bits_changes_the_check(data, draw):
     assert crc8(damaged.to_bytes(len(data), "big")) != crc8(data)
 
 
-def bitwise_crc16(data: bytes) -> int:
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = (register << 1 ^ (0x5935 if register & 0x8000 else 0)) & 0xFFFF
-    return register
-
-
 def test_the_check_value_of_the_crc16_is_that_of_the_catalogue():
     """CRC-16/M17 of the catalogue of parametrised CRC algorithms."""
-    assert crc16(b"123456789") == bitwise_crc16(b"123456789") == 0x772B
-
-
-@given(st.binary(min_size=2, max_size=66))
-def test_the_crc16_agrees_with_bitwise_division(data):
-    assert crc16(data) == bitwise_crc16(data)
+    assert crc16(b"123456789") == bitwise_crc(b"123456789", 16) == 0x772B
 
 
 def hamming_distance(polynomial: int, width: int, bits: int) -> int:

@@ -1,4 +1,4 @@
-"""The own protocol: the DBC itself, what is refused, ages, and round trips against cantools."""
+"""The own protocol: the DBC itself, refused frames of both ends, and round trips against cantools."""
 
 from __future__ import annotations
 
@@ -14,24 +14,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import drivers
-from drivers.config import BusSettings, DriveSettings, SensorSettings, TrackerSettings
-from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import received_array
+from drivers.config import BusSettings, SensorSettings, TrackerSettings
+from drivers.errors import ProtocolError
 from drivers.legs.messages import COMMANDS
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
-from drivers.registry import loaded
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
-from drivers.tick_columns import new_record
 from hil.contracts.drives_end import answers, reports
-from hil.contracts.ends import at_tick
-from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Rejected, Status, Sync
-from tests.drivers.legs_frames import SETUP, command_frames, decode, one_feedback, opening, parse
-from tests.drivers.test_crc import bitwise_crc16
+from hil.contracts.messages import DeviceCommand, EmergencyStop, Rejected, Status, Sync
+from tests.drivers.legs_frames import (
+    bitwise_crc,
+    command_frames,
+    decode,
+    one_feedback,
+    opening,
+    parse,
+    resealed,
+)
 
-FILES = [Path(drivers.__file__).parent / name for name in ("legs/legs.dbc", "sensors.dbc")]
-DATABASES: list[Any] = [cantools.database.load_file(file) for file in FILES]
+HERE = Path(drivers.__file__).parent
+DATABASES: list[Any] = [cantools.database.load_file(HERE / name) for name in ("legs/legs.dbc", "sensors.dbc")]
 DATABASE = DATABASES[0]
 ALL_MESSAGES = [message for database in DATABASES for message in database.messages]
 P = {layout: LegsProtocol(layout, (1, 2, 3, 4, 5, 6)) for layout in COMMANDS}
@@ -52,28 +55,6 @@ def feedback(
 def damaged(frame: Frame, bit: int) -> Frame:
     data = bytearray(frame.data)
     data[bit // 8] ^= 1 << bit % 8
-    return frame._replace(data=bytes(data))
-
-
-def bitwise_crc8(data: bytes) -> int:
-    register = 0xFF
-    for byte in data:
-        for position in range(7, -1, -1):
-            carry = (register >> 7) ^ (byte >> position & 1)
-            register = register << 1 & 0xFF
-            if carry:
-                register ^= 0x1D
-    return register ^ 0xFF
-
-
-def resealed(frame: Frame, at: int, byte: int) -> Frame:
-    """Change one byte and put the right check behind it."""
-    data, lead = bytearray(frame.data), bytes([frame.id % 256, frame.id // 256])
-    data[at] = byte
-    if frame.id == 0x110:
-        data[26:28] = bitwise_crc16(lead + bytes(data[:26])).to_bytes(2, "little")
-    else:
-        data[-1] = bitwise_crc8(lead + bytes(data[:-1]))
     return frame._replace(data=bytes(data))
 
 
@@ -103,25 +84,18 @@ def test_arbitration_order_is_estop_sync_command_feedback_sensors_config_status(
     assert list(dict.fromkeys(kinds)) == list(order)
 
 
-def test_every_quantity_has_unit_and_range_and_every_enumeration_its_names():
-    drives = {"Force": "N", "Length": "m", "Rate": "m/s", "Watchdog": "s"}
-    sensors = {
-        "TRACKER": dict.fromkeys("XYZ", "m") | dict.fromkeys(("RX", "RY", "RZ"), "rad"),
-        "IMU": dict.fromkeys(("WX", "WY", "WZ"), "rad/s") | dict.fromkeys(("FX", "FY", "FZ"), "m/s^2"),
-        "WRENCH": dict.fromkeys(("FX", "FY", "FZ"), "N") | dict.fromkeys(("MX", "MY", "MZ"), "N m"),
-    }
-    choices = {"Source", "Mode", "State", "Invalid", "Fault", "Reaction", "Validity"}
+def test_every_quantity_has_a_unit_and_a_range():
+    units = {"Force": "N", "Length": "m", "Rate": "m/s", "Watchdog": "s", "Offset": "s"}
+    units |= {f"TRACKER{axis}": "m" for axis in "XYZ"} | {f"TRACKERR{axis}": "rad" for axis in "XYZ"}
+    units |= {f"IMUW{axis}": "rad/s" for axis in "XYZ"} | {f"IMUF{axis}": "m/s^2" for axis in "XYZ"}
+    units |= {f"WRENCHF{axis}": "N" for axis in "XYZ"} | {f"WRENCHM{axis}": "N m" for axis in "XYZ"}
     for message in ALL_MESSAGES:
-        kind = sensors.get(message.name.split("_")[0])
-        units = drives if kind is None else kind | {"Offset": "s"}
         short = message.name.startswith(("COMMAND_CLASSIC", "FEEDBACK_FD"))
         for signal in message.signals:
-            assert signal.minimum is not None, signal
-            assert signal.maximum is not None, signal
             assert signal.minimum < signal.maximum, signal
-            of_rated = short and signal.name.startswith("Force")
-            assert signal.unit == ("%" if of_rated else units.get(signal.name.rstrip("123456"))), signal
-            assert bool(signal.choices) == (signal.name in choices)
+            name = signal.name.rstrip("123456")
+            unit = units.get(name) or units.get(message.name.split("_")[0] + name)
+            assert signal.unit == ("%" if short and name == "Force" else unit), signal
 
 
 def test_drive_enumerations_have_the_names_of_the_dbc():
@@ -135,32 +109,17 @@ def test_drive_enumerations_have_the_names_of_the_dbc():
 
 
 def test_fd_attributes_and_cycle_times():
+    sensors = {"TRACKER_7": 5, "IMU_8": 2, "WRENCH_9": 1}
     for message in ALL_MESSAGES:
-        sensors = {"TRACKER_7": 5, "IMU_8": 2, "WRENCH_9": 1}
         fd = message.name.startswith(("COMMAND_FD", "COMMAND_IDEAL", "FEEDBACK_FD", "FEEDBACK_IDEAL"))
-        fd = fd or message.name in sensors
-        assert message.is_fd == fd
-        attributes = message.dbc.attributes
-        assert str(attributes["CANFD_BRS"].value) == "1" if fd else "CANFD_BRS" not in attributes, message
+        assert message.is_fd == (fd or message.name in sensors)
+        assert ("CANFD_BRS" in message.dbc.attributes) == message.is_fd
         cyclic = message.name.startswith(("SYNC", "COMMAND", "FEEDBACK"))
         status = message.name.startswith("STATUS")
         assert message.cycle_time == sensors.get(message.name, 1 if cyclic else 100 if status else None)
 
 
-# set-up
-
-
-def test_table_makes_the_protocol_of_the_configuration():
-    protocol = loaded("hil.protocols", "legs")(
-        BusSettings(layout="classic"), DriveSettings(node_ids=[9, 8, 7, 6, 5, 4])
-    )
-    assert protocol.traits.feedback_ids == {0x180 + n for n in (4, 5, 6, 7, 8, 9)}
-
-
-@pytest.mark.parametrize("nodes", [(0, 1, 2, 3, 4, 5), (1, 2, 3, 4, 5, 128)])
-def test_impossible_node_numbers_are_refused(nodes):
-    with pytest.raises(ConfigurationError, match="node_ids"):
-        LegsProtocol("fd", nodes)
+# frames of a tick
 
 
 @all_layouts
@@ -170,9 +129,8 @@ def test_node_numbers_move_identifiers_and_keep_legs(layout):
     frames = [one_feedback(protocol, leg, 1.0 + leg, 0.0, 0.0, 1, 3) for leg in range(6)]
     assert [frame.id - base for frame in frames] == [127, 20, 30, 40, 50, 1]
     assert decode(protocol, received(*frames), 3)["length"].tolist() == [1, 2, 3, 4, 5, 6]
-    assert [frame.id for frame in protocol.configure(0.01, Reaction.DAMP)] == [
-        0x600 + node for node in (127, 20, 30, 40, 50, 1)
-    ]
+    configs = protocol.configure(0.01, Reaction.DAMP)
+    assert [frame.id - 0x600 for frame in configs] == [127, 20, 30, 40, 50, 1]
     assert reports(protocol, Status(1, 1, 0))[0].id == 0x714
 
 
@@ -189,30 +147,17 @@ def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
     assert [len(frame.data) for frame in frames] == lengths
     assert len({frame.id for frame in frames}) == len(frames)
     assert P[layout].traits.feedback_ids < {frame.id for frame in frames}
-    assert [frame.flags for frame in frames[1:]] == [0 if layout == "classic" else FD | BRS] * (
-        len(frames) - 1
-    )
+    assert {frame.flags for frame in frames[1:]} == {0 if layout == "classic" else FD | BRS}
 
 
 # what does not fit
 
 
-@pytest.mark.parametrize(
-    ("layout", "force"),
-    [("classic", 61_438.2), ("classic", -61_442.0), ("fd", 2.2e6), ("ideal", 2e9)]
-    + [(layout, bad) for layout in COMMANDS for bad in (np.nan, np.inf, -np.inf)],
-)
-def test_a_force_that_does_not_fit_is_refused_with_the_range(layout, force):
-    forces = np.zeros(6)
-    forces[4] = force
+@all_layouts
+@pytest.mark.parametrize("force", [np.nan, np.inf, -np.inf])
+def test_a_force_that_is_not_finite_is_refused(layout, force):
     with pytest.raises(ProtocolError, match="N are allowed"):
-        command_frames(P[layout], Command(DriveMode.RUN, forces), 0)
-
-
-@pytest.mark.parametrize("watchdog_s", [0.0, -0.01, 1e-7, 5000.0, np.nan, np.inf])
-def test_a_watchdog_that_does_not_fit_is_refused(watchdog_s):
-    with pytest.raises(ProtocolError, match="CONFIG"):
-        P["fd"].configure(watchdog_s, Reaction.BRAKE)
+        command_frames(P[layout], Command(DriveMode.RUN, np.array([0, 0, 0, 0, force, 0])), 0)
 
 
 @pytest.mark.parametrize(
@@ -250,27 +195,14 @@ def test_any_single_flipped_bit_of_a_feedback_is_refused(layout):
 
 
 @all_layouts
-@pytest.mark.parametrize("change", [lambda d: d[:-1], lambda d: d + b"\0", lambda d: b""])
-def test_wrong_length_is_refused(layout, change):
-    frame = feedback(layout, 5)
-    measurement = decode(P[layout], received(frame._replace(data=change(frame.data))), 5)
-    assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
-
-
-@all_layouts
-def test_a_feedback_under_another_identifier_is_refused(layout):
-    frame = feedback(layout, 5)
-    measurement = decode(P[layout], received(frame._replace(id=frame.id + 1)), 5)
-    assert (measurement["rejected"], measurement["age"][1]) == (1, NEVER)
-
-
-@all_layouts
-@pytest.mark.parametrize("state", [5, 6, 7, 13, 14, 15])
-def test_an_unknown_state_is_refused(layout, state):
-    at = {"classic": 6, "fd": 10, "ideal": 24}[layout]
-    frame = resealed(feedback(layout, 5), at, state << 4 | 5)
-    measurement = decode(P[layout], received(frame), 5)
-    assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
+def test_a_feedback_that_is_cut_of_another_node_or_of_an_unknown_state_is_refused(layout):
+    good, at = feedback(layout, 5), {"classic": 6, "fd": 10, "ideal": 24}[layout]
+    wrong = [good._replace(data=data) for data in (good.data[:-1], good.data + b"\0", b"")]
+    wrong += [good._replace(id=good.id + 1)]
+    wrong += [resealed(good, at, bytes([state << 4 | 5])) for state in (5, 6, 7, 13, 14, 15)]
+    for frame in wrong:
+        measurement = decode(P[layout], received(frame), 5)
+        assert (measurement["rejected"], measurement["age"].tolist()) == (1, [NEVER] * 6), frame
 
 
 @pytest.mark.parametrize("at", [0, 8, 16])
@@ -278,25 +210,20 @@ def test_an_unknown_state_is_refused(layout, state):
     "word", ["000000000000F07F", "000000000000F8FF", "000000000000F0FF", "9C7500883CE4377E"]
 )
 def test_a_float_that_is_not_finite_or_absurd_is_refused(at, word):
-    frame = feedback("ideal", 5)
-    for offset, byte in enumerate(bytes.fromhex(word)):
-        frame = resealed(frame, at + offset, byte)
-    measurement = decode(P["ideal"], received(frame), 5)
+    measurement = decode(P["ideal"], received(resealed(feedback("ideal", 5), at, bytes.fromhex(word))), 5)
     assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
 @pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\1\0\0\0", b"\5\0\0\0", b"\1\6\0\0"])
-@pytest.mark.parametrize("sealed", [True, False])
-def test_a_senseless_status_is_refused(data, sealed):
-    if data == b"\1\0\0\0" and sealed:
-        return  # the one that makes sense
-    crc = bitwise_crc8(b"\x01\x07" + data) if sealed else 0x5A
-    measurement = decode(P["fd"], received(Frame(0x701, data + bytes([crc]))), 5)
-    assert measurement["rejected"] == 1
-    assert measurement["drive_fault"].tolist() == [0] * 6
+def test_a_status_that_is_cut_damaged_or_of_an_unknown_state_is_refused(data):
+    seals = [0x5A, bitwise_crc(b"\x01\x07" + data, 8)]
+    for seal in seals[:1] if data == b"\1\0\0\0" else seals:  # that one makes sense under its seal
+        measurement = decode(P["fd"], received(Frame(0x701, data + bytes([seal]))), 5)
+        assert measurement["rejected"] == 1
+        assert measurement["drive_fault"].tolist() == [0] * 6
 
 
-def test_all_that_is_doubled_altered_or_foreign_in_a_tick_is_told_and_not_the_last_alone():
+def test_a_tick_reports_all_its_doubled_altered_and_foreign_frames():
     protocol = P["fd"]
     frames = [feedback("fd", 5, leg=leg, length=length) for length in (1.5, 1.6) for leg in (1, 4)]
     frames += [reports(protocol, Status(leg, DriveState.OFF, 0, None))[0] for leg in (2, 5)]
@@ -308,119 +235,23 @@ def test_all_that_is_doubled_altered_or_foreign_in_a_tick_is_told_and_not_the_la
     assert m["foreign"] == Foreign.SYNC | Foreign.CONFIG
 
 
-def test_a_drive_is_sent_its_set_up_while_it_is_heard_or_was_missed_once():
-    protocol = P["fd"]
-    for age, sent in ((0, True), (1, True), (2, False)):
-        tick = at_tick(3)  # the turn of leg 3
-        tick["age"] = [0 if leg != 3 else age for leg in range(6)]
-        assert bool(len(protocol.controller_end(SETUP).set_up(tick))) == sent
-
-
-def test_each_drive_confirms_its_own_set_up_and_takes_its_own_word_back():
-    protocol = P["fd"]
-    end = protocol.controller_end(SETUP)
-    end.state["sent"] = 1
-    held = [
-        reports(protocol, Status(leg, DriveState.OFF, 0, Configure(leg, 0.01, Reaction.BRAKE)))[0]
-        for leg in range(6)
-    ]
-    for frames, there in (
-        (held[:4], [True] * 4 + [False] * 2),
-        (held[4:], [True] * 6),
-        (reports(protocol, Status(3, DriveState.OFF, 0, None)), [True] * 3 + [False] + [True] * 2),
-    ):
-        end.take(received_array(received(*frames)), new_record(), at_tick(5))
-        assert list(end.legs_set_up()) == there
-    end.state["sent"] = 0
-    assert not any(end.legs_set_up()), "we have sent none yet"
-
-
-@all_layouts
-@pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR])
-def test_frames_of_other_kinds_are_foreign(layout, flag):
-    frame = feedback(layout, 5)
-    measurement = decode(P[layout], received(frame._replace(flags=frame.flags | flag)), 5)
-    assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
-    assert parse(P[layout], Frame(0x001, b"", flag)) is None
-
-
-def test_foreign_identifiers_and_other_layouts_are_ignored_and_error_passive_senders_heard():
-    strange = [
-        Frame(0x555, b"\1"),
-        Frame(0x200, b""),
-        feedback("classic", 5),
-        feedback("ideal", 5),
-        *opening(P["fd"], 5),
-    ]
-    measurement = decode(P["fd"], received(*strange), 5)
+def test_other_identifiers_and_layouts_are_ignored_and_an_error_passive_sender_is_heard():
+    others = Frame(0x555, b"\1"), Frame(0x200, b""), feedback("classic", 5), feedback("ideal", 5)
+    measurement = decode(P["fd"], received(*others, *opening(P["fd"], 5)), 5)
     assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
     frame = feedback("fd", 5)
     assert decode(P["fd"], received(frame._replace(flags=frame.flags | ESI)), 5)["age"][0] == 0
-
-
-# decode: ages
-
-
-def test_age_grows_by_one_a_tick_and_stops_at_never():
-    measurement = decode(P["fd"], received(feedback("fd", 5)), 5)
-    ages = []
-    for tick in range(6, 9):
-        measurement = decode(P["fd"], (), tick, measurement)
-        ages.append(measurement["age"].tolist())
-    assert ages == [[n, *[NEVER] * 5] for n in (1, 2, 3)]
-
-
-@pytest.mark.parametrize("late", range(1, 9))
-def test_a_late_feedback_counts_with_its_age_when_nothing_newer_is_held(late):
-    measurement = decode(P["fd"], received(feedback("fd", (40 - late) & 15)), 40)
-    assert (measurement["age"][0], measurement["length"][0], measurement["rejected"]) == (late, 1.5, 0)
-
-
-@pytest.mark.parametrize("ahead", range(1, 8))
-def test_a_counter_from_the_future_is_refused(ahead):
-    measurement = decode(P["fd"], received(feedback("fd", (40 + ahead) & 15)), 40)
-    assert (measurement["age"][0], measurement["rejected"]) == (NEVER, 1)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_newer_of_two_feedbacks_wins_in_either_order(order):
     frames = [feedback("fd", 8, length=1.8), feedback("fd", 7, length=1.7)]
     measurement = decode(P["fd"], received(*(frames[i] for i in order)), 8)
-    assert (measurement["age"][0], measurement["length"][0], measurement["rejected"]) == (
-        0,
-        pytest.approx(1.8),
-        0,
-    )
+    assert (measurement["age"][0], measurement["rejected"]) == (0, 0)
+    assert measurement["length"][0] == pytest.approx(1.8)
 
 
-def test_a_late_feedback_does_not_replace_what_the_tick_before_gave():
-    before = decode(P["fd"], received(feedback("fd", 7, length=1.7)), 7)
-    measurement = decode(P["fd"], received(feedback("fd", 6, length=1.6)), 8, before)
-    assert (measurement["age"][0], measurement["length"][0], measurement["rejected"]) == (1, 1.7, 0)
-
-
-def test_the_late_feedback_of_the_last_tick_fills_the_gap_it_left():
-    before = decode(P["fd"], received(feedback("fd", 6, length=1.6)), 6)
-    gap = decode(P["fd"], (), 7, before)
-    measurement = decode(P["fd"], received(feedback("fd", 7, length=1.7)), 8, gap)
-    assert (gap["age"][0], measurement["age"][0], measurement["length"][0]) == (1, 1, 1.7)
-
-
-def test_age_counts_ticks_and_not_calls():
-    before = decode(P["fd"], received(feedback("fd", 5)), 5)
-    assert decode(P["fd"], (), 15, before)["age"][0] == 10
-
-
-def test_a_frame_from_before_the_tick_is_no_answer_to_its_sync_even_with_its_counter():
-    frame = feedback("fd", 116 & 15, length=1.6)
-    before = decode(P["fd"], received(feedback("fd", 100, length=1.5)), 100)
-    late = decode(P["fd"], [Received(999, frame)], 116, before, 1000)
-    assert (late["age"][0], late["rejected"], late["length"][0]) == (16, 1, before["length"][0])
-    fresh = decode(P["fd"], [Received(1000, frame)], 116, before, 1000)
-    assert (fresh["age"][0], fresh["rejected"]) == (0, 0)
-
-
-@pytest.mark.parametrize("layout", COMMANDS)
+@all_layouts
 def test_fresh_is_a_feedback_with_this_ticks_counter(layout):
     for tick in (0, 5, 15, 16, 300):
         assert P[layout].fresh(Received(0, feedback(layout, tick & 15)), tick, 0)
@@ -435,53 +266,6 @@ def test_decode_leaves_the_previous_measurement_alone():
     after = decode(P["fd"], frames, 6, before)
     assert before.tobytes() == kept
     assert (after["length"][0], after["drive_fault"][0]) == (2.0, 2)
-
-
-# decode: encoders that are lost
-
-
-@all_layouts
-def test_a_length_that_its_drive_calls_invalid_does_not_count_but_state_and_force_do(layout):
-    before = decode(P[layout], received(feedback(layout, 5, length=1.5)), 5)
-    frame = feedback(layout, 6, length=1.9, state=DriveState.READY | INVALID)
-    after = decode(P[layout], received(frame, feedback(layout, 6, leg=1)), 6, before)
-    assert (after["length"][0], after["rate"][0], after["age"][0]) == (
-        before["length"][0],
-        before["rate"][0],
-        1,
-    )
-    assert (after["drive_state"][0], after["rejected"]) == (DriveState.READY, 0)
-    assert after["blind"].tolist() == [True, False, False, False, False, False]
-    assert after["drive_force"][0] == before["drive_force"][0] == (0.0 if layout == "classic" else 1500.0)
-    assert not decode(P[layout], (), 7, after)["blind"].any(), "it is this tick's word"
-
-
-def test_an_old_feedback_without_a_length_says_nothing_and_a_valid_one_ends_the_loss():
-    frame = feedback("fd", 4, state=DriveState.RUN | INVALID)
-    late = decode(P["fd"], received(frame), 5)
-    assert (late["blind"][0], late["age"][0], late["rejected"], late["drive_state"][0]) == (
-        False,
-        NEVER,
-        0,
-        DriveState.BOOT,
-    )
-    back = decode(P["fd"], received(feedback("fd", 6)), 6, late)
-    assert (back["blind"][0], back["age"][0]) == (False, 0)
-
-
-@all_layouts
-@pytest.mark.parametrize("leg", [0, 3, 5])
-def test_the_answer_before_a_blind_one_may_come_again_and_at_another_leg_is_doubled(layout, leg):
-    """A blind answer tells the state of a held length, so the held answer and its state part."""
-    other = (leg + 1) % 6
-    frames = [feedback(layout, 5, leg=k, state=DriveState.READY) for k in (leg, other)]
-    held = decode(P[layout], received(*frames), 5)
-    blind = feedback(layout, 6, leg=leg, state=DriveState.RUN | INVALID)
-    blinded = decode(P[layout], received(blind), 6, held)
-    again = decode(P[layout], received(frames[0]), 7, blinded)
-    assert (again["doubled"], again["age"][leg], again["drive_state"][leg]) == (0, 2, DriveState.RUN)
-    seen = feedback(layout, 5, leg=other, state=DriveState.RUN)
-    assert decode(P[layout], received(seen), 7, blinded)["doubled"] == 1 << other
 
 
 # device side
@@ -499,19 +283,19 @@ def test_any_single_flipped_bit_of_a_command_is_refused_by_the_drives(layout):
 def test_an_unknown_mode_is_refused_by_the_drives(layout):
     at, unknown, known = {"classic": (5, 0x80, 0x60), "fd": (25, 4, 3), "ideal": (48, 0x45, 0x35)}[layout]
     for frame in command_frames(P[layout], Command(DriveMode.RUN, np.zeros(6)), 5):
-        assert isinstance(parse(P[layout], resealed(frame, at, unknown)), Rejected)
-        assert isinstance(parse(P[layout], resealed(frame, at, known)), DeviceCommand)
+        assert isinstance(parse(P[layout], resealed(frame, at, bytes([unknown]))), Rejected)
+        assert isinstance(parse(P[layout], resealed(frame, at, bytes([known]))), DeviceCommand)
 
 
 def test_a_command_that_is_not_finite_is_refused_by_the_drives():
     (frame,) = command_frames(P["ideal"], Command(DriveMode.RUN, np.zeros(6)), 5)
-    assert isinstance(parse(P["ideal"], resealed(resealed(frame, 15, 0x7F), 14, 0xF0)), Rejected)
+    assert isinstance(parse(P["ideal"], resealed(frame, 14, b"\xf0\x7f")), Rejected)
 
 
 @pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0), (6, 1), (6, 3)])
 def test_a_senseless_configuration_is_refused_by_the_drives(at, byte):
     frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: byte 0 alone holds the watchdog
-    assert isinstance(parse(P["fd"], resealed(frame, at, byte)), Rejected)
+    assert isinstance(parse(P["fd"], resealed(frame, at, bytes([byte]))), Rejected)
     assert isinstance(parse(P["fd"], damaged(frame, 3)), Rejected)
 
 
@@ -524,15 +308,13 @@ def test_drives_ignore_what_is_not_for_them():
     assert parse(P["fd"], feedback("fd", 1)) is None
     assert parse(P["fd"], Frame(0x100, bytes(8))) is None
     assert isinstance(parse(P["fd"], Frame(0x080, b"")), Rejected)
+    for flag in (EXTENDED, REMOTE, ERROR):
+        assert parse(P["fd"], Frame(0x001, b"", flag)) is None
 
 
 # round trips
 
-RESOLUTION = {
-    "classic": (1e-7, 1e-4, None),
-    "fd": (1e-7, 1e-7, 3.75),
-    "ideal": (0.0, 0.0, 0.0),
-}
+RESOLUTION = {"classic": (1e-7, 1e-4, None), "fd": (1e-7, 1e-7, 3.75), "ideal": (0.0, 0.0, 0.0)}
 FORCE_RESOLUTION = {"classic": 3.75, "fd": 1e-3, "ideal": 0.0}
 IN_NEWTONS: Any = cantools.database.load_string(P["fd"].database[1], "dbc")
 COUNTS = {"classic": 255, "fd": 255, "ideal": 15}
@@ -603,22 +385,13 @@ def test_configuration_round_trip(watchdog_s, reaction):
         assert parsed.watchdog_s == pytest.approx(watchdog_s, abs=0.51e-6)
 
 
-@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
+@all_layouts
 def test_six_feedbacks_at_once_are_those_of_each_drive_alone(layout):
     length, rate, force = np.linspace(1.0, 2.0, 6), np.linspace(-0.5, 0.5, 6), np.linspace(-9e3, 9e3, 6)
     state = np.array([0, 1, 2, 3, 4, 3 | INVALID], np.int64)
     legs, together = zip(*answers(P[layout], Sync(0x2B), length, rate, force, state), strict=True)
     assert legs == (0, 1, 2, 3, 4, 5)
-    alone = [
-        one_feedback(P[layout], leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB)
-        for leg in range(6)
-    ]
-    assert list(together) == alone
+    for leg, frame in enumerate(together):
+        alone = one_feedback(P[layout], leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB)
+        assert frame == alone
     assert [frame.id for frame in together] == sorted({frame.id for frame in together})
-
-
-@all_layouts
-@pytest.mark.parametrize("legs", [0, 5, 7])
-def test_a_command_for_another_number_of_legs_is_refused(layout: str, legs: int) -> None:
-    with pytest.raises(ProtocolError, match="does not fit"):
-        command_frames(P[layout], Command(DriveMode.RUN, np.zeros(legs)), 0)

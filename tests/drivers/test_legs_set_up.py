@@ -1,4 +1,4 @@
-"""The own protocol's set-up: who is sent a CONFIG and when, what confirms it, and what is said to be lacking."""
+"""The own protocol's set-up: who is sent a CONFIG and when, what confirms it; traits; several buses."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bare(leg: int) -> Frame:
     return reports(P, Status(leg, OFF, DriveFault.NONE))[0]
 
 
-def told(dialogue: Remembered, *frames: Frame) -> Remembered:
+def taken(dialogue: Remembered, *frames: Frame) -> Remembered:
     tick = new_record()
     tick["tick"] = 1
     return V.decode(dialogue, received_array([Received(5, each) for each in frames]), new_record(), tick)
@@ -61,25 +61,15 @@ def begun(**fields: Any) -> Remembered:
     return V.start(SETUP)._replace(**fields)
 
 
-def test_a_dialogue_begins_with_drives_that_were_sent_nothing_and_have_said_nothing():
-    start = V.start(SETUP)
-    assert (start.sent, start.confirmed, start.said) == ((0,) * 6, 0, (-1,) * 6)
-    assert [each.to_bytes(2, "little") for each in start.expected] == [
-        status(leg).data[2:4] for leg in range(6)
-    ]
-
-
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(50.0, 6), (325.0, 6), (330.0, 7), (400.0, 8), (1000.0, 20)])
 def test_each_drive_has_its_turn_every_20_ms_and_every_sixth_tick_at_most(rate_Hz, ticks):
     dialogue = V.start(SETUP._replace(rate_Hz=rate_Hz))
     turns = [[f.id - 0x600 for f in V.set_up(dialogue, at(k, state=BOOT))[1]] for k in range(2 * ticks)]
-    assert turns == [[node] for node in NODES] + [[]] * (ticks - 6) + [[node] for node in NODES] + [[]] * (
-        ticks - 6
-    )
+    assert turns == 2 * ([[node] for node in NODES] + [[]] * (ticks - 6))
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_drive_is_sent_its_config_by_its_own_state_age_and_number_of_tries(leg):
+def test_a_drive_is_sent_its_config_by_its_state_age_and_tries(leg):
     def sends(state: int, age: int = 0, sent: int = 0, confirmed: int = 0) -> bool:
         states, ages, tries = ([9] * 6 for _ in range(3))
         states[leg], ages[leg], tries[leg] = state, age, sent
@@ -95,54 +85,38 @@ def test_a_drive_is_sent_its_config_by_its_own_state_age_and_number_of_tries(leg
     assert [sends(state) for state in (READY, RUN, FAULT)] == [False, False, True]
 
 
-def test_a_drive_is_set_up_when_it_was_sent_its_config_and_has_confirmed_it():
-    assert V.legs_set_up(begun(sent=(0, 1, 0, 1, 2, 0), confirmed=0b011011)) == (
-        False,
-        True,
-        False,
-        True,
-        True,
-        False,
-    )
-
-
 @pytest.mark.parametrize("leg", range(6))
-def test_a_status_confirms_the_set_up_of_its_drive_alone_and_takes_it_back(leg):
+def test_a_status_confirms_the_set_up_of_its_drive_and_takes_it_back(leg):
     mine = 1 << leg
-    dialogue = told(begun(), status(leg))
-    assert dialogue.confirmed == mine
+    dialogue = taken(begun(), status(leg))
+    assert (dialogue.confirmed, V.legs_set_up(dialogue)) == (mine, (False,) * 6), "we have sent none yet"
+    sent = dialogue._replace(sent=(1, 2, 1, 1, 3, 1))
+    assert V.legs_set_up(sent) == tuple(k == leg for k in range(6))
     assert [each != -1 for each in dialogue.said] == [k == leg for k in range(6)]
+    assert taken(begun(confirmed=63 ^ mine), bare(leg)).said[leg] == 0
     for other in (
         status(leg, BOOT),
         status(leg, watchdog_s=0.013),
         status(leg, reaction=Reaction.DAMP),
         bare(leg),
     ):
-        after = told(begun(confirmed=0b111111), other)
+        after = taken(begun(confirmed=0b111111), other)
         assert after.confirmed == 0b111111 - mine
         assert after.said[leg] == int.from_bytes(other.data[2:4], "little")
 
 
-def test_what_a_drive_said_last_of_its_set_up_is_kept_of_whole_statuses_alone():
+def test_only_the_last_whole_status_of_a_drive_counts():
     first, second = status(2, watchdog_s=0.02), status(2, watchdog_s=0.03)
-    heard = told(begun(), first, second, status(4, watchdog_s=0.02)).said
+    heard = taken(begun(), first, second, status(4, watchdog_s=0.02)).said
     assert heard[2] == int.from_bytes(second.data[2:4], "little")
     assert [each == -1 for each in heard] == [True, True, False, True, False, True]
     spoiled = [second._replace(flags=flags) for flags in (EXTENDED, REMOTE, ERROR, BUS)]
-    spoiled += [
-        second._replace(data=second.data[:4]),
-        second._replace(data=bytes(5)),
-        second._replace(id=0x702),
-    ]
-    assert told(begun(), first, *spoiled).said[2] == int.from_bytes(first.data[2:4], "little")
+    spoiled += [second._replace(data=data) for data in (second.data[:4], bytes(5))]
+    spoiled += [second._replace(id=0x702)]
+    assert taken(begun(), first, *spoiled).said[2] == int.from_bytes(first.data[2:4], "little")
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_the_word_of_the_one_drive_that_is_not_set_up_yet_is_kept(leg):
-    assert told(begun(confirmed=63 ^ 1 << leg), bare(leg)).said[leg] == 0
-
-
-def test_each_drive_lacks_what_its_checksum_tells():
+def test_what_each_drive_lacks_is_read_from_its_checksum():
     statuses = {
         0: status(0),
         2: status(2, reaction=Reaction.DAMP),
@@ -150,69 +124,41 @@ def test_each_drive_lacks_what_its_checksum_tells():
         4: bare(4),
         5: status(5, watchdog_s=0.02),
     }
-    dialogue = told(begun(sent=(1, 0, 1, 2, 3, 4)), *statuses.values())
-    differs = {
-        leg: f"its set-up has checksum 0x{int.from_bytes(statuses[leg].data[2:4], 'little'):04X}, not "
-        f"0x{dialogue.expected[leg]:04X}: it holds another than the CONFIG sent, or its rated force is not "
-        "drives.force_limit_N, 32000 N"
-        for leg in (2, 3, 5)
-    }
-    assert V.set_up_lacks(dialogue) == (
-        "",
-        "it was sent no CONFIG",
-        differs[2],
-        differs[3],
-        "it reports no set-up: it has accepted no CONFIG",
-        differs[5],
-    )
-    unheard = "no status of it was heard that confirms one of {} CONFIG"
-    assert V.set_up_lacks(begun(sent=(1, 2, 3, 4, 5, 6)))[3] == unheard.format(4)
-    taken_back = told(dialogue, status(0, BOOT))
-    assert V.set_up_lacks(taken_back)[0] == unheard.format(1), "the right checksum, and it is in boot"
+    dialogue = taken(begun(sent=(1, 0, 1, 2, 3, 4)), *statuses.values())
+    words = ["", "sent no CONFIG", "checksum", "checksum", "reports no set-up", "checksum"]
+    for leg, (word, lack) in enumerate(zip(words, V.set_up_lacks(dialogue), strict=True)):
+        assert (word in lack) if word else not lack
+        if word == "checksum":
+            found = int.from_bytes(statuses[leg].data[2:4], "little"), dialogue.expected[leg]
+            assert "0x{:04X}, not 0x{:04X}".format(*found) in lack
+    for unheard in (begun(sent=(1,) * 6), taken(dialogue, status(0, BOOT))):  # the right checksum, in boot
+        assert "no status" in V.set_up_lacks(unheard)[0]
 
 
 def test_a_drive_of_another_version_of_the_protocol_does_not_confirm():
     older = LegsProtocol("fd", NODES, 32_000.0)
     older.tables["version"] = 1
-    assert "checksum" in V.set_up_lacks(told(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
+    assert "checksum" in V.set_up_lacks(taken(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
 
 
 @pytest.mark.parametrize("watchdog_s", [0.0, 4e-7, 4294.9673, float("nan"), float("inf"), -1.0])
 def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
-    with pytest.raises(
-        ProtocolError, match=r"does not fit into CONFIG: 0\.000001 to 4294\.967295 s are allowed"
-    ):
+    with pytest.raises(ProtocolError, match="CONFIG"):
         P.configure(watchdog_s, Reaction.HOLD)
     for fits in (6e-7, 4294.967295):
-        message = parse(P, P.configure(fits, Reaction.HOLD)[2])
-        assert message == Configure(2, pytest.approx(fits if fits > 1 else 1e-6), Reaction.HOLD)  # type: ignore[arg-type]
+        message: Any = parse(P, P.configure(fits, Reaction.HOLD)[2])
+        assert message == Configure(2, pytest.approx(max(fits, 1e-6)), Reaction.HOLD)  # type: ignore[arg-type]
 
 
-# what it says of itself
+# traits
 
 
 def test_the_own_protocol_has_its_traits():
-    assert (
-        P.traits.command_delay_ticks,
-        P.traits.set_up_frames,
-        P.traits.reset_ticks,
-        P.traits.power_told,
-    ) == (0, 1, 5, "feedback")
-    assert {
-        P.traits.stop_latches,
-        P.traits.force_on_brakes,
-        P.traits.has_watchdog,
-        P.traits.answers_name_sync,
-        P.traits.latches_together,
-    } == {True}
-    assert (P.traits.shares_identifiers, P.traits.unasked_s, P.traits.dangers, P.traits.reactions) == (
-        False,
-        0.0,
-        (),
-        tuple(Reaction),
-    )
-    assert P.traits.reported_lengths is None
-    assert P.fault_text(3) == ""
+    t = P.traits
+    assert (t.command_delay_ticks, t.set_up_frames, t.reset_ticks, t.power_told) == (0, 1, 5, "feedback")
+    has = (t.stop_latches, t.force_on_brakes, t.has_watchdog, t.answers_name_sync, t.latches_together)
+    assert (has, t.shares_identifiers) == ((True,) * 5, False)
+    assert (t.unasked_s, t.dangers, t.reactions, t.reported_lengths) == (0.0, (), tuple(Reaction), None)
     force = np.arange(6.0)
     assert P.controller_end(SETUP).carried(force) is force
 
@@ -236,15 +182,9 @@ def test_frames_concern_the_legs_of_their_identifiers():
     assert P.traits.feedback_ids == {each.id for each in feedback}
 
 
-@pytest.mark.parametrize(
-    ("nodes", "message"),
-    [
-        ((1, 2, 0, 4, 5, 6), r"node_ids\[2\]: .* allowed with legs: 1 to 127, given: 0"),
-        ((128, 2, 3, 4, 5, 6), r"node_ids\[0\]: .* given: 128"),
-    ],
-)
-def test_nodes_are_numbers_of_1_to_127(nodes, message):
-    with pytest.raises(ConfigurationError, match=message):
+@pytest.mark.parametrize("nodes", [(1, 2, 0, 4, 5, 6), (128, 2, 3, 4, 5, 6)])
+def test_nodes_are_numbers_of_1_to_127(nodes):
+    with pytest.raises(ConfigurationError, match="node_ids"):
         LegsProtocol("fd", nodes)
 
 
@@ -253,8 +193,7 @@ def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
     if 0.001 <= rated_N <= 4294967.295:
         assert LegsProtocol("fd", NODES, rated_N).rated_force_N == rated_N
         return
-    text = "drives.force_limit_N: out of range for protocol legs, allowed: 0.001 to 4294967.295, given: "
-    with pytest.raises(ConfigurationError, match=text):
+    with pytest.raises(ConfigurationError, match="force_limit_N"):
         LegsProtocol("fd", NODES, rated_N)
 
 
@@ -287,7 +226,7 @@ def test_drives_refuse_a_frame_that_is_cut_repeated_or_of_another_sync():
 # on several buses
 
 
-def test_each_bus_is_sent_the_forces_of_its_own_legs_and_its_drives_alone_take_them():
+def test_each_bus_carries_the_forces_of_its_own_legs():
     protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
     force = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     frames = command_frames(protocol, Command(DriveMode.RUN, force), 7)
@@ -319,21 +258,6 @@ def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
     assert [age == 0 for age in tick["age"]] == [leg not in (1, 2) for leg in range(6)]
 
 
-@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
-def test_a_protocol_names_its_layout_and_nodes_and_says_how_large_a_force_may_be(layout):
-    protocol = LegsProtocol(layout, NODES, 32_000.0)
-    assert (protocol.layout, protocol.nodes, protocol.rated_force_N) == (layout, NODES, 32_000.0)
-    assert (protocol.database[0], "FEEDBACK_FD_1" in protocol.database[1]) == ("legs.dbc", True)
-    span = {
-        "classic": "-32768 to 32766",
-        "fd": r"-2147483\.648 to 2147483\.647",
-        "ideal": "-1000000000 to 1000000000",
-    }
-    text = rf"does not fit layout {layout}: {span[layout]} N are allowed; lower limits\.force_N or choose another"
-    with pytest.raises(ProtocolError, match=text):
-        command_frames(protocol, Command(DriveMode.RUN, np.full(6, 1e12)), 0)
-
-
 @pytest.mark.parametrize(
     ("layout", "low", "high", "beyond"),
     [
@@ -343,9 +267,7 @@ def test_a_protocol_names_its_layout_and_nodes_and_says_how_large_a_force_may_be
     ],
 )
 @pytest.mark.parametrize("leg", range(6))
-def test_a_force_at_either_end_of_its_field_reaches_its_drive_and_one_beyond_is_refused(
-    layout, low, high, beyond, leg
-):
+def test_a_force_reaches_its_drive_up_to_the_end_of_its_field(layout, low, high, beyond, leg):
     protocol = LegsProtocol(layout, NODES, 32_000.0)
     for force, outside in ((low, low - beyond), (high, high + beyond)):
         six = np.zeros(6)
@@ -361,7 +283,7 @@ def test_a_force_at_either_end_of_its_field_reaches_its_drive_and_one_beyond_is_
             command_frames(protocol, Command(DriveMode.RUN, six), 7)
 
 
-def test_drives_of_another_rated_force_confirm_nothing_be_it_by_a_thousandth_of_a_newton():
+def test_another_rated_force_has_another_checksum():
     frame = P.configure(0.0125, Reaction.HOLD)[2]
     rated_N = (32_000.0, 32_000.001, 31_999.999, 32_000.4, 32_000.5, 32_001.0, 0.001, 0.002)
     assert len({set_up_checksum(frame.id, frame.data[:-1], each) for each in rated_N}) == len(rated_N)

@@ -1,10 +1,25 @@
-"""What a bus has received, for people to compare."""
+"""What a bus has received, until when to wait for it, and a bus on which a frame takes long."""
+
+from __future__ import annotations
+
+import time
 
 from drivers.arrays import Rows
+from drivers.can.bus_time import BitTiming
 from drivers.frame_array import received_frames
 from drivers.protocol import Received
 
+CRAWL = BitTiming(2_000, 2_000)
+"""A frame of 8 bytes takes 67.5 ms: what has to happen meanwhile does so on a busy machine, too."""
+CLASSIC_8_BYTES = 135
+"""Worst-case bits, hence 135 us at 1 Mbit/s."""
+
 
 def got(frames: Rows) -> list[Received]:
-    """Return elements of FRAME as received frames."""
+    """Elements of FRAME as received frames."""
     return [*received_frames(frames)]
+
+
+def soon(seconds: float = 2.0) -> int:
+    """The time so many seconds from now, ns."""
+    return time.monotonic_ns() + int(seconds * 1e9)

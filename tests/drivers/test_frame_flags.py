@@ -1,29 +1,19 @@
-"""What a frame is has a bit, or a word, of its own in the kernel's bytes, in python-can's Message and back."""
+"""Each kind of frame in the kernel's bytes and in a message of python-can, there and back."""
 
 from __future__ import annotations
 
-import struct
+import sys
 
 import can
 import pytest
 
 from drivers.can.messages import from_message, to_message
 from drivers.can.socketcan import pack, unpack
+from drivers.errors import BusError
 from drivers.frame_array import received_array, unpack_frames
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 
-KERNEL = [
-    (0, 0x0000_0123, 0),
-    (EXTENDED, 0x8000_0123, 0),
-    (REMOTE, 0x4000_0123, 0),
-    (EXTENDED | REMOTE, 0xC000_0123, 0),
-    (FD, 0x0000_0123, 0x0),
-    (FD | BRS, 0x0000_0123, 0x1),
-    (FD | ESI, 0x0000_0123, 0x2),
-    (FD | BRS | ESI, 0x0000_0123, 0x3),
-    (FD | BRS | EXTENDED, 0x8000_0123, 0x1),
-]
-"""Flags, the identifier's word and the byte of flags, after linux/can.h."""
+little_endian = pytest.mark.skipif(sys.byteorder != "little", reason="byte vectors are little endian")
 WORDS = {
     EXTENDED: "is_extended_id",
     REMOTE: "is_remote_frame",
@@ -32,32 +22,51 @@ WORDS = {
     BRS: "bitrate_switch",
     ESI: "error_state_indicator",
 }
-KINDS = [*(flags for flags, _, _ in KERNEL), ERROR]
+KINDS = [0, EXTENDED, REMOTE, EXTENDED | REMOTE, FD, FD | BRS, FD | ESI, FD | BRS | ESI, EXTENDED | FD, ERROR]
 
 
-@pytest.mark.parametrize(("flags", "word", "bits"), KERNEL)
-def test_the_kernel_is_given_and_gives_each_kind_of_frame_with_the_bits_of_its_header(flags, word, bits):
-    data = b"" if flags & REMOTE else b"\x11\x22\x33"
-    head = struct.pack("=IBB2x", word, len(data), bits)
-    raw = head + data.ljust(64 if flags & FD else 8, b"\0")
-    frame = Frame(0x123, data, flags)
-    assert pack(*frame) == raw
-    assert unpack(raw) == frame
+# struct can_frame and canfd_frame of linux/can.h, little endian, written out by hand
+@little_endian
+@pytest.mark.parametrize(
+    ("frame", "raw"),
+    [
+        (Frame(0x123, b"\x01\x02"), "23010000 02000000 0102000000000000"),
+        (Frame(0x7FF, bytes(8)), "ff070000 08000000 0000000000000000"),
+        (Frame(0x1ABCDEF0, b"", EXTENDED), "f0debc9a 00000000 0000000000000000"),
+        (Frame(0x1FFFFFFF, b"", EXTENDED | REMOTE), "ffffffdf 00000000 0000000000000000"),
+        (Frame(0x12, b"", REMOTE), "12000040 00000000 0000000000000000"),
+        (Frame(0x181, b"\xff" * 12, FD), "81010000 0c000000" + "ff" * 12 + "00" * 52),
+        (Frame(0x181, b"\xff" * 12, FD | BRS), "81010000 0c010000" + "ff" * 12 + "00" * 52),
+        (Frame(0x181, b"\xff" * 64, FD | ESI), "81010000 40020000" + "ff" * 64),
+        (Frame(0x123, b"\xff" * 64, FD | BRS | ESI | EXTENDED), "23010080 40030000" + "ff" * 64),
+    ],
+)
+def test_frames_of_socketcan_are_those_of_the_kernel(frame, raw):
+    assert pack(*frame) == bytes.fromhex(raw)
+    assert unpack(bytes.fromhex(raw)) == frame
+
+
+@little_endian
+def test_an_error_frame_of_the_kernel_keeps_its_classes():
+    # CAN_ERR_FLAG | CAN_ERR_BUSOFF, and all 29 bits of classes
+    assert unpack(bytes.fromhex("40000020 08000000 0000000000000000")) == Frame(0x40, bytes(8), ERROR)
+    assert unpack(bytes.fromhex("ffffff3f 08000000 0000000000000000")) == Frame(0x1FFFFFFF, bytes(8), ERROR)
+
+
+@pytest.mark.parametrize(("size", "flags"), [(9, 0), (65, FD)])
+def test_data_longer_than_a_frame_of_the_kernel_is_refused(size, flags):
+    with pytest.raises(BusError, match=f"{size} bytes"):
+        pack(*Frame(0x7FF, bytes(size), flags))
 
 
 @pytest.mark.parametrize("flags", KINDS)
-def test_a_message_of_python_can_says_of_each_kind_of_frame_what_it_is_and_nothing_else(flags):
+def test_a_message_of_python_can_has_the_kind_of_its_frame(flags):
     frame = Frame(0x123, b"" if flags & REMOTE else b"\x11\x22", flags)
     (unpacked,) = unpack_frames(received_array([Received(2_000_000_000, frame)]).tobytes())
     message = to_message(unpacked, 500_000_000, "c")
-    assert {name for name in WORDS.values() if getattr(message, name)} == {
-        name for flag, name in WORDS.items() if flags & flag
-    }
+    for flag, word in WORDS.items():
+        assert getattr(message, word) == bool(flags & flag), word
     assert (message.timestamp, message.channel, message.is_rx) == (2.5, "c", True)
     assert from_message(message) == frame
-
-
-@pytest.mark.parametrize("flags", KINDS)
-def test_a_message_that_another_program_made_becomes_the_same_kind_of_frame(flags):
     words = {name: bool(flags & flag) for flag, name in WORDS.items()}
     assert from_message(can.Message(arbitration_id=0x123, data=b"\x11", **words)).flags == flags

@@ -63,7 +63,7 @@ def test_python_can_sees_the_bus_under_its_entry_point():
         assert {"interface": "localcan", "channel": "t"} in can.detect_available_configs("localcan")
 
 
-def test_python_can_refusals():
+def test_python_can_is_refused_another_timing_a_full_queue_and_fd_frames():
     with LocalCanBus("t", bitrate=125_000, fd=False) as bus:
         with pytest.raises(can.CanInitializationError, match="125000"):
             LocalCanBus("t", bitrate=250_000)
@@ -160,17 +160,3 @@ def test_python_can_viewer_shows_the_bus(join):
         viewer.wait(10)
         os.close(master)
     assert b"5A5" in screen
-
-
-def test_what_a_bus_sends_again_and_again_stops_with_it(monkeypatch):
-    stopped: list[can.BusABC] = []
-
-    def stop(bus: can.BusABC) -> None:
-        stopped.append(bus)
-
-    monkeypatch.setattr(can.BusABC, "stop_all_periodic_tasks", stop)
-    bus = LocalCanBus("t")
-    assert stopped == []
-    for _ in range(2):
-        bus.shutdown()
-        assert stopped == [bus]

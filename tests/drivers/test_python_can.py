@@ -1,137 +1,252 @@
-"""The interfaces of python-can: with which bit rates a bus is opened, and when one counts as off, and how its frames are stamped."""
+"""The interfaces of python-can: how they are opened, what is heard, what is lost, when one is off."""
 
 from __future__ import annotations
 
+import os
+import struct
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
 import can
 import pytest
+from can.interfaces.slcan import slcanBus
 
-from drivers.can import python_can
+from drivers.can.bus import Bus
 from drivers.can.python_can import PythonCan, open_python_can
 from drivers.config import BusSettings
+from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
 from tests.drivers.frames_heard import got
 
+PAIR = (Frame(1, b"a"), Frame(2, b"b"))
+Look = can.Message | Exception | None
+GARBLED = [
+    ValueError("int()"),
+    IndexError("line"),
+    KeyError("X"),
+    can.CanOperationError("overrun"),
+    TypeError("ord()"),
+    struct.error("unpack"),
+]
+
+
+def message(identifier: int, **changes: Any) -> can.Message:
+    return can.Message(arbitration_id=identifier, is_extended_id=False, **changes)
+
 
 class Adapter:
-    """A stand-in for a bus of python-can. Mutable state: how it was opened, whether its calls fail."""
+    """A stand-in for a bus of python-can: `coming` is what `recv` gives or raises, look by look; then `last`.
 
-    def __init__(self, *place: str, **options: Any) -> None:
-        self.place, self.options = place, options
-        self.receives = self.sends = True
+    Mutable state: what is to come, how often it was looked, what was sent, and whether it was shut down.
+    """
+
+    def __init__(self, *coming: Look, last: Look = None, raises: Exception | None = None) -> None:
+        self.coming, self.last, self.raises = list(coming), last, raises
+        self.refuses: Exception | None = None
+        self.looks, self.sent, self.shut = 0, list[tuple[int, bytes]](), False
 
     def fileno(self) -> int:
         raise NotImplementedError
 
-    def recv(self, _timeout_s: float) -> None:
-        if not self.receives:
-            raise can.CanOperationError("gone")
+    def recv(self, _timeout_s: float) -> can.Message | None:
+        self.looks += 1
+        found = self.coming.pop(0) if self.coming else self.last
+        if isinstance(found, Exception):
+            raise found
+        return found
 
-    def send(self, _message: can.Message, timeout: float) -> None:
-        if not self.sends:
-            raise can.CanOperationError("full")
+    def send(self, sent: can.Message, timeout: float) -> None:
         assert timeout == 0
+        if self.refuses is not None:
+            raise self.refuses
+        self.sent.append((sent.arbitration_id, bytes(sent.data)))
+
+    def flush_tx_buffer(self) -> None:
+        if self.raises is not None:
+            raise self.raises
+
+    def shutdown(self) -> None:
+        self.shut = True
+        if self.raises is not None:
+            raise self.raises
 
 
-def opened(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
-    """Return the options with which a bus of the interface kvaser is opened."""
-    monkeypatch.setattr(can, "Bus", Adapter)
-    settings = {
-        "interface": "kvaser",
-        "channel": "3",
-        "bitrate_bit_s": 500_000,
-        "data_bitrate_bit_s": 2_000_000,
-    }
-    adapter: Any = open_python_can(BusSettings.model_validate(settings | changes))._bus
-    assert adapter.place == ("3", "kvaser")
-    assert adapter.options.pop("ignore_config") is True, "what python-can is told in other places"
-    options: dict[str, Any] = adapter.options
-    return options
+def on(adapter: Any, interface: str = "") -> PythonCan:
+    return PythonCan(adapter, interface)
 
 
-def test_a_bus_with_a_data_phase_is_opened_with_the_bit_rate_of_each_phase(monkeypatch):
-    assert opened(monkeypatch, layout="fd") == {"bitrate": 500_000, "fd": True, "data_bitrate": 2_000_000}
+def heard(bus: PythonCan) -> list[int]:
+    return [each.frame.id for each in got(bus.receive())]
 
 
-def test_a_classic_bus_is_opened_without_a_data_phase(monkeypatch):
-    assert opened(monkeypatch, layout="classic") == {"bitrate": 500_000}
+# opening
 
 
-def test_options_of_the_bus_take_the_place_of_its_bit_rates(monkeypatch):
-    own = {"bitrate": 250_000, "data_bitrate": 4_000_000, "fd": False, "single_handle": True}
-    assert opened(monkeypatch, layout="fd", options=own) == own
+OWN = {"bitrate": 250_000, "data_bitrate": 4_000_000, "fd": False, "single_handle": True}
 
 
-@pytest.mark.parametrize("interface", ["kvaser", "udp_multicast"])
-def test_what_a_file_or_the_environment_of_python_can_says_does_not_count(monkeypatch, interface):
-    """There others may have written a bit rate for their own work, or a hop limit."""
-    found: list[Any] = []
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"layout": "fd"}, {"bitrate": 500_000, "fd": True, "data_bitrate": 2_000_000}),
+        ({"layout": "classic"}, {"bitrate": 500_000}),
+        ({"layout": "fd", "options": OWN}, OWN),
+        ({"interface": "udp_multicast", "layout": "classic"}, {"hop_limit": 0}),
+    ],
+)
+def test_a_bus_is_opened_with_the_bit_rates_of_its_layout_or_its_own_options(monkeypatch, changes, expected):
+    """Files and the environment of python-can do not count: they may have a bit rate for other work."""
+    opened: list[Any] = []
 
     def bus(*place: str, **options: Any) -> Adapter:
-        found.append(options)
-        return Adapter(*place)
+        opened.append((place, options))
+        return Adapter()
 
     monkeypatch.setattr(can, "Bus", bus)
-    open_python_can(BusSettings(interface=interface, channel="3"))
-    (options,) = found
-    assert options["ignore_config"] is True
-    assert options.get("hop_limit") == (0 if interface == "udp_multicast" else None)
+    settings = {"interface": "kvaser", "bitrate_bit_s": 500_000, "data_bitrate_bit_s": 2_000_000} | changes
+    open_python_can(BusSettings.model_validate({"channel": "3", **settings}))
+    ((place, options),) = opened
+    assert place == ("3", settings["interface"])
+    assert options == {"ignore_config": True, **expected}
 
 
-def test_a_bus_that_failed_is_off_until_it_takes_frames_again_each_time():
-    adapter: Any = Adapter()
-    bus = PythonCan(adapter)
-    frames = [Frame(1, b"x"), Frame(2, b"y")]
+@pytest.mark.parametrize("interface", ["kvaser", "slcan", "udp_multicast"])
+@pytest.mark.parametrize("age_s", [0.0, 0.9, -3e-4, 1e6])
+def test_a_frame_has_the_time_at_which_it_was_taken(monkeypatch, interface, age_s):
+    """Whatever its own stamp: that may be of the adapter's clock."""
+    coming: Any = Adapter(can.Message(timestamp=time.time() - age_s, arbitration_id=1))
+    monkeypatch.setattr(can, "Bus", lambda *_, **__: coming)
+    bus = open_python_can(BusSettings(interface=interface, channel="0", layout="classic"))
+    before_ns = time.monotonic_ns()
+    (received,) = got(bus.receive())
+    assert before_ns <= received.t_ns <= time.monotonic_ns()
+    assert bus.virtual == (interface == "udp_multicast")
+
+
+# what is heard and sent
+
+
+def test_frames_are_sent_without_waiting_until_one_is_refused():
+    adapter = Adapter()
+    bus = on(adapter)
+    before_ns = time.monotonic_ns()
+    assert bus.send(sent_array(PAIR)) == 2
+    assert adapter.sent == [(1, b"a"), (2, b"b")]
+    assert before_ns <= bus.sent_ns()[0] <= bus.sent_ns()[1] <= time.monotonic_ns()
+    adapter.refuses = can.CanOperationError("full")
+    assert (bus.send(sent_array(PAIR)), bus.sent_ns()) == (0, [])
+    adapter.refuses = ValueError("too long")
+    with pytest.raises(BusError, match="0x1"):
+        bus.send(sent_array(PAIR))
+
+
+def test_a_bus_that_failed_is_off_until_it_takes_frames_again():
+    adapter = Adapter()
+    bus = on(adapter)
     for _ in range(2):
-        adapter.receives, adapter.sends = False, False
-        assert got(bus.receive()) == []
-        assert bus.off
-        assert bus.send(sent_array(frames)) == 0
-        assert bus.off, "it has taken nothing yet"
-        adapter.receives, adapter.sends = True, True
-        assert got(bus.receive()) == []
-        assert bus.send(sent_array(frames)) == 2
-        assert not bus.off
+        adapter.last = adapter.refuses = can.CanOperationError("gone")
+        assert (heard(bus), bus.off) == ([], True)
+        assert (bus.send(sent_array(PAIR)), bus.off) == (0, True)
+        adapter.last = adapter.refuses = None
+        assert heard(bus) == []
+        assert (bus.send(sent_array(PAIR)), bus.off) == (2, False)
 
 
-REAL_NS, NOW_NS = 1_700_000_000_000_000_000, 5_000_000_000
+def test_an_echo_of_an_own_frame_is_ignored():
+    echo = message(0x80, is_rx=False)
+    assert heard(on(Adapter(echo, message(1), echo, echo, message(2)))) == [1, 2]
+    bus = on(Adapter(echo))
+    bus.block(0, frozenset())
+    assert heard(bus) == []
 
 
-class Stamping(Adapter):
-    """A bus on which one frame has come, stamped `age_s` before it is taken."""
-
-    def __init__(self, age_s: float) -> None:
-        super().__init__()
-        self.coming = [can.Message(timestamp=1e-9 * REAL_NS - age_s, arbitration_id=1)]
-
-    def recv(self, _timeout_s: float) -> Any:
-        return self.coming.pop() if self.coming else None
+@pytest.mark.parametrize("error", GARBLED, ids=repr)
+def test_an_unreadable_message_is_one_lost_frame(error):
+    bus = on(Adapter(error, message(1), None, *[error, message(2)] * 20))
+    assert (heard(bus), bus.overflow, bus.off) == ([1], 1, False)
+    assert (heard(bus), bus.overflow, bus.off) == ([2] * 20, 21, False)
 
 
-def stamp_ns(monkeypatch: pytest.MonkeyPatch, interface: str, age_s: float) -> int:
-    """Return how long before it was taken a frame has come, by its time."""
-    monkeypatch.setattr(
-        python_can, "time", SimpleNamespace(time_ns=lambda: REAL_NS, monotonic_ns=lambda: NOW_NS)
-    )
-    adapter: Any = Stamping(age_s)
-    monkeypatch.setattr(can, "Bus", lambda *_, **__: adapter)
-    settings = BusSettings(interface=interface, channel="0", layout="classic")
-    (received,) = got(open_python_can(settings).receive())
-    return NOW_NS - received.t_ns
+@pytest.mark.parametrize("error", [*GARBLED, OSError("gone")], ids=repr)
+def test_an_interface_that_only_fails_is_off_at_the_first_look(error):
+    adapter = Adapter(last=error)
+    bus = on(adapter)
+    assert (heard(bus), bus.off) == ([], True)
+    looks, lost = adapter.looks, bus.overflow
+    assert heard(bus) == []
+    assert (adapter.looks, bus.overflow) == (looks + 1, lost), "it is not asked again and again"
 
 
-@pytest.mark.parametrize("age_s", [0.0, 3e-4, 0.9, 1.1, -3e-4])
-@pytest.mark.parametrize("interface", ["kvaser", "pcan", "slcan", "udp_multicast"])
-def test_a_frame_has_the_time_at_which_it_was_taken_whatever_its_own_stamp_says(
-    monkeypatch, interface, age_s
-):
-    assert stamp_ns(monkeypatch, interface, age_s) == 0
+def test_a_look_ends_although_frames_come_all_the_time():
+    adapter = Adapter(last=message(7))
+    for bus in [on(adapter)] * 2:
+        adapter.looks = 0
+        assert len(heard(bus)) == adapter.looks < 2_000
 
 
-def test_no_answer_on_a_bus_without_a_wire_takes_its_time():
-    adapter: Any = Adapter()
-    assert PythonCan(adapter, "udp_multicast").virtual
-    assert not PythonCan(adapter, "kvaser").virtual
+# the end
+
+
+@pytest.mark.parametrize("error", [can.CanOperationError("port"), OSError("usb"), AttributeError("handle")])
+def test_an_error_of_an_interface_at_its_end_ends_no_run_and_keeps_no_role(error):
+    given: list[str] = []
+    role: Any = SimpleNamespace(close=lambda: given.append("back"))
+    adapter = Adapter(raises=error)
+    with Bus([on(adapter)], role) as bus, pytest.raises(BusError, match="cannot be dropped"):
+        bus.flush_tx()
+    assert (adapter.shut, given) == (True, ["back"])
+    Bus([on(Adapter(raises=NotImplementedError()))]).flush_tx()
+
+
+# slcan as python-can has it, on a terminal in place of the adapter
+
+
+@pytest.fixture
+def line() -> Iterator[tuple[PythonCan, int]]:
+    """Return a bus and the descriptor at which its adapter would write."""
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    bus = slcanBus(os.ttyname(theirs), bitrate=1_000_000, sleep_after_open=0, timeout=0)
+    yield PythonCan(bus), ours
+    with suppress(can.CanError, OSError):
+        bus.shutdown()
+    os.close(theirs)
+    with suppress(OSError):
+        os.close(ours)
+
+
+def write(line: tuple[PythonCan, int], data: bytes) -> None:
+    """Let the adapter write, and wait until all of it is there."""
+    bus, adapter = line
+    os.write(adapter, data)
+    port: Any = bus._bus.serialPortOrig  # type: ignore[attr-defined]
+    assert any(port.in_waiting == len(data) for _ in range(1_000_000))
+
+
+def test_frames_after_lines_that_confirm_own_frames_are_there_at_one_look(line):
+    bus, _ = line
+    write(line, b"\r" * 12 + b"t1232AABB\r" + b"z\r" * 6 + b"t1241CC\r" + b"\r")
+    assert [each.frame for each in got(bus.receive())] == [Frame(0x123, b"\xaa\xbb"), Frame(0x124, b"\xcc")]
+    assert (heard(bus), bus.overflow, bus.off) == ([], 0, False)
+
+
+@pytest.mark.parametrize("garbled", [b"t12", b"t12G2AABB", b"t1232AAB", b"t123XAABB", b"t1232\xff\xfe"])
+def test_a_damaged_line_is_one_lost_frame(line, garbled):
+    bus, _ = line
+    write(line, garbled + b"\r" + b"t1241CC\r" * 6)
+    assert heard(bus) == [0x124] * 6
+    assert (bus.overflow, bus.off) == (1, False)
+
+
+def test_an_adapter_that_is_pulled_out_is_off_and_closes_without_an_error(line):
+    bus, adapter = line
+    os.close(adapter)
+    assert (heard(bus), bus.off) == ([], True)
+    bus.block(0, frozenset())
+    Bus([bus]).close()

@@ -1,4 +1,4 @@
-"""SocketCan over a socket that is made: what it does with each errno, ancillary datum and error frame."""
+"""SocketCan over a made kernel: what it does with each errno, ancillary datum and error frame."""
 
 from __future__ import annotations
 
@@ -18,34 +18,49 @@ from drivers.can.socketcan import SocketCan, pack
 from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
-from drivers.protocol import BRS, ERROR, FD, Frame
+from drivers.protocol import BRS, FD, Frame
 from drivers.signals import BusState
 from tests.drivers.frames_heard import got
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0", layout="classic")
 CAN0 = CanInterface("can0", 5, True, 16, "can", True, 1_000_000, None, BusState.ACTIVE, 0, 0, None)
 FRAME = Frame(0x80, b"\x01")
-BUS_OFF, CONTROLLER_PROBLEM = 0x20000040, 0x20000004
-TIMESTAMP, LOST = 35, 40
+BUS_OFF, RESTARTED, CONTROLLER_PROBLEM = 0x20000040, 0x20000100, 0x20000004
+TIMESTAMP, LOST, MEMINFO = 35, 40, 55
 SECOND = 1_000_000_000
 
 
 class MadeSocket:
     """What the kernel would answer, in order; `waiting` is what it still has of ours, bytes."""
 
-    def __init__(self):
-        self.answers: deque[object] = deque()
-        self.sent = []
-        self.waiting = 0
-        self.refuses = None
+    def __init__(self, kernel: Kernel) -> None:
+        self.kernel, self.answers = kernel, deque[object]()
+        self.sent, self.options, self.waiting = list[bytes](), dict[tuple[int, int], int](), 0
+        self.refuses: int | None = None
+        self.kept = 0
+        """The error that the interface's going down leaves, until somebody asks or is told."""
         self.closed = False
 
-    def send(self, raw):
+    def setblocking(self, blocks: bool) -> None:
+        assert not blocks
+
+    def setsockopt(self, level: int, option: int, value: int) -> None:
+        self.options[level, option] = value
+
+    def bind(self, address: tuple[str]) -> None:
+        assert address == ("can0",)
+        if self.kernel.unbindable:
+            raise OSError(errno.ENODEV, "made")
+
+    def send(self, raw: bytes) -> None:
         if self.refuses is not None:
             raise OSError(self.refuses, "made")
         self.sent.append(raw)
 
-    def recvmsg(self, size, _ancillary):
+    def recvmsg(self, size: int, _ancillary: int) -> Any:
+        error, self.kept = self.kept, 0
+        if error:
+            raise OSError(error, "made")
         if not self.answers:
             raise BlockingIOError
         answer = self.answers.popleft()
@@ -54,36 +69,64 @@ class MadeSocket:
         raw, *rest = cast("tuple[Any, ...]", answer)
         return (raw[:size], *rest)  # as the kernel cuts it
 
-    def getsockopt(self, _level, option, *_size):
+    def getsockopt(self, _level: int, option: int, *_size: int) -> Any:
         # SO_MEMINFO begins with what was received, its limit, and what waits to be sent; SO_ERROR is a number
-        return struct.pack("=3I", 0, 0, self.waiting) if option == 55 else 0
+        if option == MEMINFO:
+            return struct.pack("=3I", 0, 0, self.waiting)
+        error, self.kept = self.kept, 0
+        return error
 
-    def close(self):
+    def close(self) -> None:
         self.closed = True
 
-    def hears(self, word, data=bytes(8), t_ns=None, lost=None):
-        ancillary = []
+    def hears(
+        self, word: int, data: bytes = bytes(8), t_ns: int | None = None, lost: int | None = None
+    ) -> None:
         t_ns = time.time_ns() if t_ns is None else t_ns
-        ancillary.append((1, TIMESTAMP, struct.pack("=qq", t_ns // SECOND, t_ns % SECOND)))
+        ancillary = [(1, TIMESTAMP, struct.pack("=qq", t_ns // SECOND, t_ns % SECOND))]
         if lost is not None:
             ancillary.append((1, LOST, struct.pack("=I", lost)))
-        classic = len(data) <= 8
-        raw = (
-            struct.pack("=IB3x8s", word, 8, data) if classic else struct.pack("=IBB2x64s", word, 64, 1, data)
-        )
-        self.answers.append((raw, ancillary, 0, None))
+        layout, head = ("=IB3x8s", (8,)) if len(data) <= 8 else ("=IBB2x64s", (64, 1))
+        self.answers.append((struct.pack(layout, word, *head, data), ancillary, 0, None))
+
+
+class Kernel:
+    """An interface, its queue and its sockets. State: what it was told, and how it is."""
+
+    def __init__(self) -> None:
+        self.interface, self.queued = CAN0, 0
+        self.there, self.forbidden, self.unbindable = True, False, False
+        self.calls, self.sockets = list[bool](), list[MadeSocket]()
+
+    def open(self, *kind: int) -> MadeSocket:
+        assert kind == (socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self.sockets.append(MadeSocket(self))
+        return self.sockets[-1]
+
+    def get_link(self, _name: str) -> bytes:
+        if not self.there:
+            raise OSError(errno.ENODEV, "made")
+        return b""
+
+    def set_up(self, _index: int, *, up: bool) -> None:
+        if self.forbidden:
+            raise PermissionError(errno.EPERM, "made")
+        self.calls.append(up)
+        self.queued, self.interface = 0, CAN0
+        if not up:
+            self.sockets[-1].kept = errno.ENETDOWN
 
 
 class Clock:
     """The module's time, set by hand."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.ns = 7 * SECOND
 
-    def monotonic_ns(self):
+    def monotonic_ns(self) -> int:
         return self.ns
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         return getattr(time, name)
 
 
@@ -95,44 +138,58 @@ def clock(monkeypatch):
 
 
 @pytest.fixture
-def made(monkeypatch, clock):
-    sock = MadeSocket()
-    monkeypatch.setattr(SocketCan, "_open", lambda _: (sock, CAN0))
-    return SocketCan(SETTINGS), sock
+def kernel(monkeypatch, clock):
+    kernel = Kernel()
+    monkeypatch.setattr(socket, "socket", kernel.open)
+    monkeypatch.setattr(netlink, "get_link", kernel.get_link)
+    monkeypatch.setattr(netlink, "set_up", kernel.set_up)
+    monkeypatch.setattr(netlink, "queued", lambda _: kernel.queued)
+    monkeypatch.setattr(socketcan, "parse", lambda *_: kernel.interface)
+    return kernel
 
 
 @pytest.fixture
-def kernel(monkeypatch):
-    """Interfaces taken down and up, and how long the queue is."""
-    calls, state = [], {"queued": 0, "interface": CAN0}
-
-    def set_up(_index, *, up):
-        if state.get("forbidden"):
-            raise PermissionError(errno.EPERM, "made")
-        calls.append(up)
-        state.update({"queued": 0, "interface": CAN0})
-
-    monkeypatch.setattr(netlink, "set_up", set_up)
-    monkeypatch.setattr(netlink, "queued", lambda _: state["queued"])
-    monkeypatch.setattr(netlink, "get_link", lambda _: b"")
-    monkeypatch.setattr(socketcan, "parse", lambda *_: state["interface"])
-    return calls, state
+def made(kernel):
+    can = SocketCan(SETTINGS)
+    return can, kernel.sockets[-1]
 
 
-def test_a_frame_keeps_the_kernels_time_stamp(made, clock):
+def sends(can: SocketCan, *frames: Frame) -> int:
+    return can.send(sent_array(frames or (FRAME,)))
+
+
+@pytest.mark.parametrize("layout", ["classic", "fd"])
+def test_the_kernel_is_asked_for_all_errors_time_stamps_losses_and_fd_frames(kernel, layout):
+    # CAN_CTRLMODE_FD is 0x20 of linux/can/netlink.h
+    kernel.interface = CAN0._replace(mtu=72, data_bitrate_bit_s=5_000_000, modes=0x20)
+    with Bus([SocketCan(SETTINGS.model_copy(update={"layout": layout}))]):
+        (sock,) = kernel.sockets
+        # linux/can.h and linux/can/raw.h: SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK, CAN_RAW_FD_FRAMES
+        assert sock.options[101, 2] == 0x1FFFFFFF
+        assert sock.options.get((101, 5), 0) == (layout == "fd")
+        assert sock.options[socket.SOL_SOCKET, TIMESTAMP] == sock.options[socket.SOL_SOCKET, LOST] == 1
+        assert not sock.closed
+    assert sock.closed
+
+
+@pytest.mark.parametrize(("there", "words"), [(False, "no such network interface"), (True, "does not open")])
+def test_an_interface_that_is_missing_or_cannot_be_bound_is_refused(kernel, there, words):
+    kernel.there, kernel.unbindable = there, True
+    with pytest.raises(BusError, match=words):
+        SocketCan(SETTINGS)
+    assert kernel.sockets[0].closed
+
+
+# what is received
+
+
+@pytest.mark.parametrize(("data", "flags"), [(b"12345678", 0), (bytes(range(64)), FD | BRS)])
+def test_a_frame_comes_whole_with_the_kernels_time_stamp(made, clock, data, flags):
     can, sock = made
-    sock.hears(0x123, b"12345678", t_ns=time.time_ns() - 3_000_000)
+    sock.hears(0x123, data, t_ns=time.time_ns() - 3_000_000)
     (received,) = got(can.receive())
-    assert received.frame == Frame(0x123, b"12345678")
+    assert received.frame == Frame(0x123, data, flags)
     assert -4_000_000 < received.t_ns - clock.ns < -2_900_000
-
-
-def test_a_frame_of_64_bytes_comes_whole(made):
-    can, sock = made
-    sock.hears(0x123, bytes(range(64)))
-    (received,) = got(can.receive())
-    assert (received.frame.id, received.frame.data) == (0x123, bytes(range(64)))
-    assert received.frame.flags == FD | BRS
 
 
 def test_a_stall_between_the_looks_at_two_clocks_moves_no_time_stamp(made, clock):
@@ -149,246 +206,141 @@ def test_a_stall_between_the_looks_at_two_clocks_moves_no_time_stamp(made, clock
     assert abs(received.t_ns - clock.ns) < 1_000_000
 
 
-def test_a_frame_is_out_when_the_kernel_has_taken_it(made, clock):
-    can, sock = made
-    taken = sock.send
-
-    def send(raw):
-        clock.ns += 1_000_000
-        return taken(raw)
-
-    sock.send, begun_ns = send, clock.ns
-    assert can.send(sent_array([Frame(1, b""), Frame(2, b"")])) == 2
-    assert can.sent_ns() == [begun_ns + 1_000_000, begun_ns + 2_000_000]
-    can.send(sent_array([Frame(3, b"")]))
-    assert can.sent_ns() == [begun_ns + 3_000_000]
-
-
-@pytest.mark.parametrize("layout", ["classic", "fd"])
-def test_the_kernel_is_asked_for_errors_of_all_classes_time_stamps_losses_and_fd_frames_where_the_layout_is(
-    monkeypatch, kernel, layout
-):
-    set_to: dict[tuple[int, int], int] = {}
-    bound = []
-
-    class Socket(MadeSocket):
-        def __init__(self, *kind):
-            super().__init__()
-            assert kind == (socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-
-        def setblocking(self, blocks):
-            assert not blocks
-
-        def setsockopt(self, level, option, value):
-            set_to[level, option] = value
-
-        def bind(self, address):
-            bound.append(address)
-
-    monkeypatch.setattr(socket, "socket", Socket)
-    # CAN_CTRLMODE_FD is 0x20 of linux/can/netlink.h
-    kernel[1]["interface"] = CAN0._replace(mtu=72, data_bitrate_bit_s=5_000_000, modes=0x20)
-    SocketCan(SETTINGS.model_copy(update={"layout": layout}))
-    assert bound == [("can0",)]
-    # linux/can.h and linux/can/raw.h: SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK, CAN_RAW_FD_FRAMES
-    assert set_to[101, 2] == 0x1FFFFFFF
-    assert set_to.get((101, 5), 0) == (layout == "fd")
-    assert set_to[socket.SOL_SOCKET, TIMESTAMP] == set_to[socket.SOL_SOCKET, LOST] == 1
-
-
-@pytest.mark.parametrize(("kind", "virtual"), [("can", False), ("vcan", True), ("vxcan", True), ("", False)])
-def test_an_interface_without_a_wire_is_told_from_others(monkeypatch, kind, virtual):
-    monkeypatch.setattr(SocketCan, "_open", lambda _: (MadeSocket(), CAN0._replace(kind=kind)))
-    assert SocketCan(SETTINGS).virtual == virtual
-
-
-def test_losses_in_the_kernel_are_counted_once_and_over_the_wrap(made):
+def test_losses_are_counted_once_and_over_the_wrap(made):
     can, sock = made
     for lost in (3, 3, 10, 0xFFFFFFFF, 1):
         sock.hears(0x80, lost=lost)
-    got(can.receive())
-    assert can.overflow == 0xFFFFFFFF + 2
-
-
-def test_losses_are_told_once(made):
-    can, sock = made
-    bus = Bus([can])
-    sock.hears(0x80, lost=3)
-    got(bus.drain_now())
-    assert bus.events().overflow == 3
-    assert bus.events().overflow == 0
-    sock.hears(0x80, lost=5)
-    got(bus.drain_now())
-    assert bus.events().overflow == 2
-
-
-def test_a_controller_that_loses_frames_counts_with_the_kernel(made):
-    can, sock = made
-    sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x01, 0, 0, 0, 0, 0, 0]))
+    sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x01, 0, 0, 0, 0, 0, 0]))  # the controller's own overflow
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x04, 0, 0, 0, 0, 0, 0]))
     got(can.receive())
-    assert can.overflow == 1
+    assert can.overflow == 0xFFFFFFFF + 2 + 1
 
 
-def test_the_worst_state_lasts_until_it_was_asked_for(made):
+def test_the_worst_state_lasts_until_it_was_read(made):
     can, sock = made
-    assert can.worst_state() is BusState.ACTIVE
+    assert (can.worst_state(), can.virtual) == (BusState.ACTIVE, False)
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x20, 0, 0, 0, 0, 0, 0]))
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]))
     sock.hears(0x20000020)
     got(can.receive())
-    assert can.worst_state() is BusState.PASSIVE
-    assert can.worst_state() is BusState.ACTIVE
+    assert [can.worst_state() for _ in range(2)] == [BusState.PASSIVE, BusState.ACTIVE]
 
 
-@pytest.mark.parametrize("back", [0x20000100, CONTROLLER_PROBLEM])
-def test_bus_off_lasts_until_the_controller_says_that_it_is_back(made, back):
+@pytest.mark.parametrize("back", [RESTARTED, CONTROLLER_PROBLEM])
+def test_bus_off_lasts_until_the_controller_reports_that_it_is_back(made, back):
     can, sock = made
     sock.hears(BUS_OFF)
-    # one that the controller had received before
-    sock.hears(0x123, t_ns=time.time_ns() + SECOND)
+    sock.hears(0x20000080)  # an error without a state
+    sock.hears(0x123, t_ns=time.time_ns() + SECOND)  # one that the controller had received before
     got(can.receive())
-    assert can.off
-    assert can.send(sent_array([FRAME])) == 0
-    assert can.worst_state() is BusState.OFF
+    assert (can.off, sends(can), can.worst_state()) == (True, 0, BusState.OFF)
     sock.hears(back, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]))
     got(can.receive())
     assert not can.off
-    can.worst_state()
-    assert can.worst_state() is BusState.ACTIVE
+    assert [can.worst_state() for _ in range(2)][1] is BusState.ACTIVE
 
 
-def test_a_virtual_interface_is_back_with_the_next_frame(made):
-    can, sock = made
-    can._interface = CAN0._replace(kind="vcan", has_controller=False)
-    sock.hears(BUS_OFF)
+def test_a_virtual_interface_is_back_with_the_next_frame(kernel):
+    kernel.interface = CAN0._replace(kind="vcan", has_controller=False)
+    can = SocketCan(SETTINGS)
+    kernel.sockets[-1].hears(BUS_OFF)
     got(can.receive())
-    assert can.off
-    sock.hears(0x123)
+    assert (can.off, can.virtual) == (True, True)
+    kernel.sockets[-1].hears(0x123)
     got(can.receive())
-    assert not can.off
-    assert can.worst_state() is BusState.OFF
+    assert (can.off, can.worst_state()) == (False, BusState.OFF)
 
 
 def test_a_bus_that_was_off_between_two_looks_was_off(made):
     can, sock = made
     bus = Bus([can])
     sock.hears(BUS_OFF)
-    sock.hears(0x20000100)
+    sock.hears(RESTARTED)
     got(bus.drain_now())
     assert bus.events() == (2, True, 0, BusState.OFF)
     assert bus.events() == (0, False, 0, BusState.ACTIVE)
 
 
-def test_a_controller_that_was_restarted_unheard_is_used_again_at_the_next_try(made, kernel):
-    can, sock = made
-    sock.hears(BUS_OFF)
-    got(can.receive())
-    can.flush_tx()
-    assert kernel[0] == []
-    assert not can.off
-    assert can.send(sent_array([FRAME])) == 1
-
-
-def test_an_error_frame_without_a_state_leaves_bus_off_as_it_is(made):
-    can, sock = made
-    sock.hears(BUS_OFF)
-    sock.hears(0x20000080)
-    got(can.receive())
-    assert can.off
+# a bus that takes nothing
 
 
 def test_a_full_queue_is_a_busy_bus_until_it_has_not_been_empty_for_50_ms(made, clock):
     can, sock = made
-    assert can.send(sent_array([FRAME] * 3)) == 3
+    assert sends(can, *[FRAME] * 3) == 3
     sock.waiting, sock.refuses = 900, errno.ENOBUFS
     for _ in range(6):
-        assert can.send(sent_array([FRAME])) == 0
+        assert sends(can) == 0
         clock.ns += 9_000_000
     assert not can.off
     sock.waiting, sock.refuses = 0, None
-    assert can.send(sent_array([FRAME])) == 1
+    assert sends(can) == 1
     sock.waiting = 900
     for _ in range(5):
-        assert can.send(sent_array([FRAME])) == 1
+        assert sends(can) == 1
         clock.ns += 10_000_000
     # it would take one more: that is what must not wait there
-    assert can.send(sent_array([FRAME])) == 0
-    assert can.off
+    assert (sends(can), can.off) == (0, True)
     sock.waiting = 0
-    assert can.send(sent_array([FRAME])) == 1
-    assert not can.off
+    assert (sends(can), can.off) == (1, False)
 
 
 def test_a_machine_that_stood_still_has_not_seen_a_dead_bus(made, clock):
     can, sock = made
     sock.waiting = 900
-    can.send(sent_array([FRAME]))
+    sends(can)
     clock.ns += SECOND
-    assert not can.off
-    assert can.send(sent_array([FRAME])) == 1
-    assert not can.off
+    assert (can.off, sends(can), can.off) == (False, 1, False)
 
 
 def test_a_frame_that_the_interface_cannot_carry_is_an_error(made):
     can, sock = made
     sock.refuses = errno.EMSGSIZE
     with pytest.raises(BusError, match="0x80"):
-        can.send(sent_array([FRAME]))
+        sends(can)
 
 
-def test_an_interface_that_was_down_is_used_again_once_it_is_up_as_configured(
-    made, clock, kernel, monkeypatch
-):
+def test_an_interface_that_was_down_is_used_again_once_it_is_up_as_configured(made, clock, kernel):
     can, sock = made
-    _, state = kernel
-    monkeypatch.setattr(SocketCan, "_open", lambda link: (sock, link._look()))
     sock.refuses = errno.ENETDOWN
-    assert can.send(sent_array([FRAME])) == 0
-    assert can.off
-    sock.refuses = None
+    assert (sends(can), can.off) == (0, True)
+    can.died()
+    assert kernel.calls == [], "it is not taken up by us"
+    sock.hears(0x123)
+    assert [each.frame.id for each in got(can.receive())] == [0x123]
+    assert can.off, "a frame does not prove that it is the configured one"
     for wrong in (CAN0._replace(up=False), CAN0._replace(bitrate_bit_s=1)):
-        state["interface"] = wrong
+        kernel.interface = wrong
         clock.ns += 100_000_000
-        assert can.send(sent_array([FRAME])) == 0
-    state["interface"] = CAN0
-    # it is looked at ten times a second
-    assert can.send(sent_array([FRAME])) == 0
+        assert sends(can) == 0
+    kernel.interface = CAN0
+    assert sends(can) == 0, "it is looked at ten times a second"
     clock.ns += 100_000_000
-    assert can.send(sent_array([FRAME])) == 1
-    assert not can.off
-    sock.answers.append(OSError(errno.ENETDOWN, "made"))
-    assert got(can.receive()) == []
-    assert can.off
+    assert (sends(can), can.off) == (1, False)
+    kernel.sockets[-1].answers.append(OSError(errno.ENETDOWN, "made"))
+    assert (got(can.receive()), can.off) == ([], True)
 
 
-def test_an_interface_that_was_deleted_is_looked_for_and_opened_again(made, clock, monkeypatch):
+def test_an_interface_that_was_deleted_is_opened_again(made, clock, kernel):
     can, sock = made
     sock.hears(0x123, lost=10)
     sock.answers.append(OSError(errno.ENODEV, "made"))
     got(can.receive())
-    new = MadeSocket()
-
-    def none(_):
-        raise BusError("none")
-
-    monkeypatch.setattr(SocketCan, "_open", none)
-    assert can.send(sent_array([FRAME])) == 0
-    assert can.off
-    monkeypatch.setattr(SocketCan, "_open", lambda _: (new, CAN0))
-    # ten times a second
-    assert can.send(sent_array([FRAME])) == 0
+    kernel.there = False
+    assert (sends(can), can.off) == (0, True)
+    kernel.there = True
     clock.ns += 100_000_000
-    assert can.send(sent_array([FRAME])) == 1
-    assert sock.closed
-    assert new.sent == [pack(*FRAME)]
-    assert not can.off
+    assert (sends(can), can.off) == (1, False)
+    new = kernel.sockets[-1]
+    assert (sock.closed, new.sent) == (True, [pack(*FRAME)])
     new.hears(0x123, lost=2)
     got(can.receive())
     assert can.overflow == 12, "a new socket counts its losses from 0"
 
 
-def starve(bus, sock, clock):
+# stale frames
+
+
+def starve(bus: Bus, sock: MadeSocket, clock: Clock) -> int:
     sock.waiting = 900
     for _ in range(6):
         bus.send(sent_array([FRAME]))
@@ -396,103 +348,57 @@ def starve(bus, sock, clock):
     return bus.events().off
 
 
-def test_what_waits_on_a_dead_bus_is_dropped_once_until_something_is_heard(made, clock, kernel):
+def test_frames_on_a_dead_bus_are_dropped_once_until_something_is_heard(made, clock, kernel):
     can, sock = made
-    calls, _ = kernel
     bus = Bus([can])
-    assert starve(bus, sock, clock)
-    assert calls == [False, True]
-    sock.waiting = 0
-    bus.send(sent_array([FRAME]))
-    assert not bus.events().off
-    assert starve(bus, sock, clock)
-    assert calls == [False, True]
-    sock.waiting = 0
-    sock.hears(0x181)
-    got(bus.drain_now())
-    bus.send(sent_array([FRAME]))
-    assert not bus.events().off
-    assert starve(bus, sock, clock)
-    assert calls == [False, True] * 2
+    for hears, drops in ((False, 1), (False, 1), (True, 2)):
+        sock.waiting = 0
+        if hears:
+            sock.hears(0x181)
+            got(bus.drain_now())
+        bus.send(sent_array([FRAME]))
+        assert not bus.events().off
+        assert starve(bus, sock, clock)
+        assert kernel.calls == [False, True] * drops
 
 
 @pytest.mark.parametrize(("restart_ms", "dropped"), [(0, []), (100, [False, True])])
-def test_a_controller_that_is_to_stay_bus_off_is_not_restarted_by_its_death(
-    made, kernel, restart_ms, dropped
-):
-    can, sock = made
-    can._interface = CAN0._replace(restart_ms=restart_ms)
-    sock.hears(BUS_OFF)
+def test_a_controller_that_is_to_stay_bus_off_is_not_restarted(kernel, restart_ms, dropped):
+    kernel.interface = CAN0._replace(restart_ms=restart_ms)
+    can = SocketCan(SETTINGS)
+    kernel.sockets[-1].hears(BUS_OFF)
     got(can.receive())
-    assert can.off
     can.died()
-    assert kernel[0] == dropped
-    assert can.off == (not dropped), "one that was restarted is used"
+    assert (kernel.calls, can.off) == (dropped, not dropped)
 
 
-def test_an_interface_that_was_taken_down_is_not_taken_up_by_its_death(made, kernel):
-    can, sock = made
-    sock.refuses = errno.ENETDOWN
-    can.send(sent_array([FRAME]))
-    can.died()
-    assert kernel[0] == []
-
-
-def test_frames_do_not_prove_that_an_interface_that_went_down_is_the_configured_one(made):
-    can, sock = made
-    sock.refuses = errno.ENETDOWN
-    can.send(sent_array([FRAME]))
-    sock.hears(0x123)
-    assert [each.frame.id for each in got(can.receive())] == [0x123]
-    assert can.off
-
-
-@pytest.mark.parametrize("cause", ["queue", "bus-off"])
+@pytest.mark.parametrize("cause", ["nothing", "queue", "bus-off", "restarted unheard"])
 def test_a_new_try_drops_stale_frames_and_restarts_the_controller(made, kernel, cause):
     can, sock = made
-    calls, state = kernel
     if cause == "queue":
-        state["queued"] = 3
-    else:
+        kernel.queued = 3
+    elif cause != "nothing":
         sock.hears(BUS_OFF)
         got(can.receive())
-        state["interface"] = CAN0._replace(state=BusState.OFF)
+        if cause == "bus-off":
+            kernel.interface = CAN0._replace(state=BusState.OFF)
     can.flush_tx()
-    assert calls == [False, True]
-    assert not can.off
-
-
-def test_an_empty_queue_is_left_alone(made, kernel):
-    made[0].flush_tx()
-    assert kernel[0] == []
-
-
-def test_stale_frames_that_may_not_be_dropped_keep_the_bus_off(made, kernel):
-    can, _ = made
-    _, state = kernel
-    state |= {"queued": 3, "forbidden": True}
-    with pytest.raises(BusError, match=r"stale frames.*CAP_NET_ADMIN"):
-        can.flush_tx()
-    assert can.off
-    state["queued"] = 0
-    can.flush_tx()
-    assert not can.off
-
-
-def test_an_interface_with_another_bit_rate_by_now_keeps_the_bus_off(made, kernel):
-    can, _ = made
-    kernel[1]["interface"] = CAN0._replace(bitrate_bit_s=500_000)
-    with pytest.raises(BusError, match="500000"):
-        can.flush_tx()
-    assert can.off
-
-
-def test_error_frames_are_counted_with_the_worst_state_and_do_not_reach_the_loop(made):
-    can, sock = made
-    bus = Bus([can])
-    sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x10, 0, 0, 0, 0, 0, 0]))
-    sock.hears(0x20000088)
+    assert kernel.calls == ([False, True] if cause in {"queue", "bus-off"} else [])
     sock.hears(0x123)
-    assert [r.frame.id for r in got(bus.drain_now())] == [0x123]
-    assert bus.events() == (2, False, 0, BusState.PASSIVE)
-    assert all(not r.frame.flags & ERROR for r in got(bus.drain_now()))
+    assert [each.frame.id for each in got(can.receive())] == [0x123], "going down and up is no news"
+    assert (can.off, sends(can)) == (False, 1)
+
+
+def test_a_new_try_that_may_not_drop_or_meets_another_bit_rate_keeps_the_bus_off(made, kernel):
+    can, _ = made
+    for queued, interface, words in (
+        (3, CAN0, "CAP_NET_ADMIN"),
+        (0, CAN0._replace(bitrate_bit_s=9), "is 1000"),
+    ):
+        kernel.queued, kernel.forbidden, kernel.interface = queued, True, interface
+        with pytest.raises(BusError, match=words):
+            can.flush_tx()
+        assert can.off
+    kernel.interface = CAN0
+    can.flush_tx()
+    assert not can.off

@@ -1,60 +1,65 @@
-"""Bus: opening, roles, refusals, events, and the interfaces behind it."""
+"""Buses opened as the configuration has them: frames, roles, refusals, several channels at once."""
 
 from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
+from typing import Any
 
 import can
 import pytest
 
 from drivers.can.bus import Bus
 from drivers.can.python_can import PythonCan
-from drivers.can.socketcan import pack, unpack
+from drivers.can.runtime_folder import RoleLock, role_holder, runtime_folder
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
 from drivers.frame_array import sent_array
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, Frame
 from drivers.signals import BusState
-from tests.drivers.frames_heard import got
+from tests.drivers.frames_heard import got, soon
 
 LOCAL = BusSettings(interface="localcan", channel="t")
 GROUP = f"239.74.163.{2 + os.getpid() % 250}"
-"""A role on it is one of the whole machine."""
+CHANNEL = f"of-{os.getpid()}"
+"""A role on either is one of the whole machine: no other process has it."""
+CHANNELS = ("a", "b", "c")
 pytestmark = pytest.mark.usefixtures("runtime")
 
 
-def soon(seconds=2.0):
-    return time.monotonic_ns() + int(seconds * 1e9)
+def local(channel: str) -> BusSettings:
+    return BusSettings(interface="localcan", channel=channel)
+
+
+def three(**options: dict[str, object]) -> BusSettings:
+    """Three channels of two legs each; `options` of some of them."""
+    channels = [
+        {"channel": name, "legs": [2 * k, 2 * k + 1], "options": options.get(name, {})}
+        for k, name in enumerate(CHANNELS)
+    ]
+    return BusSettings.model_validate({"channels": channels})
+
+
+# frames
 
 
 def test_frames_and_error_frames_are_told_apart():
-    with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
-        assert a.send(sent_array([Frame(0x80, b"\x01"), Frame(0x100, bytes(32), FD | BRS)])) == 0
-        assert a.send(sent_array([Frame(0, b"", ERROR)])) == 0
-        received = got(b.drain(soon(), {0x80, 0x100}))
-        assert [r.frame.id for r in received] == [0x80, 0x100]
-        received += got(b.wait(soon(0.05)))
-        assert not any(r.frame.flags & ERROR for r in received)
-        assert b.events()[:3] == (1, False, 0)
-        assert b.events()[:3] == (0, False, 0)
-        assert got(b.drain_now()) == []
-
-
-def test_an_error_frame_is_none_of_the_frames_that_are_waited_for():
-    """Its classes can be the number of an identifier: 0x80 is a bus error, and SYNC."""
+    """The classes of an error can be the number of an identifier: 0x80 is a bus error, and SYNC."""
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
         a.send(sent_array([Frame(0x80, b"", ERROR)]))
         time.sleep(0.005)
         deadline = soon(0.02)
         assert got(b.drain(deadline, {0x80})) == []
         assert time.monotonic_ns() >= deadline
-        a.send(sent_array([Frame(0x80, b"\x01")]))
-        assert [r.frame.id for r in got(b.drain(soon(), {0x80}))] == [0x80]
+        frames = [Frame(0x80, b"\x01"), Frame(0x100, bytes(32), FD | BRS)]
+        assert a.send(sent_array(frames)) == 0
+        assert [r.frame for r in got(b.drain(soon(), {0x80, 0x100}))] == frames
+        assert b.events()[:3] == (1, False, 0)
+        assert b.events()[:3] == (0, False, 0)
+        assert got(b.drain_now()) == []
 
 
 def test_wait_returns_as_soon_as_a_frame_has_come():
@@ -86,135 +91,145 @@ def test_a_busy_bus_refuses_frames_and_a_lasting_refusal_is_a_dead_bus():
         assert not bus.events().off
 
 
-def test_second_controller_is_refused_with_the_others_process_number():
-    code = (
-        "import time; from drivers.can.bus import Bus; from drivers.config import BusSettings\n"
-        "bus = Bus.open(BusSettings(interface='localcan', channel='t'), 'controller')\n"
-        "print('ready', flush=True); time.sleep(60)"
-    )
-    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    try:
-        assert child.stdout.readline() == "ready\n"
-        with pytest.raises(RunError, match=rf"localcan:t already has a controller, process {child.pid}"):
-            Bus.open(LOCAL, "controller")
-        Bus.open(LOCAL, "plant").close()
-        Bus.open(BusSettings(interface="localcan", channel="u"), "controller").close()
-        child.send_signal(signal.SIGKILL)
-        child.wait(10)
-        Bus.open(LOCAL, "controller").close()
-    finally:
-        child.kill()
-        child.wait(10)
-        child.stdout.close()
-
-
-def test_role_is_given_back_by_close_and_by_a_failed_open():
-    wrong = BusSettings(interface="localcan", channel="t", options={"colour": "red"})
-    with pytest.raises(BusError, match="colour"):
-        Bus.open(wrong, "controller")
-    with Bus.open(LOCAL, "controller"), pytest.raises(RunError, match=str(os.getpid())):
-        Bus.open(LOCAL, "controller")
-    Bus.open(LOCAL, "controller").close()
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"interface": "nonsense", "channel": "t"}, ["nonsense", "localcan", "socketcan"]),
-        ({"interface": "socketcan", "channel": "nocan7"}, ["nocan7", "localcan"]),
-        ({"interface": "slcan", "channel": "/nowhere/tty"}, ["slcan:/nowhere/tty", "bus.channel"]),
-        (
-            {"interface": "udp_multicast", "channel": GROUP, "options": {"hop_limit": 1}},
-            ["hop_limit", "network"],
-        ),
-        ({"interface": "udp_multicast", "channel": "t-e-x-t"}, ["udp_multicast:t-e-x-t", "bus.channel"]),
-        ({"interface": "localcan", "channel": "t", "options": {"spin_us": "x"}}, ["spin_us", "'x'"]),
-    ],
-)
-def test_what_cannot_be_opened_is_refused_in_clear_words(settings, words):
-    with pytest.raises(BusError) as caught:
-        Bus.open(BusSettings.model_validate(settings), "controller")
-    for word in words:
-        assert word in str(caught.value)
-
-
-def test_timing_that_disagrees_is_refused():
-    other = BusSettings(interface="localcan", channel="t", bitrate_bit_s=500_000, layout="classic")
-    with Bus.open(LOCAL, "controller"), pytest.raises(BusError, match="classic CAN 500000"):
-        Bus.open(other, "plant")
-
-
-def open_multicast(role):
+def test_udp_multicast_carries_frames_and_stays_on_this_machine():
     settings = BusSettings(interface="udp_multicast", channel=GROUP, options={"port": 43217})
     try:
-        return Bus.open(settings, role)
+        a, b = (Bus.open(settings, role) for role in ("controller", "plant"))
     except BusError as error:
         pytest.skip(f"no multicast on this machine: {error}")
-
-
-def test_udp_multicast_stays_on_this_machine_and_carries_frames():
-    with open_multicast("controller") as a, open_multicast("plant") as b:
-        assert isinstance(a._links[0], PythonCan)
-        sock = a._links[0]._bus._multicast._socket  # type: ignore[attr-defined]
-        assert sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
+    with a, b:
         before = time.monotonic_ns()
         if a.send(sent_array([Frame(0x181, bytes(range(12)), FD | BRS)])):
             pytest.skip("no route for multicast on this machine")
         (received,) = got(b.drain(soon(1), {0x181}))
         assert received.frame == Frame(0x181, bytes(range(12)), FD | BRS)
         assert before - 1_000_000 <= received.t_ns <= time.monotonic_ns()
-        deadline = soon(0.01)
-        assert got(b.drain(deadline, {0x182})) == []
-        assert time.monotonic_ns() - deadline < 200_000_000
+    far = settings.model_copy(update={"options": {"hop_limit": 1}})
+    with pytest.raises(BusError, match="hop_limit"):
+        Bus.open(far, "controller")
 
 
-def test_any_python_can_interface_works_through_messages():
+def test_any_interface_of_python_can_carries_frames():
     # python-can's virtual bus in one process, past the refusal that Bus.open makes
     a, b = (Bus([PythonCan(can.Bus("t", "virtual", ignore_config=True))]) for _ in range(2))
     with a, b:
         frames = [Frame(0x7FF, b"12345678"), Frame(0x1FFFFFFF, b"", EXTENDED), Frame(1, bytes(64), FD | BRS)]
         assert a.send(sent_array(frames)) == 0
         assert [r.frame for r in got(b.drain(soon(1), {0x7FF, 1}))] == frames
-        a.send(sent_array([Frame(5, b"x")]))
-        assert [r.frame.id for r in got(b.wait(soon(1)))] == [5]
-        assert b.events()[:3] == (0, False, 0)
+        assert b.events() == (0, False, 0, BusState.UNKNOWN)
 
 
-# struct can_frame and canfd_frame of linux/can.h, little endian, written out by hand
-@pytest.mark.skipif(sys.byteorder != "little", reason="byte vectors are little endian")
+# refusals
+
+
 @pytest.mark.parametrize(
-    ("frame", "raw"),
+    ("settings", "words"),
     [
-        (Frame(0x123, b"\x01\x02"), "23010000 02000000 0102000000000000"),
-        (Frame(0x1ABCDEF0, b"", EXTENDED), "f0debc9a 00000000 0000000000000000"),
-        (Frame(0x12, b"", REMOTE), "12000040 00000000 0000000000000000"),
-        (Frame(0x181, b"\xff" * 12, FD | BRS), "81010000 0c010000" + "ff" * 12 + "00" * 52),
-        (Frame(0x181, b"\xff" * 64, FD | ESI), "81010000 40020000" + "ff" * 64),
+        ({"interface": "nonsense", "channel": "t"}, ["nonsense", "localcan", "socketcan"]),
+        ({"interface": "socketcan", "channel": "nocan7"}, ["nocan7"]),
+        ({"interface": "socketcan", "channel": "can0", "options": {"spin_us": 1}}, ["restart_ms"]),
+        ({"interface": "slcan", "channel": "/nowhere/tty"}, ["slcan:/nowhere/tty", "bus.channel"]),
+        ({"interface": "udp_multicast", "channel": "t-e-x-t"}, ["udp_multicast:t-e-x-t", "bus.channel"]),
+        ({"channel": "t", "options": {"spin_us": "x"}}, ["spin_us", "'x'"]),
+        ({"channel": "t", "options": {"spin_us": -1}}, ["0 to 10000"]),
+        ({"channel": "t", "options": {"colour": 1}}, ["colour", "spin_us, tx_limit"]),
     ],
 )
-def test_socketcan_frames_are_those_of_the_kernel(frame, raw):
-    assert pack(*frame) == bytes.fromhex(raw)
-    assert unpack(bytes.fromhex(raw)) == frame
+def test_a_bus_that_cannot_be_opened_is_refused_and_its_role_is_free(settings, words):
+    for _ in range(2):
+        with pytest.raises(BusError) as caught:
+            Bus.open(BusSettings.model_validate(settings), "controller")
+        assert all(word in str(caught.value) for word in words)
 
 
-def test_socketcan_error_frame_keeps_its_class():
-    # CAN_ERR_FLAG | CAN_ERR_BUSOFF
-    assert unpack(bytes.fromhex("40000020 08000000 0000000000000000")) == Frame(0x40, bytes(8), ERROR)
+def test_a_timing_that_disagrees_is_refused():
+    other = BusSettings(interface="localcan", channel="t", bitrate_bit_s=500_000, layout="classic")
+    with Bus.open(LOCAL, "controller"), pytest.raises(BusError, match="classic CAN 500000"):
+        Bus.open(other, "plant")
 
 
-def test_socketcan_refuses_too_long_data():
-    with pytest.raises(BusError, match="9 bytes"):
-        pack(*Frame(1, bytes(9)))
+# roles
 
 
-@pytest.mark.parametrize("interface", ["localcan", "udp_multicast"])
-def test_of_a_controller_that_nobody_sees_no_state_is_told_and_nothing_was_read(interface):
-    channel = "t" if interface == "localcan" else GROUP
-    with Bus.open(BusSettings(interface=interface, channel=channel), "viewer") as bus:
-        assert [bus.events().state for _ in range(2)] == [BusState.UNKNOWN] * 2
-        assert (bus.facts, bus.knows_ends, bus.virtual) == (
-            "",
-            interface == "localcan",
-            interface != "localcan",
-        )
+@pytest.mark.parametrize("interface", ["localcan", "kvaser"])
+def test_a_second_controller_is_refused_with_the_first_ones_process_until_it_is_killed(interface):
+    code = (
+        f"from drivers.can.runtime_folder import RoleLock; held = RoleLock({interface!r}, {CHANNEL!r}, "
+        "'controller'); print('held', flush=True); input()"
+    )
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"held\n"
+        if interface == "localcan":
+            with pytest.raises(RunError, match=f"controller, process {child.pid}"):
+                Bus.open(local(CHANNEL), "controller")
+        with pytest.raises(RunError, match=f"controller, process {child.pid}"):
+            RoleLock(interface, CHANNEL, "controller")
+        child.send_signal(signal.SIGKILL)
+    RoleLock(interface, CHANNEL, "controller").close()
+
+
+@pytest.mark.parametrize("interface", ["socketcan", "kvaser", "udp_multicast"])
+def test_a_role_on_hardware_is_one_of_the_whole_machine(monkeypatch, tmp_path, interface):
+    held = RoleLock(interface, CHANNEL, "plant")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as another user or a service has it
+    try:
+        for _ in range(2):
+            assert role_holder(interface, CHANNEL, "plant") == os.getpid()
+            with pytest.raises(RunError, match=f"plant, process {os.getpid()}"):
+                RoleLock(interface, CHANNEL, "plant")
+        for free in (
+            (interface, CHANNEL, "controller"),
+            (interface, CHANNEL + "b", "plant"),
+            ("pcan", CHANNEL, "plant"),
+            (interface, f"{CHANNEL}pl", "ant"),
+        ):
+            assert role_holder(*free) is None
+            RoleLock(*free).close()
+    finally:
+        held.close()
+    assert role_holder(interface, CHANNEL, "plant") is None
+
+
+def test_on_localcan_another_runtime_folder_has_another_bus_and_its_own_roles(monkeypatch, tmp_path):
+    here = RoleLock("localcan", CHANNEL, "controller")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    there = RoleLock("localcan", CHANNEL, "controller")
+    for lock in (here, there):
+        lock.close()
+
+
+@pytest.mark.parametrize("role", ["controller", "plant"])
+def test_a_role_is_taken_and_given_back_on_every_bus(role):
+    with Bus.open(three(), role):
+        for channel in CHANNELS:
+            with pytest.raises(RunError, match=f"localcan:{channel} .*{role}.*{os.getpid()}"):
+                Bus.open(local(channel), role).close()
+        Bus.open(local("d"), role).close()
+    for channel in CHANNELS:
+        Bus.open(local(channel), role).close()
+
+
+@pytest.mark.parametrize("bad", CHANNELS)
+def test_where_one_bus_does_not_open_the_others_are_left(bad):
+    with Bus.open(local(bad), "plant"), pytest.raises(RunError, match=f"localcan:{bad} .*plant"):
+        Bus.open(three(), "plant").close()
+    with pytest.raises(BusError, match="colour"):
+        Bus.open(three(**{bad: {"colour": "red"}}), "plant").close()
+    assert list(runtime_folder().glob("*.wire*")) == []
+    Bus.open(three(), "plant").close()
+
+
+@pytest.mark.parametrize("holder", range(3))
+def test_all_channels_of_a_run_go_by_one_clock(holder):
+    with Bus.open(three(), "controller") as bus:
+        clock: Any = bus._links[holder].clock
+        assert clock is bus.clock
+        # 1 ns to wake up, 1 ns to work: from now on bench time stands still on all of them
+        clock.begin(1, 1)
+        clock.holds = True
+        clock.working()
+        stood = bus.clock.now()
+        assert bus.send(sent_array([Frame(1, b"", BUS * k) for k in range(3)])) == 0
+        assert all(t_ns is not None and abs(t_ns - stood) < 1_000_000 for t_ns in bus.sent_ns())

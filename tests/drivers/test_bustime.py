@@ -26,6 +26,25 @@ CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
 FD_1M_5M = BitTiming(1_000_000, 5_000_000)
 
 
+@pytest.mark.parametrize(
+    ("length", "flags", "bits"),
+    [
+        (8, REMOTE, (55, 0)),
+        (8, REMOTE | EXTENDED, (80, 0)),
+        (99, ERROR | FD, (23, 0)),
+        (12, FD | BRS, (34, 153)),
+        (12, FD, (187, 0)),
+        (16, FD | BRS, (34, 193)),
+        (17, FD | BRS, (34, 238)),
+        (20, FD | BRS, (34, 238)),
+        (64, FD | BRS, (34, 678)),
+        (12, FD | BRS | EXTENDED, (57, 154)),
+    ],
+)
+def test_a_frame_has_its_bits_at_each_rate_at_worst(length, flags, bits):
+    assert frame_bits(length, flags) == bits
+
+
 @pytest.mark.parametrize(("length", "bits"), [(8, 135), (4, 95), (0, 55), (1, 65)])
 def test_classic_worst_case_is_that_of_davis_2007(length, bits):
     # R. Davis et al., Real-Time Systems 35 (2007), eq. 1: 55 + 10 s bits for 11-bit identifiers
@@ -55,10 +74,14 @@ def test_the_crc_of_sync_costs_ten_bits_a_tick():
     assert budget(ours, FD_1M_5M, 1000).total_ns == with_crc.total_ns
 
 
-def test_fd_without_rate_switch_takes_all_bits_at_the_slow_rate():
-    slow, fast = frame_bits(12, FD | BRS)
-    assert frame_bits(12, FD) == (slow + fast, 0)
-    assert frame_time_ns(12, FD, FD_1M_5M) == (34 + 153) * 1000
+def test_the_frames_of_a_tick_are_counted_by_their_shape():
+    frames = [Frame(1, bytes(8))] * 2 + [Frame(2, bytes(12), FD | BRS)] * 3 + [Frame(3, bytes(4))]
+    found = budget(frames, FD_1M_5M, 500.0, 60.0)
+    assert found.frames == {(8, 0): 2, (12, FD | BRS): 3, (4, 0): 1}
+    # 135 + 135 us, three times 34 + 153 / 5 = 64.6 us, 95 us
+    assert (found.total_ns, found.load_percent) == (558_800, pytest.approx(27.94))
+    assert found.allowed_rate_Hz == pytest.approx(0.6e9 / 558_800)
+    assert "3 x CAN FD  12 byte: 34 bit + 153 fast bit = 64.6 us each, 193.8 us" in found.table()
 
 
 def crc(bits: list[int], width: int, poly: int) -> list[int]:
@@ -91,13 +114,7 @@ def classic_length(id_: int, extended: bool, data: bytes) -> int:
     head = (
         [0, *number(id_ >> 18, 11), 1, 1, *number(id_ & 0x3FFFF, 18), 0, 0, 0]
         if extended
-        else [
-            0,
-            *number(id_, 11),
-            0,
-            0,
-            0,
-        ]
+        else [0, *number(id_, 11), 0, 0, 0]
     )
     bits = head + number(len(data), 4) + [b for byte in data for b in number(byte, 8)]
     bits += crc(bits, 15, 0x4599)
@@ -282,16 +299,6 @@ def test_the_bus_never_idles_while_a_frame_waits_and_the_best_one_goes_first(fra
         assert start == max(free, min([t, *(q[0] for q in left.values())]))
         assert all((key, i) < (q[1], q[2]) for q in left.values() if q[0] <= start)
         free = end
-
-
-def test_answers_get_their_turn():
-    sync, command = (1000, priority(0x80, 0), 0, 50), (1060, priority(0x100, 0), 4, 100)
-    assert arbitrate([sync], 0, 999) == ([], 0)
-    assert arbitrate([sync], 0, 1000) == ([(0, 1050)], 1050)
-    legs = {leg: (1050, priority(0x180 + leg, 0), leg, 65) for leg in (3, 1, 2)}
-    assert arbitrate([*legs.values(), command], 1050, 1114) == ([(1, 1115)], 1115)
-    left = [legs[3], legs[2], command]
-    assert arbitrate(left, 1115, 5000) == ([(4, 1215), (2, 1280), (3, 1345)], 1345)
 
 
 @given(

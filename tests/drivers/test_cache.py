@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and when what is kept is used."""
+"""Where compiled kernels are kept, and when a kept kernel is used."""
 
 import importlib.util
 import os
@@ -59,11 +59,11 @@ def with_kernels() -> set[str]:
     return names
 
 
-def test_what_compiles_all_kernels_imports_every_file_that_has_some():
+def test_every_file_with_kernels_is_compiled_ahead():
     assert with_kernels() <= set(modules())
 
 
-def test_all_that_a_kernel_may_use_lies_in_its_room_and_those_below():
+def test_all_sources_of_a_kernel_lie_in_its_room_and_those_below():
     graph = grimp.build_graph(*PACKAGES)
     for name in with_kernels():
         own = (ROOT / name.replace(".", "/")).with_suffix(".py")
@@ -73,6 +73,13 @@ def test_all_that_a_kernel_may_use_lies_in_its_room_and_those_below():
             path = ROOT / used.replace(".", "/")
             file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
             assert file in sources or not file.read_text().strip(), f"{name} uses {used}"
+
+
+def imported(name: str, file: Path) -> Any:
+    spec: Any = importlib.util.spec_from_file_location(name, file)
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    return made
 
 
 @pytest.fixture
@@ -89,13 +96,9 @@ def package(monkeypatch, tmp_path):
             remembered.cache_clear()
         time.sleep(0.1)
         monkeypatch.setattr(cache, "BEGAN_NS", time.time_ns())
-        spec = importlib.util.spec_from_file_location(f"laws_of_this_test.{module}", folder / f"{module}.py")
-        assert spec
-        assert spec.loader
-        made = importlib.util.module_from_spec(spec)
         begin.compiled.clear()  # type: ignore[attr-defined]
         monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
-        spec.loader.exec_module(made)
+        made = imported(f"laws_of_this_test.{module}", folder / f"{module}.py")
         assert made.twice(4.0) == 8.0
         return made
 
@@ -118,13 +121,6 @@ def test_a_kernel_is_found_until_a_source_of_its_package_is_edited(package):
     assert [compiles(package), compiles(package)] == [True, False]
 
 
-def test_the_folder_beside_a_loose_file_counts_too(package):
-    (package.folder / "__init__.py").unlink()
-    assert [compiles(package), compiles(package)] == [True, False]
-    (package.folder / "gains.py").write_text("gain = 2.0")
-    assert compiles(package)
-
-
 def test_a_damaged_file_is_compiled_again(package):
     package()
     (kept,) = (package.folder.parent / "cache").rglob("*.kernel")
@@ -142,51 +138,21 @@ def test_a_damaged_file_is_compiled_again(package):
 
 def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
     """As of two scripts, both `__main__`, with one function on the same line."""
-    names, places = ("one", "other"), set()
-    for name, factor in zip(names, (2.0, 5.0), strict=True):
-        (package.folder / f"{name}.py").write_text(f"def scaled(x):\n    return {factor} * x\n")
+    files = {factor: package.folder / f"by{factor}.py" for factor in (2, 5)}
+    for factor, file in files.items():
+        file.write_text(f"def scaled(x):\n    return {factor} * x\n")
     package()
-    for name in names:
-        spec = importlib.util.spec_from_file_location("script", package.folder / f"{name}.py")
-        assert spec
-        assert spec.loader
-        made = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(made)
-        places.add(cache.place_of(made.scaled, "kind"))
-    assert len(places) == 2
-    assert None not in places
+    places = {cache.place_of(imported("script", file).scaled, "kind") for file in files.values()}
+    assert len(places - {None}) == 2
 
 
-def test_what_cannot_be_written_is_compiled_for_the_process_alone(package, monkeypatch):
+def test_without_a_folder_to_write_a_kernel_is_compiled_in_each_process(package, monkeypatch):
     (package.folder.parent / "file").touch()
     monkeypatch.setattr(cache, "CACHE_FOLDER", package.folder.parent / "file")
     assert [compiles(package), compiles(package)] == [True, True]
 
 
-def test_what_was_read_before_its_source_was_saved_is_neither_found_nor_kept(package):
-    package()
-    module = package()
-    place = cache.place_of(module.twice.py_func, "kind")
-    assert place is not None
-    assert cache.is_as_read(package.folder / "law.py")
-    (package.folder / "gains.py").write_text("gain = 2.0")
-    assert not cache.is_as_read(package.folder / "law.py")
-    cache._folder_of.cache_clear()
-    assert cache.place_of(module.twice.py_func, "kind") is None
-
-
-def test_a_source_of_the_future_is_kept(package, monkeypatch):
-    """The clock was set back: what is compiled would else be so at each start."""
-    source = package.folder / "law.py"
-    package()
-    monkeypatch.setattr(cache, "BEGAN_NS", 0)
-    assert not cache.is_as_read(source)
-    stamps = [each.stat().st_ctime_ns for each in cache._sources_of(source)]
-    monkeypatch.setattr(time, "time_ns", lambda: min(stamps) - 1)
-    assert cache.is_as_read(source)
-
-
-def test_a_function_of_another_functions_variables_is_kept_nowhere():
+def test_a_closure_is_kept_nowhere():
     inner = 2.0
 
     def closure(x):

@@ -1,4 +1,4 @@
-"""Ctrl-C waits until a kernel is there: half of one would crash the process."""
+"""Ctrl-C waits until a kernel is whole: half of one would crash the process."""
 
 import os
 import signal

@@ -62,17 +62,6 @@ def test_frames_and_error_frames_are_told_apart():
         assert got(b.drain_now()) == []
 
 
-def test_wait_returns_as_soon_as_a_frame_has_come():
-    with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
-        a.send(sent_array([Frame(1, bytes(8))]))
-        before = time.monotonic()
-        assert [r.frame.id for r in got(b.wait(soon(5)))] == [1]
-        assert time.monotonic() - before < 1
-        deadline = soon(0.01)
-        assert got(b.wait(deadline)) == []
-        assert time.monotonic_ns() >= deadline
-
-
 def test_a_busy_bus_refuses_frames_and_a_lasting_refusal_is_a_dead_bus():
     # 200 bit/s: a frame of 8 bytes takes 0.675 s
     slow = BusSettings(interface="localcan", channel="t", layout="classic", bitrate_bit_s=200)
@@ -190,14 +179,6 @@ def test_a_role_on_hardware_is_one_of_the_whole_machine(monkeypatch, tmp_path, i
     finally:
         held.close()
     assert role_holder(interface, CHANNEL, "plant") is None
-
-
-def test_on_localcan_another_runtime_folder_has_another_bus_and_its_own_roles(monkeypatch, tmp_path):
-    here = RoleLock("localcan", CHANNEL, "controller")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    there = RoleLock("localcan", CHANNEL, "controller")
-    for lock in (here, there):
-        lock.close()
 
 
 @pytest.mark.parametrize("role", ["controller", "plant"])

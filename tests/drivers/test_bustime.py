@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections import Counter
 
 import pytest
 from hypothesis import given
@@ -19,7 +18,7 @@ from drivers.can.bus_time import (
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from hil.app.configuration.bus_budget import BusBudget, budget, check
+from hil.app.configuration.bus_budget import budget, check
 from tests.drivers.arbitrated import arbitrate
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
@@ -29,13 +28,10 @@ FD_1M_5M = BitTiming(1_000_000, 5_000_000)
 @pytest.mark.parametrize(
     ("length", "flags", "bits"),
     [
-        (8, REMOTE, (55, 0)),
         (8, REMOTE | EXTENDED, (80, 0)),
         (99, ERROR | FD, (23, 0)),
-        (12, FD | BRS, (34, 153)),
         (12, FD, (187, 0)),
-        (16, FD | BRS, (34, 193)),
-        (17, FD | BRS, (34, 238)),
+        (12, FD | BRS, (34, 153)),
         (20, FD | BRS, (34, 238)),
         (64, FD | BRS, (34, 678)),
         (12, FD | BRS | EXTENDED, (57, 154)),
@@ -175,11 +171,13 @@ def test_the_shortest_frame_has_no_stuff_bits_but_the_fixed_ones(flags, us):
     assert frame_time_ns(length, flags, FD_1M_5M, least=True) == 1000 * us
 
 
-def test_a_frame_of_can_fd_has_one_of_sixteen_lengths_and_an_error_frame_23_bits():
+def test_a_frame_has_one_of_the_lengths_of_its_kind():
     assert FD_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
     padded = {n: min(each for each in FD_LENGTHS if each >= n) for n in range(65)}
     assert all(frame_bits(n, FD | BRS) == frame_bits(padded[n], FD | BRS) for n in range(65))
-    assert frame_bits(0, ERROR) == (23, 0)
+    for length, flags in ((9, 0), (65, FD), (-1, 0)):
+        with pytest.raises(BusError, match=str(length)):
+            frame_bits(length, flags)
 
 
 def test_the_shortest_time_is_rounded_down_and_the_longest_up():
@@ -188,46 +186,22 @@ def test_the_shortest_time_is_rounded_down_and_the_longest_up():
     assert frame_time_ns(0, 0, slow) == 339_312, "55 bits take 339 311.38 ns"
 
 
-def test_a_load_is_allowed_up_to_the_limit_but_for_what_rounding_adds():
-    at_limit = BusBudget(Counter(), CLASSIC_1M, 1.0 + 1e-12, 100.0, 1_000_000_000)
-    assert at_limit.load_percent == 100.0 * (1 + 1e-12)
-    assert at_limit.fits
-    assert not at_limit._replace(rate_Hz=1.0 + 1.5e-12).fits
-
-
 def test_worst_case_is_nearly_reached():
     # identifier 0x078 and 0x78 bytes repeat 0000 1111: a stuff bit every fourth bit
-    best = max(
-        classic_length(id_, False, bytes([byte] * 8))
-        for id_ in (0x078, 0x787, 0x000)
-        for byte in (0x3C, 0x78, 0x0F, 0xC3)
-    )
-    assert best >= 135 - 4
-
-
-def test_lengths_that_no_frame_has_are_refused():
-    for length, flags in ((9, 0), (65, FD), (-1, 0)):
-        with pytest.raises(BusError, match=str(length)):
-            frame_bits(length, flags)
+    streams = [classic_length(0x078, False, bytes([byte] * 8)) for byte in (0x3C, 0x78, 0x0F, 0xC3)]
+    assert max(streams) >= 135 - 4
 
 
 def test_overload_is_refused_with_the_arithmetic():
+    many = [Frame(1, bytes(8))] * 12
     with pytest.raises(ConfigurationError) as caught:
-        check([Frame(1, bytes(8))] * 12, CLASSIC_1M, 1000, 70)
-    text = str(caught.value)
-    for part in ("12 x classic", "135.0 us each", "1620.0 us", "162.0 %", "617 Hz", "432 Hz"):
-        assert part in text
-    assert check([Frame(1, bytes(8))] * 12, CLASSIC_1M, 432, 70).fits
-
-
-@pytest.mark.parametrize(
-    ("flags", "either", "offered"), [(0, True, True), (0, False, False), (FD | BRS, True, False)]
-)
-def test_the_layout_fd_is_offered_to_who_can_have_it_and_has_it_not(flags, either, offered):
-    with pytest.raises(ConfigurationError, match=r"bus\.channels") as caught:
-        check([Frame(1, bytes(8), flags)] * 40, BitTiming(1_000_000, 5_000_000), 1000, either_layout=either)
-    assert ("bus.layout: fd" in str(caught.value)) == offered
-    assert ("data phase 5 Mbit/s" in str(caught.value)) == bool(flags & FD)
+        check(many, CLASSIC_1M, 1000, 70, either_layout=True)
+    for part in ("12 x classic", "135.0 us each", "1620.0 us", "162.0 %", "617 Hz", "432 Hz", "layout: fd"):
+        assert part in str(caught.value)
+    assert check(many, CLASSIC_1M, 432, 70).fits
+    with pytest.raises(ConfigurationError) as caught:
+        check([*many, Frame(1, b"", FD)], CLASSIC_1M, 1000, either_layout=True)
+    assert "layout: fd" not in str(caught.value), "it has that"
 
 
 @st.composite
@@ -259,12 +233,9 @@ def test_priority_is_what_wired_and_decides(a, b):
 
 
 def test_priority_cases_by_hand():
+    assert priority(0, ERROR) < priority(0, 0)
     assert priority(0x100, 0) < priority(0x100, REMOTE) < priority(0x100 << 18, EXTENDED)
     assert priority(0x100 << 18 | 5, EXTENDED) < priority(0x101, 0)
-    assert priority(0, ERROR) < priority(0, 0)
-    last = 0x100 << 18 | 0x3FFFF
-    assert priority(last, EXTENDED | REMOTE) < priority(0x101, 0)
-    assert priority(last ^ 0x20000, EXTENDED) < priority(last ^ 0x1FFFF, EXTENDED) < priority(last, EXTENDED)
 
 
 def test_lowest_identifier_wins_among_those_queued_when_the_bus_falls_free():

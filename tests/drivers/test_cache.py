@@ -1,4 +1,6 @@
-"""Where compiled kernels are kept, and when a kept kernel is used."""
+"""Compiled kernels: where they are kept, when a kept one is used, and that it is whole."""
+
+from __future__ import annotations
 
 import importlib.util
 import os
@@ -10,9 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import grimp
+import numba
 import pytest
+from llvmlite import binding
 
+from drivers.cache_folder import cache_folder
 from drivers.compiled import cache
+from drivers.compiled.compiler import OPTIONS, REAL, kernel
 from tools.compile_kernels import PACKAGES, modules
 
 ROOT = Path(__file__).parents[2]
@@ -23,28 +29,34 @@ import kernels_of_a_test
 print(kernels_of_a_test.twice(1.0))
 """
 KERNELS = """
-from drivers.compiled.compiler import REAL, kernel
+from drivers.compiled.compiler import REAL, helper, kernel
+
+@helper
+def positive(x):
+    if x < 0.0:
+        raise ValueError("negative")
+    return x
 
 @kernel(REAL)
 def twice(x):
-    return 2.0 * x
+    return 2.0 * positive(x)
+
+@kernel(REAL)
+def fourfold(x):
+    return twice(twice(x))
 """
 
 
 def test_a_kernel_is_compiled_once_for_all_processes(tmp_path):
     (tmp_path / "kernels_of_a_test.py").write_text(KERNELS)
     time.sleep(0.1)  # else they count as saved meanwhile
-    environment = os.environ | {
-        "XDG_CACHE_HOME": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)]),
-    }
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
-        )
-        for _ in range(2)
-    ]
-    assert [run.stdout.split() for run in runs] == [["compiles", "compiled", "2.0"], ["2.0"]]
+    search = os.pathsep.join([str(tmp_path), str(ROOT)])
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": search}
+    command = [sys.executable, "-c", PROGRAM]
+    runs = [subprocess.check_output(command, env=environment, text=True).split() for _ in range(2)]
+    assert [run[-1] for run in runs] == ["2.0", "2.0"]
+    assert runs[0][:2] == ["compiles", "compiled"]
+    assert len(runs[1]) == 1
 
 
 def with_kernels() -> set[str]:
@@ -82,58 +94,58 @@ def imported(name: str, file: Path) -> Any:
     return made
 
 
-@pytest.fixture
-def package(monkeypatch, tmp_path):
-    """A package of a user's own, and a cache of its own; each call begins as a later process does."""
-    folder = tmp_path / "laws_of_this_test"
-    folder.mkdir()
-    for name in ("__init__", "gains", "law"):
-        (folder / f"{name}.py").write_text(KERNELS)
-    monkeypatch.setattr(cache, "CACHE_FOLDER", tmp_path / "cache")
+class Package:
+    """A package of a user's own, and a cache of its own. State: what was compiled in the last process."""
 
-    def begin(module: str = "law") -> Any:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+        self.patch, self.folder, self.compiled = monkeypatch, folder, list[bool]()
+        monkeypatch.setattr(cache, "progress", self.compiled.append)
+        monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
+        for name in ("__init__", "gains", "law"):
+            (folder / f"{name}.py").write_text(KERNELS)
+
+    def forget(self) -> None:
         for remembered in (cache._sources_of, cache._content, cache._folder_of):
             remembered.cache_clear()
+
+    def loaded(self) -> Any:
+        """Import the law as a later process does."""
+        self.forget()
+        self.compiled.clear()
         time.sleep(0.1)
-        monkeypatch.setattr(cache, "BEGAN_NS", time.time_ns())
-        begin.compiled.clear()  # type: ignore[attr-defined]
-        monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
-        made = imported(f"laws_of_this_test.{module}", folder / f"{module}.py")
-        assert made.twice(4.0) == 8.0
-        return made
+        self.patch.setattr(cache, "BEGAN_NS", time.time_ns())
+        return imported("laws_of_this_test.law", self.folder / "law.py")
 
-    begin.folder, begin.compiled = folder, []  # type: ignore[attr-defined]
-    monkeypatch.setattr(cache, "progress", begin.compiled.append)  # type: ignore[attr-defined]
-    yield begin
-    for remembered in (cache._sources_of, cache._content, cache._folder_of):
-        remembered.cache_clear()
+    def compiles(self) -> bool:
+        """Tell whether the next process compiles."""
+        assert self.loaded().twice(4.0) == 8.0
+        return bool(self.compiled)
 
 
-def compiles(package) -> bool:
-    """Tell whether the next process compiles the kernel."""
-    package()
-    return bool(package.compiled)
+@pytest.fixture
+def package(monkeypatch, tmp_path):
+    (tmp_path / "laws_of_this_test").mkdir()
+    monkeypatch.setattr(cache, "CACHE_FOLDER", tmp_path / "cache")
+    made = Package(monkeypatch, tmp_path / "laws_of_this_test")
+    yield made
+    made.forget()
 
 
 def test_a_kernel_is_found_until_a_source_of_its_package_is_edited(package):
-    assert [compiles(package), compiles(package)] == [True, False]
+    assert [package.compiles(), package.compiles()] == [True, False]
     (package.folder / "gains.py").write_text("gain = 2.0")
-    assert [compiles(package), compiles(package)] == [True, False]
+    assert [package.compiles(), package.compiles()] == [True, False]
 
 
 def test_a_damaged_file_is_compiled_again(package):
-    package()
-    (kept,) = (package.folder.parent / "cache").rglob("*.kernel")
+    package.loaded()
+    (kept, *_) = sorted((package.folder.parent / "cache").rglob("*.kernel"))
     content = kept.read_bytes()
     middle = len(content) // 2
-    flipped = (
-        content[:middle] + bytes(255 - each for each in content[middle : middle + 8]) + content[middle + 8 :]
-    )
-    for damaged in (b"", content[:1000], b"no pickle at all", flipped):
+    flipped = bytes(255 - each for each in content[middle : middle + 8])
+    for damaged in (b"", content[:1000], b"no pickle", content[:middle] + flipped + content[middle + 8 :]):
         kept.write_bytes(damaged)
-        assert compiles(package)
-        assert not compiles(package)
-    assert not [each for each in kept.parent.iterdir() if each != kept]
+        assert [package.compiles(), package.compiles()] == [True, False]
 
 
 def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
@@ -141,7 +153,7 @@ def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
     files = {factor: package.folder / f"by{factor}.py" for factor in (2, 5)}
     for factor, file in files.items():
         file.write_text(f"def scaled(x):\n    return {factor} * x\n")
-    package()
+    package.loaded()
     places = {cache.place_of(imported("script", file).scaled, "kind") for file in files.values()}
     assert len(places - {None}) == 2
 
@@ -149,7 +161,7 @@ def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
 def test_without_a_folder_to_write_a_kernel_is_compiled_in_each_process(package, monkeypatch):
     (package.folder.parent / "file").touch()
     monkeypatch.setattr(cache, "CACHE_FOLDER", package.folder.parent / "file")
-    assert [compiles(package), compiles(package)] == [True, True]
+    assert [package.compiles(), package.compiles()] == [True, True]
 
 
 def test_a_closure_is_kept_nowhere():
@@ -159,4 +171,34 @@ def test_a_closure_is_kept_nowhere():
         return inner * x
 
     assert cache.place_of(closure, "kind") is None
-    assert cache.place_of(compiles, "kind") != cache.place_of(compiles, "other kind")
+    assert cache.place_of(imported, "kind") != cache.place_of(imported, "other kind")
+
+
+def test_a_loaded_kernel_computes_raises_and_serves_other_kernels(package, monkeypatch):
+    package.loaded()
+    with monkeypatch.context() as patch:
+        patch.setattr(binding, "parse_bitcode", None)
+        module = package.loaded()
+        assert package.compiled == []
+        assert (module.twice(3.0), module.fourfold(3.0)) == (6.0, 12.0)
+    twice, positive = module.twice, module.positive
+
+    @kernel(REAL)
+    def own(x):
+        return twice(positive(x)) + 1.0
+
+    foreign = numba.njit("float64(float64)", **OPTIONS)(lambda x: positive(x) - 1.0)
+    assert (own(2.0), foreign(2.0)) == (5.0, 1.0)
+    for each in (module.fourfold, own, foreign):
+        with pytest.raises(ValueError, match="negative"):
+            each(-1.0)
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, ".cache"), ("relative", ".cache"), ("{}/own", "own")])
+def test_the_cache_lies_in_an_absolute_xdg_cache_home_else_at_home(monkeypatch, tmp_path, given, used):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    if given:
+        monkeypatch.setenv("XDG_CACHE_HOME", given.format(tmp_path))
+    assert cache_folder() == tmp_path / used / "hexapod-hil"
+    assert cache_folder().stat().st_mode & 0o777 == 0o700

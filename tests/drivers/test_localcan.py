@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import stat
 import sys
 import threading
 import time
@@ -16,7 +15,6 @@ from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.link import OWN, collect
 from drivers.can.localcan.layout import OFFSET_AT, SLOT_DUE, slot_at
 from drivers.can.localcan.participant import DEFAULT_TIMING, Participant
-from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
@@ -143,13 +141,6 @@ def test_the_first_participant_fixes_the_timing(join):
         join(BitTiming(500_000, 2_000_000))
     with pytest.raises(BusError, match=f"classic CAN 1000000.*{os.getpid()}"):
         join(DEFAULT_TIMING, fd=False)
-
-
-def test_without_runtime_directory_a_folder_of_our_own_is_used(monkeypatch):
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    folder = runtime_folder()
-    assert folder.name == f"hexapod-hil-{os.getuid()}"
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 def test_threads_may_share_a_participant(join):

@@ -182,13 +182,6 @@ def test_an_interface_that_only_fails_is_off_at_the_first_look(error):
     assert (adapter.looks, bus.overflow) == (looks + 1, lost), "it is not asked again and again"
 
 
-def test_a_look_ends_although_frames_come_all_the_time():
-    adapter = Adapter(last=message(7))
-    for bus in [on(adapter)] * 2:
-        adapter.looks = 0
-        assert len(heard(bus)) == adapter.looks < 2_000
-
-
 # the end
 
 

@@ -77,7 +77,7 @@ def test_source_and_target_may_overlap():
     np.testing.assert_array_equal(m, k)
 
 
-def test_columns_of_records_are_assigned_in_place_or_refused_by_their_shape():
+def test_columns_of_records_are_assigned_in_place():
     state, values = np.zeros((), STATE), np.arange(5.0) + 1.0
     with pytest.raises(ValueError, match="shape"):
         columns(state, values, 4)

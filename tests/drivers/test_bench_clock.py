@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -17,40 +15,7 @@ from tests.drivers.frames_heard import got
 
 pytestmark = [pytest.mark.usefixtures("runtime"), pytest.mark.realtime]
 WAKE_NS, WORK_NS = 1_000_000, 2_000_000
-OTHER = """
-import os, signal, sys, time
-from drivers.can.localcan.participant import Participant
-node = Participant("t")
-clock = node.clock
-clock.holds = True
-print("ready", flush=True)
-sys.stdin.readline()
-"""
-
-
-@pytest.fixture
-def other():
-    """Start another process that holds time, on its line of standard input runs `code`, and is on the bus."""
-    started = []
-
-    def begin(code):
-        child = subprocess.Popen(
-            [sys.executable, "-c", OTHER + code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        started.append(child)
-        assert child.stdout is not None
-        assert child.stdin is not None
-        assert child.stdout.readline() == "ready\n"
-        print(file=child.stdin, flush=True)
-        return child
-
-    yield begin
-    for child in started:
-        child.kill()
-        child.wait(10)
-        for pipe in (child.stdin, child.stdout):
-            assert pipe is not None
-            pipe.close()
+HOLDS = "clock.holds = True\n"
 
 
 @pytest.fixture
@@ -94,8 +59,8 @@ def test_time_stands_for_the_earliest_of_several(held, join):
     assert held.stretched() > 0.02e9
 
 
-def test_a_sleeper_does_not_come_back_before_its_bench_time(held, other, join):
-    other(f"clock.working(); time.sleep(0.05); clock.waiting(clock.now() + {10**9}); time.sleep(5)")
+def test_a_sleeper_does_not_come_back_before_its_bench_time(held, child, join):
+    child(HOLDS + f"clock.working(); time.sleep(0.05); clock.waiting(clock.now() + {10**9}); time.sleep(5)")
     time.sleep(0.02)
     assert held.now() == held.now()
     begun, until = time.monotonic(), held.now() + 5_000_000
@@ -104,18 +69,19 @@ def test_a_sleeper_does_not_come_back_before_its_bench_time(held, other, join):
     assert time.monotonic() - begun > 0.02, "time stood still for the other one"
 
 
-def test_the_time_of_a_killed_process_goes_on_at_once(held, other):
-    child = other("clock.working(); print('on', flush=True); time.sleep(30)")
-    assert child.stdout.readline() == "on\n"
-    os.kill(child.pid, signal.SIGKILL)
+def test_the_time_of_a_killed_process_goes_on_at_once(held, child):
+    other = child(HOLDS + "clock.working(); print('on', flush=True); time.sleep(30)")
+    assert other.stdout.readline() == "on\n"
+    os.kill(other.pid, signal.SIGKILL)
     begun, until = time.monotonic(), held.now() + 20_000_000
     held.sleep_until(until)
     assert time.monotonic() - begun < 0.2
 
 
-def test_a_stopped_process_is_dismissed_and_may_come_back(held, other):
-    child = other(
-        "clock.working(); os.kill(os.getpid(), signal.SIGSTOP); clock.working(); print('on', flush=True);"
+def test_a_stopped_process_is_dismissed_and_may_come_back(held, child):
+    other = child(
+        HOLDS
+        + "clock.working(); os.kill(os.getpid(), signal.SIGSTOP); clock.working(); print('on', flush=True);"
         "time.sleep(30)"
     )
     time.sleep(0.05)
@@ -123,8 +89,8 @@ def test_a_stopped_process_is_dismissed_and_may_come_back(held, other):
     held.sleep_until(until)
     took = time.monotonic() - begun
     assert 0.5e-9 * DISMISS_NS < took < 2.0
-    os.kill(child.pid, signal.SIGCONT)
-    assert child.stdout.readline() == "on\n"
+    os.kill(other.pid, signal.SIGCONT)
+    assert other.stdout.readline() == "on\n"
     held.working()
     time.sleep(0.02)
     stood = held.now()
@@ -132,7 +98,7 @@ def test_a_stopped_process_is_dismissed_and_may_come_back(held, other):
     assert held.now() == stood, "it holds time again"
 
 
-def test_only_a_stranger_who_sends_ends_the_standing_still(held, join):
+def test_a_foreign_sender_ends_the_standing_still_and_a_listener_does_not(held, join):
     stranger = join()
     got(stranger.receive())
     assert not held.interrupted
@@ -148,7 +114,7 @@ def test_only_a_stranger_who_sends_ends_the_standing_still(held, join):
 
 
 @pytest.mark.long
-def test_time_runs_backwards_for_nobody(held, other):
+def test_time_runs_backwards_for_nobody(held, child):
     """Two processes that hold time raise, lower and break their promises; a third one looks on."""
     code = """
 import random
@@ -160,7 +126,7 @@ while True:
         assert clock.now() >= before
     time.sleep(random.random() * 3e-3)
 """
-    children = [other(code.format(seed)) for seed in (1, 2)]
+    others = [child(HOLDS + code.format(seed)) for seed in (1, 2)]
     held.leave()
     latest, end = 0, time.monotonic() + 2.0
     first = held.now()
@@ -169,7 +135,7 @@ while True:
         assert now >= latest
         latest = now
     assert held.now() - first > 0.2e9
-    assert all(child.poll() is None for child in children)
+    assert all(other.poll() is None for other in others)
 
 
 def test_a_participant_sleeps_until_its_time_and_does_not_spin(join):

@@ -15,14 +15,13 @@ from hypothesis import strategies as st
 
 import drivers
 from drivers.config import BusSettings, SensorSettings, TrackerSettings
-from drivers.errors import ProtocolError
 from drivers.legs.messages import COMMANDS
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.protocol import BRS, ESI, FD, Frame, Received
 from drivers.sensors import SensorProtocol
-from drivers.signals import INVALID, NEVER, Command, DriveMode, DriveState, Foreign, Reaction
-from hil.contracts.drives_end import answers, reports
-from hil.contracts.messages import DeviceCommand, EmergencyStop, Rejected, Status, Sync
+from drivers.signals import NEVER, Command, DriveMode, DriveState, Foreign, Reaction
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import DeviceCommand, EmergencyStop, Rejected, Status
 from tests.drivers.legs_frames import (
     bitwise_crc,
     command_frames,
@@ -78,7 +77,7 @@ def test_the_sensors_stamp_against_the_sync_of_the_drives():
     assert ours.encode(values) == theirs.encode(values)
 
 
-def test_arbitration_order_is_estop_sync_command_feedback_sensors_config_status():
+def test_identifiers_are_in_the_order_of_urgency():
     order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "TRACKER", "IMU", "WRENCH", "CONFIG", "STATUS")
     kinds = [m.name.split("_")[0] for m in sorted(ALL_MESSAGES, key=lambda m: m.frame_id)]
     assert list(dict.fromkeys(kinds)) == list(order)
@@ -153,13 +152,6 @@ def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
 # what does not fit
 
 
-@all_layouts
-@pytest.mark.parametrize("force", [np.nan, np.inf, -np.inf])
-def test_a_force_that_is_not_finite_is_refused(layout, force):
-    with pytest.raises(ProtocolError, match="N are allowed"):
-        command_frames(P[layout], Command(DriveMode.RUN, np.array([0, 0, 0, 0, force, 0])), 0)
-
-
 @pytest.mark.parametrize(
     ("layout", "ends"),
     [
@@ -176,12 +168,6 @@ def test_a_drive_saturates_what_its_feedback_cannot_carry(layout, ends):
     assert measurement["rejected"] == 0
 
 
-@all_layouts
-def test_a_drive_never_sends_a_nan(layout):
-    with pytest.raises(ProtocolError, match="not a number"):
-        one_feedback(P[layout], 2, np.nan, 0.0, 0.0, DriveState.RUN, 0)
-
-
 # decode: what is refused
 
 
@@ -195,7 +181,7 @@ def test_any_single_flipped_bit_of_a_feedback_is_refused(layout):
 
 
 @all_layouts
-def test_a_feedback_that_is_cut_of_another_node_or_of_an_unknown_state_is_refused(layout):
+def test_a_feedback_of_wrong_length_node_or_state_is_refused(layout):
     good, at = feedback(layout, 5), {"classic": 6, "fd": 10, "ideal": 24}[layout]
     wrong = [good._replace(data=data) for data in (good.data[:-1], good.data + b"\0", b"")]
     wrong += [good._replace(id=good.id + 1)]
@@ -235,7 +221,7 @@ def test_a_tick_reports_all_its_doubled_altered_and_foreign_frames():
     assert m["foreign"] == Foreign.SYNC | Foreign.CONFIG
 
 
-def test_other_identifiers_and_layouts_are_ignored_and_an_error_passive_sender_is_heard():
+def test_other_identifiers_and_layouts_are_ignored():
     others = Frame(0x555, b"\1"), Frame(0x200, b""), feedback("classic", 5), feedback("ideal", 5)
     measurement = decode(P["fd"], received(*others, *opening(P["fd"], 5)), 5)
     assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
@@ -249,14 +235,6 @@ def test_the_newer_of_two_feedbacks_wins_in_either_order(order):
     measurement = decode(P["fd"], received(*(frames[i] for i in order)), 8)
     assert (measurement["age"][0], measurement["rejected"]) == (0, 0)
     assert measurement["length"][0] == pytest.approx(1.8)
-
-
-@all_layouts
-def test_fresh_is_a_feedback_with_this_ticks_counter(layout):
-    for tick in (0, 5, 15, 16, 300):
-        assert P[layout].fresh(Received(0, feedback(layout, tick & 15)), tick, 0)
-        assert not P[layout].fresh(Received(0, feedback(layout, (tick - 1) & 15)), tick, 0)
-    assert not P[layout].fresh(Received(0, opening(P[layout], 5)[0]), 5, 0)
 
 
 def test_decode_leaves_the_previous_measurement_alone():
@@ -308,8 +286,6 @@ def test_drives_ignore_what_is_not_for_them():
     assert parse(P["fd"], feedback("fd", 1)) is None
     assert parse(P["fd"], Frame(0x100, bytes(8))) is None
     assert isinstance(parse(P["fd"], Frame(0x080, b"")), Rejected)
-    for flag in (EXTENDED, REMOTE, ERROR):
-        assert parse(P["fd"], Frame(0x001, b"", flag)) is None
 
 
 # round trips
@@ -383,15 +359,3 @@ def test_configuration_round_trip(watchdog_s, reaction):
         parsed: Any = parse(P["fd"], frame)
         assert (parsed.leg, parsed.reaction) == (leg, reaction)
         assert parsed.watchdog_s == pytest.approx(watchdog_s, abs=0.51e-6)
-
-
-@all_layouts
-def test_six_feedbacks_at_once_are_those_of_each_drive_alone(layout):
-    length, rate, force = np.linspace(1.0, 2.0, 6), np.linspace(-0.5, 0.5, 6), np.linspace(-9e3, 9e3, 6)
-    state = np.array([0, 1, 2, 3, 4, 3 | INVALID], np.int64)
-    legs, together = zip(*answers(P[layout], Sync(0x2B), length, rate, force, state), strict=True)
-    assert legs == (0, 1, 2, 3, 4, 5)
-    for leg, frame in enumerate(together):
-        alone = one_feedback(P[layout], leg, length[leg], rate[leg], force[leg], int(state[leg]), 0xB)
-        assert frame == alone
-    assert [frame.id for frame in together] == sorted({frame.id for frame in together})

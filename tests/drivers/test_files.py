@@ -50,15 +50,6 @@ def test_the_target_of_a_link_is_replaced(tmp_path):
     assert sorted(each.name for each in target.parent.iterdir()) == ["run.yaml"]
 
 
-def test_a_pipe_is_written_itself(tmp_path):
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    with whole_file(pipe) as given:
-        assert given == pipe
-    assert pipe.is_fifo()
-    assert list(tmp_path.iterdir()) == [pipe]
-
-
 def test_a_pipe_and_a_file_beyond_the_limit_are_not_read(tmp_path):
     file, pipe = tmp_path / "a", tmp_path / "pipe"
     file.write_bytes(bytes(1000))

@@ -138,7 +138,7 @@ def test_an_invalid_length_makes_its_leg_blind_and_not_fresh(layout, leg):
 
 @layouts
 @legs
-def test_a_second_answer_that_differs_doubles_its_node_and_the_first_counts(layout, leg):
+def test_a_second_answer_that_differs_doubles_its_node(layout, leg):
     good = sent(layout)
     others = [
         sent(layout, length=LENGTH + 0.01),
@@ -211,16 +211,6 @@ def test_a_status_has_the_fault_of_its_drive_and_reports_another_set_up(layout, 
         end.take(received_array([bad, bad]), last_tick(), tick, SINCE_NS)
         assert (end.state["confirmed"], int(tick["rejected"])) == (0b111111, 2)
         assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()
-
-
-@layouts
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_value_at_the_end_of_its_field_counts(layout, side):
-    far = np.full(6, side * 1e12)
-    tick = taken(layout, *sent(layout, length=far, rate=far, force=far))
-    assert (tick["age"].tolist(), int(tick["rejected"])) == ([0] * 6, 0)
-    assert (side * tick["length"] > 200.0).all()
-    assert (side * tick["rate"] > 3.0).all()
 
 
 @layouts

@@ -1,4 +1,4 @@
-"""The own protocol's set-up: who is sent a CONFIG and when, what confirms it; traits; several buses."""
+"""The own protocol's set-up: who is sent a CONFIG and when, what confirms it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import ALL_LEGS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
+from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.drives_end import reading_of, reports
-from hil.contracts.messages import Configure, Rejected, Status, Sync, hear, reply
+from hil.contracts.drives_end import reports
+from hil.contracts.messages import Configure, Rejected, Status, Sync, hear
 from plant_fmu.drives import drives_end
 from tests.drivers.legs_frames import command_frames, opening, parse
 
@@ -163,25 +163,6 @@ def test_the_own_protocol_has_its_traits():
     assert P.controller_end(SETUP).carried(force) is force
 
 
-@pytest.mark.parametrize(
-    ("layout", "steps"),
-    [("classic", (5e-8, 5e-5, 1.0)), ("fd", (5e-8, 5e-8, 5e-4)), ("ideal", (0.0, 0.0, 0.0))],
-)
-def test_a_rounded_field_is_off_by_half_a_step(layout, steps):
-    found = LegsProtocol(layout, NODES, 32_000.0).traits.resolution.at(250.0)[:3]
-    for values, step in zip(found, steps, strict=True):
-        np.testing.assert_allclose(values, step, rtol=1e-12)
-
-
-def test_frames_concern_the_legs_of_their_identifiers():
-    config, feedback = P.configure(0.0125, Reaction.HOLD), [Frame(0x280 + node, b"") for node in NODES]
-    assert [P.addressed(each) for each in config] == [(leg,) for leg in range(6)]
-    assert P.addressed(opening(P, 0)[0]) == P.addressed(P.traits.emergency_stop[0]) == ALL_LEGS
-    assert [P.sender(each) for each in (*feedback, *map(status, range(6)))] == [*range(6), *range(6)]
-    assert P.sender(config[0]) == -1
-    assert P.traits.feedback_ids == {each.id for each in feedback}
-
-
 @pytest.mark.parametrize("nodes", [(1, 2, 0, 4, 5, 6), (128, 2, 3, 4, 5, 6)])
 def test_nodes_are_numbers_of_1_to_127(nodes):
     with pytest.raises(ConfigurationError, match="node_ids"):
@@ -221,41 +202,6 @@ def test_drives_refuse_a_frame_that_is_cut_repeated_or_of_another_sync():
     newer.tables["version"] = 3
     assert parse(P, newer.configure(0.0125, Reaction.HOLD)[2]) == Rejected()
     assert parse(P, placed(1, 2, 6, 4, 5, 3).configure(0.0125, Reaction.HOLD)[2]) == Rejected()
-
-
-# on several buses
-
-
-def test_each_bus_carries_the_forces_of_its_own_legs():
-    protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
-    force = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    frames = command_frames(protocol, Command(DriveMode.RUN, force), 7)
-    assert [frame.bus for frame in frames] == [0, 1]
-    end = drives_end(protocol)
-    for frame in opening(protocol, 7):
-        hear(end, frame)
-    found = [hear(end, frame)[0] for frame in frames]
-    assert [(each.legs, each.force.tolist()) for each in found] == [  # type: ignore[union-attr]
-        ((4, 1), [5.0, 2.0]),
-        ((0, 2, 3, 5), [1.0, 3.0, 4.0, 6.0]),
-    ]
-
-
-def test_a_feedback_counts_on_the_bus_of_its_drive_alone():
-    protocol = LegsProtocol("fd", NODES, 32_000.0, ((4, 1), (0, 2, 3, 5)))
-    ones = np.ones(6)
-    answers = reply(drives_end(protocol), Sync(7), reading_of(ones, ones, ones, np.ones(6, np.int64)))
-    assert sorted(leg for leg, _ in answers) == list(range(6))
-    last, tick = new_record(), new_record()
-    tick["tick"] = 7
-    moved = [f._replace(flags=f.flags ^ BUS) if leg in (1, 2) else f for leg, f in answers]
-    strange = Frame(0x7FF, b"", 2 * BUS)
-    for frame, (leg, _) in zip(moved, answers, strict=True):
-        assert protocol.fresh(Received(5, frame), 7, 0) == (leg not in (1, 2))
-    received = received_array([Received(5, each) for each in (*moved, strange)])
-    protocol.controller_end(SETUP).take(received, last, tick, 0)
-    assert tick["rejected"] == 3
-    assert [age == 0 for age in tick["age"]] == [leg not in (1, 2) for leg in range(6)]
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def queued_ns(stranger: Participant) -> int:
 
 
 @pytest.mark.parametrize("joins", ["before", "after"])
-def test_a_stranger_on_the_second_channel_goes_by_the_lagging_clock(bench, joins):
+def test_a_foreign_node_on_the_second_channel_goes_by_the_lagging_clock(bench, joins):
     clock = bench.first.clock
     clock.begin(1, 1)
     for _ in range(2):
@@ -68,7 +68,7 @@ def test_a_stranger_on_the_second_channel_goes_by_the_lagging_clock(bench, joins
         stranger.close()
 
 
-def test_a_stranger_who_sends_on_the_second_channel_ends_the_standing(bench):
+def test_a_foreign_sender_on_the_second_channel_ends_the_standing_still(bench):
     clock = bench.first.clock
     clock.begin(1, 1)
     clock.holds = True

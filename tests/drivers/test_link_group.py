@@ -84,7 +84,7 @@ def test_files_are_awaited_to_the_deadline_and_shortly_while_time_stands(
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_sync_heartbeat_and_stop_of_one_bus_reach_the_drives_of_that_bus_alone(name):
+def test_sync_heartbeat_and_stop_of_one_bus_reach_its_drives_alone(name):
     protocol = family(name, ODD)
     dialogue, sent = protocol.start(SETUP), list(protocol.traits.emergency_stop)
     for tick in range(60):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import itertools
 import json
@@ -10,8 +9,6 @@ import os
 import random
 import select
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -28,44 +25,14 @@ from tests.drivers.frames_heard import CLASSIC_8_BYTES, CRAWL, got, soon
 pytestmark = pytest.mark.usefixtures("runtime")
 
 
-def start(code, stdin=None):
-    """Start a child that is on the bus when this returns."""
-    command = [sys.executable, "-c", PREAMBLE + code]
-    child = subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    assert child.stdout.readline() == "ready\n"
-    return child
-
-
-def end(child):
-    child.kill()
-    child.wait(10)
-    for stream in (child.stdin, child.stdout):
-        if stream is not None:
-            stream.close()
-
-
-PREAMBLE = """
-import os, sys, time
-from drivers.can.bus_time import BitTiming
-from drivers.can.localcan.participant import Participant
-from drivers.frame_array import received_frames, sent_array
-from drivers.protocol import Frame
-node = Participant("t", BitTiming(1_000_000, 5_000_000), fd=True)
-give, take = node.send, node.receive
-node.send = lambda frames: give(sent_array(frames))
-node.receive = lambda: [*received_frames(take())]
-print("ready", flush=True)
-"""
-
-
-def test_killed_in_full_flight_leaves_the_bus_usable(join):
+def test_killed_in_full_flight_leaves_the_bus_usable(join, child):
     a, b = join(), join()
     for _ in range(4):
-        child = start("while True: node.send([Frame(0x555, bytes(8))] * 4); node.receive()")
+        sender = child("while True: node.send([Frame(0x555, bytes(8))] * 4); node.receive()")
         assert got(collect(b, soon()))
         time.sleep(0.05)
-        end(child)
+        sender.kill()
+        sender.wait(10)
         time.sleep(0.02)
         got(b.receive())
         a.send(sent_array([Frame(0x10, b"alive")]))
@@ -76,8 +43,8 @@ def test_killed_in_full_flight_leaves_the_bus_usable(join):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_sender_that_goes_in_the_middle_of_a_frame_has_no_effect(join, number):
-    child = start(
+def test_a_sender_that_goes_in_the_middle_of_a_frame_has_no_effect(join, child, number):
+    sender = child(
         f"""
 from drivers.can.localcan import layout, log
 def half(words, *given):
@@ -86,19 +53,16 @@ def half(words, *given):
     os.kill(os.getpid(), {int(number)})
 log.put = half
 sys.stdin.readline(); node.send([Frame(0x21, b"never")])
-""",
-        stdin=subprocess.PIPE,
+"""
     )
     a, b = join(), join()
-    child.stdin.write("send\n")
-    child.stdin.close()
+    print(file=sender.stdin, flush=True)
     time.sleep(0.1)
     for k in range(50):
         a.send(sent_array([Frame(0x20, k.to_bytes(1, "little"))]))
         (received,) = got(collect(b, soon(), {0x20}))
         assert received.frame.data == k.to_bytes(1, "little")
     assert a.overflow == b.overflow == 0
-    end(child)
 
 
 def start_by_hand(words, sender, number):
@@ -111,7 +75,7 @@ def start_by_hand(words, sender, number):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_frame_ends_for_all_alike_although_its_starter_is_gone(join, late):
+def test_a_frame_ends_for_all_alike_although_its_starter_was_killed(join, late):
     a, b, c = join(CRAWL), join(CRAWL), join(CRAWL, own=True)
     assert a.send(sent_array([Frame(0x20, bytes(8)), Frame(0x10, bytes(8))])) == 2
     start_by_hand(b._wire.words, a, 0)
@@ -164,10 +128,8 @@ def test_a_newcomer_in_the_slot_of_a_killed_participant_does_not_hold_time(join)
     killed._closed = True
 
 
-def test_leftovers_of_a_dead_bus_do_not_disturb_the_next(join, runtime):
-    child = start("node.send([Frame(0x111, bytes(8))] * 60); os.kill(os.getpid(), 9)")
-    child.wait(10)
-    end(child)
+def test_leftovers_of_a_dead_bus_do_not_disturb_the_next(join, child, runtime):
+    child("node.send([Frame(0x111, bytes(8))] * 60); os.kill(os.getpid(), 9)").wait(10)
     assert list((runtime / "hexapod-hil").iterdir())
     # other timing than the dead bus had, none of its frames, and no trace at the end
     a, b = join(CRAWL), join(CRAWL)
@@ -179,9 +141,9 @@ def test_leftovers_of_a_dead_bus_do_not_disturb_the_next(join, runtime):
 
 
 @pytest.mark.realtime
-def test_two_processes_at_full_load_lose_nothing_and_take_the_bus_time(join):
+def test_two_processes_at_full_load_lose_nothing_and_take_the_bus_time(join, child):
     node = join()
-    child = start(
+    child(
         """
 frames = [Frame(0x100, i.to_bytes(4, "little"), 6) for i in range(4000)]
 while frames:
@@ -194,7 +156,6 @@ time.sleep(1)
     deadline = soon(10)
     while len(received) < 4000 and time.monotonic_ns() < deadline:
         received += got(collect(node, soon(0.5)))
-    end(child)
     assert [int.from_bytes(r.frame.data, "little") for r in received] == list(range(4000))
     # 34 bit + (5 + 32 + stuff 9 + 4 + 17 + 6) bit at 5 Mbit/s = 34 + 14.6 us, ISO 11898-1
     gaps = [t.t_ns - s.t_ns for s, t in itertools.pairwise(received)]
@@ -202,19 +163,18 @@ time.sleep(1)
     assert node.overflow == 0
 
 
-def test_who_joins_beside_a_sender_stays_on_the_bus(join):
-    child = start("while True: node.send([Frame(0x55, b'')]); time.sleep(2e-4)")
+def test_a_newcomer_next_to_a_sender_stays_on_the_bus(join, child):
+    child("while True: node.send([Frame(0x55, b'')]); time.sleep(2e-4)")
     node = join()
     for _ in range(60):
         late = Participant("t", DEFAULT_TIMING)
         assert got(collect(late, soon(), {0x55}))
         assert late.serial in node._wire.present()
         late.close()
-    end(child)
 
 
 @pytest.mark.long
-def test_all_see_one_order_whoever_is_stopped_when(join, tmp_path):
+def test_all_participants_see_one_order_though_some_are_stopped(join, child, tmp_path):
     """Four processes send, two of them are stopped and continued at random; all logs agree."""
     watcher = join()
     code = """
@@ -229,24 +189,18 @@ with open("{folder}/{seed}", "w") as file:
     json.dump([(t, f.id, f.data.hex()) for t, f in seen], file)
 print("done", flush=True)
 """
-    with contextlib.ExitStack() as stack:
-        children = [
-            start(code.replace("{seed}", str(k)).replace("{folder}", str(tmp_path)), stdin=subprocess.PIPE)
-            for k in range(4)
-        ]
-        for child in children:
-            stack.callback(end, child)
-        for child in children:
-            print(file=child.stdin, flush=True)
-        order = random.Random(3)
-        seen, until = [], time.monotonic() + 2.0
-        while time.monotonic() < until:
-            child = order.choice(children[:2])
-            os.kill(child.pid, signal.SIGSTOP)
-            time.sleep(order.random() * 0.01)
-            os.kill(child.pid, signal.SIGCONT)
-            seen += got(watcher.receive())
-        assert [child.stdout.readline() for child in children] == ["done\n"] * 4
+    senders = [child(code.replace("{seed}", str(k)).replace("{folder}", str(tmp_path))) for k in range(4)]
+    for sender in senders:
+        print(file=sender.stdin, flush=True)
+    order = random.Random(3)
+    seen, until = [], time.monotonic() + 2.0
+    while time.monotonic() < until:
+        sender = order.choice(senders[:2])
+        os.kill(sender.pid, signal.SIGSTOP)
+        time.sleep(order.random() * 0.01)
+        os.kill(sender.pid, signal.SIGCONT)
+        seen += got(watcher.receive())
+    assert [sender.stdout.readline() for sender in senders] == ["done\n"] * 4
     logs = [[tuple(each) for each in json.loads((tmp_path / str(k)).read_text())] for k in range(4)]
     seen += got(watcher.receive())
     ends = [t for t, _ in seen]

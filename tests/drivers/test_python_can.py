@@ -99,7 +99,7 @@ OWN = {"bitrate": 250_000, "data_bitrate": 4_000_000, "fd": False, "single_handl
         ({"interface": "udp_multicast", "layout": "classic"}, {"hop_limit": 0}),
     ],
 )
-def test_a_bus_is_opened_with_the_bit_rates_of_its_layout_or_its_own_options(monkeypatch, changes, expected):
+def test_a_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch, changes, expected):
     """Files and the environment of python-can do not count: they may have a bit rate for other work."""
     opened: list[Any] = []
 

@@ -159,7 +159,7 @@ def sends(can: SocketCan, *frames: Frame) -> int:
 
 
 @pytest.mark.parametrize("layout", ["classic", "fd"])
-def test_the_kernel_is_asked_for_all_errors_time_stamps_losses_and_fd_frames(kernel, layout):
+def test_the_socket_reports_all_errors_time_stamps_losses_and_fd_frames(kernel, layout):
     # CAN_CTRLMODE_FD is 0x20 of linux/can/netlink.h
     kernel.interface = CAN0._replace(mtu=72, data_bitrate_bit_s=5_000_000, modes=0x20)
     with Bus([SocketCan(SETTINGS.model_copy(update={"layout": layout}))]):
@@ -285,7 +285,7 @@ def test_a_frame_that_the_interface_cannot_carry_is_an_error(made):
         sends(can)
 
 
-def test_an_interface_that_was_down_is_used_again_once_it_is_up_as_configured(made, clock, kernel):
+def test_an_interface_that_was_down_is_used_when_it_is_up_as_configured(made, clock, kernel):
     can, sock = made
     sock.refuses = errno.ENETDOWN
     assert (sends(can), can.off) == (0, True)
@@ -375,7 +375,7 @@ def test_a_new_try_drops_stale_frames_and_restarts_the_controller(made, kernel, 
     assert (can.off, sends(can)) == (False, 1)
 
 
-def test_a_new_try_that_may_not_drop_or_meets_another_bit_rate_keeps_the_bus_off(made, kernel):
+def test_a_new_try_without_rights_or_at_another_bit_rate_keeps_the_bus_off(made, kernel):
     can, _ = made
     for queued, interface, words in (
         (3, CAN0, "CAP_NET_ADMIN"),

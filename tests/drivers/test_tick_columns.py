@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import tick_columns as t
-from drivers.signals import NEVER, Mode
+from drivers.signals import NEVER
 
 
 @pytest.mark.parametrize(
@@ -27,26 +27,6 @@ from drivers.signals import NEVER, Mode
 def test_a_column_has_labels_and_units(name, labels, units):
     column = t.COLUMNS[name]
     assert ([*column.labels], [*column.units], column.size) == (labels, units, len(labels))
-
-
-def test_numbers_have_eight_bytes_and_an_enumeration_names_them():
-    assert t.COLUMNS["mode"].kind == t.COLUMNS["tick"].kind == "<i8"
-    assert t.COLUMNS["tau"].kind == "<f8"
-    assert t.COLUMNS["mode"].names == {mode.name: int(mode) for mode in Mode}
-    assert t.COLUMNS["doubled"].names == {f"LEG_{leg}": 1 << leg for leg in range(6)}
-    assert t.COLUMNS["tau"].names == t.COLUMNS["tick"].names == {}
-
-
-def test_the_row_of_the_log_is_the_beginning_of_a_tick():
-    names = t.TICK.names or ()
-    assert names == tuple(c.name for c in (*t.RECORDED, *t.WORKING))
-    assert t.ROW.names == names[: len(t.RECORDED)]
-    record: Any = t.new_record()
-    row: Any = t.row_of(record)
-    record["tick"], record["q"] = 7, [1, 2, 3, 4, 5, 6]
-    assert (row["tick"], row["q"].tolist()) == (7, [1, 2, 3, 4, 5, 6])
-    assert row.base is record.base
-    assert (record.base.nbytes, record.base.dtype) == (t.TICK.itemsize, np.float64), "all columns, no more"
 
 
 def test_a_record_begins_before_the_first_tick():

@@ -106,7 +106,7 @@ def ended_by_name(run: Process) -> None:
     assert any(name in run.errors for name in NAMED), run.errors
 
 
-def test_a_minute_of_attacks_of_every_kind_moves_nothing_beyond_the_stopping_distance(
+def test_attacks_of_every_kind_move_no_leg_beyond_the_stopping_distance(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener]
 ) -> None:
     """The first run is attacked in mid-motion, the next ones from before their start.

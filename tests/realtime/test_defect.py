@@ -18,7 +18,7 @@ pytestmark = pytest.mark.realtime(patient=True)
 
 
 @pytest.mark.long
-def test_a_law_that_raises_is_a_latched_fault_and_the_drives_hold_the_platform(
+def test_a_law_that_raises_is_a_latched_fault_and_the_drives_hold(
     tmp_path: Path, start: Callable[..., Process]
 ) -> None:
     file = configuration(tmp_path)

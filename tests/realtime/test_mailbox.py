@@ -1,4 +1,4 @@
-"""What the plant's process sends after a stall: of each feedback the newest, and all that is no feedback."""
+"""What the plant's process sends after a stall: of each feedback the newest, and all other frames."""
 
 from __future__ import annotations
 
@@ -9,63 +9,53 @@ import pytest
 
 from drivers.frame_array import sent_frames, timed_array
 from drivers.protocol import BUS, Frame
-from hil.app.plant import latest as latest_rows
-
-
-def latest(queued: list[tuple[int, Frame]], now_ns: int, protocol: Any) -> list[Frame]:
-    """Return what goes out, as frames."""
-    return [*sent_frames(latest_rows(timed_array(queued), now_ns, protocol))]
-
+from hil.app.plant import latest
 
 T, LATER, LATEST = 1_000_000, 2_000_000, 3_000_000
-PROTOCOL: Any = SimpleNamespace(
+OWN: Any = SimpleNamespace(
     traits=SimpleNamespace(feedback_ids={0x101, 0x102, 0x103}), awaited=lambda frame: frame.id
 )
 SHARED: Any = SimpleNamespace(
     traits=SimpleNamespace(feedback_ids={1, 2, 3}), awaited=lambda frame: frame.data[0]
 )
+A1, A2, A3, A4 = (Frame(0x101, bytes((n,))) for n in range(4))
+B1, B2, B3 = (Frame(0x102, bytes((n,))) for n in range(3))
+C, STATUS, ELSEWHERE = Frame(0x103, b"1"), Frame(0x1A0, b"s"), Frame(0x101, b"2", BUS)
+OLD, NEW = ([Frame(0, bytes((node, n))) for node in (1, 2, 3)] for n in (1, 2))
+OTHERS = [Frame(0x7E0, bytes((n,))) for n in range(3)]
 
 
-def test_answers_that_are_out_of_date_are_not_sent() -> None:
-    old = [(T, Frame(0x101, b"1")), (T, Frame(0x102, b"1")), (T, Frame(0x1A0, b"s"))]
-    new = [(LATER, Frame(0x101, b"2")), (LATER, Frame(0x102, b"2")), (LATEST, Frame(0x102, b"3"))]
-    kept = [Frame(0x101, b"2"), Frame(0x102, b"3"), Frame(0x1A0, b"s")]
-    assert latest(old + new, LATEST, PROTOCOL) == kept
-
-
-def test_one_answer_each_goes_out_as_it_is() -> None:
-    frames = [Frame(0x103, b"1"), Frame(0x101, b"1")]
-    assert latest([(T, frames[0]), (LATER, frames[1])], LATER, PROTOCOL) == frames
-    assert latest([], LATER, PROTOCOL) == []
-
-
-def test_drives_that_answer_on_one_identifier_all_answer() -> None:
-    old = [Frame(0x000, bytes((node, 1))) for node in (1, 2, 3)]
-    new = [Frame(0x000, bytes((node, 2))) for node in (2, 3)]
-    queued = [*((T, frame) for frame in old), *((LATER, frame) for frame in new)]
-    assert latest(queued, LATER, SHARED) == [old[0], *new]
-
-
-def test_drives_of_two_buses_with_one_identifier_both_answer() -> None:
-    one, two = Frame(0x101, b"1"), Frame(0x101, b"2", BUS)
-    assert latest([(T, one), (LATER, two)], LATER, PROTOCOL) == [one, two]
-
-
-@pytest.mark.parametrize("instants", [(T, T), (T, LATER)])
-def test_two_answers_of_one_instant_are_two_nodes_and_both_go_out(instants: tuple[int, ...]) -> None:
-    """The same where an older answer of both is out of date."""
-    first = [(instants[0], Frame(0x101, bytes((node, 1)))) for node in (1, 2)]
-    last = [(instants[1], Frame(0x101, bytes((node, 2)))) for node in (1, 2)]
-    queued = first + last if instants[0] != instants[1] else last
-    assert latest(queued, LATER, PROTOCOL) == [frame for _, frame in last]
-
-
-def test_what_is_no_feedback_goes_out_each_time_it_was_sent() -> None:
-    """Answers to several requests, frames of a node that should not be there."""
-    queued = [(t_ns, Frame(0x0, bytes((n,)))) for n, t_ns in enumerate((T, T, LATER, LATEST))]
-    assert latest(queued, LATEST, PROTOCOL) == [frame for _, frame in queued]
-
-
-def test_what_is_not_yet_to_be_on_the_bus_makes_nothing_out_of_date() -> None:
-    queued = [(T, Frame(0x101, b"1")), (LATER, Frame(0x102, b"1")), (LATEST, Frame(0x101, b"2"))]
-    assert latest(queued, LATER, PROTOCOL) == [Frame(0x101, b"1"), Frame(0x102, b"1")]
+@pytest.mark.parametrize(
+    ("protocol", "queued", "now_ns", "sent"),
+    [
+        (
+            OWN,
+            [(T, A1), (T, B1), (T, STATUS), (LATER, A2), (LATER, B2), (LATEST, B3)],
+            LATEST,
+            [A2, B3, STATUS],
+        ),
+        (OWN, [(T, C), (LATER, A1)], LATER, [C, A1]),
+        (OWN, [], LATER, []),
+        (SHARED, [*((T, f) for f in OLD), (LATER, NEW[1]), (LATER, NEW[2])], LATER, [OLD[0], *NEW[1:]]),
+        (OWN, [(T, A1), (T, ELSEWHERE)], LATER, [A1, ELSEWHERE]),
+        (OWN, [(T, A1), (T, A2)], LATER, [A1, A2]),
+        (OWN, [(T, A1), (T, A2), (LATER, A3), (LATER, A4)], LATER, [A3, A4]),
+        (OWN, [(T, OTHERS[0]), (T, OTHERS[1]), (LATEST, OTHERS[2])], LATEST, OTHERS),
+        (OWN, [(T, A1), (LATER, B1), (LATEST, A2)], LATER, [A1, B1]),
+    ],
+    ids=[
+        "newest of each",
+        "one of each",
+        "nothing",
+        "drives that share an identifier",
+        "drives of two buses",
+        "two nodes at one instant",
+        "two nodes twice",
+        "no feedback",
+        "what is not yet to be on the bus",
+    ],
+)
+def test_the_newest_feedback_of_each_drive_is_sent(
+    protocol: Any, queued: list[tuple[int, Frame]], now_ns: int, sent: list[Frame]
+) -> None:
+    assert [*sent_frames(latest(timed_array(queued), now_ns, protocol))] == sent

@@ -17,7 +17,9 @@ Start = Callable[..., Process]
 Listen = Callable[[Path], Listener]
 
 
-def test_a_run_without_drives_says_so_within_2_s_and_how_to_start_them(tmp_path: Path, start: Start) -> None:
+def test_a_run_without_drives_ends_within_2_s_and_tells_how_to_start_them(
+    tmp_path: Path, start: Start
+) -> None:
     file = configuration(tmp_path)
     run = start("run", str(file))
 

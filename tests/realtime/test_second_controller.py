@@ -31,7 +31,7 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ATTACKS)
-def test_who_plays_the_controller_in_mid_motion_ends_the_run_held_and_named(
+def test_a_second_controller_in_mid_motion_ends_the_run_held(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
 ) -> None:
     file = configuration(tmp_path, LASTING)

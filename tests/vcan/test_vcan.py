@@ -47,19 +47,6 @@ def _at_the_root(monkeypatch):
     monkeypatch.chdir(ROOT)
 
 
-@pytest.mark.long
-def test_python_can_and_candump_see_the_same_frames_on_vcan0(tmp_path):
-    log = tmp_path / "candump.log"
-    done = beside_vcan("roundtrip", log, limit_s=30.0)
-    assert done.exit_code == 0, done.stderr
-    classic, fd = "0102030405060708", bytes(range(32)).hex()
-    assert json.loads(done.stdout) == [[0x123, False, classic], [0x110, True, fd]]
-    assert [heard[1:] for heard in read_log(log)] == [
-        (0x123, False, bytes.fromhex(classic)),
-        (0x110, True, bytes.fromhex(fd)),
-    ]
-
-
 def test_the_bus_stands_what_the_kernel_does_to_it(tmp_path):
     # the modules of the running kernel are not ours to load
     result = tmp_path / "cases.json"
@@ -93,7 +80,7 @@ def ticks_to_safe(rows: np.ndarray, cause: np.ndarray) -> list[int]:
 
 
 @pytest.mark.long
-def test_a_daemon_whose_bus_fails_is_safe_in_5_ticks_and_recovered_by_its_operator(tmp_path):
+def test_a_daemon_whose_bus_fails_is_safe_in_5_ticks_and_recovers(tmp_path):
     found, summary, log = daemon("recovery", tmp_path)
     assert found == {
         "bus-off": ["BUS"],
@@ -113,7 +100,7 @@ def test_a_daemon_whose_bus_fails_is_safe_in_5_ticks_and_recovered_by_its_operat
 
 
 @pytest.mark.long
-def test_warning_and_passive_are_counted_and_bus_off_of_a_controller_is_safe_in_5_ticks(tmp_path):
+def test_warnings_are_counted_and_a_bus_off_is_safe_in_5_ticks(tmp_path):
     found, summary, log = daemon("states", tmp_path)
     assert set(found["kept"]) == {"TRACKING"}
     assert found["faults"] == [["BUS"]] * 2
@@ -130,7 +117,7 @@ def test_warning_and_passive_are_counted_and_bus_off_of_a_controller_is_safe_in_
 
 
 @pytest.mark.long
-def test_a_minute_with_one_per_cent_loss_is_no_fault_and_no_loss_is_uncounted(tmp_path):
+def test_one_per_cent_loss_is_no_fault_and_every_loss_is_counted(tmp_path):
     found, summary, log = daemon("loss", tmp_path)
     assert found["modes"] == ["TRACKING"]
     assert summary["faults"] == []
@@ -151,7 +138,7 @@ def test_a_minute_with_one_per_cent_loss_is_no_fault_and_no_loss_is_uncounted(tm
 
 
 @pytest.mark.long
-def test_masters_in_the_packages_canopen_and_moteus_move_the_drives_of_hil_plant_on_vcan0(tmp_path):
+def test_the_masters_of_canopen_and_moteus_move_the_drives_on_vcan0(tmp_path):
     share = tmp_path / "share"
     share.mkdir()
     for family in foreign.MASTERS:
@@ -171,7 +158,7 @@ def test_masters_in_the_packages_canopen_and_moteus_move_the_drives_of_hil_plant
 
 
 @pytest.mark.long
-def test_canopen_on_vcan0_moves_a_leg_of_an_fmu_of_somebody_else_and_reads_it_to_a_count(tmp_path):
+def test_canopen_moves_a_leg_of_a_foreign_fmu_on_vcan0_to_a_count(tmp_path):
     pytest.importorskip("pythonfmu")
     share = tmp_path / "share"
     share.mkdir()
@@ -191,15 +178,6 @@ def test_canopen_on_vcan0_moves_a_leg_of_an_fmu_of_somebody_else_and_reads_it_to
     count = 0.02 / 131072
     read = 1.6 + count * int((share / "cia402.read").read_text())
     assert read == pytest.approx(length[-1][4], abs=count)
-
-
-@pytest.mark.long
-def test_the_command_of_the_guest_ends_at_its_time_limit(tmp_path):
-    try:
-        done = uml.run(["sleep", "60"], limit_s=1.0, share=tmp_path)
-    except uml.UnavailableError as error:
-        pytest.skip(f"NOT TESTED over SocketCAN: {error}")
-    assert done.exit_code == 124
 
 
 @pytest.mark.long

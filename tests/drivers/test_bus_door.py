@@ -168,6 +168,17 @@ def test_waiting_frames_are_dropped_on_each_bus_that_goes_off():
     assert [link.calls.count("died") for link in made] == [1, 1, 2]
 
 
+def test_several_buses_are_as_their_worst():
+    bus, made, _ = several(3)
+    for link, state in zip(made, (BusState.ACTIVE, BusState.PASSIVE, BusState.WARNING), strict=True):
+        link.state, link.overflow = state, 3
+    assert bus.events() == (0, 0, 9, BusState.PASSIVE)
+    made[2].state = BusState.OFF
+    assert (bus.events().off, [link.calls for link in made]) == (0b100, [[], [], ["died"]])
+    made[0].knows_ends = made[1].virtual = made[2].virtual = False
+    assert (Bus(made).knows_ends, Bus(made).virtual, Bus(made[1:]).virtual) == (False, True, False)
+
+
 @pytest.mark.parametrize("refusing", [(0,), (1,), (2,), (0, 2)])
 def test_a_frame_one_bus_cannot_carry_does_not_stop_the_others(refusing):
     bus, made, _ = several(3)

@@ -11,11 +11,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import can
 import pytest
 
 from drivers.can.localcan.interface import LocalCanBus
+from drivers.can.localcan.participant import Participant
 from drivers.frame_array import sent_array
 from drivers.protocol import BRS, FD, Frame
 
@@ -85,68 +89,54 @@ def test_an_asyncio_reader_gets_all_messages_by_the_file_descriptor():
     assert sorted(asyncio.run(run())) == list(range(0x100, 0x100 + 50))
 
 
-def participants(node):
-    return len(node._wire.present())
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + 15
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-def test_python_can_logger_records_the_bus(join, tmp_path):
-    node = join()
-    path = tmp_path / "bus.log"
+@contextmanager
+def on_the_bus(
+    node: Participant, program: str, *options: str, **pipes: Any
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a program of python-can until it is on the channel; kill it at the end."""
     # where the tests run in the background SIGINT is ignored, and so it would be in here
     start = (
         "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "runpy.run_module('can.logger', run_name='__main__')"
+        f"runpy.run_module({program!r}, run_name='__main__')"
     )
-    logger = subprocess.Popen(
-        [sys.executable, "-c", start, "-i", "localcan", "-c", "t", "-f", str(path)],
-        stdout=subprocess.DEVNULL,
-    )
+    process = subprocess.Popen([sys.executable, "-c", start, "-i", "localcan", "-c", "t", *options], **pipes)
     try:
-        wait_for(lambda: participants(node) == 2)
+        deadline = time.monotonic() + 15
+        while len(node._wire.present()) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        yield process
+    finally:
+        process.kill()
+        process.wait(10)
+
+
+def test_the_logger_of_python_can_records_the_bus(join, tmp_path):
+    node, path = join(), tmp_path / "bus.log"
+    with on_the_bus(node, "can.logger", "-f", str(path), stdout=subprocess.DEVNULL) as logger:
         node.send(sent_array([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)]))
         time.sleep(0.3)
         logger.send_signal(signal.SIGINT)
         assert logger.wait(10) == 0
-    finally:
-        logger.kill()
-        logger.wait()
     with can.LogReader(path) as log:
-        messages = list(log)
-    assert [m.arbitration_id for m in messages] == list(range(0x100, 0x100 + 50))
-    assert [bytes(m.data) for m in messages] == [bytes([i] * 12) for i in range(50)]
-    assert participants(node) == 1
+        found = [(m.arbitration_id, bytes(m.data)) for m in log]
+    assert found == [(0x100 + i, bytes([i] * 12)) for i in range(50)]
+    assert len(node._wire.present()) == 1
 
 
-def test_python_can_viewer_shows_the_bus(join):
-    node = join()
+def test_the_viewer_of_python_can_shows_the_bus(join, monkeypatch):
+    node, screen = join(), b""
+    for name, value in {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}.items():
+        monkeypatch.setenv(name, value)
     master, slave = pty.openpty()
-    viewer = subprocess.Popen(
-        [sys.executable, "-m", "can.viewer", "-i", "localcan", "-c", "t"],
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        env={**os.environ, "TERM": "xterm", "LINES": "40", "COLUMNS": "120"},
-    )
-    os.close(slave)
-    screen = b""
-    try:
-        wait_for(lambda: participants(node) == 2)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), slave)
+    with os.fdopen(master, "r+b", buffering=0) as terminal, on_the_bus(node, "can.viewer", **pipes) as viewer:
+        os.close(slave)
         deadline = time.monotonic() + 10
         while b"5A5" not in screen and time.monotonic() < deadline:
             node.send(sent_array([Frame(0x5A5, b"\xc0\xff\xee")]))
             if select.select([master], [], [], 0.05)[0]:
                 screen += os.read(master, 65536)
-        os.write(master, b"q")
+        terminal.write(b"q")
         assert viewer.wait(10) == 0
-    finally:
-        viewer.kill()
-        viewer.wait(10)
-        os.close(master)
     assert b"5A5" in screen

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from typing import Any
 
 import can
 import pytest
@@ -18,7 +17,7 @@ from drivers.can.runtime_folder import RoleLock, role_holder, runtime_folder
 from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
 from drivers.frame_array import sent_array
-from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, Frame
+from drivers.protocol import BRS, ERROR, EXTENDED, FD, Frame
 from drivers.signals import BusState
 from tests.drivers.frames_heard import got, soon
 
@@ -182,17 +181,3 @@ def test_where_one_bus_does_not_open_the_others_are_left(bad):
         Bus.open(three(**{bad: {"colour": "red"}}), "plant").close()
     assert list(runtime_folder().glob("*.wire*")) == []
     Bus.open(three(), "plant").close()
-
-
-@pytest.mark.parametrize("holder", range(3))
-def test_all_channels_of_a_run_go_by_one_clock(holder):
-    with Bus.open(three(), "controller") as bus:
-        clock: Any = bus._links[holder].clock
-        assert clock is bus.clock
-        # 1 ns to wake up, 1 ns to work: from now on bench time stands still on all of them
-        clock.begin(1, 1)
-        clock.holds = True
-        clock.working()
-        stood = bus.clock.now()
-        assert bus.send(sent_array([Frame(1, b"", BUS * k) for k in range(3)])) == 0
-        assert all(t_ns is not None and abs(t_ns - stood) < 1_000_000 for t_ns in bus.sent_ns())

@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
+from drivers.protocol import ALL_LEGS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from hil.contracts.by_value import ByValue, Remembered
@@ -161,6 +161,13 @@ def test_the_own_protocol_has_its_traits():
     assert (t.unasked_s, t.dangers, t.reactions, t.reported_lengths) == (0.0, (), tuple(Reaction), None)
     force = np.arange(6.0)
     assert P.controller_end(SETUP).carried(force) is force
+
+
+def test_a_config_is_for_one_leg_and_sync_and_stop_are_for_all():
+    config = P.configure(0.0125, Reaction.HOLD)
+    assert [P.addressed(each) for each in config] == [(leg,) for leg in range(6)]
+    assert P.addressed(opening(P, 0)[0]) == P.addressed(P.traits.emergency_stop[0]) == ALL_LEGS
+    assert P.sender(config[0]) == -1
 
 
 @pytest.mark.parametrize("nodes", [(1, 2, 0, 4, 5, 6), (128, 2, 3, 4, 5, 6)])

@@ -1,8 +1,7 @@
 """Runs where vcan0 exists: `hil plant` on it, and the masters of docs/examples in processes of their own.
 
 ``foreign.py FOLDER``: for each family FAMILY.out, what its master printed, FAMILY.json, the plant's summary, and
-FAMILY.mcap, its log, go to FOLDER. Where FOLDER has the FMU of `tests.foreign_plant` that is behind the drives of cia402
-alone, and cia402.read is the position that canopen reads of the leg when its master has gone.
+FAMILY.mcap, its log, go to FOLDER.
 """
 
 from __future__ import annotations
@@ -13,12 +12,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-import can
-import canopen
 import yaml
 
-from hil.app.configuration.changes import with_changes
-from tests import foreign_plant
 from tests.vcan import kernel
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +23,6 @@ MASTERS = {
     "moteus": ["moteus_master.py"],
 }
 LIMIT_S = 60.0
-FMU = "PythonPlant.fmu"
 
 
 def configuration(folder: Path, family: str) -> Path:
@@ -43,13 +37,8 @@ def configuration(folder: Path, family: str) -> Path:
     text["drives"]["watchdog_ms"] = 200
     text["plant"] = {"model": {"type": "stewart"}, "drives": text["plant"]["drives"]}
     del text["plant"]["drives"]["force_bandwidth_Hz"]
-    written, fmu = yaml.safe_dump(text), folder / FMU
-    if fmu.exists():
-        changes = foreign_plant.sections(fmu)
-        changes["plant"]["model"]["step_us"] = 5000  # system calls take ten times as long there
-        written = with_changes(written, changes)
     path = folder / f"{family}.yaml"
-    path.write_text(written, encoding="utf-8")
+    path.write_text(yaml.safe_dump(text), encoding="utf-8")
     return path
 
 
@@ -70,30 +59,16 @@ def moved(folder: Path, family: str) -> int:
             with (folder / f"{family}.out").open("w") as out:
                 command = [sys.executable, str(EXAMPLES / script), *arguments, "vcan0", "socketcan"]
                 done = subprocess.run(command, stdout=out, check=False, timeout=LIMIT_S)
-            if (folder / FMU).exists():
-                (folder / f"{family}.read").write_text(f"{position()}")
         finally:
             plant.terminate()
             plant.wait(LIMIT_S)
     return done.returncode
 
 
-def position() -> int:
-    """Return 0x6064 of drive 5 as canopen reads it, latched by a SYNC of its own."""
-    network = canopen.Network(bus=can.Bus("vcan0", "socketcan", ignore_config=True))
-    network.connect()
-    network.sync.transmit()
-    time.sleep(0.5)
-    counts = network.add_node(5, MASTERS["cia402"][1]).sdo[0x6064].raw
-    network.disconnect()
-    return int(counts)
-
-
 def main() -> int:
     """Run the families; return the first exit code that is none."""
     folder = Path(sys.argv[1])
-    families = ("cia402",) if (folder / FMU).exists() else MASTERS
-    return next((code for family in families if (code := moved(folder, family))), 0)
+    return next((code for family in MASTERS if (code := moved(folder, family))), 0)
 
 
 if __name__ == "__main__":

@@ -109,13 +109,11 @@ def dropped(name: str) -> int:
     return 0
 
 
-def raw_socket(name: str, *, fd: bool = False, own_errors: bool = False) -> socket.socket:
+def raw_socket(name: str, *, fd: bool = False) -> socket.socket:
     """Return a raw socket of the kernel, past everything of ours."""
     sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     if fd:
         sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
-    if own_errors:
-        sock.setsockopt(socket.SOL_CAN_RAW, 2, 0x1FFFFFFF)
     sock.settimeout(0.2)
     sock.bind((name,))
     return sock

@@ -18,7 +18,6 @@ import pytest
 
 from drivers.signals import BusState, DriveMode, Mode
 from hil.record.log import Log
-from tests import foreign_plant
 from tests.vcan import foreign, uml
 from tests.vcan.cases import CASES
 from tests.vcan.daemon import configuration
@@ -155,29 +154,6 @@ def test_the_masters_of_canopen_and_moteus_move_the_drives_on_vcan0(tmp_path):
         np.testing.assert_allclose(1e3 * way[legs], said, rtol=0, atol=1.0)
         assert (way[legs] > 0.014).all()
         assert np.abs(np.delete(way, legs)).max(initial=0.0) < 1e-6
-
-
-@pytest.mark.long
-def test_canopen_moves_a_leg_of_a_foreign_fmu_on_vcan0_to_a_count(tmp_path):
-    pytest.importorskip("pythonfmu")
-    share = tmp_path / "share"
-    share.mkdir()
-    assert foreign_plant.built(share).name == foreign.FMU
-    compile_outside_the_guest(str(foreign.configuration(share, "cia402")), share / "warm.mcap")
-    done = beside_vcan("foreign", share, limit_s=200.0)
-    assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
-    summary = json.loads((share / "cia402.json").read_text())
-    assert summary["rejected_frames"] == 0
-    assert summary["final_states"][4] == "OFF"
-    length = Log.open(share / "cia402.mcap").rows()["length"]
-    way = length[-1] - length[0]
-    assert 0.014 < way[4] < 0.022
-    assert np.abs(np.delete(way, 4)).max() < 1e-3, "the brakes of the five others are shut"
-    (said,) = (float(word) for word in re.findall(r"-?[0-9.]+", (share / "cia402.out").read_text()))
-    assert 1e3 * way[4] == pytest.approx(said, abs=2.0)
-    count = 0.02 / 131072
-    read = 1.6 + count * int((share / "cia402.read").read_text())
-    assert read == pytest.approx(length[-1][4], abs=count)
 
 
 @pytest.mark.long

@@ -1,135 +1,279 @@
-"""A DataFrame of a log: the memory that it takes, and the plant's rows that stand beside the ticks."""
+"""A log as a table: every component by name and unit, and the plant's rows beside the ticks of the same run."""
 
-import tracemalloc
-from pathlib import Path
+import sys
+from math import prod
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from drivers.tick_columns import RECORDED, ROW
+from drivers.tick_columns import ROW, Column
 from hil.app.plant_columns import PLANT
-from hil.record.data_frame import data_frame
-from tests.hil.samples import random_rows
+from hil.record import Recording
+from hil.record.data_frame import plant_rows_of, require_one_run
+from hil.record.log import Log
+from hil.record.schema import CONFIGURATION, IDENTITY, RUN
+from tests.hil.samples import log_of, random_ticks
+
+COUNT = 900
+TICKS = random_ticks(COUNT, seed=21)
+ROWS = np.array([tick.row for tick in TICKS])
+MS = 1_000_000
+CLOCK_NS = 10_000_000_000
+"""The clocks of one run start at most so far apart."""
+EPOCH = 946_684_800_000_000_000
 
 
-class Held:
-    """A log that is held in memory."""
-
-    origin_ns = 0
-
-    def __init__(self, name, columns, rows, **told):
-        self.path, self.columns, self.held = Path(name), columns, rows
-        self.metadata = {"hil": told.get("said", {})}
-        self.attachments = {"config.yaml": told.get("configuration", b"a: 1\n")}
-        self.epoch_ns, self.lockstep = told.get("epoch_ns", 0), told.get("lockstep", True)
-        self.plant: Any = told.get("plant")
-
-    def rows(self, *names, start_s=None, stop_s=None):
-        t_s = self.held["t_ns"] * 1e-9
-        there = (t_s >= (-np.inf if start_s is None else start_s)) & (
-            t_s <= (np.inf if stop_s is None else stop_s)
-        )
-        found = np.empty(np.count_nonzero(there), [(name, ROW_TYPES[name]) for name in names])
-        for name in names:
-            found[name] = self.held[name][there]
-        return found
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return log_of(TICKS, tmp_path_factory)
 
 
-ROW_TYPES = {name: dtype[name] for dtype in (PLANT.dtype, ROW) for name in dtype.names or ()}
+def written(path, rows, configuration="", **options):
+    with Recording.start(path, configuration=configuration, lockstep=True, **options) as recording:
+        for row in rows:
+            recording.tick(np.asarray(row), (), ())
+    return path
 
 
-def ticks(t_ns):
-    rows = np.zeros(len(t_ns), ROW)
-    rows["tick"], rows["t_ns"] = np.arange(len(t_ns)), t_ns
-    return rows
+# -- columns ---------------------------------------------------------------------------------------------------
 
 
-def heard(t_ns):
-    """Rows of a plant that hears a SYNC in each of them; its height is their number, from 0."""
+def test_every_number_of_a_row_is_a_column_with_a_unit_and_a_meaning(path):
+    frame = Log(path).frame(numbers=True)
+    assert frame.shape == (COUNT, ROW.itemsize // 8)
+    assert frame.columns.is_unique
+    assert frame.attrs["units"].keys() == frame.attrs["meanings"].keys() == set(frame.columns)
+    assert all(frame.attrs["meanings"].values())
+    for name in ROW.names or ():
+        column = ROWS[name].reshape(COUNT, -1)
+        labels = [label for label in frame.columns if label.split(".")[0] == name]
+        assert len(labels) == prod(ROW[name].shape)
+        for k, label in enumerate(labels):
+            assert frame[label].to_numpy().tobytes() == np.ascontiguousarray(column[:, k]).tobytes(), label
+
+
+def test_a_component_has_its_own_unit(path):
+    units = {
+        "t_ns": "ns", "q.leg_0": "m", "tau.leg_5": "N", "R.xy": "1", "age.leg_2": "ticks", "twist.vz": "m/s",
+        "twist.wx": "rad/s", "wrench.fz": "N", "wrench.mx": "N m", "dtwist_d.vx": "m/s^2",
+        "dtwist_d.wz": "rad/s^2", "pose_std.z": "m", "pose_std.rx": "rad", "mode": "", "drive_fault.leg_4": "",
+    }  # fmt: skip
+    assert Log(path).frame(*units).attrs["units"] == units
+
+
+def test_the_index_is_the_time_from_the_first_row_in_seconds(path):
+    index = Log(path).frame("tick").index
+    assert index.name == "t_s"
+    np.testing.assert_allclose(index, np.arange(COUNT) * 1e-3, atol=1e-12)
+    part = Log(path).frame("tick", start_s=0.3, stop_s=0.4)
+    np.testing.assert_allclose(part.index, part["tick"] * 1e-3, atol=1e-12, err_msg="and so is a part of it")
+    assert part["tick"].tolist() == list(range(300, 401))
+
+
+def test_enumerations_and_flags_stand_by_name(tmp_path):
+    rows = np.zeros(4, ROW)
+    rows["tick"] = np.arange(4)
+    rows["mode"] = [5, 10, 77, 0]
+    rows["faults"] = [0, 3, 1 << 40, 1024 | 1 << 40]
+    rows["drive_state"][:, 3] = [0, 1, 4, -2]
+    log = Log(written(tmp_path / "a.mcap", rows))
+    frame = log.frame("mode", "faults", "drive_state.leg_3")
+    assert frame["mode"].tolist() == ["TRACKING", "FAULT", "77", "WAITING"]
+    assert frame["faults"].tolist() == ["NONE", "STALE|DRIVE", str(1 << 40), f"ESTOP|{1 << 40}"]
+    assert frame["drive_state.leg_3"].tolist() == ["BOOT", "OFF", "FAULT", "-2"]
+    assert frame["mode"].cat.categories[:3].tolist() == ["WAITING", "IDLE", "LOADING"]
+    columns = {c.name: c for c in log.columns}
+    assert (columns["mode"].names["TRACKING"], columns["faults"].names["ESTOP"]) == (5, 1024)
+
+
+def test_columns_are_chosen_by_name_and_wrong_names_get_near_ones(path):
+    log = Log(path)
+    assert list(log.frame("p", "tau.leg_3", "p.z").columns) == ["p.x", "p.y", "p.z", "tau.leg_3"]
+    with pytest.raises(LogError, match=r"no column 'tau.leg_6'; did you mean tau.leg_\d"):
+        log.frame("tau.leg_6")
+    with pytest.raises(LogError, match="no column 'lengths'"):
+        log.rows("lengths")
+    matrix = Column("output", "A", float, "m", "", (), (2, 2))
+    assert matrix.labels == ("A.0_0", "A.0_1", "A.1_0", "A.1_1")
+
+
+def test_without_pandas_the_message_says_how_to_install_it(path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(LogError, match=r'pip install "hexapod-hil\[analysis\]"'):
+        Log(path).frame()
+
+
+def test_a_log_without_a_row_is_an_empty_table_with_all_its_columns(tmp_path):
+    log = Log(written(tmp_path / "a.mcap", []))
+    assert log.frame().shape == (0, ROW.itemsize // 8)
+    assert (log.origin_ns, len(log.rows("q")), list(log.blocks()), list(log.can_frames())) == (0, 0, [], [])
+
+
+# -- the plant's row of a tick ---------------------------------------------------------------------------------
+
+
+def plant_rows(t_ns, syncs):
     rows = np.zeros(len(t_ns), PLANT.dtype)
-    rows["t_ns"], rows["syncs"] = t_ns, np.arange(1, len(t_ns) + 1)
+    rows["tick"], rows["t_ns"], rows["syncs"] = np.arange(len(t_ns)), t_ns, syncs
     rows["p"][:, 2] = np.arange(len(t_ns))
+    rows["drive_state"][:] = 3
     return rows
 
 
-def heights(log, start_s=None, stop_s=None):
-    return data_frame(log, ["plant.p.z"], start_s, stop_s, numbers=False)["plant.p.z"].tolist()
+def tick_rows(t_ns, lateness_ns=0):
+    rows = np.zeros(len(t_ns), ROW)
+    rows["tick"], rows["t_ns"], rows["lateness_ns"] = np.arange(len(t_ns)), t_ns, lateness_ns
+    return rows
 
 
-# -- memory --------------------------------------------------------------------------------------------------
+HALF = MS // 2
+PLACES = {
+    # ticks, lateness, plant's times, its counts of SYNC, the rows of the ticks
+    "own SYNC, not the nearest": ([0, MS], 10_000, [0, 400_000, 950_000, 1_200_000], [1, 1, 1, 2], [0, 3]),
+    "late": ([0, MS], [0, 700_000], [0, MS, 1_700_000], [1, 1, 2], [0, 2]),
+    "one lost": (
+        [0, MS, 2 * MS, 3 * MS], [10_000, 700_000, 0, 20_000],
+        [60_000, 400_000, 1_750_000, 2_000_000, 2_970_000], [1, 1, 2, 2, 3], [0, 2, -1, 4],
+    ),
+    "half a period": ([0, MS], 0, [0, MS + HALF], [1, 2], [0, 1]),
+    "more than half": ([0, MS], 0, [0, MS + HALF + 1], [1, 2], [0, -1]),
+    "one row for two": ([0, MS // 4], 0, [10], [1], [0, -1]),
+    "no SYNC counted": ([0, MS, 2 * MS], 0, [0, 900_000, 1_900_000], 0, [0, 1, 2]),
+    "no SYNC counted, far": ([0, MS, 2 * MS], 0, [100_000, 900_000, 1_200_000], 0, [0, 1, -1]),
+    "no ticks": ([], 0, [0], [1], []),
+    "no rows": ([0, 1], 0, [], [], [-1, -1]),
+    "long before": ([50 * MS], 0, [MS], [1], [-1]),
+    "long after, no SYNC": ([0], 0, [50 * MS, 50 * MS + 10], 0, [-1]),
+    "equally near": ([MS], 0, [MS - 400, MS + 400], [1, 2], [1]),
+    "equally near ticks": ([0, MS], 0, [HALF], [1], [-1, 0]),
+    "both ends": (
+        [-400_000, 2_000_100, 2_900_000, 9 * MS], 0, [5_000, 2_000_000, 2_500_000], [1, 2, 3], [0, 1, 2, -1],
+    ),
+    "count begins again": ([0, MS, 2 * MS, 3 * MS], 0, [0, MS, 2 * MS, 3 * MS], [7, 8, 1, 2], [0, 1, -1, 3]),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("names", [(), ("q", "R", "wrench.fz")])
-def test_a_table_takes_the_memory_of_its_values_and_three_times_as_much_at_no_time(names):
-    log = Held("a.mcap", RECORDED, random_rows(1500))
-    data_frame(log, names, None, None, numbers=True)
-    tracemalloc.start()
-    try:
-        frame = data_frame(log, names, None, None, numbers=True)
-        left, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    values = 8 * frame.shape[0] * frame.shape[1]
-    assert left < 1.5 * values
-    assert peak < 2.7 * values
+@pytest.mark.parametrize(("ticks", "late", "times", "syncs", "places"), PLACES.values(), ids=PLACES)
+def test_a_tick_has_the_row_of_its_own_sync_or_none(ticks, late, times, syncs, places):
+    assert plant_rows_of(tick_rows(ticks, late), plant_rows(times, syncs), MS).tolist() == places
 
 
-# -- the plant -----------------------------------------------------------------------------------------------
-
-
-def test_a_span_in_which_the_plant_heard_no_tick_is_of_the_run_whichever_end_is_given():
-    plant = Held("a-plant.mcap", PLANT.columns, heard([1_000_000]))
-    log = Held("a.mcap", RECORDED, ticks([0, 1_000_000, 2_000_000]), plant=plant, said={"rate_Hz": "1000.0"})
-    np.testing.assert_array_equal(heights(log), [np.nan, 0.0, np.nan])
-    np.testing.assert_array_equal(heights(log, start_s=0.002), [np.nan])
-    np.testing.assert_array_equal(heights(log, stop_s=0.0), [np.nan])
-    np.testing.assert_array_equal(heights(log, start_s=0.002, stop_s=0.002), [np.nan])
-
-
-def test_a_plant_that_heard_no_tick_of_a_whole_log_is_of_another_run():
-    log = Held("a.mcap", RECORDED, ticks([0, 1_000_000]), said={"rate_Hz": "1000.0"})
-    log.plant = Held("b-plant.mcap", PLANT.columns, heard([9_000_000]))
-    with pytest.raises(LogError, match=r"b-plant\.mcap is of another run: no tick of a\.mcap is in it"):
-        heights(log)
-
-
-def in_real_time(apart_ns):
-    """A log whose plant has a configuration of its own and a clock that began at another instant."""
-    epoch = 1_769_860_800_000_000_000
-    plant = Held(
-        "b-plant.mcap", PLANT.columns, heard([0, 1_000_000]), epoch_ns=epoch + apart_ns, lockstep=False,
-        configuration=b"a: 2\n",
-    )  # fmt: skip
-    return Held("a.mcap", RECORDED, ticks([0, 1_000_000]), epoch_ns=epoch, lockstep=False, plant=plant)
-
-
-@pytest.mark.parametrize("apart_ns", [0, 10_000_000_000, -10_000_000_000])
-def test_in_real_time_a_plant_may_have_another_configuration_and_begin_up_to_10_s_apart(apart_ns):
-    assert heights(in_real_time(apart_ns)) == [0.0, 1.0]
-
-
-@pytest.mark.parametrize("apart_ns", [10_000_000_001, -10_000_000_001])
-def test_a_plant_whose_clock_began_more_than_10_s_apart_is_of_another_run(apart_ns):
-    with pytest.raises(LogError, match=r"b-plant\.mcap is of another run: no tick of a\.mcap is in it"):
-        heights(in_real_time(apart_ns))
+@pytest.mark.parametrize("gap", [0, 3, 7], ids=["first", "middle", "last"])
+def test_without_a_period_the_usual_distance_of_the_ticks_counts(gap):
+    plant = plant_rows([0, 900_000, 3_100_000, 5_000_000], [1, 2, 3, 4])
+    assert plant_rows_of(tick_rows([0, MS, 2 * MS, 5 * MS]), plant).tolist() == [0, 1, -1, 3]
+    assert plant_rows_of(tick_rows([2 * MS]), plant).tolist() == [2], "a single one has its nearest row"
+    steps = np.full(8, MS)
+    steps[gap] = 10 * MS
+    t_ns = np.concatenate(([0], np.cumsum(steps)))
+    far = plant_rows([t_ns[gap] + 3 * MS // 4], [1])
+    assert plant_rows_of(tick_rows(t_ns), far).tolist() == [-1] * len(t_ns)
 
 
 @pytest.mark.parametrize(
-    ("said", "found"),
-    [
-        ({"rate_Hz": "1000.0"}, [0.0, np.nan]),
-        ({"rate_Hz": "500.0"}, [0.0, 1.0]),
-        ({"rate_Hz": "0"}, [0.0, 1.0]),
-        ({"rate_Hz": "fast"}, [0.0, 1.0]),
-        ({}, [0.0, 1.0]),
-    ],
-    ids=str,
+    ("rate_Hz", "found"),
+    [("1000.0", [0.0, np.nan]), ("500.0", [0.0, 1.0]), ("0", [0.0, 1.0]), ("fast", [0.0, 1.0])],
 )
-def test_a_tick_has_the_row_half_a_period_away_of_the_rate_that_the_log_says_else_of_the_usual_one(
-    said, found
+def test_half_a_period_is_that_of_the_rate_in_the_log(tmp_path, rate_Hz, found):
+    """Without a rate it is the usual distance of the ticks."""
+    ticks = written(tmp_path / "a.mcap", tick_rows([0, 2 * MS]), metadata={"rate_Hz": rate_Hz})
+    written(tmp_path / "a-plant.mcap", plant_rows([500_000, 2_500_001], [1, 2]), table=PLANT)
+    np.testing.assert_array_equal(Log(ticks).frame("plant.p.z")["plant.p.z"], found)
+
+
+def test_the_truth_stands_beside_the_ticks(tmp_path):
+    written(tmp_path / "a.mcap", tick_rows([0, MS, 2 * MS]), metadata={"rate_Hz": 1000.0})
+    written(tmp_path / "a-plant.mcap", plant_rows([50_000, 2_050_000], [1, 2]), table=PLANT)
+    log = Log(tmp_path / "a.mcap")
+    frame = log.frame("p.z", "plant.p.z", "plant.drive_state.leg_1")
+    assert list(frame.columns) == ["p.z", "plant.p.z", "plant.drive_state.leg_1"]
+    np.testing.assert_array_equal(frame["plant.p.z"], [0.0, np.nan, 1.0])
+    assert frame["plant.drive_state.leg_1"].isna().tolist() == [False, True, False]
+    assert frame["plant.drive_state.leg_1"].iloc[2] == "RUN"
+    assert frame.attrs["units"]["plant.p.z"] == "m"
+    every = log.frame("plant")
+    assert every.shape == (3, PLANT.dtype.itemsize // 8)
+    for names in (("plant", "plant.p"), ("plant.p.z", "plant")):
+        assert list(log.frame(*names).columns) == list(every.columns)
+    assert list(log.frame("p.z", "plant", "plant.p").columns) == ["p.z", *every.columns]
+    for start_s, stop_s, heights in ((0.002, 0.002, [1.0]), (0.001, 0.001, [np.nan]), (None, 0.0, [0.0])):
+        part = log.frame("plant.p.z", start_s=start_s, stop_s=stop_s)
+        np.testing.assert_array_equal(
+            part["plant.p.z"], heights, err_msg="a span without a SYNC is no other run"
+        )
+
+
+# -- one run ---------------------------------------------------------------------------------------------------
+
+
+def described(
+    path, *, epoch_ns=EPOCH, lockstep=True, configuration: bytes | None = b"x: 1\n", run: str | None = "7"
 ):
-    plant = Held("a-plant.mcap", PLANT.columns, heard([500_000, 2_500_001]))
-    log = Held("a.mcap", RECORDED, ticks([0, 2_000_000]), plant=plant, said=said)
-    np.testing.assert_array_equal(heights(log), found)
+    """What of a log says which run it is of."""
+    made: Any = SimpleNamespace(
+        path=path, epoch_ns=epoch_ns, lockstep=lockstep,
+        attachments={CONFIGURATION: configuration} if configuration else {},
+        metadata={IDENTITY: {RUN: run} if run else {}},
+    )  # fmt: skip
+    return made
+
+
+LIVE: dict[str, Any] = {"lockstep": False, "run": None}
+NO_TICK, OTHER, INPUTS = "no tick of a.mcap is in it", "its configuration", "set-points, commands or faults"
+
+
+@pytest.mark.parametrize(
+    ("log", "plant", "places", "why"),
+    [
+        ({}, {}, [0, 1], ""),
+        ({}, {"epoch_ns": EPOCH + CLOCK_NS}, [0, 1], ""),
+        ({}, {"epoch_ns": EPOCH - CLOCK_NS}, [0, 1], ""),
+        ({}, {"configuration": None}, [0, 1], ""),
+        ({}, {"run": None}, [0, 1], ""),
+        ({"run": None}, {"run": None}, [0, 1], ""),
+        ({}, {}, [-1, -1, 2], ""),
+        ({}, {}, [], ""),
+        (LIVE, LIVE | {"configuration": b"y: 2\n"}, [0, 1], ""),
+        ({}, {"epoch_ns": EPOCH + CLOCK_NS + 1}, [0, 1], NO_TICK),
+        ({}, {"epoch_ns": EPOCH - CLOCK_NS - 1}, [0, 1], NO_TICK),
+        ({}, {}, [-1, -1], NO_TICK),
+        ({}, {"configuration": b"y: 2\n"}, [0, 1], OTHER),
+        ({}, {"lockstep": False}, [0, 1], OTHER),
+        (LIVE, {}, [0, 1], OTHER),
+        ({}, {"run": "8"}, [0, 1], INPUTS),
+    ],
+)
+def test_logs_of_two_runs_are_refused_with_what_differs(log, plant, places, why):
+    """In real time the plant may have a file of its own; a log of an earlier version names no run."""
+    both = described("a.mcap", **log), described("b.mcap", **plant), np.array(places, int)
+    if not why:
+        require_one_run(*both)
+        return
+    with pytest.raises(LogError, match=f"b.mcap is of another run: {why}"):
+        require_one_run(*both)
+
+
+def test_a_plant_of_another_run_and_a_missing_one_are_refused(tmp_path):
+    for name, text, t_ns in (("a", "a: 1\n", 0), ("b", "a: 2\n", 0), ("c", "a: 1\n", 9_000_000_000)):
+        written(tmp_path / f"{name}.mcap", tick_rows([0, MS]), text)
+        if name != "a":
+            written(tmp_path / f"{name}-plant.mcap", plant_rows([t_ns, t_ns + MS], [1, 2]), text, table=PLANT)
+    a = tmp_path / "a.mcap"
+    assert not Log(tmp_path / "b.mcap").frame("plant.p").isna().to_numpy().any()
+    with pytest.raises(LogError, match=r"a-plant\.mcap, the plant's log, does not exist"):
+        Log(a).frame("plant.p")
+    with pytest.raises(LogError, match="allowed: a log of a plant"):
+        _ = Log(a, plant=a).plant
+    for other, why in (("b", "its configuration"), ("c", "no tick")):
+        with pytest.raises(LogError, match=rf"{other}-plant\.mcap is of another run: {why}"):
+            Log(a, plant=tmp_path / f"{other}-plant.mcap").frame("plant.p")
+
+
+def test_a_plants_log_has_a_table_but_no_figures(tmp_path):
+    log = Log(written(tmp_path / "p.mcap", plant_rows([0, MS], [1, 2]), table=PLANT))
+    assert log.frame("length", "wrench.mz").attrs["units"]["wrench.mz"] == "N m"
+    with pytest.raises(LogError, match="no figures"):
+        log.figures()

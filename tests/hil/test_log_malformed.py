@@ -1,23 +1,23 @@
-"""Logs of strangers: every damage is a LogError with its place, and salvage goes on behind it."""
+"""Untrusted logs: every damage is a LogError with its place, and salvage goes on behind it."""
 
 import json
-import os
 import struct
 import tracemalloc
 
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Metadata
+from mcap.records import Attachment, Metadata
 from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.errors import LogError
-from hil.record.log import Log
+from hil.record.log import Log, Tick
 from hil.record.mcap_file import MAGIC, record_bytes
-from hil.record.mcap_read import FREE_BYTES, MAX_RATIO, NOTHING, records
+from hil.record.mcap_read import FREE_BYTES, MAX_RATIO
 from hil.record.salvage import salvage
-from hil.record.schema import FRAME, IDENTITY
+from hil.record.schema import FRAME, IDENTITY, message_class, operator_schema
+from hil.signals import Operator, Order, SetPoint
 from tests.hil.rewrite import mcap_summary, rewrite_log
-from tests.hil.samples import assert_same, log_of, random_ticks
+from tests.hil.samples import assert_same, log_of, random_rows, random_ticks
 from tools.fuzz import container
 
 COUNT = 700
@@ -49,7 +49,7 @@ def damaged(path, tmp_path):
 
 @pytest.fixture
 def remade(path, tmp_path):
-    """Write the log with other records, the checksums of data section and index made anew; return its path."""
+    """Write the log with other records, the checksums of data section and index right; return its path."""
 
     def write(change):
         records = change(container.split(path.read_bytes()))
@@ -59,49 +59,127 @@ def remade(path, tmp_path):
     return write
 
 
-def replaced(records, opcode, content):
-    """Return records with the first one of a kind changed."""
-    k = next(k for k, (kind, _) in enumerate(records) if kind == opcode)
+def replaced(records, opcode, content, number=0):
+    """Return records with one of a kind changed."""
+    k = [k for k, (kind, _) in enumerate(records) if kind == opcode][number]
     return [*records[:k], (opcode, content(records[k][1])), *records[k + 1 :]]
 
 
-# -- checksums -----------------------------------------------------------------------------------------------
+@pytest.fixture
+def described(path, remade):
+    """Write the log with other entries in the metadata of the run; return its path."""
+
+    def write(**changed):
+        identity = record_bytes(Metadata(name=IDENTITY, metadata=Log(path).metadata[IDENTITY] | changed))
+        return remade(lambda r: replaced(r, container.METADATA, lambda _: identity[9:]))
+
+    return write
 
 
-def test_a_changed_figure_in_the_attached_configuration_is_found(path, damaged):
+# -- files -----------------------------------------------------------------------------------------------------
+
+FOOTER = struct.pack("<BQQQI", container.FOOTER, 20, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        *((MAGIC[:size], f"cut at {size} bytes") for size in range(1, 8)),
+        *((MAGIC[: size - 1] + b"x", "not an MCAP file") for size in range(1, 8)),
+        *(((MAGIC + bytes(40))[: size - 8] + MAGIC, f"cut at {size} bytes") for size in (8, 16, 43, 44)),
+        (MAGIC + FOOTER + MAGIC, "damaged at byte 37: no record"),
+    ],
+)
+def test_a_file_that_is_too_short_is_cut_or_no_log(tmp_path, content, says):
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(LogError, match=says):
+        Log(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("head", "says"),
+    [
+        (struct.pack("<BQ", 0, 5), "no record"),
+        (struct.pack("<BQ", container.METADATA, 1 << 40), "ends behind the file"),
+    ],
+)
+def test_what_is_no_record_in_a_whole_file_is_damage_with_its_place(path, damaged, head, says):
+    end = path.read_bytes().rindex(struct.pack("<BQ", container.DATA_END, 4))
+    with pytest.raises(
+        LogError, match=f"bad.mcap: damaged at byte {end}: .*{says}; run `hil replay --salvage`"
+    ):
+        Log(damaged(end, head))
+
+
+@pytest.mark.parametrize("there", [0, 5, 9, 10, 12, 13, 14])
+def test_a_log_cut_within_the_end_of_its_data_gives_all_its_ticks(path, tmp_path, there):
+    data = path.read_bytes()
+    end = data.rindex(struct.pack("<BQ", container.DATA_END, 4))
+    (tmp_path / "cut.mcap").write_bytes(data[: end + there])
+    log = Log(tmp_path / "cut.mcap")
+    assert log.cut
+    assert_same(log.ticks(), TICKS)
+    report = salvage(tmp_path / "cut.mcap", tmp_path / "out.mcap")
+    assert report.ticks == COUNT
+    assert report.complete or 0 < there < 9, "of less than a head nobody knows what it was"
+
+
+@pytest.mark.parametrize("there", [0, 5, 9, 20])
+def test_a_log_cut_within_its_summary_is_read_without_it(path, tmp_path, there):
+    content = path.read_bytes()
+    end = content.index(struct.pack("<I", 7) + b"summary") - 9
+    assert content[end] == container.METADATA
+    (tmp_path / "cut.mcap").write_bytes(content[: end + there])
+    log = Log(tmp_path / "cut.mcap")
+    assert "summary" not in log.metadata
+    assert_same(log.ticks(), TICKS)
+
+
+# -- checksums -------------------------------------------------------------------------------------------------
+
+
+def test_a_changed_figure_in_the_attached_configuration_is_found(path, damaged, remade):
     at = path.read_bytes().index(b"wn_rad_s: 20") + 10
     with pytest.raises(LogError, match=r"damaged at byte \d+: attachment 'config.yaml' .* --salvage"):
         Log(damaged(at, b"30"))
+    unchecked = remade(lambda r: replaced(r, container.ATTACHMENT, lambda c: c[:-4] + bytes(4)))
+    assert Log.open(unchecked).configuration, "its writer may have made no checksum"
 
 
 def test_changed_metadata_are_found_by_the_checksum_of_the_data_section(path, damaged):
     bad = damaged(path.read_bytes().index(b"can0") + 3, b"1")
     assert Log(bad).can_channel == "can1"
-    with pytest.raises(LogError, match="checksum of the data section differs"):
-        Log.open(bad)
-    with pytest.raises(LogError, match="checksum of the data section differs"):
-        Log(bad).rows()
+    for read in (lambda: Log.open(bad), lambda: Log(bad).rows()):
+        with pytest.raises(LogError, match="checksum of the data section differs"):
+            read()
 
 
-def test_an_attachment_that_says_that_it_has_no_checksum_is_taken(remade):
-    assert Log.open(remade(lambda r: replaced(r, 9, lambda c: c[:-4] + bytes(4)))).configuration
+def test_a_flipped_bit_in_any_record_of_the_index_is_found(path, damaged):
+    content = path.read_bytes()
+    (at,) = struct.unpack_from("<Q", content, len(content) - len(MAGIC) - 20)
+    tried = 0
+    while content[at] != container.FOOTER:
+        (length,) = struct.unpack_from("<Q", content, at + 1)
+        last = at + 8 + length
+        with pytest.raises(LogError, match="damaged"):
+            _ = Log(damaged(last, bytes([content[last] ^ 1]))).summary
+        tried += 1
+        at = last + 1
+    assert tried > 10
 
 
-# -- sizes ---------------------------------------------------------------------------------------------------
+# -- sizes -----------------------------------------------------------------------------------------------------
 
 
 def test_a_small_file_that_unpacks_without_end_is_refused_in_little_memory(remade):
     def bomb(records):
-        chunk = next(content for kind, content in records if kind == 6)
-        row = next(c for kind, c in container.split(container.unpacked(chunk)) if kind == 5)
-        large = container.joined([(5, row[:22] + bytes(1 << 23))])
-        return [*records[:-1], *[(6, container.packed(chunk, large))] * 60, records[-1]]
+        chunk = next(content for kind, content in records if kind == container.CHUNK)
+        row = next(c for kind, c in container.split(container.unpacked(chunk)) if kind == container.MESSAGE)
+        large = container.joined([(container.MESSAGE, row[:22] + bytes(1 << 23))])
+        end = next(k for k, (kind, _) in enumerate(records) if kind == container.DATA_END)
+        return [*records[:end], *[(container.CHUNK, container.packed(chunk, large))] * 60, *records[end:]]
 
-    def placed(records):
-        end = next(k for k, (kind, _) in enumerate(records) if kind == 15)
-        return [*bomb(records[: end + 1]), *records[end + 1 :]]
-
-    bad = remade(placed)
+    bad = remade(bomb)
     assert bad.stat().st_size * MAX_RATIO + FREE_BYTES < 60 << 23
     tracemalloc.start()
     try:
@@ -114,15 +192,6 @@ def test_a_small_file_that_unpacks_without_end_is_refused_in_little_memory(remad
     assert peak < 100e6
 
 
-def test_a_file_that_holds_more_messages_than_a_log_of_its_size_is_refused_by_every_reader(path, monkeypatch):
-    monkeypatch.setattr("hil.record.mcap_read.FREE_MESSAGES", 100)
-    monkeypatch.setattr("hil.record.mcap_read.LEAST_BYTES", 1 << 40)
-    log = Log(path)
-    for read in (log.rows, lambda: list(log.blocks("q")), lambda: list(log.ticks()), log.events):
-        with pytest.raises(LogError, match=r"more than 100 messages, which no log of a run has"):
-            read()
-
-
 @pytest.mark.parametrize(
     ("limit", "says"),
     [
@@ -130,25 +199,29 @@ def test_a_file_that_holds_more_messages_than_a_log_of_its_size_is_refused_by_ev
         ({"FREE_MESSAGES": 100, "LEAST_BYTES": 1 << 40}, "more than 100 messages"),
     ],
 )
-def test_salvage_unpacks_no_more_of_a_file_than_reading_does(path, tmp_path, monkeypatch, limit, says):
+def test_every_reader_and_salvage_unpack_no_more_than_allowed(path, tmp_path, monkeypatch, limit, says):
     for name, value in limit.items():
         monkeypatch.setattr(f"hil.record.mcap_read.{name}", value)
+    log = Log(path)
+    for read in (log.rows, lambda: list(log.blocks("q")), lambda: list(log.ticks()), log.events):
+        with pytest.raises(LogError, match=says):
+            read()
     report = salvage(path, tmp_path / "out.mcap")
     assert (report.chunks, report.ticks) == (0, 0)
     assert any(says in remark for remark in report.remarks)
 
 
 def test_messages_too_short_for_their_rows_are_refused(remade):
-    def short(records):
-        def many(content):
-            inner = container.split(container.unpacked(content))
-            row = next(c for kind, c in inner if kind == 5 and len(c) > 1000)
-            return container.packed(content, container.joined([(5, row[:22])] * 20_000))
-
-        return replaced(records, 6, many)
+    def short(content):
+        inner = container.split(container.unpacked(content))
+        row = next(c for kind, c in inner if kind == container.MESSAGE and len(c) > 1000)
+        return container.packed(content, container.joined([(container.MESSAGE, row[:22])] * 20_000))
 
     with pytest.raises(LogError, match="a message of /tick is damaged"):
-        Log(remade(short)).rows()
+        Log(remade(lambda r: replaced(r, container.CHUNK, short))).rows()
+
+
+# -- the metadata of the run -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -161,45 +234,105 @@ def test_messages_too_short_for_their_rows_are_refused(remade):
 )
 def test_a_table_of_columns_that_asks_for_too_much_is_refused(remade, old, new):
     with pytest.raises(LogError, match="metadata record 'hil' cannot be read"):
-        Log(remade(lambda r: replaced(r, 12, lambda c: c.replace(old, new))))
+        Log(remade(lambda r: replaced(r, container.METADATA, lambda c: c.replace(old, new))))
+
+
+LONG = "x" * 4096
 
 
 @pytest.mark.parametrize(
     ("names", "says"),
     [
-        (["can0"] * 20, "20 names of buses"),
-        (["can0", "x" * 5000], "2 names .* of 4096 signs"),
+        ([f"can{k}" for k in range(16)], ""),
+        ([f"can{k}" for k in range(17)], "17 names of buses"),
+        (["can0", LONG, f"{LONG[1:]}y"], ""),
+        (["can0", f"{LONG}x"], "2 names .* 4096"),
         (["\x07"], r"\\x07"),
     ],
+    ids=["16", "17", "long", "too long", "not printable"],
 )
-def test_names_of_more_buses_than_a_robot_has_are_refused_before_frames_are_laid_out(
-    path, remade, names, says
-):
-    identity = Log(path).metadata[IDENTITY]
-
-    def named(channels):
-        changed = Metadata(name=IDENTITY, metadata=identity | {"can_channels": json.dumps(channels)})
-        return remade(lambda r: replaced(r, 12, lambda _: record_bytes(changed)[9:]))
-
+def test_a_log_may_have_16_buses_with_names_of_4096_characters(described, names, says):
+    path = described(can_channels=json.dumps(names))
+    if not says:
+        assert Log(path).can_channels == tuple(names)
+        return
     with pytest.raises(LogError, match=f"metadata record 'hil' cannot be read.*{says}") as refused:
-        Log(named(names))
+        Log(path)
     assert len(str(refused.value)) < 500
-    buses = ["can0", *(f"{k}" * 4096 for k in range(5))]
-    assert Log(named(buses)).can_channels == tuple(buses)
 
 
-# -- what is no file -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("epoch_ns", "taken"), [(-1, False), (0, True), ((1 << 63) - 1, True), (1 << 63, False)]
+)
+def test_the_instant_0_of_a_log_is_a_time_of_63_bits_from_1970_on(described, epoch_ns, taken):
+    path = described(epoch_ns=str(epoch_ns))
+    if taken:
+        assert Log(path).epoch_ns == epoch_ns
+        return
+    with pytest.raises(LogError, match=f"metadata record 'hil' cannot be read.*epoch_ns {epoch_ns}"):
+        Log(path)
 
 
-def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "pipe.mcap")
-    with pytest.raises(LogError, match="not a regular file"):
-        Log(tmp_path / "pipe.mcap")
-    with pytest.raises(LogError, match="not a regular file"):
-        salvage(tmp_path / "pipe.mcap", tmp_path / "out.mcap")
+@pytest.mark.parametrize(
+    ("dropped", "found"), [("44", 44), ("9" * 18, 10**18 - 1), ("9" * 19, 0), ("x", 0), ("-1", 0), ("", 0)]
+)
+def test_dropped_ticks_are_those_of_the_summary_in_plain_digits(remade, dropped, found):
+    end = record_bytes(Metadata(name="summary", metadata={"closed": "clean", "dropped": dropped}))
+    log = Log(remade(lambda r: replaced(r, container.METADATA, lambda _: end[9:], -1)))
+    assert (log.summary.dropped, log.summary.closed, log.summary.ticks) == (found, "clean", COUNT)
 
 
-# -- salvage -------------------------------------------------------------------------------------------------
+def test_without_a_summary_nobody_knows_how_a_log_was_closed(remade):
+    log = Log(remade(lambda r: [p for p in r if p[0] != container.METADATA or b"summary" not in p[1][:11]]))
+    assert (log.summary.ticks, log.summary.dropped, log.summary.closed) == (COUNT, 0, "unknown")
+
+
+def test_a_missing_configuration_or_one_that_is_no_text_is_refused(remade):
+    log = Log(remade(lambda r: [part for part in r if part[0] != container.ATTACHMENT]))
+    assert len(log.rows("tick")) == COUNT
+    with pytest.raises(LogError, match=r"no attachment config\.yaml"):
+        _ = log.configuration
+    other = record_bytes(
+        Attachment(log_time=0, create_time=0, name="config.yaml", media_type="", data=b"a: \xff")
+    )
+    log = Log(remade(lambda r: replaced(r, container.ATTACHMENT, lambda _: other[9:])))
+    with pytest.raises(LogError, match=r"attachment config\.yaml is no text"):
+        _ = log.configuration
+
+
+@pytest.mark.parametrize(
+    ("command", "tick", "count", "allowed"),
+    [
+        (Operator.SETPOINT, 1, 5, 6),
+        (Operator.SETPOINT, 1, 7, 6),
+        (Operator.HOLD, 2, 1, 0),
+        (Operator.SPEED, 2, 0, 1),
+    ],
+)
+def test_a_command_with_other_numbers_is_refused(tmp_path_factory, tmp_path, command, tick, count, allowed):
+    first, second, third = random_rows(3)
+    orders = Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD)
+    ticks = [
+        Tick(first, (), (), ()),
+        Tick(second, (), (), (), (SetPoint(*range(6)),)),
+        Tick(third, (), (), (), (), orders),
+    ]
+    path = log_of(ticks, tmp_path_factory)
+    kind = message_class(operator_schema())
+
+    def numbered(topic, data, sequence):
+        message = kind.FromString(data) if topic == "/operator" else None
+        if message is None or message.command != command:
+            return data
+        message.setpoint[:] = [1.0] * count
+        return message.SerializeToString()
+
+    rewrite_log(path, tmp_path / "b.mcap", numbered)
+    with pytest.raises(LogError, match=rf"command of tick {tick} has {count} numbers, allowed: {allowed}$"):
+        list(Log(tmp_path / "b.mcap").ticks())
+
+
+# -- salvage ---------------------------------------------------------------------------------------------------
 
 
 def whole_again(bad, tmp_path):
@@ -212,14 +345,13 @@ def test_a_flipped_bit_in_the_name_of_a_schema_loses_nothing(path, damaged, tmp_
     with pytest.raises(LogError, match="not UTF-8"):
         Log(bad)
     report, log = whole_again(bad, tmp_path)
-    assert report.ticks == COUNT
-    assert not report.complete
+    assert (report.ticks, report.complete) == (COUNT, False)
     assert_same(log.ticks(), TICKS)
     rewrite_log(tmp_path / "out.mcap", tmp_path / "again.mcap")  # another reader finds all of it, too
     assert_same(Log.open(tmp_path / "again.mcap").ticks(), TICKS)
 
 
-def test_schemas_without_a_copy_are_made_anew(path, tmp_path):
+def test_schemas_without_a_copy_are_written_again(path, tmp_path):
     content = path.read_bytes()
     for name in (b"hil.Frame", b"hil.OperatorCommand", b"hil.Tick"):
         content = content.replace(name, name[:-1] + b"x", 1)
@@ -227,74 +359,24 @@ def test_schemas_without_a_copy_are_made_anew(path, tmp_path):
     bad.write_bytes(content[: content.rindex(struct.pack("<BQ", container.DATA_END, 4))])
     _, log = whole_again(bad, tmp_path)
     assert_same(log.ticks(), TICKS)
-    rewrite_log(tmp_path / "out.mcap", tmp_path / "again.mcap")
-    with (tmp_path / "again.mcap").open("rb") as file:
+    with (tmp_path / "out.mcap").open("rb") as file:
         decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("/tick")
         assert [m.tick for _, _, _, m in decoded] == list(range(COUNT))
 
 
 @pytest.mark.parametrize("length", [1 << 40, 10_000_000, 150_000, 5000])
-def test_a_damaged_length_of_a_chunk_loses_this_chunk_alone(path, damaged, chunks, tmp_path, length):
-    chunk = chunks[1]
-    bad = damaged(chunk.chunk_start_offset + 1, struct.pack("<Q", length))
+def test_a_damaged_length_of_a_chunk_loses_this_chunk_alone(damaged, chunks, tmp_path, length):
+    bad = damaged(chunks[1].chunk_start_offset + 1, struct.pack("<Q", length))
     with pytest.raises(LogError, match=r"damaged at byte \d+: .*--salvage"):
         Log(bad).rows()
     report, log = whole_again(bad, tmp_path)
-    assert report.chunks == len(chunks) - 1
-    assert report.bytes_lost == chunk.chunk_length
-    kept = log.rows()["tick"]
-    lost = sorted(set(range(COUNT)) - set(kept.tolist()))
+    assert (report.chunks, report.bytes_lost) == (len(chunks) - 1, chunks[1].chunk_length)
+    lost = sorted(set(range(COUNT)) - set(log.rows()["tick"].tolist()))
     assert lost
     assert lost == list(range(lost[0], lost[-1] + 1))
-
-
-def test_the_ticks_of_a_damaged_chunk_are_counted(path, damaged, chunks, tmp_path):
-    middle = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
-    byte = path.read_bytes()[middle]
-    report, log = whole_again(damaged(middle, bytes([byte ^ 0x40])), tmp_path)
-    assert report.ticks_lost == COUNT - len(log.rows()) > 0
-    assert report.bytes_lost == chunks[1].chunk_length
-    assert log.metadata["salvage"]["ticks_lost"] == str(report.ticks_lost)
 
 
 def test_zeros_in_the_middle_are_passed_over(damaged, chunks, tmp_path):
     report, log = whole_again(damaged(chunks[1].chunk_start_offset - 50, bytes(4096)), tmp_path)
     assert report.chunks == len(chunks) - 1
     assert len(log.rows()) == report.ticks < COUNT
-
-
-def test_a_salvage_that_fails_leaves_nothing(path, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "hil.record.mcap_file.McapFile.finish", lambda self: (_ for _ in ()).throw(OSError(28, "full"))
-    )
-    with pytest.raises(LogError, match=r"out\.mcap: cannot be written: full"):
-        salvage(path, tmp_path / "out.mcap")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_reading_ends_where_no_record_is(tmp_path):
-    """A file system leaves zeros: no kind of record has that number."""
-    whole = MAGIC + record_bytes(Metadata(name="a", metadata={"a": "1"}))
-    path = tmp_path / "zeros.mcap"
-    path.write_bytes(whole + bytes(40))
-    *_, last = found = list(records(path))
-    assert len(found) == 2
-    assert (last.opcode, last.complete) == (NOTHING, False)
-    assert last.offset == len(whole)
-
-
-def test_figures_are_not_taken_from_an_index_in_which_a_bit_has_turned_over(path, damaged):
-    content = path.read_bytes()
-    (at,) = struct.unpack_from("<Q", content, len(content) - len(MAGIC) - 20)
-    whole = Log(path).summary
-    assert whole.ticks == COUNT
-    tried = 0
-    while content[at] != container.FOOTER:
-        (length,) = struct.unpack_from("<Q", content, at + 1)
-        last = at + 8 + length
-        with pytest.raises(LogError, match="damaged"):
-            _ = Log(damaged(last, bytes([content[last] ^ 1]))).summary
-        tried += 1
-        at = last + 1
-    assert tried > 10
-    assert Log(path).summary == whole

@@ -24,6 +24,8 @@ from tests.hil.samples import assert_same, log_of, packed_rows, random_rows, ran
 
 BUSES = ["can0", "the_second_can"]
 RECORDED = random_ticks(120, seed=31)
+ITEM = struct.Struct("<qIBBH64s")
+"""A frame in the ring."""
 
 
 @pytest.fixture(scope="module", params=["plain", "compiled"])
@@ -56,7 +58,7 @@ def messages(path):
     return found
 
 
-def test_a_chunk_has_the_messages_that_the_library_finds_in_it(path, kernels):
+def test_a_chunk_has_the_messages_that_the_library_finds(path, kernels):
     with path.open("rb") as file:
         chunks = [each for each in StreamReader(file, emit_chunks=True).records if isinstance(each, Chunk)]
     for chunk in chunks:
@@ -94,7 +96,7 @@ def test_frames_are_those_that_protobuf_reads(log, messages):
     assert list(log.can_frames()) == sorted(expected, key=lambda each: each[0])
 
 
-def test_ticks_have_their_frames_as_items_of_the_recorder_and_as_tuples(log, messages):
+def test_ticks_have_their_frames_as_items_and_as_tuples(log, messages):
     assert_same(log.ticks(), RECORDED)
     sent_at = defaultdict(list)
     for message in messages["/can"]:
@@ -102,38 +104,26 @@ def test_ticks_have_their_frames_as_items_of_the_recorder_and_as_tuples(log, mes
             stamp = message.header.stamp
             sent_at[message.tick].append(stamp.seconds * 1_000_000_000 + stamp.nanos - log.epoch_ns)
     for found, tick in zip(log.ticks(), RECORDED, strict=True):
-        sent = [
-            Received(t_ns, frame)
-            for t_ns, frame in zip(sent_at[int(tick.row["tick"])], tick.sent, strict=True)
-        ]
+        sent = map(Received, sent_at[int(tick.row["tick"])], tick.sent)
         for items, kind, frames in (
             (found.received_items, RECEIVED, tick.received),
             (found.sent_items, SENT, sent),
         ):
-            packed = b"".join(
-                struct.pack("<qIBBH64s", t_ns, frame.id, kind, len(frame.data), frame.flags, frame.data)
-                for t_ns, frame in frames
-            )
+            packed = b"".join(ITEM.pack(t_ns, f.id, kind, len(f.data), f.flags, f.data) for t_ns, f in frames)
             assert (items.dtype, items.tobytes()) == (FRAME, packed)
             assert not items.flags.writeable
             assert items.flags.c_contiguous
-
-
-# -- ticks ---------------------------------------------------------------------------------------------------
 
 
 def test_a_tick_made_of_tuples_has_items_and_takes_changes():
     tick = RECORDED[5]
     frame = Frame(0x123, b"\x01\x02", FD | 3 * BUS)
     other = tick._replace(received=(Received(7, frame),), sent=(frame,))
-    assert other.row is tick.row
-    assert other.received_items.tobytes() == struct.pack(
-        "<qIBBH64s", 7, 0x123, RECEIVED, 2, 0x302, frame.data
-    )
-    assert other.sent_items.tobytes() == struct.pack("<qIBBH64s", 0, 0x123, SENT, 2, 0x302, frame.data)
+    assert other.received_items.tobytes() == ITEM.pack(7, 0x123, RECEIVED, 2, 0x302, frame.data)
+    assert other.sent_items.tobytes() == ITEM.pack(0, 0x123, SENT, 2, 0x302, frame.data)
     assert Tick(tick.row, other.received_items, other.sent_items, ()).received == other.received
     row, received, sent, *commands = other
-    assert (row, received, sent, commands) == (other[0], other.received, other.sent, list(other[3:]))
+    assert (row, received, sent, commands) == (tick.row, other.received, other.sent, list(tick[3:]))
     assert other == Tick(tick.row, other.received, (frame,), *other[3:]) != tick
     assert (len(other), repr(other).partition("=")[0]) == (6, "Tick(row")
 
@@ -205,7 +195,7 @@ WHOLE = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
 @pytest.mark.parametrize(
     "count", [23, 31, 1 << 31, 1 << 32, (1 << 63) - 1, 1 << 63, (1 << 64) - 9, (1 << 64) - 1]
 )
-def test_a_message_that_reaches_past_the_end_is_none(kernels, count):
+def test_a_message_that_reaches_past_the_end_is_refused(kernels, count):
     data = WHOLE + struct.pack("<BQHIQQ", 5, count, 1, 0, 0, 0)
     assert split(data, part=True, scan=kernels.scan)[0].offset.tolist() == [0]
     with pytest.raises(LogError, match="31 bytes of 62 are no record"):
@@ -213,12 +203,12 @@ def test_a_message_that_reaches_past_the_end_is_none(kernels, count):
 
 
 @pytest.mark.parametrize("size", range(32))
-def test_what_is_left_behind_the_last_message_is_not_read(kernels, size):
+def test_a_rest_behind_the_last_message_is_not_read(kernels, size):
     table, _ = split(WHOLE + WHOLE[:size], part=True, scan=kernels.scan)
     assert table.offset.tolist() == ([0, 31] if size == 31 else [0])
 
 
-def test_frames_with_any_bytes_in_their_fields_are_read_alike_plain_and_compiled():
+def test_frames_of_any_bytes_are_read_alike_plain_and_compiled():
     rng = np.random.default_rng(5)
     layouts = [laid_out(name.encode(), length) for length in (0, 5, 8, 64) for name in BUSES]
     records = []

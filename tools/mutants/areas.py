@@ -154,7 +154,6 @@ AREAS = {
             "tests/hil/test_ring.py",
             "tests/hil/test_mirror*.py",
             "tests/hil/test_figures.py",
-            "tests/hil/test_alignment.py",
             "tests/hil/test_metrics.py",
             "tests/hil/test_monitor.py",
             "tests/hil/test_foxglove_schemas.py",

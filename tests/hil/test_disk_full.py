@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import resource
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -15,7 +12,6 @@ from hil.app.replay import replay_log
 from hil.app.sim import command
 from hil.record import Recording
 from hil.record.log import Log
-from hil.record.recorder import _recorded
 from hil.record.recording import RecorderEndedError
 from tests.hil.samples import random_ticks, record
 
@@ -28,19 +24,16 @@ def lessen(recording, room=ROOM):
     resource.prlimit(recording._process.pid, resource.RLIMIT_FSIZE, (room, room))
 
 
-def test_a_full_disk_closes_the_log_with_what_fits_and_has_its_name(tmp_path):
+def test_a_full_disk_closes_the_log_with_what_fits(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording.start(path, configuration="kept: true\n")
     lessen(recording)
     record(recording, random_ticks(3000))
     summary = recording.close({"ending": "PARKED"})
-
     assert summary.error.startswith("disk_full: ")
     assert str(path) in summary.error
-    assert summary.gave_up
-    assert not summary.complete
+    assert (summary.gave_up, summary.complete) == (True, False)
     log = Log.open(path)
-    log.verify()
     assert 0 < summary.ticks == len(log.rows()) == log.summary.ticks
     assert summary.ticks + summary.lost + summary.dropped == 3000
     assert log.summary.closed == "disk_full"
@@ -48,7 +41,7 @@ def test_a_full_disk_closes_the_log_with_what_fits_and_has_its_name(tmp_path):
     assert path.stat().st_size == summary.size_bytes <= ROOM
 
 
-def test_a_disk_without_room_for_one_tick_leaves_no_file_that_looks_like_a_log(tmp_path):
+def test_a_disk_without_room_for_one_tick_leaves_no_log(tmp_path):
     recording = Recording.start(tmp_path / "a.mcap", configuration="")
     lessen(recording, (tmp_path / "a.mcap").stat().st_size + 10)
     record(recording, random_ticks(300))
@@ -58,15 +51,15 @@ def test_a_disk_without_room_for_one_tick_leaves_no_file_that_looks_like_a_log(t
     assert not any(tmp_path.iterdir())
 
 
-def test_in_lockstep_the_producer_hears_why_its_recorder_has_ended(tmp_path):
+def test_in_lockstep_the_producer_gets_the_reason(tmp_path):
     recording = Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True, ring_ticks=256)
     lessen(recording)
-    with pytest.raises(RecorderEndedError, match=r"a\.mcap: disk_full: .*the log is closed and holds"):
+    with pytest.raises(RecorderEndedError, match=r"a\.mcap: disk_full: "):
         record(recording, random_ticks(3000))
     assert recording.close().gave_up
 
 
-def test_a_simulation_on_a_full_disk_fails_and_names_it_and_its_log_replays(tmp_path, monkeypatch):
+def test_a_simulation_on_a_full_disk_fails_and_its_log_replays(tmp_path, monkeypatch):
     def started(*arguments, **options):
         recording = compose.record(*arguments, **options)
         lessen(recording, 300_000)
@@ -74,39 +67,8 @@ def test_a_simulation_on_a_full_disk_fails_and_names_it_and_its_log_replays(tmp_
 
     monkeypatch.setattr(command, "record", started)
     summary = command.simulate(load("virtual"), log=tmp_path / "a.mcap", duration_s=0.3)
-
     assert not summary["success"]
     assert summary["trouble"].startswith("disk_full: ")
     assert summary["ticks"] > 100
     comparison, _ = replay_log(tmp_path / "a.mcap")
     assert (comparison.exact, comparison.ticks) == (True, summary["ticks"])
-
-
-class Stopped:
-    """A recorder whose file takes no more, with so many messages in it."""
-
-    def __init__(self, number, messages):
-        self.number, self.file = number, SimpleNamespace(messages=messages)
-
-    def run(self, control):
-        raise OSError(self.number, "it says")
-
-    def close_full(self, error):
-        return {"closed": "disk_full", "error": error.strerror}
-
-
-def recorded(number, messages):
-    stopped: Any = Stopped(number, messages)
-    return _recorded(stopped, SimpleNamespace(summary={}))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
-def test_each_way_of_having_no_room_closes_the_log_with_what_fits_where_there_is_something(number):
-    assert recorded(number, 1) == {"closed": "disk_full", "error": "it says"}
-    with pytest.raises(OSError, match="it says"):
-        recorded(number, 0)
-
-
-def test_a_disk_that_fails_is_no_full_one():
-    with pytest.raises(OSError, match="it says"):
-        recorded(errno.EIO, 1)

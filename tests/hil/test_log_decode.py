@@ -96,8 +96,6 @@ def test_any_number_but_0_sets_a_flag_of_a_frame(decoder):
     assert found == [0, *[EXTENDED | ESI] * 4]
 
 
-# -- damage --------------------------------------------------------------------------------------------------
-
 ROW_0, ROW_1 = packed_rows(TICKS, random_rows(2))
 
 
@@ -127,9 +125,6 @@ def test_a_message_in_another_layout_is_refused_with_its_topic(decoder, topic, p
     }[topic]
     with pytest.raises(LogError, match=rf"^a\.mcap: a message of {topic} is damaged or of another kind: "):
         read(*buffer(number, [good, payload]))
-
-
-# -- ticks ---------------------------------------------------------------------------------------------------
 
 
 def items_of(*entries):

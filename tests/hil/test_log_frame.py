@@ -1,6 +1,7 @@
 """A log as a table: every component by name and unit, and the plant's rows beside the ticks of the same run."""
 
 import sys
+from enum import IntEnum, IntFlag
 from math import prod
 from types import SimpleNamespace
 from typing import Any
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from drivers.tick_columns import ROW, Column
+from drivers.tick_columns import RECORDED, ROW, Column
 from hil.app.plant_columns import PLANT
 from hil.record import Recording
 from hil.record.data_frame import plant_rows_of, require_one_run
 from hil.record.log import Log
 from hil.record.schema import CONFIGURATION, IDENTITY, RUN
+from hil.record.selection import Selection, name_of, together
 from tests.hil.samples import log_of, random_ticks
 
 COUNT = 900
@@ -98,6 +100,36 @@ def test_columns_are_chosen_by_name_and_wrong_names_get_near_ones(path):
         log.rows("lengths")
     matrix = Column("output", "A", float, "m", "", (), (2, 2))
     assert matrix.labels == ("A.0_0", "A.0_1", "A.1_0", "A.1_1")
+
+
+@pytest.mark.parametrize("names", [("q", "t_ns", "tick"), ("t_ns", "tick"), ("q", "tick", "q")])
+def test_columns_come_once_in_the_order_requested_with_their_values(names):
+    columns = tuple(c for c in RECORDED if c.name in {"tick", "t_ns", "q"})
+    selection = Selection.of(columns, names, "a.mcap")
+    found = together([selection.of_rows(ROWS[:3]), selection.of_rows(ROWS[3:])])
+    assert found.dtype.names == tuple(dict.fromkeys(names))
+    for name in names:
+        assert found[name].tobytes() == np.ascontiguousarray(ROWS[name]).tobytes()
+
+
+KIND = IntEnum("KIND", {"NONE": 0, "SLOW": 1, "FAST": 4})
+BITS = IntFlag("BITS", {"NONE": 0, "LATE": 1, "LOST": 2, "BOTH": 3, "HOT": 8})
+FLAGS = {
+    0: "NONE",
+    1: "LATE",
+    2: "LOST",
+    9: "LATE|HOT",
+    3: "LATE|LOST",
+    4: "4",
+    5: "LATE|4",
+    0x39: "LATE|HOT|48",
+}
+
+
+@pytest.mark.parametrize(("kind", "names"), [(KIND, {0: "NONE", 4: "FAST", 2: "2", -1: "-1"}), (BITS, FLAGS)])
+def test_a_number_has_the_name_that_its_log_gives_it_or_stands_as_itself(kind, names):
+    column = Column("output", "x", kind, "", "")
+    assert {number: name_of(column, number) for number in names} == names
 
 
 def test_without_pandas_the_message_says_how_to_install_it(path, monkeypatch):

@@ -79,9 +79,6 @@ def chunked(parts, tmp_path):
     return lambda *groups: Log(parts.write(tmp_path / "a.mcap", *map(parts.packed, groups)))
 
 
-# -- rows and ticks ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("read", ["ticks", "blocks"])
 def test_a_row_may_come_64_ticks_late_and_no_later(parts, chunked, read):
     def late(tick):
@@ -131,17 +128,11 @@ def test_a_span_is_measured_from_the_first_row_of_the_log(parts, chunked, first)
         assert [int(t) for block in log.blocks("tick", **span) for t in block["tick"]] == list(ticks)
 
 
-# -- frames --------------------------------------------------------------------------------------------------
-
-
 def test_frames_of_several_chunks_come_by_time_then_by_place(received, tmp_path):
     groups = (received.rows, received.frames[:3], received.frames[3:])
     log = Log(received.write(tmp_path / "a.mcap", *map(received.packed, groups)))
     found = [(frame.t_ns, frame.id) for frame in log.can_frames()]
     assert found == [(TIMES[k], k) for k in (0, 1, 3, 2, 4, 5)]
-
-
-# -- the chunk where a log is cut ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("left_out", "ticks"), [(1, 4), (60, 4), (400, 3)])

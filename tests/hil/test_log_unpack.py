@@ -128,9 +128,6 @@ def test_a_tick_made_of_tuples_has_items_and_takes_changes():
     assert (len(other), repr(other).partition("=")[0]) == (6, "Tick(row")
 
 
-# -- other layouts and damage --------------------------------------------------------------------------------
-
-
 def laid_out(name, length):
     """The layout of a frame with data: its template, and which of its bytes are the same in every record."""
     layout, ((_, _, data, *_),) = frame_table([name])

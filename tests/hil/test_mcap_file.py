@@ -5,31 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import struct
-import zlib
-from io import BytesIO
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import (
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    MessageIndex,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, MessageIndex, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from hil.record.mcap_file import MAGIC, McapFile, being_written
-from tools.fuzz import container
+from tests.hil.rewrite import mcap_summary
 
 MESSAGES = 40
 
@@ -145,144 +130,65 @@ def test_messages_are_counted_by_channel(tmp_path):
     file.close()
 
 
-# -- the index -------------------------------------------------------------------------------------------------
-
-CHUNKS = (
-    ((7, 500, 3), (300, 420, 0), (7, 440, 9), (2, 910, 5), (300, 600, 1), (300, 430, 2), (7, 431, 40)),
-    ((2, 310, 4),),
-    ((300, 315, 2), (2, 305, 7), (300, 330, 1)),
-    ((7, 650, 1), (300, 640, 6), (7, 620, 3)),
-)
-"""Channel, time in ns and bytes of data of each message."""
-TIMES = [(420, 910), (310, 310), (305, 330), (620, 650)]
-ATTACHMENTS = (("a.yaml", b"a: 1\n", 11, "text/yaml"), ("other.dbc", b"VERSION", 23, "text/plain"))
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """A whole file; its last chunk has no message, at times that are not those of the log."""
-    path = tmp_path_factory.mktemp("index") / "a.mcap"
-    file = McapFile(path, "a test")
-    file.add_schema(Schema(id=3, name="s", encoding="", data=b"schema"))
-    for number in (2, 7, 300):
-        file.add_channel(
-            Channel(id=number, topic=f"/{number}", message_encoding="", metadata={}, schema_id=3)
-        )
-    for k, chunk in enumerate(CHUNKS):
-        records = [message(*each) for each in chunk]
-        offset = np.array(list(accumulate(map(len, records), initial=0))[:-1], np.int64)
-        columns = (np.array([each[k] for each in chunk], np.int64) for k in (0, 1))
-        file.add_chunk(b"".join(records), *columns, offset)
-        file.add_metadata(f"behind {k}", {"k": "v" * k})
-    nothing, none = Chunk("", b"", 1 << 62, 0, 0, 0), np.zeros(0, np.int64)
-    file.add_compressed(nothing, none, none, none)
-    for name, content, time, kind in ATTACHMENTS:
-        file.add_attachment(name, content, time, kind)
+def test_the_index_has_times_sizes_places_and_counts(tmp_path):
+    """The messages of a chunk are in no order of time or channel; one chunk has none."""
+    file = with_chunks(tmp_path / "a.mcap", 0)
+    file.add_channel(Channel(id=300, topic="/b", message_encoding="raw", metadata={}, schema_id=1))
+    for channels, times in (([300, 1, 300, 1], [420, 500, 910, 440]), ([1], [310]), ([300, 1], [330, 305])):
+        records = [
+            struct.pack("<BQHIQQ", 5, 22 + k, c, 0, t, t) + bytes(k)
+            for k, (c, t) in enumerate(zip(channels, times, strict=True))
+        ]
+        offset = np.cumsum([0, *map(len, records)])[:-1]
+        file.add_chunk(b"".join(records), np.array(channels), np.array(times), offset)
+    none = np.zeros(0, np.int64)
+    file.add_compressed(Chunk("", b"", 1 << 62, 0, 0, 0), none, none, none)
+    file.add_metadata("one", {"k": "v"})
+    file.add_attachment("a.yaml", b"a: 1\n", 11, "text/yaml")
     file.finish()
-    return path.read_bytes()
-
-
-def message(channel, time, size):
-    return struct.pack("<BQHIQQ", 5, 22 + size, channel, 0, time, time) + bytes(size)
-
-
-def placed(data):
-    """Place, opcode and content of each record."""
-    parts = container.split(data)
-    starts = accumulate((9 + len(content) for _, content in parts), initial=len(MAGIC))
-    return [(at, opcode, content) for at, (opcode, content) in zip(starts, parts, strict=False)]
-
-
-KINDS = {
-    AttachmentIndex: Opcode.ATTACHMENT_INDEX,
-    Chunk: Opcode.CHUNK,
-    ChunkIndex: Opcode.CHUNK_INDEX,
-    MessageIndex: Opcode.MESSAGE_INDEX,
-    MetadataIndex: Opcode.METADATA_INDEX,
-    Statistics: Opcode.STATISTICS,
-    SummaryOffset: Opcode.SUMMARY_OFFSET,
-}
-
-
-def of_kind(data, kind):
-    """Return the records of a kind, as the mcap library reads them."""
-    opcode = KINDS[kind]
-    return [kind.read(ReadDataStream(BytesIO(body))) for _, found, body in placed(data) if found == opcode]
-
-
-@pytest.mark.parametrize(
-    ("opcode", "index", "place"),
-    [
-        (Opcode.CHUNK, ChunkIndex, lambda i: (i.chunk_start_offset, i.chunk_length)),
-        (Opcode.ATTACHMENT, AttachmentIndex, lambda i: (i.offset, i.length)),
-        (Opcode.METADATA, MetadataIndex, lambda i: (i.offset, i.length)),
-    ],
-    ids=["chunk", "attachment", "metadata"],
-)
-def test_the_index_has_the_place_and_the_length_of_each_record(data, opcode, index, place):
-    there = [(at, 9 + len(content)) for at, kind, content in placed(data) if kind == opcode]
-    assert [place(each) for each in of_kind(data, index)] == there != []
-
-
-def test_each_message_is_indexed_by_time_and_place_under_its_channel(data):
-    found: list[dict[int, tuple[int, int]]] = []
-    for at, opcode, content in placed(data):
-        if opcode == Opcode.CHUNK:
-            found.append({})
-        elif opcode == Opcode.MESSAGE_INDEX:
-            found[-1][int.from_bytes(content[:2], "little")] = at, 9 + len(content)
-    indexes, entries = of_kind(data, ChunkIndex), iter(of_kind(data, MessageIndex))
-    for chunk, index, places in zip((*CHUNKS, ()), indexes, found, strict=True):
-        wanted: dict[int, list[tuple[int, int]]] = {}
-        for (channel, time, _), start in zip(
-            chunk, accumulate((31 + n for *_, n in chunk), initial=0), strict=False
-        ):
-            wanted.setdefault(channel, []).append((time, start))
-        assert {each.channel_id: each.records for each in (next(entries) for _ in places)} == wanted
-        assert index.message_index_offsets == {channel: at for channel, (at, _) in places.items()}
-        assert index.message_index_length == sum(size for _, size in places.values())
-    assert next(entries, None) is None
-
-
-def test_the_index_has_times_sizes_and_counts(data):
-    chunks, indexes = of_kind(data, Chunk), of_kind(data, ChunkIndex)
-    for each in (chunks, indexes):
-        assert [(one.message_start_time, one.message_end_time) for one in each][:-1] == TIMES
-    for index, chunk, messages in zip(indexes, chunks, CHUNKS, strict=False):
-        unpacked = sum(31 + size for _, _, size in messages)
-        assert (index.uncompressed_size, chunk.uncompressed_size) == (unpacked, unpacked)
-        assert (index.compressed_size, index.compression) == (len(chunk.data), "zstd")
-        assert chunk.uncompressed_crc == zlib.crc32(b"".join(message(*one) for one in messages))
-    attached = [
-        (i.name, i.data_size, i.log_time, i.create_time, i.media_type) for i in of_kind(data, AttachmentIndex)
+    summary = mcap_summary(tmp_path / "a.mcap")
+    data, chunks = (tmp_path / "a.mcap").read_bytes(), []
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
+            if isinstance(record, Chunk):
+                chunks.append(record)
+                wanted: dict[int, list[tuple[int, int]]] = {}
+                at = 0
+                for each in breakup_chunk(record):
+                    wanted.setdefault(each.channel_id, []).append((each.log_time, at))
+                    at += 31 + len(each.data)
+            elif isinstance(record, MessageIndex):
+                assert record.records == wanted.pop(record.channel_id)
+                assert (
+                    data[summary.chunk_indexes[len(chunks) - 1].message_index_offsets[record.channel_id]] == 7
+                )
+    assert not wanted
+    assert [(c.message_start_time, c.message_end_time) for c in chunks[:3]] == [
+        (420, 910),
+        (310, 310),
+        (305, 330),
     ]
-    assert attached == [(name, len(text), time, time, kind) for name, text, time, kind in ATTACHMENTS]
-    assert [index.name for index in of_kind(data, MetadataIndex)] == [f"behind {k}" for k in range(4)]
-    assert of_kind(data, Statistics) == [
-        Statistics(
-            attachment_count=2, channel_count=3, channel_message_counts={2: 3, 7: 5, 300: 6}, chunk_count=5,
-            message_count=14, message_end_time=910, message_start_time=305, metadata_count=4, schema_count=1,
+    for chunk, index in zip(chunks, summary.chunk_indexes, strict=True):
+        assert (index.message_start_time, index.message_end_time) == (
+            chunk.message_start_time,
+            chunk.message_end_time,
         )
-    ]  # fmt: skip
-
-
-def test_the_end_has_the_places_of_each_kind_and_checksums(data):
-    summary, offsets, crc = struct.unpack_from("<QQI", data, len(data) - len(MAGIC) - 20)
-    groups = of_kind(data, SummaryOffset)
-    assert len(groups) == 6
-    at = summary
-    for group in groups:
-        inside = container.split(data[at : at + group.group_length])
-        assert (group.group_start, {kind for kind, _ in inside}) == (at, {group.group_opcode})
-        at += group.group_length
-    assert at == offsets == next(at for at, opcode, _ in placed(data) if opcode == Opcode.SUMMARY_OFFSET)
-    assert data[summary - 13 : summary - 4] == struct.pack("<BQ", Opcode.DATA_END, 4)
-    assert data[summary - 4 : summary] == struct.pack("<I", zlib.crc32(data[: summary - 13]))
-    assert crc == zlib.crc32(data[summary : len(data) - len(MAGIC) - 4])
-    described = [
-        (kind, content) for _, kind, content in placed(data) if kind in {Opcode.SCHEMA, Opcode.CHANNEL}
-    ]
-    assert described[:4] == described[4:], "schemas and channels stand in both parts"
+        assert (index.uncompressed_size, index.compressed_size) == (chunk.uncompressed_size, len(chunk.data))
+        assert data[index.chunk_start_offset] == 6
+        assert data[index.chunk_start_offset + index.chunk_length + index.message_index_length] in {6, 12}
+    (attached,), (entry,) = summary.attachment_indexes, summary.metadata_indexes
+    assert (attached.name, attached.data_size, attached.log_time, attached.media_type) == (
+        "a.yaml",
+        5,
+        11,
+        "text/yaml",
+    )
+    assert (data[attached.offset], data[entry.offset], entry.name) == (9, 12, "one")
+    assert data[attached.offset + attached.length] == 15
+    assert summary.statistics == Statistics(
+        attachment_count=1, channel_count=2, channel_message_counts={1: 4, 300: 3}, chunk_count=4, message_count=7,
+        message_end_time=910, message_start_time=305, metadata_count=1, schema_count=1,
+    )  # fmt: skip
 
 
 # -- a full disk -----------------------------------------------------------------------------------------------

@@ -1,38 +1,28 @@
-"""The newest tick in shared memory: never torn, only this user's, and the log does not notice it."""
+"""The newest tick in shared memory: never torn, only this user's, of today's layout, and the log does not notice it."""
 
 from __future__ import annotations
 
-import errno
 import json
 import multiprocessing
 import stat
-import subprocess
+import struct
 import time
-from types import SimpleNamespace
-from typing import Any, cast
+import zlib
 
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
 from drivers.signals import Warn
-from drivers.tick_columns import ROW
+from drivers.tick_columns import ROW, Column
 from hil.record import Recording
-from hil.record.mcap_file import McapFile
-from hil.record.mirror import FIGURES, SLOT_BYTES, Mirror, MirrorReader, _place, mirror_path
-from hil.record.recorder import Recorder, _Control, _publisher
-from hil.record.recording import Live
-from hil.record.ring import Ring
-from hil.record.row import TICKS, Run, describe
+from hil.record.mirror import FIGURES, Mirror, MirrorReader, mirror_path
+from hil.record.row import TICKS, Table, describe
 from tests.hil.samples import random_rows
 
 ABOUT = {"name": "test", "columns": describe(TICKS.columns)}
-
-
-def rows_of(count, seed=0):
-    rows = random_rows(count, seed=seed)
-    rows["tick"] = np.arange(count)
-    return rows
+SMALL = tuple(Column("output", name, int, "", "", (), ()) for name in ("tick", "t_ns"))
+HEAD, SLOT, WORDS = 65536, 32768, 32
 
 
 def until(found, seconds=10.0):
@@ -61,7 +51,7 @@ def hammer(path, seconds):
         mirror.write(row, figures, b"[" + b" " * (k % 2000) + str(k).encode() + b"]")
 
 
-def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces_alone(tmp_path):
+def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces(tmp_path):
     path = tmp_path / "m"
     writer = multiprocessing.get_context("spawn").Process(target=hammer, args=(path, 1.0))
     writer.start()
@@ -87,23 +77,80 @@ def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces_alone(tmp_p
     assert len(seen) > 50, "the reader kept up with a part of them"
 
 
+@pytest.fixture
+def shown(tmp_path):
+    """A mirror of rows of two numbers, its path, and a function that writes a piece with this number."""
+    path, mirror = tmp_path / "m", Mirror(tmp_path / "m", {"name": "täst", "columns": describe(SMALL)})
+
+    def write(number, events=b"[]"):
+        row, figures = np.zeros((), Table("", SMALL).dtype), np.zeros((), FIGURES)
+        row["tick"], row["t_ns"], figures["ticks"], figures["log_bytes"] = number, -number, 10 * number, 7
+        mirror.write(row, figures, events)
+
+    yield path, write
+    mirror.close()
+
+
+def patched(path, at, data):
+    with path.open("r+b") as file:
+        file.seek(at)
+        file.write(data)
+
+
+def test_pieces_are_read_as_they_were_written_in_today_s_layout(shown):
+    path, write = shown
+    reader = MirrorReader(path)
+    assert (reader.newest, reader.ended, reader.read(), reader.about["name"]) == (0, False, None, "täst")
+    for number in range(1, 7):
+        write(number, json.dumps([{"number": number}]).encode())
+        found = newest(reader)
+        assert (found.number, int(found.row["tick"]), int(found.row["t_ns"])) == (number, number, -number)
+        assert (int(found.figures["ticks"]), int(found.figures["log_bytes"])) == (10 * number, 7)
+        assert (found.events, reader.newest) == ([{"number": number}], number)
+        data, at = path.read_bytes(), HEAD + number % 4 * SLOT
+        assert (data[:8], struct.unpack_from("<q", data, 16)) == (b"HILMIR01", (number,))
+        stored, size, crc = struct.unpack_from("<3q", data, at)
+        assert (stored, crc) == (number, zlib.crc32(data[at + WORDS : at + WORDS + size]))
+    assert len(path.read_bytes()) == HEAD + 4 * SLOT
+    with pytest.raises(ValueError, match="allowed"):
+        write(7, b" " * SLOT)
+
+
 @pytest.mark.parametrize("word", [0, 1, 2], ids=["number", "size", "crc"])
-def test_a_place_that_is_half_written_is_not_read(tmp_path, word):
-    mirror = Mirror(tmp_path / "m", ABOUT)
-    mirror.write(np.zeros((), ROW), np.zeros((), FIGURES))
-    reader = MirrorReader(tmp_path / "m")
+def test_a_place_that_is_half_written_is_not_read(shown, word):
+    path, write = shown
+    write(1)
+    reader, at = MirrorReader(path), HEAD + SLOT + 8 * word
     assert reader.read() is not None
-    mirror._words[_place(1) // 8 + word] += 1
+    (value,) = struct.unpack_from("<q", path.read_bytes(), at)
+    patched(path, at, struct.pack("<q", value + 1))
     assert reader.read() is None
 
 
-def test_the_file_is_of_this_user_alone_and_goes_with_the_run(tmp_path):
+@pytest.mark.parametrize(
+    ("at", "data"),
+    [
+        (0, bytes(8)),
+        *((8, struct.pack("<q", n)) for n in (0, -1, 1 << 62)),
+        (WORDS, b"{,"),
+        (HEAD + 4 * SLOT, b"\0"),
+    ],
+)
+def test_another_head_description_or_size_is_refused(shown, at, data):
+    patched(shown[0], at, data)
+    with pytest.raises(LogError, match="not what this version"):
+        MirrorReader(shown[0])
+
+
+def test_the_file_is_of_this_user_alone_and_is_removed_with_the_run(tmp_path):
     path = tmp_path / "m"
     mirror = Mirror(path, ABOUT)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert mirror_path("localcan", "a/b").parent.stat().st_mode & 0o077 == 0
     assert mirror_path("localcan", "a/b").name == "localcan.a%2Fb.mirror"
     reader = MirrorReader(path)
+    with pytest.raises(TypeError):
+        reader._map[0] = 1
     mirror.write(np.zeros((), ROW), np.zeros((), FIGURES), b'[{"text": "last"}]')
     mirror.close()
     assert not path.exists()
@@ -122,30 +169,9 @@ def test_a_run_that_follows_keeps_its_file_when_the_one_before_closes_late(tmp_p
     assert not path.exists()
 
 
-def test_what_is_no_mirror_is_refused(tmp_path):
-    path = tmp_path / "m"
-    path.write_bytes(b"")
-    with pytest.raises(LogError, match="not what this version"):
-        MirrorReader(path)
-    Mirror(path, ABOUT)
-    data = bytearray(path.read_bytes())
-    path.write_bytes(b"x" + data[1:])
-    with pytest.raises(LogError, match="not what this version"):
-        MirrorReader(path)
-    (tmp_path / "link").symlink_to(path)
-    with pytest.raises(OSError, match=r"symbolic|Too many levels"):
-        MirrorReader(tmp_path / "link")
-
-
-def test_a_piece_that_fits_no_place_is_refused(tmp_path):
-    mirror = Mirror(tmp_path / "m", ABOUT)
-    with pytest.raises(ValueError, match="allowed"):
-        mirror.write(np.zeros((), ROW), np.zeros((), FIGURES), b" " * SLOT_BYTES)
-
-
-def test_the_recorder_shows_the_newest_row_fifty_times_a_second_and_counts_every_one(tmp_path):
+def test_the_recorder_shows_the_newest_row_fifty_times_a_second(tmp_path):
     path, shown = tmp_path / "a.mcap", tmp_path / "m"
-    rows = rows_of(1500, seed=5)
+    rows = random_rows(1500, seed=5)
     rows["skipped"] = 0
     rows["skipped"][100::100] = 2
     with Recording.start(path, configuration="", mirror=(shown, {"name": "x"})) as recording:
@@ -185,72 +211,20 @@ def test_the_recorder_shows_the_newest_row_fifty_times_a_second_and_counts_every
 def test_a_mirror_that_cannot_be_made_costs_the_picture_and_not_the_log(tmp_path, capfd):
     path = tmp_path / "a.mcap"
     with Recording.start(path, configuration="", mirror=(tmp_path / "no" / "m", {})) as recording:
-        for row in rows_of(20):
+        for row in random_rows(20):
             recording.tick(row, (), ())
     assert recording.close().complete
     assert "cannot see this run" in capfd.readouterr().err
 
 
-def test_a_mirror_that_cannot_be_made_is_told_on_standard_error_alone(tmp_path, capsys):
-    """Standard output has the recorder's answers to the loop, one JSON object a line."""
-    path = tmp_path / "no" / "m"
-    ring = Ring.create(TICKS.dtype, 256)
-    assert _publisher(ring, (path, {})) is None
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err == f"hil: `hil watch` cannot see this run: {path}: No such file or directory\n"
-
-
-def test_a_recorder_that_is_killed_leaves_what_was_shown_last(tmp_path):
+def test_a_killed_recorder_leaves_what_was_shown_last(tmp_path):
     shown = tmp_path / "m"
     recording = Recording.start(tmp_path / "a.mcap", configuration="", mirror=(shown, {}))
-    recording.tick(rows_of(1)[0], (), ())
+    recording.tick(random_rows(1)[0], (), ())
     reader = MirrorReader(shown)
     until(reader.read)
     recording._process.kill()
     recording.close()
     assert not reader.ended
     assert int(newest(reader).row["tick"]) == 0
-    assert json.loads(json.dumps(reader.about))["columns"] == describe(TICKS.columns)
-    shown.unlink()
-
-
-def recorder(folder, ring):
-    setup: dict[str, Any] = {"identity": {}, "environment": {}, "scene": None, "live": Live(), "mirror": (folder / "m", ABOUT),
-             "path": str(folder / "a.mcap"), "created_ns": 0, "attachments": [("config.yaml", b"")]}  # fmt: skip
-    return Recorder(ring, Run("/tick", TICKS.columns, 0, ("can0",), lockstep=False), setup)
-
-
-@pytest.mark.parametrize("refused", ["__init__", "add_metadata", "add_attachment", "sync"])
-def test_a_run_whose_log_cannot_be_opened_is_never_shown_and_hides_no_other(tmp_path, monkeypatch, refused):
-    def refuse(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    other = Mirror(tmp_path / "m", {**ABOUT, "name": "another run"})
-    monkeypatch.setattr(McapFile, refused, refuse)
-    with pytest.raises(OSError, match="No space left"):
-        recorder(tmp_path, Ring.create(TICKS.dtype, 256))
-    assert MirrorReader(tmp_path / "m").about["name"] == "another run"
-    other.close()
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
-def test_a_run_whose_log_cannot_be_written_any_more_is_shown_as_ended(tmp_path, monkeypatch, number):
-    def refuse(*_):
-        raise OSError(number, "it says")
-
-    ring = Ring.create(TICKS.dtype, 256)
-    recording = Recording(ring, cast("subprocess.Popen[bytes]", None), tmp_path / "a.mcap", lockstep=False)
-    failing = recorder(tmp_path, ring)
-    for row in rows_of(7):
-        recording.tick(row, (), ())
-    reader = MirrorReader(tmp_path / "m")
-    monkeypatch.setattr(McapFile, "add_chunk", refuse)
-    ended = cast("_Control", SimpleNamespace(ended=lambda _: True))
-    with pytest.raises(OSError, match="it says"):
-        failing.run(ended)
-    assert reader.ended
-    assert int(newest(reader).figures["ticks"]) == 7
-    assert not (tmp_path / "m").exists()
-    failing.file.discard()
+    assert reader.about["columns"] == describe(TICKS.columns)

@@ -80,7 +80,7 @@ def frame_message(kind, names, tick, index, t_ns, received, frame):
 
 
 @pytest.mark.parametrize("names", [("can0",), ("front", "the rear bus " * 9)])
-def test_rows_and_frames_are_those_recorded_also_when_the_ring_has_turned(names):
+def test_rows_and_frames_are_those_recorded_over_turns_of_the_ring(names):
     ring = Ring.create(TICKS.dtype, 32)
     ring.close_fd()
     recording = Recording(ring, cast("Any", None), Path("a.mcap"), lockstep=True)
@@ -126,7 +126,7 @@ TABLES = (
 
 
 @pytest.mark.parametrize("columns", TABLES, ids=["numbers", "names", "named elements"])
-def test_whatever_columns_a_table_has_the_same_kernel_packs_them(columns):
+def test_one_kernel_packs_whatever_columns_a_table_has(columns):
     table = Table("/tick", (columns[0], column("t_ns"), *columns[1:], column("tick")))
     table.check()
     rows = random_rows(50, dtype=table.dtype)
@@ -159,7 +159,7 @@ print(hashlib.sha256(encoder.encode(batch).data).hexdigest(), "numba" in sys.mod
 
 
 @pytest.mark.parametrize("plain", [False, True], ids=["machine code", "plain Python"])
-def test_another_process_packs_the_same_from_machine_code_alone_or_as_plain_python(plain):
+def test_machine_code_alone_and_plain_python_pack_the_same(plain):
     rows = random_rows(5)
     items = np.frombuffer(np.random.default_rng(1).bytes(5 * FRAME.itemsize), FRAME).copy()
     items["kind"], items["length"], items["bus"] = [0, 1, 0, 1, 0], [0, 8, 64, 3, 12], 0

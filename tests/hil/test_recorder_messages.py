@@ -1,4 +1,4 @@
-"""What the recorder makes of a batch: each message as it stands in the file, and in which order."""
+"""The messages of a batch: their content, their times and their order in the file; schemas for other programs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
 from drivers.frame_array import FRAME
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
@@ -14,7 +15,8 @@ from hil.record.encode import Encoder, event_text
 from hil.record.recording import Scene
 from hil.record.ring import EVENT, OPERATOR, RECEIVED, SENT, Batch
 from hil.record.row import TICKS
-from hil.record.schema import message_class
+from hil.record.schema import frame_schema, message_class, operator_schema
+from hil.signals import Operator
 
 HEADER = struct.Struct("<BQHIQQ")
 """Of an MCAP Message record: opcode, bytes that follow, channel, sequence, log time, publish time."""
@@ -77,7 +79,7 @@ ITEMS = (
 """Frames of two ticks, those of one length neither side by side nor of one bus."""
 
 
-def test_frames_of_several_buses_stand_in_their_order_each_with_all_that_was_on_the_wire():
+def test_frames_of_several_buses_keep_their_order_and_all_on_the_wire():
     found, ticks = encoded(encoder(can_channels=["front", "rear bus"]), batch(2, *ITEMS))
     assert [m.topic for m in found] == ["/tick", *["/can"] * 3] * 2
     assert ticks == [0] * 4 + [1] * 4
@@ -102,23 +104,7 @@ def test_frames_of_several_buses_stand_in_their_order_each_with_all_that_was_on_
         assert m.sequence == 7 + row
 
 
-@pytest.mark.parametrize(("names", "expected"), [(("a",), "a"), (("a", "b"), "b")])
-def test_a_frame_of_a_bus_that_has_no_name_is_said_to_be_of_the_last_one(names, expected):
-    found, _ = encoded(encoder(can_channels=names), batch(1, (0, 0, 1, SENT, b"", 0, 2)))
-    assert [(m.content.channel, m.content.bus) for m in found if m.topic == "/can"] == [(expected, 2)]
-
-
-@pytest.mark.parametrize(
-    ("length", "code"),
-    [*((n, n) for n in range(9)), *zip((12, 16, 20, 24, 32, 48, 64), range(9, 16), strict=True)],
-)
-def test_a_frame_has_the_code_of_its_length_and_its_own_bytes_alone(length, code):
-    found, _ = encoded(encoder(), batch(1, (0, 0, 1, RECEIVED, b"\x55" * length, FD, 0)))
-    (frame,) = [m.content for m in found if m.topic == "/can"]
-    assert (frame.dlc, bytes(frame.data)) == (code, b"\x55" * length)
-
-
-def test_commands_and_events_stand_among_the_frames_of_their_tick_and_count_in_its_order():
+def test_commands_and_events_stand_among_the_frames_of_their_tick():
     words = (
         (0, 11, 1, SENT, b"", 0, 0),
         (0, S + 12, 5, OPERATOR, struct.pack("<2d", 0.25, -3.0), 0, 0),
@@ -159,7 +145,7 @@ def test_commands_and_events_stand_among_the_frames_of_their_tick_and_count_in_i
 
 
 @pytest.mark.parametrize("rows", [1, 2, 7])
-def test_an_event_between_two_batches_is_of_the_tick_that_comes_next(rows):
+def test_an_event_between_two_batches_belongs_to_the_next_tick(rows):
     by, event = encoder(), (0, 18, 0, EVENT, b"between", 1, 0)
     first, _ = encoded(by, batch(0, event))
     assert [m.sequence for m in first] == [0], "no tick was yet"
@@ -170,7 +156,7 @@ def test_an_event_between_two_batches_is_of_the_tick_that_comes_next(rows):
 
 
 @pytest.mark.parametrize("length", [64, 65, 576, 577, 4000])
-def test_an_event_of_whatever_length_has_all_of_its_text(length):
+def test_an_event_of_any_length_has_all_of_its_text(length):
     text = ("0123456789" * 400)[:length].encode()
     pieces = [text[k : k + 64] for k in range(0, length, 64)]
     items = [(0, 11, len(pieces) - 1 - k, EVENT, piece, 2, 0) for k, piece in enumerate(pieces)]
@@ -178,7 +164,7 @@ def test_an_event_of_whatever_length_has_all_of_its_text(length):
     assert message.content.message == text.decode()
 
 
-def test_the_text_of_an_event_ends_at_what_is_no_piece_of_it():
+def test_the_text_of_an_event_ends_where_its_pieces_end():
     pieces = [(EVENT, 0, b"before"), (EVENT, 2, b"a"), (EVENT, 1, b"b"), (EVENT, 0, b"c"), (OPERATOR, 1, b"x"),
               (EVENT, 1, b"d"), (EVENT, 0, b"e")]  # fmt: skip
     items = batch(0, *((0, 0, number, kind, data, 0, 0) for kind, number, data in pieces)).items
@@ -188,7 +174,7 @@ def test_the_text_of_an_event_ends_at_what_is_no_piece_of_it():
 
 
 @pytest.mark.parametrize(("scene", "every"), [(None, 33), (3, 3)])
-def test_views_stand_behind_all_else_of_every_so_many_ticks(scene, every):
+def test_views_stand_behind_all_else_of_their_tick(scene, every):
     corners = [[1.0, k, 0.0] for k in range(6)]
     by = encoder(scene=Scene(corners, corners, every=scene) if scene else None)
     at = [every - 1, every, every + 1, 2 * every, 2 * every + 1]
@@ -204,18 +190,15 @@ def test_views_stand_behind_all_else_of_every_so_many_ticks(scene, every):
         assert {m.sequence for m in here} == {tick}
         assert {m.log_time for m in here[2:]} <= {EPOCH + T_NS + S * row}
         assert {m.publish_time for m in here} == {EPOCH + T_NS + S * row}
-
-
-def test_a_batch_of_nothing_has_no_messages():
-    made = encoder().encode(batch(0))
-    assert made.start.tolist() == [0]
-    assert [len(each) for each in (made.data, *made[2:])] == [0] * 4
+        stamps = [m.content.timestamp for m in here if m.topic == "/tf"]
+        stamps += [e.timestamp for m in here if m.topic == "/scene" for e in m.content.entities]
+        assert {each.seconds * S + each.nanos for each in stamps} <= {EPOCH + T_NS + S * row}
 
 
 @pytest.mark.parametrize(("names", "channel"), [(("front",), "front"), (("front", "rear"), "front, rear")])
-def test_the_channels_are_those_of_the_topics_and_the_frames_say_their_buses(names, channel):
+def test_each_topic_has_its_channel_and_that_of_frames_its_buses(names, channel):
     channels = encoder(can_channels=names).channels
-    assert {number: (topic, schema.name, said) for number, (topic, schema, said) in channels.items()} == {
+    assert {number: (topic, schema.name, about) for number, (topic, schema, about) in channels.items()} == {
         1: ("/tick", "hil.Tick", {}),
         2: ("/can", "hil.Frame", {"channel": channel}),
         3: ("/operator", "hil.OperatorCommand", {}),
@@ -223,3 +206,36 @@ def test_the_channels_are_those_of_the_topics_and_the_frames_say_their_buses(nam
         5: ("/tf", "foxglove.FrameTransform", {}),
         6: ("/scene", "foxglove.SceneUpdate", {}),
     }
+
+
+FIELDS = {
+    "hil.Frame": {
+        "header": (1, "MESSAGE"), "id": (2, "FIXED32"), "is_rtr": (3, "BOOL"), "is_extended": (4, "BOOL"),
+        "is_error": (5, "BOOL"), "dlc": (6, "UINT32"), "data": (7, "BYTES"), "channel": (8, "STRING"),
+        "direction": (9, "ENUM"), "fdf": (10, "BOOL"), "brs": (11, "BOOL"), "esi": (12, "BOOL"),
+        "tick": (13, "SFIXED64"), "index": (14, "FIXED32"), "bus": (15, "UINT32"),
+    },
+    "hil.OperatorCommand": {
+        "stamp": (1, "MESSAGE"), "command": (2, "ENUM"), "tick": (3, "SFIXED64"), "index": (4, "FIXED32"),
+        "setpoint": (5, "DOUBLE"),
+    },
+}  # fmt: skip
+
+
+def test_frames_and_commands_have_the_fields_that_other_programs_read():
+    enums = {}
+    for schema in (frame_schema(), operator_schema()):
+        _, file = FileDescriptorSet.FromString(schema.descriptors).file
+        assert (file.package, file.syntax) == ("hil", "proto3")
+        kind = FieldDescriptorProto.Type
+        fields = file.message_type[0].field
+        found = {f.name: (f.number, kind.Name(f.type).removeprefix("TYPE_")) for f in fields}
+        assert found == FIELDS[schema.name]
+        repeated = [f.name for f in fields if f.label == FieldDescriptorProto.LABEL_REPEATED]
+        assert repeated == ["setpoint"] * ("setpoint" in found)
+        enums[schema.name] = [(v.name, v.number) for v in file.enum_type[0].value]
+    assert enums["hil.Frame"] == [("UNKNOWN_DIRECTION", 0), ("RX", 1), ("TX", 2)]
+    assert enums["hil.OperatorCommand"] == [
+        ("UNKNOWN_OPERATOR", 0),
+        *((each.name, each.value) for each in Operator),
+    ]

@@ -21,10 +21,3 @@ def test_a_raised_number_is_the_least_of_so_many_digits_that_is_no_smaller_and_a
         for each in (above, below):
             assert float(f"{each:.{digits - 1}e}") == each
         assert above - below <= 1.001 * 10.0 ** (np.floor(np.log10(x)) - digits + 1)
-
-
-def test_what_has_so_few_digits_is_left_as_it_is():
-    for k in range(10, 100):
-        for scale in (1e-4, 1e-2, 1.0, 1e3):
-            x = float(f"{k * scale:.2g}")
-            assert (lowered(x), raised(x)) == (x, x)

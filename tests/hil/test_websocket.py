@@ -6,18 +6,16 @@ import socket
 import sys
 import threading
 import time
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from hil.app.compose import build_cycle, record, websocket
+from hil.app.compose import build_cycle, record
 from hil.app.configuration.configuration import load, loads
 from hil.record import Live, Recording
-from hil.record.encode import Encoder, Messages
-from hil.record.layout import RECORD_HEADER
+from hil.record.encode import Encoder
 from hil.record.log import Log
 from hil.record.row import TICKS
 from hil.record.schema import Schema, message_class
@@ -55,11 +53,16 @@ def port():
 
 
 @pytest.mark.long
-def test_a_client_reads_every_tick_as_it_stands_in_the_log(tmp_path, port):
+def test_a_client_reads_every_tick_beside_others_that_never_read(tmp_path, port):
     with Recording.start(
         tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port))
     ) as recording:
-        client = Client(port)
+        client, others = Client(port), [Client(port) for _ in range(8)]
+        for each in others:
+            each.subscribe("/tick", "/can", "/scene")
+        mute = socket.create_connection(("127.0.0.1", port))  # says nothing at all
+        noise = socket.create_connection(("127.0.0.1", port))
+        noise.sendall(os.urandom(4096))
         assert set(client.channels) == {"/tick", "/can", "/operator", "/events", "/tf", "/scene"}
         client.subscribe("/tick", "/can")
         read: list[tuple[int, int, bytes]] = []
@@ -67,10 +70,13 @@ def test_a_client_reads_every_tick_as_it_stands_in_the_log(tmp_path, port):
         reader.start()
         time.sleep(0.3)
         run(recording)
+        begun = time.monotonic()
         summary = recording.close()
+        assert time.monotonic() - begun < 4.0, "the recorder leaves by itself"
         reader.join(10.0)
-    client.close()
-    assert (summary.ticks, summary.dropped, summary.complete) == (COUNT, 0, True)
+    for each in (client, *others, mute, noise):
+        each.close()
+    assert (summary.ticks, summary.dropped, summary.complete, summary.error) == (COUNT, 0, True, "")
     given = client.channels["/tick"]
     row = message_class(Schema(given["schemaName"], base64.b64decode(given["schema"])))
     ticks = [row.FromString(data) for number, _, data in read if number == 0]
@@ -79,30 +85,6 @@ def test_a_client_reads_every_tick_as_it_stands_in_the_log(tmp_path, port):
     np.testing.assert_array_equal([t.tau.leg_3 for t in ticks], rows["tau"][:, 3])
     frames = [data for number, _, data in read if number == 1]
     assert len(frames) == sum(len(SAMPLES[k % 50].received) + len(SAMPLES[k % 50].sent) for k in range(COUNT))
-
-
-@pytest.mark.long
-def test_clients_that_never_read_cost_no_tick(tmp_path, port):
-    with Recording.start(
-        tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port))
-    ) as recording:
-        clients = [Client(port) for _ in range(8)]
-        for client in clients:
-            client.subscribe("/tick", "/can", "/scene")
-        mute = socket.create_connection(("127.0.0.1", port))  # says nothing at all
-        noise = socket.create_connection(("127.0.0.1", port))
-        noise.sendall(os.urandom(4096))
-        time.sleep(0.3)
-        run(recording)
-        begun = time.monotonic()
-        summary = recording.close()
-        closing = time.monotonic() - begun
-    for client in clients:
-        client.close()
-    mute.close()
-    noise.close()
-    assert (summary.ticks, summary.dropped, summary.complete, summary.error) == (COUNT, 0, True, "")
-    assert closing < 4.0, "the recorder leaves by itself"
 
 
 @pytest.mark.long
@@ -122,46 +104,18 @@ def test_without_the_extra_the_message_says_what_to_install(monkeypatch):
         LiveSocket("127.0.0.1", 8765, channels)
 
 
-@pytest.mark.parametrize(("lockstep", "where"), [(False, ("127.0.0.1", 9123)), (True, None)])
-def test_the_configuration_asks_for_it_and_simulated_time_has_none(tmp_path, monkeypatch, lockstep, where):
-    text = load("virtual").text.replace("  folder: runs\n", "  websocket: {port: 9123}\n")
+@pytest.mark.parametrize(
+    ("asks", "lockstep", "where"),
+    [(True, False, ("127.0.0.1", 9123)), (True, True, None), (False, False, None)],
+)
+def test_it_listens_where_the_configuration_asks_and_time_is_real(
+    tmp_path, monkeypatch, asks, lockstep, where
+):
+    text = load("virtual").text
+    if asks:
+        text = text.replace("  folder: runs\n", "  websocket: {port: 9123}\n")
     c = loads(text, "my.yaml")
-    asked: dict[str, Any] = {}
-    monkeypatch.setattr(Recording, "start", lambda path, **words: asked.update(words))
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(Recording, "start", lambda path, **words: given.update(words))
     record(c, build_cycle(c, 1000.0, 0.01), tmp_path / "a.mcap", "run", lockstep=lockstep)
-    assert asked["live"].websocket == where
-
-
-def test_without_a_word_in_the_configuration_nothing_listens():
-    assert websocket(load("virtual")) is None
-
-
-class Gone:
-    """A channel of a server that fails once it has sent so many messages."""
-
-    def __init__(self, heard=True, until=0):
-        self.heard, self.until, self.sent = heard, until, 0
-
-    def has_sinks(self):
-        return self.heard
-
-    def log(self, data, log_time):
-        if self.sent == self.until:
-            raise RuntimeError("the server has ended")
-        self.sent += 1
-
-
-@pytest.mark.parametrize("until", [0, 2])
-def test_a_server_that_fails_ends_itself_and_not_the_recorder(until):
-    stops: list[int] = []
-    socket_: Any = LiveSocket.__new__(LiveSocket)
-    channel, unheard = Gone(until=until), Gone(heard=False)
-    socket_._server = SimpleNamespace(stop=lambda: stops.append(1))
-    socket_._channels = {0: channel, 1: unheard}
-    size, none = RECORD_HEADER + 1, np.zeros(4, np.int64)
-    records = np.zeros(4 * size, np.uint8), size * np.arange(5)
-    messages = Messages(*records, channel=np.array([0, 1, 0, 0]), log_time=none, tick=none)
-    socket_.publish(messages)
-    socket_.publish(messages)
-    assert (channel.sent, unheard.sent, len(stops)) == (until, 0, 1)
-    assert socket_.close()
+    assert given["live"].websocket == where

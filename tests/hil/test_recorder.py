@@ -1,0 +1,372 @@
+"""The recorder in one process: the beginning and the end of its log, its batches and chunks."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import pickle
+import subprocess
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from drivers.tick_columns import Column
+from hil.record import Recording
+from hil.record import recorder as module
+from hil.record.encode import Encoder, Messages
+from hil.record.mcap_file import CHUNK_SIZE, McapFile
+from hil.record.recorder import Histogram, Recorder, _Control, _recorded
+from hil.record.recording import Live
+from hil.record.ring import DROPPED, Ring
+from hil.record.row import TICKS, Run, Table, describe
+from tests.hil.samples import random_rows
+
+TICK, TIME = (Column("output", name, int, "", "", (), ()) for name in ("tick", "t_ns"))
+SMALL = Table("/small", (TICK, TIME))
+IDENTITY = {"mode": "lockstep", "epoch_ns": "1000", "can_channel": "can0"}
+FILES = [
+    ("config.yaml", b"a: 1\n"), ("b.json", b"{}"), ("c.dbc", b"VERSION"), ("d.csv", b"1,2"), ("e.fmu", b"\0\1"),
+]  # fmt: skip
+
+
+class Bench:
+    """Both ends of a ring, a recorder in this process."""
+
+    def __init__(self, folder, table=TICKS, capacity=256, **more):
+        self.ring = Ring.create(table.dtype, capacity)
+        self.path = folder / "a.mcap"
+        nobody: Any = None
+        self.producer = Recording(self.ring, nobody, self.path, lockstep=False)
+        identity = IDENTITY | {"topic": table.topic, "columns": describe(table.columns)}
+        setup = {
+            "identity": identity, "environment": {"version": "1.2.3", "cpu": "some"}, "scene": None, "live": Live(),
+            "mirror": None, "attachments": FILES, "path": str(self.path), "created_ns": 77, **more,
+        }  # fmt: skip
+        self.recorder = Recorder(self.ring, Run.of(identity)._replace(columns=table.columns), setup)
+        self.ring.close_fd()
+
+    def tick(self, *numbers):
+        for number in numbers:
+            row = random_rows(1)[0]
+            row["tick"], row["lateness_ns"], row["R"], row["R_d"] = number, 1000 * number, 0.0, 0.0
+            self.producer.tick(row, (), ())
+
+    def drain(self, limit):
+        while self.recorder._drain(limit):
+            pass
+
+
+def read(path):
+    """Return header, summary, metadata by name and attachments of a log."""
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+        return reader.get_header(), cast("Any", reader.get_summary()), metadata, [*reader.iter_attachments()]
+
+
+# -- beginning and end -----------------------------------------------------------------------------------------
+
+
+def test_a_log_begins_with_run_machine_attachments_and_channels(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(McapFile, "sync", lambda file: synced.append(file.position))
+    bench = Bench(tmp_path)
+    assert synced == [bench.path.stat().st_size], "all that is put onto the disk at once"
+    bench.recorder.close({})
+    header, summary, metadata, attachments = read(bench.path)
+    assert header.library == "hexapod-hil/1.2.3"
+    assert metadata["hil"] == {**IDENTITY, "topic": "/tick", "columns": describe(TICKS.columns)}
+    assert metadata["environment"] == {"version": "1.2.3", "cpu": "some"}
+    media = ["application/yaml", "application/json", "text/plain", "text/csv", "application/octet-stream"]
+    found = [(a.name, a.data, a.media_type, a.create_time, a.log_time) for a in attachments]
+    assert found == [(name, data, kind, 77, 77) for (name, data), kind in zip(FILES, media, strict=True)]
+    expected = Encoder(TICKS, epoch_ns=1000, can_channels=["can0"], scene=None).channels
+    assert sorted(summary.channels) == sorted(summary.schemas) == sorted(expected)
+    for number, (topic, schema, about) in expected.items():
+        channel, there = summary.channels[number], summary.schemas[number]
+        assert (channel.topic, channel.schema_id, channel.metadata) == (topic, number, about)
+        assert (channel.message_encoding, there.encoding) == ("protobuf", "protobuf")
+        assert (there.name, there.data) == (schema.name, schema.descriptors)
+
+
+def test_the_end_of_a_log_has_the_producers_entries_and_the_counts(tmp_path):
+    bench = Bench(tmp_path)
+    bench.tick(0, 1, 5)
+    bench.producer.event(0, "info", "behind them")
+    bench.ring.counters[DROPPED] = 9
+    bench.drain(2)
+    answer = bench.recorder.close({"ending": "PARKED", "ticks": "of another"})
+    late = json.dumps({"1": 1, "2": 1, "8": 1})
+    counts = {"closed": "clean", "ticks": 3, "messages": 4, "dropped": 9, "wake_up_us": late}
+    assert float(cast("float", answer.pop("recorder_cpu_s"))) > 0.0
+    assert answer == counts | {"size_bytes": bench.path.stat().st_size}
+    assert read(bench.path)[2]["summary"] == {"ending": "PARKED"} | {
+        name: str(n) for name, n in counts.items()
+    }
+
+
+def test_the_end_of_a_log_whose_producer_died_says_so(tmp_path):
+    bench = Bench(tmp_path, SMALL)
+    answer = bench.recorder.close(None)
+    assert (answer["closed"], answer["ticks"], answer["messages"]) == ("producer died", 0, 0)
+    counts = {"closed": "producer died", "ticks": "0", "messages": "0", "dropped": "0"}
+    assert read(bench.path)[2]["summary"] == counts, "rows without wake-ups count none"
+
+
+def test_on_a_full_disk_the_end_has_the_counts_of_what_is_left(tmp_path):
+    bench = Bench(tmp_path)
+    bench.tick(0, 1, 2)
+    bench.producer.event(0, "info", "behind them")
+    bench.ring.counters[DROPPED] = 9
+    bench.drain(2)
+    answer = bench.recorder.close_full(OSError(errno.EDQUOT, "Disk quota exceeded"))
+    size = bench.path.stat().st_size
+    counts = {"closed": "disk_full", "ticks": 2, "messages": 2, "dropped": 9}
+    assert {name: answer[name] for name in (*counts, "size_bytes")} == counts | {"size_bytes": size}
+    for word in ("disk_full: Disk quota exceeded", "first 2 ticks", f"{size} bytes", str(bench.path)):
+        assert word in str(answer["error"])
+    assert read(bench.path)[2]["summary"] == {name: str(count) for name, count in counts.items()}
+
+
+class Stopped:
+    """A recorder whose file takes no more, with so many messages in it."""
+
+    def __init__(self, number, messages):
+        self.number, self.file = number, SimpleNamespace(messages=messages)
+
+    def run(self, control):
+        raise OSError(self.number, "it says")
+
+    def close_full(self, error):
+        return {"closed": "disk_full", "error": error.strerror}
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO])
+@pytest.mark.parametrize("messages", [0, 1])
+def test_only_without_room_a_log_with_messages_is_closed_with_what_fits(number, messages):
+    """A disk that fails is no full one."""
+    stopped, control = (
+        cast("Recorder", Stopped(number, messages)),
+        cast("_Control", SimpleNamespace(summary={})),
+    )
+    if messages and number != errno.EIO:
+        assert _recorded(stopped, control) == {"closed": "disk_full", "error": "it says"}
+        return
+    with pytest.raises(OSError, match="it says"):
+        _recorded(stopped, control)
+
+
+def test_wake_ups_are_counted_by_the_next_power_of_two_in_microseconds():
+    counts = Histogram()
+    assert counts.table() == {}
+    last = 2**19
+    late_us = [-5.0, 0.0, 0.999, 1.0, 1.999, 2.0, 3.0, 4.0, last - 0.001, last, 2 * last, 1e9]
+    counts.add((1000 * np.array(late_us)).astype(np.int64))
+    counts.add(np.array([], np.int64))
+    assert counts.table() == {"1": 3, "2": 2, "4": 2, "8": 1, "524288": 1, "inf": 3}
+    counts.add(np.array([0, 7_000, 7_000]))
+    assert counts.table() == {"1": 4, "2": 2, "4": 2, "8": 3, "524288": 1, "inf": 3}
+
+
+# -- batches and chunks ----------------------------------------------------------------------------------------
+
+
+def test_what_is_drained_is_written_before_its_room_is_given_back(tmp_path):
+    bench = Bench(tmp_path)
+    recorder: Any = bench.recorder
+    did: list[tuple[str, int]] = []
+    ring, write = recorder._ring, recorder._write
+
+    def written(messages):
+        did.append(("write", len(messages.channel)))
+        write(messages)
+
+    def released(batch):
+        did.append(("release", len(batch.rows)))
+        ring.release(batch)
+
+    recorder._write = written
+    recorder._publisher = SimpleNamespace(drained=lambda batch: did.append(("show", len(batch.rows))))
+    recorder.socket = SimpleNamespace(publish=lambda messages: did.append(("send", len(messages.channel))))
+    recorder._ring = SimpleNamespace(take=ring.take, release=released)
+    bench.tick(0, 1, 2)
+    bench.producer.event(0, "info", "behind them")
+    assert [recorder._drain(2) for _ in range(3)] == [True, True, False]
+    first, second = ([("write", 2), ("show", n), ("release", n), ("send", 2)] for n in (2, 1))
+    assert did == [*first, *second]
+    recorder.file.discard()
+
+
+@pytest.mark.parametrize(
+    ("row_bytes", "capacity", "ticks"),
+    [(16, 1024, 252), (16, 503, 251), (1024, 1024, 128), (40_000, 256, 16)],
+)
+def test_a_batch_is_about_a_chunk_of_rows_and_half_a_ring_at_most(tmp_path, row_bytes, capacity, ticks):
+    """A row has a kilobyte of frames; 16 ticks are the least."""
+    more = [Column("output", "x", float, "", "", (), ((row_bytes - 16) // 8,))] if row_bytes > 16 else []
+    bench = Bench(tmp_path, Table("/small", (TICK, TIME, *more)), capacity)
+    assert bench.recorder.batch == ticks
+    bench.recorder.file.discard()
+
+
+def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
+    """Write messages of these lengths, tick by tick; return tick and number of those of each chunk.
+
+    What the file is given for each message is compared with the message on the way.
+    """
+    found: list[list[tuple[int, int]]] = []
+    ticks = [(tick, size) for tick, sizes in enumerate(lengths) for size in sizes]
+    data = [b"%08d" % number + bytes(size - 8) for number, (_, size) in enumerate(ticks)]
+
+    def add_chunk(written, channel, log_time, offset):
+        numbers = [int(bytes(written[at : at + 8])) for at in offset.tolist()]
+        assert written == b"".join(data[n] for n in numbers)
+        assert channel.tolist() == [n % 7 for n in numbers]
+        assert log_time.tolist() == [1000 + n for n in numbers]
+        found.append([(ticks[n][0], n) for n in numbers])
+
+    recorder: Any = Recorder.__new__(Recorder)
+    recorder.file = SimpleNamespace(add_chunk=add_chunk)
+    count = np.arange(len(data))
+    start, whole = np.cumsum([0, *map(len, data)]), np.frombuffer(b"".join(data), np.uint8)
+    recorder._write(Messages(whole, start, count % 7, 1000 + count, np.array([tick for tick, _ in ticks])))
+    assert [n for chunk in found for _, n in chunk] == count.tolist()
+    return found
+
+
+LARGE = CHUNK_SIZE // 8
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [
+        [[100, 50, 50]] * 4,
+        [[LARGE]] * 8,
+        [[LARGE, 8, 8]] * 8,
+        [[LARGE, 40, 40, 40]] * 40,
+        [[40, LARGE]] * 100,
+        [[LARGE // 3] * 3] * 33,
+        [[16]] * 3 + [[LARGE] * 5] * 3 + [[16]],
+    ],
+    ids=["few", "one", "a little more than one", "row and frames", "many", "equal", "unlike"],
+)
+def test_chunks_end_between_ticks_and_are_no_more_than_needed(lengths):
+    found = chunks_of(lengths)
+    sizes = [sum(sum(lengths[tick]) for tick in {tick for tick, _ in chunk}) for chunk in found]
+    assert sum(sizes) == sum(map(sum, lengths)), "no tick is in two chunks"
+    assert max(sizes) <= CHUNK_SIZE + max(map(sum, lengths))
+    assert len(found) <= np.ceil(sum(sizes) / CHUNK_SIZE)
+
+
+def test_a_tick_that_is_larger_than_a_chunk_is_a_chunk():
+    large = [CHUNK_SIZE, CHUNK_SIZE, 40]
+    (chunk,) = [each for each in chunks_of([[40, 40], large, [40], [40]]) if 1 in {tick for tick, _ in each}]
+    assert sum(tick == 1 for tick, _ in chunk) == 3
+    assert chunks_of([large]) == [[(0, 0), (0, 1), (0, 2)]]
+    assert chunks_of([[40], [40], large]) == [[(0, 0), (1, 1)], [(2, 2), (2, 3), (2, 4)]]
+
+
+# -- its pace and its producer ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_in_real_time_there_is_a_chunk_every_0_1_s_and_a_sync_every_second(monkeypatch, lockstep):
+    """Half of what may be lost when all is killed at once. A simulation writes whole batches and waits for no disk."""
+    now, filled = [0.0], [7.13, 9.5]
+    did: dict[str, list[float]] = {"show": [], "drain": [], "sync": []}
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    recorder: Any = Recorder.__new__(Recorder)
+    recorder._live, recorder._lockstep, recorder.batch = None, lockstep, 16
+    recorder._publisher = SimpleNamespace(publish=lambda _: did["show"].append(now[0]), close=lambda: None)
+    recorder.file = SimpleNamespace(sync=lambda: did["sync"].append(now[0]), position=0)
+    left = [True, True, False]
+
+    def ready(limit: int) -> bool:
+        assert limit == (16 if lockstep else 64), "a batch, or a quarter of the ring"
+        return bool(filled and now[0] > filled[0] and filled.pop(0))
+
+    def drain(limit: int) -> bool:
+        assert limit == (16 if lockstep else 2048)
+        did["drain"].append(now[0])
+        return left.pop(0) if now[0] > 20.0 else False
+
+    def ended(timeout_s: float) -> bool:
+        now[0] += max(timeout_s, 1e-6)  # what it looks for is there at once, or never
+        return now[0] > 20.0
+
+    recorder._ring, recorder._drain = SimpleNamespace(ready=ready, capacity=256), drain
+    recorder.run(SimpleNamespace(ended=ended))
+    assert left == [], "at the end the ring is drained to the last"
+    if lockstep:
+        np.testing.assert_allclose(did["drain"][:2], [7.13, 9.5], atol=0.005)
+        assert (len(did["drain"]), did["sync"]) == (2 + 3, [])
+        return
+    np.testing.assert_allclose(np.diff(did["show"]), 0.02, atol=1e-5)
+    at = np.array(did["drain"][:-3])
+    assert np.diff([0.0, *at]).max() == pytest.approx(0.1, abs=1e-3)
+    assert any(abs(at - 7.14) < 0.011), "at once where a quarter of the ring is filled"
+    np.testing.assert_allclose(np.diff([0.0, *did["sync"]]), 1.0, atol=0.11)
+
+
+LONG_S = 10.0
+"""More than a killed process takes to be gone."""
+
+
+@pytest.fixture
+def held():
+    """Both ends of a pipe: the one that is written to stays open, as in a child that outlives its parent."""
+    reads, writes = os.pipe()
+    with os.fdopen(reads, "rb") as pipe:
+        yield pipe, writes
+    with contextlib.suppress(OSError):
+        os.close(writes)
+
+
+@pytest.fixture
+def producer(monkeypatch):
+    """A process that waits, in the place of the parent."""
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as process:
+        monkeypatch.setattr(os, "getppid", lambda: process.pid)
+        yield process
+        process.kill()
+
+
+def test_a_killed_producer_has_ended_although_a_child_of_it_holds_the_pipe(held, producer, monkeypatch):
+    control = _Control(held[0], producer.pid)
+    assert not control.ended(0.0)
+    producer.kill()
+    assert control.ended(LONG_S)
+    assert control.ended(0.0), "and stays so"
+    assert control.summary is None
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    assert _Control(held[0], producer.pid).ended(0.0), "also where it had died before it was watched"
+
+
+WHOLE = pickle.dumps({"ending": "PARKED"})
+
+
+@pytest.mark.parametrize(
+    ("sent", "closed", "summary"),
+    [
+        (WHOLE, False, {"ending": "PARKED"}),
+        (WHOLE + pickle.dumps({}), False, {"ending": "PARKED"}),
+        (WHOLE + pickle.dumps({})[:3], False, {"ending": "PARKED"}),
+        (WHOLE[:-5], True, None),
+        (b"", True, None),
+    ],
+    ids=["whole", "two", "one and a part", "cut", "none"],
+)
+def test_a_producer_that_lives_ends_with_its_summary_or_its_pipe(held, producer, sent, closed, summary):
+    """An interrupted close may send more than one."""
+    control = _Control(held[0], producer.pid)
+    assert not control.ended(0.0)
+    os.write(held[1], sent)
+    if closed:
+        os.close(held[1])
+    assert control.ended(LONG_S)
+    assert control.summary == summary

@@ -54,11 +54,7 @@ def random_ticks(count, seed=1, dtype=ROW):
         setpoints = tuple(
             SetPoint(*rng.normal(size=6)) for _ in range(rng.integers(3) * (rng.random() < 0.05))
         )
-        given = (
-            Order(Operator.SPEED, (float(rng.random()),)),
-            Order(Operator.KEY),
-            Order(Operator.HOLD),
-        )
+        given = (Order(Operator.SPEED, (float(rng.random()),)), Order(Operator.KEY), Order(Operator.HOLD))
         orders = given[: rng.integers(4)] if rng.random() < 0.05 else ()
         ticks.append(Tick(row, received, sent, operator, setpoints, orders))
     return ticks

@@ -17,15 +17,7 @@ import pytest
 
 from drivers.clock import Clock
 from hil.loop import clock
-from hil.loop.clock import (
-    Deadlines,
-    Wake,
-    fifo_allowed,
-    holdable_rate,
-    late_share,
-    real_time,
-    resident_MB,
-)
+from hil.loop.clock import Deadlines, Wake, fifo_allowed, holdable_rate, late_share, real_time, resident_MB
 
 MS = 1_000_000
 

@@ -180,9 +180,7 @@ def test_a_tick_has_how_long_time_stood_since_the_last_one_began():
     assert [inp.stretched_ns for inp in world.inputs][1:] == [0, 7, 100, 0]
 
 
-def test_a_step_has_the_time_that_the_last_one_took(
-    monkeypatch,
-):
+def test_a_step_has_the_time_that_the_last_one_took(monkeypatch):
     world = World({"took_ns": 300}, {"took_ns": 700}, {"took_ns": 1})
     monkeypatch.setattr(time, "perf_counter_ns", lambda: world.passed_ns)
     world.run()

@@ -180,30 +180,15 @@ def test_the_picture_shows_poses_errors_forces_and_wake_ups(tmp_path, monkeypatc
     monkeypatch.setattr(Figure, "savefig", lambda figure, file, **_: found.append(figure))
     p, tau = np.arange(12.0).reshape(4, 3), np.arange(24.0).reshape(4, 6)
     rows = rows_of(
-        4,
-        p=p,
-        p_d=p + 1.0,
-        q=0.5,
-        q_d=0.5 + tau * 1e-3,
-        tau=-tau,
-        lateness_ns=[30_000, 10_000, 40_000, 20_000],
+        4, p=p, p_d=p + 1.0, q_d=tau * 1e-3, tau=-tau, lateness_ns=[30_000, 10_000, 40_000, 20_000]
     )
-    rows["t_ns"] += 7 * 10**9
     rows["mode"][0] = Mode.APPROACH
     assert picture(rows, tmp_path / "a.png", "a run") == tmp_path / "a.png"
-    path, error, force, wake = found[0].axes
-    for line in [*path.lines, *error.lines, *force.lines]:
-        np.testing.assert_allclose(line.get_xdata(), [0.0, 1e-3, 2e-3, 3e-3], atol=1e-12)
+    path, error, force, wake = ([line.get_xydata().T for line in axes.lines] for axes in found[0].axes)
     reference, errors = p + 1.0, tau.copy()
     reference[0] = errors[0] = np.nan
-
-    def values(lines):
-        return np.transpose([line.get_ydata() for line in lines])
-
-    np.testing.assert_array_equal(values(path.lines[::2]), p)
-    np.testing.assert_array_equal(values(path.lines[1::2]), reference)
-    np.testing.assert_allclose(values(error.lines), errors, atol=1e-9)
-    np.testing.assert_array_equal(values(force.lines), -tau)
-    np.testing.assert_allclose(wake.lines[0].get_xdata(), [10.0, 20.0, 30.0, 40.0])
-    np.testing.assert_allclose(wake.lines[0].get_ydata(), [1.0, 0.75, 0.5, 0.25])
-    assert [axes.get_ylabel() for axes in (path, error, force, wake)] == ["m", "mm", "N", "share of ticks"]
+    for lines, values in ((path[::2], p), (path[1::2], reference), (error, errors), (force, -tau)):
+        for (t, y), column in zip(lines, values.T, strict=True):
+            np.testing.assert_allclose(t, [0.0, 1e-3, 2e-3, 3e-3], atol=1e-12)
+            np.testing.assert_allclose(y, column, atol=1e-9)
+    np.testing.assert_allclose(wake[0], [[10.0, 20.0, 30.0, 40.0], [1.0, 0.75, 0.5, 0.25]])

@@ -8,7 +8,7 @@ from drivers.errors import LogError
 from drivers.protocol import BUS, ESI, EXTENDED, Frame, Received
 from drivers.tick_columns import RECORDED
 from hil.record.decode import ITEM, Decoder
-from hil.record.entries import LoggedFrame, assemble, logged
+from hil.record.entries import assemble
 from hil.record.layout import FRAME_FLAGS, frame_table
 from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import split
@@ -60,33 +60,6 @@ def frame(name, size, **values):
     record[data - 1] = size
     record[data:data] = bytes(range(1, size + 1))
     return bytes(record[HEAD:])
-
-
-def test_rows_are_found_among_frames(decoder):
-    rows = random_rows(3)
-    frames, _ = buffer(FRAMES, [frame(b"can0", 8)])
-    data = frames + frames.join(buffer(ROWS, [payload])[0] for payload in packed_rows(TICKS, rows)) + frames
-    assert decoder.rows(data, split(data)[0]).tobytes() == rows.tobytes()
-
-
-def test_frames_round_trip_with_long_and_short_bus_names(decoder):
-    sizes = [8, 64, 0, 63, 8, 1]
-    flags = {"is_extended": 1, "fdf": 2, "brs": 4, "esi": 8, "is_rtr": 16, "is_error": 32}
-    payloads = [
-        frame(
-            BUSES[k % 2].encode(), size, id=100 + k, direction=1 + k // 3, tick=200 + k, index=300 + k, bus=k,
-            **{name: 1},
-        )
-        for k, (size, name) in enumerate(zip(sizes, flags, strict=True))
-    ]  # fmt: skip
-    items = decoder.frames(*buffer(FRAMES, payloads))
-    assert items["index"].tolist() == [300, 301, 302, 303, 304, 305]
-    assert list(logged(items)) == [
-        LoggedFrame(
-            2_123_456_789, 200 + k, k >= 3, k, 100 + k, bytes(range(1, sizes[k] + 1)), list(flags.values())[k]
-        )
-        for k in range(6)
-    ]
 
 
 def test_any_number_but_0_sets_a_flag_of_a_frame(decoder):

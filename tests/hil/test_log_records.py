@@ -42,14 +42,6 @@ def found_in(path, *skip):
 # -- where records end -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("skip", [(), (0x0C,), (0x05,)])
-def test_the_last_record_may_be_empty_and_end_with_the_file(tmp_path, skip):
-    file, starts = placed(tmp_path, metadata("a"), raw(0x0B, b""))
-    a = (0x0C, starts[0], metadata("a")[9:], True)
-    wanted = [*([] if 0x0C in skip else [a]), (0x0B, starts[1], b"", True), (NOTHING, starts[2], b"", False)]
-    assert found_in(file, *skip) == wanted
-
-
 def test_a_cut_record_is_given_as_far_as_it_goes(tmp_path):
     """Fewer bytes than a head has are no record."""
     last = metadata("b", k="value")

@@ -84,16 +84,6 @@ def test_a_file_is_known_to_be_written_until_its_end(end, tmp_path):
     assert not being_written(path)
 
 
-def test_on_a_file_system_without_locks_it_is_written_all_the_same(tmp_path, monkeypatch):
-    def refused(fd, kind):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", refused)
-    with_chunks(tmp_path / "a.mcap", 3).finish()
-    assert read(tmp_path / "a.mcap") == (list(range(3 * MESSAGES)), 3)
-    assert not being_written(tmp_path / "a.mcap")
-
-
 def test_a_finished_file_is_on_the_disk_to_its_last_byte(tmp_path, monkeypatch):
     """A power failure after it loses nothing of it."""
     path, synced = tmp_path / "a.mcap", []
@@ -119,15 +109,6 @@ def test_an_existing_file_is_never_overwritten_and_a_discarded_one_is_removed(tm
     with pytest.raises(OSError, match="No space left on device"):
         McapFile(tmp_path / "c.mcap", "a test")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_messages_are_counted_by_channel(tmp_path):
-    file = with_chunks(tmp_path / "a.mcap", 0)
-    assert (file.messages, file.messages_of(1), file.messages_of(0)) == (0, 0, 0)
-    file.add_chunk(b"", np.array([1, 9, 9, 1, 9]), np.arange(5), np.arange(5))
-    add(file, 9, [8, 9])
-    assert (file.messages, file.messages_of(1), file.messages_of(9), file.messages_of(2)) == (7, 2, 5, 0)
-    file.close()
 
 
 def test_the_index_has_times_sizes_places_and_counts(tmp_path):
@@ -218,29 +199,6 @@ def test_a_disk_that_is_full_anywhere_in_the_end_keeps_the_first_chunks(share, t
     assert 0 < chunks < 12
     assert values == list(range(chunks * MESSAGES))
     assert (tmp_path / "a.mcap").stat().st_size <= room
-
-
-def test_without_a_chunk_a_full_disk_takes_nothing_back(tmp_path):
-    file = with_chunks(tmp_path / "a.mcap", 0)
-    before = file.path.read_bytes()
-    file.finish_within("end", lambda: pytest.fail("there is nothing to write at the end"))
-    assert file.path.read_bytes() == before
-    file.close()
-
-
-def test_a_full_disk_takes_back_256_chunks_at_most(tmp_path, monkeypatch):
-    """Their places stay in memory."""
-    file, requested = with_chunks(tmp_path / "a.mcap", 260), []
-
-    def end():
-        requested.append(file.messages)
-        return {}
-
-    monkeypatch.setattr(os, "write", full)
-    with pytest.raises(OSError, match="No space left on device"):
-        file.finish_within("end", end)
-    assert requested == [k * MESSAGES for k in reversed(range(4, 260))]
-    file.close()
 
 
 @pytest.mark.parametrize("failures", [0, 1, 2])

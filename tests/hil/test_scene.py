@@ -95,33 +95,6 @@ def test_each_leg_leans_from_its_base_joint_to_its_platform_joint(row):
         np.testing.assert_allclose(xyz(leg.pose.position) + half, b, atol=1e-12)
 
 
-@pytest.mark.parametrize("height", [1.0, -1.0])
-@pytest.mark.parametrize("aside", [0.0, 1e-6, 1e-3])
-def test_a_leg_that_stands_or_hangs_almost_straight_leans_as_it_does(row, height, aside):
-    row["p"], row["R"] = [aside, -2 * aside, height], np.eye(3).reshape(row["R"].shape)
-    q = drawn(BASE, BASE, row)["legs"].cylinders[0].pose.orientation
-    found = Rotation.from_quat([*xyz(q), q.w]).apply([0, 0, 1])
-    np.testing.assert_allclose(found / abs(found[2]), [aside, -2 * aside, height], atol=1e-9)
-    assert np.linalg.norm([*xyz(q), q.w]) == pytest.approx(1.0, abs=1e-3)
-
-
-@pytest.mark.parametrize("tilt", [[0.0, 0.0, 0.0], [np.pi / 2, 0.0, 0.0], [0.0, np.pi / 2, 0.3]])
-def test_the_outline_of_a_ring_does_not_cross_itself(row, tilt):
-    """Corners of a regular hexagon, legs mixed up: each next one is a radius away."""
-    hexagon = np.column_stack(
-        [np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3), np.zeros(6)]
-    )
-    up = Rotation.from_rotvec(tilt)
-    base, platform = (
-        radius * up.apply(hexagon[mixed]).round(12) + [3.0, -2.0, 1.0]  # upright to the bit
-        for radius, mixed in ((2.0, [2, 0, 4, 1, 5, 3]), (1.0, [1, 5, 0, 3, 2, 4]))
-    )
-    entities = drawn(base, platform, row)
-    for name, radius in (("base", 2.0), ("platform", 1.0)):
-        ring = np.array([xyz(point) for point in entities[name].lines[0].points])
-        assert np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) == pytest.approx(6 * [radius])
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("largest", range(4))
 def test_a_quaternion_is_exact_whichever_component_is_largest(largest, sign):

@@ -20,7 +20,7 @@ PACKAGES = (
     "pydantic",
     "zstandard",
 )
-_POLICIES = {"SCHED_OTHER": "other", "SCHED_FIFO": "fifo", "SCHED_RR": "rr", "SCHED_BATCH": "batch"}
+_POLICIES = {os.SCHED_OTHER: "other", os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr", os.SCHED_BATCH: "batch"}
 _CLOCKSOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 
 
@@ -49,8 +49,7 @@ def environment() -> dict[str, str]:
 
 def scheduling() -> dict[str, str]:
     """Return scheduler and processors of this process: those of a loop only while it runs."""
-    found = {"scheduler": _scheduler(), "affinity": _affinity()}
-    return {key: value for key, value in found.items() if value}
+    return {"scheduler": _scheduler(), "affinity": ",".join(map(str, sorted(os.sched_getaffinity(0))))}
 
 
 @cache
@@ -89,16 +88,9 @@ def _cpu() -> str:
 
 
 def _scheduler() -> str:
-    if not hasattr(os, "sched_getscheduler"):
-        return ""
     policy = os.sched_getscheduler(0)
-    reset = getattr(os, "SCHED_RESET_ON_FORK", 0)
-    names = {getattr(os, name): text for name, text in _POLICIES.items() if hasattr(os, name)}
-    return f"{names.get(policy & ~reset, policy)} {os.sched_getparam(0).sched_priority}"
-
-
-def _affinity() -> str:
-    return ",".join(map(str, sorted(os.sched_getaffinity(0)))) if hasattr(os, "sched_getaffinity") else ""
+    name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
+    return f"{name} {os.sched_getparam(0).sched_priority}"
 
 
 def _clock() -> str:

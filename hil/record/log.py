@@ -32,8 +32,6 @@ _BATCH, _LOOKAHEAD = 256, 64
 """Ticks read before any is handed out, and how far other writers may have moved a message."""
 _SETTLED_NS = 1_000_000_000
 """A frame is handed out when one so much later has been read."""
-"""Of events by number; any other is `info`."""
-
 
 PLANT_TOPIC = "/plant"
 """Topic of a plant's rows."""

@@ -200,7 +200,7 @@ class McapFile:
 
     def sync(self) -> None:
         """Have the operating system put what was written onto the disk."""
-        (getattr(os, "fdatasync", None) or os.fsync)(self._fd)
+        os.fdatasync(self._fd)
 
     @property
     def messages(self) -> int:

@@ -12,7 +12,6 @@ import mmap
 import os
 import platform
 import struct
-import tempfile
 from collections.abc import Sequence
 from threading import Lock
 from typing import NamedTuple, TypeVar
@@ -99,10 +98,7 @@ class Ring:
     @classmethod
     def create(cls, dtype: np.dtype[np.void], capacity: int) -> Ring:
         """Return a new ring over an anonymous file."""
-        if hasattr(os, "memfd_create"):
-            return cls(os.memfd_create("hil-ring"), dtype, capacity)
-        with tempfile.TemporaryFile() as file:
-            return cls(os.dup(file.fileno()), dtype, capacity)
+        return cls(os.memfd_create("hil-ring"), dtype, capacity)
 
     def close_fd(self) -> None:
         """Close the file descriptor; the mapping stays."""

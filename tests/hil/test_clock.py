@@ -185,7 +185,7 @@ def no(*_: object) -> NoReturn:
 
 @pytest.mark.parametrize("fifo", [True, False])
 @pytest.mark.parametrize("others", [True, False])
-def test_what_is_granted_is_reported_and_undone_and_what_is_not_has_a_reason(
+def test_granted_rights_are_reported_and_undone_others_have_a_reason(
     monkeypatch: pytest.MonkeyPatch, fifo: bool, others: bool
 ) -> None:
     """The process is pinned only together with SCHED_FIFO."""

@@ -29,16 +29,6 @@ def test_a_log_has_version_packages_processor_and_clock(monkeypatch, tmp_path):
     assert {"numpy", "mcap", "protobuf"} <= packages.keys() <= set(PACKAGES)
 
 
-def test_what_the_system_does_not_tell_is_left_out(monkeypatch):
-    monkeypatch.setattr(module, "_read", lambda path: "")
-    monkeypatch.setattr(module, "_git", lambda: "")
-    monkeypatch.setattr(module.platform, "processor", lambda: "")
-    monkeypatch.setattr(os, "cpu_count", lambda: None)
-    found = environment()
-    assert not {"cpu", "cpus", "clock", "git"} & found.keys()
-    assert all(found.values())
-
-
 @pytest.mark.parametrize(
     ("policy", "priority", "scheduler"),
     [

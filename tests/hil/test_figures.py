@@ -100,7 +100,7 @@ POWERED = {
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_tick_without_feedback_of_one_leg_is_stale_while_drives_are_powered(mode):
+def test_a_tick_without_feedback_of_a_leg_is_stale_while_powered(mode):
     rows = rows_of(8, mode)
     rows["age"][[1, 4, 7], [0, 3, 5]] = 1, 2, 9
     assert figures(rows)["stale_ticks"] == (3 if mode in POWERED else 0)

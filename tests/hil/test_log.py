@@ -84,7 +84,7 @@ def test_ticks_and_rows_come_back_bit_for_bit_whoever_wrote_them(path, tmp_path,
     assert log.configuration == CONFIGURATION
 
 
-def test_frames_come_in_the_order_of_their_times_and_none_is_missing(path):
+def test_all_frames_come_in_the_order_of_their_times(path):
     expected = []
     for tick in TICKS:
         expected += [(t_ns, False, frame) for t_ns, frame in tick.received]

@@ -147,15 +147,6 @@ def test_a_cut_chunk_gives_every_tick_but_the_last_begun(parts, tmp_path, left_o
     assert log.summary.duration_s == pytest.approx((ticks - 1) * 1e-3)
 
 
-def test_a_cut_log_of_one_instant_lasts_no_time(parts, tmp_path):
-    (tmp_path / "a.mcap").write_bytes(MAGIC + container.joined(parts.head))
-    assert Log(tmp_path / "a.mcap").summary == LogStatistics(0, 0, 0.0, 0, "cut")
-    kind, content = parts.rows[0]
-    early = kind, content[:6] + bytes(8) + content[14:]
-    log = Log(parts.cut(tmp_path / "b.mcap", [early, parts.rows[1], parts.rows[2]], 1))
-    assert log.summary == LogStatistics(1, 0, 0.0, 0, "cut")
-
-
 def test_a_cut_log_lasts_from_its_earliest_message_to_its_latest(parts, tmp_path):
     groups = parts.rows[5:15], parts.rows[20:30][::-1], parts.rows[:5]
     chunks = [parts.packed(group) for group in groups]

@@ -6,20 +6,25 @@ from collections import defaultdict
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Chunk, Message
+from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers.errors import LogError
 from drivers.frame_array import FRAME
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.tick_columns import ROW
-from hil.record.layout import frame_table
+from hil.record.decode import ITEM as PLACED
+from hil.record.decode import Decoder
+from hil.record.entries import assemble
+from hil.record.layout import FRAME_FLAGS, frame_table
 from hil.record.log import Log, Tick
+from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import decompress, split
 from hil.record.ring import RECEIVED, SENT
 from hil.record.row import TICKS, RowCodec
 from hil.record.schema import Schema, message_class
 from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, kernels_for, words_of
+from hil.signals import Operator, Order, SetPoint
 from tests.hil.samples import assert_same, log_of, packed_rows, random_rows, random_ticks
 
 BUSES = ["can0", "the_second_can"]
@@ -149,27 +154,38 @@ def frames_of(kernels, records, names, epoch_ns=0):
     return taken, items
 
 
+def places_of(name, length):
+    """Where in a record the number of data bytes, the direction and the flag of CAN FD stand."""
+    ((_, _, data, *places),) = frame_table([name])[1].tolist()
+    return data - 1, places[4] + length, places[8 + list(FRAME_FLAGS).index("fdf")] + length
+
+
 @pytest.mark.parametrize("length", [0, 1, 8, 63, 64])
 @pytest.mark.parametrize("name", [b"", b"can0", b"x" * 200])
-def test_frame_with_a_changed_constant_byte_is_refused(kernels, length, name):
+def test_a_frame_with_a_changed_constant_byte_is_refused(kernels, length, name):
     template, constant = laid_out(name, length)
+    number, direction, fdf = places_of(name, length)
     free = sorted(set(range(31, len(template))) - set(constant.tolist()))
     assert len(free) == 5 + 5 + 4 + 3 + 1 + 1 + length + 1 + 3 + 8 + 4 + 1
     record = template.copy()
-    record[sorted(set(free) - {k for k in free if k == _number_of_data(name)})] = 1
-    assert frames_of(kernels, [record.tobytes()], [b"y", name])[0] == 1
-    for at in [*constant.tolist(), _number_of_data(name)]:
+    record[[k for k in free if k != number]] = 1
+    good = record.tobytes()
+    assert frames_of(kernels, [good], [b"y", name])[0] == 1
+    changes = [(at, record[at] ^ 1) for at in [*constant.tolist(), number]] + [(direction, 0), (direction, 3)]
+    for at, value in changes:
         other = record.copy()
-        other[at] ^= 1
-        taken, items = frames_of(kernels, [record.tobytes(), other.tobytes()], [b"y", name])
+        other[at] = value
+        taken, items = frames_of(kernels, [good, other.tobytes()], [b"y", name])
         assert taken == 1
         assert items[0].any()
         assert not items[1].any()
-
-
-def _number_of_data(name):
-    """Return where the number of data bytes stands in a record."""
-    return int(frame_table([name])[1][0, 2]) - 1
+    for bad in (good[:-1], laid_out(name, 65)[0].tobytes()):
+        assert frames_of(kernels, [good, bad], [b"y", name])[0] == 1
+    record[fdf] = 127
+    assert (
+        frames_of(kernels, [record.tobytes()], [name])[1].tobytes()
+        == frames_of(kernels, [good], [name])[1].tobytes()
+    ), "protobuf takes each number but 0 for true"
 
 
 def test_row_with_a_changed_constant_byte_is_refused(kernels):
@@ -212,12 +228,11 @@ def test_frames_of_any_bytes_are_read_alike_plain_and_compiled():
     for k in range(200):
         template, constant = layouts[k % len(layouts)]
         name = BUSES[k % 2].encode()
+        number, direction, _ = places_of(name, len(template) - int(frame_table([name])[1][0, 1]))
         data = np.frombuffer(rng.bytes(len(template)), np.uint8).copy()
-        (direction,) = frame_table([name])[1][:, 7]
-        length = len(template) - int(frame_table([name])[1][0, 1])
-        fixed = [*constant.tolist(), _number_of_data(name)]
+        fixed = [*constant.tolist(), number]
         data[fixed] = template[fixed]
-        data[direction + length] = 1 + k % 2
+        data[direction] = 1 + k % 2
         records.append(data.tobytes())
     found = [
         frames_of(each, records, [name.encode() for name in BUSES], 1 << 60) for each in (PLAIN, compiled())
@@ -228,3 +243,70 @@ def test_frames_of_any_bytes_are_read_alike_plain_and_compiled():
 
 def test_a_long_log_is_read_by_what_is_compiled():
     assert kernels_for((1 << 20) + 1) is compiled()
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload"),
+    [
+        ("/can", b""),
+        ("/can", b"\xff" * 300),
+        ("/tick", b""),
+        ("/tick", packed_rows(TICKS, random_rows(1))[0] + b"\0"),
+        ("/operator", b"\xff"),
+        ("/events", b"\xff"),
+    ],
+)
+def test_a_message_in_another_layout_is_refused_with_its_topic(topic, payload):
+    decoder = Decoder("a.mcap")
+    decoder.learn(Channel(id=7, topic=topic, message_encoding="", metadata={}, schema_id=1))
+    decoder.expect("/tick", TICKS.columns, BUSES, 5_000_000_000)
+    data = record_bytes(Message(channel_id=7, log_time=0, publish_time=0, sequence=0, data=payload))
+    read = {"/can": decoder.frames, "/tick": decoder.rows}.get(
+        topic, lambda *of: list(decoder.messages(*of, topic))
+    )
+    with pytest.raises(LogError, match=rf"^a\.mcap: a message of {topic} is damaged or of another kind: "):
+        read(data, split(data)[0])
+
+
+def items_of(*entries):
+    """Items in the order given: tick, direction, index; their identifiers count from 1."""
+    items = np.zeros(len(entries), PLACED)
+    for k, (tick, direction, index) in enumerate(entries):
+        items[k]["tick"], items[k]["index"] = tick, index
+        items["frame"]["kind"][k] = SENT if direction == 2 else RECEIVED
+        items["frame"]["id"][k], items["frame"]["t_ns"][k] = k + 1, 10 * (k + 1)
+    return items
+
+
+def test_frames_of_a_tick_stand_in_the_order_of_their_index():
+    items = items_of((0, 2, 9), (0, 1, 5), (0, 2, 1), (0, 1, 2), (0, 1, 7))
+    frames = items["frame"]
+    frames["length"], frames["bus"] = [1, 2, 3, 64, 0], [0, 5, 1, 0, 255]
+    frames["data"] = np.arange(5 * 64).reshape(5, 64) % 250
+    (tick,) = assemble(random_rows(1), items, {})
+    data = [bytes((64 * k + b) % 250 for b in range(n)) for k, n in enumerate([1, 2, 3, 64, 0])]
+    assert tick.received == (
+        Received(40, Frame(4, data[3], 0)),
+        Received(20, Frame(2, data[1], 5 * BUS)),
+        Received(50, Frame(5, b"", 255 * BUS)),
+    )
+    assert tick.sent == (Frame(3, data[2], BUS), Frame(1, data[0], 0))
+
+
+def test_commands_of_a_tick_stand_in_the_order_of_their_index():
+    pose = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    commands = {
+        1: [
+            (9, int(Operator.HOLD), ()),
+            (2, int(Operator.STOP), ()),
+            (8, int(Operator.SETPOINT), pose[::-1]),
+            (1, int(Operator.RESET), ()),
+            (4, int(Operator.SPEED), (0.5,)),
+            (3, int(Operator.SETPOINT), pose),
+        ]
+    }
+    before, tick = assemble(random_rows(2), items_of(), commands)
+    assert (before.operator, before.setpoints, before.orders) == ((), (), ())
+    assert tick.operator == (Operator.RESET, Operator.STOP)
+    assert tick.setpoints == (SetPoint(*pose), SetPoint(*pose[::-1]))
+    assert tick.orders == (Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD))

@@ -98,7 +98,7 @@ def test_a_finished_file_is_on_the_disk_to_its_last_byte(tmp_path, monkeypatch):
     assert synced[1:] == [path.stat().st_size]
 
 
-def test_an_existing_file_is_never_overwritten_and_a_discarded_one_is_removed(tmp_path, monkeypatch):
+def test_an_existing_file_is_kept_and_a_discarded_one_removed(tmp_path, monkeypatch):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"another one")
     with pytest.raises(FileExistsError):

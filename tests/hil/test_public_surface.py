@@ -22,18 +22,18 @@ def test_the_stable_surface_is_this_list():
 
 
 @pytest.mark.parametrize("name", STABLE)
-def test_each_name_is_the_thing_of_that_name_and_says_what_it_is(name):
+def test_each_name_is_documented_and_of_that_name(name):
     thing = getattr(hil, name)
     assert thing.__name__ == name
     assert thing.__doc__
 
 
-def test_a_name_that_is_not_there_is_refused():
+def test_an_unknown_name_is_refused():
     with pytest.raises(AttributeError, match="no attribute 'Lag'"):
         _ = hil.Lag
 
 
-def test_each_package_says_that_it_is_typed():
+def test_each_package_is_marked_as_typed():
     for package in ("hil", "drivers", "plant_fmu"):
         home = __import__(package).__path__[0]
         with open(f"{home}/py.typed") as file:  # noqa: PTH123

@@ -1,12 +1,12 @@
 """Recordings by a real recorder process: what protobuf and the mcap library read, and what is left after each end."""
 
 import os
+import resource
 import signal
 import stat
 import subprocess
 import sys
 import time
-from enum import IntEnum, IntFlag
 
 import numpy as np
 import pytest
@@ -16,12 +16,17 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.errors import LogError
 from drivers.frame_array import received_array
-from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
+from drivers.protocol import Frame, Received
 from drivers.signals import DriveFault, DriveState, Fault, Mode
 from drivers.tick_columns import RECORDED, ROW
+from hil.app import compose
+from hil.app.configuration.configuration import load
+from hil.app.replay import replay_log
+from hil.app.sim import command
 from hil.record import Recording, Scene
 from hil.record.log import Log
 from hil.record.mcap_file import being_written
+from hil.record.recording import RecorderEndedError
 from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, random_rows, random_ticks, record
@@ -42,54 +47,6 @@ def decoded(path):
 
 
 # -- what other programs read ----------------------------------------------------------------------------------
-
-
-def test_protobuf_reads_every_column_and_frame_as_it_was_given(path):
-    ticks = random_ticks(300, seed=2)
-    with Recording.start(path, configuration="", lockstep=True, can_channel="vcan7") as recording:
-        record(recording, ticks)
-    messages = decoded(path)
-    rows = [(m, d) for topic, m, d in messages if topic == "/tick"]
-    assert len(rows) == 300
-    for (message, parsed), tick in zip(rows, ticks, strict=True):
-        assert message.sequence == tick.row["tick"]
-        assert message.log_time == message.publish_time == EPOCH_2000 + tick.row["t_ns"]
-        for column in RECORDED:
-            named = issubclass(column.type, (IntEnum, IntFlag))
-            value = getattr(parsed, f"{column.name}_number" if named else column.name)
-            if column.elements:
-                value = [getattr(value, element) for element in column.elements]
-            np.testing.assert_array_equal(
-                np.reshape(np.array(value, ROW[column.name].base), column.shape), tick.row[column.name]
-            )
-    frames = [(m, d) for topic, m, d in messages if topic == "/can"]
-    expected = [
-        (tick, t, frame, direction)
-        for tick in ticks
-        for t, frame, direction in (
-            *((r.t_ns, r.frame, 1) for r in tick.received),
-            *((int(tick.row["t_ns"]), f, 2) for f in tick.sent),
-        )
-    ]
-    codes = {length: code for code, length in enumerate([*range(9), 12, 16, 20, 24, 32, 48, 64])}
-    bits = {"is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI}
-    for (message, parsed), (tick, t_ns, frame, direction) in zip(frames, expected, strict=True):
-        stamp = parsed.header.stamp
-        assert stamp.seconds * 10**9 + stamp.nanos == message.log_time == EPOCH_2000 + t_ns
-        assert message.publish_time == EPOCH_2000 + tick.row["t_ns"]
-        assert (parsed.id, parsed.data, parsed.direction) == (frame.id, frame.data, direction)
-        assert (parsed.tick, parsed.channel, parsed.bus) == (tick.row["tick"], "vcan7", frame.flags >> 8)
-        assert parsed.dlc == codes[len(frame.data)]
-        assert {name: getattr(parsed, name) for name in bits} == {
-            n: bool(frame.flags & b) for n, b in bits.items()
-        }
-    given = [(d.command, tuple(d.setpoint)) for topic, _, d in messages if topic == "/operator"]
-    commands: list[tuple[int, tuple[float, ...]]] = []
-    for tick in ticks:
-        commands += [(command, ()) for command in tick.operator]
-        commands += [(5, tuple(setpoint)) for setpoint in tick.setpoints]
-        commands += [(int(command), numbers) for command, numbers in tick.orders]
-    assert given == commands != []
 
 
 def test_the_mcap_library_accepts_file_index_and_both_checksums(path):
@@ -282,7 +239,7 @@ def wait_closed(path, seconds=20.0):
             time.sleep(0.05)
 
 
-def test_when_the_producer_is_killed_the_ring_is_drained_and_the_log_closed(path):
+def test_a_killed_producer_leaves_a_drained_ring_and_a_closed_log(path):
     child = producer(path, 2500)
     child.communicate(timeout=60)
     assert child.returncode == -signal.SIGKILL
@@ -332,6 +289,67 @@ def test_without_its_recorder_a_lockstep_run_fails(path):
     assert not recording.close().complete
 
 
+# -- a full disk ---------------------------------------------------------------------------------------------
+
+ROOM = 900_000
+"""Bytes that the recorder may write."""
+
+
+def lessen(recording, room=ROOM):
+    """Let the recorder's files grow no further: to it that is a full disk."""
+    resource.prlimit(recording._process.pid, resource.RLIMIT_FSIZE, (room, room))
+
+
+def test_a_full_disk_closes_the_log_with_what_fits(tmp_path):
+    path = tmp_path / "a.mcap"
+    recording = Recording.start(path, configuration="kept: true\n")
+    lessen(recording)
+    record(recording, random_ticks(3000))
+    summary = recording.close({"ending": "PARKED"})
+    assert summary.error.startswith("disk_full: ")
+    assert str(path) in summary.error
+    assert (summary.gave_up, summary.complete) == (True, False)
+    log = Log.open(path)
+    assert 0 < summary.ticks == len(log.rows()) == log.summary.ticks
+    assert summary.ticks + summary.lost + summary.dropped == 3000
+    assert log.summary.closed == "disk_full"
+    assert log.rows()["tick"].tolist() == list(range(summary.ticks))
+    assert path.stat().st_size == summary.size_bytes <= ROOM
+
+
+def test_a_disk_without_room_for_one_tick_leaves_no_log(tmp_path):
+    recording = Recording.start(tmp_path / "a.mcap", configuration="")
+    lessen(recording, (tmp_path / "a.mcap").stat().st_size + 10)
+    record(recording, random_ticks(300))
+    summary = recording.close()
+    assert "disk_full" in summary.error
+    assert (summary.ticks, summary.gave_up) == (0, True)
+    assert not any(tmp_path.iterdir())
+
+
+def test_in_lockstep_the_producer_gets_the_reason(tmp_path):
+    recording = Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True, ring_ticks=256)
+    lessen(recording)
+    with pytest.raises(RecorderEndedError, match=r"a\.mcap: disk_full: "):
+        record(recording, random_ticks(3000))
+    assert recording.close().gave_up
+
+
+def test_a_simulation_on_a_full_disk_fails_and_its_log_replays(tmp_path, monkeypatch):
+    def started(*arguments, **options):
+        recording = compose.record(*arguments, **options)
+        lessen(recording, 300_000)
+        return recording
+
+    monkeypatch.setattr(command, "record", started)
+    summary = command.simulate(load("virtual"), log=tmp_path / "a.mcap", duration_s=0.3)
+    assert not summary["success"]
+    assert summary["trouble"].startswith("disk_full: ")
+    assert summary["ticks"] > 100
+    comparison, _ = replay_log(tmp_path / "a.mcap")
+    assert (comparison.exact, comparison.ticks) == (True, summary["ticks"])
+
+
 # -- the file --------------------------------------------------------------------------------------------------
 
 
@@ -347,7 +365,7 @@ def test_a_log_that_cannot_be_opened_is_refused_with_the_reason(path, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_run_without_a_tick_gives_a_valid_log_as_readable_as_the_umask_allows(path):
+def test_a_run_without_a_tick_gives_a_valid_log_of_the_umasks_mode(path):
     before = os.umask(0o027)
     try:
         Recording.start(path, configuration="x: 1\n").close()

@@ -110,7 +110,7 @@ def test_the_end_of_a_log_has_the_producers_entries_and_the_counts(tmp_path):
     }
 
 
-def test_the_end_of_a_log_whose_producer_died_says_so(tmp_path):
+def test_the_end_of_a_log_tells_that_its_producer_died(tmp_path):
     bench = Bench(tmp_path, SMALL)
     answer = bench.recorder.close(None)
     assert (answer["closed"], answer["ticks"], answer["messages"]) == ("producer died", 0, 0)

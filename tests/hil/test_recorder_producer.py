@@ -206,7 +206,7 @@ class At:
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_the_log_is_told_of_its_clock_its_buses_and_its_run(monkeypatch, tmp_path, lockstep):
+def test_the_log_has_its_clock_its_buses_and_its_run(monkeypatch, tmp_path, lockstep):
     """In real time the instant 0 is that of the clock; in lockstep it is the year 2000."""
     found: list[Any] = []
     monkeypatch.setattr(module, "_start", lambda ring, setup: found.append(setup))

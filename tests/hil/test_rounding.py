@@ -11,7 +11,7 @@ NUMBERS = [*np.geomspace(1e-4, 1e5, 400).tolist(), 1.0, 0.011, 0.0101, 9.91, 99.
 
 
 @pytest.mark.parametrize("digits", [1, 2, 3])
-def test_a_raised_number_is_the_least_of_so_many_digits_that_is_no_smaller_and_a_lowered_one_the_largest(
+def test_raised_and_lowered_numbers_are_the_nearest_of_few_digits(
     digits,
 ):
     for x in NUMBERS:

@@ -35,7 +35,7 @@ class Heard(OperatorClient):
         ([[], [TAKEN, TAKEN], [], [NO]], 2, 1, "out of reach"),
     ],
 )
-def test_set_points_that_were_never_answered_count_neither_as_followed_nor_as_refused(
+def test_set_points_without_an_answer_are_neither_followed_nor_refused(
     answers, taken, refused, why, monkeypatch
 ):
     monkeypatch.setattr(client, "ANSWER_S", 0.0)

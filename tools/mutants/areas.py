@@ -167,7 +167,6 @@ AREAS = {
             "tests/hil/test_log*.py",
             "tests/hil/test_salvage*.py",
             "tests/hil/test_record.py",
-            "tests/hil/test_disk_full.py",
             "tests/hil/app/test_log_budget.py",
             "tests/hil/test_websocket.py",
         ),

@@ -16,7 +16,7 @@ import pytest
 from mcap.reader import make_reader
 
 from drivers.tick_columns import Column
-from hil.record import Recording
+from hil.record import Recording, child
 from hil.record import recorder as module
 from hil.record.encode import Encoder, Messages
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
@@ -194,6 +194,17 @@ def test_what_is_drained_is_written_before_its_room_is_given_back(tmp_path):
     recorder.file.discard()
 
 
+@pytest.mark.parametrize(
+    ("row_bytes", "capacity", "ticks"), [(16, 1024, 252), (16, 503, 251), (40_000, 256, 16)]
+)
+def test_a_batch_is_about_a_chunk_and_half_a_ring_at_most(tmp_path, row_bytes, capacity, ticks):
+    """A row has a kilobyte of frames; 16 ticks are the least."""
+    more = [Column("output", "x", float, "", "", (), ((row_bytes - 16) // 8,))] if row_bytes > 16 else []
+    bench = Bench(tmp_path, Table("/small", (TICK, TIME, *more)), capacity)
+    assert bench.recorder.batch == ticks
+    bench.recorder.file.discard()
+
+
 def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
     """Write messages of these lengths, tick by tick; return tick and number of those of each chunk.
 
@@ -350,3 +361,21 @@ def test_a_producer_that_lives_ends_with_its_summary_or_its_pipe(held, producer,
         os.close(held[1])
     assert control.ended(LONG_S)
     assert control.summary == summary
+
+
+READY = pickle.dumps({"ready": True})
+
+
+@pytest.mark.parametrize(
+    ("answered", "ends", "found"),
+    [(READY + WHOLE, False, {"ready": True}), (READY[:-4], True, {}), (b"", True, {}), (b"", False, None)],
+    ids=["two answers", "half of one", "nothing and dead", "nothing"],
+)
+def test_the_recorders_answer_is_the_first_complete_one_within_its_time(answered, ends, found):
+    reads, writes = os.pipe()
+    with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
+        out.write(answered)
+        if ends:
+            out.close()
+        answer = child.answer(cast("Any", SimpleNamespace(stdout=pipe)), 0.015)
+    assert answer == found if found is not None else "0.015 s" in answer["error"]

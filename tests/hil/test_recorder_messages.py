@@ -77,7 +77,7 @@ ITEMS = (
 
 
 def test_frames_of_several_buses_keep_their_order_and_times():
-    """Their content is compared with protobuf's in `test_packer`."""
+    """Their content is compared with protobuf's in `test_row`."""
     found, ticks = encoded(encoder(can_channels=["front", "rear bus"]), batch(2, *ITEMS))
     assert [m.topic for m in found] == ["/tick", *["/can"] * 3, "/tick", *["/can"] * 2]
     assert ticks == [0] * 4 + [1] * 3

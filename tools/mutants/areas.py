@@ -162,7 +162,6 @@ AREAS = {
             "tests/hil/test_row.py",
             "tests/hil/test_environment.py",
             "tests/hil/test_live.py",
-            "tests/hil/test_packer.py",
             "tests/hil/test_recorder*.py",
             "tests/hil/test_log*.py",
             "tests/hil/test_salvage*.py",

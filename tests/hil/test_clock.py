@@ -17,7 +17,7 @@ import pytest
 
 from drivers.clock import Clock
 from hil.loop import clock
-from hil.loop.clock import Deadlines, Wake, fifo_allowed, holdable_rate, late_share, real_time, resident_MB
+from hil.loop.clock import Deadlines, Wake, fifo_allowed, holdable_rate, late_share, real_time
 
 MS = 1_000_000
 
@@ -118,18 +118,6 @@ def test_real_time_leaves_no_garbage_behind_and_freezes_what_lives() -> None:
     assert gc.get_freeze_count() > 0, "what others had frozen stays so"
 
 
-@pytest.mark.parametrize("enabled", [False, True])
-def test_the_collector_is_afterwards_as_it_was(enabled: bool) -> None:
-    was = gc.isenabled()
-    try:
-        (gc.enable if enabled else gc.disable)()
-        with clock.collector_paused():
-            assert not gc.isenabled()
-        assert gc.isenabled() == enabled
-    finally:
-        (gc.enable if was else gc.disable)()
-
-
 class Kernel:
     """The kernel's calls for one process: an ordinary user may not end the reset on fork."""
 
@@ -219,11 +207,6 @@ def test_granted_rights_are_reported_and_undone_others_have_a_reason(
     assert fifo_allowed(1) is fifo
 
 
-def test_the_peak_resident_memory_is_that_of_the_kernels_status_in_MB() -> None:
-    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    assert resident_MB() == pytest.approx(int(lines["VmHWM"].split()[0]) / 1024, rel=0.1)
-
-
 @pytest.fixture
 def wakes(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A function that gives each wake-up this lateness and these skips, in turn; it returns the periods waited."""
@@ -285,3 +268,8 @@ def test_late_wake_ups_are_beyond_a_tenth_of_the_period_or_skip(wakes: Any) -> N
     assert late_share(1000.0, 1, seconds=0.4) == 0.5
     assert late_share(500.0, 1, seconds=0.4) == 0.25
     assert waited == [1_000_000] * 400 + [2_000_000] * 200
+
+
+def test_the_peak_resident_memory_is_that_of_the_kernels_status_in_MB() -> None:
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    assert clock.resident_MB() == pytest.approx(int(lines["VmHWM"].split()[0]) / 1024, rel=0.1)

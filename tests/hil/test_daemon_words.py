@@ -168,15 +168,13 @@ def test_the_log_has_what_a_tick_read_sent_and_was_ordered():
     assert (received_frames(world.inputs[0].frames), world.inputs[0].setpoints) == (frames, (POINT,))
 
 
-def test_a_tick_counts_what_the_bus_refused_since_the_last_one():
-    world = World({"refused": 3}, {"unasked": 1}, {"unasked": 1, "refused": 2}, {"unasked": 4}, {})
+def test_a_tick_has_refusals_and_standstill_since_the_last_one():
+    world = World(
+        {"refused": 3, "stood_ns": 5}, {"unasked": 1, "stood_ns": 5},
+        {"unasked": 1, "refused": 2, "stood_ns": 12}, {"unasked": 4, "stood_ns": 112}, {"stood_ns": 112},
+    )  # fmt: skip
     world.run()
     assert [inp.sends_failed for inp in world.inputs] == [0, 3 + 1, 1, 2 + 4, 0]
-
-
-def test_a_tick_has_how_long_time_stood_since_the_last_one_began():
-    world = World({"stood_ns": 5}, {"stood_ns": 5}, {"stood_ns": 12}, {"stood_ns": 112}, {"stood_ns": 112})
-    world.run()
     assert [inp.stretched_ns for inp in world.inputs][1:] == [0, 7, 100, 0]
 
 

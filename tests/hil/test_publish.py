@@ -156,16 +156,6 @@ def test_an_event_is_shown_with_time_level_and_600_characters_of_its_text(bench)
     ]
 
 
-def test_the_oldest_events_go_where_all_take_more_than_24000_bytes(bench):
-    for k in range(1, 13):
-        bench.recording.event(1, "info", "\x01" * 500)  # six bytes each
-        bench.run(1)
-        bench.drain()
-        bench.publish()
-        assert bench.shown.size <= 24_000
-        assert [number for number, _ in bench.texts()] == list(range(max(1, k - 6), k + 1))
-
-
 def test_the_end_of_a_run_is_shown_before_the_mirror_is_closed(bench):
     bench.run(3)
     bench.publish()

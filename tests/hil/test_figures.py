@@ -184,7 +184,9 @@ def test_the_picture_shows_poses_errors_forces_and_wake_ups(tmp_path, monkeypatc
     )
     rows["mode"][0] = Mode.APPROACH
     assert picture(rows, tmp_path / "a.png", "a run") == tmp_path / "a.png"
-    path, error, force, wake = ([line.get_xydata().T for line in axes.lines] for axes in found[0].axes)
+    path, error, force, wake = (
+        [np.asarray(line.get_xydata()).T for line in axes.lines] for axes in found[0].axes
+    )
     reference, errors = p + 1.0, tau.copy()
     reference[0] = errors[0] = np.nan
     for lines, values in ((path[::2], p), (path[1::2], reference), (error, errors), (force, -tau)):

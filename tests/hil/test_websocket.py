@@ -74,7 +74,8 @@ def test_a_client_reads_every_tick_beside_others_that_never_read(tmp_path, port)
         summary = recording.close()
         assert time.monotonic() - begun < 4.0, "the recorder leaves by itself"
         reader.join(10.0)
-    for each in (client, *others, mute, noise):
+    opened: list[Any] = [client, *others, mute, noise]
+    for each in opened:
         each.close()
     assert (summary.ticks, summary.dropped, summary.complete, summary.error) == (COUNT, 0, True, "")
     given = client.channels["/tick"]

@@ -1,45 +1,39 @@
-"""A second time in one cycle: what a stop, a RESET and a fault leave behind does not act on what follows."""
+"""A second time in one cycle: a stop, a RESET, a fault, a hold or an arming do not act on what follows."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.signals import DriveState, Fault, Mode, Refusal, Stop
+from drivers.config import WrenchSensorSettings
+from drivers.protocol import Received
+from drivers.signals import Fault, Mode, Refusal, Stop, Warn
 from hil.app.compose import build_cycle
-from hil.app.configuration.configuration import load, loads
-from hil.config.reference import LiveReference
+from hil.app.configuration.configuration import loads
 from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
-from hil.loop.ramps import tau_at_rest
-from hil.signals import Operator, Order, SetPoint
+from hil.robot.kinematics import leg_lengths
+from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
-from hil.trajectory.path import PoseSample
-from tests.hil.control.test_pid import pid
-from tests.hil.test_cycle import Bench, held_to
-from tests.live_reference import LIVE_REFERENCE
-
-VIRTUAL = load("virtual")
-BRISK = VIRTUAL.engage.model_copy(
-    update={"force_ramp_s": 0.02, "brake_release_s": 0.005, "brake_close_s": 0.005, "blend_s": 0.05}
+from tests.hil.cycle_bench import (
+    BRISK,
+    HIGHER,
+    HOLDING_N,
+    LIVE,
+    VIRTUAL,
+    Bench,
+    a_bench,
+    held_to,
+    ticked,
 )
-LIVE = LiveReference.model_validate(LIVE_REFERENCE)
-HIGHER = (0.0, 0.0, 1.02, 0.0, 0.0, 0.0)
-
-
-def a_bench(**changes: Any) -> Bench:
-    """A bench that is quickly under way."""
-    return Bench(VIRTUAL.model_copy(update={"engage": BRISK} | changes))
-
 
 # -- a stop on the way back to the first pose
 
 
 def on_the_way_back(speed: float) -> Cycle:
-    """Parking: a tenth of a metre to go, at a share of the speed."""
+    """Return a cycle that parks: a tenth of a metre to go, at a share of the speed."""
     cycle = build_cycle(VIRTUAL, 1000.0, 0.01)
     parts, motion, operating = cycle.parts, cycle.motion, cycle.operating
     here = parts.home_p + np.array([0.0, 0.0, 0.1])
@@ -51,28 +45,19 @@ def on_the_way_back(speed: float) -> Cycle:
     return cycle
 
 
-def ticked(cycle: Cycle, number: int, *operator: Operator, orders: tuple[Order, ...] = ()) -> None:
-    """What a tick with all drives in RUN and the legs at rest makes of orders and of the mode."""
-    inp: Any = SimpleNamespace(tick=number, operator=operator)
-    cycle.operating.step(orders, number, cycle.mode, cycle.motion)
-    home = {"p": cycle.parts.home_p, "R": cycle.parts.home_R}
-    cycle._change_mode(inp, record_of(tick=number, drive_state=int(DriveState.RUN), J=np.eye(6), **home))
-
-
 @pytest.mark.parametrize("speed", [1.0, 0.5])
-@pytest.mark.parametrize("cause", ["the operator", "safety", "a fault"])
-def test_a_stop_on_the_way_back_stands_whoever_asked_for_it_and_whatever_is_said_after(cause, speed):
+@pytest.mark.parametrize("cause", ["operator", "safety", "fault"])
+def test_a_stop_on_the_way_back_stands_whoever_asked_and_whatever_is_said_after(cause, speed):
     cycle = on_the_way_back(speed)
     for number in range(1, 300):
         ticked(cycle, number)
     assert cycle.mode_tick == 0
     if cause == "safety":
         cycle.stop_requested = Stop.MISSED
-    if cause == "a fault":
+    if cause == "fault":
         cycle.faults = Fault.CERTIFICATE
-        assert cycle._under_control & Fault.CERTIFICATE, "it leads to a stop"
     begun = cycle.motion.sample(300).p[2]
-    ticked(cycle, 300, *[Operator.STOP] * (cause == "the operator"))
+    ticked(cycle, 300, *[Operator.STOP] * (cause == "operator"))
     assert (cycle.mode, cycle.mode_tick) == (Mode.STOPPING, 300)
     heights = []
     for number in range(301, 1200):
@@ -88,8 +73,29 @@ def test_a_stop_on_the_way_back_stands_whoever_asked_for_it_and_whatever_is_said
     assert cycle.parts.home_p[2] + 0.01 < heights[-1] < begun
 
 
+@pytest.mark.parametrize("cause", ["stop", "fault"])
+def test_the_way_back_ends_where_safety_asks_for_a_stop(cause):
+    bench = a_bench(reactions=VIRTUAL.reactions.model_copy(update={"following": "ss1"}))
+    bench.until(Mode.APPROACH)
+    cycle = bench.cycle
+    home = cycle.motion.sample(bench.tick)
+    cycle.motion.start(GeodesicMove(home.p, home.R, home.p, home.R, 1.0), bench.tick)
+    cycle.operating.go = cycle.operating.parks = True
+    cycle.mode = Mode.STOPPING
+    cycle.control.settle()
+    for _ in range(3):
+        bench.step()
+    limits = {"stop_on_recorder_loss": 1} if cause == "stop" else {"following_error_m": -1.0}
+    with held_to(bench, **limits):
+        bench.step(recorder_alive=cause != "stop")
+    assert cycle.operating.parks
+    bench.step()
+    assert (cycle.mode, cycle.mode_tick) == (Mode.STOPPING, bench.tick)
+    assert not cycle.operating.parks
+
+
 def on_the_path(text: str) -> Cycle:
-    """Half-way along a straight path of 20 mm/s that begins at home."""
+    """Return a cycle half-way along a straight path of 20 mm/s that begins at home."""
     cycle = build_cycle(loads(text), 1000.0, 0.01)
     parts = cycle.parts
     there = parts.home_p + np.array([0.0, 0.0, 0.1])
@@ -99,7 +105,7 @@ def on_the_path(text: str) -> Cycle:
 
 
 KEYED = VIRTUAL.text.replace("\nreference: ", "\noperator: {deadman_s: 0.1}\n\nreference: ")
-KEY, PARK, START = Order(Operator.KEY), Order(Operator.PARK), Order(Operator.START)
+KEY, PARK = Order(Operator.KEY), Order(Operator.PARK)
 
 
 def test_the_way_back_begins_where_the_reference_rests_and_its_rates_do_not_jump():
@@ -134,20 +140,15 @@ def test_without_the_key_the_way_back_does_not_begin():
     assert cycle.mode is Mode.STOPPING
 
 
-# -- armed a second time
-
-
-@pytest.fixture(scope="module")
-def live() -> Cycle:
-    return build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
+# -- armed a second time, and after a RESET
 
 
 @pytest.mark.parametrize(("before", "mode"), [(Mode.RELEASING, Mode.APPROACH), (Mode.LOADING, Mode.TRACKING)])
-def test_a_live_reference_that_is_armed_again_begins_at_its_start_and_follows_set_points(live, before, mode):
-    live.reset()
+def test_a_live_reference_that_is_armed_again_begins_at_its_start(before, mode):
+    live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
     steering: Any = live.parts.steering
     trajectory = steering.trajectory
-    steering.take([SetPoint(*HIGHER)], tracking=True)
+    steering.take([HIGHER], tracking=True)
     trajectory.advance(200, steering.judge)
     trajectory.brake()
     steering.take([], tracking=False)
@@ -158,7 +159,7 @@ def test_a_live_reference_that_is_armed_again_begins_at_its_start_and_follows_se
     live._enter(mode, record_of(tick=1000, p=live.parts.home_p, R=np.eye(3), J=np.eye(6)))
     np.testing.assert_array_equal(trajectory.sample(0.0).p, live.parts.home_p)
     assert trajectory.duration_s is None, "no end of its own"
-    steering.take([SetPoint(*HIGHER)], tracking=True)
+    steering.take([HIGHER], tracking=True)
     trajectory.advance(1, steering.judge)
     steering.take([], tracking=True)
     trajectory.advance(2000, steering.judge)
@@ -168,24 +169,17 @@ def test_a_live_reference_that_is_armed_again_begins_at_its_start_and_follows_se
 def test_a_set_point_after_park_is_refused():
     bench = a_bench(reference=LIVE)
     bench.until(Mode.TRACKING)
-    point = (SetPoint(*HIGHER),)
-    assert not bench.step(setpoints=point).row["setpoint_refusal"]
-    bench.step(orders=(Order(Operator.PARK),))
-    counts = []
+    assert not bench.step(setpoints=(HIGHER,)).row["setpoint_refusal"]
+    bench.step(orders=(PARK,))
     for _ in range(3):
-        row = bench.step(setpoints=point).row
-        counts.append((int(row["setpoints_taken"]), int(row["setpoint_refusal"])))
-    assert counts == [(1, Refusal.NOT_TRACKING)] * 3
+        row = bench.step(setpoints=(HIGHER,)).row
+        assert (int(row["setpoints_taken"]), int(row["setpoint_refusal"])) == (1, Refusal.NOT_TRACKING)
     assert bench.cycle.operating.parks
-
-
-# -- after a RESET
 
 
 def test_brakes_that_opened_are_not_proven_by_a_reset_and_a_stop():
     bench = a_bench()
     bench.until(Mode.APPROACH)
-    assert bench.cycle.durations.load > 0.0
     modes = []
     for operator in ((), (Operator.RESET,), (Operator.STOP,)):
         bench.step(operator, bus_off=not operator)
@@ -194,28 +188,23 @@ def test_brakes_that_opened_are_not_proven_by_a_reset_and_a_stop():
     assert modes == [Mode.FAULT, Mode.WAITING, Mode.PARKED]
 
 
-def test_a_reset_forgets_what_safety_has_counted():
-    bench = a_bench()
-    bench.until(Mode.APPROACH)
-    memory = bench.cycle.parts.safety.memory
-    memory["stretched_ns"] = 10**12
-    memory["refused"] = memory["untrusted"] = 0xFFFF
-    bench.step((Operator.ESTOP,))
-    bench.step((Operator.RESET,))
-    assert [int(memory[name]) for name in ("stretched_ns", "refused", "untrusted")] == [0, 0, 0]
-    bench.until(Mode.APPROACH)
-    bench.step()
-    assert bench.cycle.mode is Mode.APPROACH
-    assert bench.cycle.stop_requested is Stop.NONE
-    assert not bench.cycle.faults
-
-
-# -- where the platform is not on its path in time
+def test_without_a_ramp_the_law_begins_again_and_no_brake_counts_as_proven(monkeypatch):
+    bench, begun = a_bench(engage=VIRTUAL.engage.model_copy(update={"force_ramp_s": 0.0})), []
+    monkeypatch.setattr(bench.cycle.parts.law, "reset", lambda: begun.append(bench.tick))
+    bench.cycle.effort.offset = np.full(6, 500.0)
+    assert bench.cycle.proven
+    bench.until(Mode.TRACKING)
+    assert begun[-1] == bench.tick
+    assert not bench.cycle.proven
+    assert not bench.cycle.effort.offset.any()
+    bench.step((Operator.STOP,))
+    bench.go_on(Mode.PARKED, 5000)
+    assert not bench.cycle.proven
 
 
 @pytest.mark.parametrize("order", [Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD)])
 def test_a_table_made_for_the_path_at_full_speed_is_not_used_below_it(order):
-    """t_d is what tells an offline feed-forward its row."""
+    """An offline feed-forward finds its row by t_d."""
     bench = a_bench()
     bench.until(Mode.TRACKING)
     bench.step()
@@ -228,54 +217,146 @@ def test_a_table_made_for_the_path_at_full_speed_is_not_used_below_it(order):
         assert bench.cycle.mode is Mode.TRACKING
 
 
-# -- the force that comes back
+def test_a_reset_with_a_fused_pose_looks_for_it_where_it_was_and_not_at_home():
+    bench = Bench(
+        VIRTUAL.model_copy(update={"estimation": VIRTUAL.estimation.model_copy(update={"pose": "fused"})})
+    )
+    parts = bench.cycle.parts
+    for _ in range(100):
+        bench.step()
+    there = parts.home_p + np.array([0.05, -0.03, 0.02])
+    for share in np.linspace(0.0, 1.0, 500):
+        p = parts.home_p + share * (there - parts.home_p)
+        bench.drives.length = leg_lengths(parts.platform, p, parts.home_R)
+        bench.step()
+    for _ in range(100):
+        row = bench.step().row
+    np.testing.assert_allclose(row["p"], there, atol=1e-5)
+    bench.step((Operator.ESTOP,))
+    while bench.tick % 20 != 3:  # before the tick in which a pose is looked for
+        row = bench.step((Operator.RESET,)).row
+    assert not bench.cycle.sight.fusing
+    np.testing.assert_allclose(row["p"], there, atol=1e-5)
+    for _ in range(50):
+        row = bench.step().row
+    assert bench.cycle.sight.fusing
+    np.testing.assert_allclose(row["p"], there, atol=1e-5)
+
+
+def test_a_reset_forgets_the_load_of_a_sensor_that_fell_silent():
+    sensors = VIRTUAL.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=100.0)})
+    source = VIRTUAL.estimation.wrench.model_copy(update={"source": "sensor"})
+    estimation = VIRTUAL.estimation.model_copy(update={"wrench": source})
+    bench = Bench(VIRTUAL.model_copy(update={"sensors": sensors, "estimation": estimation}))
+    protocol, load = bench.cycle.parts.sensors, (100.0, 0, -300.0, 0, 20.0, 0)
+    assert protocol is not None
+    sample = Received(300_000, protocol.encode("wrench", load, 0, 0.0, 0))
+    row = bench.step(frames=(*bench.drives.feedback(0), sample)).row
+    np.testing.assert_allclose(row["wrench"], load)
+    for _ in range(100):
+        row = bench.step().row
+    np.testing.assert_allclose(row["wrench"], load)
+    assert int(row["warnings"]) & Warn.SENSOR
+    bench.step((Operator.ESTOP,))
+    bench.step((Operator.RESET,))
+    row = bench.step().row
+    assert not row["wrench"].any()
+    assert int(row["warnings"]) & Warn.SENSOR
+
+
+# -- a platform that is held
 
 
 def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_test():
     """The step from tick to tick is made for a law that goes on."""
     gentle = VIRTUAL.limits.model_copy(update={"force_step_N": 200.0})
     bench = a_bench(limits=gentle, engage=BRISK.model_copy(update={"force_ramp_s": 0.1}))
-    bench.until(Mode.APPROACH)
-    bench.step((Operator.STOP,))
-    while min(bench.drives.commands[-1].force) > 1000.0:
+    bench.stopped(Mode.UNLOADING)
+    while bench.force.min() > 1000.0:
         bench.step()
-        assert bench.tick < 2000
-    modes = [bench.cycle.mode]
+    assert bench.cycle.mode is Mode.UNLOADING
     with held_to(bench, standstill_m=-1.0):
         bench.step()
-    modes.append(bench.cycle.mode)
-    assert modes == [Mode.UNLOADING, Mode.HELD]
+    assert bench.cycle.mode is Mode.HELD
     bench.step()
-    np.testing.assert_allclose(bench.drives.commands[-1].force, 3618.625746, atol=1.0)
+    np.testing.assert_allclose(bench.force, HOLDING_N, atol=1.0)
 
 
-def test_a_law_that_is_asked_what_it_asks_for_at_rest_keeps_nothing_of_it():
-    """Its integral would be in the entry offset and in the law: the force would count it twice."""
-    parts = build_cycle(VIRTUAL, 1000.0, 0.01).parts
-    law, tick = pid(), record_of(R=np.eye(3), J=np.eye(6))
-    home = PoseSample(parts.home_p, parts.home_R, np.zeros(6), np.zeros(6))
-    law.xi[:] = 700.0
-    asked = [tau_at_rest(law, parts.platform, tick, home, on_it=False) for _ in range(2)]
-    assert asked[0].any()
-    np.testing.assert_array_equal(asked[0], asked[1])
-    assert not law.xi.any()
+@pytest.mark.parametrize("more", [0.9, 1.1])
+def test_where_a_brake_failed_its_test_the_force_that_held_the_platform_holds_it(more):
+    """A load of which the law knows nothing has come meanwhile."""
+    bench = a_bench()
+    bench.stopped(Mode.UNLOADING)
+    effort = bench.cycle.effort
+    effort.holding = more * effort.holding
+    with held_to(bench, standstill_m=-1.0):
+        bench.step()
+    assert bench.cycle.mode is Mode.HELD
+    for _ in range(5):
+        bench.step()
+        for column in ("tau_asked", "tau"):
+            np.testing.assert_allclose(bench.cycle.tick[column], more * HOLDING_N, atol=1.0)
 
 
-# -- a drive that is switched off and on before the platform is armed
+def test_a_platform_not_measured_any_more_while_it_parks_is_held_by_the_last_force():
+    bench = Bench()
+    bench.stopped(Mode.PARKING)
+    bench.drives.silent = {2}
+    while bench.cycle.mode is Mode.PARKING:
+        last = bench.cycle.tick["tau"].copy()
+        bench.drives.length = bench.drives.length + 1e-6  # which the law pushes against
+        bench.step()
+    assert bench.cycle.mode is Mode.HELD
+    np.testing.assert_array_equal(bench.cycle.effort.holding, last)
+    bench.step()
+    np.testing.assert_array_equal(bench.cycle.tick["tau_asked"], last)
 
 
-@pytest.mark.parametrize("operator", [(), (Operator.ENGAGE,)])
-@pytest.mark.parametrize("what", ["its turn", "its set-up"])
-def test_a_drive_that_was_switched_off_while_the_operator_was_waited_for_is_not_armed(operator, what):
-    cycle: Any = build_cycle(VIRTUAL, 1000.0, 0.01)
-    cycle.end = SimpleNamespace(legs_set_up=lambda: [True] * 6)
-    tick = record_of(tick=5, drive_state=int(DriveState.OFF), p=cycle.parts.home_p, R=np.eye(3), J=np.eye(6))
-    cycle.mode = Mode.IDLE
-    cycle._change_mode(SimpleNamespace(tick=5, operator=()), tick)
-    assert cycle.mode == Mode.IDLE, "all is ready"
-    if what == "its turn":
-        cycle.homing = SimpleNamespace(known=False)
-    else:
-        cycle.end.legs_set_up = lambda: [True, True, False, True, True, True]
-    cycle._change_mode(SimpleNamespace(tick=6, operator=operator), tick)
-    assert cycle.mode == Mode.WAITING
+@pytest.mark.parametrize("by_m", [4e-4, -4e-4])
+def test_a_platform_not_measured_is_held_by_the_same_force_whatever_its_legs_say(by_m):
+    bench = a_bench()
+    bench.until(Mode.APPROACH)
+    bench.drives.silent = {3}
+    bench.go_on(Mode.HELD)
+    holding = bench.cycle.effort.holding.copy()
+    assert holding.min() > 3000.0
+    bench.drives.silent = set()
+    bench.drives.length = bench.drives.length + by_m * (np.arange(6) == 3)
+    for _ in range(4):
+        bench.step()
+        np.testing.assert_array_equal(bench.cycle.tick["tau_asked"], holding)
+        assert bench.cycle.mode is Mode.HELD
+
+
+def test_the_reference_stays_with_a_platform_that_yields_until_the_brakes_are_shut():
+    bench = a_bench()
+    bench.stopped(Mode.PARKING)
+    with held_to(bench, following_error_m=-1.0):
+        bench.step()
+    modes = []
+    for _ in range(12):
+        bench.drives.length = bench.drives.length + 2e-6
+        bench.step()
+        modes.append(bench.cycle.mode)
+        tick = bench.cycle.tick
+        if modes[-1] is Mode.PARKING:
+            np.testing.assert_array_equal(tick["p_d"], tick["p"])
+    assert modes[:3] == [Mode.PARKING] * 3
+    assert modes[-2:] == [Mode.UNLOADING] * 2
+    assert np.abs(tick["p_d"] - tick["p"]).max() > 1e-6, "there the legs have to stand"
+
+
+def test_predictor_and_observer_follow_the_forces_sent_and_none_once_the_drives_are_off():
+    damping = "  damping_ratio: 1\n"
+    delay = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
+    observer = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
+    text = VIRTUAL.text.replace(damping, damping + delay) + observer
+    bench = Bench(loads(text, VIRTUAL.name, VIRTUAL.folder).model_copy(update={"engage": BRISK}))
+    parts: Any = bench.cycle.parts
+    bench.until(Mode.APPROACH)
+    bench.step(bus_off=True)
+    sent = np.array([command.force for command in bench.drives.commands])
+    assert sent.max() > 3000.0
+    assert not sent[-1].any()
+    for who in (parts.predictor, parts.wrench.observer):
+        np.testing.assert_allclose(who.path._sent, sent[:-3:-1], atol=0.5)

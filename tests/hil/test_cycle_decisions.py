@@ -1,9 +1,8 @@
-"""What a tick decides: what a RESET clears, what a transition is told, where faults lead, what drives are told."""
+"""What a tick decides: what a RESET clears, what a transition needs, where faults lead, what drives are sent."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,10 @@ from hil.loop.modes import CONTROLLED
 from hil.safety.guard import Verdict
 from hil.safety.motion import REST_m_s
 from hil.signals import Operator
-from tests.hil.test_cycle import Bench
-from tests.hil.test_cycle_again import VIRTUAL
-from tests.hil.test_cycle_held import LAST, aside, measured
+from tests.hil.cycle_bench import LAST, VIRTUAL, Bench, measured, said
+from tests.hil.test_modes import FOLLOW, UNSEEN
 
-OPERATOR_STAYS = VIRTUAL.operator.model_copy(update={"stays": True})
+MOVING = {Mode.APPROACH, Mode.TRACKING, Mode.STOPPING}
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +31,8 @@ def made() -> Cycle:
 
 @pytest.fixture(scope="module")
 def staying() -> Cycle:
-    return build_cycle(VIRTUAL.model_copy(update={"operator": OPERATOR_STAYS}), 1000.0, 0.01)
+    stays = VIRTUAL.operator.model_copy(update={"stays": True})
+    return build_cycle(VIRTUAL.model_copy(update={"operator": stays}), 1000.0, 0.01)
 
 
 @pytest.fixture
@@ -42,118 +41,73 @@ def cycle(made: Cycle) -> Cycle:
     return made
 
 
-def said(*operator: Operator, tick: int = 50) -> Any:
-    return SimpleNamespace(tick=tick, operator=operator, setpoints=(), orders=())
-
-
 # -- RESET
 
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("stays", [False, True])
-def test_a_reset_clears_what_is_latched_where_nothing_is_held_and_nowhere_else(
-    made, staying, monkeypatch, mode, stays
-):
-    cycle, told = staying if stays else made, list[str]()
+def test_a_reset_clears_what_is_latched_where_nothing_is_held(made, staying, monkeypatch, mode, stays):
+    cycle, forgot = staying if stays else made, list[str]()
     cycle.reset()
-    for name in ("sight.forget", "obedience.reset", "parts.wrench.forget", "parts.safety.reset"):
-        *way, last = name.split(".")
-        owner: Any = cycle
-        for each in way:
-            owner = getattr(owner, each)
-        monkeypatch.setattr(owner, last, lambda name=name: told.append(name))
+    parts = cycle.parts
+    for name, owner in (("forget", cycle.sight), ("reset", cycle.obedience), ("forget", parts.wrench)):
+        monkeypatch.setattr(owner, name, lambda owner=owner: forgot.append(type(owner).__name__))
+    parts.safety.memory["stretched_ns"] = parts.safety.memory["refused"] = 9
     monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
     cycle.mode, cycle.mode_tick, cycle.estop, cycle.stop_requested = mode, 50, True, Stop.MISSED
     cycle.faults, fresh = Fault.DRIVE, cycle.end.remembered()
-    other = cycle.parts.protocol.controller_end(cycle.parts.setup._replace(watchdog_s=0.5))
-    cycle.end.remember(other.remembered())
+    cycle.end.remember(parts.protocol.controller_end(parts.setup._replace(watchdog_s=0.5)).remembered())
     cycle._change_mode(said(Operator.RELEASE), measured(cycle))
-    assert not told
+    assert not forgot
     cycle._change_mode(said(Operator.STOP, Operator.RESET), measured(cycle))
-    if mode in {Mode.FAULT, Mode.WAITING} or (stays and mode is Mode.PARKED):
-        assert told == ["sight.forget", "obedience.reset", "parts.wrench.forget", "parts.safety.reset"]
-        assert (cycle.faults, cycle.estop, cycle.stop_requested) == (Fault.NONE, False, Stop.NONE)
-        assert cycle.reset_tick == 50
-        assert cycle.end.remembered() == fresh
-    else:
-        assert not told
-        assert (cycle.faults, cycle.estop, cycle.stop_requested) == (Fault.DRIVE, True, Stop.MISSED)
-        assert cycle.reset_tick is None
-        assert cycle.end.remembered() != fresh
+    clears = mode in {Mode.FAULT, Mode.WAITING} or (stays and mode is Mode.PARKED)
+    assert len(forgot) == 3 * clears
+    assert [int(parts.safety.memory[name]) for name in ("stretched_ns", "refused")] == [9 * (not clears)] * 2
+    latched = (Fault.NONE, False, Stop.NONE) if clears else (Fault.DRIVE, True, Stop.MISSED)
+    assert (cycle.faults, cycle.estop, cycle.stop_requested) == latched
+    assert cycle.reset_tick == (50 if clears else None)
+    assert (cycle.end.remembered() == fresh) == clears
 
 
-# -- what a transition is told
+# -- what a transition needs
 
 
-def facts_of(cycle: Cycle, monkeypatch: pytest.MonkeyPatch, tick: Any, *operator: Operator) -> Any:
-    """Return what the table of transitions is told."""
-    told: list[Any] = []
-
-    def next_mode(mode: Mode, facts: Any, durations: Any) -> Mode:
-        assert durations is cycle.durations
-        told.append(facts)
-        return mode
-
-    monkeypatch.setattr(cycle_module, "next_mode", next_mode)
-    cycle._change_mode(said(*operator), tick)
-    assert len(told) == 1
-    return told[0]
+def facts_of(cycle: Cycle, monkeypatch: pytest.MonkeyPatch, tick: Any) -> Any:
+    """Return the facts from which the table of transitions chooses the mode."""
+    found: list[Any] = []
+    monkeypatch.setattr(cycle_module, "next_mode", lambda mode, facts, _: found.append(facts) or mode)  # type: ignore[func-returns-value]
+    cycle._change_mode(said(), tick)
+    (facts,) = found
+    return facts
 
 
 @pytest.mark.parametrize("lacks", ["", "turns", "set-up", "pose"])
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.PARKED])
-def test_drives_are_ready_with_their_turns_known_and_set_up_and_a_pose_before_the_platform_is_armed(
-    cycle, monkeypatch, mode, lacks
-):
+def test_before_the_platform_is_armed_drives_need_turns_set_up_and_a_pose(cycle, monkeypatch, mode, lacks):
     cycle.mode = mode
     cycle.sight.located = lacks != "pose"
     monkeypatch.setattr(type(cycle.homing), "known", lacks != "turns")
-    legs = [lacks != "set-up"] * 6
-    monkeypatch.setattr(cycle.end, "legs_set_up", lambda: legs)
+    monkeypatch.setattr(cycle.end, "legs_set_up", lambda: [lacks != "set-up"] * 6)
     needed = {Mode.WAITING: {"turns", "set-up", "pose"}, Mode.IDLE: {"turns", "set-up"}}
     ready = facts_of(cycle, monkeypatch, measured(cycle)).ready
     assert ready == (mode in needed and lacks not in needed[mode])
 
 
-def test_a_transition_is_told_states_words_and_the_time_in_the_mode(cycle, staying, monkeypatch):
-    cycle.mode, cycle.mode_tick = Mode.IDLE, 20
-    states = [1, 2, 3, 4, 2, 1]
-    facts = facts_of(cycle, monkeypatch, measured(cycle, drive_state=states), Operator.ENGAGE)
-    assert facts.operator == (Operator.ENGAGE,)
-    assert facts.drive_state == states
-    assert facts.elapsed == pytest.approx(0.03)
-    assert (facts.stop, facts.stays, facts.provable) == (False, False, False)
-    cycle.stop_requested = Stop.RECORDER
-    assert facts_of(cycle, monkeypatch, measured(cycle)).stop
-    staying.reset()
-    assert facts_of(staying, monkeypatch, measured(staying)).stays
-
-
 @pytest.mark.parametrize("mode", [Mode.HELD, Mode.TRACKING])
-@pytest.mark.parametrize("lacks", ["", "rest", "no brake", "ramp"])
-def test_only_a_held_platform_at_rest_whose_brakes_have_not_failed_can_have_them_proven(
-    cycle, monkeypatch, mode, lacks
-):
-    cycle.mode = mode
-    cycle.faults = Fault.BRAKE if lacks == "no brake" else Fault.DRIVE
+@pytest.mark.parametrize("lacks", ["", "rest", "ramp"])
+def test_only_a_held_platform_at_rest_can_have_its_brakes_proven(cycle, monkeypatch, mode, lacks):
+    cycle.mode, cycle.faults = mode, Fault.DRIVE
     if lacks == "ramp":
         monkeypatch.setattr(cycle, "durations", cycle.durations._replace(load=0.0))
     tick = measured(cycle, rate=0.0 if lacks != "rest" else 1.0)
     assert facts_of(cycle, monkeypatch, tick).provable == (mode is Mode.HELD and not lacks)
 
 
-UNBELIEVED = (
-    *(Fault.BRAKE, Fault.ENCODER, Fault.UNCERTAIN, Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION),
-    *(Fault.NOT_FINITE, Fault.LAW, Fault.DUPLICATE_NODE),
-)
-"""Faults after which a leg that seems to stand proves no brake."""
-
-
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault], ids=lambda fault: fault.name)
-def test_after_a_fault_of_what_is_measured_no_brake_is_proven_but_where_a_leg_was_only_not_heard(
-    cycle, monkeypatch, fault
-):
-    cycle.mode, believed = Mode.HELD, fault not in UNBELIEVED
+def test_after_a_fault_of_a_brake_or_a_measurement_no_brake_is_proven(cycle, monkeypatch, fault):
+    """But where a leg was only not heard."""
+    cycle.mode = Mode.HELD
+    believed = fault is Fault.STALE or fault not in {Fault.BRAKE, *UNSEEN}
     for faults in (fault, fault | Fault.DRIVE | Fault.STALE):
         cycle.faults = faults
         assert facts_of(cycle, monkeypatch, measured(cycle)).provable == believed
@@ -161,46 +115,54 @@ def test_after_a_fault_of_what_is_measured_no_brake_is_proven_but_where_a_leg_wa
 
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
 @pytest.mark.parametrize("lacks", ["", "end", "on hold", "rest", "way back"])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_motion_is_over_at_its_end_with_nothing_to_follow_and_the_legs_at_rest(
-    cycle, monkeypatch, mode, lacks, way
-):
+def test_a_motion_is_over_at_its_end_with_nothing_to_follow_and_legs_at_rest(cycle, monkeypatch, mode, lacks):
     cycle.mode = mode
-    asked: list[int] = []
-    monkeypatch.setattr(cycle.motion, "finished", lambda tick: not asked.append(tick) and lacks != "end")  # type: ignore[func-returns-value]
+    monkeypatch.setattr(cycle.motion, "finished", lambda tick: tick == 50 and lacks != "end")
     cycle.operating.go = lacks != "on hold"
     cycle.operating.parks = lacks == "on hold" and mode is Mode.STOPPING
     if lacks == "way back":
         cycle.motion._left = cycle.parts.trajectory, 0.0
-    dq = way * REST_m_s * (0.99 if lacks != "rest" else 1.0) * (np.arange(6) == 3)
-    assert cycle._finished(measured(cycle, dq=dq)) == (not lacks)
-    assert set(asked) == {50}
+    for way in (1.0, -1.0):
+        dq = way * REST_m_s * (0.99 if lacks != "rest" else 1.0) * (np.arange(6) == 3)
+        assert cycle._finished(measured(cycle, dq=dq)) == (not lacks)
 
 
-# -- waited too long
-
-
-@pytest.mark.parametrize("mode", [Mode.LOADING, Mode.RELEASING, Mode.PARKING])
-def test_a_drive_that_is_waited_for_too_long_is_faulty_and_what_it_may_not_have_braked_is_held(cycle, mode):
-    leads = {Mode.LOADING: Mode.FAULT, Mode.RELEASING: Mode.PARKING, Mode.PARKING: Mode.HELD}
+@pytest.mark.parametrize("mode", list(Mode))
+def test_legs_that_do_not_rest_long_after_the_motion_are_not_waited_for(cycle, monkeypatch, mode):
+    monkeypatch.setattr(cycle.motion, "overdue", lambda tick, s: (tick, s) == (50, 1.0))
+    monkeypatch.setattr(cycle.motion, "finished", lambda tick: tick == 50)
     cycle.mode = mode
-    patience = round(1000.0 * (cycle.durations.least(mode) + 1.0))
-    cycle._change_mode(said(tick=patience), measured(cycle, tick=patience, drive_state=int(DriveState.OFF)))
-    assert (cycle.mode, cycle.faults) == (mode, Fault.NONE)
-    cycle.faults = Fault.SET_UP
-    cycle._change_mode(said(tick=patience + 2), measured(cycle, tick=patience + 2))
-    assert cycle.mode is leads[mode]
-    assert cycle.faults == Fault.DRIVE | Fault.SET_UP
-    assert cycle.mode_tick == patience + 2
+    for way in (1.0, -1.0):
+        rates = way * REST_m_s * (np.arange(6) == 5)
+        assert cycle._restless(measured(cycle, dq=rates)) == (mode in MOVING)
+        assert not cycle._restless(measured(cycle, dq=0.999 * rates))
+    if mode is Mode.TRACKING:
+        cycle.operating.go = False
+        assert not cycle._restless(measured(cycle, dq=rates)), "on hold it may wait"
 
 
-@pytest.mark.parametrize(("mode", "word"), [(Mode.LOADING, Operator.RESET), (Mode.PARKING, Operator.RELEASE)])
-def test_a_word_that_came_with_the_fault_of_a_drive_that_was_waited_for_is_no_answer_to_it(cycle, mode, word):
+@pytest.mark.parametrize("under_control", [Fault.NONE, Fault.FOLLOWING])
+def test_legs_that_do_not_rest_are_braked_even_where_following_leads_to_a_stop(
+    cycle, monkeypatch, under_control
+):
+    monkeypatch.setattr(cycle, "_under_control", under_control)
+    monkeypatch.setattr(cycle.motion, "overdue", lambda *_: True)
+    cycle.mode = Mode.STOPPING
+    cycle._change_mode(said(), measured(cycle, dq=1.0))
+    assert (cycle.mode, cycle.faults, cycle.mode_tick) == (Mode.PARKING, Fault.FOLLOWING, 50)
+
+
+@pytest.mark.parametrize(
+    ("mode", "word", "leads"),
+    [(Mode.LOADING, Operator.RESET, Mode.FAULT), (Mode.PARKING, Operator.RELEASE, Mode.HELD)],
+)
+def test_a_word_that_came_with_the_fault_of_a_drive_is_no_answer_to_it(cycle, mode, word, leads):
     """A RELEASE given before anything was held must not let go of it."""
     cycle.mode, late = mode, round(1000.0 * (cycle.durations.least(mode) + 1.0)) + 2
+    cycle.faults = Fault.SET_UP
     cycle._change_mode(said(word, tick=late), measured(cycle, tick=late))
-    assert cycle.mode is {Mode.LOADING: Mode.FAULT, Mode.PARKING: Mode.HELD}[mode]
-    assert cycle.faults == Fault.DRIVE
+    assert (cycle.mode, cycle.mode_tick) == (leads, late)
+    assert cycle.faults & Fault.DRIVE
 
 
 # -- where faults lead
@@ -215,7 +177,7 @@ def test_a_word_that_came_with_the_fault_of_a_drive_that_was_waited_for_is_no_an
     ],
     ids=str,
 )
-def test_drives_that_none_of_them_was_heard_of_for_a_second_cannot_hold(cycle, ages, blind, mode):
+def test_drives_none_of_which_was_heard_for_a_second_cannot_hold(cycle, ages, blind, mode):
     cycle.mode, cycle.tick = Mode.PARKING, measured(cycle, age=ages, blind=blind)
     cycle._react(said(), Fault.DRIVE)
     assert cycle.mode is mode
@@ -235,7 +197,7 @@ def test_drives_that_none_of_them_was_heard_of_for_a_second_cannot_hold(cycle, a
         (Mode.IDLE, DriveState.OFF, Fault.ESTOP, Fault.NONE, True),
     ],
 )
-def test_an_emergency_stop_is_asked_for_by_its_fault_or_where_another_controller_has_powered_drives(
+def test_an_emergency_stop_follows_its_fault_or_another_controller_of_powered_drives(
     cycle, mode, state, fault, latched, stops
 ):
     cycle.mode, cycle.faults = mode, latched
@@ -261,9 +223,7 @@ def test_the_operators_emergency_stop_is_a_fault_of_its_own_in_every_mode(cycle,
         (Mode.UNLOADING, Fault.DRIVE, Fault.DRIVE, False),
     ],
 )
-def test_a_held_platform_that_is_measured_no_longer_keeps_the_force_of_that_tick(
-    cycle, mode, latched, fault, holds
-):
+def test_a_held_platform_measured_no_longer_keeps_the_force_of_that_tick(cycle, mode, latched, fault, holds):
     cycle.mode, cycle.faults, cycle.tick = mode, latched, measured(cycle)
     cycle.effort.last_tau, cycle.effort.holding = LAST, 2.0 * LAST
     cycle._react(said(), fault)
@@ -271,16 +231,26 @@ def test_a_held_platform_that_is_measured_no_longer_keeps_the_force_of_that_tick
     assert cycle.mode is mode
 
 
-@pytest.mark.parametrize("first", [Stop.MISSED, Stop.RECORDER])
-def test_the_first_stop_that_safety_asks_for_is_kept_whatever_it_asks_for_later(cycle, first):
-    cycle.tick, kept = measured(cycle), []
-    for stop in (Stop.NONE, first, Stop.NONE, Stop.MISSED, Stop.RECORDER):
-        cycle._latch(said(), Verdict(Warn.NONE, Fault.NONE, stop))
-        kept.append(cycle.stop_requested)
-    assert kept == [Stop.NONE, *[first] * 4]
+@pytest.mark.parametrize("fault", [*FOLLOW, Fault.DRIVE, Fault.SET_UP])
+@pytest.mark.parametrize("before", [Fault.DRIVE, Fault.BRAKE, Fault.STALE, Fault.ENCODER | Fault.BRAKE])
+def test_a_fault_of_the_pose_is_no_news_where_a_leg_was_not_measured_before(cycle, fault, before):
+    cycle.mode, cycle.faults, cycle.tick = Mode.HELD, before, measured(cycle)
+    cycle._react(said(), fault)
+    news = not before & (Fault.STALE | Fault.ENCODER) or fault not in FOLLOW
+    assert cycle.faults == (before | fault if news else before)
+    assert cycle.mode is Mode.HELD
 
 
-# -- what the law is asked, and what the drives are told
+@pytest.mark.parametrize("fault", [*FOLLOW, Fault.DRIVE])
+def test_on_the_way_to_a_second_proof_a_lost_measurement_ends_it(cycle, fault):
+    cycle.mode, cycle.faults, cycle.tick = Mode.UNLOADING, Fault.STALE, measured(cycle)
+    cycle._react(said(), fault)
+    assert cycle.faults == Fault.STALE | fault
+    believed = Fault.STROKE | Fault.SPEED | Fault.FOLLOWING | Fault.DRIVE
+    assert cycle.mode is (Mode.UNLOADING if fault & believed else Mode.HELD)
+
+
+# -- what the law is asked for, and what the drives are sent
 
 
 class Law:
@@ -307,12 +277,12 @@ def bench() -> Bench:
     return bench
 
 
-def stepped(bench: Bench, mode: Mode, *operator: Operator, faults: Fault = Fault.NONE) -> Any:
+def stepped(bench: Bench, mode: Mode, faults: Fault = Fault.NONE) -> Any:
     """Return the record of the next tick, which is in a mode."""
     cycle = bench.cycle
     cycle.mode, cycle.faults = mode, faults
     cycle.control.settle()
-    bench.step(operator)
+    bench.step()
     return cycle.tick
 
 
@@ -331,8 +301,8 @@ def stepped(bench: Bench, mode: Mode, *operator: Operator, faults: Fault = Fault
 def test_the_law_is_left_out_and_the_drives_are_watched_where_they_are_to_be(
     bench, monkeypatch, mode, faults, yields, fixed, watched
 ):
-    cycle, seen, told = bench.cycle, list[Any](), list[Any]()
-    monkeypatch.setattr(cycle.parts.safety, "resume", told.append)
+    cycle, seen, resumed = bench.cycle, list[Any](), list[Any]()
+    monkeypatch.setattr(cycle.parts.safety, "resume", resumed.append)
 
     def watch(tick: Any, tau: Any) -> bool:
         np.testing.assert_array_equal(tau, cycle.last["tau"])
@@ -345,29 +315,33 @@ def test_the_law_is_left_out_and_the_drives_are_watched_where_they_are_to_be(
     cycle.effort.holding = 1.5 * LAST
     cycle.last["tau"] = cycle.tick["tau"] = 2.0 * LAST
     before = cycle.parts.law.asked
-    tick = stepped(bench, mode, faults=faults)
+    tick = stepped(bench, mode, faults)
     whole = 1.5 * LAST if fixed else LAST
     assert cycle.parts.law.asked == before + (not fixed)
     np.testing.assert_array_equal(seen, [whole] * watched)
     np.testing.assert_array_equal(tick["tau_asked"], np.where(watched & (np.arange(6) == 4), 0.0, whole))
     assert tick["legs_refused"] == (16 if watched else 0)
     assert cycle.faults == faults | (Fault.DRIVE if watched else Fault.NONE)
-    np.testing.assert_array_equal(told, [np.where(np.arange(6) == 4, 0.0, 2.0 * LAST)] * watched)
+    np.testing.assert_array_equal(resumed, [np.where(np.arange(6) == 4, 0.0, 2.0 * LAST)] * watched)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_drives_that_are_not_to_be_powered_are_told_no_force(bench, mode):
-    powered = mode not in {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT}
-    asked = mode in CONTROLLED
+def test_drives_get_power_force_and_set_up_where_the_mode_asks_for_them(bench, monkeypatch, mode):
+    frame = Frame(0x7A5, b"\1")
+    monkeypatch.setattr(bench.cycle.end, "set_up", lambda tick: sent_array([frame]))
     bench.cycle.effort.reach_N = 1e9
     tick = stepped(bench, mode)
     command = bench.drives.commands[-1]
     sent = DriveMode(command.mode)
+    powered = mode not in {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT}
     assert (sent in {DriveMode.READY, DriveMode.RUN}) == powered
-    np.testing.assert_allclose(command.force, LAST * asked, atol=0.5)
-    np.testing.assert_array_equal(tick["tau"], LAST * asked)
+    np.testing.assert_allclose(command.force, LAST * (mode in CONTROLLED), atol=0.5)
+    np.testing.assert_array_equal(tick["tau"], LAST * (mode in CONTROLLED))
     assert tick["command_mode"] == sent
     assert bench.drives.estops == 0
+    bench.cycle.control.settle()
+    frames = sent_frames(bench.step().frames)
+    assert (frames[-1] == frame) == (mode in {Mode.WAITING, Mode.FAULT})
 
 
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.FAULT])
@@ -378,25 +352,3 @@ def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(b
     modes = [int(stepped(bench, mode)["command_mode"]) for _ in range(3 * ticks)]
     sent = DriveMode.RESET if mode is Mode.WAITING else DriveMode.OFF
     assert modes == [sent] * ticks + [DriveMode.OFF] * (2 * ticks)
-
-
-@pytest.mark.parametrize("mode", list(Mode))
-def test_drives_are_set_up_while_they_are_waited_for_and_after_a_fault(bench, monkeypatch, mode):
-    frame, cycle = Frame(0x7A5, b"\1"), bench.cycle
-    monkeypatch.setattr(cycle.end, "set_up", lambda tick: sent_array([frame]))
-    cycle.mode = mode
-    cycle.control.settle()
-    frames = sent_frames(bench.step().frames)
-    assert (frames[-1] == frame) == (mode in {Mode.WAITING, Mode.FAULT})
-
-
-def test_a_platform_that_yields_takes_its_reference_along(cycle, monkeypatch):
-    monkeypatch.setattr(cycle_module, "next_mode", lambda mode, *_: mode)
-    for mode, yields in ((Mode.PARKING, True), (Mode.PARKING, False), (Mode.HELD, True)):
-        cycle.reset()
-        cycle.mode, cycle.mode_tick, cycle._yields = mode, 50, yields
-        cycle._change_mode(said(), measured(cycle, p=aside(cycle)))
-        follows = mode is Mode.PARKING and yields
-        there = aside(cycle) if follows else cycle.parts.home_p
-        np.testing.assert_array_equal(cycle.motion.sample(60).p, there)
-        assert cycle.motion.tick == (50 if follows else 0)

@@ -1,4 +1,4 @@
-"""What of a configuration comes to which part of a cycle, at the configured rate and at another one."""
+"""Which part of a cycle gets what of a configuration, at the configured rate and at another one."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import WrenchSensorSettings
 from hil.app import compose
 from hil.app.compose import build_cycle, drive_setup
-from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import Noise
 from hil.config.delay import DelayCompensation
 from hil.config.estimation import EstimationSettings, FusionSettings
@@ -25,9 +24,8 @@ from hil.design.stability.monitor import build_watch
 from hil.robot.dynamics import Model
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.override import PEAK
-from tests.hil.test_cycle_again import LIVE
+from tests.hil.cycle_bench import VIRTUAL
 
-VIRTUAL = load("virtual")
 POSE = PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)
 AHEAD = DelayCompensation(bus_ms=0.3, drive_lag_ms=0.8, hold_ms=0.5)
 
@@ -103,27 +101,6 @@ def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(mon
     assert [model is made[scale] for model, scale in zip(believed, of, strict=True)] == [True] * 3
 
 
-@pytest.mark.parametrize("source", ["none", "observer", "sensor"])
-def test_a_wrench_sensor_that_is_there_is_the_source_only_where_it_is_said_to_be(source):
-    sensors = VIRTUAL.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=400.0)})
-    c = but(sensors=sensors, estimation=EstimationSettings(wrench=WrenchSettings(source=source)))
-    wrench = build_cycle(c, 1000.0, 0.01).parts.wrench
-    assert wrench._record["rate_Hz"] == (400.0 if source == "sensor" else 0.0)
-    assert (wrench.observer is not None) == (source == "observer")
-    assert wrench.has_source == (source != "none")
-
-
-def test_a_live_reference_is_admitted_by_its_largest_accelerations_and_goes_at_the_rate_of_the_loop():
-    parts = build_cycle(but(reference=LIVE), 500.0, 0.01).parts
-    limits = LIVE.limits
-    radians = np.deg2rad(limits.acceleration_deg_s2)
-    expected = np.repeat([limits.acceleration_m_s2, radians], 3)
-    np.testing.assert_allclose(parts.admission._record["ddchi"], expected, rtol=1e-12)
-    assert parts.trajectory._period == 0.002  # type: ignore[attr-defined]
-    assert parts.steering is not None
-    assert parts.steering._admission is parts.admission
-
-
 def test_a_jog_is_admitted_by_what_starts_and_stops_it_at_set_up_speed():
     operator = VIRTUAL.operator.model_copy(update={"setup_speed_m_s": 0.02, "setup_speed_deg_s": 3.0})
     engage = VIRTUAL.engage.model_copy(update={"stop_s": 0.8})
@@ -163,12 +140,6 @@ def watched(monkeypatch: pytest.MonkeyPatch, c: Configuration, rate_Hz: float) -
     build_cycle(c, rate_Hz, 0.01)
     (what,) = told
     return what
-
-
-@pytest.mark.parametrize("rate_Hz", [500.0, 1000.0, 2000.0])
-def test_as_many_efforts_are_under_way_to_the_drives_at_whatever_rate(monkeypatch, rate_Hz):
-    """A command takes one period at most, however long that is."""
-    assert watched(monkeypatch, VIRTUAL, rate_Hz)[5] == 1
 
 
 @pytest.mark.parametrize(("law", "disturbance"), [(VIRTUAL.controller, 7.0), (POSE, 8.0)])

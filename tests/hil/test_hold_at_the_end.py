@@ -11,7 +11,7 @@ from hil.loop.cycle import REST_PATIENCE_S, Cycle
 from hil.signals import Operator, Order
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
-from tests.hil.test_cycle_again import VIRTUAL, ticked
+from tests.hil.cycle_bench import VIRTUAL, ticked
 from tests.hil.test_operating import HOLD, KEY, PARK, START
 
 END = 400

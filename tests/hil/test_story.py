@@ -25,7 +25,7 @@ from hil.loop.story.narrator import Narrator, said
 from hil.loop.story.told import DONE, GLOSSARY, DriveSaid, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from hil.signals import Operator
-from tests.hil.test_cycle import Bench
+from tests.hil.cycle_bench import Bench
 from tests.hil.test_frames import OURS
 
 ROOT = Path(__file__).resolve().parents[2]

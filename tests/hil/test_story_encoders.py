@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Fault, Mode
-from tests.hil.test_cycle import Bench
+from tests.hil.cycle_bench import Bench
 from tests.hil.test_story import SECTIONS, Case, legs, strike, told
 
 

@@ -10,7 +10,7 @@ from hil.contracts.messages import Configure, Status
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Step, Story
 from hil.signals import Operator
-from tests.hil.test_cycle import Bench
+from tests.hil.cycle_bench import Bench
 from tests.hil.test_frames import OURS
 from tests.hil.test_story import go_on
 

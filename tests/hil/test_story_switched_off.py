@@ -10,7 +10,7 @@ from drivers.signals import DriveState, Fault, Mode
 from hil.contracts.records import altered
 from hil.loop.story.narrator import Narrator
 from hil.signals import Operator
-from tests.hil.test_cycle import Bench
+from tests.hil.cycle_bench import Bench
 from tests.hil.test_story import told
 
 OFF, READY, RUN = (int(state) for state in (DriveState.OFF, DriveState.READY, DriveState.RUN))

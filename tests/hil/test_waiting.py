@@ -15,7 +15,7 @@ from drivers.signals import Mode
 from hil.contracts.records import record_of
 from hil.loop.report import moving_text, waiting_text
 from hil.safety.motion import REST_m_s
-from tests.hil.test_cycle import Bench
+from tests.hil.cycle_bench import Bench
 
 
 class Late(Bench):

@@ -37,7 +37,6 @@ def checked(family, opening, sent_ns, answers, *times):
 
 SYNC, ANSWER = Frame(0x80, b""), 111_000
 """ns of a TPDO of 8 bytes at 1 Mbit/s without stuff bits, and of the three bits before it."""
-CIA = load("virtual-cia402")
 TPDO = [Frame(0x181 + leg, b"\x50\x02" + bytes(6)) for leg in range(6)]
 
 
@@ -46,27 +45,20 @@ def protocol(name):
     return build_protocol(c.bus, c.drives)
 
 
-def test_one_sync_is_that_of_all_legs():
-    assert latch_ns(protocol("virtual-cia402"), [SYNC], [1_500], 1_000) == (500,) * 6
-
-
-def test_each_bus_has_its_own_sync():
-    opening = [SYNC, Frame(0x80, b"", BUS)]
-    found = latch_ns(protocol("two_buses"), opening, [1_500, 3_500], 1_000)
-    assert found == (500, 500, 500, 2_500, 2_500, 2_500)
-
-
-def test_each_poll_is_that_of_its_leg():
-    family = protocol("desktop")
-    polls = opening(family, 0)
-    assert latch_ns(family, polls, [1_001, 1_002, 1_003, 1_004, 1_005, 1_006], 1_000) == (1, 2, 3, 4, 5, 6)
-
-
-def test_what_the_bus_did_not_take_counts_as_of_the_wake_up():
-    opening = [SYNC, Frame(0x80, b"", BUS)]
-    two = protocol("two_buses")
-    assert latch_ns(two, opening, [None, 1_500], 1_000) == (0, 0, 0, 500, 500, 500)
-    assert latch_ns(two, opening, [1_500], 1_000) == (500, 500, 500, 0, 0, 0)
+@pytest.mark.parametrize(
+    ("name", "sent_ns", "latches"),
+    [
+        ("virtual-cia402", [1_500], (500,) * 6),
+        ("two_buses", [1_500, 3_500], (500, 500, 500, 2_500, 2_500, 2_500)),
+        ("two_buses", [None, 1_500], (0, 0, 0, 500, 500, 500)),  # what the bus did not take: the wake-up
+        ("two_buses", [1_500], (500, 500, 500, 0, 0, 0)),
+        ("desktop", [1_001, 1_002, 1_003, 1_004, 1_005, 1_006], (1, 2, 3, 4, 5, 6)),
+    ],
+)
+def test_a_sync_is_that_of_its_bus_and_a_poll_that_of_its_leg(name, sent_ns, latches):
+    family = protocol(name)
+    syncs = {"virtual-cia402": [SYNC], "two_buses": [SYNC, Frame(0x80, b"", BUS)]}
+    assert latch_ns(family, syncs.get(name) or opening(family, 0), sent_ns, 1_000) == latches
 
 
 @pytest.mark.parametrize("first", [0, 3, 5])
@@ -109,7 +101,7 @@ def answer_of_two(tick):
     return Received(1_200_000, dict(reply(end, sync, reading_of(zeros, zeros, zeros, states)))[0])
 
 
-def test_an_answer_that_names_an_older_sync_or_is_damaged_sets_no_clock_right():
+def test_an_answer_to_an_older_sync_or_a_damaged_one_sets_no_clock_right():
     """A stall of 1.5 ms before SYNC, and what a drive still owed comes meanwhile."""
     two, late_ns, opening = protocol("two_buses"), 2_500_000, [SYNC, Frame(0x80, b"", BUS)]
     for tick, answer, expected in [
@@ -139,15 +131,8 @@ def test_without_a_wire_the_first_answer_may_come_before_the_clock_is_read(given
     assert found == [1_000_050]
 
 
-def test_a_prompt_send_is_not_held_against_its_answers():
-    answers = [Received(1_000_000 + ANSWER, TPDO[0])]
-    assert checked(
-        protocol("virtual-cia402"), [SYNC], [1_099_999], answers, 0, 1_000_000, 1_099_999, ANSWER
-    ) == [1_099_999]
-
-
 @pytest.mark.parametrize(("given_ns", "answer_ns"), [(1_100_000, ANSWER), (1_050_000, 50_000)])
-def test_a_send_that_took_as_long_as_an_answer_or_100_us_is_held_against_its_answers(given_ns, answer_ns):
+def test_a_send_that_took_as_long_as_an_answer_or_100_us_is_corrected_by_its_answers(given_ns, answer_ns):
     answers = [Received(1_000_000 + answer_ns, TPDO[0])]
     late, prompt = (
         checked(protocol("virtual-cia402"), [SYNC], [sent_ns], answers, 0, 1_000_000, sent_ns, answer_ns)
@@ -173,9 +158,7 @@ class Plain:
 
 
 @pytest.mark.parametrize(("unasked_s", "expected"), [(0.0, [1_300, 1_200]), (0.01, [1_700, 1_200])])
-def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_tells_when_its_poll_was_out(
-    unasked_s, expected
-):
+def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_counts(unasked_s, expected):
     """A feedback takes 200 ns."""
     family: Any = Plain(unasked_s)
     polls = [Frame(4, b""), Frame(5, b"")]
@@ -183,10 +166,9 @@ def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_tells_when_its
     assert checked(family, polls, [9_000, 9_000], answers, 0, 1_000, 9_000, 200) == expected
 
 
-def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus():
-    assert shortest_answer_ns(CIA.bus, protocol("virtual-cia402")) == ANSWER
-    two = load("two_buses")
-    assert shortest_answer_ns(two.bus, protocol("two_buses")) == 54_800
+@pytest.mark.parametrize(("name", "answer_ns"), [("virtual-cia402", ANSWER), ("two_buses", 54_800)])
+def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus(name, answer_ns):
+    assert shortest_answer_ns(load(name).bus, protocol(name)) == answer_ns
 
 
 @pytest.mark.parametrize(
@@ -204,7 +186,7 @@ def test_the_pose_is_estimated_as_of_the_first_latch_that_there_was(latch_ns, ex
     assert latched_at(cycle.tick) == expected
 
 
-def test_a_replay_is_given_the_latch_of_every_leg():
+def test_a_replay_gets_the_latch_of_every_leg():
     row: Any = row_of(
         record_of(tick=4, t_ns=7, compute_ns=5, recorder_alive=1, latch_ns=[11, 12, 13, 14, 15, 16])
     )

@@ -101,7 +101,7 @@ def test_between_two_rows_forces_are_on_the_line_and_behind_the_last_they_stay()
         np.testing.assert_allclose(tau, np.arange(6.0) + first)
 
 
-def test_they_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> None:
+def test_learned_forces_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> None:
     run = Run().tracking(900)
     forces = np.array(run.seen)
     assert not forces[: WAY - 400].any(), "nothing was learned of what is before"
@@ -112,7 +112,7 @@ def test_they_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> N
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.5])
-def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_anew(speed: float) -> None:
+def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_again(speed: float) -> None:
     run = Run().tracking(300)
     assert run.go(60, speed=speed)[-1] == pytest.approx(np.zeros(6))
     assert not run.go(300, speed=1.0).any(), "not in the middle of the way"
@@ -135,23 +135,16 @@ def test_below_full_speed_at_the_start_they_join_when_path_time_is_the_clock() -
     assert run.largest_step() < BUMPLESS
 
 
-def test_a_start_that_waits_for_the_operator_fades_them_out_and_in_again() -> None:
+@pytest.mark.parametrize("where", ["in the approach", "at the start"])
+def test_a_hold_before_the_reference_begins_fades_them_out_and_in_again(where: str) -> None:
     run = Run()
     run.enter(Mode.APPROACH)
-    assert run.go(WAY)[-1].all()
-    run.enter(Mode.TRACKING)
-    run.motion.settle(run.tick + 1, 0.0)
-    assert not run.go(100, speed=0.0)[-1].any()
-    assert run.go(400, speed=1.0)[-1].all()
-    assert run.largest_step() < BUMPLESS
-
-
-def test_a_hold_in_the_approach_lets_them_come_back_before_the_reference_begins() -> None:
-    run = Run()
-    run.enter(Mode.APPROACH)
-    assert run.go(WAY - 300)[-1].all()
+    assert run.go(WAY if where == "at the start" else WAY - 300)[-1].all()
+    if where == "at the start":
+        run.enter(Mode.TRACKING)
+        run.motion.settle(run.tick + 1, 0.0)
     assert not run.go(300, speed=0.0)[-1].any()
-    assert run.go(260, speed=1.0)[-1].all()
+    assert run.go(400, speed=1.0)[-1].all()
     assert run.largest_step() < BUMPLESS
 
 
@@ -167,7 +160,6 @@ def test_they_join_only_when_what_was_there_has_gone() -> None:
     run.go(20, speed=0.0)
     run.go(700, speed=1.0)
     assert run.motion.override.full
-    assert not run.motion.away
     assert run.largest_step() < 1.05 * (4.0 + 1.875 * rows.max() * T / 1.0)
 
 
@@ -179,7 +171,7 @@ def test_a_stop_fades_them_out() -> None:
     assert run.largest_step() < BUMPLESS
 
 
-def test_on_another_path_none_acts() -> None:
+def test_on_another_path_no_learned_force_acts() -> None:
     run = Run(path=reference()).tracking(300)
     assert not np.array(run.seen).any()
 
@@ -204,12 +196,6 @@ def test_the_first_fault_switches_them_off_for_every_way_that_follows() -> None:
     assert run.tracking(100).go(1).all()
 
 
-def test_a_fault_that_leaves_the_mode_as_it_is_fades_them_out_too() -> None:
-    run = Run().tracking(300)
-    run.faulty = True
-    assert not run.go(60)[-1].any()
-
-
 def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
     run = Run().tracking(1001)
     last = run.seen[-1]
@@ -219,18 +205,7 @@ def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
     assert not run.go(60)[-1].any()
 
 
-def test_a_reset_forgets_the_fault_the_way_that_was_left_and_the_force_that_acts() -> None:
-    run = Run().tracking(300)
-    run.go(5, speed=0.5)
-    state = run.learned._record
-    assert state["left"]
-    state["faulty"] = state["acts"] = 1
-    run.learned.reset()
-    assert [int(state[name]) for name in ("faulty", "acts", "left")] == [0] * 3
-    assert not run.go(1, speed=0.5).any(), "nothing is left that could fade"
-
-
-def test_of_the_approach_they_act_from_the_very_tick_of_their_first_row() -> None:
+def test_in_the_approach_they_act_from_the_tick_of_their_first_row_on() -> None:
     run = Run()
     run.motion.start(GeodesicMove(HERE, EYE, HERE, EYE, 0.4 + 10 * T), 0, then=run.path)
     shares = []

@@ -20,7 +20,6 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import DriveState
 from drivers.tick_columns import tick_at
 from hil.app.compose import build_cycle
-from hil.app.configuration.configuration import load
 from hil.config.estimation import FusionSettings
 from hil.contracts.records import record_of
 from hil.estimation.external_wrench import ExternalWrench
@@ -32,8 +31,8 @@ from hil.loop.cycle import Cycle
 from hil.loop.sight import Sight
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
+from tests.hil.cycle_bench import VIRTUAL
 
-VIRTUAL = load("virtual")
 ALL = 0b111111
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
@@ -43,14 +42,8 @@ def parts() -> Any:
     return build_cycle(VIRTUAL, 1000.0, 0.01).parts
 
 
-def observed(parts: Any, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -> Cycle:
-    """Return a cycle whose pose is found, after the compiled pass has seen a tick."""
-    cycle = Cycle(parts)
-    observe_in(cycle, tick, frames, last)
-    return cycle
-
-
 def observe_in(cycle: Cycle, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -> None:
+    """Let the compiled pass of a cycle whose pose is found see a tick."""
     cycle.sight.located = True
     cycle.sight.fusing = cycle.parts.fusion is not None
     cycle.control.settle()
@@ -81,17 +74,17 @@ def load_frames(*samples: tuple[float, float]) -> Any:
     )
 
 
-def test_refused_frames_of_sensors_come_to_those_of_drives_and_stand_apart(parts):
+def test_refused_frames_of_sensors_count_with_those_of_drives_and_apart(parts):
     good = load_frames((1.0, 0.0))
     bad = good.copy()
     bad["data"][:, 0] ^= 1
     tick = record_of(tick=5)
-    observed(replace(parts, sensors=P), tick, np.concatenate((bad, good, bad)))
+    observe_in(Cycle(replace(parts, sensors=P)), tick, np.concatenate((bad, good, bad)))
     assert (int(tick["rejected"]), int(tick["sensors_rejected"])) == (2, 2)
 
 
 @pytest.mark.parametrize("fusing", [True, False])
-def test_the_newest_sample_of_the_load_counts_turned_by_the_pose_as_it_was_last_seen(parts, fusing):
+def test_the_newest_sample_of_the_load_counts_turned_by_the_last_pose(parts, fusing):
     wrench = ExternalWrench(None, 500.0, 1e-3)
     cycle = Cycle(replace(parts, wrench=wrench, sensors=P, fusion=fused(parts) if fusing else None))
     seen = cycle.parts.fusion if fusing else cycle.sight.estimator
@@ -131,7 +124,7 @@ def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
 
 
 @pytest.mark.parametrize("source", ["sensor", "observer"])
-def test_the_fused_pose_is_told_of_the_load_of_the_last_tick_whoever_saw_it(parts, source):
+def test_the_fused_pose_knows_the_load_of_the_last_tick_whoever_saw_it(parts, source):
     watching = WrenchObserver(Model(parts.platform), ForcePath(1e-3, 0.0, 0.0), 20.0)
     wrench = ExternalWrench(watching if source == "observer" else None, 1000.0, 1e-3)
     cycle, called = seen_by_filter(parts, wrench=wrench, legs=0)
@@ -158,7 +151,7 @@ def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, leg
     np.testing.assert_array_equal(tick["p"], [0.1, 0.2, 0.9])
 
 
-def test_the_counter_of_a_sensor_goes_on_from_tick_to_tick_until_a_reset(parts):
+def test_a_repeated_sample_of_a_sensor_does_not_count_until_a_reset(parts):
     cycle = Cycle(replace(parts, sensors=P))
     for heard in (1, 0):
         observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
@@ -195,15 +188,15 @@ def looking(parts: Any, rate_Hz: float = 1000.0) -> tuple[Sight, Looking]:
     return sight, looks
 
 
-@pytest.mark.parametrize(("rate_Hz", "every"), [(1000.0, 20), (400.0, 8), (250.0, 6), (100.0, 6)])
-def test_the_first_pose_is_looked_for_every_20_ms_but_not_in_more_than_one_tick_of_six(parts, rate_Hz, every):
+@pytest.mark.parametrize(("rate_Hz", "every"), [(1000.0, 20), (400.0, 8), (100.0, 6)])
+def test_the_first_pose_is_looked_for_every_20_ms_and_at_most_every_sixth_tick(parts, rate_Hz, every):
     sight, looks = looking(parts, rate_Hz)
     for number in range(1, 4 * every + 1):
         see(sight, record_of(tick=number, age=0, length=float(number)))
     assert looks.asked == [every, 2 * every, 3 * every, 4 * every]
 
 
-@pytest.mark.parametrize("leg", [0, 3, 5])
+@pytest.mark.parametrize("leg", [0, 5])
 def test_a_look_that_is_due_waits_for_a_tick_in_which_all_six_were_heard(parts, leg):
     sight, looks = looking(parts)
     late = 1 * (np.arange(6) == leg)
@@ -230,11 +223,10 @@ def test_a_pose_that_was_found_is_followed_from_that_tick_on_and_looked_for_no_m
     assert len(looks.asked) == 2
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_age(parts, leg):
+def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_age(parts):
     sight, _ = looking(parts)
     sight.located = True
-    rates, ages = 0.1 * (1.0 + np.arange(6)), (3 + leg) * (np.arange(6) == leg)
+    rates, ages = 0.1 * (1.0 + np.arange(6)), np.array([0, 1, 2, 3, 0, 9])
     tick = record_of(tick=9, length=1.5, rate=rates, age=ages)
     see(sight, tick)
     np.testing.assert_allclose(tick["q"], 1.5 + 1e-3 * rates * ages, rtol=0.0, atol=1e-15)

@@ -56,21 +56,8 @@ STATE = ("q", "dq", *POSE, "J")
 LAWS_READ = (*part("estimate", "reference"), "shortfall")
 SAFETY_READS = (
     *(name for name in part("input") if name not in {"compute_ns", "frames_crc32"}),
-    *(
-        "mode",
-        "tau_asked",
-        "probe_force",
-        "rejected",
-        "foreign",
-        "doubled",
-        "altered",
-        "drive_state",
-        "age",
-        "counted_age",
-        "length",
-        "rate",
-        "drive_force",
-    ),
+    *("mode", "tau_asked", "probe_force", "rejected", "foreign", "doubled", "altered", "drive_state"),
+    *("age", "counted_age", "length", "rate", "drive_force"),
     *(*STATE, "fk_residual", "hop", "condition", "unseen", "fusion_faults", "fusion_warnings"),
     *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
 )
@@ -137,13 +124,9 @@ def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layo
     frames.append(one_feedback(protocol, 4, 1.5, 0.25, 100.0, DriveState.RUN | INVALID, 8))
     frames += reports(protocol, Status(2, DriveState.FAULT, DriveFault.ESTOP))
     run = received_array([Received(1000 + k, frame) for k, frame in enumerate(frames)])
-    last = record_of(
-        tick=7, length=1.0, rate=0.5, drive_force=20.0, drive_state=DriveState.READY, drive_fault=1, age=3
-    )
-    lasts = [
-        last,
-        poisoned(last, "tick", "length", "rate", "drive_force", "drive_state", "drive_fault", "age", "blind"),
-    ]
+    kept = ("tick", "length", "rate", "drive_force", "drive_state", "drive_fault", "age")
+    last = record_of(**dict(zip(kept, (7, 1.0, 0.5, 20.0, DriveState.READY, 1, 3), strict=True)))
+    lasts = [last, poisoned(last, *kept, "blind")]
     end = protocol.controller_end(SETUP)
     stages = iter([lambda tick, last=last: end.take(run, last, tick) for last in lasts])
     follow(lambda: next(stages), [record_of(tick=8)], ("tick",), part("measurement"))
@@ -179,16 +162,8 @@ def test_the_filter_fills_estimate_and_fusion_from_the_measurement():
         return run
 
     reads = (
-        "tick",
-        "t_ns",
-        "lateness_ns",
-        "latch_ns",
-        "length",
-        "rate",
-        "drive_force",
-        "drive_state",
-        "age",
-        "blind",
+        *("tick", "t_ns", "lateness_ns", "latch_ns", "length", "rate", "drive_force", "drive_state"),
+        *("age", "blind"),
     )
     owns = (*STATE, "fk_residual", "condition", *part("fusion"), "counted_age")
     follow(make_stage, moving(), (*reads, "innovation_tracker", "tracker"), owns)
@@ -215,8 +190,7 @@ def test_safety_fills_force_and_certificate_and_looks_neither_at_the_law_nor_at_
         following_error_m=9.0,
     )  # fmt: skip
 
-    c = load("virtual")
-    encoders = encoder_limits(c, 1e3)
+    encoders = encoder_limits(load("virtual"), 1e3)
 
     def make_stage():
         return Safety(limits, 0.5, 9.0, 1e3, 1e5, watch=Watch(table, 1), encoders=encoders).judge
@@ -267,12 +241,10 @@ REMEMBERED = ("tick", *part("measurement"), "p", "R", "twist", "tau")
 def everything():
     """Return `virtual` with all stages that it can have: fused pose, observer, predictor."""
     text = load("virtual").text
+    delay = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8}\n"
     for old, new in (
         ("\nloop:\n", "\nsensors:\n  tracker: {rate_Hz: 200}\n  imu: {rate_Hz: 500}\n\nloop:\n"),
-        (
-            "  damping_ratio: 1\n",
-            "  damping_ratio: 1\n  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8}\n",
-        ),
+        ("  damping_ratio: 1\n", f"  damping_ratio: 1\n{delay}"),
         ("max_load_percent: 70", "max_load_percent: 90"),
     ):
         assert text.count(old) == 1, old

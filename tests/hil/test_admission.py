@@ -1,38 +1,40 @@
-"""Admission: against the book's platform, its static forces and its start."""
+"""Admission of set-points, moves and jogs: against the book's platform, its static forces and its equations."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.compiled.pointed import data_at
 from drivers.signals import Refusal
 from hil.app.compose import build_cycle
-from hil.app.configuration.configuration import load
-from hil.loop.admission import ADMISSION, Admission, judge
+from hil.loop.admission import Admission
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import condition
+from hil.robot.kinematics import condition, jacobian, leg_lengths
 from hil.trajectory.path import PoseSample
+from tests.hil.cycle_bench import VIRTUAL
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())
 HOME = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-
-
-def off(*words):
-    """Home, moved by six words."""
-    return HOME + np.array(words)
-
-
-VIRTUAL = load("virtual")
 PLATFORM = build_cycle(VIRTUAL, 1000.0, 0.01).parts.platform
+MODEL = Model(PLATFORM)
 STATIC = float(np.abs(BOOK["home_static"]["force"]).max())
+P, R, STILL = HOME[:3] + np.array([0.02, -0.03, 0.04]), np.eye(3), np.zeros(6)
+CHI, THERE = np.array([*P, 0.0, 0.0, 0.0]), PoseSample(P, R, STILL, STILL)
+ROOMY: dict[str, Any] = {
+    "force_N": 1e9, "rated": 1e12, "condition": 1e9, "stroke_margin_m": 0.0, "low": 0.1, "high": 5.0,
+    "speed_m_s": 9.0, "deceleration_m_s2": 1e3,
+}  # fmt: skip
+LEGS_AND_WAYS = pytest.mark.parametrize(
+    ("leg", "way"), [(leg, way) for leg in range(6) for way in (1.0, -1.0)]
+)
 
 
 def admission(ddchi=(0, 0, 0, 0, 0, 0), low=0.75, high=2.2, rated=30_000.0, stop_s=0.5, **limits):
     settings = VIRTUAL.limits.model_copy(update=limits)
-    return Admission(PLATFORM, Model(PLATFORM), settings, low, high, rated, np.array(ddchi, float), stop_s)
+    return Admission(PLATFORM, MODEL, settings, low, high, rated, np.array(ddchi, float), stop_s)
 
 
 def lengths(chi):
@@ -40,67 +42,70 @@ def lengths(chi):
     return np.linalg.norm(chi[:3] + Rotation.from_rotvec(chi[3:]).apply(b) - a, axis=1)
 
 
-def test_home_is_a_good_place():
+def toward(leg, way):
+    """Return a position at which a leg is the shortest one, or (-1) the longest one."""
+    base = np.array(BOOK["geometry"]["base_joints"])[leg] * np.array([1.0, 1.0, 0.0])
+    return HOME[:3] + way * 0.3 * base / np.linalg.norm(base)
+
+
+# -- limits to the last bit
+
+
+@pytest.mark.parametrize(
+    ("fields", "most", "stricter", "refusal"),
+    [
+        (("low", "soft_min"), leg_lengths(PLATFORM, P, R).min(), 9.0, Refusal.STROKE),
+        (("high", "soft_max"), leg_lengths(PLATFORM, P, R).max(), 0.0, Refusal.STROKE),
+        (("condition",), condition(PLATFORM, P, R), 0.0, Refusal.CONDITION),
+        (("force",), np.abs(MODEL.inverse_dynamics(P, R, STILL, STILL)).max(), 0.0, Refusal.FORCE),
+    ],
+)
+def test_a_pose_and_a_way_may_be_at_a_limit_to_the_last_bit(fields, most, stricter, refusal):
+    judge = admission(**ROOMY)
+    for limit, expected in ((most, 0), (np.nextafter(most, stricter), refusal)):
+        for name in fields:
+            judge._record[name] = limit
+        assert judge(CHI) == expected
+        assert judge.on_the_way(THERE) == expected
+
+
+# -- set-points
+
+
+def test_home_takes_the_books_static_force_and_no_less():
     assert admission()(HOME) == 0
+    assert admission(force_N=STATIC * (1 + 1e-6))(HOME) == 0
+    assert admission(force_N=STATIC * (1 - 1e-6))(HOME) == Refusal.FORCE
+    assert admission(rated=STATIC * 0.99)(HOME) == Refusal.FORCE, "of the drives"
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_a_pose_is_refused_exactly_a_millimetre_before_a_soft_end(seed):
-    rng = np.random.default_rng(seed)
-    chi = HOME + rng.uniform(-0.15, 0.15, 6)
+@pytest.mark.parametrize("seed", range(8))
+def test_a_set_point_is_refused_exactly_a_millimetre_before_a_soft_end(seed):
+    chi = HOME + np.random.default_rng(seed).uniform(-0.15, 0.15, 6)
     q = lengths(chi)
-    roomy = {"force_N": 1e9, "condition": 1e9, "stroke_margin_m": 0.02}
     for low, high, expected in (
         (q.min() - 0.021 - 1e-9, q.max() + 0.021 + 1e-9, 0),
         (q.min() - 0.021 + 1e-9, q.max() + 0.1, Refusal.STROKE),
         (q.min() - 0.1, q.max() + 0.021 - 1e-9, Refusal.STROKE),
     ):
-        assert admission(low=low, high=high, rated=1e12, **roomy)(chi) == expected
+        assert admission(**ROOMY | {"low": low, "high": high, "stroke_margin_m": 0.02})(chi) == expected
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_a_way_is_refused_exactly_where_a_leg_gets_shorter_or_longer_than_its_soft_ends(leg):
-    """Each leg in turn is the shortest one, and the longest one."""
-    toward = np.array(BOOK["geometry"]["base_joints"])[leg] * np.array([1.0, 1.0, 0.0])
-    roomy = {"force_N": 1e9, "condition": 1e9, "stroke_margin_m": 0.02, "rated": 1e12}
-    for way, end in ((0.3, np.argmin), (-0.3, np.argmax)):
-        p = HOME[:3] + way * toward / np.linalg.norm(toward)
-        q = lengths(np.array([*p, 0.0, 0.0, 0.0]))
-        assert end(q) == leg
-        there = PoseSample(p, np.eye(3), np.zeros(6), np.zeros(6))
-        for low, high, expected in (
-            (q.min() - 0.02 - 1e-9, q.max() + 0.02 + 1e-9, 0),
-            (q.min() - 0.02 + 1e-9, q.max() + 0.1, Refusal.STROKE),
-            (q.min() - 0.1, q.max() + 0.02 - 1e-9, Refusal.STROKE),
-        ):
-            assert admission(low=low, high=high, **roomy).on_the_way(there) == expected
-
-
-def test_the_force_at_rest_is_the_books():
-    assert admission(force_N=STATIC * (1 + 1e-6))(HOME) == 0
-    assert admission(force_N=STATIC * (1 - 1e-6))(HOME) == Refusal.FORCE
-
-
-def test_the_drives_rated_force_counts_as_well():
-    assert admission(rated=STATIC * 0.99)(HOME) == Refusal.FORCE
-
-
-def test_the_force_leaves_room_for_the_largest_accelerations():
-    """At its start the book's path stands at home and accelerates: its forces must fit."""
-    start = BOOK["states"][0]
-    ddchi = np.abs([*start["a"], *start["alpha"]])
-    needed = float(np.abs(start["force"]).max())
-    assert needed > 1.2 * STATIC
-    assert admission(ddchi, force_N=needed * (1 - 1e-6))(HOME) == Refusal.FORCE
-    # Each axis accelerates either way: at most the sum over the axes.
-    assert admission(ddchi, force_N=STATIC + 6 * (needed - STATIC))(HOME) == 0
+@pytest.mark.parametrize("word", range(6))
+def test_the_force_at_a_pose_leaves_room_for_the_largest_acceleration_of_each_axis(word):
+    ddchi = 3.0 * np.eye(6)[word]
+    rest = MODEL.inverse_dynamics(P, R, STILL, STILL)
+    most = max(np.abs(MODEL.inverse_dynamics(P, R, STILL, way * ddchi)).max() for way in (1.0, -1.0))
+    assert most > 1.05 * np.abs(rest).max()
+    assert admission(ddchi, **ROOMY | {"force_N": most * (1 + 1e-9)})(CHI) == 0
+    assert admission(ddchi, **ROOMY | {"force_N": most * (1 - 1e-9)})(CHI) == Refusal.FORCE
 
 
 def test_a_pose_near_the_turn_of_a_right_angle_about_z_is_singular():
-    turned = off(0, 0, 0, 0, 0, np.deg2rad(89))
     roomy = {"force_N": 1e9, "low": 0.1, "high": 5.0}
-    assert admission(**roomy)(turned) & Refusal.CONDITION
-    assert admission(**roomy)(off(0, 0, 0, 0, 0, np.deg2rad(30))) == 0
+    for turn_deg, refused in ((89, True), (30, False)):
+        turned = HOME + np.array([0, 0, 0, 0, 0, np.deg2rad(turn_deg)])
+        assert bool(admission(**roomy)(turned) & Refusal.CONDITION) == refused
 
 
 @pytest.mark.parametrize("word", range(6))
@@ -111,39 +116,90 @@ def test_what_is_not_finite_is_no_pose(word, value):
     assert admission()(chi) == Refusal.NOT_A_POSE
 
 
-def test_more_than_half_a_turn_is_no_pose():
-    assert admission()(off(0, 0, 0, 0, 3.2, 0)) == Refusal.NOT_A_POSE
+AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8), (0, 0.8, 0.6), (0.6, 0.8, 0)]
 
 
-@pytest.mark.parametrize(
-    "axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8), (0, 0.8, 0.6), (0.6, 0.8, 0)]
-)
+@pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_half_a_turn_about_any_axis_is_a_pose_and_more_is_none(axis, way):
-    roomy = {"force_N": 1e99, "rated": 1e99, "low": -1e9, "high": 1e9, "condition": 1e99}
-    for turns, is_pose in ((0.50005, False), (0.49995, True)):
-        found = admission(**roomy)(off(0, 0, 0, *(way * turns * 2.0 * np.pi * np.array(axis))))
+    judge = admission(**ROOMY | {"low": -1e9, "high": 1e9, "force_N": 1e99, "rated": 1e99, "condition": 1e99})
+    exact = [(np.pi, True), (np.nextafter(np.pi, 4.0), False)] if 1 in axis else []
+    for angle, is_pose in ((1.0001 * np.pi, False), (0.9999 * np.pi, True), *exact):
+        found = judge(HOME + np.array([0, 0, 0, *(way * angle * np.array(axis))]))
         assert (found != Refusal.NOT_A_POSE) == is_pose
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_half_a_turn_is_a_pose_to_the_last_bit(axis, way):
-    roomy = {"force_N": 1e99, "rated": 1e99, "low": -1e9, "high": 1e9, "condition": 1e99}
-    for angle, is_pose in ((np.pi, True), (np.nextafter(np.pi, 4.0), False)):
-        found = admission(**roomy)(off(0, 0, 0, *(way * angle * np.eye(3)[axis])))
-        assert (found != Refusal.NOT_A_POSE) == is_pose
+# -- moves
 
 
-@pytest.mark.parametrize(("fall", "sign"), [(0.0, 1.0), (3.0, -1.0)], ids=["pushes", "pulls"])
-def test_a_leg_may_push_and_pull_on_the_way_with_no_more_than_its_force(fall, sign):
-    """At rest all legs push; down with three times the acceleration of free fall they pull."""
-    dtwist = np.array([*(fall * PLATFORM.gravity), 0.0, 0.0, 0.0])
-    tau = Model(PLATFORM).inverse_dynamics(HOME[:3], np.eye(3), np.zeros(6), dtwist)
-    assert (sign * tau > 0.9 * STATIC).all()
-    there = PoseSample(HOME[:3], np.eye(3), np.zeros(6), dtwist)
-    assert admission(force_N=np.abs(tau).max() * (1 + 1e-6)).on_the_way(there) == 0
-    assert admission(force_N=np.abs(tau).min() * (1 - 1e-6)).on_the_way(there) == Refusal.FORCE
+def one_leg(leg, rate, p=P):
+    """Return a sample in which one leg alone changes its length."""
+    return PoseSample(p, R, np.linalg.solve(jacobian(PLATFORM, p, R), rate * np.eye(6)[leg]), STILL)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_way_is_refused_exactly_where_a_leg_passes_its_soft_ends(leg):
+    for way, end in ((1.0, np.argmin), (-1.0, np.argmax)):
+        p = toward(leg, way)
+        q = lengths(np.array([*p, 0.0, 0.0, 0.0]))
+        assert end(q) == leg
+        for low, high, expected in (
+            (q.min() - 0.02 - 1e-9, q.max() + 0.02 + 1e-9, 0),
+            (q.min() - 0.02 + 1e-9, q.max() + 0.1, Refusal.STROKE),
+            (q.min() - 0.1, q.max() + 0.02 - 1e-9, Refusal.STROKE),
+        ):
+            judge = admission(**ROOMY | {"low": low, "high": high, "stroke_margin_m": 0.02})
+            assert judge.on_the_way(PoseSample(p, R, STILL, STILL)) == expected
+
+
+@LEGS_AND_WAYS
+def test_on_a_way_a_leg_is_as_fast_as_the_limit_and_no_faster(leg, way):
+    judge = admission(**ROOMY | {"speed_m_s": 0.3})
+    assert judge.on_the_way(one_leg(leg, way * 0.3 * (1 - 1e-9))) == 0
+    assert judge.on_the_way(one_leg(leg, way * 0.3 * (1 + 1e-9))) == Refusal.SPEED
+
+
+@LEGS_AND_WAYS
+def test_on_a_way_a_leg_can_brake_before_the_end_that_it_moves_to(leg, way):
+    """With 2 m/s^2 and 0.04 m before it a leg may have 0.4 m/s; it is the nearest one to that end."""
+    p = toward(leg, -way)
+    q = lengths(np.array([*p, 0.0, 0.0, 0.0]))
+    assert (way * q).argmax() == leg
+    ends = {"high": q[leg] + 0.04} if way > 0.0 else {"low": q[leg] - 0.04}
+    judge = admission(**ROOMY | ends | {"deceleration_m_s2": 2.0})
+    for share, expected in ((1 - 1e-6, 0), (1 + 1e-6, Refusal.SPEED), (-1 - 1e-6, 0)):
+        assert judge.on_the_way(one_leg(leg, share * way * 0.4, p)) == expected
+
+
+@LEGS_AND_WAYS
+def test_on_a_way_a_leg_pushes_and_pulls_with_what_its_limit_allows(leg, way):
+    """In motion, where that leg alone has to give 5 kN, and the others 1 kN the other way."""
+    twist = np.array([0.1, -0.2, 0.15, 0.3, -0.2, 0.25])
+    moving = MODEL.inverse_dynamics(P, R, twist, STILL)
+    inertia = np.array([MODEL.inverse_dynamics(P, R, twist, each) - moving for each in np.eye(6)]).T
+    asked = np.where(np.arange(6) == leg, 5000.0 * way, -1000.0 * way)
+    there = PoseSample(P, R, twist, np.linalg.solve(inertia, asked - moving))
+    assert admission(**ROOMY | {"force_N": 5000.0 * (1 + 1e-9)}).on_the_way(there) == 0
+    assert admission(**ROOMY | {"force_N": 5000.0 * (1 - 1e-9)}).on_the_way(there) == Refusal.FORCE
+
+
+@pytest.mark.parametrize("word", range(6))
+@pytest.mark.parametrize("part", ["twist", "dtwist"])
+def test_a_way_whose_motion_is_not_finite_is_refused(part, word):
+    motion = np.where(np.arange(6) == word, np.nan, 0.0)
+    assert admission(**ROOMY).on_the_way(THERE) == 0
+    assert admission(**ROOMY).on_the_way(THERE._replace(**{part: motion})) != 0
+
+
+def test_a_sample_whose_rotation_is_a_view_is_judged_as_its_copy():
+    turned = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    copy = PoseSample(P, np.ascontiguousarray(turned.T), np.full(6, 0.1), STILL)
+    view, judge = copy._replace(R=turned.T), admission(**ROOMY)
+    assert judge.on_the_way(view) == judge.on_the_way(copy)
+    assert judge.change_N(view, 0.5) == judge.change_N(copy, 0.5)
+
+
+# -- jogs: what a force changes by within 250 ms
 
 
 @pytest.mark.parametrize(("share", "steepest"), [(1.0, 1.5), (0.3, np.sqrt(4.5 * 0.3))])
@@ -151,85 +207,52 @@ def test_a_leg_may_push_and_pull_on_the_way_with_no_more_than_its_force(fall, si
     ("twist", "stop_s"),
     [((0.2, 0, 0, 0, 0, 0), 0.5), ((0, 0, -0.3, 0, 0, 0), 2.0), ((0, 0, 0, 0, 0, 0.5), 0.1)],
 )
-def test_a_jogs_forces_change_within_250_ms_by_no_more_than_is_said_and_by_most_of_it(
-    twist, stop_s, share, steepest
-):
+def test_a_jogs_forces_change_by_no_more_than_the_bound_and_by_most_of_it(twist, stop_s, share, steepest):
     """Forces of the motion itself: rest, the steepest sigma', at speed, its steepest fall, and 250 ms on.
 
     With |sigma''| <= 4.5 / T^2 a change by s has sigma' of up to sqrt(4.5 s) / T, and of 1.5 / T at most.
     """
-    model, twist = Model(PLATFORM), np.array(twist)
+    twist = np.array(twist)
     here = PoseSample(HOME[:3], np.eye(3), twist, np.zeros(6))
-    said = admission(stop_s=stop_s).change_N(here, share)
+    bound = admission(stop_s=stop_s).change_N(here, share)
     forces = []
-    for sigma, rate, t in [
-        (0, 0, 0),
-        (0, 1, 0),
-        (1, 1, 0),
-        (1, 0, 0),
-        (1, 0, 0.25),
-        (1, -1, 0.25),
-        (0, -1, 0.25),
-    ]:
-        R = Rotation.from_rotvec(share * t * twist[3:]).as_matrix()
+    for sigma, rate, t in (
+        *((0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)),
+        *((1, 0, 0.25), (1, -1, 0.25), (0, -1, 0.25)),
+    ):
+        turned = Rotation.from_rotvec(share * t * twist[3:]).as_matrix()
         motion = share * sigma * twist, rate * steepest / stop_s * twist
-        forces.append(model.inverse_dynamics(HOME[:3] + share * t * twist[:3], R, *motion))
+        forces.append(MODEL.inverse_dynamics(HOME[:3] + share * t * twist[:3], turned, *motion))
     seen = float(np.ptp(forces, axis=0).max())
-    assert 0.8 * said < seen <= said * (1 + 1e-9)
-    assert not admission(stop_s=stop_s, force_window_N=said * (1 + 1e-9)).too_sudden(here, share)
-    assert admission(stop_s=stop_s, force_window_N=said * (1 - 1e-9)).too_sudden(here, share)
+    assert 0.8 * bound < seen <= bound * (1 + 1e-9)
 
 
-def test_a_change_of_force_that_is_no_number_is_too_sudden():
-    assert admission().too_sudden(PoseSample(HOME[:3], np.eye(3), np.full(6, np.nan), np.zeros(6)), 1.0)
-
-
-def test_a_leg_may_be_as_short_or_as_long_as_its_ends_to_the_last_bit():
-    """At (3, 4, 12) m all six legs are 13 m long, exactly."""
-    b = PLATFORM.platform_joints
-    chi = np.array([3.0, 4.0, 12.0, 0.0, 0.0, 0.0])
-    model, k = Model(PLATFORM), np.zeros((), ADMISSION)
-    k["base_joints"] = k["platform_joints"] = b
-    k["radius"], k["constants"], k["code"] = PLATFORM.radius, data_at(model.constants), model.code
-    k["condition"], k["force"] = 1e9, 1e99
-
-    def judged(low, high):
-        k["low"], k["high"] = low, high
-        return judge(k, chi)
-
-    assert judged(13.0, 13.0) != Refusal.STROKE
-    assert judged(np.nextafter(13.0, 14.0), 14.0) == Refusal.STROKE
-    assert judged(12.0, np.nextafter(13.0, 12.0)) == Refusal.STROKE
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_change_of_forces_is_that_of_weight_speed_and_inertia_from_here_to_250_ms_on(seed):
+@pytest.mark.parametrize("seed", range(6))
+def test_the_change_of_forces_is_that_of_weight_speed_and_inertia(seed):
     """A sample that moves, turns and accelerates, forces by the equations of motion at both ends of that way."""
     rng = np.random.default_rng(seed)
     twist = rng.uniform(-1.0, 1.0, 6) * [0.4, 0.4, 0.4, 0.6, 0.6, 0.6]
     dtwist = rng.uniform(-1.0, 1.0, 6) * 30.0
-    p, R = HOME[:3] + rng.uniform(-0.1, 0.1, 3), Rotation.from_rotvec(rng.uniform(-0.2, 0.2, 3))
+    p, turn = HOME[:3] + rng.uniform(-0.1, 0.1, 3), Rotation.from_rotvec(rng.uniform(-0.2, 0.2, 3))
     share, stop_s = rng.uniform(0.2, 1.0), rng.uniform(0.3, 2.0)
-    v, a, model = share * twist, share**2 * dtwist, Model(PLATFORM)
-    zero, ends = np.zeros(6), []
+    v, a, ends = share * twist, share**2 * dtwist, []
     for t in (0.0, 0.25):
-        turned = (Rotation.from_rotvec(t * v[3:]) * R).as_matrix()
-        here = p + t * v[:3], turned
-        rest = model.inverse_dynamics(*here, zero, zero)
-        ends.append((rest, *(model.inverse_dynamics(*here, *each) - rest for each in ((v, a), (zero, v)))))
+        here = p + t * v[:3], (Rotation.from_rotvec(t * v[3:]) * turn).as_matrix()
+        rest = MODEL.inverse_dynamics(*here, STILL, STILL)
+        ends.append((rest, *(MODEL.inverse_dynamics(*here, *each) - rest for each in ((v, a), (STILL, v)))))
     (rest, going, inertia), (rest1, going1, inertia1) = ends
     faster = min(1.5, np.sqrt(4.5 * share)) / (stop_s * share)
     by_speed = np.maximum(np.abs(going), np.abs(going1))
     change = np.abs(rest1 - rest) + by_speed + faster * (np.abs(inertia) + np.abs(inertia1))
-    said = admission(stop_s=stop_s).change_N(PoseSample(p, R.as_matrix(), twist, dtwist), share)
-    assert said == pytest.approx(change.max(), rel=1e-9)
+    found = admission(stop_s=stop_s).change_N(PoseSample(p, turn.as_matrix(), twist, dtwist), share)
+    assert found == pytest.approx(change.max(), rel=1e-9)
 
 
-def test_a_pose_and_a_way_may_be_as_near_to_a_singular_pose_as_the_limit_to_the_last_bit():
-    p, R = HOME[:3], np.eye(3)
-    limit = condition(PLATFORM, p, R)
-    there = PoseSample(p, R, np.zeros(6), np.zeros(6))
-    for most, expected in ((limit, 0), (np.nextafter(limit, 0.0), Refusal.CONDITION)):
-        judge_it = admission(condition=most)
-        assert judge_it(HOME) == expected
-        assert judge_it.on_the_way(there) == expected
+def test_a_jog_may_change_a_force_by_the_window_to_the_last_bit():
+    there = PoseSample(P, R, np.array([0.2, -0.1, 0.1, 0.3, 0.2, -0.3]), STILL)
+    change = admission().change_N(there, 0.5)
+    assert change > 1.0
+    assert not admission(force_window_N=change).too_sudden(there, 0.5)
+    assert admission(force_window_N=np.nextafter(change, 0.0)).too_sudden(there, 0.5)
+    assert admission().change_N(there, 0.0) == 0.0
+    assert admission().too_sudden(there._replace(twist=np.full(6, np.nan)), 1.0), "not finite"

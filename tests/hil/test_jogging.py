@@ -11,7 +11,18 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.config.operator import OperatorSettings
-from hil.loop.jogging import LIVE, NO_KEY, NOT_RESTING, ON_HOLD, AxisJog, Jogging, LegJog
+from hil.loop import jogging
+from hil.loop.jogging import (
+    LIVE,
+    NO_KEY,
+    NOT_RESTING,
+    ON_HOLD,
+    Jogging,
+    LegJog,
+    jog_path,
+    pose_rates,
+    setup_share,
+)
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
 from hil.loop.setup_moves import Inspection
@@ -33,6 +44,8 @@ HOME_P, HOME_R = pose_arrays(LAB.home)
 TURNED = Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix() @ HOME_R
 HERE = PoseSample(HOME_P + np.array([0.02, -0.01, 0.03]), TURNED, np.zeros(6), np.zeros(6))
 STOP_S, SPEED, TURN_deg_s = 0.4, 0.05, 5.0
+SPEEDS = 0.04, 0.3
+"""Of set-up, m/s, rad/s."""
 HOLD, START, KEY = Order(Operator.HOLD), Order(Operator.START), Order(Operator.KEY)
 
 
@@ -83,15 +96,71 @@ def test_lengths_of_no_pose_leave_a_leg_jog_where_it_is():
 
 
 @pytest.mark.parametrize("axis", range(6))
-def test_an_axis_jog_goes_along_or_about_one_axis_of_the_base(axis):
-    rate = np.zeros(6)
-    rate[axis] = -0.08
-    sample = AxisJog(HERE, rate).sample(1.5)
+@pytest.mark.parametrize("way", [1.0, -0.2])
+def test_an_axis_jog_goes_along_or_about_an_axis_of_the_base_at_its_set_up_speed(axis, way):
+    rate = np.sign(way) * np.where(np.arange(6) < 3, 0.04, 0.3) * (np.arange(6) == axis)
+    path = jog_path(PLATFORM, HERE, axis, SPEEDS, way)
+    assert path.duration_s is None
+    sample = path.sample(1.5)
     np.testing.assert_allclose(sample.p, HERE.p + 1.5 * rate[:3], atol=1e-15)
     turn = Rotation.from_rotvec(1.5 * rate[3:]).as_matrix()
     np.testing.assert_allclose(sample.R, turn @ HERE.R, atol=1e-14)
     np.testing.assert_array_equal(sample.twist, rate)
     assert not sample.dtwist.any()
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("way", [1.0, -0.2])
+def test_a_leg_jog_goes_at_the_set_up_speed_of_lengths_in_the_direction_of_the_word(leg, way):
+    path = jog_path(PLATFORM, HERE, 6 + leg, SPEEDS, way)
+    sample = path.sample(0.25)
+    expected = Q + np.sign(way) * 0.04 * 0.25 * (np.arange(6) == leg)
+    np.testing.assert_allclose(lengths(sample.p, sample.R), expected, rtol=0, atol=1e-11)
+    assert path.duration_s is None
+
+
+@pytest.mark.parametrize(
+    ("twist", "share"),
+    [
+        ((0, 0, 0, 0, 0, 0), 1.0),
+        ((0.03, 0, 0, 0, 0.1, 0), 1.0),
+        ((0.03, -0.04, 0.12, 0, 0, 0), 0.04 / 0.13),
+        ((0, 0, 0, 0.3, -0.4, 1.2), 0.3 / 1.3),
+        ((0.08, 0, 0, 1.2, 0, 0), 0.25),
+        ((0.16, 0, 0, 0.6, 0, 0), 0.25),
+    ],
+)
+def test_the_share_is_that_of_the_slower_of_way_and_turn_and_never_more_than_all(twist, share):
+    assert setup_share(HERE._replace(twist=np.array(twist, float)), SPEEDS) == pytest.approx(share, rel=1e-12)
+
+
+def test_a_pose_at_which_a_rate_is_not_finite_is_none(monkeypatch):
+    path = LegJog(PLATFORM, HERE, 0.05 * np.eye(6)[2])
+    last = path.sample(0.0)
+    twist = np.array([1.0, 2.0, np.inf, 3.0, 4.0, 5.0])
+    monkeypatch.setattr(jogging, "pose_rates", lambda *_: (twist, twist))
+    assert path.ahead(0.1) is None
+    assert path.sample(0.1) is last
+
+
+def test_at_a_singular_pose_the_rates_are_no_numbers_and_elsewhere_those_of_the_lengths():
+    a, b = PLATFORM.base_joints, PLATFORM.platform_joints
+    for found in pose_rates(a, np.zeros_like(b), HERE.p, np.eye(3), np.ones(6)):
+        assert np.isnan(found).all()
+    dq = np.array([0.01, -0.02, 0.03, 0.0, 0.05, -0.01])
+    twist, dtwist = pose_rates(a, b, HERE.p, np.ascontiguousarray(HERE.R), dq)
+
+    def turned(t):
+        w = t * (twist[3:] + 0.5 * t * dtwist[3:])
+        p = HERE.p + t * (twist[:3] + 0.5 * t * dtwist[:3])
+        return lengths(p, Rotation.from_rotvec(w).as_matrix() @ HERE.R)
+
+    h = 1e-3
+    np.testing.assert_allclose((turned(h) - turned(-h)) / (2 * h), dq, atol=1e-8)
+    np.testing.assert_allclose((turned(h) - 2 * turned(0.0) + turned(-h)) / h**2, 0.0, atol=1e-7)
+
+
+# -- a jog of a platform that is held
 
 
 def free(name, move):
@@ -120,8 +189,8 @@ class Held:
             **{"setup_speed_m_s": SPEED, "setup_speed_deg_s": TURN_deg_s} | settings
         )
         self.rate_Hz, self.tick = rate_Hz, 0
-        jogging = Jogging(self.settings, rate_Hz, PLATFORM, admission, too_sudden)
-        self.operating = Operating(self.settings, rate_Hz, STOP_S, jogging, free)
+        jogs = Jogging(self.settings, rate_Hz, PLATFORM, admission, too_sudden)
+        self.operating = Operating(self.settings, rate_Hz, STOP_S, jogs, free)
         self.motion = Motion(1.0 / rate_Hz, HERE.p, HERE.R, STOP_S)
         self.path = GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0)
         self.motion.start(self.path, 0)
@@ -193,7 +262,7 @@ def test_the_acceleration_is_bounded_and_does_not_jump():
     assert np.abs(np.diff(a)).max() <= 4.5 / STOP_S**2 * SPEED * 1e-3 * (1 + 1e-9)
 
 
-def test_a_leg_of_a_small_platform_is_slower_so_that_it_turns_no_faster_than_set_up():
+def test_a_leg_is_so_slow_that_the_platform_turns_no_faster_than_at_set_up():
     held = Held(Box(1.0), setup_speed_deg_s=0.7)
     _, samples = held.run(1500, jog("leg2"))
     fastest = speed(samples).max(axis=0)
@@ -201,12 +270,15 @@ def test_a_leg_of_a_small_platform_is_slower_so_that_it_turns_no_faster_than_set
     assert fastest[0] < SPEED
 
 
-@pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 100), (500.0, 50), (250.0, 25)])
-def test_a_jog_whose_words_cease_brakes_100_ms_after_the_last_one(rate_Hz, ticks):
+@pytest.mark.parametrize(
+    ("rate_Hz", "seconds", "ticks"), [(1000.0, 1, 100), (250.0, 1, 25), (20.0, 3, 2), (5.0, 3, 1)]
+)
+def test_a_jog_whose_words_cease_brakes_100_ms_after_the_last_one(rate_Hz, seconds, ticks):
+    """In a loop that is slower than that after a tick."""
     held = Held(Box(1.0), rate_Hz)
-    held.run(int(rate_Hz), jog("y"), every=1)
+    held.run(int(seconds * rate_Hz), jog("y"), every=1)
     last = held.tick - 1
-    _, samples = held.run(int(rate_Hz))
+    _, samples = held.run(int(seconds * rate_Hz))
     slower = np.flatnonzero(speed(samples)[:, 0] < SPEED * (1 - 1e-9))[0] + last + 1
     assert slower == last + ticks + 1
     assert not samples[-1].twist.any()
@@ -299,13 +371,6 @@ def test_a_jog_is_judged_where_it_is_however_far_along_the_path_it_began(name):
     assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "it uses what room there is"
 
 
-def test_at_full_speed_a_jog_is_not_on_the_clock_of_the_path():
-    held = Held(Box(1.0))
-    held.run(600, jog("x"))
-    assert held.motion.override.full
-    assert held.motion.away or not held.motion.override.full
-
-
 def test_a_stop_ends_a_jog_for_good():
     held = Held(Box(1.0))
     held.run(600, jog("x"))
@@ -320,12 +385,11 @@ def test_a_stop_ends_a_jog_for_good():
     assert 0.0 < held.motion.sample(held.tick).p[0] - p[0] < SPEED * STOP_S
 
 
-def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_and_one_that_comes_to_it_stops():
+def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_or_stops():
     everywhere = Held(Box(1.0), too_sudden=lambda *_: True)
     answers, samples = everywhere.run(600, jog("x"))
     assert not np.array([s.twist for s in samples]).any()
-    assert "jog x: it stops, since beyond, a leg's force could change by more than" in answers[-1]
-    assert "limits.force_window_N within 250 ms" in answers[-1]
+    assert "limits.force_window_N" in answers[-1]
     border = HERE.p[0] + 0.01
     ahead = Held(Box(1.0), too_sudden=lambda s, _: s.p[0] > border)
     _, samples = ahead.run(2000, jog("x"))
@@ -333,8 +397,8 @@ def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_and_one_that_come
     assert not samples[-1].twist.any()
 
 
-@pytest.mark.parametrize("fraction", [1.0, -1.0, 0.4, -0.4])
-def test_a_jog_is_judged_for_its_forces_at_the_share_of_its_speed_whichever_way_it_goes(fraction):
+@pytest.mark.parametrize("fraction", [1.0, -0.4])
+def test_a_jog_is_judged_for_its_forces_at_the_share_of_its_speed(fraction):
     shares = []
 
     def noted(_sample, share):
@@ -361,35 +425,18 @@ def test_the_controller_judges_jogs_by_the_force_window_of_its_configuration(win
     assert ("limits.force_window_N" in answers[-1]) != moves
 
 
-def test_where_the_platform_rests_it_is_not_judged():
-    box = Box(1.0)
-    held = Held(box)
-    held.run(300)
-    held.run(300, jog("x"))
-    asked = box.asked
-    assert asked > 0
-    held.run(1500)
-    assert box.asked <= asked + 100
-
-
-@pytest.mark.parametrize("name", JOG_NAMES[:6])
-def test_an_axis_moves_at_its_own_set_up_speed(name):
+@pytest.mark.parametrize("command", [Operator.START, Operator.PARK, Operator.HOLD])
+def test_start_and_park_let_a_jog_come_to_rest_and_hold_does_not(command):
     held = Held(Box(1.0))
-    _, samples = held.run(600, jog(name))
-    wanted = np.zeros(6)
-    axis = JOG_NAMES.index(name)
-    wanted[axis] = SPEED if axis < 3 else np.deg2rad(TURN_deg_s)
-    np.testing.assert_allclose(samples[-1].twist, wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize("command", [Operator.START, Operator.PARK])
-def test_a_jog_comes_to_rest_before_the_way_back(command):
-    held = Held(Box(1.0))
-    _, samples = held.run(600, jog("x"))
-    held.say(Order(command))
+    _, samples = held.run(600, jog("x"), every=1)
+    held.say(jog("x"), Order(command))
     _, more = held.run(600)
     v = np.array([s.twist[0] for s in samples[-1:] + more])
     assert np.abs(np.diff(v)).max() <= 2 * 1.5 / STOP_S * SPEED * 1e-3
+    if command is Operator.HOLD:
+        np.testing.assert_allclose(v[:20], SPEED)
+        return
+    assert (np.diff(v[1:20]) < 0.0).all()
     if command is Operator.PARK:
         assert held.motion.resting, "the way back to the first pose is the cycle's"
         assert not more[-1].twist.any()

@@ -1,16 +1,19 @@
-"""The present trajectory, and the look ahead across its end."""
+"""The present trajectory: its time, its end, what follows it, the path that was left, and the look ahead."""
 
 import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
 from hil.trajectory.holding import HoldTrajectory
+from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 from hil.trajectory.piecewise import PiecewisePolynomial
 from tests.hil.motions import ahead, before
+from tests.judged import ANYWHERE
 
-T = 1e-3
+T, LONG = 1e-3, 0.25
+"""s: with the longer period whole ticks are exact."""
 HERE, THERE = np.zeros(3), np.array([0.1, 0.0, 0.0])
 EYE = np.eye(3)
 AHEAD = 1.8e-3
@@ -23,33 +26,186 @@ def next_path():
     return PiecewisePolynomial(np.array([0.0, 1.0]), coefficients)
 
 
-@pytest.mark.parametrize("duration", [0.5, 0.4996, 0.50000000001, 0.3 * T / T])
+def move(duration_s=1.0):
+    return GeodesicMove(HERE, EYE, THERE, EYE, duration_s)
+
+
+class Turn:
+    """About z at 0.5 rad/s, for a while or for ever."""
+
+    def __init__(self, duration_s: float | None) -> None:
+        self.duration_s = duration_s
+
+    def sample(self, t: float) -> PoseSample:
+        c, s = np.cos(0.5 * t), np.sin(0.5 * t)
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return PoseSample(HERE, R, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5]), np.zeros(6))
+
+
+def along(trajectory, tick=0, then=None, period_s=LONG):
+    """Return a motion along a trajectory since a tick."""
+    motion = Motion(period_s, HERE, EYE, 0.5)
+    motion.start(trajectory, tick, then=then)
+    return motion
+
+
+# -- its time and its end
+
+
+def test_a_trajectory_counts_from_the_tick_at_which_it_begins():
+    motion = Motion(LONG, THERE, EYE, 0.5)
+    assert (motion.tick, motion.time(0), motion.time(3)) == (0, 0.0, 0.75)
+    assert motion.left is None
+    np.testing.assert_array_equal(motion.sample(7).p, THERE)
+    assert not motion.sample(7).twist.any()
+    motion.start(next_path(), 5)
+    assert (motion.tick, motion.time(5), motion.time(7)) == (5, 0.0, 0.5)
+    for a, b in zip(motion.sample(7), motion.trajectory.sample(0.5), strict=True):
+        assert a.tobytes() == b.tobytes(), "at full speed its own"
+    motion.rest(THERE, EYE, 9)
+    assert (motion.tick, motion.time(9)) == (9, 0.0)
+    motion.leave(move(), 11)
+    assert motion.tick == 11
+
+
+@pytest.mark.parametrize("begins", [0, 300])
+@pytest.mark.parametrize("patience_s", [0.0, 0.25])
+def test_a_motion_is_overdue_once_it_ended_longer_ago_than_it_is_waited_for(begins, patience_s):
+    motion = along(Turn(1.0), begins, period_s=T)
+    ends = begins + 1000
+    last = ends + round(patience_s / T)
+    assert [motion.finished(k) for k in (begins, ends - 1, ends, last + 900)] == [False, False, True, True]
+    assert not any(motion.overdue(tick, patience_s) for tick in (begins, ends - 1, last - 1))
+    assert all(motion.overdue(tick, patience_s) for tick in (last + 1, last + 900))
+
+
+@pytest.mark.parametrize("patience_s", [0.0, 0.5])
+def test_a_motion_that_ended_just_as_long_ago_as_it_is_waited_for_is_not_overdue(patience_s):
+    waits = round(patience_s / LONG)
+    motion = along(Turn(1.0))
+    assert [motion.overdue(4 + waits + k, patience_s) for k in (0, 1)] == [False, True]
+    motion.settle(4, 0.0)
+    motion.stop(8, 0.5)
+    assert [motion.overdue(8 + waits + k, patience_s) for k in (0, 1)] == [False, True]
+
+
+@pytest.mark.parametrize("trajectory", [Turn(None), HoldTrajectory(HERE, EYE)], ids=["turn", "hold"])
+def test_a_motion_without_an_end_is_never_finished_nor_overdue(trajectory):
+    motion = along(trajectory, period_s=T)
+    assert not any(motion.finished(tick) or motion.overdue(tick, 0.0) for tick in (0, 1, 10_000))
+
+
+@pytest.mark.parametrize("stops", [0, 1, 50])
+def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
+    motion = along(Turn(None), period_s=T)
+    motion.settle(0, 0.0)
+    assert not motion.finished(stops)
+    motion.stop(stops, 0.5)
+    assert [motion.finished(tick) for tick in (stops - 1, stops, stops + 1)] == [False, True, True]
+    assert not motion.overdue(stops + 99, 0.1)
+    assert motion.overdue(stops + 101, 0.1)
+
+
+def test_a_stop_at_less_than_full_speed_has_ended_at_the_tick_of_rest_and_stays_ended():
+    motion = along(Turn(None), period_s=T)
+    motion.settle(0, 0.5)
+    motion.stop(10, 0.5)
+    rests = None
+    for tick in range(11, 600):
+        motion.advance(tick)
+        assert motion.finished(tick) == motion.resting
+        if rests is None and motion.resting:
+            rests = tick
+    assert rests is not None
+    assert not motion.overdue(rests + 100, 0.1)
+    assert motion.overdue(rests + 101, 0.1)
+
+
+# -- a new one forgets the one before
+
+
+def test_a_new_trajectory_has_not_stopped_where_the_one_before_it_did():
+    motion = along(Turn(None))
+    motion.settle(1, 0.0)
+    motion.stop(2, 0.5)
+    assert motion.finished(2)
+    motion.start(Turn(1.0), 3)
+    motion.settle(3, 1.0)
+    assert [motion.finished(tick) for tick in (3, 6, 7)] == [False, False, True]
+
+
+def test_a_new_trajectory_is_not_followed_by_what_was_to_follow_the_one_before():
+    path = next_path()
+    motion = along(move(), then=path)
+    assert before(motion, 1, path) == -0.75
+    assert before(motion, 1, next_path()) is None, "another one"
+    motion.start(move(), 2)
+    assert before(motion, 3, path) is None
+    assert ahead(motion, 5, 1.0)[1] is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda motion: motion.start(Turn(None), 4),
+        lambda motion: motion.rest(HERE, EYE, 4),
+        lambda motion: motion.stop(4, 0.5),
+    ],
+    ids=["start", "rest", "stop"],
+)
+def test_a_new_trajectory_resumes_no_path_that_the_one_before_had_left(change):
+    motion = along(next_path())
+    motion.leave(move(), 3)
+    assert motion.away
+    change(motion)
+    assert not motion.away
+    assert motion.left is None
+
+
+def test_a_path_that_is_left_twice_is_resumed_at_rest_where_it_was_left_first():
+    path = next_path()
+    motion = along(path, 1)
+    motion.leave(move(), 3)
+    assert motion.resting, "where the jog begins, nothing moves"
+    motion.leave(Turn(None), 8)
+    sample, s = motion.left
+    assert s == 0.5
+    np.testing.assert_array_equal(sample.p, path.sample(0.5).p)
+    assert not np.concatenate([sample.twist, sample.dtwist]).any()
+    motion.resume(12)
+    assert motion.trajectory is path
+    assert (motion.resting, motion.away) == (True, False)
+    assert [motion.time(tick) for tick in (12, 20)] == [0.5, 0.5]
+
+
+# -- the look ahead
+
+
+@pytest.mark.parametrize("duration", [0.5, 0.4996, 0.50000000001])
 def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, duration), 100, then=next_path())
+    motion = along(move(duration), 100, next_path(), T)
     begins = next(tick for tick in range(100, 1000) if motion.finished(tick))
     seen = {tick: ahead(motion, tick, AHEAD) for tick in range(begins - 4, begins)}
-    for tick, (sample, along) in seen.items():
+    for tick, (sample, s) in seen.items():
         t = (tick - begins) * T + AHEAD
         if t < 0:
-            assert along is None
+            assert s is None
             assert sample.p[0] == pytest.approx(0.1, abs=1e-6)
         else:
-            assert along == pytest.approx(t, abs=1e-12)
+            assert s == pytest.approx(t, abs=1e-12)
             assert sample.p[0] == pytest.approx(0.1 + 2 * t * t, abs=1e-12)
             assert sample.dtwist[0] == pytest.approx(4.0)
     motion.start(next_path(), begins)
-    first, along = ahead(motion, begins, AHEAD)
-    assert along is None
+    first, s = ahead(motion, begins, AHEAD)
+    assert s is None
     assert first.p[0] - seen[begins - 1][0].p[0] == pytest.approx(2 * (AHEAD**2 - (AHEAD - T) ** 2))
 
 
 def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
-    for tick in range(500, 520):
-        sample, along = ahead(motion, tick, AHEAD)
-        assert along is None
+    motion = along(move(0.5), then=next_path(), period_s=T)
+    for tick in (500, 519):
+        sample, s = ahead(motion, tick, AHEAD)
+        assert s is None
         np.testing.assert_allclose(sample.p, THERE)
         assert not sample.dtwist.any()
 
@@ -57,7 +213,7 @@ def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
 def test_a_hold_on_the_approach_puts_off_what_comes_next():
     """Held at 0.1 s for half a second; at full speed again the next path begins where the approach ends."""
     motion, path = Motion(T, HERE, EYE, 0.2), next_path()
-    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 1.0), 0, then=path)
+    motion.start(move(), 0, then=path)
     seen, tick = {}, 0
     while not motion.finished(tick):
         tick += 1
@@ -74,91 +230,103 @@ def test_a_hold_on_the_approach_puts_off_what_comes_next():
     assert seen[begins - 1][1] == pytest.approx(AHEAD - T)
 
 
-def test_the_look_ahead_of_a_stop_is_the_stop():
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=next_path())
-    before = ahead(motion, 250, AHEAD)[0]
+def test_the_time_before_the_next_one_is_zero_from_the_end_on_and_unknown_below_full_speed():
+    path = next_path()
+    motion = along(move(), then=path)
+    assert [before(motion, tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]
+    sample, s = ahead(motion, 2, 0.5)
+    assert (s, sample.dtwist[0]) == (0.0, 4.0), "its first sample in the very tick at which it begins"
+    assert ahead(motion, 2, 0.4375)[1] is None
+    motion.settle(2, 0.5)
+    assert before(motion, 3, path) is None
+    assert ahead(motion, 3, 1.0)[1] is None
+
+
+def test_the_look_ahead_of_a_stop_is_the_stop_and_nothing_comes_next():
+    motion, path = along(move(0.5), then=next_path(), period_s=T), next_path()
+    seen = ahead(motion, 250, AHEAD)[0]
     motion.stop(250, 0.5)
     after = ahead(motion, 250, AHEAD)[0]
-    np.testing.assert_allclose(after.p, before.p, atol=1e-7)
-    np.testing.assert_allclose(after.twist, before.twist, atol=1e-4)
-    assert ahead(motion, 499, AHEAD)[0].p[0] < 0.1, "the next trajectory is off"
-
-
-def test_after_a_stop_on_the_approach_nothing_comes_next():
-    motion, path = Motion(T, HERE, EYE, 0.5), next_path()
-    motion.start(GeodesicMove(HERE, EYE, THERE, EYE, 0.5), 0, then=path)
+    np.testing.assert_allclose(after.p, seen.p, atol=1e-7)
+    np.testing.assert_allclose(after.twist, seen.twist, atol=1e-4)
+    assert ahead(motion, 499, AHEAD)[0].p[0] < 0.1
+    motion = along(move(0.5), then=path, period_s=T)
     motion.stop(480, 0.01)
     stands = motion.trajectory.sample(1.0).p
     for tick in range(480, 500):
         assert before(motion, tick, path) is None
-        sample, along = ahead(motion, tick, 0.05)
-        assert along is None
+        sample, s = ahead(motion, tick, 0.05)
+        assert s is None
         np.testing.assert_allclose(sample.p, stands, atol=1e-12)
 
 
 def test_the_look_ahead_past_the_last_end_is_rest():
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(next_path(), 0)
-    sample, along = ahead(motion, 999, AHEAD)
-    assert along is None
+    motion = along(next_path(), period_s=T)
+    sample, s = ahead(motion, 999, AHEAD)
+    assert s is None
     assert sample.p[0] == pytest.approx(2.1)
     assert not sample.twist.any()
-    motion.start(HoldTrajectory(THERE, EYE), 10)
-    np.testing.assert_allclose(ahead(motion, 10, AHEAD)[0].p, THERE)
 
 
-class Turn:
-    """About z at 0.5 rad/s, for a while or for ever."""
+@pytest.mark.parametrize("sigma", [0.25, 0.5])
+def test_below_full_speed_the_look_ahead_is_where_the_platform_will_be_at_that_speed(sigma):
+    motion = along(move(60.0))
+    motion.settle(4, sigma)
+    for ticks in (1, 4):
+        seen, then = ahead(motion, 6, ticks * LONG)
+        there = motion.sample(6 + ticks)
+        assert then is None
+        assert not np.array_equal(seen.p, motion.sample(6).p)
+        for one, other in zip(seen, there, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
 
-    def __init__(self, duration_s: float | None) -> None:
-        self.duration_s = duration_s
 
-    def sample(self, t: float) -> PoseSample:
-        c, s = np.cos(0.5 * t), np.sin(0.5 * t)
-        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return PoseSample(HERE, R, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5]), np.zeros(6))
+# -- a live one, whose speed is its own
 
 
-@pytest.mark.parametrize("begins", [0, 300])
-@pytest.mark.parametrize("patience_s", [0.0, 0.25])
-def test_a_motion_is_overdue_once_it_has_ended_longer_ago_than_it_is_waited_for(begins, patience_s):
+def lives():
+    live = LiveTrajectory(
+        np.array([0.1, 0.2, 1.0, 0.0, 0.0, 0.0]), np.repeat([[0.3], [1.0], [10.0]], 6, 1), T
+    )
     motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(Turn(1.0), begins)
-    ends = begins + 1000
-    last = ends + round(patience_s / T)
-    assert [motion.finished(tick) for tick in (begins, ends - 1, ends, last + 900)] == [
-        False,
-        False,
-        True,
-        True,
-    ]
-    assert not any(motion.overdue(tick, patience_s) for tick in (begins, ends - 1, last - 1))
-    assert all(motion.overdue(tick, patience_s) for tick in (last + 1, last + 900))
+    motion.settle(0, 0.2)
+    motion.start(live, 0)
+    assert motion.override.full, "whatever the speed before"
+    live.aim(np.array([2.1, 0.2, 1.0, 0.0, 0.0, 0.0]))
+    return motion, live
 
 
-@pytest.mark.parametrize("trajectory", [Turn(None), HoldTrajectory(HERE, EYE)], ids=["turn", "hold"])
-def test_a_motion_without_an_end_is_never_finished_nor_overdue(trajectory):
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(trajectory, 0)
-    assert not any(motion.finished(tick) or motion.overdue(tick, 0.0) for tick in (0, 1, 10_000))
+def goes(live, first, last):
+    for tick in range(first, last):
+        live.advance(tick, ANYWHERE)
+    return live.sample(0.0).twist[0]
 
 
-@pytest.mark.parametrize("begins", [0, 300])
-def test_a_stop_of_a_motion_that_is_held_is_overdue_from_the_tick_of_the_stop_on(begins):
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(Turn(None), begins)
-    motion.settle(begins + 100, 0.0)
-    motion.stop(begins + 200, 0.5)
-    assert not motion.overdue(begins + 299, 0.1)
-    assert motion.overdue(begins + 301, 0.1)
+def test_a_live_trajectory_takes_the_share_of_its_speed_and_a_hold_from_the_operator():
+    motion, live = lives()
+    motion.aim(0, 0.5, go=True)
+    assert goes(live, 1, 500) == pytest.approx(0.15)
+    assert not motion.resting
+    motion.settle(500, 0.0)
+    motion.aim(500, 0.5, go=False)
+    assert goes(live, 500, 501) > 0.1
+    assert goes(live, 501, 1100) == 0.0
+    assert motion.resting
+    assert motion.override.full, "the path's own speed stays"
+    rests = live.sample(0.0).p.copy()
+    motion.aim(1100, 1.0, go=True)
+    goes(live, 1100, 1300)
+    np.testing.assert_array_equal(live.sample(0.0).p, rests, err_msg="there is no set-point since")
 
 
-@pytest.mark.parametrize("stops", [0, 1, 50])
-def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
-    motion = Motion(T, HERE, EYE, 0.5)
-    motion.start(Turn(None), 0)
-    motion.settle(0, 0.0)
-    assert not motion.finished(stops)
-    motion.stop(stops, 0.5)
-    assert [motion.finished(tick) for tick in (stops - 1, stops, stops + 1)] == [False, True, True]
+def test_a_live_trajectory_is_stopped_by_its_own_brake():
+    motion, live = lives()
+    goes(live, 1, 500)
+    assert not motion.finished(10**6)
+    motion.stop(500, 5.0)
+    assert motion.trajectory is live
+    ends = round(live.duration_s / T)
+    assert 500 < ends < 1200
+    goes(live, 500, ends + 1)
+    assert [motion.finished(tick) for tick in (ends - 1, ends + 1)] == [False, True]
+    assert motion.resting

@@ -1,5 +1,8 @@
 """What the operator lets the platform do: orders, the key, and where each counts."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,8 +12,8 @@ from hil.app.configuration.platform import build_platform
 from hil.config.operator import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
-from hil.loop.operating import Operating
-from hil.loop.setup_moves import Inspection, at_setup_speed
+from hil.loop.operating import NO_KEY, Operating
+from hil.loop.setup_moves import Inspection
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 
@@ -26,7 +29,7 @@ def no_jogging(rate_Hz):
 
 
 def free(name, move):
-    """A way on which nothing is refused."""
+    """Return a way on which nothing is refused."""
     return Inspection(build_platform(load("lab").platform), lambda _: 0, name, move)
 
 
@@ -47,16 +50,9 @@ def run(both, ticks, orders, mode=Mode.TRACKING):
     return np.array(found)
 
 
-def test_without_orders_nothing_is_slower():
-    assert (run(made(), 1000, {}) == 1.0).all()
-
-
 def test_hold_start_and_speed():
-    sigma = run(
-        made(),
-        3000,
-        {100: [HOLD], 1000: [START], 1700: [Order(Operator.SPEED, (0.4,))], 2500: [HOLD, START]},
-    )
+    slower = Order(Operator.SPEED, (0.4,))
+    sigma = run(made(), 3000, {100: [HOLD], 1000: [START], 1700: [slower], 2500: [HOLD, START]})
     assert (sigma[:101] == 1.0).all()
     assert sigma[101] < 1.0
     assert (sigma[610:1000] == 0.0).all()
@@ -70,15 +66,27 @@ def test_a_speed_that_is_set_on_hold_counts_from_the_start():
     assert sigma[-1] == 0.3
 
 
-@pytest.mark.parametrize(
-    ("rate_Hz", "deadman_s", "ticks"), [(1000.0, 0.1, 100), (500.0, 0.1, 50), (250.0, 0.05, 12)]
-)
+# -- the key
+
+
+@pytest.mark.parametrize(("rate_Hz", "deadman_s", "ticks"), [(1000.0, 0.1, 100), (250.0, 0.05, 12)])
 def test_the_stop_begins_that_many_ticks_after_the_last_key_frame(rate_Hz, deadman_s, ticks):
     operating, motion = made(rate_Hz, deadman_s=deadman_s)
     sigma = run((operating, motion), 400, {tick: [KEY] for tick in range(0, 101, 10)})
     slower = int(np.flatnonzero(sigma < 1.0)[0])
     assert slower == 100 + ticks + 1
     assert not operating.go
+
+
+@pytest.mark.parametrize(
+    ("deadman_s", "ticks"),
+    [(0.0004, 1), (0.0019, 1), (0.002, 2), (0.1, 100), (0.0289999999995, 29), (0.0289999999985, 28)],
+)
+def test_a_key_counts_as_held_for_the_whole_ticks_of_its_time_and_one_at_least(deadman_s, ticks):
+    operating, motion = made(deadman_s=deadman_s)
+    assert not operating.holds_key(0)
+    operating.step([KEY], 7, Mode.TRACKING, motion)
+    assert [operating.holds_key(7 + n) for n in (0, ticks - 1, ticks)] == [True, True, False]
 
 
 def test_keys_that_come_again_move_nothing_without_a_new_start():
@@ -90,25 +98,41 @@ def test_keys_that_come_again_move_nothing_without_a_new_start():
     assert operating.go
 
 
-def test_a_start_without_the_key_is_refused():
+@pytest.mark.parametrize("order", [START, PARK])
+def test_without_the_key_start_and_park_are_refused_and_move_nothing(order):
     operating, motion = made(deadman_s=0.05)
-    run((operating, motion), 100, {})
-    operating.step([START], 100, Mode.TRACKING, motion)
-    assert operating.answers[0].startswith("the key is not held")
-    operating.step([KEY, START], 101, Mode.TRACKING, motion)
+    run((operating, motion), 700, {0: [KEY]})
+    operating.step([order], 700, Mode.TRACKING, motion)
+    assert operating.answers == [NO_KEY]
+    assert not operating.go
+    assert not operating.parks
+    operating.step([KEY, order], 701, Mode.TRACKING, motion)
     assert operating.answers == ["", ""]
+
+
+@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
+def test_a_key_that_is_let_go_of_holds_a_platform_that_is_to_park(mode):
+    operating, motion = made(deadman_s=0.05)
+    operating.step([KEY, PARK], 10, Mode.TRACKING, motion)
+    held = []
+    for tick in range(11, 700):
+        operating.step([], tick, mode, motion)
+        held.append(operating.go)
+    assert held == [True] * 49 + [False] * 640
+    assert operating.parks
+    assert motion.resting
+
+
+# -- where an order counts
 
 
 @pytest.mark.parametrize("mode", sorted(set(Mode) - {Mode.APPROACH, Mode.TRACKING}))
 def test_where_nothing_moves_there_is_nothing_to_start_hold_or_park(mode):
     operating, motion = made()
     operating.step([START, HOLD, PARK], 0, mode, motion)
-    assert all(mode.name in answer for answer in operating.answers)
-    assert len(operating.answers) == 3
+    assert [mode.name in answer for answer in operating.answers] == [True] * 3
     assert operating.go
     assert not operating.parks
-    operating.step([], 1, mode, motion)
-    assert operating.answers == []
 
 
 def test_a_controlled_stop_is_not_the_operators_to_hold_up():
@@ -120,27 +144,36 @@ def test_a_controlled_stop_is_not_the_operators_to_hold_up():
     assert not motion.sample(600).twist.any()
 
 
-def test_park_waits_for_rest_and_hold_takes_it_back():
+@pytest.mark.parametrize("order", [HOLD, START])
+def test_park_waits_for_rest_and_hold_or_start_takes_it_back(order):
     operating, motion = made()
     run((operating, motion), 700, {100: [PARK]})
     assert operating.parks
     assert operating.stays(Mode.TRACKING)
     assert motion.resting
-    operating.step([HOLD], 700, Mode.TRACKING, motion)
+    operating.step([order], 700, Mode.TRACKING, motion)
     assert not operating.parks
 
 
-def test_the_way_back_is_nowhere_faster_than_the_set_up_speed():
-    operating, motion = made(setup_speed_m_s=0.02, setup_speed_deg_s=3.0)
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    here = motion.sample(0)
-    for there, limit, part in (
-        (here._replace(p=np.array([0.03, 0.04, 0.0])), 0.02, slice(3)),
-        (here._replace(R=turned), np.deg2rad(3.0), slice(3, 6)),
-    ):
-        back = at_setup_speed(operating.settings, 0.5, there, here)
-        speeds = [
-            float(np.linalg.norm(back.sample(t).twist[part])) for t in np.linspace(0, back.duration_s, 1001)
-        ]
-        assert max(speeds) == pytest.approx(limit, rel=1e-6)
-    assert at_setup_speed(operating.settings, 0.5, here._replace(p=here.p + 1e-6), here).duration_s == 0.5
+@pytest.mark.parametrize("parks", [False, True])
+@pytest.mark.parametrize("go", [False, True])
+@pytest.mark.parametrize("mode", Mode)
+def test_mode_and_park_decide_where_the_operator_moves_and_brakes_stay_open_at_the_end(mode, go, parks):
+    operating = made()[0]
+    operating.go, operating.parks = go, parks
+    back = mode is Mode.STOPPING and parks
+    assert operating.moves(mode) == (mode in {Mode.APPROACH, Mode.TRACKING} or back)
+    open_in = {Mode.TRACKING: parks or not go, Mode.STOPPING: parks and not go}
+    assert operating.stays(mode) == open_in.get(mode, False)
+
+
+def test_a_reset_forgets_every_order_the_key_the_ways_back_and_the_jog():
+    operating: Any = made(deadman_s=0.05)[0]
+    forgot: list[str] = []
+    operating.jogging = SimpleNamespace(reset=lambda: forgot.append("jogging"))
+    names = ("go", "speed", "parks", "_way_back", "_inspection", "trouble", "key_tick", "answers")
+    for name in names:
+        setattr(operating, name, "of the run before")
+    operating.reset()
+    assert [getattr(operating, name) for name in names] == [True, 1.0, False, None, None, "", None, []]
+    assert forgot == ["jogging"]

@@ -1,21 +1,18 @@
-"""The speed along a path: its bounds, its continuity, and that path time is its integral."""
+"""The speed along a path: its bounds, its continuity, path time as its integral, and what it keeps."""
 
 import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.trajectory.live import LiveTrajectory
-from hil.trajectory.override import Override
+from hil.trajectory.override import Override, braking, change
 from hil.trajectory.piecewise import PiecewisePolynomial
-from tests.judged import ANYWHERE
 
 T, CHANGE = 1e-3, 0.5
 
 
-def course(targets, ticks, override=None):
+def course(targets, ticks):
     """Path time, sigma and its rate (n, 3) of each tick; targets by tick."""
-    override = override or Override(T, CHANGE)
-    found = []
+    override, found = Override(T, CHANGE), []
     for tick in range(ticks):
         override.advance(tick)
         if tick in targets:
@@ -24,25 +21,19 @@ def course(targets, ticks, override=None):
     return np.array(found)
 
 
-def test_a_hold_takes_the_time_of_a_controlled_stop_and_half_of_it_goes_by_on_the_path():
+def test_a_hold_is_a_trapezoid_of_the_time_of_a_controlled_stop():
+    """A rate that falls in T/3, stays for T/3 and rises in T/3: sigma(T/3) = 1 - 4.5 (T/3)^2/(2 T^2) = 3/4."""
     s, sigma, dsigma = course({100: 0.0}, 700).T
     rests = int(np.flatnonzero(sigma == 0.0)[0])
     assert rests - 100 == pytest.approx(CHANGE / T, abs=1)
     assert s[-1] - s[100] == pytest.approx(CHANGE / 2, abs=T / 2)
     assert (s[rests:] == s[-1]).all()
     assert dsigma.min() == pytest.approx(-1.5 / CHANGE, rel=1e-9)
+    assert sigma[[267, 350, 433]] == pytest.approx([0.75, 0.5, 0.25], abs=4e-3)
 
 
-def test_sigma_is_the_trapezoid_that_its_two_bounds_allow():
-    """A rate that falls in T/3, stays for T/3 and rises in T/3: sigma(T/3) = 1 - 4.5 (T/3)^2/(2 T^2) = 3/4."""
-    _, sigma, _ = course({0: 0.0}, 600).T
-    assert sigma[167] == pytest.approx(0.75, abs=4e-3)
-    assert sigma[250] == pytest.approx(0.5, abs=4e-3)
-    assert sigma[333] == pytest.approx(0.25, abs=4e-3)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_whatever_is_asked_for_the_bounds_hold_and_each_is_the_integral_of_the_next(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_is_set_the_bounds_hold_and_each_is_the_integral_of_the_next(seed):
     rng = np.random.default_rng(seed)
     targets = {int(t): float(rng.choice([0.0, 1.0, rng.random()])) for t in rng.integers(0, 3000, 25)}
     s, sigma, dsigma = course(targets, 4000).T
@@ -102,15 +93,15 @@ def test_the_motion_is_that_of_the_slowed_path_by_finite_differences():
     assert np.abs(a).max() <= hardest + 1.5 / CHANGE * top
 
 
-@pytest.mark.parametrize("asked", [(200, 0.0), (500, 0.25), (260, 1.0)])
-def test_a_stop_from_less_than_full_speed_rests_soon_and_then_is_finished(asked):
+@pytest.mark.parametrize("then", [(200, 0.0), (500, 0.25), (260, 1.0)])
+def test_a_stop_from_less_than_full_speed_rests_soon_and_then_is_finished(then):
     motion = Motion(T, np.zeros(3), np.eye(3), CHANGE)
     motion.start(wave(), 0)
     motion.aim(0, 0.25, go=True)
     for tick in range(2000):
         motion.advance(tick)
-        if tick == asked[0]:
-            motion.aim(tick, asked[1], go=True)
+        if tick == then[0]:
+            motion.aim(tick, then[1], go=True)
         if tick == 520:
             motion.stop(tick, CHANGE)
         if tick >= 520 and motion.finished(tick):
@@ -122,49 +113,131 @@ def test_a_stop_from_less_than_full_speed_rests_soon_and_then_is_finished(asked)
     assert motion.sample(tick + 5000).p[0] == motion.sample(tick).p[0]
 
 
-START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-FAR, NEAR = np.array([0.6, *START[1:]]), np.array([0.3, *START[1:]])
-LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
+# -- what it keeps, with a period with which whole ticks are exact
+
+LONG, SLOWLY = 0.25, 2.0
+LIMIT, STEP = 1.5 / SLOWLY, 4.5 / SLOWLY**2 * LONG
 
 
-def followed(live, ticks, asked):
-    found = []
-    for tick in range(ticks):
-        live.advance(tick, ANYWHERE)
-        for act in asked.get(tick, ()):
-            act()
-        sample = live.sample(0.0)
-        found.append((sample.p[0], sample.twist[0], sample.dtwist[0]))
-    return np.array(found).T
+def times(override, *ticks):
+    return [override.time(tick) for tick in ticks]
 
 
-def test_a_live_reference_slows_down_within_its_limits_and_speeds_up_again():
-    live = LiveTrajectory(START, LIMITS, T)
-    x, v, a = followed(
-        live,
-        6000,
-        {1: [lambda: live.aim(FAR)], 900: [lambda: live.limit(0.2)], 2000: [lambda: live.limit(1.0)]},
-    )
-    assert v[850] == pytest.approx(0.3)
-    np.testing.assert_allclose(v[1500:2000], 0.06, atol=1e-12)
-    assert v[2600:2700].max() == pytest.approx(0.3)
-    assert np.abs(a).max() <= 1.0 + 1e-9
-    assert np.abs(np.diff(a)).max() <= 10.0 * T * (1 + 1e-9)
-    assert x[-1] == pytest.approx(0.6, abs=1e-12)
+@pytest.mark.parametrize("sigma", [0.0, 0.5, 1.0])
+def test_a_speed_that_is_set_at_once_goes_on_from_where_path_time_is(sigma):
+    override = Override(LONG, SLOWLY)
+    assert times(override, 0, 4) == [0.0, 1.0]
+    override.begin(2)
+    override.settle(6, 0.5)
+    override.settle(10, sigma)
+    assert times(override, 10, 12) == [1.5, 1.5 + 0.5 * sigma]
+    assert (override.sigma, override.target, override.dsigma) == (sigma, sigma, 0.0)
+    assert override.settled
+    assert (override.full, override.resting) == (sigma == 1.0, sigma == 0.0)
 
 
-def test_a_live_reference_on_hold_rests_and_goes_on_with_the_next_set_point_only():
-    live = LiveTrajectory(START, LIMITS, T)
-    x, v, a = followed(
-        live,
-        4000,
-        {
-            1: [lambda: live.aim(FAR)],
-            900: [live.halt],
-            2500: [lambda: live.aim(NEAR)],
-        },
-    )
-    assert (v[1700:2500] == 0).all()
-    assert 0.1 < x[2400] < 0.4
-    assert np.abs(np.diff(a)).max() <= 10.0 * T * (1 + 1e-9)
-    assert x[-1] == pytest.approx(0.3, abs=1e-12)
+def test_a_place_is_rested_at_until_it_goes_on_and_a_begin_puts_path_time_back_to_zero():
+    override = Override(LONG, SLOWLY)
+    override.place(8, 3.0)
+    assert times(override, 8, 20) == [3.0, 3.0]
+    assert (override.resting, override.full) == (True, False)
+    override.aim(20, 1.0)
+    assert not override.resting, "it is asked to go on"
+    override.advance(60)
+    assert override.full
+    assert override.time(61) == override.time(60) + LONG
+    override.place(68, 3.0)
+    override.begin(69)
+    assert override.time(72) == 0.0
+    override.settle(72, 1.0)
+    assert override.time(76) == 1.0
+
+
+def test_a_change_begins_in_its_tick_and_is_not_begun_again_by_the_same_target():
+    override = Override(LONG, SLOWLY)
+    override.advance(8)
+    override.aim(8, 0.0)
+    assert override.time(8) == 2.0
+    override.advance(9)
+    ds, sigma, dsigma = change(1.0, 0.0, 0.0, LIMIT, STEP, LONG)
+    assert (override.time(9), override.sigma, override.dsigma) == (2.0 + ds, sigma, dsigma)
+    assert 0.0 < ds < LONG
+    override.aim(9, 0.0)
+    override.advance(10)
+    assert override.time(10) < 2.0 + 2 * LONG, "it goes on braking"
+    override.settle(10, 0.0)
+    assert times(override, 10, 30)[1] == override.time(10), "set at once it changes no more"
+
+
+def test_a_speed_that_only_passes_its_target_is_neither_settled_nor_at_rest():
+    override = Override(LONG, SLOWLY)
+    for sigma, target, dsigma in ((1.0, 1.0, -0.1), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        override.sigma, override.target, override.dsigma = sigma, target, dsigma
+        assert [override.settled, override.full, override.resting] == [False] * 3
+
+
+@pytest.mark.parametrize("target", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("ticks", [0, 1, 6])
+def test_path_time_at_rest_is_where_one_more_tick_and_then_braking_lead_to(target, ticks):
+    override = Override(LONG, SLOWLY)
+    override.settle(0, 0.5)
+    override.aim(0, 1.0)
+    override.advance(ticks)
+    foretold = override.rests_at(ticks, target)
+    override.aim(ticks, target)
+    override.advance(ticks + 1)
+    override.aim(ticks + 1, 0.0)
+    override.advance(ticks + 100)
+    assert override.resting
+    assert override.time(ticks + 100) == pytest.approx(foretold, abs=1e-12)
+
+
+def test_braking_takes_no_time_from_rest_and_half_of_what_it_lasts_from_full_speed():
+    assert braking(0.0, 0.0, LIMIT, STEP, LONG) == 0.0
+    assert braking(0.0, 0.1, LIMIT, STEP, LONG) > 0.0, "a rate takes the path on before it is braked"
+    fine = 1e-3
+    step = 4.5 / SLOWLY**2 * fine
+    assert braking(1.0, 0.0, LIMIT, step, fine) == pytest.approx(SLOWLY / 2, abs=fine)
+    rising = braking(0.5, LIMIT, LIMIT, step, fine)
+    assert SLOWLY / 4 < rising < SLOWLY, "its rate has to fall first"
+
+
+@pytest.mark.parametrize(
+    ("sigma", "dsigma", "h", "ends", "advance"),
+    [
+        (0.5, 0.25, 1.0, 0.75, 0.625),
+        (0.5, -0.25, 1.0, 0.25, 0.375),
+        (0.5, 0.25, 4.0, 1.0, 3.0),
+        (0.5, -0.25, 4.0, 0.0, 1.0),
+        (1.0, 0.0, 2.0, 1.0, 2.0),
+    ],
+)
+def test_the_look_ahead_goes_on_at_the_present_rate_up_to_full_speed_and_down_to_rest(
+    sigma, dsigma, h, ends, advance
+):
+    override = Override(LONG, SLOWLY)
+    override.place(4, 3.0)
+    override.sigma, override.dsigma = sigma, dsigma
+    assert override.ahead(4, h) == (3.0 + advance, ends, dsigma)
+
+
+@pytest.mark.parametrize("target", [0.1, 0.37, 0.6, 0.7, 0.9])
+def test_a_change_ends_on_its_target_to_the_bit(target):
+    override = Override(7e-3, 0.5)
+    for tick, sigma in ((0, target), (200, 0.0), (400, target), (600, 1.0)):
+        override.aim(tick, sigma)
+        override.advance(tick + 199)
+        assert override.sigma == sigma
+        assert override.settled
+
+
+@pytest.mark.parametrize("off", [3e-13, -3e-13, 0.0])
+@pytest.mark.parametrize("dsigma", [0.01, -0.01])
+def test_a_speed_within_rounding_of_its_target_is_put_on_it_to_the_bit(off, dsigma):
+    target = 0.4 + 0.5 * LONG * dsigma + off
+    assert change(0.4, dsigma, target, LIMIT, STEP, LONG)[1:] == (target, 0.0)
+
+
+@pytest.mark.parametrize(("sigma", "dsigma", "end"), [(0.99, 0.5, 1.0), (0.01, -0.5, 0.0)])
+def test_a_speed_is_never_more_than_full_and_never_backward(sigma, dsigma, end):
+    assert change(sigma, dsigma, end, LIMIT, 0.01, LONG)[1] == end

@@ -93,7 +93,6 @@ AREAS = {
         (
             "tests/hil/test_modes.py",
             "tests/hil/test_operating*.py",
-            "tests/hil/test_status.py",
             "tests/hil/test_jogging*.py",
             "tests/hil/test_admission*.py",
             "tests/hil/test_steering.py",

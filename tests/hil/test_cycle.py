@@ -16,7 +16,7 @@ from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator
 from tests.drivers.legs_frames import parse
-from tests.hil.cycle_bench import HOLDING_N, VIRTUAL, Bench, a_bench, held_to
+from tests.hil.cycle_bench import HOLDING_N, Bench, a_bench, held_to
 from tests.stories import fault_text
 
 
@@ -240,14 +240,6 @@ def test_a_stop_is_repeated_where_drives_latch_it_or_another_controller_commands
     assert bench.drives.commands[-1].mode == DriveMode.OFF
 
 
-def test_a_drive_in_fault_shuts_the_brakes(bench):
-    bench.until(Mode.APPROACH)
-    bench.drives.state[4] = DriveState.FAULT
-    bench.step()
-    assert bench.cycle.mode is Mode.PARKING
-    assert bench.cycle.faults & Fault.DRIVE
-
-
 @pytest.mark.parametrize(
     ("mode", "stuck", "leads"),
     [(Mode.LOADING, DriveState.OFF, Mode.FAULT), (Mode.RELEASING, DriveState.READY, Mode.PARKING)],
@@ -305,30 +297,6 @@ def test_a_fault_while_parking_leaves_the_force_that_holds_alone(bench):
         bench.step()
         assert bench.cycle.mode is Mode.PARKING
         np.testing.assert_allclose(bench.cycle.tick["tau_asked"], HOLDING_N, atol=0.05)
-
-
-def test_a_leg_that_is_refused_its_force_gets_none_from_that_tick_on(monkeypatch):
-    gentle = VIRTUAL.limits.model_copy(
-        update={"force_step_N": 200.0}
-    )  # not for a force that comes or goes at once
-    bench = Bench(VIRTUAL.model_copy(update={"limits": gentle}))
-    bench.until(Mode.APPROACH)
-    with held_to(bench, following_error_m=-1.0):
-        bench.step()
-    assert bench.cycle.mode is Mode.PARKING
-    watch = bench.cycle.obedience
-
-    def refuse(_tick, _tau):
-        news, watch.refused = watch.refused is None, 2
-        return news
-
-    monkeypatch.setattr(watch, "watch", refuse)
-    for _ in range(3):
-        row = bench.step().row
-        assert bench.force[2] == 0.0
-        assert np.delete(bench.force, 2).min() > 3000.0
-        assert row["legs_refused"] == 1 << 2
-        assert row["faults"] == Fault.DRIVE | Fault.FOLLOWING
 
 
 class Failing:

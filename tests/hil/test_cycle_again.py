@@ -73,27 +73,6 @@ def test_a_stop_on_the_way_back_stands_whoever_asked_and_whatever_is_said_after(
     assert cycle.parts.home_p[2] + 0.01 < heights[-1] < begun
 
 
-@pytest.mark.parametrize("cause", ["stop", "fault"])
-def test_the_way_back_ends_where_safety_asks_for_a_stop(cause):
-    bench = a_bench(reactions=VIRTUAL.reactions.model_copy(update={"following": "ss1"}))
-    bench.until(Mode.APPROACH)
-    cycle = bench.cycle
-    home = cycle.motion.sample(bench.tick)
-    cycle.motion.start(GeodesicMove(home.p, home.R, home.p, home.R, 1.0), bench.tick)
-    cycle.operating.go = cycle.operating.parks = True
-    cycle.mode = Mode.STOPPING
-    cycle.control.settle()
-    for _ in range(3):
-        bench.step()
-    limits = {"stop_on_recorder_loss": 1} if cause == "stop" else {"following_error_m": -1.0}
-    with held_to(bench, **limits):
-        bench.step(recorder_alive=cause != "stop")
-    assert cycle.operating.parks
-    bench.step()
-    assert (cycle.mode, cycle.mode_tick) == (Mode.STOPPING, bench.tick)
-    assert not cycle.operating.parks
-
-
 def on_the_path(text: str) -> Cycle:
     """Return a cycle half-way along a straight path of 20 mm/s that begins at home."""
     cycle = build_cycle(loads(text), 1000.0, 0.01)
@@ -202,21 +181,6 @@ def test_without_a_ramp_the_law_begins_again_and_no_brake_counts_as_proven(monke
     assert not bench.cycle.proven
 
 
-@pytest.mark.parametrize("order", [Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD)])
-def test_a_table_made_for_the_path_at_full_speed_is_not_used_below_it(order):
-    """An offline feed-forward finds its row by t_d."""
-    bench = a_bench()
-    bench.until(Mode.TRACKING)
-    bench.step()
-    tick = bench.cycle.tick
-    assert tick["t_d"] == tick["reference_time_s"] > 0.0
-    bench.step(orders=(order,))
-    for _ in range(3):
-        bench.step()
-        assert np.isnan(bench.cycle.tick["t_d"])
-        assert bench.cycle.mode is Mode.TRACKING
-
-
 def test_a_reset_with_a_fused_pose_looks_for_it_where_it_was_and_not_at_home():
     bench = Bench(
         VIRTUAL.model_copy(update={"estimation": VIRTUAL.estimation.model_copy(update={"pose": "fused"})})
@@ -280,22 +244,6 @@ def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_tes
     assert bench.cycle.mode is Mode.HELD
     bench.step()
     np.testing.assert_allclose(bench.force, HOLDING_N, atol=1.0)
-
-
-@pytest.mark.parametrize("more", [0.9, 1.1])
-def test_where_a_brake_failed_its_test_the_force_that_held_the_platform_holds_it(more):
-    """A load of which the law knows nothing has come meanwhile."""
-    bench = a_bench()
-    bench.stopped(Mode.UNLOADING)
-    effort = bench.cycle.effort
-    effort.holding = more * effort.holding
-    with held_to(bench, standstill_m=-1.0):
-        bench.step()
-    assert bench.cycle.mode is Mode.HELD
-    for _ in range(5):
-        bench.step()
-        for column in ("tau_asked", "tau"):
-            np.testing.assert_allclose(bench.cycle.tick[column], more * HOLDING_N, atol=1.0)
 
 
 def test_a_platform_not_measured_any_more_while_it_parks_is_held_by_the_last_force():

@@ -1,4 +1,4 @@
-"""Jogging: the paths against independent formulas, the stop before a limit, and what ends or refuses a jog."""
+"""A jog of a platform on hold: its speed, the stop before a limit, and what ends or refuses it."""
 
 from dataclasses import replace
 
@@ -11,25 +11,20 @@ from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.config.operator import OperatorSettings
-from hil.loop import jogging
 from hil.loop.jogging import (
     LIVE,
     NO_KEY,
     NOT_RESTING,
     ON_HOLD,
     Jogging,
-    LegJog,
-    jog_path,
-    pose_rates,
-    setup_share,
 )
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
-from hil.loop.setup_moves import Inspection
 from hil.signals import JOG_NAMES, Operator, Order
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 from tests.broad import broad
+from tests.hil.test_operating import HOLD, KEY, START, free
 
 LAB = load("lab").platform
 OFFSETS = np.random.default_rng(5).uniform(-0.04, 0.04, (2, 6, 3))
@@ -44,9 +39,6 @@ HOME_P, HOME_R = pose_arrays(LAB.home)
 TURNED = Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix() @ HOME_R
 HERE = PoseSample(HOME_P + np.array([0.02, -0.01, 0.03]), TURNED, np.zeros(6), np.zeros(6))
 STOP_S, SPEED, TURN_deg_s = 0.4, 0.05, 5.0
-SPEEDS = 0.04, 0.3
-"""Of set-up, m/s, rad/s."""
-HOLD, START, KEY = Order(Operator.HOLD), Order(Operator.START), Order(Operator.KEY)
 
 
 def lengths(p, R):
@@ -54,118 +46,6 @@ def lengths(p, R):
 
 
 Q = lengths(HERE.p, HERE.R)
-
-
-def rates(path, t, h=1e-4):
-    """Twist and its rate by central differences of poses and twists, (6,) each."""
-    before, after = path.sample(t - h), path.sample(t + h)
-    turn = Rotation.from_matrix(after.R @ before.R.T).as_rotvec()
-    twist = np.concatenate([after.p - before.p, turn]) / (2 * h)
-    return twist, (after.twist - before.twist) / (2 * h)
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_a_leg_jog_keeps_five_lengths_and_its_rates_are_those_of_its_poses(leg):
-    rate = np.zeros(6)
-    rate[leg] = 0.05
-    path = LegJog(PLATFORM, HERE, rate)
-    for t in np.arange(0.0, 1.2, 0.01):
-        sample = path.sample(t)
-        np.testing.assert_allclose(lengths(sample.p, sample.R), Q + t * rate, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(sample.R @ sample.R.T, np.eye(3), atol=1e-12)
-    for t in (0.2, 0.7, 1.1):
-        sample = path.sample(t)
-        twist, dtwist = rates(path, t)
-        np.testing.assert_allclose(sample.twist, twist, atol=1e-6 * np.abs(twist).max() + 1e-9)
-        np.testing.assert_allclose(sample.dtwist, dtwist, atol=1e-4 * np.abs(dtwist).max() + 1e-8)
-
-
-def test_a_look_ahead_does_not_move_a_leg_jog():
-    rate = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
-    one, other = LegJog(PLATFORM, HERE, rate), LegJog(PLATFORM, HERE, rate)
-    for t in np.arange(0.001, 0.1, 0.001):
-        other.ahead(t + 0.3)
-        np.testing.assert_array_equal(one.sample(t).R, other.sample(t).R)
-
-
-def test_lengths_of_no_pose_leave_a_leg_jog_where_it_is():
-    path = LegJog(PLATFORM, HERE, np.array([1.0, 0, 0, 0, 0, 0]))
-    last = path.sample(0.01)
-    assert path.ahead(50.0) is None
-    assert path.sample(50.0) is last
-
-
-@pytest.mark.parametrize("axis", range(6))
-@pytest.mark.parametrize("way", [1.0, -0.2])
-def test_an_axis_jog_goes_along_or_about_an_axis_of_the_base_at_its_set_up_speed(axis, way):
-    rate = np.sign(way) * np.where(np.arange(6) < 3, 0.04, 0.3) * (np.arange(6) == axis)
-    path = jog_path(PLATFORM, HERE, axis, SPEEDS, way)
-    assert path.duration_s is None
-    sample = path.sample(1.5)
-    np.testing.assert_allclose(sample.p, HERE.p + 1.5 * rate[:3], atol=1e-15)
-    turn = Rotation.from_rotvec(1.5 * rate[3:]).as_matrix()
-    np.testing.assert_allclose(sample.R, turn @ HERE.R, atol=1e-14)
-    np.testing.assert_array_equal(sample.twist, rate)
-    assert not sample.dtwist.any()
-
-
-@pytest.mark.parametrize("leg", range(6))
-@pytest.mark.parametrize("way", [1.0, -0.2])
-def test_a_leg_jog_goes_at_the_set_up_speed_of_lengths_in_the_direction_of_the_word(leg, way):
-    path = jog_path(PLATFORM, HERE, 6 + leg, SPEEDS, way)
-    sample = path.sample(0.25)
-    expected = Q + np.sign(way) * 0.04 * 0.25 * (np.arange(6) == leg)
-    np.testing.assert_allclose(lengths(sample.p, sample.R), expected, rtol=0, atol=1e-11)
-    assert path.duration_s is None
-
-
-@pytest.mark.parametrize(
-    ("twist", "share"),
-    [
-        ((0, 0, 0, 0, 0, 0), 1.0),
-        ((0.03, 0, 0, 0, 0.1, 0), 1.0),
-        ((0.03, -0.04, 0.12, 0, 0, 0), 0.04 / 0.13),
-        ((0, 0, 0, 0.3, -0.4, 1.2), 0.3 / 1.3),
-        ((0.08, 0, 0, 1.2, 0, 0), 0.25),
-        ((0.16, 0, 0, 0.6, 0, 0), 0.25),
-    ],
-)
-def test_the_share_is_that_of_the_slower_of_way_and_turn_and_never_more_than_all(twist, share):
-    assert setup_share(HERE._replace(twist=np.array(twist, float)), SPEEDS) == pytest.approx(share, rel=1e-12)
-
-
-def test_a_pose_at_which_a_rate_is_not_finite_is_none(monkeypatch):
-    path = LegJog(PLATFORM, HERE, 0.05 * np.eye(6)[2])
-    last = path.sample(0.0)
-    twist = np.array([1.0, 2.0, np.inf, 3.0, 4.0, 5.0])
-    monkeypatch.setattr(jogging, "pose_rates", lambda *_: (twist, twist))
-    assert path.ahead(0.1) is None
-    assert path.sample(0.1) is last
-
-
-def test_at_a_singular_pose_the_rates_are_no_numbers_and_elsewhere_those_of_the_lengths():
-    a, b = PLATFORM.base_joints, PLATFORM.platform_joints
-    for found in pose_rates(a, np.zeros_like(b), HERE.p, np.eye(3), np.ones(6)):
-        assert np.isnan(found).all()
-    dq = np.array([0.01, -0.02, 0.03, 0.0, 0.05, -0.01])
-    twist, dtwist = pose_rates(a, b, HERE.p, np.ascontiguousarray(HERE.R), dq)
-
-    def turned(t):
-        w = t * (twist[3:] + 0.5 * t * dtwist[3:])
-        p = HERE.p + t * (twist[:3] + 0.5 * t * dtwist[:3])
-        return lengths(p, Rotation.from_rotvec(w).as_matrix() @ HERE.R)
-
-    h = 1e-3
-    np.testing.assert_allclose((turned(h) - turned(-h)) / (2 * h), dq, atol=1e-8)
-    np.testing.assert_allclose((turned(h) - 2 * turned(0.0) + turned(-h)) / h**2, 0.0, atol=1e-7)
-
-
-# -- a jog of a platform that is held
-
-
-def free(name, move):
-    """A way on which nothing is refused."""
-    return Inspection(PLATFORM, lambda _: 0, name, move)
 
 
 class Box:
@@ -354,21 +234,6 @@ def test_start_goes_back_to_where_the_path_was_left_and_on_from_there():
     v = np.array([x.twist for x in more])
     p = np.array([x.p for x in more])
     assert np.abs(np.diff(p, axis=0) * 1e3 - 0.5 * (v[1:, :3] + v[:-1, :3])).max() < 1e-5, "no jump"
-
-
-@pytest.mark.parametrize("name", ["x", "leg1"])
-def test_a_jog_is_judged_where_it_is_however_far_along_the_path_it_began(name):
-    box = Box(0.002)
-    held = Held(box)
-    held.say(START)
-    held.run(2000)
-    held.say(HOLD)
-    held.run(600)
-    assert held.motion.time(held.tick) > 1.0
-    answers, samples = held.run(1500, jog(name))
-    q = np.array([lengths(s.p, s.R) for s in samples])
-    assert answers[0] == ""
-    assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "it uses what room there is"
 
 
 def test_a_stop_ends_a_jog_for_good():

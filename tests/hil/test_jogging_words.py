@@ -6,11 +6,12 @@ from scipy.spatial.transform import Rotation
 
 from drivers.signals import Refusal
 from hil.config.operator import OperatorSettings
-from hil.loop.jogging import NO_KEY, NOT_RESTING, ON_HOLD, Jogging, LegJog, setup_share
+from hil.loop.jogging import Jogging, LegJog, setup_share
 from hil.loop.motion import Motion
 from hil.signals import Operator, Order, explain
 from hil.trajectory.move import GeodesicMove
-from tests.hil.test_jogging import HERE, HOLD, KEY, PLATFORM, SPEED, START, STOP_S, Box, Held, Q, jog, lengths
+from tests.hil.test_jogging import HERE, PLATFORM, SPEED, STOP_S, Box, Held, Q, jog, lengths
+from tests.hil.test_operating import HOLD, KEY, START
 
 WORD = jog("y", 0.5)
 
@@ -63,39 +64,12 @@ def test_a_limit_that_is_forgotten_refuses_no_word(forgets):
     assert take(both, WORD, 2) == ""
 
 
-def test_a_reset_forgets_the_path_of_the_jog():
-    both = made()
-    take(both, WORD, 0)
-    step(both, 0, 50)
-    assert both[1].away
-    assert take(both, WORD, 50) == ""
-    both[0].reset()
-    assert take(both, WORD, 51) == NOT_RESTING
-
-
 @pytest.mark.parametrize(("heard", "answered"), [(99, True), (100, False)])
 def test_a_word_counts_again_on_the_way_of_a_limit_once_it_has_been_silent_for_100_ms(heard, answered):
     both = made(lambda _: int(Refusal.STROKE))
     take(both, WORD, 7)
     step(both, 7, 8)
     assert bool(take(both, WORD, 7 + heard)) is answered
-
-
-def test_a_word_of_another_way_forgets_the_limit_of_the_first():
-    both = made(lambda _: int(Refusal.STROKE))
-    for tick, (name, fraction) in enumerate([("y", 0.5), ("y", -0.5), ("z", 0.5), ("y", 0.5)]):
-        assert take(both, jog(name, fraction), tick) == ""
-        assert both[0].refusal == ""
-        step(both, tick, tick + 1)
-        assert both[0].refusal.startswith(f"jog {name}: ")
-
-
-def test_a_leg_that_would_come_to_lengths_of_no_pose_does_not_begin_for_that_reason():
-    both = made(setup_speed_m_s=1e9, setup_speed_deg_s=1e11)
-    take(both, jog("leg2"), 0)
-    step(both, 0, 1)
-    assert both[0].refusal == f"jog leg2: it stops, since beyond, {explain(Refusal.CONDITION)}"
-    assert not both[1].away
 
 
 def test_a_leg_comes_to_rest_before_lengths_of_no_pose():
@@ -114,16 +88,6 @@ def test_a_leg_comes_to_rest_before_lengths_of_no_pose():
     assert last - 1e-3 < motion.time(700) <= last
 
 
-def test_of_several_reasons_against_a_word_hold_comes_before_key_and_key_before_rest():
-    both = made()
-    both[1].settle(0, 1.0)
-    assert take(both, WORD, 0, on_hold=False, key=False) == ON_HOLD
-    assert take(both, WORD, 0, key=False) == NO_KEY
-    assert take(both, WORD, 0) == NOT_RESTING
-    both[1].settle(0, 0.0)
-    assert take(both, WORD, 0) == ""
-
-
 def test_a_word_of_the_same_axis_the_other_way_brakes_to_rest_before_it_turns_round():
     both = made()
     for tick in range(300):
@@ -139,15 +103,6 @@ def test_a_word_of_the_same_axis_the_other_way_brakes_to_rest_before_it_turns_ro
     assert (np.diff(v[:turns]) <= 0.0).all()
     assert motion.trajectory is not path
     assert v[-1] == pytest.approx(-0.5 * 0.05)
-
-
-def test_the_key_that_is_let_go_of_ends_a_word_for_good():
-    both = made()
-    take(both, WORD, 0)
-    step(both, 0, 20)
-    step(both, 20, 21, key=False)
-    step(both, 21, 60)
-    assert both[1].override.target == 0.0
 
 
 @pytest.mark.parametrize("left_s", [0.0, 20.0])
@@ -184,15 +139,6 @@ def test_a_word_of_no_speed_lets_go_of_a_limit_whichever_way_it_was_reached(frac
     assert take(both, jog("y", 0.0), 2) == ""
     assert both[0].refusal == ""
     assert take(both, jog("y", fraction), 3) == "", "the words had ceased"
-
-
-def test_a_jog_begins_in_the_tick_of_its_word():
-    both = made()
-    step(both, 0, 3)
-    take(both, WORD, 3)
-    step(both, 3, 4)
-    assert both[1].away
-    assert both[1].override.target == 0.5
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

@@ -68,17 +68,6 @@ def test_a_trajectory_counts_from_the_tick_at_which_it_begins():
     assert motion.tick == 11
 
 
-@pytest.mark.parametrize("begins", [0, 300])
-@pytest.mark.parametrize("patience_s", [0.0, 0.25])
-def test_a_motion_is_overdue_once_it_ended_longer_ago_than_it_is_waited_for(begins, patience_s):
-    motion = along(Turn(1.0), begins, period_s=T)
-    ends = begins + 1000
-    last = ends + round(patience_s / T)
-    assert [motion.finished(k) for k in (begins, ends - 1, ends, last + 900)] == [False, False, True, True]
-    assert not any(motion.overdue(tick, patience_s) for tick in (begins, ends - 1, last - 1))
-    assert all(motion.overdue(tick, patience_s) for tick in (last + 1, last + 900))
-
-
 @pytest.mark.parametrize("patience_s", [0.0, 0.5])
 def test_a_motion_that_ended_just_as_long_ago_as_it_is_waited_for_is_not_overdue(patience_s):
     waits = round(patience_s / LONG)
@@ -104,21 +93,6 @@ def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
     assert [motion.finished(tick) for tick in (stops - 1, stops, stops + 1)] == [False, True, True]
     assert not motion.overdue(stops + 99, 0.1)
     assert motion.overdue(stops + 101, 0.1)
-
-
-def test_a_stop_at_less_than_full_speed_has_ended_at_the_tick_of_rest_and_stays_ended():
-    motion = along(Turn(None), period_s=T)
-    motion.settle(0, 0.5)
-    motion.stop(10, 0.5)
-    rests = None
-    for tick in range(11, 600):
-        motion.advance(tick)
-        assert motion.finished(tick) == motion.resting
-        if rests is None and motion.resting:
-            rests = tick
-    assert rests is not None
-    assert not motion.overdue(rests + 100, 0.1)
-    assert motion.overdue(rests + 101, 0.1)
 
 
 # -- a new one forgets the one before
@@ -199,15 +173,6 @@ def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
     first, s = ahead(motion, begins, AHEAD)
     assert s is None
     assert first.p[0] - seen[begins - 1][0].p[0] == pytest.approx(2 * (AHEAD**2 - (AHEAD - T) ** 2))
-
-
-def test_a_late_start_is_waited_for_at_the_end_of_the_approach():
-    motion = along(move(0.5), then=next_path(), period_s=T)
-    for tick in (500, 519):
-        sample, s = ahead(motion, tick, AHEAD)
-        assert s is None
-        np.testing.assert_allclose(sample.p, THERE)
-        assert not sample.dtwist.any()
 
 
 def test_a_hold_on_the_approach_puts_off_what_comes_next():

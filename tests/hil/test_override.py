@@ -221,16 +221,6 @@ def test_the_look_ahead_goes_on_at_the_present_rate_up_to_full_speed_and_down_to
     assert override.ahead(4, h) == (3.0 + advance, ends, dsigma)
 
 
-@pytest.mark.parametrize("target", [0.1, 0.37, 0.6, 0.7, 0.9])
-def test_a_change_ends_on_its_target_to_the_bit(target):
-    override = Override(7e-3, 0.5)
-    for tick, sigma in ((0, target), (200, 0.0), (400, target), (600, 1.0)):
-        override.aim(tick, sigma)
-        override.advance(tick + 199)
-        assert override.sigma == sigma
-        assert override.settled
-
-
 @pytest.mark.parametrize("off", [3e-13, -3e-13, 0.0])
 @pytest.mark.parametrize("dsigma", [0.01, -0.01])
 def test_a_speed_within_rounding_of_its_target_is_put_on_it_to_the_bit(off, dsigma):

@@ -1,4 +1,4 @@
-"""Each leg is judged and limited by its own values, where all of them differ."""
+"""Each leg is judged by its own values, and the certificate by errors and motion each with its own weight."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import pytest
 
 from drivers.signals import DriveState, Fault, Warn
 from hil.safety import Safety, motion
+from hil.safety.certificate import Watch
 from tests.hil.encoder_bench import BOTH_SIGNS, six
 from tests.hil.test_safety import LIMITS, RATE_HZ, Bench
+from tests.hil.test_safety import leg as on_leg_3
 
 ON_EACH_LEG = pytest.mark.parametrize("leg", range(6))
 LENGTHS = np.array([5.0, 7.0, 4.0, 9.0, 6.0, 8.0])
@@ -61,3 +63,70 @@ def test_a_leg_beyond_a_hard_end_or_a_drive_out_of_run_is_found_wherever_it_is(l
         bench.tick()
         left = state is not DriveState.RUN
         assert bench.tick(drive_state=states).faults == (Fault.DRIVE if left else Fault.NONE)
+
+
+# -- the certificate
+
+T = 1.0 / RATE_HZ
+LATE_s = 4e-3
+"""Late enough to count as motion, and too little to make a tick a late one."""
+
+
+def watching(disturbance):
+    """Return a bench whose V is 9 e^2 + 4 e de + 4 de^2, and whose level neither grows nor decays.
+
+    The law asks for an acceleration that no reference has.
+    """
+    table = np.zeros((12, 6))
+    table[0] = 1e3
+    table[2], table[3], table[4] = 9.0, 2.0, 4.0
+    table[5] = disturbance
+    table[8] = 1.0
+    table[11] = [0.0, 0.0, 1.0, 1.0, 1.0, T]
+    return Bench(watch=Watch(table, 3))
+
+
+def test_an_error_of_length_and_one_of_rate_count_by_their_own_weights():
+    bench = watching(disturbance=1e3)
+    assert bench.tick(q=on_leg_3(4.5, 5.0), dq=on_leg_3(-0.25)).certificate[0] == pytest.approx(
+        2.25 + 0.5 + 0.25
+    )
+    assert bench.tick(q=on_leg_3(4.5, 5.0), dq=on_leg_3(0.25)).certificate[0] == pytest.approx(
+        2.25 - 0.5 + 0.25
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_a_late_reading_makes_of_speed_and_of_acceleration_counts_by_their_own_weights(sign):
+    """sqrt(P_11) = 3 times 2 m/s, sqrt(P_22) = 2 times 3 m/s^2 and a disturbance of 50 m/s^2."""
+    bench = watching(disturbance=on_leg_3(50.0, 1e3))
+    moving = {"dq_d": on_leg_3(sign * 2.0), "dq": on_leg_3(sign * 1.5), "ddq_d": on_leg_3(sign * -3.0)}
+    bench.tick(**moving)
+    share = bench.tick(**moving, lateness_ns=round(1e9 * LATE_s)).certificate[3]
+    assert share == pytest.approx(1.0 / (1.0 + LATE_s * (3.0 * 2.0 + 2.0 * (3.0 + 50.0))))
+
+
+def accelerated(tick):
+    """Return the reference after so many ticks at 40 m/s^2 from 2 m/s on: a rate of 1 m/s more in each."""
+    s = tick * T
+    return {
+        "q_d": on_leg_3(5.0 + 2.0 * s + 20.0 * s**2, 5.0),
+        "dq_d": on_leg_3(2.0 + 40.0 * s),
+        "ddq_d": on_leg_3(40.0),
+    }
+
+
+@pytest.mark.parametrize(
+    ("changed", "by"), [("q_d", 0.99), ("q_d", 1.01), ("q_d", -1.01), ("dq_d", 0.99), ("dq_d", 1.01)]
+)
+def test_a_reference_is_compared_with_where_its_own_rates_bring_it_from_the_last_tick(changed, by):
+    """A disturbance of 8 m/s^2 allows 0.2 m/s within a tick, and 5 mm."""
+    bench = watching(disturbance=8.0)
+    for tick in range(3):
+        told = bench.tick(**accelerated(tick), q=on_leg_3(5.0, 5.0)).certificate
+        assert np.isfinite(told[2]) == (tick > 0)
+    moved = accelerated(3)
+    moved[changed] = moved[changed] + on_leg_3(by * {"q_d": T * T * 8.0, "dq_d": T * 8.0}[changed])
+    if changed == "dq_d":
+        moved["q_d"] = moved["q_d"] + on_leg_3(0.5 * T * by * T * 8.0)
+    assert np.isfinite(bench.tick(**moved).certificate[2]) == (abs(by) < 1.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -232,18 +231,6 @@ def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_ag
     np.testing.assert_allclose(tick["q"], 1.5 + 1e-3 * rates * ages, rtol=0.0, atol=1e-15)
     np.testing.assert_array_equal(tick["dq"], rates)
     np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
-
-
-def test_the_filter_begins_at_the_pose_of_the_legs(parts):
-    begun: list[Any] = []
-    fusing: Any = SimpleNamespace(begin=lambda tick: begun.append((int(tick["tick"]), tick["p"].copy())))
-    sight, looks = looking(replace(parts, fusion=fusing))
-    looks.finds = True
-    see(sight, record_of(tick=20, age=0, length=1.5))
-    assert sight.fusing
-    ((number, p),) = begun
-    assert number == 20
-    np.testing.assert_array_equal(p, np.full(3, 7.0))
 
 
 def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts):

@@ -1,4 +1,4 @@
-"""Steering: what is taken, what is refused, what is counted and said."""
+"""Steering: which set-points are taken and refused, and what is counted."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_a_good_set_point_is_taken_and_reached(steering):
     assert steering.answers == []
 
 
-def test_a_bad_one_is_refused_and_the_good_one_before_it_stays(steering):
+def test_a_bad_set_point_is_refused_and_the_good_one_before_it_stays(steering):
     move(steering, (at(0.1),), 1)
     move(steering, (at(0.3),), 2)
     assert steering.counts == Counts(1, 1, Refusal.STROKE)
@@ -65,7 +65,7 @@ def test_of_several_in_one_tick_the_last_good_one_is_followed(steering):
     assert go(steering, 2, 2000)[0] == pytest.approx(-0.1, abs=1e-14)
 
 
-def test_what_comes_before_or_after_the_tracking_is_refused(steering):
+def test_set_points_before_or_after_the_tracking_are_refused(steering):
     move(steering, (at(0.1),), None, tracking=False)
     assert steering.answers == [Refusal.NOT_TRACKING]
     steering.trajectory.reset()
@@ -73,7 +73,7 @@ def test_what_comes_before_or_after_the_tracking_is_refused(steering):
     assert steering.counts == Counts(0, 1, 0), "a restart forgets the place, not the count"
 
 
-def test_a_wall_on_the_way_stops_before_it_is_counted_and_said_once(steering):
+def test_a_wall_on_the_way_stops_before_it_and_is_counted_once(steering):
     move(steering, (at(0.0, 0.1),), 1)
     refusals = []
     for tick in range(2, 2000):
@@ -85,7 +85,7 @@ def test_a_wall_on_the_way_stops_before_it_is_counted_and_said_once(steering):
     assert steering.trajectory.sample(0.0).p[1] > 0.049
 
 
-def test_in_a_tick_in_which_the_way_is_refused_too_a_set_points_own_refusal_is_said_beside_it(steering):
+def test_a_set_point_and_the_way_refused_in_one_tick_are_both_reported(steering):
     """The platform moves on in a tick with set-points as in one without."""
     move(steering, (at(0.0, 0.04),), 1)
     before = go(steering, 2, 300)[1]
@@ -109,8 +109,5 @@ def test_reset_forgets_all(steering):
 @pytest.mark.parametrize("refusal", [r for r in Refusal if r is not Refusal.ON_THE_WAY])
 def test_every_refusal_has_its_words(refusal):
     assert len(explain(refusal)) > 20
-    assert explain(refusal | Refusal.ON_THE_WAY) == f"stopped on the way: beyond, {explain(refusal)}"
-
-
-def test_nothing_is_said_of_what_was_taken():
+    assert explain(refusal) in explain(refusal | Refusal.ON_THE_WAY)
     assert explain(0) == ""

@@ -20,8 +20,6 @@ T = 1.0 / 64.0
 PERIOD_NS = 15_625_000
 CREEP = 0.02 * T / 2.0
 """m, on which a brake closes within a tick."""
-ROWS = 16
-"""Ticks of the window of forces, a quarter of a second."""
 WIDE = LimitSettings(
     force_N=1e6, force_step_N=1e6, force_window_N=1e6, speed_m_s=1e6, deceleration_m_s2=1e6,
     stroke_margin_m=0.0, following_error_m=1e6, standstill_m=0.125, consistency_m=1.0, condition=1e6,
@@ -125,3 +123,13 @@ def doubted(tick, why, leg, value, limit):
     """Tell whether a tick doubts this leg alone, for this reason."""
     said = tick["doubt_value"], tick["doubt_limit"]
     return (tick["legs_doubted"], tick["doubt"]) == (1 << leg, why) and said == pytest.approx((value, limit))
+
+
+COLUMNS = {"rate", "jump", "unseen", "late_s", "lateness", "mode"}
+
+
+def after(count, **given):
+    """Return a bench after some calm ticks; given: columns of the ticks, and limits that differ."""
+    bench = Bench(**{name: value for name, value in given.items() if name not in COLUMNS})
+    bench.ticks(count, **{name: value for name, value in given.items() if name in COLUMNS})
+    return bench

@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import WrenchSensorSettings
-from drivers.protocol import Received
-from drivers.signals import Fault, Mode, Refusal, Stop, Warn
+from drivers.signals import Fault, Mode, Refusal, Stop
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import loads
 from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
-from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 from tests.hil.cycle_bench import (
@@ -179,53 +176,6 @@ def test_without_a_ramp_the_law_begins_again_and_no_brake_counts_as_proven(monke
     bench.step((Operator.STOP,))
     bench.go_on(Mode.PARKED, 5000)
     assert not bench.cycle.proven
-
-
-def test_a_reset_with_a_fused_pose_looks_for_it_where_it_was_and_not_at_home():
-    bench = Bench(
-        VIRTUAL.model_copy(update={"estimation": VIRTUAL.estimation.model_copy(update={"pose": "fused"})})
-    )
-    parts = bench.cycle.parts
-    for _ in range(100):
-        bench.step()
-    there = parts.home_p + np.array([0.05, -0.03, 0.02])
-    for share in np.linspace(0.0, 1.0, 500):
-        p = parts.home_p + share * (there - parts.home_p)
-        bench.drives.length = leg_lengths(parts.platform, p, parts.home_R)
-        bench.step()
-    for _ in range(100):
-        row = bench.step().row
-    np.testing.assert_allclose(row["p"], there, atol=1e-5)
-    bench.step((Operator.ESTOP,))
-    while bench.tick % 20 != 3:  # before the tick in which a pose is looked for
-        row = bench.step((Operator.RESET,)).row
-    assert not bench.cycle.sight.fusing
-    np.testing.assert_allclose(row["p"], there, atol=1e-5)
-    for _ in range(50):
-        row = bench.step().row
-    assert bench.cycle.sight.fusing
-    np.testing.assert_allclose(row["p"], there, atol=1e-5)
-
-
-def test_a_reset_forgets_the_load_of_a_sensor_that_fell_silent():
-    sensors = VIRTUAL.sensors.model_copy(update={"wrench": WrenchSensorSettings(rate_Hz=100.0)})
-    source = VIRTUAL.estimation.wrench.model_copy(update={"source": "sensor"})
-    estimation = VIRTUAL.estimation.model_copy(update={"wrench": source})
-    bench = Bench(VIRTUAL.model_copy(update={"sensors": sensors, "estimation": estimation}))
-    protocol, load = bench.cycle.parts.sensors, (100.0, 0, -300.0, 0, 20.0, 0)
-    assert protocol is not None
-    sample = Received(300_000, protocol.encode("wrench", load, 0, 0.0, 0))
-    row = bench.step(frames=(*bench.drives.feedback(0), sample)).row
-    np.testing.assert_allclose(row["wrench"], load)
-    for _ in range(100):
-        row = bench.step().row
-    np.testing.assert_allclose(row["wrench"], load)
-    assert int(row["warnings"]) & Warn.SENSOR
-    bench.step((Operator.ESTOP,))
-    bench.step((Operator.RESET,))
-    row = bench.step().row
-    assert not row["wrench"].any()
-    assert int(row["warnings"]) & Warn.SENSOR
 
 
 # -- a platform that is held

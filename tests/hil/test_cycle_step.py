@@ -14,8 +14,6 @@ from drivers.tick_columns import new_record
 from hil.app.compose import build_cycle
 from hil.config.delay import DelayCompensation
 from hil.contracts.records import record_of
-from hil.estimation.external_wrench import ExternalWrench
-from hil.loop.admission import Counts
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.modes import Durations
@@ -130,24 +128,6 @@ def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(bench
     np.testing.assert_array_equal(cycle.parts.law.shortfall, kept)
     cycle.reset()
     assert not cycle.control.record["shortfall"].any()
-
-
-@pytest.mark.parametrize("late", [False, True])
-@pytest.mark.parametrize("refusal", [0, 4])
-def test_the_row_has_warnings_of_safety_of_silent_sensors_and_of_refused_set_points(
-    monkeypatch, late, refusal
-):
-    bench = a_bench(wrench=ExternalWrench(None, 1000.0 if late else None, 1e-3))
-    steering: Any = bench.cycle.parts.steering
-    monkeypatch.setattr(steering, "take", lambda *_, **__: None)
-    steering.counts = Counts(7, 9, refusal)
-    bench.drives.silent = {2}
-    for _ in range(2):
-        row = step(bench, Mode.TRACKING)
-    expected = Warn.STALE | (Warn.SENSOR if late else Warn.NONE) | (Warn.SETPOINT if refusal else Warn.NONE)
-    assert Warn(int(row["warnings"])) == expected
-    counts = [int(row[name]) for name in ("setpoints_taken", "setpoints_refused", "setpoint_refusal")]
-    assert counts == [7, 9, refusal]
 
 
 @pytest.mark.parametrize("mode", list(Mode))

@@ -180,6 +180,10 @@ def test_while_held_the_law_stays_within_the_window_about_the_holding_force(part
 
 def test_what_was_learned_is_added_but_never_where_the_platform_is_held(parts):
     cycle, law = a_cycle(parts, learned=FORCES)
+    learned = cycle.effort.learned
+    assert learned is not None
+    assert (learned.forces, learned._trajectory) == (FORCES, parts.trajectory)
+    assert learned._record["step"] == pytest.approx(1e-3 / 0.05)
     calls = learns(cycle)
     moving = filled(cycle, Mode.TRACKING, 9, since=4)
     np.testing.assert_array_equal(moving["tau_asked"], HOLDING + LEARNED)
@@ -196,14 +200,6 @@ def test_what_was_learned_is_added_but_never_where_the_platform_is_held(parts):
     assert not blind["tau_learned"].any()
 
 
-def test_learned_forces_act_on_the_reference_of_the_loop_and_come_and_go_in_their_own_time(parts):
-    assert a_cycle(parts)[0].effort.learned is None
-    learned = a_cycle(parts, learned=FORCES)[0].effort.learned
-    assert learned is not None
-    assert (learned.forces, learned._trajectory) == (FORCES, parts.trajectory)
-    assert learned._record["step"] == pytest.approx(1e-3 / 0.05)
-
-
 def test_what_holds_a_platform_is_the_books_force_and_more_under_a_load(parts):
     cycle, _ = a_cycle(parts)
     home = parts.home_p, parts.home_R
@@ -217,19 +213,15 @@ def test_what_holds_a_platform_is_the_books_force_and_more_under_a_load(parts):
 
 @pytest.mark.parametrize("predicts", [True, False])
 def test_the_law_sees_what_the_limits_took_and_the_tick_has_its_own_force(parts, predicts):
-    cycle, law = a_cycle(parts, predictor=Predictor() if predicts else None)
+    predictor = Predictor() if predicts else None
+    cycle, law = a_cycle(parts, predictor=predictor)
+    for free in (True, False):
+        filled(cycle, Mode.RELEASING, free=free)
+        assert predictor is None or predictor.free is free, "whether the brakes are open"
     cycle.control.record["shortfall"] = SHORTFALL
     np.testing.assert_array_equal(filled(cycle, Mode.TRACKING)["tau_law"], OWN)
     assert law.seen is not None
     np.testing.assert_array_equal(law.seen["shortfall"], SHORTFALL)
-
-
-@pytest.mark.parametrize("free", [True, False])
-def test_the_predictor_knows_whether_the_brakes_are_open(parts, free):
-    predictor = Predictor()
-    cycle, _ = a_cycle(parts, predictor=predictor)
-    filled(cycle, Mode.RELEASING, free=free)
-    assert predictor.free is free
 
 
 @pytest.mark.parametrize("number", [3, 500])
@@ -270,14 +262,6 @@ QUARTER = 0.103515625
 
 
 @pytest.mark.parametrize(
-    ("x", "y"),
-    [(-2.0, 0.0), (0.0, 0.0), (0.25, QUARTER), (0.5, 0.5), (0.75, 1.0 - QUARTER), (1.0, 1.0), (3.0, 1.0)],
-)
-def test_the_step_rises_from_0_to_1_and_stays_there(x, y):
-    assert smoothstep(x) == y
-
-
-@pytest.mark.parametrize(
     ("mode", "elapsed_s", "share"),
     [
         (Mode.LOADING, 0.2, 0.0),
@@ -292,6 +276,7 @@ def test_the_holding_force_comes_behind_a_brake_test_as_long_as_its_ramp_and_goe
     mode, elapsed_s, share
 ):
     assert holding_share(mode, elapsed_s, 0.2) == pytest.approx(share, abs=1e-12)
+    assert [smoothstep(x) for x in (-2.0, 0.25, 0.5, 0.75, 3.0)] == [0.0, QUARTER, 0.5, 1.0 - QUARTER, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from tests.hil.encoder_bench import (
     RATES,
     Bench,
     T,
+    after,
     calm,
     doubted,
     six,
@@ -25,22 +26,15 @@ from tests.hil.encoder_bench import (
 @ON_ONE_LEG
 @BOTH_SIGNS
 def test_encoders_a_jump_beyond_the_noise_of_two_readings_is_doubted(leg, sign):
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
-    bench.ticks(1, jump=six(sign * 0.5, leg))
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
+    after(2, length_noise_m=0.25).ticks(1, jump=six(sign * 0.5, leg))
+    bench = after(2, length_noise_m=0.25)
     assert doubted(bench.tick(jump=six(sign * 0.501, leg)), Doubt.JUMP, leg, sign * 0.501, 0.5 + CREEP)
     assert bench.faults == Fault.ENCODER
 
 
 def test_encoders_a_gap_that_is_its_bound_to_the_last_bit_is_allowed():
-    bench = Bench(length=0.0)
-    bench.ticks(2)
-    bound = float(bench.tick(jump=six(1.0, 3))["doubt_limit"])
-    bench = Bench(length=0.0)
-    bench.ticks(2)
-    bench.ticks(1, jump=six(bound, 3))
+    bound = float(after(2, length=0.0).tick(jump=six(1.0, 3))["doubt_limit"])
+    after(2, length=0.0).ticks(1, jump=six(bound, 3))
 
 
 def test_encoders_the_share_of_a_gap_is_that_of_its_bound_and_nothing_of_a_leg_that_is_not_watched():
@@ -56,13 +50,11 @@ def test_encoders_the_share_of_a_gap_is_that_of_its_bound_and_nothing_of_a_leg_t
 
 @BOTH_SIGNS
 def test_encoders_the_share_is_that_of_a_gap_or_of_what_they_add_up_to_whichever_is_larger(sign):
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
+    bench = after(2, length_noise_m=0.25)
     shares = [bench.tick(jump=six(sign * 0.125, 1))["encoder_share"][1] for _ in range(3)]
     assert shares[0] == pytest.approx(0.125 / (0.5 + CREEP), rel=1e-9)
     assert 1.5 * shares[0] < shares[1] < shares[2] < 1.0
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
+    bench = after(2, length_noise_m=0.25)
     bench.ticks(1, jump=six(sign * 0.25, 1))
     share = bench.tick(jump=six(-sign * 0.375, 1))["encoder_share"][1]
     assert share == pytest.approx(0.375 / (0.5 + CREEP), rel=1e-9)
@@ -77,16 +69,14 @@ def test_encoders_the_second_reading_is_the_first_that_is_compared():
 
 @pytest.mark.parametrize("mode", Mode)
 def test_encoders_are_judged_from_idle_on_but_for_a_fault(mode):
-    bench = Bench()
-    bench.ticks(2, mode=mode)
+    bench = after(2, mode=mode)
     tick = bench.tick(jump=six(1.0, 3), mode=mode)
     assert calm(tick) == (mode in {Mode.WAITING, Mode.FAULT})
     assert bool(bench.faults & Fault.ENCODER) != calm(tick)
 
 
 def test_encoders_a_doubt_stays_as_it_was_until_the_run_waits_anew():
-    bench = Bench()
-    bench.ticks(2)
+    bench = after(2)
     bench.tick(jump=six(1.0, 3))
     for mode in (Mode.HELD, Mode.FAULT, Mode.IDLE):
         assert doubted(bench.tick(jump=six(2.0, 1), mode=mode), Doubt.JUMP, 3, 1.0, CREEP)
@@ -100,9 +90,7 @@ def test_encoders_a_doubt_stays_as_it_was_until_the_run_waits_anew():
 
 
 def test_encoders_of_two_at_once_the_first_says_why():
-    bench = Bench()
-    bench.ticks(2)
-    tick = bench.tick(jump=[0.0, 0.0, 3.0, 0.0, 4.0, 0.0])
+    tick = after(2).tick(jump=[0.0, 0.0, 3.0, 0.0, 4.0, 0.0])
     assert tick["legs_doubted"] == 0b010100
     assert (tick["doubt"], tick["doubt_value"]) == (Doubt.JUMP, 3.0)
 
@@ -124,8 +112,7 @@ def test_encoders_that_are_not_watched_are_not_doubted(leg):
 
 
 def test_encoders_a_length_that_jumped_is_no_motion_of_a_leg_that_has_to_stand():
-    bench = Bench()
-    bench.ticks(2, mode=Mode.IDLE)
+    bench = after(2, mode=Mode.IDLE)
     tick = bench.tick(jump=six(1.0, 3), mode=Mode.IDLE)
     assert tick["legs_moved"] == 0
     assert bench.faults == Fault.ENCODER
@@ -138,8 +125,7 @@ SHUT = [Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED]
 
 def stopped(mode, share, leap=8.0, noise_m=0.1):
     """Return a bench whose leg 1 has just been stopped, a share of T before its reading: (1/2 - share) 8 T gap."""
-    bench = Bench(length_noise_m=noise_m)
-    bench.ticks(3, rate=leap, mode=mode)
+    bench = after(3, rate=leap, mode=mode, length_noise_m=noise_m)
     gap = (0.5 - share) * leap * T
     return bench, bench.tick(rate=six(0.0, 1, leap), jump=six(gap, 1), mode=mode)
 
@@ -161,17 +147,14 @@ def test_encoders_on_closed_brakes_nothing_can_stop_a_leg(mode):
 
 
 def test_encoders_a_leg_that_is_stopped_has_jumped_by_what_is_beyond_that():
-    bench = Bench(length_noise_m=0.01)
-    bench.ticks(3, rate=8.0)
-    tick = bench.tick(rate=six(0.0, 1, 8.0), jump=six(4.0 * T + 0.05, 1))
+    tick = after(3, rate=8.0, length_noise_m=0.01).tick(rate=six(0.0, 1, 8.0), jump=six(4.0 * T + 0.05, 1))
     assert doubted(tick, Doubt.JUMP, 1, 0.05, 0.02 + CREEP + 0.3 * T * 4.0)
 
 
 @pytest.mark.parametrize(("disturbance", "excused"), [(256.0, False), (255.0, True)])
 def test_encoders_a_leg_is_not_stopped_by_what_forces_explain(disturbance, excused):
     """8 m/s are 1 / 64 s x 2 x 256 m/s^2: the rate has not leapt, and a gap of 62.5 mm is a jump."""
-    bench = Bench(length_noise_m=0.001, disturbance_m_s2=disturbance)
-    bench.ticks(3, rate=8.0)
+    bench = after(3, rate=8.0, length_noise_m=0.001, disturbance_m_s2=disturbance)
     tick = bench.tick(rate=six(0.0, 1, 8.0), jump=six(4.0 * T, 1))
     assert calm(tick) == excused
     assert tick["doubt"] == (Doubt.NONE if excused else Doubt.JUMP)
@@ -183,8 +166,7 @@ def test_encoders_a_leg_is_not_stopped_by_what_forces_explain(disturbance, excus
 @BOTH_SIGNS
 def test_encoders_the_bound_grows_with_the_noise_of_rates_and_the_acceleration_of_the_leg(sign):
     """A rate latched 0.5 s beside its length is off by half of 4 + 3 m/s^2; 4: from -2 to 2."""
-    bench = Bench(rate_noise_m_s=0.25, rate_skew_s=0.5, disturbance_m_s2=2.0)
-    bench.ticks(2, rate=six(-sign * 3.0 * T, 1))
+    bench = after(2, rate=six(-sign * 3.0 * T, 1), rate_noise_m_s=0.25, rate_skew_s=0.5, disturbance_m_s2=2.0)
     bench.ticks(1, rate=0.0)
     limit = T * (0.25 + 0.5 * (4.0 + 3.0)) + 4.0 * T * T / 8.0 + CREEP
     assert doubted(bench.tick(jump=six(9.0, 1)), Doubt.JUMP, 1, 9.0, limit)
@@ -256,15 +238,13 @@ def test_encoders_a_leg_is_compared_with_its_last_reading_for_eight_ticks(leg, b
 
 
 def test_encoders_a_leg_heard_for_the_first_time_is_not_compared():
-    bench = Bench()
-    bench.ticks(3, unseen=[2])
+    bench = after(3, unseen=[2])
     bench.ticks(1)
     assert doubted(bench.tick(jump=six(1.0, 2)), Doubt.JUMP, 2, 1.0, CREEP)
 
 
 def test_encoders_nothing_is_remembered_over_a_long_silence():
-    bench = Bench(length_noise_m=1.0, rate_noise_m_s=1.0)
-    bench.ticks(1, rate=six(1.0))
+    bench = after(1, rate=six(1.0), length_noise_m=1.0, rate_noise_m_s=1.0)
     bench.ticks(2, rate=six(1.0 + T), jump=six(0.01))
     names = ("gaps", "travel", "acceleration", "spacing_s")
     bench.tick(rate=six(1.0 + 2.0 * T), jump=six(0.01))
@@ -278,8 +258,7 @@ def test_encoders_nothing_is_remembered_over_a_long_silence():
 
 
 def test_encoders_what_the_clock_says_is_late_is_no_delay_beside_it():
-    bench = Bench()
-    bench.ticks(2, rate=RATES)
+    bench = after(2, rate=RATES)
     for lateness in (0.25, 0.75, 0.0, 0.5):
         bench.ticks(1, lateness=lateness)
         assert bench.memory("delay_s") == pytest.approx(0.0, abs=1e-12)
@@ -290,8 +269,7 @@ def test_encoders_what_the_clock_says_is_late_is_no_delay_beside_it():
 def test_encoders_what_the_bus_says_is_late_is_no_delay_of_its_leg(leg):
     known = six(PERIOD_NS // 2, leg, other=0, dtype=int)
     for latch_ns, doubts in ((known, 0), (six(0, dtype=int), 1 << leg)):
-        bench = Bench()
-        bench.ticks(3, rate=RATES)
+        bench = after(3, rate=RATES)
         way = six(RATES[leg] * T / 2, leg)
         assert bench.tick(jump=way, latch_ns=latch_ns)["legs_doubted"] == doubts
         assert bench.tick(jump=-way)["legs_doubted"] == doubts
@@ -299,8 +277,7 @@ def test_encoders_what_the_bus_says_is_late_is_no_delay_of_its_leg(leg):
 
 @BOTH_SIGNS
 def test_encoders_a_delay_that_all_show_is_time(sign):
-    bench = Bench()
-    bench.ticks(2, rate=sign * RATES)
+    bench = after(2, rate=sign * RATES)
     bench.ticks(1, late_s=0.75 * T, rate=sign * RATES + 1.75 * T)
     assert bench.memory("delay_s") == pytest.approx(0.75 * T, rel=1e-2)
     assert bench.memory("spacing_s") == pytest.approx(six(1.75 * T), rel=1e-2)
@@ -311,31 +288,26 @@ def test_encoders_a_delay_that_all_show_is_time(sign):
 
 
 def test_encoders_beside_a_delay_that_all_show_nothing_more_is_allowed():
-    bench = Bench()
-    bench.ticks(2, rate=RATES)
-    assert doubted(bench.tick(late_s=0.5 * T, jump=six(0.25, 2)), Doubt.JUMP, 2, 0.25, CREEP)
+    assert doubted(after(2, rate=RATES).tick(late_s=0.5 * T, jump=six(0.25, 2)), Doubt.JUMP, 2, 0.25, CREEP)
 
 
 def test_encoders_a_leg_that_was_silent_takes_the_delay_of_the_others_but_bears_no_witness():
     for late_s in (0.5 * T, 0.0):
-        bench = Bench()
-        bench.ticks(2, rate=RATES)
+        bench = after(2, rate=RATES)
         bench.ticks(1, late_s=0.5 * T, unseen=[5])
         bench.ticks(1, late_s=late_s)
         assert bench.memory("spacing_s")[5] == pytest.approx(2.0 * T + late_s)
         assert bench.memory("delay_s") == pytest.approx(late_s, abs=1e-12)
         bench.ticks(1)
         assert bench.memory("delay_s") == pytest.approx(0.0, abs=1e-12)
-    bench = Bench()
-    bench.ticks(2, rate=RATES)
+    bench = after(2, rate=RATES)
     bench.ticks(1, unseen=[5])
     tick = bench.tick(late_s=0.5 * T, jump=six(9.0, 5))
     assert doubted(tick, Doubt.JUMP, 5, 9.0, 2.0 * CREEP + 0.3 * T * 8.0)
 
 
 def test_encoders_all_of_them_silent_all_have_a_say_afterwards():
-    bench = Bench()
-    bench.ticks(2, rate=RATES)
+    bench = after(2, rate=RATES)
     bench.ticks(1, unseen=range(6))
     bench.ticks(1, late_s=0.5 * T)
     assert bench.memory("delay_s") == pytest.approx(0.5 * T)
@@ -344,13 +316,11 @@ def test_encoders_all_of_them_silent_all_have_a_say_afterwards():
 @BOTH_SIGNS
 def test_encoders_a_leg_that_others_contradict_may_be_late_by_a_share_of_a_period(sign):
     """At -8 and -4, in the mean -6 m/s."""
-    bench = Bench(disturbance_m_s2=256.0)
-    bench.ticks(2, rate=sign * RATES)
+    bench = after(2, rate=sign * RATES, disturbance_m_s2=256.0)
     limit = CREEP + 512.0 * T * T / 8.0 + 0.3 * T * 6.0
     tick = bench.tick(rate=sign * (RATES + six(4.0, 5)), jump=six(sign * 0.999 * limit, 5))
     assert calm(tick)
-    bench = Bench(disturbance_m_s2=256.0)
-    bench.ticks(2, rate=sign * RATES)
+    bench = after(2, rate=sign * RATES, disturbance_m_s2=256.0)
     value = sign * 1.001 * limit
     tick = bench.tick(rate=sign * (RATES + six(4.0, 5)), jump=six(value, 5))
     assert doubted(tick, Doubt.JUMP, 5, value, limit)
@@ -360,15 +330,12 @@ def test_encoders_a_leg_that_others_contradict_may_be_late_by_a_share_of_a_perio
 @pytest.mark.parametrize("moving", [[5], [2, 5]])
 def test_encoders_of_few_legs_that_move_may_be_late_by_a_period(moving, sign):
     rates = sign * np.where(np.isin(np.arange(6), moving), RATES, 0.0)
-    bench = Bench()
-    bench.ticks(2, rate=rates)
+    bench = after(2, rate=rates)
     bench.ticks(1, late_s=0.99 * T)
     bench.ticks(3)
     bench.ticks(1, late_s=0.99 * T)
     bench.ticks(1)
-    bench = Bench()
-    bench.ticks(2, rate=rates)
-    tick = bench.tick(late_s=1.01 * T)
+    tick = after(2, rate=rates).tick(late_s=1.01 * T)
     leg = moving[0]
     assert tick["legs_doubted"] == sum(1 << leg for leg in moving)
     assert tick["doubt_value"] == pytest.approx(1.01 * T * rates[leg])
@@ -378,7 +345,6 @@ def test_encoders_of_few_legs_that_move_may_be_late_by_a_period(moving, sign):
 @pytest.mark.parametrize("heard", [[5], [0, 5]])
 def test_encoders_of_few_legs_that_are_heard_may_be_late_by_a_period(heard):
     """A stall just before SYNC: only some answers are in time."""
-    bench = Bench()
-    bench.ticks(2, rate=RATES)
+    bench = after(2, rate=RATES)
     bench.ticks(1, late_s=0.9 * T, unseen=[leg for leg in range(6) if leg not in heard])
     bench.ticks(3)

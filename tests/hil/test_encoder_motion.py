@@ -11,7 +11,7 @@ from drivers.signals import Doubt, Mode
 from hil.loop.probe import fill_probe
 from hil.safety import encoder_kernels
 from hil.safety.residuals import SETTLES_S
-from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
+from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, after, calm, doubted, six
 
 # -- slips
 
@@ -20,20 +20,17 @@ from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench,
 @BOTH_SIGNS
 def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
     """Of the first, 1 - T / 50 ms is left a tick later."""
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
+    bench = after(2, length_noise_m=0.25)
     bench.ticks(1, jump=six(sign * 0.3, leg))
     value = sign * 0.3 * (1.0 + 0.6875)
     assert doubted(bench.tick(jump=six(sign * 0.3, leg)), Doubt.SLIP, leg, value, 0.5 + CREEP)
 
 
 def test_encoders_a_slip_that_is_forgotten_in_time_is_none():
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
+    bench = after(2, length_noise_m=0.25)
     for _ in range(20):
         bench.ticks(1, jump=six(0.155, 1))
-    bench = Bench(length_noise_m=0.25)
-    bench.ticks(2)
+    bench = after(2, length_noise_m=0.25)
     for _ in range(20):
         tick = bench.tick(jump=six(0.158, 1))
     assert tick["doubt"] == Doubt.SLIP
@@ -42,8 +39,9 @@ def test_encoders_a_slip_that_is_forgotten_in_time_is_none():
 @BOTH_SIGNS
 def test_encoders_a_slip_may_be_a_share_of_the_way_of_the_last_fifty_milliseconds(sign):
     """Noise of the rate over all of that, and a period's delay of a leg that others contradict."""
-    bench = Bench(length_noise_m=0.5, rate_noise_m_s=2.0, rate_error=0.5, disturbance_m_s2=64.0)
-    bench.ticks(60, rate=sign * RATES)
+    bench = after(
+        60, rate=sign * RATES, length_noise_m=0.5, rate_noise_m_s=2.0, rate_error=0.5, disturbance_m_s2=64.0
+    )
     limit = 1.0 + 0.05 * 2.0 + 4.0 * 128.0 * T * T / 8.0 + CREEP + 0.5 * 0.05 * 8.0 + 0.3 * T * 8.0
     jump = 0.9 * (1.0 + T * 2.0 + 128.0 * T * T / 8.0 + 0.3 * T * 8.0)
     bench.ticks(1, jump=six(jump, 5))
@@ -54,16 +52,14 @@ def test_encoders_a_slip_may_be_a_share_of_the_way_of_the_last_fifty_millisecond
 @BOTH_SIGNS
 def test_encoders_what_would_be_a_delay_of_a_leg_that_moves_alone_adds_up(sign):
     for share, why in ((0.17, Doubt.NONE), (0.28, Doubt.SLIP)):
-        bench = Bench()
-        bench.ticks(2, rate=six(8.0, 5))
+        bench = after(2, rate=six(8.0, 5))
         bench.ticks(1, jump=six(sign * share * T * 8.0, 5))
         assert bench.tick(jump=six(sign * share * T * 8.0, 5))["doubt"] == why
 
 
 def test_encoders_what_a_long_gap_explains_is_not_held_against_the_encoder_a_tick_later():
     """Of 50 mm, which 128 m/s^2 explain in four periods, 34 are left a tick later, where 16 mm are allowed anew."""
-    bench = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3)
-    bench.ticks(2)
+    bench = after(2, disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(3, unseen=[1])
     bench.ticks(1, jump=six(0.05, 1))
     assert bench.memory("gaps")[1] == pytest.approx(0.05)
@@ -76,8 +72,7 @@ def test_encoders_what_a_long_gap_explains_is_not_held_against_the_encoder_a_tic
 
 
 def test_encoders_a_calm_stall_excuses_no_slip_after_it():
-    bench = Bench(disturbance_m_s2=64.0)
-    bench.ticks(2)
+    bench = after(2, disturbance_m_s2=64.0)
     bench.ticks(3, unseen=[1])
     bench.ticks(1)
     assert not bench.memory("excused").any()
@@ -89,9 +84,7 @@ def test_encoders_a_calm_stall_excuses_no_slip_after_it():
 def accelerated(**limits):
     """Return a bench whose lengths say nothing, after three ticks at rest with open brakes."""
     wide = {"length_noise_m": 1e3, "open_ticks": 2}
-    bench = Bench(**{**wide, **limits})
-    bench.ticks(3)
-    return bench
+    return after(3, **{**wide, **limits})
 
 
 @ON_ONE_LEG
@@ -129,8 +122,7 @@ def test_encoders_a_leap_is_judged_by_the_times_between_the_readings():
 
 
 def test_encoders_a_leap_counts_once_the_brakes_have_had_their_time_to_open():
-    bench = Bench(length_noise_m=1e3, open_ticks=3, disturbance_m_s2=32.0)
-    bench.ticks(3)
+    bench = after(3, length_noise_m=1e3, open_ticks=3, disturbance_m_s2=32.0)
     bench.ticks(1, mode=Mode.IDLE)
     bench.ticks(2)
     bench.ticks(1, rate=six(9.0, 1))
@@ -138,8 +130,7 @@ def test_encoders_a_leap_counts_once_the_brakes_have_had_their_time_to_open():
 
 
 def test_encoders_no_leap_without_an_acceleration_before():
-    bench = Bench(length_noise_m=1e3, open_ticks=0, rate_noise_m_s=1e-3)
-    bench.ticks(1)
+    bench = after(1, length_noise_m=1e3, open_ticks=0, rate_noise_m_s=1e-3)
     bench.ticks(1, rate=six(9.0, 1))
     assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -18.0, 4e-3)
 
@@ -164,6 +155,13 @@ class Standing(Bench):
         return self.tick(q_d=q_d, **columns)
 
 
+def standing(leg, **limits):
+    """Return such a bench after its first tick."""
+    bench = Standing(leg, **limits)
+    bench.stand()
+    return bench
+
+
 RISES = [200.0, 300.0, 300.0, 100.0, -100.0, -300.0]
 
 
@@ -184,24 +182,17 @@ def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_there_and_t
 
 @BOTH_SIGNS
 def test_encoders_a_leg_that_stands_near_its_reference_is_pushed_there_first(sign):
-    bench = Standing(2, length_noise_m=0.05)
-    bench.stand()
-    assert bench.stand(sign * 0.6)["tau"][2] == pytest.approx(-sign * 200.0)
+    assert standing(2, length_noise_m=0.05).stand(sign * 0.6)["tau"][2] == pytest.approx(-sign * 200.0)
 
 
 def test_encoders_a_leg_that_stands_is_pushed_where_another_one_strays():
-    bench = Standing(2)
-    bench.stand()
-    assert bench.stand(5.5, where=4)["tau"] == pytest.approx(six(200.0, 2))
-    bench = Standing(2)
-    bench.stand()
-    assert bench.stand(5.5, where=4, unseen=[4])["tau"] == pytest.approx(six(0.0))
+    assert standing(2).stand(5.5, where=4)["tau"] == pytest.approx(six(200.0, 2))
+    assert standing(2).stand(5.5, where=4, unseen=[4])["tau"] == pytest.approx(six(0.0))
 
 
 @BOTH_SIGNS
 def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more(sign):
-    bench = Standing(2)
-    bench.stand()
+    bench = standing(2)
     bench.stand(20.0)
     bench.stand(20.0, jump=six(sign * 0.5, 2))
     assert bench.memory("push")[2] == -2
@@ -216,8 +207,7 @@ def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more
 
 @ON_ONE_LEG
 def test_encoders_a_leg_that_friction_may_hold_is_named_and_not_pushed_while_one_strays(leg):
-    bench = Standing(leg, sticks=1)
-    bench.stand()
+    bench = standing(leg, sticks=1)
     assert bench.memory("strays") == 0
     bench.stand(20.0)
     assert bench.memory("strays") == 1 << leg
@@ -229,8 +219,7 @@ def test_encoders_a_leg_that_friction_may_hold_is_named_and_not_pushed_while_one
 
 
 def test_encoders_the_way_of_a_free_leg_counts_from_where_its_reading_stands():
-    bench = Standing(2, sticks=1)
-    bench.stand()
+    bench = standing(2, sticks=1)
     bench.memory("free_m")[2] = bench.memory("free_m_s")[2] = 7.0
     bench.stand(20.0)
     assert bench.memory("free_m")[2] == bench.memory("free_m_s")[2] == 7.0
@@ -240,8 +229,7 @@ def test_encoders_the_way_of_a_free_leg_counts_from_where_its_reading_stands():
 
 @pytest.mark.parametrize("push", [3, -3, 4, -4])
 def test_encoders_a_leg_that_sticks_is_doubted_after_one_push(push):
-    bench = Standing(2, sticks=1)
-    bench.stand()
+    bench = standing(2, sticks=1)
     bench.memory("push")[2] = push
     tick = bench.stand(12.0)
     assert calm(tick) if abs(push) == 3 else doubted(tick, Doubt.STILL, 2, 12.0, 5.0)
@@ -264,8 +252,7 @@ def test_encoders_what_a_leg_does_that_was_pushed_counts_against_no_other_until_
 
 
 def test_encoders_a_leg_that_is_pushed_is_unsettled_as_long_as_that_lasts():
-    bench = Standing(2)
-    bench.stand()
+    bench = standing(2)
     bench.stand(20.0)
     for _ in range(3):
         bench.stand(20.0)
@@ -286,16 +273,14 @@ def test_encoders_a_rate_of_three_times_its_noise_is_a_motion(sign):
 
 
 def test_encoders_a_push_waits_for_a_leg_that_is_silent_and_goes_on():
-    bench = Standing(2)
-    bench.stand()
+    bench = standing(2)
     bench.stand(20.0)
     assert bench.stand(20.0, unseen=[2])["tau"][2] == pytest.approx(-200.0)
     assert bench.stand(20.0)["tau"][2] == pytest.approx(-300.0)
 
 
 def test_encoders_a_leg_that_is_not_watched_is_not_pushed():
-    bench = Standing(2, watched_legs=63 - 4)
-    bench.stand()
+    bench = standing(2, watched_legs=63 - 4)
     assert bench.stand(20.0)["tau"][2] == 0.0
     assert bench.memory("stood")[2] == 0
 
@@ -352,8 +337,7 @@ def test_encoders_a_leg_is_being_probed_until_nothing_is_left_of_it(leg):
 
 def after_a_miss(ticks, ways, unnamed=1, apart=0):
     """Return the record of a tick in which leg 5 reads as it was so many periods off; all legs were missed."""
-    bench = Bench(unnamed=unnamed, apart=apart)
-    bench.ticks(60, rate=RATES)
+    bench = after(60, rate=RATES, unnamed=unnamed, apart=apart)
     bench.tick(unseen=range(6))
     if ticks:
         bench.ticks(ticks)
@@ -375,8 +359,7 @@ def test_encoders_else_a_leg_may_not(ticks, unnamed, apart):
 
 
 def test_encoders_an_answer_to_the_poll_before_has_the_noise_of_its_longer_time():
-    bench = Bench(unnamed=1, rate_noise_m_s=1.0)
-    bench.ticks(3)
+    bench = after(3, unnamed=1, rate_noise_m_s=1.0)
     bench.tick(unseen=range(6))
     bench.ticks(1)
     assert doubted(bench.tick(jump=six(2.5 * T, 1)), Doubt.JUMP, 1, 2.5 * T, 2.0 * T + 2.0 * CREEP)
@@ -384,8 +367,7 @@ def test_encoders_an_answer_to_the_poll_before_has_the_noise_of_its_longer_time(
 
 @pytest.mark.parametrize(("ticks", "doubt"), [(8, Doubt.NONE), (9, Doubt.LEAP)])
 def test_encoders_a_leap_needs_a_spacing_before_it_that_is_sure(ticks, doubt):
-    bench = Bench(unnamed=1, open_ticks=0, length_noise_m=1.0)
-    bench.ticks(60, rate=RATES)
+    bench = after(60, rate=RATES, unnamed=1, open_ticks=0, length_noise_m=1.0)
     bench.tick(unseen=range(6))
     bench.ticks(ticks)
     assert bench.tick(rate=RATES + six(3.0, 2))["doubt"] == doubt
@@ -398,8 +380,7 @@ def test_encoders_a_leap_needs_a_spacing_before_it_that_is_sure(ticks, doubt):
 @BOTH_SIGNS
 def test_encoders_a_gap_may_be_what_two_slopes_lag_behind(leg, sign):
     """The range is 16 m/s^2: T^2 / 8 of it, and T / 2 times the two lags of T / 3."""
-    bench = Bench(differences=1, disturbance_m_s2=8.0)
-    bench.ticks(5)
+    bench = after(5, differences=1, disturbance_m_s2=8.0)
     limit = 16.0 * T * T * (1.0 / 8.0 + 1.0 / 3.0) + CREEP
     assert doubted(bench.tick(jump=six(sign * 1e-2, leg)), Doubt.JUMP, leg, sign * 1e-2, limit)
 
@@ -418,8 +399,7 @@ def test_encoders_a_slope_may_leap_by_what_three_slopes_lag_behind(leg, sign):
 
 @pytest.mark.parametrize("unnamed", [0, 1])
 def test_encoders_no_rate_is_judged_by_a_spacing_that_nobody_knows(unnamed):
-    bench = Bench(unnamed=unnamed, open_ticks=0, length_noise_m=1.0)
-    bench.ticks(60, rate=RATES)
+    bench = after(60, rate=RATES, unnamed=unnamed, open_ticks=0, length_noise_m=1.0)
     bench.tick(unseen=[0])
     found = bench.tick(rate=RATES + six(3.0, 2))
     assert found["doubt"] == (Doubt.NONE if unnamed else Doubt.LEAP)
@@ -427,8 +407,7 @@ def test_encoders_no_rate_is_judged_by_a_spacing_that_nobody_knows(unnamed):
 
 @pytest.mark.parametrize(("leg", "apart", "doubts"), [(0, 1, True), (0, 0, False), (5, 1, False)])
 def test_encoders_a_drive_that_latches_apart_and_is_missed_widens_its_own_bounds_alone(leg, apart, doubts):
-    bench = Bench(unnamed=1, apart=apart)
-    bench.ticks(60, rate=RATES)
+    bench = after(60, rate=RATES, unnamed=1, apart=apart)
     for _ in range(3):
         bench.ticks(1, unseen=[5])
         bench.ticks(1)
@@ -438,8 +417,7 @@ def test_encoders_a_drive_that_latches_apart_and_is_missed_widens_its_own_bounds
 
 @pytest.mark.parametrize(("way", "doubts"), [(0.95, False), (2.5, True)])
 def test_encoders_a_leg_that_was_missed_may_answer_the_poll_before_beside_a_delay_that_all_show(way, doubts):
-    bench = Bench(unnamed=1, apart=1)
-    bench.ticks(60, rate=RATES)
+    bench = after(60, rate=RATES, unnamed=1, apart=1)
     bench.ticks(1, unseen=[5])
     bench.ticks(1)
     found = bench.tick(late_s=0.5 * T, jump=six(way * RATES[5] * T, 5))
@@ -448,8 +426,7 @@ def test_encoders_a_leg_that_was_missed_may_answer_the_poll_before_beside_a_dela
 
 @pytest.mark.parametrize(("leg", "doubts"), [(2, True), (0, False)])
 def test_encoders_rates_of_drives_that_latch_apart_are_judged_beside_one_that_was_missed(leg, doubts):
-    bench = Bench(unnamed=1, apart=1, open_ticks=0, length_noise_m=1.0)
-    bench.ticks(60, rate=RATES)
+    bench = after(60, rate=RATES, unnamed=1, apart=1, open_ticks=0, length_noise_m=1.0)
     bench.ticks(1, unseen=[0])
     found = bench.tick(rate=RATES + six(3.0, leg))
     assert found["doubt"] == (Doubt.LEAP if doubts else Doubt.NONE)

@@ -29,91 +29,45 @@ def six(value, leg=None, other=0.0):
 RATES = np.array([0.5, -1.0, 2.0, -4.0, 8.0, 0.25])
 
 
-@BOTH_SIGNS
-def test_residuals_latch_a_delay_that_all_legs_show_is_found(sign):
-    delay, shared = residuals.shared_delay(RATES * sign * 0.5, RATES, six(1e-6))
-    assert delay == sign * 0.5
-    assert shared
+UNLIKE = np.array([1.0, -1.5, 2.0, -1.25, 1.0, 1.75])
+ALIKE = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+TWO, THREE = six(1.0) * ([1.0] * 2 + [0.0] * 4), six(1.0) * ([1.0] * 3 + [0.0] * 3)
+FAST = np.array([4.0, 4.0, 1.0, 0.0, 0.0, 0.0])
+MIDDLE = [0.2, 0.21, 0.27, 0.28, math.nan, 0.25]
+SMALL = 1e-6
 
 
-@ON_ONE_LEG
-@BOTH_SIGNS
-def test_residuals_latch_one_leg_that_is_off_does_not_change_what_the_others_agree_on(leg, sign):
-    rates = np.array([1.0, -1.5, 2.0, -1.25, 1.0, 1.75])
-    gap = rates * 0.25
-    gap[leg] += sign * 3.0
-    assert residuals.shared_delay(gap, rates, six(1e-6)) == (0.25, True)
+def on(*legs):
+    return 1.0 * np.isin(np.arange(6), legs)
 
 
-@pytest.mark.parametrize("off", [(0, 1), (2, 4), (1, 5)])
-def test_residuals_latch_two_legs_that_are_off_do_not_either(off):
-    rates = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
-    gap = rates * 0.25
-    gap[off[0]] += 1.0
-    gap[off[1]] -= 2.0
-    assert residuals.shared_delay(gap, rates, six(1e-6)) == (0.25, True)
+SHARED = [
+    # all legs show it; one or two that are off do not change what the others agree on
+    *[(sign * 0.5 * RATES, RATES, SMALL, sign * 0.5) for sign in (1, -1)],
+    *[(0.25 * UNLIKE + six(way, leg), UNLIKE, SMALL, 0.25) for leg in range(6) for way in (3.0, -3.0)],
+    *[(0.25 * ALIKE + on(a) - 2.0 * on(b), ALIKE, SMALL, 0.25) for a, b in ((0, 1), (2, 4), (1, 5))],
+    # a jump at rest or of the only leg that moves is none, and a leg that is not heard has no say
+    *[(5e-3 * on(leg), rate * on(leg), SMALL, None) for leg in range(6) for rate in (0.0, 1.0)],
+    *[(0.25 * RATES + six(math.nan, leg), RATES, SMALL, 0.25) for leg in range(6)],
+    (six(math.nan), RATES, SMALL, None),
+    # the leg in the middle counts, and of two delays that are as good the first
+    *[(np.roll(MIDDLE, shift), six(1.0), 0.06, 0.25) for shift in range(6)],
+    (np.array([0.25] * 3 + [0.5] * 3), six(1.0), SMALL, 0.25),
+    # any three legs bear witness, each by more than its tolerance, and agree within it
+    *[(0.5 * on(*legs), on(*legs), 0.25, 0.5) for legs in ((0, 1, 2), (3, 4, 5), (0, 2, 5))],
+    (0.5 * THREE, THREE, 0.5, None),
+    (0.5 * TWO, TWO, 0.25, None),
+    *[(np.array([2.0, 2.0, gap, 0.0, 0.0, 0.0]), FAST, 0.25, 0.5) for gap in (0.25, 0.75)],
+    *[(np.array([2.0, 2.0, gap, 0.0, 0.0, 0.0]), FAST, 0.2499, None) for gap in (0.25, 0.75)],
+    # two legs at one speed, one of them off: a delay explains it no better than a jump
+    (0.5 * on(0), TWO, SMALL, None),
+]
 
 
-@ON_ONE_LEG
-def test_residuals_latch_a_jump_while_all_legs_rest_is_no_delay(leg):
-    assert residuals.shared_delay(six(5e-3, leg), six(0.0), six(1e-6)) == (0.0, False)
-
-
-@ON_ONE_LEG
-def test_residuals_latch_a_jump_of_the_only_leg_that_moves_is_no_delay(leg):
-    assert residuals.shared_delay(six(5e-3, leg), six(1.0, leg), six(1e-6)) == (0.0, False)
-
-
-@ON_ONE_LEG
-def test_residuals_latch_a_leg_that_is_not_heard_has_no_say(leg):
-    gap = RATES * 0.25
-    gap[leg] = math.nan
-    assert residuals.shared_delay(gap, RATES, six(1e-6)) == (0.25, True)
-    assert residuals.shared_delay(six(math.nan), RATES, six(1e-6)) == (0.0, False)
-
-
-@ON_ONE_LEG
-def test_residuals_latch_the_best_delay_is_that_of_the_leg_in_the_middle(leg):
-    """All at 1 m/s: the median of five."""
-    gap = np.array([0.2, 0.21, 0.27, 0.28, math.nan, 0.25])
-    gap[[leg, 5]] = gap[[5, leg]]
-    assert residuals.shared_delay(gap, six(1.0), six(0.06)) == (0.25, True)
-
-
-def test_residuals_latch_of_two_delays_that_are_as_good_the_first_counts():
-    gap = np.array([0.25, 0.25, 0.25, 0.5, 0.5, 0.5])
-    assert residuals.shared_delay(gap, six(1.0), six(1e-6)) == (0.25, True)
-
-
-@pytest.mark.parametrize("legs", [(0, 1, 2), (3, 4, 5), (0, 2, 5)])
-def test_residuals_latch_any_three_legs_bear_witness(legs):
-    rates = np.zeros(6)
-    rates[list(legs)] = 1.0
-    assert residuals.shared_delay(rates * 0.5, rates, six(0.25)) == (0.5, True)
-
-
-def test_residuals_latch_three_legs_must_show_a_delay_by_more_than_their_tolerance():
-    rates = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    assert residuals.shared_delay(rates * 0.5, rates, six(0.25)) == (0.5, True)
-    assert residuals.shared_delay(rates * 0.5, rates, six(0.5)) == (0.0, False)
-    rates[2] = 0.0
-    assert residuals.shared_delay(rates * 0.5, rates, six(0.25)) == (0.0, False)
-
-
-def test_residuals_latch_a_witness_agrees_within_its_tolerance():
-    rates = np.array([4.0, 4.0, 1.0, 0.0, 0.0, 0.0])
-    gap = np.array([2.0, 2.0, 0.75, 0.0, 0.0, 0.0])
-    assert residuals.shared_delay(gap, rates, six(0.25)) == (0.5, True)
-    assert residuals.shared_delay(gap, rates, six(0.2499)) == (0.0, False)
-    gap[2] = 0.25
-    assert residuals.shared_delay(gap, rates, six(0.25)) == (0.5, True)
-    assert residuals.shared_delay(gap, rates, six(0.2499)) == (0.0, False)
-
-
-def test_residuals_latch_a_tie_is_no_delay():
-    """Two legs at one speed, one of them off: a delay explains it no better than a jump."""
-    rates = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    assert residuals.shared_delay(six(0.5, 0), rates, six(1e-6)) == (0.0, False)
+@pytest.mark.parametrize(("gap", "rates", "tolerance", "delay"), SHARED)
+def test_residuals_latch_a_delay_is_shared_where_three_legs_bear_witness_of_it(gap, rates, tolerance, delay):
+    expected = (0.0, False) if delay is None else (delay, True)
+    assert residuals.shared_delay(gap, rates, six(tolerance)) == expected
 
 
 @ON_ONE_LEG

@@ -11,7 +11,7 @@ from drivers.signals import Doubt, Warn
 from hil.safety import residuals
 from hil.safety.certificate import CONSTANTS, Watch
 from hil.safety.encoder_limits import NONE
-from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, calm, doubted, six
+from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, after, calm, doubted, six
 from tests.hil.test_safety import Bench as Guarded
 from tests.hil.test_safety import certified
 
@@ -57,8 +57,7 @@ def test_a_slope_may_leap_by_what_steps_of_different_length_explain_and_no_more(
         step, lags = 1.5, LAG[1.0, 1.5] + LAG[1.0, 1.0] * (1.0 + 2.0 * 1.5)
     limit = 16.0 * T * (step + lags)
     for share, doubts in ((0.999, False), (1.001, True)):
-        bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
-        bench.ticks(6)
+        bench = after(6, differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
         if after_it:
             bench.ticks(1, lateness=0.5)
         leap = sign * share * limit
@@ -129,8 +128,7 @@ def test_gaps_and_leaps_of_slopes_lag_by_the_steps_of_their_own_leg(leg, silent)
         (0.0, {"jump": six(1.0, leg)}, (Doubt.JUMP, leg, 1.0, gap)),
         (1e3, {"rate": six(9.0, leg)}, (Doubt.LEAP, leg, 9.0, leap)),
     ):
-        bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=noise_m, open_ticks=2)
-        bench.ticks(6)
+        bench = after(6, differences=1, disturbance_m_s2=8.0, length_noise_m=noise_m, open_ticks=2)
         bench.ticks(1, unseen=[silent])
         bench.ticks(1)
         assert doubted(bench.tick(**change), *expected)
@@ -138,8 +136,7 @@ def test_gaps_and_leaps_of_slopes_lag_by_the_steps_of_their_own_leg(leg, silent)
 
 @ON_ONE_LEG
 def test_no_leap_is_seen_in_the_first_rate_after_a_long_silence_of_its_leg(leg):
-    bench = Bench(open_ticks=0, length_noise_m=1e3, rate_noise_m_s=1e-3)
-    bench.ticks(3)
+    bench = after(3, open_ticks=0, length_noise_m=1e3, rate_noise_m_s=1e-3)
     bench.ticks(9, unseen=[leg])
     bench.ticks(1)
     bench.ticks(1, rate=six(9.0, leg))
@@ -175,8 +172,7 @@ def test_the_leg_that_leaps_most_is_not_doubted_for_a_latch_late_for_all(leg, si
 
 
 def test_what_a_stall_excused_is_forgotten_over_a_long_silence():
-    bench = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3)
-    bench.ticks(2)
+    bench = after(2, disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(3, unseen=[1])
     bench.ticks(1, jump=six(0.05, 1))
     assert bench.memory("excused")[1] > 0.04
@@ -213,8 +209,7 @@ def test_no_certificate_is_judged_by_forces_that_push_a_leg_that_stands(pushes):
 @pytest.mark.parametrize("other", [0, 2, 4])
 def test_a_leg_whose_leap_is_not_known_contradicts_no_latch_that_was_late_for_all(other):
     """It was silent for long, and heard once since: of its spacing nothing is known."""
-    bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
-    bench.ticks(8, rate=RATES)
+    bench = after(8, rate=RATES, differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
     bench.ticks(9, unseen=[other])
     bench.ticks(1)
     leap = 1.1 * 16.0 * T * (1.0 + 4.0 / 3.0) * RATES / 8.0
@@ -227,8 +222,14 @@ def test_a_leg_that_moves_alone_may_leap_for_a_late_latch_and_for_forces(leg, si
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
     largest = bound + residuals.TIME_LEAPS * 0.3 * 8.0
     for share, doubts in ((0.99, False), (1.01, True)):
-        bench = Bench(differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
-        bench.ticks(8, rate=six(sign * 8.0, leg))
+        bench = after(
+            8,
+            rate=six(sign * 8.0, leg),
+            differences=1,
+            disturbance_m_s2=8.0,
+            length_noise_m=1e3,
+            open_ticks=2,
+        )
         tick = bench.tick(rate=six(sign * (8.0 + share * largest), leg))
         assert tick["doubt"] == (Doubt.LEAP if doubts else Doubt.NONE)
 
@@ -236,8 +237,7 @@ def test_a_leg_that_moves_alone_may_leap_for_a_late_latch_and_for_forces(leg, si
 @pytest.mark.parametrize("leg", range(6))
 def test_a_stall_excuses_what_is_beyond_noise_and_a_share_of_the_travel_of_its_leg(leg):
     rates = RATES / 16.0
-    bench = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3, rate_error=0.125)
-    bench.ticks(2, rate=rates)
+    bench = after(2, rate=rates, disturbance_m_s2=64.0, length_noise_m=1e-3, rate_error=0.125)
     bench.ticks(3, unseen=[leg])
     bench.ticks(1, jump=six(0.05, leg))
     expected = 0.05 - 2e-3 - 0.125 * 4.0 * T * abs(rates[leg])
@@ -258,7 +258,5 @@ def test_a_leg_that_stands_still_is_pushed_whichever_other_one_was_never_heard(l
 @BOTH_SIGNS
 @pytest.mark.parametrize(("leap", "doubts"), [(0.9e-9, False), (1.1e-9, True)])
 def test_where_nothing_explains_a_leap_a_nanometre_per_second_is_none(leap, doubts, sign):
-    bench = Bench(open_ticks=0)
-    bench.ticks(4)
-    tick = bench.tick(rate=six(sign * leap, 2))
+    tick = after(4, open_ticks=0).tick(rate=six(sign * leap, 2))
     assert doubted(tick, Doubt.LEAP, 2, sign * leap, 1e-9) if doubts else calm(tick)

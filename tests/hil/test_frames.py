@@ -96,13 +96,6 @@ def test_an_emergency_stop_is_repeated_until_the_last_drive_confirms_it_and_no_l
     assert estops(bench.step().frames) == 1, "somebody has cleared it"
 
 
-def test_a_reset_ends_the_emergency_stop(bench):
-    bench.until(Mode.APPROACH)
-    bench.step((Operator.ESTOP,))
-    assert estops(bench.step((Operator.RESET,)).frames) == 0
-    assert bench.cycle.faults == Fault.NONE
-
-
 @pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("change", ["length", "rate", "force", "state", "invalid"])
 def test_two_different_answers_of_a_node_to_one_sync_are_two_nodes(bench, late, change):

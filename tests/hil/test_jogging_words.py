@@ -42,15 +42,6 @@ def step(both, first, last, key=True):
 
 
 @pytest.mark.parametrize("forgets", [Jogging.reset, Jogging.let_go])
-def test_a_word_that_is_forgotten_begins_no_jog(forgets):
-    both = made()
-    assert take(both, WORD, 0) == ""
-    forgets(both[0])
-    step(both, 0, 10)
-    assert not both[1].away
-
-
-@pytest.mark.parametrize("forgets", [Jogging.reset, Jogging.let_go])
 def test_a_limit_that_is_forgotten_refuses_no_word(forgets):
     both = made(lambda _: int(Refusal.STROKE))
     assert take(both, WORD, 0) == ""
@@ -70,22 +61,6 @@ def test_a_word_counts_again_on_the_way_of_a_limit_once_it_has_been_silent_for_1
     take(both, WORD, 7)
     step(both, 7, 8)
     assert bool(take(both, WORD, 7 + heard)) is answered
-
-
-def test_a_leg_comes_to_rest_before_lengths_of_no_pose():
-    both = made()
-    jogging, motion = both
-    take(both, jog("leg2"), 0)
-    step(both, 0, 90)
-    path = motion.trajectory
-    ahead, last = path.ahead, motion.override.rests_at(89, 1.0) + 5e-3
-    path.ahead = lambda t: ahead(t) if t <= last else None
-    for tick in range(90, 700):
-        take(both, jog("leg2"), tick)
-        step(both, tick, tick + 1)
-    assert jogging.refusal == f"jog leg2: it stops, since beyond, {explain(Refusal.CONDITION)}"
-    assert motion.resting
-    assert last - 1e-3 < motion.time(700) <= last
 
 
 def test_a_word_of_the_same_axis_the_other_way_brakes_to_rest_before_it_turns_round():
@@ -139,27 +114,6 @@ def test_a_word_of_no_speed_lets_go_of_a_limit_whichever_way_it_was_reached(frac
     assert take(both, jog("y", 0.0), 2) == ""
     assert both[0].refusal == ""
     assert take(both, jog("y", fraction), 3) == "", "the words had ceased"
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_leg_is_as_slow_as_where_it_is_and_where_it_would_rest_need(way):
-    """One way its share of the set-up speed grows, the other way it falls."""
-    asked = []
-
-    def noted(sample, share):
-        asked.append((share, setup_share(sample, speeds)))
-        return False
-
-    speeds = SPEED, np.deg2rad(0.7)
-    both, here = made(too_sudden=noted, setup_speed_deg_s=0.7), []
-    for tick in range(400):
-        take(both, jog("leg2", 0.5 * way), tick)
-        step(both, tick, tick + 1)
-        path = both[1].trajectory
-        here.append(setup_share(path.sample(both[1].time(tick)), speeds))
-    share, rest = np.array(asked).T
-    assert abs(here[-1] / here[0] - 1.0) > 1e-4
-    np.testing.assert_allclose(share, 0.5 * np.minimum(here, rest), rtol=5e-7)
 
 
 # -- through the operator's orders

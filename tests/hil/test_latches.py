@@ -11,17 +11,13 @@ import pytest
 from drivers import build_protocol
 from drivers.frame_array import received_array, sent_array
 from drivers.protocol import BUS, Frame, Received
-from drivers.tick_columns import row_of
 from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
 from hil.contracts.drives_end import reading_of
 from hil.contracts.messages import Sync, hear, reply
-from hil.contracts.records import record_of
 from hil.estimation.fusion_tick import latched_at
 from hil.loop import latches
-from hil.loop.replay import recorded_input
-from hil.record.log import Tick
 from hil.signals import TickInput
 from plant_fmu.drives import drives_end
 from tests.drivers.legs_frames import opening
@@ -184,11 +180,3 @@ def test_the_pose_is_estimated_as_of_the_first_latch_that_there_was(latch_ns, ex
     cycle = build_cycle(load("virtual"), 1000.0, 0.013)
     cycle.step(TickInput(0, 1_000, 20, latch_ns=latch_ns))
     assert latched_at(cycle.tick) == expected
-
-
-def test_a_replay_gets_the_latch_of_every_leg():
-    row: Any = row_of(
-        record_of(tick=4, t_ns=7, compute_ns=5, recorder_alive=1, latch_ns=[11, 12, 13, 14, 15, 16])
-    )
-    inp = recorded_input(Tick(row, (), (), ()))
-    assert (inp.latch_ns, inp.compute_ns, inp.tick) == ((11, 12, 13, 14, 15, 16), 5, 4)

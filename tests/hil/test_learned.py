@@ -7,7 +7,7 @@ import pytest
 
 from drivers.compiled.pointed import data_at
 from drivers.signals import Mode
-from hil.loop.learned import Learned, LearnedForces, between, step
+from hil.loop.learned import Learned, LearnedForces, step
 from hil.loop.motion import Motion
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
@@ -93,14 +93,6 @@ BUMPLESS = 1.05 * 1.875 * PEAK * T / FADE_S
 """The steepest step of a fade, N a tick."""
 
 
-def test_between_two_rows_forces_are_on_the_line_and_behind_the_last_they_stay() -> None:
-    rows = np.arange(18.0)
-    for place, first in ((0.0, 0.0), (0.75, 4.5), (2.0, 12.0), (71.0, 12.0)):
-        tau = np.empty(6)
-        between(rows, place, tau)
-        np.testing.assert_allclose(tau, np.arange(6.0) + first)
-
-
 def test_learned_forces_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> None:
     run = Run().tracking(900)
     forces = np.array(run.seen)
@@ -163,14 +155,6 @@ def test_they_join_only_when_what_was_there_has_gone() -> None:
     assert run.largest_step() < 1.05 * (4.0 + 1.875 * rows.max() * T / 1.0)
 
 
-def test_a_stop_fades_them_out() -> None:
-    run = Run().tracking(300)
-    run.mode, run.mode_tick = Mode.STOPPING, run.tick + 1
-    run.motion.stop(run.tick + 1, STOP_S)
-    assert not run.go(60)[-1].any()
-    assert run.largest_step() < BUMPLESS
-
-
 def test_on_another_path_no_learned_force_acts() -> None:
     run = Run(path=reference()).tracking(300)
     assert not np.array(run.seen).any()
@@ -203,16 +187,3 @@ def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
     np.testing.assert_allclose(run.go(100)[-1], last)
     run.faulty = True
     assert not run.go(60)[-1].any()
-
-
-def test_in_the_approach_they_act_from_the_tick_of_their_first_row_on() -> None:
-    run = Run()
-    run.motion.start(GeodesicMove(HERE, EYE, HERE, EYE, 0.4 + 10 * T), 0, then=run.path)
-    shares = []
-    for tick in (8, 9, 10, 11):
-        run.motion.advance(tick)
-        tau = learned_at(run.learned, tick, Mode.APPROACH, 1, run.motion, faulty=False)
-        shares.append(float(tau[0]) / PEAK)
-    step = T / FADE_S
-    expected = [0.0, 0.0, *(x**3 * (10.0 - 15.0 * x + 6.0 * x * x) for x in (step, 2.0 * step))]
-    assert shares == pytest.approx(expected, rel=1e-9)

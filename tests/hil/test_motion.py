@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
@@ -76,12 +75,6 @@ def test_a_motion_that_ended_just_as_long_ago_as_it_is_waited_for_is_not_overdue
     motion.settle(4, 0.0)
     motion.stop(8, 0.5)
     assert [motion.overdue(8 + waits + k, patience_s) for k in (0, 1)] == [False, True]
-
-
-@pytest.mark.parametrize("trajectory", [Turn(None), HoldTrajectory(HERE, EYE)], ids=["turn", "hold"])
-def test_a_motion_without_an_end_is_never_finished_nor_overdue(trajectory):
-    motion = along(trajectory, period_s=T)
-    assert not any(motion.finished(tick) or motion.overdue(tick, 0.0) for tick in (0, 1, 10_000))
 
 
 @pytest.mark.parametrize("stops", [0, 1, 50])
@@ -223,27 +216,6 @@ def test_the_look_ahead_of_a_stop_is_the_stop_and_nothing_comes_next():
         sample, s = ahead(motion, tick, 0.05)
         assert s is None
         np.testing.assert_allclose(sample.p, stands, atol=1e-12)
-
-
-def test_the_look_ahead_past_the_last_end_is_rest():
-    motion = along(next_path(), period_s=T)
-    sample, s = ahead(motion, 999, AHEAD)
-    assert s is None
-    assert sample.p[0] == pytest.approx(2.1)
-    assert not sample.twist.any()
-
-
-@pytest.mark.parametrize("sigma", [0.25, 0.5])
-def test_below_full_speed_the_look_ahead_is_where_the_platform_will_be_at_that_speed(sigma):
-    motion = along(move(60.0))
-    motion.settle(4, sigma)
-    for ticks in (1, 4):
-        seen, then = ahead(motion, 6, ticks * LONG)
-        there = motion.sample(6 + ticks)
-        assert then is None
-        assert not np.array_equal(seen.p, motion.sample(6).p)
-        for one, other in zip(seen, there, strict=True):
-            np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
 
 
 # -- a live one, whose speed is its own

@@ -151,17 +151,6 @@ def test_a_refusal_comes_back_with_its_reason(channel):
     assert len(loop.heard) == 1
 
 
-def test_a_late_answer_is_not_taken_for_that_to_the_next_command(channel, monkeypatch):
-    monkeypatch.setattr("hil.operate.client.ANSWER_S", 0.05)
-    with OperatorClient("localcan", "hil/0") as client:
-        with pytest.raises(RunError, match="did not answer within"):
-            client.hold()
-        channel.take()
-        channel.answer([], ["too late"], [], str)
-        with Loop(channel):
-            assert client.start()
-
-
 def test_a_stream_sends_at_its_rate_and_counts_the_answers(channel):
     poses = [(0.0, 0.0, 1.0 + 1e-4 * k) for k in range(100)]
     with Loop(channel) as loop, OperatorClient("localcan", "hil/0") as client:
@@ -220,18 +209,6 @@ def test_a_client_that_never_reads_is_dropped_and_costs_no_other_an_answer(chann
         assert other._socket.recv(4096) == b"#1 refused: no"
 
 
-def test_a_word_of_a_sender_that_has_gone_at_once_counts(channel):
-    for _ in range(3):
-        with OperatorClient("localcan", "hil/0") as client:
-            client._socket.send(b"hold")
-            assert len(channel.take().orders) == 1
-            channel.answer([], [""], [], str)
-            client._socket.send(b"park")  # with the answer to hold unread
-        assert [each.command for each in channel.take().orders] == [Operator.PARK]
-        channel.answer([], [""], [], str)
-        assert channel.take() == Heard()
-
-
 def test_a_client_that_floods_delays_the_line_of_no_other(channel):
     with OperatorClient("localcan", "hil/0") as flood, OperatorClient("localcan", "hil/0") as client:
         for _ in range(50):
@@ -246,15 +223,6 @@ def test_the_socket_is_its_owners_alone_and_goes_with_it(channel):
     assert channel.path.stat().st_uid == os.getuid()
     channel.close()
     assert not channel.path.exists()
-
-
-def test_one_left_behind_is_replaced(channel):
-    with (
-        OperatorChannel("localcan", "hil/0") as again,
-        Loop(again),
-        OperatorClient("localcan", "hil/0") as client,
-    ):
-        assert client.hold()
 
 
 @pytest.mark.usefixtures("runtime")

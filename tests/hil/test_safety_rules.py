@@ -193,19 +193,9 @@ ROWS = (
 )  # fmt: skip
 SCALARS = ("pose", "shared", "layer", "action", "confirm", "period")
 CRITICAL = {
-    "K_P": 400.0,
-    "K_D": 40.0,
-    "P_11": 150e3,
-    "P_12": 3e3,
-    "P_22": 600.0,
-    "disturbance": 8.0,
-    "noise": 0.25,
-    "rise": 0.0245,
-    "decay": 0.99,
-    "layer": 1.0,
-    "confirm": 2.0,
-    "period": 0.001,
-}
+    "K_P": 400.0, "K_D": 40.0, "P_11": 150e3, "P_12": 3e3, "P_22": 600.0, "disturbance": 8.0,
+    "noise": 0.25, "rise": 0.0245, "decay": 0.99, "layer": 1.0, "confirm": 2.0, "period": 0.001,
+}  # fmt: skip
 """wn = 20 rad/s, alpha = 5 1/s."""
 
 
@@ -220,12 +210,10 @@ def watched(**changes):
     return table
 
 
-def test_certificate_nothing_is_watched_by_default():
+def test_certificate_nothing_is_watched_by_default_and_W_grows_by_the_disturbance():
+    """Near zero by it, and further out towards it."""
     assert certificate.NO_WATCH.constants.shape == (0, 6)
     assert certificate.NO_WATCH.ticks == 0
-
-
-def test_certificate_W_grows_by_the_disturbance_near_zero_and_towards_it_further_out():
     assert certificate.grown(0.5, 8.0, 0.0245, 0.75) == 0.5 + 0.0245 * 8.0
     assert certificate.grown(7.0, 8.0, 1.0, 0.75) == math.sqrt(0.75 * 49.0 + 0.25 * 64.0)
     assert certificate.grown(8.0, 8.0, 1.0, 0.75) == 8.0
@@ -276,10 +264,8 @@ def test_certificate_a_shared_layer_is_of_all_legs():
     _, asked = asked_for(table, 0.0, six(4.0, 5), 0.0)
     np.testing.assert_array_equal(asked, six(-16.0 * (4.0 - 1.0), 5))
 
-
-def test_certificate_a_layer_without_thickness_asks_nothing_of_no_error():
     _, asked = asked_for(watched(layer=0.0, steepness=1.0), 0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(asked, np.zeros(6))
+    np.testing.assert_array_equal(asked, np.zeros(6), "a layer without thickness asks nothing of no error")
 
 
 def moved(q_d=0.0, dq_d=0.0, ddq_d=0.0, q_0=0.0, dq_0=0.0, ddq_0=0.0, leg=3):
@@ -319,7 +305,7 @@ def test_certificate_the_spread_is_to_the_farthest_of_what_still_acts():
     assert certificate.spread(memory, 2, 4.0) == 0.0
 
 
-def test_certificate_remembers_the_reference_and_what_was_asked_for():
+def test_certificate_remembers_the_reference_and_what_was_asked_for_until_it_forgets():
     memory = np.arange(54.0).reshape(9, 6)
     certificate.remember_reference(memory, six(1.0), six(2.0), six(3.0))
     np.testing.assert_array_equal(memory[3:6, 4], [1.0, 2.0, 3.0])
@@ -330,8 +316,6 @@ def test_certificate_remembers_the_reference_and_what_was_asked_for():
     np.testing.assert_array_equal(memory[6:], np.full((3, 6), 7.0))
     np.testing.assert_array_equal(memory[5], six(3.0))
 
-
-def test_certificate_forgets_what_was():
     memory = np.full((8, 6), 9.0)
     certificate.forget(memory)
     np.testing.assert_array_equal(memory[0], six(9.0))
@@ -396,9 +380,6 @@ def test_certificate_is_broken_where_V_grows_by_more_than_the_disturbance_for_tw
         assert any(told) == broken
     watch = Watched(noise=0.0)
     assert [watch.tick(de, leg) for de in (0.0, 0.5, 0.0, 0.5, 0.5, 0.5)] == [False] * 4 + [True] * 2
-
-
-def test_certificate_asks_for_as_many_ticks_as_configured():
     for confirm in (1, 3):
         watch = Watched(confirm=float(confirm))
         told = [watch.tick(de) for de in (0.0, 0.5, 0.6, 0.7)]
@@ -475,14 +456,14 @@ def test_certificate_the_watch_starts_anew_where_something_else_happened():
     assert not watch.tick(3.0, whole=False)
     np.testing.assert_array_equal(watch.memory[1], np.zeros(6))
 
-
-def test_certificate_at_first_the_law_has_always_asked_for_the_same():
     watch = Watched()
     watch.tick(0.5)
-    np.testing.assert_array_equal(watch.memory[6:, 3], [20.0, 20.0])
+    np.testing.assert_array_equal(
+        watch.memory[6:, 3], [20.0, 20.0], "at first it has always asked for the same"
+    )
 
 
-def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_not_ask_for():
+def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_or_did_not_ask_for():
     watch = Watched(noise=0.0, K_P=0.0, P_12=0.0, slope=0.0, steepness=30.0, layer=0.5)
     watch.tick(1.0)
     watch.tick(1.0)
@@ -490,9 +471,7 @@ def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_not_ask_for(
     np.testing.assert_allclose(watch.memory[0, 3], min(G, allowed))
     np.testing.assert_allclose(watch.figures[2], min(G + 0.0245 * 23, allowed) ** 2 + 5 * (0.0245 * 8) ** 2)
 
-
-def test_certificate_a_law_that_is_back_in_its_layer_is_allowed_what_it_did_not_ask_for_before():
-    """At 1 m/s it asked for 40 - 15 m/s^2; at 0.4 m/s, within the layer, the gains make 16 m/s^2 of it."""
+    # at 1 m/s it asked for 40 - 15 m/s^2; at 0.4 m/s, within the layer, the gains make 16 m/s^2 of it
     watch = Watched(noise=0.0, K_P=0.0, P_12=0.0, slope=0.0, steepness=30.0, layer=0.5)
     watch.tick(1.0)
     watch.tick(0.4)
@@ -513,13 +492,10 @@ def test_certificate_a_watch_that_starts_takes_the_error_as_it_is_and_breaks_not
 # -- standstill
 
 
-def test_motion_figures_are_those_of_the_page_on_faults():
-    assert (motion.REST_m_s, motion.HOP) == (0.02, 1.0)
-
-
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1, -1])
 def test_motion_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign):
+    assert (motion.REST_m_s, motion.HOP) == (0.02, 1.0), "those of the page on faults"
     heard, silent = np.zeros(6, np.int64), ints(1, leg, 0)
     assert motion.at_rest(six(sign * 0.49, leg), heard, 0.5)
     assert not motion.at_rest(six(sign * 0.5, leg), heard, 0.5)

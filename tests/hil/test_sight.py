@@ -16,7 +16,6 @@ from drivers.frame_array import NO_FRAMES, received_array
 from drivers.protocol import Received
 from drivers.sensor_kernels import NEVER
 from drivers.sensors import SensorProtocol
-from drivers.signals import DriveState
 from drivers.tick_columns import tick_at
 from hil.app.compose import build_cycle
 from hil.config.estimation import FusionSettings
@@ -24,12 +23,10 @@ from hil.contracts.records import record_of
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_layout import LegErrors
-from hil.estimation.observer import WrenchObserver
 from hil.loop.compiled_pass import AGREED_m, observe
 from hil.loop.cycle import Cycle
 from hil.loop.sight import Sight
 from hil.robot.dynamics import Model
-from hil.robot.force_path import ForcePath
 from tests.hil.cycle_bench import VIRTUAL
 
 ALL = 0b111111
@@ -120,19 +117,6 @@ def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
     cycle.control.record["fuse"], keeps = of_python(fuse, *[INTEGER] * 5)
     cycle.control._keeps.append(keeps)
     return cycle, called
-
-
-@pytest.mark.parametrize("source", ["sensor", "observer"])
-def test_the_fused_pose_knows_the_load_of_the_last_tick_whoever_saw_it(parts, source):
-    watching = WrenchObserver(Model(parts.platform), ForcePath(1e-3, 0.0, 0.0), 20.0)
-    wrench = ExternalWrench(watching if source == "observer" else None, 1000.0, 1e-3)
-    cycle, called = seen_by_filter(parts, wrench=wrench, legs=0)
-    watching.residual[:] = LOAD
-    for n in range(2):
-        tick, last = record_of(tick=5 + n), record_of(drive_state=DriveState.READY)
-        observe_in(cycle, tick, load_frames((1.0, 0.0)) if n == 0 else NO_FRAMES, last)
-        np.testing.assert_allclose(tick["wrench"], LOAD, atol=1e-9)
-    np.testing.assert_allclose([load for _, load in called], [(0.0,) * 6, LOAD], atol=1e-9)
 
 
 @pytest.mark.parametrize(

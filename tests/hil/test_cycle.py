@@ -12,8 +12,6 @@ from drivers.protocol import Received
 from drivers.signals import DriveMode, DriveState, Fault, Mode, Stop, Warn
 from hil.contracts.messages import EmergencyStop
 from hil.loop.cycle import Cycle
-from hil.loop.homing import LastPose
-from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator
 from tests.drivers.legs_frames import parse
 from tests.hil.cycle_bench import HOLDING_N, Bench, a_bench, held_to
@@ -57,43 +55,6 @@ def test_latched_faults_of_drives_are_cleared_on_request_only_and_for_a_few_tick
     assert modes.count(DriveMode.RESET) == 5
     assert modes[-1] == DriveMode.OFF
     assert bench.cycle.mode is Mode.WAITING
-
-
-def last_pose(parts, step_m=0.01):
-    """Return the lengths of home as those of the last run, for drives that forget turns of this length."""
-    true = leg_lengths(parts.platform, parts.home_p, parts.home_R)
-    step = np.full(6, step_m)
-    return LastPose(true, np.full(6, 1e-4), step, step, "parked", "hil homing")
-
-
-def test_a_drive_whose_turns_are_no_longer_known_is_waited_for_again():
-    parts = a_bench().cycle.parts
-    bench = Bench(cycle=Cycle(replace(parts, last_pose=last_pose(parts))))
-    bench.until(Mode.IDLE)
-    for _ in range(5):
-        bench.step()
-    modes = [bench.cycle.mode]
-    bench.drives.length = bench.drives.length + 0.006 * (np.arange(6) == 3)
-    bench.step()
-    assert [*modes, bench.cycle.mode] == [Mode.IDLE, Mode.WAITING]
-
-
-def test_forgotten_turns_are_added_to_lengths_but_not_behind_open_brakes():
-    parts = a_bench().cycle.parts
-    pose = last_pose(parts)
-    bench = Bench(cycle=Cycle(replace(parts, last_pose=pose)))
-    true = bench.drives.length
-    bench.drives.length = true - 0.01 * np.array([1, 2, 3, 4, 5, 6])
-    bench.until(Mode.RELEASING)
-    cycle = bench.cycle
-    np.testing.assert_allclose(cycle.tick["length"], true, rtol=0.0, atol=1e-6)
-    np.testing.assert_allclose(cycle.homing.raw, bench.drives.length, rtol=0.0, atol=1e-6)
-    assert (cycle.homing.known, cycle.homing.opened) == (True, False)
-    bench.step()
-    assert cycle.homing.opened
-    bench.drives.length = bench.drives.length + 0.01 * (np.arange(6) == 4)
-    bench.step()
-    assert "leg 4" in cycle.homing.refusal
 
 
 # -- the step

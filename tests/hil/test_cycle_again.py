@@ -10,7 +10,7 @@ import pytest
 from drivers.signals import Fault, Mode, Refusal, Stop
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import loads
-from hil.contracts.records import record_of
+from hil.config.operator import OperatorSettings
 from hil.loop.cycle import Cycle
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
@@ -25,6 +25,7 @@ from tests.hil.cycle_bench import (
     held_to,
     ticked,
 )
+from tests.hil.test_operating import HOLD, KEY, PARK, START
 
 # -- a stop on the way back to the first pose
 
@@ -81,24 +82,6 @@ def on_the_path(text: str) -> Cycle:
 
 
 KEYED = VIRTUAL.text.replace("\nreference: ", "\noperator: {deadman_s: 0.1}\n\nreference: ")
-KEY, PARK = Order(Operator.KEY), Order(Operator.PARK)
-
-
-def test_the_way_back_begins_where_the_reference_rests_and_its_rates_do_not_jump():
-    cycle = on_the_path(VIRTUAL.text)
-    rates = []
-    for number in range(5000, 7000):
-        resting = cycle.motion.resting
-        ticked(cycle, number, orders=(PARK,) * (number == 5000))
-        rates.append(cycle.motion.sample(number).twist[2])
-        if cycle.mode is not Mode.TRACKING:
-            break
-        assert cycle.mode_tick == 0
-    assert cycle.mode is Mode.STOPPING
-    assert resting
-    assert number - 5000 > 1000.0 * VIRTUAL.engage.stop_s
-    assert rates[0] > 0.01
-    assert np.abs(np.diff(rates)).max() < 2.0 * 1.5 / VIRTUAL.engage.stop_s * 0.02 * 1e-3
 
 
 def test_without_the_key_the_way_back_does_not_begin():
@@ -117,29 +100,6 @@ def test_without_the_key_the_way_back_does_not_begin():
 
 
 # -- armed a second time, and after a RESET
-
-
-@pytest.mark.parametrize(("before", "mode"), [(Mode.RELEASING, Mode.APPROACH), (Mode.LOADING, Mode.TRACKING)])
-def test_a_live_reference_that_is_armed_again_begins_at_its_start(before, mode):
-    live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
-    steering: Any = live.parts.steering
-    trajectory = steering.trajectory
-    steering.take([HIGHER], tracking=True)
-    trajectory.advance(200, steering.judge)
-    trajectory.brake()
-    steering.take([], tracking=False)
-    trajectory.advance(600, steering.judge)
-    assert trajectory.sample(0.0).p[2] > 1.005
-    assert trajectory.duration_s is not None
-    live.mode = before
-    live._enter(mode, record_of(tick=1000, p=live.parts.home_p, R=np.eye(3), J=np.eye(6)))
-    np.testing.assert_array_equal(trajectory.sample(0.0).p, live.parts.home_p)
-    assert trajectory.duration_s is None, "no end of its own"
-    steering.take([HIGHER], tracking=True)
-    trajectory.advance(1, steering.judge)
-    steering.take([], tracking=True)
-    trajectory.advance(2000, steering.judge)
-    np.testing.assert_allclose(trajectory.sample(0.0).p, HIGHER[:3], atol=1e-12)
 
 
 def test_a_set_point_after_park_is_refused():
@@ -164,20 +124,6 @@ def test_brakes_that_opened_are_not_proven_by_a_reset_and_a_stop():
     assert modes == [Mode.FAULT, Mode.WAITING, Mode.PARKED]
 
 
-def test_without_a_ramp_the_law_begins_again_and_no_brake_counts_as_proven(monkeypatch):
-    bench, begun = a_bench(engage=VIRTUAL.engage.model_copy(update={"force_ramp_s": 0.0})), []
-    monkeypatch.setattr(bench.cycle.parts.law, "reset", lambda: begun.append(bench.tick))
-    bench.cycle.effort.offset = np.full(6, 500.0)
-    assert bench.cycle.proven
-    bench.until(Mode.TRACKING)
-    assert begun[-1] == bench.tick
-    assert not bench.cycle.proven
-    assert not bench.cycle.effort.offset.any()
-    bench.step((Operator.STOP,))
-    bench.go_on(Mode.PARKED, 5000)
-    assert not bench.cycle.proven
-
-
 # -- a platform that is held
 
 
@@ -194,20 +140,6 @@ def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_tes
     assert bench.cycle.mode is Mode.HELD
     bench.step()
     np.testing.assert_allclose(bench.force, HOLDING_N, atol=1.0)
-
-
-def test_a_platform_not_measured_any_more_while_it_parks_is_held_by_the_last_force():
-    bench = Bench()
-    bench.stopped(Mode.PARKING)
-    bench.drives.silent = {2}
-    while bench.cycle.mode is Mode.PARKING:
-        last = bench.cycle.tick["tau"].copy()
-        bench.drives.length = bench.drives.length + 1e-6  # which the law pushes against
-        bench.step()
-    assert bench.cycle.mode is Mode.HELD
-    np.testing.assert_array_equal(bench.cycle.effort.holding, last)
-    bench.step()
-    np.testing.assert_array_equal(bench.cycle.tick["tau_asked"], last)
 
 
 @pytest.mark.parametrize("by_m", [4e-4, -4e-4])
@@ -258,3 +190,71 @@ def test_predictor_and_observer_follow_the_forces_sent_and_none_once_the_drives_
     assert not sent[-1].any()
     for who in (parts.predictor, parts.wrench.observer):
         np.testing.assert_allclose(who.path._sent, sent[:-3:-1], atol=0.5)
+
+
+# -- a hold where the motion ends meanwhile
+
+
+END = 400
+"""The tick at which the motion ends unless it is held."""
+LATE = END - 20
+
+
+def under_way(mode: Mode, stop_s: float, deadman_s: float | None = None) -> Cycle:
+    """On the path, or on the way back to the first pose, a tenth of a metre long."""
+    engage = VIRTUAL.engage.model_copy(update={"stop_s": stop_s})
+    operator = OperatorSettings(deadman_s=deadman_s, setup_speed_m_s=0.5)
+    cycle = build_cycle(VIRTUAL.model_copy(update={"engage": engage, "operator": operator}), 1000.0, 0.01)
+    p, R = cycle.parts.home_p, cycle.parts.home_R
+    cycle.motion.start(GeodesicMove(p, R, p + np.array([0.0, 0.0, 0.1]), R, 1e-3 * END), 0)
+    cycle.operating.parks = mode is Mode.STOPPING
+    cycle.mode = mode
+    return cycle
+
+
+def held(cycle: Cycle, first: int, last: int, *orders: Order) -> None:
+    """Tick on while the platform has to stay as it is, with orders in the first tick."""
+    mode = cycle.mode
+    for number in range(first, last):
+        ticked(cycle, number, orders=orders if number == first else ())
+        assert (cycle.mode, cycle.faults) == (mode, Fault.NONE), number
+
+
+@pytest.mark.parametrize("stop_s", [0.5, 4.0])
+@pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
+def test_a_hold_just_before_the_end_is_kept_until_start_which_parks(mode, stop_s):
+    cycle = under_way(mode, stop_s)
+    held(cycle, 1, LATE)
+    held(cycle, LATE, 6000, HOLD)
+    assert cycle.motion.finished(6000)
+    assert cycle.motion.resting
+    ticked(cycle, 6000, orders=(START,))
+    assert (cycle.mode, cycle.faults) == (Mode.PARKING, Fault.NONE)
+
+
+def parks(cycle: Cycle, first: int) -> list[Mode]:
+    """Tick on until the brakes shut, without a fault; the modes on the way there."""
+    modes: list[Mode] = []
+    for number in range(first, first + 8000):
+        ticked(cycle, number)
+        assert not cycle.faults
+        if cycle.mode is Mode.PARKING:
+            return modes
+        modes.append(cycle.mode)
+    raise AssertionError(f"it stays in {cycle.mode}")
+
+
+@pytest.mark.parametrize("word", ["stop", "park"])
+def test_on_a_hold_at_the_end_stop_parks_there_and_park_at_the_first_pose(word):
+    cycle = under_way(Mode.TRACKING, 0.5)
+    held(cycle, 1, LATE)
+    held(cycle, LATE, 2000, HOLD)
+    ticked(cycle, 2000, *[Operator.STOP] * (word == "stop"), orders=(PARK,) * (word == "park"))
+    modes = parks(cycle, 2001)
+    rise = cycle.motion.sample(9999).p[2] - cycle.parts.home_p[2]
+    if word == "stop":
+        assert len(modes) <= 1
+        assert rise == pytest.approx(0.1)
+    else:
+        assert set(modes) == {Mode.TRACKING, Mode.STOPPING}
+        np.testing.assert_allclose(cycle.motion.sample(9999).p, cycle.first.p, atol=1e-12)

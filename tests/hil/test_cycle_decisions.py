@@ -338,13 +338,3 @@ def test_drives_get_power_force_and_set_up_where_the_mode_asks_for_them(bench, m
     bench.cycle.control.settle()
     frames = sent_frames(bench.step().frames)
     assert (frames[-1] == frame) == (mode in {Mode.WAITING, Mode.FAULT})
-
-
-@pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.FAULT])
-def test_a_reset_goes_to_the_drives_while_they_are_waited_for_and_not_for_ever(bench, mode):
-    ticks = bench.cycle.parts.protocol.traits.reset_ticks
-    assert stepped(bench, mode)["command_mode"] == DriveMode.OFF
-    bench.cycle.reset_tick = bench.tick + 1
-    modes = [int(stepped(bench, mode)["command_mode"]) for _ in range(3 * ticks)]
-    sent = DriveMode.RESET if mode is Mode.WAITING else DriveMode.OFF
-    assert modes == [sent] * ticks + [DriveMode.OFF] * (2 * ticks)

@@ -76,7 +76,10 @@ def test_as_brakes_open_the_law_takes_over_where_the_platform_is_and_none_is_pro
 def test_the_approach_begins_from_rest_with_the_reference_behind_it(cycle, speed):
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     cycle.operating.speed = speed
+    live: Any = cycle.parts.trajectory
+    live._live["tick"] = 9
     entered(cycle, Mode.APPROACH, Mode.RELEASING)
+    assert live._live["tick"] == 0, "a live reference begins at its start"
     move = cycle.motion.trajectory
     np.testing.assert_array_equal(move.sample(0.0).p, aside(cycle))
     np.testing.assert_allclose(move.sample(99.0).p, cycle.parts.trajectory.sample(0.0).p, atol=1e-12)
@@ -91,8 +94,11 @@ def test_the_law_begins_with_the_reference_where_no_approach_came_before(cycle, 
     begun: list[str] = []
     monkeypatch.setattr(cycle.parts.law, "reset", lambda: begun.append("law"))
     cycle.operating.speed = 0.4
+    live: Any = cycle.parts.trajectory
+    live._live["tick"] = 9
     entered(cycle, Mode.TRACKING, before)
     first = before is Mode.LOADING
+    assert live._live["tick"] == (0 if first else 9)
     assert begun == ["law"] * first
     assert (cycle.motion.tick, cycle.motion.trajectory) == (50, cycle.parts.trajectory)
     assert cycle.proven is not first

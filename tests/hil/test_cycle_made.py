@@ -13,13 +13,8 @@ from hil.app.compose import build_cycle, drive_setup
 from hil.app.configuration.configuration import Configuration
 from hil.app.encoder_limits import Noise
 from hil.config.delay import DelayCompensation
-from hil.config.estimation import EstimationSettings, FusionSettings
-from hil.config.model import ModelSettings
-from hil.config.wrench import WrenchSettings
-from hil.control.model import build_model
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
 from hil.design.stability.monitor import build_watch
-from hil.robot.dynamics import Model
 from hil.trajectory.holding import HoldTrajectory
 from tests.hil.cycle_bench import VIRTUAL
 
@@ -37,38 +32,6 @@ def test_a_force_may_change_as_much_in_a_second_at_any_rate(rate_Hz, share):
     limits = build_cycle(VIRTUAL, rate_Hz, 0.01).parts.safety.limits
     assert limits["force_step_N"] == pytest.approx(share * VIRTUAL.limits.force_step_N)
     assert limits["force_window_N"] == VIRTUAL.limits.force_window_N
-
-
-def test_predictor_and_observer_have_delays_of_their_own_section():
-    wrench = WrenchSettings(source="observer", bandwidth_Hz=5.0, bus_ms=0.4, drive_lag_ms=0.9)
-    c = but(controller=LAW, estimation=EstimationSettings(wrench=wrench))
-    parts: Any = build_cycle(c, 500.0, 0.01).parts
-    assert parts.predictor.horizon_s == pytest.approx(1.6e-3)
-    for path, transport_s, lag_s in (
-        (parts.predictor.path, 0.3e-3, 0.8e-3),
-        (parts.wrench.observer.path, 0.4e-3, 0.9e-3),
-    ):
-        assert (path.period_s, path.transport_s, path.lag_s) == pytest.approx((0.002, transport_s, lag_s))
-    assert build_cycle(VIRTUAL, 500.0, 0.01).parts.predictor is None
-
-
-def test_law_observer_and_filter_each_believe_the_model_of_their_own_section(monkeypatch):
-    of = {scale: ModelSettings(inertia_scale=scale) for scale in (0.7, 0.8, 0.9)}
-    wrench = WrenchSettings(source="observer", model=of[0.8])
-    estimation = EstimationSettings.model_construct(
-        pose="fused", wrench=wrench, fusion=FusionSettings(model=of[0.9])
-    )
-    made: dict[float, Model] = {}
-
-    def noted(settings: ModelSettings, *where: Any) -> Model:
-        made[settings.inertia_scale] = build_model(settings, *where)
-        return made[settings.inertia_scale]
-
-    monkeypatch.setattr(compose, "build_model", noted)
-    law = LAW.model_copy(update={"model": of[0.7]})
-    parts: Any = build_cycle(but(controller=law, estimation=estimation), 1000.0, 0.01).parts
-    believed = (parts.predictor.model, parts.wrench.observer.model, parts.fusion._model)
-    assert [model is made[scale] for model, scale in zip(believed, of, strict=True)] == [True] * 3
 
 
 @pytest.mark.parametrize("watchdog_s", [0.003, 0.5])

@@ -16,9 +16,7 @@ from hil.config.delay import DelayCompensation
 from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
-from hil.loop.modes import Durations
 from hil.robot.kinematics import leg_lengths
-from hil.trajectory.override import PEAK
 from tests.hil.cycle_bench import HIGHER, LIVE, VIRTUAL, Bench, aside, held_to
 
 ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])
@@ -145,33 +143,6 @@ def test_a_leg_whose_drive_was_off_counts_as_braked_by_the_last_brake_test_alone
 
 
 # -- what a cycle is made of
-
-
-UNLIKE = VIRTUAL.engage.model_copy(
-    update={"force_ramp_s": 0.02, "brake_release_s": 0.03, "brake_close_s": 0.07, "stop_s": 0.9}
-)
-
-
-@pytest.fixture
-def cycle() -> Cycle:
-    return build_cycle(VIRTUAL.model_copy(update={"engage": UNLIKE}), 500.0, 0.01)
-
-
-def test_stroke_times_and_reactions_of_the_configuration_each_come_to_their_place(cycle):
-    stroke, platform = cycle.homing._stroke, VIRTUAL.platform
-    assert (stroke.shortest, stroke.longest) == (platform.length_min_m, platform.length_max_m)
-    assert cycle.durations == Durations(0.02, 0.03, UNLIKE.closing_s) == cycle.effort.durations
-    assert cycle.homing._period_s == cycle.motion.period_s == cycle.effort.period_s == 0.002
-    assert cycle.operating.least_s == 0.9
-    assert cycle.motion.override.record["limit"] == pytest.approx(PEAK / 0.9)
-    parts, reactions = cycle.parts, VIRTUAL.reactions
-    np.testing.assert_array_equal(cycle.first.p, parts.trajectory.sample(0.0).p)
-    judge: Any = cycle.operating._judged
-    assert judge.args == (parts.platform, parts.admission.on_the_way)
-    assert cycle._under_control == reactions.led_to("ss1") != reactions.led_to("sto") == cycle._torque_off
-    live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 500.0, 0.01)
-    assert cycle.operating.jogging._admission is parts.admission
-    assert live.operating.jogging._admission is None, "the steering judges"
 
 
 def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(monkeypatch):

@@ -117,16 +117,6 @@ class Predictor:
 # -- the entry offset
 
 
-def test_held_again_the_entry_offset_is_whole_again(parts):
-    cycle, _ = a_cycle(parts)
-    np.testing.assert_array_equal(filled(cycle, Mode.RELEASING)["tau_asked"], HOLDING)
-    cycle.effort.entry_tick = 2
-    late = 3 + round(parts.engage.blend_s * parts.rate_Hz)
-    np.testing.assert_array_equal(filled(cycle, Mode.TRACKING, late)["tau_asked"], OWN)
-    cycle.effort.hold(record_of(tick=late + 1), HOLDING, cycle.motion.sample(late + 1))
-    np.testing.assert_array_equal(filled(cycle, Mode.HELD, late + 2)["tau_asked"], HOLDING)
-
-
 def test_the_entry_offset_fades_over_the_blend_and_without_one_is_gone_at_once(parts):
     for blend_s, shares in (
         (0.1, {10: 1.0, 35: 1.0 - QUARTER, 60: 0.5, 110: 0.0, 999: 0.0}),
@@ -222,23 +212,6 @@ def test_the_law_sees_what_the_limits_took_and_the_tick_has_its_own_force(parts,
     np.testing.assert_array_equal(filled(cycle, Mode.TRACKING)["tau_law"], OWN)
     assert law.seen is not None
     np.testing.assert_array_equal(law.seen["shortfall"], SHORTFALL)
-
-
-@pytest.mark.parametrize("number", [3, 500])
-def test_a_law_that_looks_ahead_reads_its_table_where_its_force_will_act(parts, number):
-    """The path began in tick 2; off the clock's time a table says nothing."""
-    cycle, law = a_cycle(parts, predictor=Predictor())
-    cycle.motion.start(parts.trajectory, 2)
-    filled(cycle, Mode.TRACKING, number)
-    assert law.seen is not None
-    assert law.seen["t_d"] == pytest.approx(1e-3 * (number - 2) + Predictor.horizon_s, abs=1e-12)
-    ahead = leg_lengths(parts.platform, *parts.trajectory.sample(1e-3 * (number - 1))[:2])
-    np.testing.assert_allclose(law.seen["q_d"], ahead, rtol=0.0, atol=1e-12)
-    filled(cycle, Mode.STOPPING, number)
-    assert np.isnan(law.seen["t_d"])
-    cycle.motion.settle(number, 0.5)
-    filled(cycle, Mode.TRACKING, number + 1)
-    assert np.isnan(law.seen["t_d"])
 
 
 @pytest.mark.parametrize(("left", "t_d"), [(0, None), (1, 1.5e-3), (2, 0.5e-3), (3, None), (9, None)])

@@ -97,25 +97,14 @@ def test_encoders_of_two_at_once_the_first_says_why():
 
 @ON_ONE_LEG
 def test_encoders_that_are_not_watched_are_not_doubted(leg):
-    bench = Bench(watched_legs=63 - (1 << leg))
-    bench.ticks(2)
+    bench = after(2, watched_legs=63 - (1 << leg))
     bench.ticks(1, jump=six(1.0, leg))
     other = (leg + 1) % 6
     assert doubted(bench.tick(jump=six(1.0, other)), Doubt.JUMP, other, 1.0, CREEP)
-    bench = Bench(watched_legs=1 << leg)
-    bench.ticks(2)
-    assert doubted(bench.tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, CREEP)
-    bench = Bench(watched_legs=0)
-    bench.ticks(2)
+    assert doubted(after(2, watched_legs=1 << leg).tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, CREEP)
+    bench = after(2, watched_legs=0)
     bench.ticks(1, jump=six(1.0, leg))
     assert bench.faults == Fault.NONE
-
-
-def test_encoders_a_length_that_jumped_is_no_motion_of_a_leg_that_has_to_stand():
-    bench = after(2, mode=Mode.IDLE)
-    tick = bench.tick(jump=six(1.0, 3), mode=Mode.IDLE)
-    assert tick["legs_moved"] == 0
-    assert bench.faults == Fault.ENCODER
 
 
 BRAKING = [Mode.RELEASING, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.HELD]
@@ -123,30 +112,24 @@ BRAKING = [Mode.RELEASING, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.HELD
 SHUT = [Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED]
 
 
-def stopped(mode, share, leap=8.0, noise_m=0.1):
-    """Return a bench whose leg 1 has just been stopped, a share of T before its reading: (1/2 - share) 8 T gap."""
-    bench = after(3, rate=leap, mode=mode, length_noise_m=noise_m)
-    gap = (0.5 - share) * leap * T
-    return bench, bench.tick(rate=six(0.0, 1, leap), jump=six(gap, 1), mode=mode)
-
-
 @pytest.mark.parametrize("share", [0.0, 1.0])
-@pytest.mark.parametrize("mode", BRAKING)
-def test_encoders_a_leg_that_is_stopped_within_a_tick_has_not_jumped(mode, share):
+@pytest.mark.parametrize("mode", BRAKING + SHUT)
+def test_encoders_a_leg_stopped_within_a_tick_has_not_jumped_but_on_closed_brakes(mode, share):
     """0.5 x 8 m/s x T = 62.5 mm beside what the rates say; 2 x 10 mm are noise, 19 mm a late latch."""
-    bench, tick = stopped(mode, share, noise_m=0.01)
+    bench = after(3, rate=8.0, mode=mode, length_noise_m=0.01)
+    tick = bench.tick(rate=six(0.0, 1, 8.0), jump=six((0.5 - share) * 8.0 * T, 1), mode=mode)
+    if mode in SHUT:
+        assert tick["doubt"] == Doubt.JUMP
+        return
     assert calm(tick)
     assert bench.faults == Fault.NONE
     assert calm(bench.tick(mode=mode))
 
 
-@pytest.mark.parametrize("mode", SHUT)
-def test_encoders_on_closed_brakes_nothing_can_stop_a_leg(mode):
-    _, tick = stopped(mode, 0.0, noise_m=0.01)
-    assert tick["doubt"] == Doubt.JUMP
-
-
 def test_encoders_a_leg_that_is_stopped_has_jumped_by_what_is_beyond_that():
+    bench = after(2, mode=Mode.IDLE)
+    assert bench.tick(jump=six(1.0, 3), mode=Mode.IDLE)["legs_moved"] == 0, "a jump is no motion of a leg"
+    assert bench.faults == Fault.ENCODER
     tick = after(3, rate=8.0, length_noise_m=0.01).tick(rate=six(0.0, 1, 8.0), jump=six(4.0 * T + 0.05, 1))
     assert doubted(tick, Doubt.JUMP, 1, 0.05, 0.02 + CREEP + 0.3 * T * 4.0)
 
@@ -212,9 +195,6 @@ def test_encoders_of_a_leg_not_heard_for_long_the_forces_since_then_count(silent
     assert doubted(bench.tick(jump=six(1.5, 2)), Doubt.JUMP, 2, 1.5, 1.0 + CREEP)
     bench = pushed_by([FORCE_N] * (reach + 1), unseen=[silent], away=away)
     assert doubted(bench.tick(jump=six(0.5, 2)), Doubt.JUMP, 2, 0.5, CREEP)
-
-
-def test_encoders_of_a_leg_that_is_silent_now_no_force_counts_for_longer():
     bench = pushed_by([FORCE_N] * 5, unseen=[1], away=3)
     assert doubted(bench.tick(jump=six(0.5, 2), unseen=[1]), Doubt.JUMP, 2, 0.5, CREEP)
 
@@ -222,22 +202,16 @@ def test_encoders_of_a_leg_that_is_silent_now_no_force_counts_for_longer():
 @ON_ONE_LEG
 @pytest.mark.parametrize("before", [1, 20])
 def test_encoders_a_leg_is_compared_with_its_last_reading_for_eight_ticks(leg, before):
-    bench = Bench()
-    bench.ticks(before)
+    bench = after(before)
     bench.ticks(7, unseen=[leg])
     assert doubted(bench.tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, 8.0 * CREEP)
-    bench = Bench()
-    bench.ticks(before)
+    bench = after(before)
     bench.ticks(8, unseen=[leg])
     bench.ticks(2, jump=six(0.0))
-    bench = Bench()
-    bench.ticks(before)
+    bench = after(before)
     bench.ticks(8, unseen=[leg])
     bench.ticks(1, jump=six(1.0, leg))
     assert doubted(bench.tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, CREEP)
-
-
-def test_encoders_a_leg_heard_for_the_first_time_is_not_compared():
     bench = after(3, unseen=[2])
     bench.ticks(1)
     assert doubted(bench.tick(jump=six(1.0, 2)), Doubt.JUMP, 2, 1.0, CREEP)
@@ -285,9 +259,6 @@ def test_encoders_a_delay_that_all_show_is_time(sign):
     bench.ticks(1, late_s=0.75 * T)
     bench.ticks(1)
     assert bench.memory("delay_s") == pytest.approx(0.0, abs=1e-5)
-
-
-def test_encoders_beside_a_delay_that_all_show_nothing_more_is_allowed():
     assert doubted(after(2, rate=RATES).tick(late_s=0.5 * T, jump=six(0.25, 2)), Doubt.JUMP, 2, 0.25, CREEP)
 
 
@@ -304,9 +275,6 @@ def test_encoders_a_leg_that_was_silent_takes_the_delay_of_the_others_but_bears_
     bench.ticks(1, unseen=[5])
     tick = bench.tick(late_s=0.5 * T, jump=six(9.0, 5))
     assert doubted(tick, Doubt.JUMP, 5, 9.0, 2.0 * CREEP + 0.3 * T * 8.0)
-
-
-def test_encoders_all_of_them_silent_all_have_a_say_afterwards():
     bench = after(2, rate=RATES)
     bench.ticks(1, unseen=range(6))
     bench.ticks(1, late_s=0.5 * T)

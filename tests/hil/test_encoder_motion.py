@@ -24,16 +24,11 @@ def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
     bench.ticks(1, jump=six(sign * 0.3, leg))
     value = sign * 0.3 * (1.0 + 0.6875)
     assert doubted(bench.tick(jump=six(sign * 0.3, leg)), Doubt.SLIP, leg, value, 0.5 + CREEP)
-
-
-def test_encoders_a_slip_that_is_forgotten_in_time_is_none():
-    bench = after(2, length_noise_m=0.25)
-    for _ in range(20):
-        bench.ticks(1, jump=six(0.155, 1))
-    bench = after(2, length_noise_m=0.25)
-    for _ in range(20):
-        tick = bench.tick(jump=six(0.158, 1))
-    assert tick["doubt"] == Doubt.SLIP
+    for gap, why in ((0.155, Doubt.NONE), (0.158, Doubt.SLIP)):  # forgotten in time
+        bench = after(2, length_noise_m=0.25)
+        for _ in range(20):
+            tick = bench.tick(jump=six(sign * gap, leg))
+        assert tick["doubt"] == why
 
 
 @BOTH_SIGNS
@@ -69,13 +64,10 @@ def test_encoders_what_a_long_gap_explains_is_not_held_against_the_encoder_a_tic
     assert bench.memory("excused")[1] == pytest.approx(0.6875 * (0.05 - 2e-3)), "but for the noise"
     bench.ticks(40)
     assert bench.memory("excused")[1] < 1e-6
-
-
-def test_encoders_a_calm_stall_excuses_no_slip_after_it():
     bench = after(2, disturbance_m_s2=64.0)
     bench.ticks(3, unseen=[1])
     bench.ticks(1)
-    assert not bench.memory("excused").any()
+    assert not bench.memory("excused").any(), "of a calm stall"
 
 
 # -- leaps
@@ -102,15 +94,12 @@ def test_encoders_a_rate_may_leap_as_loads_and_noise_make_it(leg, sign):
 
 @BOTH_SIGNS
 def test_encoders_an_acceleration_that_goes_on_is_no_leap_and_one_that_ends_is(sign):
-    bench = accelerated(disturbance_m_s2=16.0)
-    for n in range(1, 4):
-        bench.ticks(1, rate=six(sign * 32.0 * T * n, 3))
-    bench.ticks(1, rate=six(sign * 96.1 * T, 3))
-    bench = accelerated(disturbance_m_s2=16.0)
-    for n in range(1, 4):
-        bench.ticks(1, rate=six(sign * 32.0 * T * n, 3))
-    tick = bench.tick(rate=six(sign * 95.9 * T, 3))
-    assert doubted(tick, Doubt.LEAP, 3, -sign * 32.1 * T, 32.0 * T)
+    for then in (96.1, 95.9):
+        bench = accelerated(disturbance_m_s2=16.0)
+        for n in range(1, 4):
+            bench.ticks(1, rate=six(sign * 32.0 * T * n, 3))
+        tick = bench.tick(rate=six(sign * then * T, 3))
+        assert calm(tick) if then > 96.0 else doubted(tick, Doubt.LEAP, 3, -sign * 32.1 * T, 32.0 * T)
 
 
 def test_encoders_a_leap_is_judged_by_the_times_between_the_readings():
@@ -345,16 +334,12 @@ def after_a_miss(ticks, ways, unnamed=1, apart=0):
 
 
 @BOTH_SIGNS
-@pytest.mark.parametrize(("ticks", "apart"), [(0, 0), (7, 0), (7, 1)])
-def test_encoders_for_eight_ticks_after_a_miss_a_leg_may_answer_the_poll_before(ticks, apart, sign):
-    assert calm(after_a_miss(ticks, 0.95 * sign, apart=apart))
-    found = after_a_miss(ticks, 1.2 * sign, apart=apart)
-    assert (found["doubt"], found["legs_doubted"]) == (Doubt.JUMP, 1 << 5)
-
-
-@pytest.mark.parametrize(("ticks", "unnamed", "apart"), [(8, 1, 0), (8, 1, 1), (0, 0, 0)])
-def test_encoders_else_a_leg_may_not(ticks, unnamed, apart):
-    found = after_a_miss(ticks, 0.95, unnamed, apart)
+@pytest.mark.parametrize(
+    ("ticks", "unnamed", "apart"), [(0, 1, 0), (7, 1, 0), (7, 1, 1), (8, 1, 0), (8, 1, 1), (0, 0, 0)]
+)
+def test_encoders_for_eight_ticks_after_a_miss_a_leg_may_answer_the_poll_before(ticks, unnamed, apart, sign):
+    assert calm(after_a_miss(ticks, 0.95 * sign, unnamed, apart)) == (ticks < 8 and unnamed)
+    found = after_a_miss(ticks, 1.2 * sign, unnamed, apart)
     assert (found["doubt"], found["legs_doubted"]) == (Doubt.JUMP, 1 << 5)
 
 
@@ -397,14 +382,6 @@ def test_encoders_a_slope_may_leap_by_what_three_slopes_lag_behind(leg, sign):
         assert doubted(tick, Doubt.LEAP, leg, sign * share * limit, limit) if doubts else calm(tick)
 
 
-@pytest.mark.parametrize("unnamed", [0, 1])
-def test_encoders_no_rate_is_judged_by_a_spacing_that_nobody_knows(unnamed):
-    bench = after(60, rate=RATES, unnamed=unnamed, open_ticks=0, length_noise_m=1.0)
-    bench.tick(unseen=[0])
-    found = bench.tick(rate=RATES + six(3.0, 2))
-    assert found["doubt"] == (Doubt.NONE if unnamed else Doubt.LEAP)
-
-
 @pytest.mark.parametrize(("leg", "apart", "doubts"), [(0, 1, True), (0, 0, False), (5, 1, False)])
 def test_encoders_a_drive_that_latches_apart_and_is_missed_widens_its_own_bounds_alone(leg, apart, doubts):
     bench = after(60, rate=RATES, unnamed=1, apart=apart)
@@ -424,9 +401,13 @@ def test_encoders_a_leg_that_was_missed_may_answer_the_poll_before_beside_a_dela
     assert (found["doubt"], found["legs_doubted"]) == ((Doubt.JUMP, 1 << 5) if doubts else (Doubt.NONE, 0))
 
 
-@pytest.mark.parametrize(("leg", "doubts"), [(2, True), (0, False)])
-def test_encoders_rates_of_drives_that_latch_apart_are_judged_beside_one_that_was_missed(leg, doubts):
-    bench = after(60, rate=RATES, unnamed=1, apart=1, open_ticks=0, length_noise_m=1.0)
+@pytest.mark.parametrize(
+    ("unnamed", "apart", "leg", "doubts"),
+    [(1, 1, 2, True), (1, 1, 0, False), (1, 0, 2, False), (0, 0, 2, True)],
+)
+def test_encoders_no_rate_is_judged_by_a_spacing_that_nobody_knows(unnamed, apart, leg, doubts):
+    """Beside one that was missed, rates of drives that latch apart are judged."""
+    bench = after(60, rate=RATES, unnamed=unnamed, apart=apart, open_ticks=0, length_noise_m=1.0)
     bench.ticks(1, unseen=[0])
     found = bench.tick(rate=RATES + six(3.0, leg))
     assert found["doubt"] == (Doubt.LEAP if doubts else Doubt.NONE)

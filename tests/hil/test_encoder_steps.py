@@ -244,17 +244,6 @@ def test_a_stall_excuses_what_is_beyond_noise_and_a_share_of_the_travel_of_its_l
     assert bench.memory("excused")[leg] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("leg", range(6))
-@pytest.mark.parametrize("silent", [0, 5])
-def test_a_leg_that_stands_still_is_pushed_whichever_other_one_was_never_heard(leg, silent):
-    bench = Bench(open_ticks=2, length_noise_m=0.25, push_N=six(8.0))
-    for n in range(8):
-        bench.tick(unseen=[silent], q_d=bench.length - six(9.0 * (n > 5), leg))
-    pushed = bench.memory("push") != 0
-    assert pushed[leg] == (leg != silent)
-    assert not pushed[silent]
-
-
 @BOTH_SIGNS
 @pytest.mark.parametrize(("leap", "doubts"), [(0.9e-9, False), (1.1e-9, True)])
 def test_where_nothing_explains_a_leap_a_nanometre_per_second_is_none(leap, doubts, sign):

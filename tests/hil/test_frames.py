@@ -1,6 +1,8 @@
-"""Frames that the controller hears and should not, or hears twice: what faults, what it says, what it sends."""
+"""Frames that the controller hears and should not, or hears twice: which fault follows, and what it sends."""
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 import pytest
@@ -172,16 +174,14 @@ def test_a_drive_that_reports_another_set_up_is_a_fault_once_it_was_ours(mode):
 @pytest.mark.parametrize(
     ("wrong", "lacks"),
     [
-        ("none", "it reports no set-up: it has accepted no CONFIG"),
-        ("watchdog", "it holds another than the CONFIG sent"),
-        ("reaction", "it holds another than the CONFIG sent"),
-        ("rated force", "its rated force is not drives.force_limit_N, 30000 N"),
-        ("silent", "no status of it was heard that confirms one of 10 CONFIG"),
+        ("none", "reports no set-up"),
+        ("watchdog", "another than the CONFIG sent"),
+        ("reaction", "another than the CONFIG sent"),
+        ("rated force", "drives.force_limit_N"),
+        ("silent", "no status"),
     ],
 )
-def test_a_drive_that_does_not_confirm_its_set_up_is_tried_again_and_then_keeps_the_run_from_starting(
-    wrong, lacks
-):
+def test_a_drive_that_does_not_confirm_its_set_up_keeps_the_run_from_starting(wrong, lacks):
     bench = Bench()
     obey = bench.drives.obey
     speaks = LegsProtocol("fd", OURS.nodes, 3e3) if wrong == "rated force" else bench.drives.protocol
@@ -205,6 +205,6 @@ def test_a_drive_that_does_not_confirm_its_set_up_is_tried_again_and_then_keeps_
     assert bench.cycle.mode is Mode.WAITING
     assert [c.leg for c in bench.drives.configured].count(1) == TRIES
     assert len(bench.drives.configured) == TRIES + 5
-    (told,) = waiting_text(bench.cycle).removeprefix("the drives are not ready: ").split("; ")
-    assert told.startswith("drive 1 does not complete its set-up: ")
-    assert lacks in told
+    text = waiting_text(bench.cycle)
+    assert re.findall(r"drive (\d)", text) == ["1"]
+    assert lacks in text

@@ -1,4 +1,4 @@
-"""A jog of a platform on hold: its speed, the stop before a limit, and what ends or refuses it."""
+"""A jog: what it follows, its speed, the stop before a limit, and what ends or refuses it."""
 
 from dataclasses import replace
 
@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.signals import Mode, Refusal
-from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.config.operator import OperatorSettings
@@ -17,6 +16,10 @@ from hil.loop.jogging import (
     NOT_RESTING,
     ON_HOLD,
     Jogging,
+    LegJog,
+    jog_path,
+    pose_rates,
+    setup_share,
 )
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
@@ -173,51 +176,6 @@ def test_a_jog_is_refused_in_motion_without_hold_and_with_a_live_reference():
     assert held.operating.answers == [ON_HOLD]
 
 
-def test_start_goes_back_to_where_the_path_was_left_and_on_from_there():
-    held = Held(Box(1.0))
-    held.say(START)
-    held.run(1000)
-    held.say(HOLD)
-    held.run(500)
-    left = held.motion.sample(held.tick)
-    s = held.motion.time(held.tick)
-    held.run(500, jog("ry"))
-    held.run(600, jog("leg1", -1.0))
-    held.run(600)
-    assert np.abs(held.motion.sample(held.tick).p - left.p).max() > 1e-3
-    assert held.motion.away
-    held.say(START)
-    _, samples = held.run(300)
-    held.say(HOLD)
-    held.run(700)
-    assert not held.motion.sample(held.tick).twist.any()
-    held.say(START)
-    _, more = held.run(4000)
-    assert not held.motion.away
-    assert (speed(samples + more).max(axis=0) <= [SPEED * (1 + 1e-9), np.deg2rad(TURN_deg_s)]).all()
-    assert held.motion.trajectory is held.path
-    now = held.motion.time(held.tick - 1)
-    assert s < now < s + 4.0
-    np.testing.assert_allclose(more[-1].p, held.path.sample(now).p, atol=1e-12)
-    v = np.array([x.twist for x in more])
-    p = np.array([x.p for x in more])
-    assert np.abs(np.diff(p, axis=0) * 1e3 - 0.5 * (v[1:, :3] + v[:-1, :3])).max() < 1e-5, "no jump"
-
-
-def test_a_stop_ends_a_jog_for_good():
-    held = Held(Box(1.0))
-    held.run(600, jog("x"))
-    held.motion.stop(held.tick, STOP_S)
-    assert not held.motion.away
-    p = held.motion.sample(held.tick).p
-    for _ in range(1000):
-        held.operating.step([jog("x")], held.tick, Mode.STOPPING, held.motion)
-        held.tick += 1
-    assert held.operating.answers == [ON_HOLD]
-    assert held.motion.finished(held.tick)
-    assert 0.0 < held.motion.sample(held.tick).p[0] - p[0] < SPEED * STOP_S
-
-
 def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_or_stops():
     everywhere = Held(Box(1.0), too_sudden=lambda *_: True)
     answers, samples = everywhere.run(600, jog("x"))
@@ -228,21 +186,6 @@ def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_or_stops():
     _, samples = ahead.run(2000, jog("x"))
     assert border - 3e-4 < samples[-1].p[0] <= border
     assert not samples[-1].twist.any()
-
-
-@pytest.mark.parametrize(("window_N", "moves"), [(12000.0, True), (1.0, False)])
-def test_the_controller_judges_jogs_by_the_force_window_of_its_configuration(window_N, moves):
-    c = load("virtual")
-    tight = c.limits.model_copy(update={"force_window_N": window_N})
-    cycle = build_cycle(c.model_copy(update={"limits": tight}), 1000.0, 0.01)
-    held = Held(None)
-    held.operating = cycle.operating
-    held.motion = Motion(1e-3, cycle.parts.home_p, cycle.parts.home_R, STOP_S)
-    held.motion.settle(0, 0.0)
-    held.operating.go = False
-    answers, samples = held.run(100, jog("z"))
-    assert any(s.twist.any() for s in samples) == moves
-    assert ("limits.force_window_N" in answers[-1]) != moves
 
 
 @pytest.mark.parametrize("command", [Operator.START, Operator.PARK, Operator.HOLD])
@@ -262,3 +205,97 @@ def test_start_and_park_let_a_jog_come_to_rest_and_hold_does_not(command):
         assert not more[-1].twist.any()
     else:
         assert v[-1] < 0.0
+
+
+# -- what it follows, against independent formulas
+
+
+SPEEDS = 0.04, 0.3
+"""Of set-up, m/s, rad/s."""
+
+
+def rates(path, t, h=1e-4):
+    """Twist and its rate by central differences of poses and twists, (6,) each."""
+    before, after = path.sample(t - h), path.sample(t + h)
+    turn = Rotation.from_matrix(after.R @ before.R.T).as_rotvec()
+    twist = np.concatenate([after.p - before.p, turn]) / (2 * h)
+    return twist, (after.twist - before.twist) / (2 * h)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_jog_keeps_five_lengths_and_its_rates_are_those_of_its_poses(leg):
+    rate = np.zeros(6)
+    rate[leg] = 0.05
+    path = LegJog(PLATFORM, HERE, rate)
+    for t in np.arange(0.0, 1.2, 0.01):
+        sample = path.sample(t)
+        np.testing.assert_allclose(lengths(sample.p, sample.R), Q + t * rate, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(sample.R @ sample.R.T, np.eye(3), atol=1e-12)
+    for t in (0.2, 0.7, 1.1):
+        sample = path.sample(t)
+        twist, dtwist = rates(path, t)
+        np.testing.assert_allclose(sample.twist, twist, atol=1e-6 * np.abs(twist).max() + 1e-9)
+        np.testing.assert_allclose(sample.dtwist, dtwist, atol=1e-4 * np.abs(dtwist).max() + 1e-8)
+
+
+def test_lengths_of_no_pose_leave_a_leg_jog_where_it_is():
+    path = LegJog(PLATFORM, HERE, np.array([1.0, 0, 0, 0, 0, 0]))
+    last = path.sample(0.01)
+    assert path.ahead(50.0) is None
+    assert path.sample(50.0) is last
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("way", [1.0, -0.2])
+def test_an_axis_jog_goes_along_or_about_an_axis_of_the_base_at_its_set_up_speed(axis, way):
+    rate = np.sign(way) * np.where(np.arange(6) < 3, 0.04, 0.3) * (np.arange(6) == axis)
+    path = jog_path(PLATFORM, HERE, axis, SPEEDS, way)
+    assert path.duration_s is None
+    sample = path.sample(1.5)
+    np.testing.assert_allclose(sample.p, HERE.p + 1.5 * rate[:3], atol=1e-15)
+    turn = Rotation.from_rotvec(1.5 * rate[3:]).as_matrix()
+    np.testing.assert_allclose(sample.R, turn @ HERE.R, atol=1e-14)
+    np.testing.assert_array_equal(sample.twist, rate)
+    assert not sample.dtwist.any()
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("way", [1.0, -0.2])
+def test_a_leg_jog_goes_at_the_set_up_speed_of_lengths_in_the_direction_of_the_word(leg, way):
+    path = jog_path(PLATFORM, HERE, 6 + leg, SPEEDS, way)
+    sample = path.sample(0.25)
+    expected = Q + np.sign(way) * 0.04 * 0.25 * (np.arange(6) == leg)
+    np.testing.assert_allclose(lengths(sample.p, sample.R), expected, rtol=0, atol=1e-11)
+    assert path.duration_s is None
+
+
+@pytest.mark.parametrize(
+    ("twist", "share"),
+    [
+        ((0, 0, 0, 0, 0, 0), 1.0),
+        ((0.03, 0, 0, 0, 0.1, 0), 1.0),
+        ((0.03, -0.04, 0.12, 0, 0, 0), 0.04 / 0.13),
+        ((0, 0, 0, 0.3, -0.4, 1.2), 0.3 / 1.3),
+        ((0.08, 0, 0, 1.2, 0, 0), 0.25),
+        ((0.16, 0, 0, 0.6, 0, 0), 0.25),
+    ],
+)
+def test_the_share_is_that_of_the_slower_of_way_and_turn_and_never_more_than_all(twist, share):
+    assert setup_share(HERE._replace(twist=np.array(twist, float)), SPEEDS) == pytest.approx(share, rel=1e-12)
+
+
+def test_at_a_singular_pose_the_rates_are_no_numbers_and_elsewhere_those_of_the_lengths():
+    a, b = PLATFORM.base_joints, PLATFORM.platform_joints
+    for found in pose_rates(a, np.zeros_like(b), HERE.p, np.eye(3), np.ones(6)):
+        assert np.isnan(found).all()
+    dq = np.array([0.01, -0.02, 0.03, 0.0, 0.05, -0.01])
+    twist, dtwist = pose_rates(a, b, HERE.p, np.ascontiguousarray(HERE.R), dq)
+
+    def turned(t):
+        w = t * (twist[3:] + 0.5 * t * dtwist[3:])
+        p = HERE.p + t * (twist[:3] + 0.5 * t * dtwist[:3])
+        return lengths(p, Rotation.from_rotvec(w).as_matrix() @ HERE.R)
+
+    h = 1e-3
+    np.testing.assert_allclose((turned(h) - turned(-h)) / (2 * h), dq, atol=1e-8)
+    np.testing.assert_allclose((turned(h) - 2 * turned(0.0) + turned(-h)) / h**2, 0.0, atol=1e-7)

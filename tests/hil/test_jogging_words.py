@@ -6,12 +6,12 @@ from scipy.spatial.transform import Rotation
 
 from drivers.signals import Refusal
 from hil.config.operator import OperatorSettings
-from hil.loop.jogging import Jogging, LegJog, setup_share
+from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.signals import Operator, Order, explain
 from hil.trajectory.move import GeodesicMove
-from tests.hil.test_jogging import HERE, PLATFORM, SPEED, STOP_S, Box, Held, Q, jog, lengths
-from tests.hil.test_operating import HOLD, KEY, START
+from tests.hil.test_jogging import HERE, PLATFORM, STOP_S, Held, Q, jog, lengths
+from tests.hil.test_operating import KEY
 
 WORD = jog("y", 0.5)
 
@@ -63,23 +63,6 @@ def test_a_word_counts_again_on_the_way_of_a_limit_once_it_has_been_silent_for_1
     assert bool(take(both, WORD, 7 + heard)) is answered
 
 
-def test_a_word_of_the_same_axis_the_other_way_brakes_to_rest_before_it_turns_round():
-    both = made()
-    for tick in range(300):
-        take(both, WORD, tick)
-        step(both, tick, tick + 1)
-    motion = both[1]
-    path, v = motion.trajectory, []
-    for tick in range(300, 1000):
-        assert take(both, jog("y", -0.5), tick) == ""
-        step(both, tick, tick + 1)
-        v.append(motion.sample(tick).twist[1])
-    turns = v.index(0.0)
-    assert (np.diff(v[:turns]) <= 0.0).all()
-    assert motion.trajectory is not path
-    assert v[-1] == pytest.approx(-0.5 * 0.05)
-
-
 @pytest.mark.parametrize("left_s", [0.0, 20.0])
 @pytest.mark.parametrize(("name", "deg_s"), [("x", 5.0), ("ry", 5.0), ("leg4", 0.7), ("-leg4", 0.7)])
 def test_the_judged_pose_is_the_one_to_which_braking_from_the_next_tick_leads(name, deg_s, left_s):
@@ -105,17 +88,6 @@ def test_the_judged_pose_is_the_one_to_which_braking_from_the_next_tick_leads(na
     assert np.abs(judged[-1] - here).max() > 1e-4
 
 
-@pytest.mark.parametrize("fraction", [0.5, -0.5])
-def test_a_word_of_no_speed_lets_go_of_a_limit_whichever_way_it_was_reached(fraction):
-    both = made(lambda _: int(Refusal.STROKE))
-    take(both, jog("y", fraction), 0)
-    step(both, 0, 1)
-    assert take(both, jog("y", fraction), 1) != ""
-    assert take(both, jog("y", 0.0), 2) == ""
-    assert both[0].refusal == ""
-    assert take(both, jog("y", fraction), 3) == "", "the words had ceased"
-
-
 # -- through the operator's orders
 
 
@@ -138,32 +110,3 @@ def test_where_a_limit_stops_a_jog_its_word_is_refused_and_no_other_order(name, 
     assert f"jog {name}: it stops" in answers[first][word]
     for given in answers:
         assert not any(given[:word] + given[word + 1 :])
-
-
-@pytest.mark.parametrize("name", ["leg0", "leg5"])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_leg_begins_at_the_share_of_where_it_is_however_far_along_the_path(name, way):
-    """A leg turns the platform less or more the farther it goes; so the share differs from place to place."""
-    shares = []
-
-    def noted(_sample, share):
-        shares.append(share)
-        return False
-
-    held = Held(Box(1.0), too_sudden=noted, setup_speed_deg_s=0.7)
-    held.say(START)
-    held.run(2000)
-    held.say(HOLD)
-    held.run(600)
-    begun = held.motion.time(held.tick)
-    assert begun > 2.0
-    here = held.motion.sample(held.tick)
-    held.run(2, jog(name, way))
-    rate = way * SPEED * (np.arange(6) == int(name[-1]))
-    path = LegJog(PLATFORM, here, rate)
-    speeds = SPEED, np.deg2rad(0.7)
-    expected = setup_share(path.sample(0.0), speeds)
-    later = path.ahead(begun)
-    assert later is None or abs(setup_share(later, speeds) / expected - 1.0) > 1e-3
-    np.testing.assert_allclose(shares, expected, rtol=1e-4)
-    assert expected < 1.0

@@ -11,14 +11,11 @@ import pytest
 from drivers import build_protocol
 from drivers.frame_array import received_array, sent_array
 from drivers.protocol import BUS, Frame, Received
-from hil.app.compose import build_cycle
 from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
 from hil.contracts.drives_end import reading_of
 from hil.contracts.messages import Sync, hear, reply
-from hil.estimation.fusion_tick import latched_at
 from hil.loop import latches
-from hil.signals import TickInput
 from plant_fmu.drives import drives_end
 from tests.drivers.legs_frames import opening
 
@@ -165,18 +162,3 @@ def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_counts(unasked
 @pytest.mark.parametrize(("name", "answer_ns"), [("virtual-cia402", ANSWER), ("two_buses", 54_800)])
 def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus(name, answer_ns):
     assert shortest_answer_ns(load(name).bus, protocol(name)) == answer_ns
-
-
-@pytest.mark.parametrize(
-    ("latch_ns", "expected"),
-    [
-        ((7, 9, 5, 6, 8, 5), 1_025),
-        ((7, 0, 5, 6, 8, 0), 1_025),
-        ((0, 0, 0, 0, 0, 9), 1_029),
-        ((0,) * 6, 1_020),
-    ],
-)
-def test_the_pose_is_estimated_as_of_the_first_latch_that_there_was(latch_ns, expected):
-    cycle = build_cycle(load("virtual"), 1000.0, 0.013)
-    cycle.step(TickInput(0, 1_000, 20, latch_ns=latch_ns))
-    assert latched_at(cycle.tick) == expected

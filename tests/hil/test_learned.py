@@ -9,7 +9,6 @@ from drivers.compiled.pointed import data_at
 from drivers.signals import Mode
 from hil.loop.learned import Learned, LearnedForces, step
 from hil.loop.motion import Motion
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.piecewise import PiecewisePolynomial
 
@@ -115,18 +114,6 @@ def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_again
     assert run.go(1).all()
 
 
-def test_below_full_speed_at_the_start_they_join_when_path_time_is_the_clock() -> None:
-    run = Run()
-    run.enter(Mode.TRACKING)
-    run.motion.settle(run.tick + 1, 0.0)
-    assert not run.go(100, speed=0.0).any()
-    forces = run.go(400, speed=1.0)
-    assert run.motion.override.full
-    assert not run.motion.away
-    np.testing.assert_allclose(forces[-1], table(BEGINS + run.motion.time(run.tick) / T), rtol=1e-9)
-    assert run.largest_step() < BUMPLESS
-
-
 @pytest.mark.parametrize("where", ["in the approach", "at the start"])
 def test_a_hold_before_the_reference_begins_fades_them_out_and_in_again(where: str) -> None:
     run = Run()
@@ -158,14 +145,6 @@ def test_they_join_only_when_what_was_there_has_gone() -> None:
 def test_on_another_path_no_learned_force_acts() -> None:
     run = Run(path=reference()).tracking(300)
     assert not np.array(run.seen).any()
-
-
-def test_a_jog_leaves_the_path_and_they_fade_out() -> None:
-    run = Run().tracking(300)
-    run.motion.leave(HoldTrajectory(HERE, EYE), run.tick + 1)
-    assert not run.go(60)[-1].any()
-    run.motion.resume(run.tick + 1)
-    assert not run.go(300, speed=1.0).any()
 
 
 def test_the_first_fault_switches_them_off_for_every_way_that_follows() -> None:

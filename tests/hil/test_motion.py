@@ -91,16 +91,6 @@ def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
 # -- a new one forgets the one before
 
 
-def test_a_new_trajectory_has_not_stopped_where_the_one_before_it_did():
-    motion = along(Turn(None))
-    motion.settle(1, 0.0)
-    motion.stop(2, 0.5)
-    assert motion.finished(2)
-    motion.start(Turn(1.0), 3)
-    motion.settle(3, 1.0)
-    assert [motion.finished(tick) for tick in (3, 6, 7)] == [False, False, True]
-
-
 def test_a_new_trajectory_is_not_followed_by_what_was_to_follow_the_one_before():
     path = next_path()
     motion = along(move(), then=path)

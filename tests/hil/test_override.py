@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.trajectory.override import Override, braking, change
+from hil.trajectory.override import Override, change
 from hil.trajectory.piecewise import PiecewisePolynomial
 
 T, CHANGE = 1e-3, 0.5
@@ -116,23 +116,6 @@ def test_a_speed_that_is_set_at_once_goes_on_from_where_path_time_is(sigma):
     assert (override.full, override.resting) == (sigma == 1.0, sigma == 0.0)
 
 
-def test_a_place_is_rested_at_until_it_goes_on_and_a_begin_puts_path_time_back_to_zero():
-    override = Override(LONG, SLOWLY)
-    override.place(8, 3.0)
-    assert times(override, 8, 20) == [3.0, 3.0]
-    assert (override.resting, override.full) == (True, False)
-    override.aim(20, 1.0)
-    assert not override.resting, "it is asked to go on"
-    override.advance(60)
-    assert override.full
-    assert override.time(61) == override.time(60) + LONG
-    override.place(68, 3.0)
-    override.begin(69)
-    assert override.time(72) == 0.0
-    override.settle(72, 1.0)
-    assert override.time(76) == 1.0
-
-
 def test_a_change_begins_in_its_tick_and_is_not_begun_again_by_the_same_target():
     override = Override(LONG, SLOWLY)
     override.advance(8)
@@ -163,16 +146,6 @@ def test_path_time_at_rest_is_where_one_more_tick_and_then_braking_lead_to(targe
     override.advance(ticks + 100)
     assert override.resting
     assert override.time(ticks + 100) == pytest.approx(foretold, abs=1e-12)
-
-
-def test_braking_takes_no_time_from_rest_and_half_of_what_it_lasts_from_full_speed():
-    assert braking(0.0, 0.0, LIMIT, STEP, LONG) == 0.0
-    assert braking(0.0, 0.1, LIMIT, STEP, LONG) > 0.0, "a rate takes the path on before it is braked"
-    fine = 1e-3
-    step = 4.5 / SLOWLY**2 * fine
-    assert braking(1.0, 0.0, LIMIT, step, fine) == pytest.approx(SLOWLY / 2, abs=fine)
-    rising = braking(0.5, LIMIT, LIMIT, step, fine)
-    assert SLOWLY / 4 < rising < SLOWLY, "its rate has to fall first"
 
 
 @pytest.mark.parametrize(

@@ -94,20 +94,18 @@ ALWAYS_FAULTS = {
     "condition": (Fault.CONDITION, {"condition": 50.001}),
     "condition that is no number": (Fault.CONDITION, {"condition": np.nan}),
     "speed": (Fault.SPEED, {"dq": leg(-3.1)}),
-    "length": (Fault.NOT_FINITE, {"length": leg(np.nan)}),
-    "rate": (Fault.NOT_FINITE, {"rate": leg(np.inf)}),
-    "force": (Fault.NOT_FINITE, {"drive_force": leg(-np.inf)}),
-    "q": (Fault.NOT_FINITE, {"q": leg(np.nan, 5.0)}),
-    "dq": (Fault.NOT_FINITE, {"dq": leg(np.nan)}),
+    **{
+        name: (Fault.NOT_FINITE, {name: leg(bad)})
+        for name, bad in (("length", np.nan), ("rate", np.inf), ("drive_force", -np.inf))
+    },
+    **{name: (Fault.NOT_FINITE, {name: leg(np.nan, 5.0)}) for name in ("q", "q_d")},
+    **{
+        name: (Fault.NOT_FINITE, {name: leg(np.nan)})
+        for name in ("dq", "twist", "dq_d", "ddq_d", "twist_d", "dtwist_d")
+    },
     "p": (Fault.NOT_FINITE, {"p": np.array([0, np.nan, 0])}),
     "R": (Fault.NOT_FINITE, {"R": np.full((3, 3), np.nan)}),
-    "twist": (Fault.NOT_FINITE, {"twist": leg(np.nan)}),
     "J": (Fault.NOT_FINITE, {"J": np.diag(leg(np.nan))}),
-    "q_d": (Fault.NOT_FINITE, {"q_d": leg(np.nan, 5.0)}),
-    "dq_d": (Fault.NOT_FINITE, {"dq_d": leg(np.nan)}),
-    "ddq_d": (Fault.NOT_FINITE, {"ddq_d": leg(np.nan)}),
-    "twist_d": (Fault.NOT_FINITE, {"twist_d": leg(np.nan)}),
-    "dtwist_d": (Fault.NOT_FINITE, {"dtwist_d": leg(np.nan)}),
     "law": (Fault.LAW, {"tau": leg(np.nan)}),
     "too long": (Fault.STROKE, {"q": leg(9.1, 5.0), "q_d": leg(9.1, 5.0)}),
     "too short": (Fault.STROKE, {"q": leg(0.9, 5.0), "q_d": leg(0.9, 5.0)}),

@@ -13,6 +13,7 @@ from drivers.signals import NEVER, Foreign
 from hil.safety import certificate, force_limits, motion, signals
 
 ON_ONE_LEG = pytest.mark.parametrize("leg", range(6))
+LENGTHS = np.array([5.0, 7.0, 4.0, 9.0, 6.0, 8.0])
 
 
 def six(value, leg=None, other=0.0):
@@ -43,13 +44,17 @@ def test_signals_finite_finds_one_bad_number_anywhere(shape, bad):
         assert not signals.all_finite(y)
 
 
-# -- history
-
-
-def test_signals_history_counts_the_ones():
+def test_signals_history_counts_and_notes_in_which_of_the_last_32_ticks_something_happened():
     for bits in (0, 1, 2, 3, 4, 0b1011, 1 << 31, (1 << 32) - 1):
         assert signals.ones(bits) == bits.bit_count()
     assert signals.ones((1 << 40) - 1) == 32
+    history = 0
+    for happened, expected in ((True, 0b1), (True, 0b11), (False, 0b110), (True, 0b1101)):
+        history = signals.noted(history, happened)
+        assert history == expected
+    assert signals.noted(1 << 30, False) == 1 << 31
+    assert signals.noted(1 << 31, False) == 0
+    assert signals.noted((1 << 32) - 1, True) == (1 << 32) - 1
 
 
 # -- legs
@@ -68,24 +73,11 @@ def test_signals_legs_are_stale_from_the_limit_on(leg):
 # -- bus
 
 
-def test_signals_note_in_which_of_the_last_32_ticks_something_happened():
-    history = 0
-    for happened, expected in ((True, 0b1), (True, 0b11), (False, 0b110), (True, 0b1101)):
-        history = signals.noted(history, happened)
-        assert history == expected
-    assert signals.noted(1 << 30, False) == 1 << 31
-    assert signals.noted(1 << 31, False) == 0
-    assert signals.noted((1 << 32) - 1, True) == (1 << 32) - 1
-
-
-def test_signals_figures_are_those_of_the_page_on_faults():
-    """Real drives allow 10 ms; a stretch of 4 ms is near to what would have ended their run."""
+def test_signals_bus_is_down_when_off_or_refusing_in_a_row_or_often():
+    # real drives allow 10 ms; a stretch of 4 ms is near to what would have ended their run
     assert (signals.DEGRADED_AT, signals.UNRELIABLE) == (8, 8)
     assert (signals.HARMFUL_STRETCH_NS, signals.STRETCH_FREE_NS) == (4_000_000, 500_000_000)
     assert sum(kind for kind in Foreign if kind is not Foreign.ESTOP) == signals.CONTROLLER
-
-
-def test_signals_bus_is_down_when_off_or_refusing_in_a_row_or_often():
     assert signals.bus_down(True, 0)
     assert not signals.bus_down(False, 0)
     assert not signals.bus_down(False, 0b1111)
@@ -139,7 +131,7 @@ def test_motion_stroke_speed_limit_holds_both_ways(leg):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_motion_following_error_is_allowed_to_grow_with_the_commanded_speed(leg, sign):
     def lags(error, dq_d, per_speed):
-        return motion.lagging(six(3), 3 + six(sign * error, leg), six(dq_d, leg), 0.25, per_speed)
+        return motion.lagging(LENGTHS, LENGTHS + six(sign * error, leg), six(dq_d, leg), 0.25, per_speed)
 
     assert not lags(0.25, 0.0, 0.0)
     assert lags(0.26, 0.0, 0.0)
@@ -507,12 +499,12 @@ def test_motion_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_motion_standstill_names_the_leg_that_is_too_far_from_where_it_stood(leg, sign):
     heard, still = np.zeros(6, np.int64), six(np.nan)
-    assert motion.moved_legs(six(5.0), heard, still, 0.25) == 0
-    np.testing.assert_array_equal(still, six(5.0))
-    assert motion.moved_legs(six(5.0 + sign * 0.25, leg, 5.0), heard, still, 0.25) == 0
-    assert motion.moved_legs(six(5.0 + sign * 0.26, leg, 5.0), heard, still, 0.25) == 1 << leg
-    assert motion.moved_legs(six(6.0), heard, still, 0.25) == 0b111111
-    np.testing.assert_array_equal(still, six(5.0))
+    assert motion.moved_legs(LENGTHS, heard, still, 0.25) == 0
+    np.testing.assert_array_equal(still, LENGTHS)
+    assert motion.moved_legs(LENGTHS + six(sign * 0.25, leg), heard, still, 0.25) == 0
+    assert motion.moved_legs(LENGTHS + six(sign * 0.26, leg), heard, still, 0.25) == 1 << leg
+    assert motion.moved_legs(LENGTHS + 1.0, heard, still, 0.25) == 0b111111
+    np.testing.assert_array_equal(still, LENGTHS)
 
 
 @ON_ONE_LEG

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.signals import Mode, Refusal
-from hil.app.compose import build_cycle
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.loop.console import waits_for
 from hil.loop.operating import Operating
-from hil.loop.run_end import Course
 from hil.loop.setup_moves import APART_M, Inspection
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
@@ -168,21 +165,3 @@ def test_a_way_that_has_been_judged_is_taken_once_and_the_next_one_is_judged_for
         assert move is (None if refusal else judged[k])
         assert (operating.go, operating.parks) == (not refusal, not refusal)
         assert operating.trouble == refusal
-
-
-def test_operator_and_log_learn_once_a_motion_why_a_way_is_not_followed():
-    cycle = build_cycle(VIRTUAL, 1000.0, 0.01)
-    events: list[tuple[Any, ...]] = []
-    course = Course(cycle, event=lambda *event: events.append(event))
-    cycle.mode = Mode.TRACKING
-    cycle.tick["t_ns"] = 5
-    for tick in (10, 20):
-        cycle.operating.engage(tick, cycle.motion)
-        cycle.operating.go = False
-        assert waits_for(course) == "start"
-        course._tell()
-        cycle.operating.trouble = "park: not followed, since it is so"
-        for _ in range(2):
-            course._tell()
-        assert waits_for(course) == "another order: park: not followed, since it is so"
-    assert events == [(5, "warning", "park: not followed, since it is so")] * 2

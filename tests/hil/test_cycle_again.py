@@ -176,7 +176,7 @@ def test_the_reference_stays_with_a_platform_that_yields_until_the_brakes_are_sh
     assert np.abs(tick["p_d"] - tick["p"]).max() > 1e-6, "there the legs have to stand"
 
 
-def test_predictor_and_observer_follow_the_forces_sent_and_none_once_the_drives_are_off():
+def test_predictor_and_observer_follow_the_forces_sent_and_none_with_drives_off():
     damping = "  damping_ratio: 1\n"
     delay = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
     observer = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"

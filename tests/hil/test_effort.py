@@ -245,9 +245,7 @@ QUARTER = 0.103515625
         (Mode.UNLOADING, 0.2, 0.0),
     ],
 )
-def test_the_holding_force_comes_behind_a_brake_test_as_long_as_its_ramp_and_goes_at_once(
-    mode, elapsed_s, share
-):
+def test_the_holding_force_comes_after_a_brake_test_of_its_ramp_and_goes_at_once(mode, elapsed_s, share):
     assert holding_share(mode, elapsed_s, 0.2) == pytest.approx(share, abs=1e-12)
     assert [smoothstep(x) for x in (-2.0, 0.25, 0.5, 0.75, 3.0)] == [0.0, QUARTER, 0.5, 1.0 - QUARTER, 1.0]
 

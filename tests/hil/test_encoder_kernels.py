@@ -37,7 +37,7 @@ def test_encoders_a_gap_that_is_its_bound_to_the_last_bit_is_allowed():
     after(2, length=0.0).ticks(1, jump=six(bound, 3))
 
 
-def test_encoders_the_share_of_a_gap_is_that_of_its_bound_and_nothing_of_a_leg_that_is_not_watched():
+def test_encoders_the_share_of_a_gap_is_that_of_its_bound_for_watched_legs():
     bench = Bench(length_noise_m=0.25, watched_legs=0b010111)
     assert np.isnan(bench.tick()["encoder_share"]).all()
     assert np.array_equal(bench.tick()["encoder_share"], [0.0, 0.0, 0.0, np.nan, 0.0, np.nan], equal_nan=True)
@@ -49,7 +49,7 @@ def test_encoders_the_share_of_a_gap_is_that_of_its_bound_and_nothing_of_a_leg_t
 
 
 @BOTH_SIGNS
-def test_encoders_the_share_is_that_of_a_gap_or_of_what_they_add_up_to_whichever_is_larger(sign):
+def test_encoders_the_share_is_that_of_a_gap_or_of_their_sum_the_larger_one(sign):
     bench = after(2, length_noise_m=0.25)
     shares = [bench.tick(jump=six(sign * 0.125, 1))["encoder_share"][1] for _ in range(3)]
     assert shares[0] == pytest.approx(0.125 / (0.5 + CREEP), rel=1e-9)
@@ -147,7 +147,7 @@ def test_encoders_a_leg_is_not_stopped_by_what_forces_explain(disturbance, excus
 
 
 @BOTH_SIGNS
-def test_encoders_the_bound_grows_with_the_noise_of_rates_and_the_acceleration_of_the_leg(sign):
+def test_encoders_the_bound_grows_with_noise_of_rates_and_acceleration_of_the_leg(sign):
     """A rate latched 0.5 s beside its length is off by half of 4 + 3 m/s^2; 4: from -2 to 2."""
     bench = after(2, rate=six(-sign * 3.0 * T, 1), rate_noise_m_s=0.25, rate_skew_s=0.5, disturbance_m_s2=2.0)
     bench.ticks(1, rate=0.0)
@@ -262,7 +262,7 @@ def test_encoders_a_delay_that_all_show_is_time(sign):
     assert doubted(after(2, rate=RATES).tick(late_s=0.5 * T, jump=six(0.25, 2)), Doubt.JUMP, 2, 0.25, CREEP)
 
 
-def test_encoders_a_leg_that_was_silent_takes_the_delay_of_the_others_but_bears_no_witness():
+def test_encoders_a_leg_that_was_silent_takes_the_delay_of_others_but_shows_none():
     for late_s in (0.5 * T, 0.0):
         bench = after(2, rate=RATES)
         bench.ticks(1, late_s=0.5 * T, unseen=[5])

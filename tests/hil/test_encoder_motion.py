@@ -156,7 +156,7 @@ RISES = [200.0, 300.0, 300.0, 100.0, -100.0, -300.0]
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_there_and_then_doubted(leg, sign):
+def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_then_doubted(leg, sign):
     bench = Standing(leg)
     assert [bench.stand(sign * 5.0 * (n > 1))["tau"][leg] for n in range(4)] == [0.0] * 4
     for n, force in enumerate(RISES):
@@ -225,7 +225,7 @@ def test_encoders_a_leg_that_sticks_is_doubted_after_one_push(push):
 
 
 @ON_ONE_LEG
-def test_encoders_what_a_leg_does_that_was_pushed_counts_against_no_other_until_it_has_settled(leg):
+def test_encoders_a_leg_that_was_pushed_makes_no_other_suspect_until_it_settled(leg):
     """Else pushes go from leg to leg: each one moves its leg by more than what a leg is suspected for."""
     memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))
     settle = encoder_kernels.let_settle
@@ -307,7 +307,7 @@ def forces(limits, pushes, left_N=0.0):
 
 
 @BOTH_SIGNS
-def test_encoders_what_is_left_of_a_push_that_nobody_feels_goes_as_slowly_before_the_other_way(sign):
+def test_encoders_what_is_left_of_a_push_goes_as_slowly_before_the_other_way(sign):
     limits = SimpleNamespace(push_ticks=16, push_N=six(300.0), sticks=0, rise_ticks=1)
     found = forces(limits, [sign * k for k in (1, 2, 3)], left_N=-300.0 * sign)
     assert found == pytest.approx([sign * force for force in (-262.5, -225.0, -187.5)])
@@ -393,7 +393,7 @@ def test_encoders_a_drive_that_latches_apart_and_is_missed_widens_its_own_bounds
 
 
 @pytest.mark.parametrize(("way", "doubts"), [(0.95, False), (2.5, True)])
-def test_encoders_a_leg_that_was_missed_may_answer_the_poll_before_beside_a_delay_that_all_show(way, doubts):
+def test_encoders_a_leg_that_was_missed_may_answer_the_poll_before_next_to_a_delay(way, doubts):
     bench = after(60, rate=RATES, unnamed=1, apart=1)
     bench.ticks(1, unseen=[5])
     bench.ticks(1)

@@ -121,9 +121,7 @@ def test_residuals_latch_a_leg_agrees_on_a_delay_within_its_own_tolerance(exact)
 @ON_ONE_LEG
 @BOTH_SIGNS
 @pytest.mark.parametrize("of", ["itself", "another"])
-def test_residuals_latch_a_delay_explains_a_leg_within_its_own_tolerance_and_that_of_each_other(
-    leg, sign, of
-):
+def test_residuals_latch_a_delay_explains_a_leg_within_the_tolerance_of_each(leg, sign, of):
     explained = residuals.explained
     off = leg if of == "itself" else (leg + 2) % 6
     for wrong, fine in ((0.09, True), (0.11, False)):
@@ -148,7 +146,7 @@ def test_residuals_increments_a_rate_that_leaps_makes_a_gap_of_up_to_half_of_it(
     assert residuals.beside(sign * 0.25, 0.0, T) == sign * 0.25
 
 
-def test_residuals_increments_the_worst_case_of_an_acceleration_within_its_range_is_the_bound():
+def test_residuals_increments_the_bound_is_the_worst_case_of_an_acceleration():
     """An acceleration that changes by a half way makes the trapezoidal rule wrong by a T^2 / 8."""
     a, T = 16.0, 1e-3
     v = 0.5 * a * T
@@ -158,7 +156,7 @@ def test_residuals_increments_the_worst_case_of_an_acceleration_within_its_range
     assert residuals.gap_bound(0.0, 0.0, a, T) == pytest.approx(a * T * T / 8 + rest)
 
 
-def test_residuals_increments_the_bound_takes_in_noise_and_a_brake_that_closes_on_a_creeping_leg():
+def test_residuals_increments_the_bound_has_noise_and_a_brake_on_a_creeping_leg():
     assert residuals.gap_bound(3.0, 0.0, 0.0, 0.0) == 6.0
     assert residuals.gap_bound(0.0, 5.0, 0.0, 0.5) == 2.5 + 0.02 * 0.25
     assert residuals.gap_bound(0.0, 0.0, 8.0, 0.5) == 0.25 + 0.02 * 0.25
@@ -186,7 +184,7 @@ def test_residuals_increments_a_long_tick_excuses_what_the_sum_is_beyond_the_usu
 
 
 @ON_ONE_LEG
-def test_residuals_leaps_an_acceleration_varies_by_disturbance_and_by_the_forces_of_all_legs(leg):
+def test_residuals_leaps_an_acceleration_varies_by_disturbance_and_forces(leg):
     mobility = np.zeros((6, 6))
     mobility[leg] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     assert residuals.acceleration_range(mobility, six(0.5), 4.0, leg) == 8.0 + 10.5
@@ -241,7 +239,7 @@ def test_residuals_stillness_of_one_leg_is_held_against_the_farthest_that_is_hea
 
 
 @BOTH_SIGNS
-def test_residuals_stillness_a_push_goes_both_ways_at_once_where_the_leg_sticks_else_along_lines(sign):
+def test_residuals_stillness_a_push_goes_both_ways_at_once_or_along_lines(sign):
     assert push_of(0, 5, 10.0, False, 1) == push_of(0, 5, 10.0, True, 1) == 0.0
     ticks = [sign * n for n in (1, 2, 5, 6, 10, 11)]
     lines = [sign * push_of(n, 5, 10.0, False, 1) for n in ticks]

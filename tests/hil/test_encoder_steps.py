@@ -22,7 +22,7 @@ STEPS = pytest.mark.parametrize(
 
 
 @STEPS
-def test_residuals_a_slope_lags_by_what_the_worst_acceleration_between_three_lengths_makes_of_it(T0, T1):
+def test_residuals_a_slope_lags_by_the_worst_acceleration_between_three_lengths(T0, T1):
     """The slope of the parabola through them less the rate at their end, summed over short pulses of force."""
     pulse = (T0 + T1) * 1e-4
     at = np.arange(-T0 - T1, 0.0, pulse) + 0.5 * pulse
@@ -70,7 +70,7 @@ def slopes(lengths):
     return 1.5 * lengths[2:] - 2.0 * lengths[1:-1] + 0.5 * lengths[:-2]
 
 
-def test_residuals_one_late_latch_and_one_jump_show_in_slopes_and_their_leaps_by_the_shares_that_are_stated():
+def test_residuals_a_late_latch_and_a_jump_show_in_slopes_by_the_stated_shares():
     """Lengths at 1 m/s and 1 s apart; a leap is how far a slope is from where the last two lead."""
     even, delay, jump = np.arange(12.0), 0.01, 0.01
     late = even + delay * (np.arange(12) == 6)
@@ -86,7 +86,7 @@ def test_residuals_one_late_latch_and_one_jump_show_in_slopes_and_their_leaps_by
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_residuals_a_latch_that_is_late_explains_the_leap_of_a_leg_that_gets_longer_or_shorter(leg, sign):
+def test_residuals_a_late_latch_explains_the_leap_of_a_leg_either_way(leg, sign):
     """Of all legs that move the same delay; its largest leap is six times rate and delay."""
     rates, bounds = sign * RATES, six(1e-3)
     for share, is_time in ((0.99, True), (1.01, False)):

@@ -284,7 +284,7 @@ def test_the_share_is_that_of_the_slower_of_way_and_turn_and_never_more_than_all
     assert setup_share(HERE._replace(twist=np.array(twist, float)), SPEEDS) == pytest.approx(share, rel=1e-12)
 
 
-def test_at_a_singular_pose_the_rates_are_no_numbers_and_elsewhere_those_of_the_lengths():
+def test_rates_of_a_pose_are_those_of_the_lengths_and_nan_where_it_is_singular():
     a, b = PLATFORM.base_joints, PLATFORM.platform_joints
     for found in pose_rates(a, np.zeros_like(b), HERE.p, np.eye(3), np.ones(6)):
         assert np.isnan(found).all()

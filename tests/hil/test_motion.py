@@ -178,7 +178,7 @@ def test_a_hold_on_the_approach_puts_off_what_comes_next():
     assert seen[begins - 1][1] == pytest.approx(AHEAD - T)
 
 
-def test_the_time_before_the_next_one_is_zero_from_the_end_on_and_unknown_below_full_speed():
+def test_the_time_before_the_next_one_is_zero_at_the_end_and_unknown_when_slow():
     path = next_path()
     motion = along(move(), then=path)
     assert [before(motion, tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]

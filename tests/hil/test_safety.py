@@ -210,7 +210,7 @@ def test_guard_lets_legs_stand_elsewhere_after_they_were_free(mode):
     assert bench.tick(mode, length=7.0).faults == Fault.NONE
 
 
-def test_guard_watches_legs_after_a_fault_once_they_have_been_at_rest_for_a_fifth_of_a_second():
+def test_guard_watches_legs_after_a_fault_once_they_rested_for_a_fifth_of_a_second():
     bench = Bench()
     for _ in range(8):  # 0.2 s
         assert bench.tick(Mode.FAULT, length=5.0).faults == Fault.NONE
@@ -257,7 +257,7 @@ def test_guard_forgets_running_drives_on_reset_and_with_closed_brakes():
     assert bench.tick(Mode.RELEASING, drive_state=ready).faults == Fault.NONE
 
 
-def test_guard_takes_refused_frames_for_a_dead_bus_five_times_in_a_row_or_eight_in_32_ticks():
+def test_guard_takes_five_refusals_in_a_row_or_eight_in_32_ticks_for_a_dead_bus():
     bench = Bench()
     faults = [bench.tick(sends_failed=n % 2).faults for n in range(16)]
     assert faults == [Fault.NONE] * 15 + [Fault.BUS]
@@ -337,7 +337,7 @@ def test_guard_does_not_count_short_stretches_however_many():
     assert stops == [Stop.NONE] * 125 + [Stop.STRETCHED]
 
 
-def test_guard_pushes_a_leg_that_stands_still_once_all_drives_run_and_faults_for_one_that_is_held_fast():
+def test_guard_pushes_a_leg_that_stands_still_and_faults_for_one_that_is_held_fast():
     limits = NONE._replace(watched_legs=63, length_noise_m=0.01, push_N=np.full(6, 8.0), push_ticks=2)
     bench = Bench(encoders=limits)
     astray, ready = leg(5.2, 5.0), leg(DriveState.READY, DriveState.RUN, np.int64)

@@ -77,7 +77,7 @@ def test_an_error_of_length_and_one_of_rate_count_by_their_own_weights():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_a_late_reading_makes_of_speed_and_of_acceleration_counts_by_their_own_weights(sign):
+def test_a_late_reading_counts_by_the_weights_of_speed_and_of_acceleration(sign):
     """sqrt(P_11) = 3 times 2 m/s, sqrt(P_22) = 2 times 3 m/s^2 and a disturbance of 50 m/s^2."""
     bench = watching(disturbance=on_leg_3(50.0, 1e3))
     moving = {"dq_d": on_leg_3(sign * 2.0), "dq": on_leg_3(sign * 1.5), "ddq_d": on_leg_3(sign * -3.0)}
@@ -161,7 +161,7 @@ SETTLED = round(0.2 * RATE_HZ)
     "mode",
     [Mode.WAITING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.HELD],
 )
-def test_legs_that_rested_where_no_brake_holds_them_may_move_on_and_rest_again_after_a_fault(mode):
+def test_legs_that_rested_without_a_brake_may_move_on_and_rest_again_after_a_fault(mode):
     benches = Bench(), Bench()
     for bench in benches:
         for _ in range(3 * SETTLED):

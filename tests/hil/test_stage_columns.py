@@ -181,7 +181,7 @@ def test_a_law_fills_its_force_from_estimate_reference_and_shortfall(name):
 
 
 @pytest.mark.parametrize("pose", [0.0, 1.0])
-def test_safety_fills_force_and_certificate_and_looks_neither_at_the_law_nor_at_what_was_sent(pose):
+def test_safety_fills_force_and_certificate_and_reads_neither_law_nor_sent_force(pose):
     table = np.zeros((12, 6))
     table[2:5], table[5], table[6], table[8] = 4.0, 1e3, 1e-6, 1.0
     table[11] = [pose, 0.0, 1.0, 2.0, 1.0, 1e-3]

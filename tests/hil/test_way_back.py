@@ -149,7 +149,7 @@ def test_after_an_order_or_a_new_motion_the_way_is_judged_again():
 
 
 @pytest.mark.parametrize("refusal", ["", "it is too far"])
-def test_a_way_that_has_been_judged_is_taken_once_and_the_next_one_is_judged_for_itself(refusal):
+def test_a_judged_way_is_taken_once_and_the_next_one_is_judged_for_itself(refusal):
     judged: list[Any] = []
 
     def at_once(_name, move) -> Any:

@@ -34,8 +34,8 @@ def test_every_fault_mode_warning_and_stop_has_its_row_and_section():
     assert sorted(row.fault for row in FAULTS) == sorted(Fault)
     assert all(len(row.mend) > 10 for row in FAULTS)
     assert set(DONE) == set(Mode)
-    named = [*Fault, *Warn, *(stop for stop in Stop if stop)]
-    kinds = {Fault: "Fault", Warn: "Warning", Stop: "Stop"}
+    named: list[Any] = [*Fault, *Warn, *(stop for stop in Stop if stop)]
+    kinds: dict[Any, str] = {Fault: "Fault", Warn: "Warning", Stop: "Stop"}
     assert set(SECTIONS) == {f"{kinds[type(each)]} {each.name}" for each in named}
     for name, text in SECTIONS.items():
         if name.startswith("Fault"):

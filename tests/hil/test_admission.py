@@ -194,6 +194,14 @@ def test_a_way_whose_motion_is_not_finite_is_refused(part, word):
     assert admission(**ROOMY).on_the_way(THERE._replace(**{part: motion})) != 0
 
 
+def test_a_sample_whose_rotation_is_a_view_is_judged_as_its_copy():
+    turned = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    copy = PoseSample(P, np.ascontiguousarray(turned.T), np.full(6, 0.1), STILL)
+    view, judge = copy._replace(R=turned.T), admission(**ROOMY)
+    assert judge.on_the_way(view) == judge.on_the_way(copy)
+    assert judge.change_N(view, 0.5) == judge.change_N(copy, 0.5)
+
+
 # -- jogs: what a force changes by within 250 ms
 
 

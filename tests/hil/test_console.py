@@ -274,6 +274,7 @@ UNKNOWN_TURN = QUARTER_TURN + np.array([[0.0, 0.0, np.nan], [0.0] * 3, [0.0] * 3
 def test_a_status_figure_is_in_the_unit_of_its_key_and_null_where_unknown(given, expected):
     found = status(**given)
     assert {key: found[key] for key in expected} == expected
+    assert status()["rotation_vector_deg"] == pytest.approx([0.0, 0.0, 90.0])
 
 
 @pytest.mark.parametrize(

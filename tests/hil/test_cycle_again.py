@@ -142,6 +142,20 @@ def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_tes
     np.testing.assert_allclose(bench.force, HOLDING_N, atol=1.0)
 
 
+def test_a_platform_not_measured_any_more_while_it_parks_is_held_by_the_last_force():
+    bench = a_bench(engage=BRISK.model_copy(update={"brake_close_s": 0.1}))
+    bench.stopped(Mode.PARKING)
+    bench.drives.silent = {2}
+    while bench.cycle.mode is Mode.PARKING:
+        last = bench.cycle.tick["tau"].copy()
+        bench.drives.length = bench.drives.length + 1e-6  # which the law pushes against
+        bench.step()
+    assert bench.cycle.mode is Mode.HELD
+    np.testing.assert_array_equal(bench.cycle.effort.holding, last)
+    bench.step()
+    np.testing.assert_array_equal(bench.cycle.tick["tau_asked"], last)
+
+
 @pytest.mark.parametrize("by_m", [4e-4, -4e-4])
 def test_a_platform_not_measured_is_held_by_the_same_force_whatever_its_legs_say(by_m):
     bench = a_bench()

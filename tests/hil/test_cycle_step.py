@@ -21,9 +21,11 @@ from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
 from hil.design.stability.monitor import build_watch
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
+from hil.loop.modes import Durations
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.holding import HoldTrajectory
-from tests.hil.cycle_bench import HIGHER, LIVE, VIRTUAL, Bench, aside, held_to
+from hil.trajectory.override import PEAK
+from tests.hil.cycle_bench import BRISK, HIGHER, LIVE, VIRTUAL, Bench, aside, held_to
 
 ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])
 LENIENT = VIRTUAL.limits.model_copy(update={"following_error_m": 10.0})
@@ -149,6 +151,41 @@ def test_a_leg_whose_drive_was_off_counts_as_braked_by_the_last_brake_test_alone
 
 
 # -- what a cycle is made of
+
+
+def test_turns_forgotten_before_the_brakes_open_are_known_and_later_ones_refused():
+    made = build_cycle(VIRTUAL.model_copy(update={"engage": BRISK}), 1000.0, 0.01).parts
+    true, step_m = leg_lengths(made.platform, made.home_p, made.home_R), np.full(6, 0.01)
+    pose = LastPose(true, np.full(6, 1e-4), step_m, step_m, "parked", "hil homing")
+    bench = Bench(cycle=Cycle(replace(made, last_pose=pose)))
+    bench.drives.length = true - step_m * np.array([1, 2, 3, 4, 5, 6])
+    bench.until(Mode.RELEASING)
+    homing = bench.cycle.homing
+    np.testing.assert_allclose(bench.cycle.tick["length"], true, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(homing.raw, bench.drives.length, rtol=0.0, atol=1e-6)
+    assert (homing.known, homing.opened) == (True, False)
+    bench.step()
+    assert homing.opened
+    bench.drives.length = bench.drives.length + step_m * (np.arange(6) == 4)
+    bench.step()
+    assert "leg 4" in homing.refusal
+
+
+def test_stroke_times_and_reactions_of_the_configuration_each_come_to_their_place():
+    times = {"force_ramp_s": 0.02, "brake_release_s": 0.03, "brake_close_s": 0.07, "stop_s": 0.9}
+    engage = VIRTUAL.engage.model_copy(update=times)
+    cycle = build_cycle(VIRTUAL.model_copy(update={"engage": engage}), 500.0, 0.01)
+    stroke, platform = cycle.homing._stroke, VIRTUAL.platform
+    assert (stroke.shortest, stroke.longest) == (platform.length_min_m, platform.length_max_m)
+    assert cycle.durations == Durations(0.02, 0.03, engage.closing_s) == cycle.effort.durations
+    assert cycle.homing._period_s == cycle.motion.period_s == cycle.effort.period_s == 0.002
+    assert cycle.operating.least_s == 0.9
+    assert cycle.motion.override.record["limit"] == pytest.approx(PEAK / 0.9)
+    reactions = VIRTUAL.reactions
+    assert cycle._under_control == reactions.led_to("ss1") != reactions.led_to("sto") == cycle._torque_off
+    live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 500.0, 0.01)
+    assert cycle.operating.jogging._admission is cycle.parts.admission
+    assert live.operating.jogging._admission is None, "the steering judges"
 
 
 def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(monkeypatch):

@@ -180,6 +180,9 @@ def test_what_was_learned_is_added_but_never_where_the_platform_is_held(parts):
     np.testing.assert_array_equal(moving["tau_learned"], LEARNED)
     moves = data_at(cycle.motion.record), data_at(cycle.motion.override.record)
     assert calls[-1][1:] == (*moves, 9, Mode.TRACKING, 4, 0, Fault.NONE)
+    cycle.faults = Fault.DRIVE
+    filled(cycle, Mode.PARKING)
+    assert calls[-1][-1] == Fault.DRIVE
     held = filled(cycle, Mode.HELD)
     np.testing.assert_array_equal(held["tau_asked"], HOLDING)
     assert not held["tau_learned"].any()
@@ -212,6 +215,21 @@ def test_the_law_sees_what_the_limits_took_and_the_tick_has_its_own_force(parts,
     np.testing.assert_array_equal(filled(cycle, Mode.TRACKING)["tau_law"], OWN)
     assert law.seen is not None
     np.testing.assert_array_equal(law.seen["shortfall"], SHORTFALL)
+
+
+@pytest.mark.parametrize("number", [3, 500])
+def test_a_law_that_looks_ahead_reads_its_table_where_its_force_will_act(parts, number):
+    """The path began in tick 2; off the clock's time a table says nothing."""
+    cycle, law = a_cycle(parts, predictor=Predictor())
+    cycle.motion.start(parts.trajectory, 2)
+    filled(cycle, Mode.TRACKING, number)
+    assert law.seen is not None
+    assert law.seen["t_d"] == pytest.approx(1e-3 * (number - 2) + Predictor.horizon_s, abs=1e-12)
+    filled(cycle, Mode.STOPPING, number)
+    assert np.isnan(law.seen["t_d"])
+    cycle.motion.settle(number, 0.5)
+    filled(cycle, Mode.TRACKING, number + 1)
+    assert np.isnan(law.seen["t_d"])
 
 
 @pytest.mark.parametrize(("left", "t_d"), [(0, None), (1, 1.5e-3), (2, 0.5e-3), (3, None), (9, None)])

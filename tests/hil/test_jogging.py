@@ -147,15 +147,6 @@ def test_a_jog_whose_words_cease_brakes_100_ms_after_the_last_one(rate_Hz, secon
     assert not samples[-1].twist.any()
 
 
-def test_a_fraction_is_one_of_the_set_up_speed_and_zero_lets_go():
-    held = Held(Box(1.0))
-    _, samples = held.run(600, jog("z", -0.3))
-    assert samples[-1].twist[2] == pytest.approx(-0.3 * SPEED)
-    held.say(jog("z", 0.0))
-    _, samples = held.run(5)
-    assert abs(samples[-1].twist[2]) < 0.3 * SPEED
-
-
 def test_without_the_key_a_jog_is_refused_and_a_key_that_is_let_go_of_ends_it():
     held = Held(Box(1.0), deadman_s=0.05)
     assert held.say(jog("x"))[0] == [NO_KEY]

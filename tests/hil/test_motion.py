@@ -190,22 +190,14 @@ def test_the_time_before_the_next_one_is_zero_at_the_end_and_unknown_when_slow()
     assert ahead(motion, 3, 1.0)[1] is None
 
 
-def test_the_look_ahead_of_a_stop_is_the_stop_and_nothing_comes_next():
-    motion, path = along(move(0.5), then=next_path(), period_s=T), next_path()
+def test_the_look_ahead_of_a_stop_is_the_stop():
+    motion = along(move(0.5), then=next_path(), period_s=T)
     seen = ahead(motion, 250, AHEAD)[0]
     motion.stop(250, 0.5)
     after = ahead(motion, 250, AHEAD)[0]
     np.testing.assert_allclose(after.p, seen.p, atol=1e-7)
     np.testing.assert_allclose(after.twist, seen.twist, atol=1e-4)
     assert ahead(motion, 499, AHEAD)[0].p[0] < 0.1
-    motion = along(move(0.5), then=path, period_s=T)
-    motion.stop(480, 0.01)
-    stands = motion.trajectory.sample(1.0).p
-    for tick in range(480, 500):
-        assert before(motion, tick, path) is None
-        sample, s = ahead(motion, tick, 0.05)
-        assert s is None
-        np.testing.assert_allclose(sample.p, stands, atol=1e-12)
 
 
 # -- a live one, whose speed is its own
@@ -244,16 +236,3 @@ def test_a_live_trajectory_takes_the_share_of_its_speed_and_a_hold_from_the_oper
     motion.aim(1100, 1.0, go=True)
     goes(live, 1100, 1300)
     np.testing.assert_array_equal(live.sample(0.0).p, rests, err_msg="there is no set-point since")
-
-
-def test_a_live_trajectory_is_stopped_by_its_own_brake():
-    motion, live = lives()
-    goes(live, 1, 500)
-    assert not motion.finished(10**6)
-    motion.stop(500, 5.0)
-    assert motion.trajectory is live
-    ends = round(live.duration_s / T)
-    assert 500 < ends < 1200
-    goes(live, 500, ends + 1)
-    assert [motion.finished(tick) for tick in (ends - 1, ends + 1)] == [False, True]
-    assert motion.resting

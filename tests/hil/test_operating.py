@@ -158,6 +158,15 @@ def test_park_waits_for_rest_and_hold_or_start_takes_it_back(order):
     assert not operating.parks
 
 
+@pytest.mark.parametrize(("order", "go"), [(START, True), (HOLD, False)])
+def test_on_the_way_to_the_first_pose_it_is_held_and_started_and_parks_all_the_same(order, go):
+    operating, motion = made()
+    operating.go, operating.parks = not go, True
+    operating.step([order], 9, Mode.STOPPING, motion)
+    assert operating.answers == [""]
+    assert (operating.go, operating.parks) == (go, True)
+
+
 @pytest.mark.parametrize("parks", [False, True])
 @pytest.mark.parametrize("go", [False, True])
 @pytest.mark.parametrize("mode", Mode)

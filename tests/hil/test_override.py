@@ -167,13 +167,6 @@ def test_the_look_ahead_goes_on_at_the_present_rate_up_to_full_speed_and_down_to
     assert override.ahead(4, h) == (3.0 + advance, ends, dsigma)
 
 
-@pytest.mark.parametrize("off", [3e-13, -3e-13, 0.0])
-@pytest.mark.parametrize("dsigma", [0.01, -0.01])
-def test_a_speed_within_rounding_of_its_target_is_put_on_it_to_the_bit(off, dsigma):
-    target = 0.4 + 0.5 * LONG * dsigma + off
-    assert change(0.4, dsigma, target, LIMIT, STEP, LONG)[1:] == (target, 0.0)
-
-
 @pytest.mark.parametrize(("sigma", "dsigma", "end"), [(0.99, 0.5, 1.0), (0.01, -0.5, 0.0)])
 def test_a_speed_is_never_more_than_full_and_never_backward(sigma, dsigma, end):
     assert change(sigma, dsigma, end, LIMIT, 0.01, LONG)[1] == end

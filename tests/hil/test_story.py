@@ -13,16 +13,13 @@ import numpy as np
 import pytest
 
 from drivers.config import TrackerSettings
-from drivers.signals import Doubt, DriveFault, DriveState, Fault, Foreign, Mode, Reaction, Stop, Warn
-from hil.contracts.drives_end import reports
-from hil.contracts.messages import Configure, Status
+from drivers.signals import Doubt, DriveFault, DriveState, Fault, Foreign, Mode, Stop, Warn
 from hil.contracts.records import altered
 from hil.loop.story.faults import FAULTS
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import DONE, GLOSSARY, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from tests.hil.cycle_bench import VIRTUAL, Bench
-from tests.hil.test_frames import OURS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / GLOSSARY).read_text()
@@ -287,17 +284,3 @@ def test_several_faults_of_one_tick_are_all_reported_causes_first(moving):
 
 def test_a_fault_that_its_tick_does_not_show_has_its_name(moving):
     assert strike(moving, Case(Fault.SPEED, {"dq": 0.0}, []))[0].short == "latched fault SPEED"
-
-
-def test_a_drive_that_was_set_up_by_somebody_else_is_reported_with_its_checksum():
-    bench = Bench()
-    bench.until(Mode.APPROACH)
-    narrator = Narrator(bench.cycle)
-    holds = Configure(4, 0.01, Reaction.DAMP)
-    bench.drives.statuses += reports(OURS, Status(4, bench.drives.state[4], 0, holds))
-    bench.step()
-    narrator.look()
-    story = told(narrator)
-    assert story.short.startswith("latched fault SET_UP (drive 4 ")
-    assert "checksum 0x" in story.short
-    assert story.findings[0].seen.leg == 4

@@ -12,7 +12,7 @@ from hil.contracts.drives_end import reports
 from hil.contracts.messages import Configure, Status
 from hil.contracts.records import altered
 from hil.loop.story.narrator import Narrator
-from hil.loop.story.told import DONE, Step, Story
+from hil.loop.story.told import DONE
 from hil.signals import Operator
 from tests.hil.cycle_bench import Bench
 from tests.hil.test_frames import OURS
@@ -42,10 +42,6 @@ def confirm(bench: Bench, *deaf: int) -> None:
         bench.drives.state[leg] = DriveState.FAULT
         holds = Configure(leg, 0.01, Reaction.BRAKE)
         bench.drives.statuses += reports(OURS, Status(leg, DriveState.FAULT, DriveFault.ESTOP, holds))
-
-
-def stops(story: Story) -> list[Step]:
-    return [step for step in story.done if step.mode == "ESTOP"]
 
 
 # -- on six drives
@@ -88,20 +84,6 @@ def test_an_emergency_stop_is_reported_with_who_confirmed_it(bench, deaf):
     ) in text
 
 
-def test_an_emergency_stop_that_drives_forget_is_sent_and_reported_again(bench):
-    narrator = Narrator(bench.cycle)
-    first = bench.tick + 1
-    go_on(bench, narrator, 3, (Operator.ESTOP,))
-    confirm(bench)
-    go_on(bench, narrator, 10)
-    bench.drives.state[4] = DriveState.OFF
-    again = bench.tick + 1
-    found = stops(go_on(bench, narrator, 5))
-    assert [step.tick for step in found] == [first, again]
-    assert "3 ticks, until all six" in found[0].text
-    assert "5 ticks; not confirmed by drive 4" in found[1].text
-
-
 def test_a_reset_ends_the_story_and_the_next_fault_has_its_own(bench):
     narrator = Narrator(bench.cycle)
     go_on(bench, narrator, 1, (Operator.ESTOP,))
@@ -112,23 +94,6 @@ def test_a_reset_ends_the_story_and_the_next_fault_has_its_own(bench):
     bench.step((Operator.ESTOP,))
     narrator.look((Operator.ESTOP,))
     assert [each.tick for each in told(narrator).findings] == [bench.tick]
-
-
-def test_a_drive_that_does_not_follow_is_reported_with_the_time_that_it_had():
-    """LOADING takes the brake test and the ramp, 0.3 s each, and a drive has 1 s more."""
-    bench = Bench()
-    narrator = Narrator(bench.cycle)
-    bench.until(Mode.IDLE)
-    narrator.look()
-    operator: tuple[Operator, ...] = (Operator.ENGAGE,)
-    while bench.cycle.mode is not Mode.FAULT:
-        bench.step(operator)
-        narrator.look(operator)
-        bench.drives.state[3] = DriveState.OFF
-        operator = ()
-    (finding,) = told(narrator).findings
-    assert (finding.fault, finding.seen.leg, finding.mode) == ("DRIVE", 3, "LOADING")
-    assert "1.60 s" in finding.text
 
 
 # -- from mode to mode

@@ -8,14 +8,12 @@ from click.testing import CliRunner
 
 from drivers.errors import PlantError
 from hil.app.check.command import inspect
-from hil.app.check.findings import Report
-from hil.app.check.fmu import coupling_dangers, report_fmu
+from hil.app.check.fmu import coupling_dangers
 from hil.app.configuration.configuration import load
 from hil.cli import main
 from plant_fmu.fmu.probe import Probe
 from plant_fmu.stewart.build import build
 from tests.broad import broad
-from tests.plant_fmu.test_own_fmu import rewritten
 
 pytestmark = pytest.mark.usefixtures("unproven")
 
@@ -82,12 +80,3 @@ def test_check_prints_the_answer_to_a_push_and_refuses_an_fmu_that_does_not_fit(
     file.write_text(file.read_text().replace("rate: [rate]", "rate: [speed]"))
     with pytest.raises(PlantError, match="no variable 'speed'"):
         inspect(load(file))
-
-
-def test_what_a_tool_is_called_adds_no_line_to_the_report(tmp_path):
-    named = (rb'generationTool="[^"]*"', b'generationTool="a&#10;hil: all is well"')
-    path = rewritten("3.0", tmp_path / "p.fmu", named, (rb'fmiVersion="3.0"', b'fmiVersion="3.0&#10;b"'))
-    report = Report("a")
-    report_fmu(report, load(configured(tmp_path, "brake", path)))
-    first, *_ = report.sections["plant FMU"]
-    assert first.endswith(r"p.fmu: FMI 3.0\nb, made by a\nhil: all is well")

@@ -51,32 +51,6 @@ def test_unstated_friction_is_a_twentieth_of_what_a_leg_may_be_asked_for(rated, 
     assert friction_N(c.model_copy(update={"drives": drives, "limits": asked})) == pytest.approx(friction)
 
 
-RATED = r"^  force_limit_N: 3000.*\n"
-
-
-def rated_warnings(c):
-    return [each for each in inspect(c).warnings if "rated force" in each]
-
-
-def test_a_rated_force_that_nobody_stated_is_warned_of_where_it_is_far_above_the_limit():
-    (warning,) = rated_warnings(edited("socketcan", (RATED, "")))
-    assert "drives.force_limit_N is not stated, and 60000 N" in warning
-    assert "40 times limits.force_N 1500" in warning
-    assert rated_warnings(edited("socketcan", (RATED, "  force_limit_N: 60000\n"))) == []
-    assert (
-        rated_warnings(
-            edited("lab", (r"^  force_limit_N: .*\n", ""), (r"^  force_N: .*", "  force_N: 21000"))
-        )
-        == []
-    )
-    assert (
-        rated_warnings(
-            edited("lab", (r"^  force_limit_N: .*\n", ""), (r"^  force_N: .*", "  force_N: 19000"))
-        )
-        != []
-    )
-
-
 def walked(force, swing=0.0):
     """A path of 1 s at 1 kHz whose forces change by `swing` to `force`, N."""
     n = 1001
@@ -102,12 +76,6 @@ def test_a_push_that_the_limits_would_clip_is_told(force, swing, friction, key):
     told = clipped(c, limits_of(c), walked(force, swing))
     assert (told is None) == (key is None)
     assert key is None or key in str(told)
-
-
-def test_a_path_that_breaks_a_limit_alone_is_not_blamed_on_friction():
-    c = stated(load("lab"), 60.0)
-    assert clipped(c, limits_of(c), walked(100.0, 2001.0)) is None
-    assert "limits.force_window_N" in str(clipped(c, limits_of(c), walked(100.0, 1999.0)))
 
 
 def test_a_push_that_moves_a_free_leg_out_of_its_following_error_is_told():

@@ -135,25 +135,3 @@ def test_the_laboratory_platforms_inertia_is_that_of_a_disc_and_a_block():
     assert body["mass"] == disc + block
     assert body["com"][2] == pytest.approx(com, abs=1e-4)
     assert np.diag(body["inertia"]) == pytest.approx([across, across, axial], rel=1e-3)
-
-
-def test_the_laboratory_joints_lie_on_their_circles():
-    for name in ("lab", "socketcan"):
-        p = platform_dict(load(name).platform)
-        for joints, radius, first in ((p["base_joints"], 0.75, 350), (p["platform_joints"], 0.6, 310)):
-            z = np.array([complex(x, y) for x, y, _ in joints])
-            assert np.abs(z) == pytest.approx(radius, abs=1e-6)
-            assert np.rad2deg(np.angle(z[0])) % 360 == pytest.approx(first, abs=1e-3)
-
-
-def test_real_drives_are_treated_as_real():
-    c = load("socketcan")
-    assert c.plant is None
-    assert (c.bus.interface, c.bus.channel) == ("socketcan", "can0")
-    assert c.loop.without_realtime == "refuse"
-
-
-def test_the_slow_bus_has_its_own_watchdog():
-    c = load("vcan50")
-    assert (c.bus.channel, c.loop.rate_Hz) == ("vcan0", 50)
-    assert c.drives.watchdog_ms >= 3 * 20

@@ -6,12 +6,9 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import json_schema, load, loads
-from hil.app.configuration.platform import platform_dict
-from hil.app.configuration.problems import FORMER_KEYS, at
-from hil.app.configuration.text_file import read_configuration, shipped
-from hil.app.configuration.yaml_positions import Position, parse
-from hil.robot.geometry import Platform
+from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.text_file import shipped
+from hil.app.configuration.yaml_positions import parse
 
 VIRTUAL = load("virtual").text
 
@@ -63,11 +60,9 @@ ONE_PROBLEM = [
     ("stroke_margin_m: 0.02", "stroke_margin_m: 0.8", "0.8\n", "limits.stroke_margin_m: leaves no stroke, allowed: less than 0.725 (half of the stroke), given: 0.8"),
     ("priority: 80", "priority: 80.5", "80.5", "loop.priority: wrong type, allowed: a whole number at least 1 and at most 99, given: 80.5"),
     ('fmi_version: "3.0"', "fmi_version: 3.0", "3.0\n", "plant.model.fmi_version: unknown value, allowed: 2.0, 3.0, given: 3.0"),
-    ("variant: full", "variant: constant", "variant: constant", "controller.model: frozen_at is missing"),
     ("variant: full", "variant: precise", "precise", "controller.model.variant: unknown value, allowed: full, no_H, printed"),
     ("com_m: [0, 0, 0]", "com_m: [0, 0]", "[0, 0]\n", "platform.platform.com_m: wrong number of entries, allowed: a list of 3 numbers, given: 2 entries"),
     ("[0, 0, 285]]", "[0, 0, 28]]", "[[570, 0, 0], [0, 285, 0], [0, 0, 28]]", "platform.platform.inertia_kg_m2: got principal moments 28, 285, 570"),
-    ("stale_warn_ticks: 2", "stale_warn_ticks: 6", "force_N: 25000", "limits: stale_warn_ticks is above stale_fault_ticks"),
     ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is no whole number of steps, allowed: 1000 us (loop.rate_Hz 1000) divided by a whole number, as 250, given: 300"),
     ("{t_s: 1, pos", "{t_s: 0, pos", "0, position_m: [0.25", "reference.points[1].t_s: 0 s is not after the point before it"),
     ("{t_s: 2, position_m: [0, 0, 1]", "{t_s: 2, position_m: [0, 0, 1.1]", "- {t_s: 0", "reference.points: periods is 10, but the path ends"),
@@ -98,31 +93,6 @@ def test_an_unreachable_way_point_is_named_with_legs_and_lengths():
     assert "leg 4 2.5605" in problem
 
 
-OFFLINE = [
-    ("  law: inverse_dynamics\n", "  law: feedforward_pd\n  evaluation: offline\n"),
-    ("  wn_rad_s: 20\n  damping_ratio: 1\n", "  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n"),
-]
-
-
-def test_forces_computed_before_the_run_need_a_reference_that_ends():
-    loads(edited(*OFFLINE), "my.yaml")
-    text = edited(*OFFLINE, ("periods: 10", "periods: null"))
-    (problem,) = problems(text)
-    at = place(text, "offline\n")
-    assert problem.startswith(f"my.yaml:{at}: controller.evaluation: offline needs a reference that ends")
-    loads(text.replace("offline", "online"), "my.yaml")
-
-
-def test_a_home_outside_the_stroke_is_refused():
-    text = edited(("length_max_m: 2.2", "length_max_m: 1.6"))
-    found = problems(text)
-    # 1.5925 m, from outside: the book's length at home.
-    assert any(
-        "platform.home: out of reach, allowed leg lengths: 0.77 to 1.58 m" in p and "leg 0 1.5925" in p
-        for p in found
-    )
-
-
 def test_frames_that_do_not_fit_the_bus_are_refused_with_the_arithmetic():
     text = edited(("layout: fd ", "layout: classic "))
     (problem,) = problems(text)
@@ -132,16 +102,6 @@ def test_frames_that_do_not_fit_the_bus_are_refused_with_the_arithmetic():
     )
     assert "8 x classic  8 byte: 135 bit = 135.0 us each, 1080.0 us" in problem
     assert "total 1155.0 us of a 1000.0 us period = 115.5 % at 1000 Hz (allowed 70 %)" in problem
-
-
-def test_bit_rates_that_no_bus_has_are_refused():
-    found = problems(edited(("data_bitrate_bit_s: 5000000", "data_bitrate_bit_s: 500000")))
-    message = "bus.data_bitrate_bit_s: slower than arbitration, allowed: at least 1000000 (bus.bitrate_bit_s), given: 500000"
-    assert found[1].endswith(message)
-    found = problems(edited(("  bitrate_bit_s: 1000000", "  bitrate_bit_s: 2000000")))
-    assert found[0].endswith(
-        "bus.bitrate_bit_s: too fast for arbitration, allowed: at most 1000000, given: 2000000"
-    )
 
 
 def test_all_problems_of_all_sections_are_reported_at_once_in_order_of_the_file():
@@ -251,20 +211,6 @@ def test_scalars_are_those_of_yaml_1_2():
     assert isinstance(value[0], int)
 
 
-def test_who_changes_the_values_of_a_text_changes_no_others():
-    text = "a:\n  b: [1, {c: 2}]\n"
-    value: Any = parse(text).value
-    value["a"]["b"][1]["c"] = 3
-    assert parse(text).value == {"a": {"b": [1, {"c": 2}]}}
-
-
-def test_positions_count_lines_and_columns_from_one():
-    document = parse("a:\n  b: [1, {c: 2}]\n")
-    assert document.values["a", "b", 1, "c"] == Position(2, 14)
-    assert document.keys["a", "b", 1, "c"] == Position(2, 11)
-    assert document.key_position(("a", "missing", "deeper")) == Position(1, 1)
-
-
 def test_a_file_that_is_not_there_names_the_shipped_configurations(tmp_path):
     with pytest.raises(
         ConfigurationError, match=r"no such file; shipped configurations are: .*ideal.*virtual"
@@ -286,16 +232,6 @@ def test_a_shipped_name_loads_from_any_folder_and_a_file_of_that_name_comes_firs
     assert load("virtual").name == "mine"
 
 
-def test_a_folder_with_the_name_of_a_shipped_configuration_does_not_hide_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in shipped():
-        Path(name).mkdir()
-    Path("own").mkdir()
-    assert [load(name).name for name in shipped()] == list(shipped())
-    with pytest.raises(ConfigurationError, match="own: cannot be read: not a regular file"):
-        load("own")
-
-
 def test_the_exact_text_is_kept(tmp_path):
     file = tmp_path / "a.yaml"
     file.write_bytes(VIRTUAL.replace("\n", "\r\n").replace("name: virtual", "description_: x", 0).encode())
@@ -303,10 +239,6 @@ def test_the_exact_text_is_kept(tmp_path):
     assert c.text.encode() == file.read_bytes()
     assert c.folder == tmp_path
     assert c.source == str(file)
-
-
-def test_the_name_defaults_to_that_of_the_file():
-    assert loads(edited(("name: virtual\n", "")), "bench/mine.yaml").name == "mine"
 
 
 @pytest.mark.parametrize(
@@ -324,92 +256,12 @@ def test_what_one_command_cannot_use_is_refused_by_that_command(change, command,
         c.require(command)
 
 
-@pytest.mark.parametrize("bus", [0, 1])
-@pytest.mark.parametrize("command", ["run", "plant"])
-def test_one_bus_of_several_that_lives_inside_one_process_is_refused_between_two(command, bus):
-    _, text = read_configuration("two_buses")
-    own = f"channel: two{bus}, "
-    assert text.count(own) == 1
-    c = loads(text.replace(own, f"{own}interface: virtual, "), "my.yaml")
-    c.require("sim")
-    with pytest.raises(ConfigurationError, match="`virtual` bus lives inside one process"):
-        c.require(command)
-
-
 def test_a_configuration_for_real_drives_is_refused_where_a_plant_is_needed():
     c = load("socketcan")
     c.require("run")
     for command in ("sim", "plant"):
         with pytest.raises(ConfigurationError, match="this configuration is for real drives"):
             c.require(command)
-
-
-def test_platform_dict_has_the_keys_of_the_model():
-    d = platform_dict(load("virtual").platform)
-    platform = Platform.from_dict(d)
-    assert platform.platform.mass == 1150
-    assert d["cylinder"] == {"mass": 85.0, "com": 0.75, "inertia_axial": None, "inertia_transverse": 16.0}
-    assert "universal_joint_base_axes" not in d
-
-
-@pytest.mark.parametrize("action", ["warn", "fault"])
-def test_a_law_without_a_certificate_cannot_be_acted_upon(action):
-    text = load("virtual").text
-    begin, end = text.index("\ncontroller:") + 1, text.index("\nmonitor:") + 1
-    pd = "controller: {law: pd, kp_N_m: 2.0e+6, kv_N_s_m: 5.0e+4}\n"
-    text = text[:begin] + pd + text[end:]
-    assert loads(text, "pd.yaml").monitor.action == "log"
-    text = text.replace("  action: log ", f"  action: {action} ")
-    with pytest.raises(
-        ConfigurationError, match=r"monitor.action: law pd has no certificate: .*allowed: log"
-    ):
-        loads(text, "pd.yaml")
-
-
-def test_a_wrench_from_a_sensor_needs_the_sensor():
-    text = load("virtual").text + "\nestimation: {wrench: {source: sensor}}\n"
-    with pytest.raises(ConfigurationError, match=r"estimation.wrench.source: there is no sensors.wrench"):
-        loads(text, "virtual.yaml")
-    assert loads(text + "sensors: {wrench: {}}\n", "virtual.yaml").estimation.wrench.source == "sensor"
-
-
-LIVE = """\
-reference:
-  type: live
-  limits: {velocity_m_s: 0.2, velocity_deg_s: 10, acceleration_m_s2: 1, acceleration_deg_s2: 50, jerk_m_s3: 10, jerk_deg_s3: 500}
-"""
-
-
-def test_nothing_looks_ahead_along_a_live_reference():
-    text = load("virtual").text
-    first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
-    text = text[:first] + LIVE + text[last:]
-    text = text.replace("    variant: full\n", "    variant: full\n  delay_compensation: {bus_ms: 0.5}\n")
-    with pytest.raises(ConfigurationError, match=r"controller.delay_compensation: looks ahead"):
-        loads(text, "virtual.yaml")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "key", "advice"),
-    [
-        ("  priority: 80 ", "  nice: 80 ", "loop.nice", "loop.priority: 1 to 99"),
-        ("loop:\n", "timing: {}\nloop:\n", "timing", "section loop"),
-        ("    mass_kg: 1150", "    mass: 1150\n    mass_kg: 1150", "platform.platform.mass", "mass_kg"),
-    ],
-)
-def test_a_former_key_is_refused_with_what_to_write_instead(monkeypatch, old, new, key, advice):
-    text = edited((old, new))
-    monkeypatch.setitem(FORMER_KEYS, key, advice)
-    name = key.rpartition(".")[2]
-    before = text[: text.index(f"{name}: ")]
-    line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-    assert problems(text) == (f"my.yaml:{line}:{column}: {key}: no longer a key, write {advice}",)
-
-
-def test_no_key_of_today_is_called_a_former_one():
-    for path in FORMER_KEYS:
-        *parents, name = path.split(".")
-        assert name not in at(tuple(parents), parse(VIRTUAL).value, json_schema()).get("properties", {}), path
 
 
 def step_us(text):
@@ -423,8 +275,3 @@ def test_a_step_of_the_plant_that_is_not_stated_follows_the_rate(rate_Hz):
     steps = 1e6 / rate_Hz / step_us(text)
     assert steps == pytest.approx(round(steps), rel=1e-12)
     assert 10.0 <= steps < 1e4 / rate_Hz + 1.0
-
-
-def test_a_step_of_the_plant_that_divides_the_period_stays_as_it_is():
-    text = edited(("    internal_step_us: 100\n", ""))
-    assert step_us(text) == 100.0

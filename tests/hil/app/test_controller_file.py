@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.controller_file import controller_of, read_controller, spectral_radius
+from hil.app.configuration.controller_file import read_controller, spectral_radius
 
 GOOD = Path(__file__).parents[2] / "data" / "controller.yaml"
 
@@ -39,15 +39,6 @@ def refusal(*arguments, **options):
         bench(*arguments, **options)
     (problem,) = caught.value.problems
     return problem
-
-
-def test_the_file_is_found_beside_the_configuration():
-    c = bench("controller.yaml", GOOD.parent)
-    controller = controller_of(c.controller, c.folder)
-    assert controller is not None
-    assert controller.C == [[1.0, 1.0]]
-    assert spectral_radius(controller) == 1.0, "an integrator"
-    assert controller_of(load("virtual").controller, Path()) is None
 
 
 WRONG = {
@@ -90,12 +81,6 @@ def test_a_controller_for_another_rate_is_refused_where_it_is_named():
     message = refusal(GOOD, Path(), rate_Hz=500)
     assert "controller.controller_file: made for 1000 Hz, and the loop runs at 500 Hz" in message
     assert "design again for that rate" in message
-
-
-def test_a_law_to_compare_is_read_too():
-    text = load("virtual").text + "\ncompare:\n  laws:\n    mine: {law: state_space, controller_file: none}\n"
-    with pytest.raises(ConfigurationError, match=r"compare.laws.mine.controller_file: no such file"):
-        loads(text, "bench.yaml", Path())
 
 
 def test_looking_ahead_is_refused_with_the_reason():

@@ -30,20 +30,6 @@ def test_a_sheet_in_the_present_folder_or_beside_the_configuration_is_read(
         loads(text("drive.eds"), "a.yaml", beside)
 
 
-def test_of_two_sheets_the_one_in_the_present_folder_counts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    here, beside = tmp_path / "here", tmp_path / "beside"
-    for folder, lacks in ((here, ()), (beside, (0x605E,))):
-        folder.mkdir()
-        (folder / "drive.eds").write_text(sheet(*lacks), encoding="ascii")
-    monkeypatch.chdir(here)
-    loads(text("drive.eds"), "a.yaml", beside)
-    monkeypatch.chdir(beside)
-    with pytest.raises(ConfigurationError, match=r"0x605E:0 .* is not there"):
-        loads(text("drive.eds"), "a.yaml", here)
-
-
 def test_a_sheet_that_is_not_there_is_refused_in_its_line(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigurationError, match=r"a\.yaml:\d+:\d+: drives\.options\.eds: no such file: n\.eds"

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import pytest
 from click.testing import CliRunner
-from pydantic import ValidationError
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.fault_words import read_fault, short_keys, show_fault, with_faults
-from hil.app.configuration.problems import split_unit
+from hil.app.configuration.fault_words import read_fault, show_fault, with_faults
 from hil.cli import main
-from plant_fmu.faults import FAULTS
 from plant_fmu.faults.kinds import (
     BrakeSlow,
     BrakeStuckOpen,
@@ -49,13 +46,6 @@ MEANT = [
 def test_words_mean_the_entry_of_the_configuration(text, fault):
     assert read_fault(text) == fault
     assert read_fault(show_fault(fault)) == fault
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_every_key_has_one_short_form(name):
-    keys = [key for key in FAULTS[name].model_fields if key != "kind"]
-    assert list(short_keys(FAULTS[name]).values()) == keys
-    assert all(split_unit(key)[0] == short for short, key in short_keys(FAULTS[name]).items())
 
 
 @pytest.mark.parametrize(
@@ -121,18 +111,6 @@ def test_wrong_entries_are_refused_at_their_place(entry, message):
     assert message in str(refused.value)
 
 
-def test_a_bench_without_a_platform_carries_no_load():
-    with pytest.raises(ConfigurationError, match=r"plant\.faults\[0\]\.kind: wrench_step needs a platform"):
-        configured("bench", "{kind: wrench_step, force_N: [0, 0, -100]}")
-    with pytest.raises(ConfigurationError, match="payload_step needs a platform"):
-        with_faults(load("bench"), ["payload_step mass=10"])
-
-
-def test_real_drives_have_no_faults_on_demand():
-    with pytest.raises(ConfigurationError, match="real drives"):
-        with_faults(load("socketcan"), ["drive_silence leg=0"])
-
-
 def test_a_simulation_refuses_faults_of_a_process_and_real_time_those_of_a_mode():
     process = with_faults(load("virtual"), ["process_kill at=1"])
     process.require("plant")
@@ -142,11 +120,6 @@ def test_a_simulation_refuses_faults_of_a_process_and_real_time_those_of_a_mode(
     mode.require("sim")
     with pytest.raises(ConfigurationError, match=r"PARKING: the plant's end does not know .* `hil sim`"):
         mode.require("plant")
-
-
-def test_faults_are_frozen():
-    with pytest.raises(ValidationError):
-        read_fault("drive_silence leg=0").at_s = 3.0
 
 
 # commands

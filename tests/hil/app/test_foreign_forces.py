@@ -7,10 +7,8 @@ from importlib import resources
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.compose import build_nodes
 from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import Configuration, load, loads
-from hil.app.configuration.fault_words import with_faults
+from hil.app.configuration.configuration import Configuration, loads
 from tests.hil.lab.bringup.families import FAMILIES
 
 KINDS = ["frames_forged_command", "bus_second_controller"]
@@ -38,19 +36,3 @@ def test_a_force_that_no_frame_carries_is_refused_at_its_key(family, kind, sign)
     with pytest.raises(ConfigurationError, match=match) as refused:
         desktop(family, kind, given)
     assert "limits.force_N" not in str(refused.value)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("family", sorted(MOST))
-def test_a_force_that_they_carry_is_taken(family, kind):
-    plant = desktop(family, kind, -200.0).plant
-    assert plant is not None
-    (fault,) = plant.faults
-    assert fault.model_dump(include={"kind", "force_N"}) == {"kind": kind, "force_N": -200.0}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_is_refused_of_a_command_before_the_plant_is_built(kind):
-    c = with_faults(load("desktop"), [f"{kind} force=1e6"])
-    with pytest.raises(ConfigurationError, match=rf"{kind}: force command .* N m are allowed, given: 1e\+06"):
-        build_nodes(c)

@@ -90,13 +90,6 @@ def test_pairs_and_shapes_give_the_laboratory_platform():
     )
 
 
-def test_plain_figures_pass_through_to_the_last_bit():
-    now = platform_dict(load("virtual").platform)
-    given = BOOK["platform"]
-    assert now["platform"] == {"mass": given["mass"], "com": given["com"], "inertia": given["inertia"]}
-    assert now["base_joints"] == BOOK["base_joints"]
-
-
 M, C = 50.0, np.array([0.02, -0.03, 0.15])
 R_CAD, ORIGIN = Rotation.from_rotvec([0.3, 0.9, -0.5]), np.array([0.4, -0.1, 0.7])
 PRINCIPAL = np.diag([2.0, 2.5, 3.2])
@@ -141,21 +134,6 @@ def test_every_form_of_the_same_body_gives_the_same_figures(form):
     assert now["mass"] == M
     assert now["com"] == pytest.approx(C, abs=1e-13)
     assert np.array(now["inertia"]) == pytest.approx(TRUE, abs=1e-12)
-
-
-def test_the_forms_do_differ():
-    """Read without its keys, each other form would be another body."""
-    for form in ("CAD origin", "principal axes"):
-        bare = "\n    ".join(
-            line
-            for line in forms()[form].split("\n    ")
-            if not line.startswith(("inertia_about", "products"))
-        )
-        assert not np.allclose(resolved(body(bare))["inertia"], TRUE, atol=1e-3)
-    unsigned = forms()["CAD origin, positive products"].replace("positive_integral", "negative_integral")
-    assert "with the other sign of the products of inertia (key products) it would be" in problem(
-        body(unsigned)
-    )
 
 
 def test_a_payload_in_a_frame_of_its_own_is_turned_and_moved():

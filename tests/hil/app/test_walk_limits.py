@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from drivers.arrays import Array
-from hil.app.check.command import _controlled_stop_m
-from hil.app.check.dangers import dangers
 from hil.app.check.silence import Beyond, Silence
 from hil.app.configuration.configuration import load
 from hil.app.reachability import Walk, drive_forces, violations
@@ -93,15 +91,6 @@ def test_a_force_that_changes_too_much_breaks_its_limits_either_way(leg, size_N,
         assert [message[: len(each)] for message, each in zip(found, words, strict=True)] == words
 
 
-def test_the_way_of_a_controlled_stop_is_half_its_time_at_the_speed_of_the_fastest_leg_either_way():
-    c = C.model_copy(update={"engage": C.engage.model_copy(update={"stop_s": 0.6})})
-    for leg in LEGS:
-        for way in WAYS:
-            w = walked(leg, dq=1.5 * way)
-            w.dq[0] = -0.2 * way
-            assert _controlled_stop_m(c, w) == pytest.approx(0.5 * 0.6 * 1.5)
-
-
 SILENCE = Silence(T=0.1, a=6.0)
 """Of 1 m/s it leaves 0.1 m + 6 x 0.01 / 2 m = 0.13 m."""
 
@@ -149,14 +138,3 @@ def test_the_damping_of_a_bench_leg_asks_for_force_along_the_motion_either_way(w
     np.testing.assert_allclose(tau[1], 40.0 + way * (103.0 + 5.0 * np.arange(1, 7) ** 2))
     np.testing.assert_allclose(tau[0], 40.0 + way * 103.0)
     np.testing.assert_allclose(rest, way * 103.0)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_the_danger_after_silence_tells_the_way_of_the_leg_and_what_is_left_of_it(way):
-    ahead = HIGH if way > 0 else LOW
-    found = dangers(C, walked(3, q=ahead - 0.12 * way, dq=1.0 * way), SILENCE)
-    (told,) = [each for each in found if "after silence at t" in each]
-    words = (
-        "t = 0.004 s leg 3 travels up to 130 mm until it rests on its brake, and is 120 mm from a hard end"
-    )
-    assert words in told

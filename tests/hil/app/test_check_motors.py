@@ -1,6 +1,7 @@
 """`hil check` on the way from motor to leg, against figures by hand: signs, gears and losses leg by leg."""
 
 from math import pi
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,7 @@ from hil.app.configuration.configuration import load, loads
 pytestmark = pytest.mark.usefixtures("unproven")
 
 EFFICIENCY = [0.9, 0.85, 0.8, 0.9, 1, 0.7]
+
 MIXED = {
     "lead_m": [0.1, 0.1, 0.16, 0.1, 0.12, 0.1],
     "pulley_radius_m": None,
@@ -44,15 +46,44 @@ def test_each_leg_has_what_its_motor_reads_turns_and_gives():
     assert second.split()[1:6] == ["-80", "+0.9375", "to", "-0.9375", "78.54"]
 
 
-def test_legs_that_are_alike_share_a_line_and_drives_that_speak_of_legs_have_none():
-    lines = inspect(load("desktop")).sections["motor to leg"]
-    assert [line.split()[0] for line in lines[1:-3]] == ["0,2,4", "1,3,5"]
-    assert "motor to leg" not in inspect(load("bench")).sections
-
-
 def test_too_much_torque_names_the_leg_that_needs_most_of_it_with_its_own_figures():
     """Leg 5 alone loses 30 %: 300 N x 0.1 m / (2 pi x 0.7) = 6.82 N m; the DM4310 carries 10."""
     with pytest.raises(
         ConfigurationError, match=r"450 N need 10\.23 N m of the motor of leg 5 \(62\.83 N a N m"
     ):
         mixed(force_limit_N=450)
+
+
+TITLE = "fused pose, standard deviations"
+
+PLANT = "\nplant:\n"
+
+ASSUMED = "(assumed); state monitor.friction_N or estimation.fusion.leg_force_std_N as measured"
+
+
+def fused(name, *, plant=True, fusion="{}", changes=()):
+    text = load(name).text
+    if not plant:
+        text = text[: text.index(PLANT)]
+        text = text.replace("  interface: localcan", "  interface: socketcan")
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    added = f"sensors:\n  tracker: {{}}\nestimation:\n  pose: fused\n  fusion: {fusion}\n"
+    return inspect(loads(text.replace("\nloop:\n", f"\n{added}\nloop:\n"), "my.yaml", Path()))
+
+
+def test_it_prints_what_follows_from_encoders_rates_and_friction():
+    assert fused("lab").sections[TITLE] == [
+        "leg lengths    0.052 um",  # sqrt(0.15^2 + 0.1^2) / sqrt(12)
+        "leg rates      0.0289 mm/s, 28.9 us of the acceleration, 0.58 % of the rate",
+        "unknown forces 60 N over 100 ms",
+    ]
+
+
+@pytest.mark.parametrize("unstated", [True, False])
+def test_friction_that_nobody_states_is_assumed_and_asked_for(unstated):
+    stated = ("action: warn", "action: warn\n  friction_N: 100")
+    found = fused("lab", plant=False, changes=[] if unstated else [stated])
+    assert found.sections[TITLE][2].startswith("unknown forces 100 N over 100 ms")
+    assert found.sections[TITLE][2].endswith(ASSUMED) == unstated

@@ -1,5 +1,7 @@
 """What `hil check` says of encoders that fail."""
 
+from __future__ import annotations
+
 import functools
 from typing import Any
 
@@ -9,8 +11,8 @@ import pytest
 from drivers.arrays import Array
 from drivers.signals import Doubt, DriveState, Mode
 from hil.app.check.command import inspect
-from hil.app.configuration.configuration import load, loads
-from hil.app.encoder_limits import encoder_limits, friction_N, read_noise
+from hil.app.configuration.configuration import load
+from hil.app.encoder_limits import encoder_limits, friction_N
 from hil.app.unknown_payload import unknown_payload
 from hil.contracts.records import record_of
 from hil.safety import Safety
@@ -71,7 +73,9 @@ def printed() -> dict[str, Any]:
 
 
 T_S = 1e-3 * np.arange(3000)
+
 SWING = 0.02 * np.sin(np.pi * T_S) ** 2, 0.02 * np.pi * np.sin(2.0 * np.pi * T_S)
+
 """Motion of a leg, m and m/s: 40 mm there and back within 1 s, at 63 mm/s at most."""
 
 
@@ -110,29 +114,6 @@ def test_a_scale_of_the_rate_alone_is_found_beyond_the_printed_share(share, foun
     assert doubt_of(1.5 + way, (1.0 + wrong) * rate) is found
 
 
-def test_the_noise_is_no_less_than_the_step_of_an_emulated_encoder():
-    """2 um are assumed; virtual counts in 1 um, and a feedback in 0.1 um."""
-    c = load("virtual")
-    assert read_noise(c, 1000.0).length_m == 2e-6
-    assert c.plant is not None
-    drives = c.plant.drives.model_copy(update={"encoder_resolution_m": 1e-5})
-    coarse = c.model_copy(update={"plant": c.plant.model_copy(update={"drives": drives})})
-    assert read_noise(coarse, 1000.0).length_m == pytest.approx(1.01e-5)
-
-
-@pytest.mark.parametrize(("times", "length_um", "rate_mm_s"), [(1.0, 10.0, 0.4), (10.0, 76.3, 2.93)])
-def test_the_noise_is_no_less_than_a_step_of_the_drives(times, length_um, rate_mm_s):
-    """Of desktop, 25 rad / 65535 and 60 rad/s / 4095 behind 20 mm; by far coarser drives they decide."""
-    c = load("desktop")
-    assert c.drives.transmission is not None
-    gear = c.drives.transmission.model_copy(update={"pulley_radius_m": times * 0.02})
-    drives = c.drives.model_copy(update={"transmission": gear, "force_limit_N": 300.0 / times})
-    coarse = c.model_copy(update={"drives": drives})
-    limits = encoder_limits(coarse, 400.0)
-    assert 1e6 * limits.length_noise_m == pytest.approx(length_um, rel=2e-3)
-    assert 1e3 * limits.rate_noise_m_s == pytest.approx(rate_mm_s, rel=2e-3)
-
-
 def test_a_push_overcomes_what_the_transmission_loses():
     """F = 24 N of a leg at home; with eta_d 0.9 and eta_b 0.85: (F + 3 + m a) / 0.9 - (F - 3) 0.85."""
     c = load("desktop")
@@ -155,16 +136,34 @@ def test_friction_is_what_is_stated_or_known_or_a_share_of_the_rated_force():
     assert friction_N(stated) == 25.0
 
 
-@pytest.mark.parametrize(
-    ("more", "watched"),
-    [
-        ("", 0b111111),
-        ("estimation: {pose: fused}\n", 0b111111),
-        ("estimation: {pose: fused}\nsensors: {tracker: {rate_Hz: 200}}\n", 0),
-    ],
-)
-def test_a_filter_with_a_tracker_decides_on_all_legs(more, watched):
-    shipped = load("virtual")
-    c = loads(shipped.text + "\n" + more, "fused.yaml", shipped.folder)
-    limits = encoder_limits(c, 1e3)
-    assert limits.watched_legs == watched
+VIRTUAL = load("virtual")
+
+
+@pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 6), (800.0, 6), (400.0, 4), (200.0, 3)])
+def test_a_force_acts_as_late_as_the_rate_that_is_run_makes_it(rate_Hz, ticks):
+    """A period until the drives have it, one of the tick, and five lags of 0.796 ms: 3.98 ms.
+
+    At 400 Hz 2 x 2.5 + 3.98 ms are 3.6 ticks, at 800 Hz 2 x 1.25 + 3.98 ms are 5.2.
+    """
+    assert VIRTUAL.loop.rate_Hz == 1000.0
+    assert encoder_limits(VIRTUAL, rate_Hz).acting_ticks == ticks
+
+
+@pytest.mark.parametrize("rate_Hz", [400.0, 250.0])
+def test_where_rates_are_differences_a_force_counts_two_ticks_longer(rate_Hz):
+    """A slope is made of three lengths."""
+    c = load("lab-cia402")
+    ticks = {}
+    for velocity in ("difference", "pdo"):
+        drives = c.drives.model_copy(update={"options": c.drives.options | {"velocity": velocity}})
+        limits = encoder_limits(c.model_copy(update={"drives": drives}), rate_Hz)
+        assert limits.differences == (velocity == "difference")
+        ticks[velocity] = limits.acting_ticks
+    assert ticks["difference"] == ticks["pdo"] + 2
+
+
+@pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 60), (500.0, 30)])
+def test_encoders_are_watched_from_when_the_brakes_have_opened(rate_Hz, ticks):
+    engage = VIRTUAL.engage.model_copy(update={"brake_release_s": 0.06, "brake_close_s": 0.2})
+    c = VIRTUAL.model_copy(update={"engage": engage})
+    assert encoder_limits(c, rate_Hz).open_ticks == ticks

@@ -1,0 +1,188 @@
+"""Rules of a configuration: each accepts its last good value, and refuses the next at its place."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from drivers.signals import Fault
+from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.config.number import plain_number
+from hil.config.reactions import ReactionSettings
+from hil.config.running import EngageSettings
+
+
+def changed(name: str, changes: dict[str, Any]) -> Configuration:
+    c = load(name)
+    return loads(with_changes(c.text, changes), "my.yaml", c.folder)
+
+
+def reference(kind: str, **keys: Any) -> dict[str, Any]:
+    return {"reference": {"type": kind} | keys}
+
+
+def multisine(**changes: Any) -> dict[str, Any]:
+    axis = {"axis": "z_m", "band_Hz": [1, 50], "lines": 10, "amplitude": 1e-3} | changes
+    return reference("multisine", period_s=axis.pop("period_s", 5), axes=[axis])
+
+
+def waypoints(last_s: float) -> dict[str, Any]:
+    return reference("waypoints", points=[{"t_s": t, "position_m": [0, 0, 1]} for t in (0, last_s)])
+
+
+def sinusoid(frequency_Hz: float) -> dict[str, Any]:
+    wave = {"axis": "z_m", "amplitude": 1e-3, "frequency_Hz": frequency_Hz}
+    return reference("sinusoids", duration_s=5, components=[wave])
+
+
+def payload(**keys: Any) -> dict[str, Any]:
+    body = {"mass_kg": 40, "com_m": [0.05, 0, 0.2], "shape": {"type": "point"}} | keys
+    return {"platform": {"platform": {"payload": [body]}}}
+
+
+def pairs(spacing_m: float) -> dict[str, Any]:
+    circle = {"radius_m": 2, "pair_centres_deg": [0, 120, 240], "pair_spacing_m": spacing_m}
+    return {"platform": {"base_joints_m": circle, "length_max_m": 5}}
+
+
+def brakes(**engage: float) -> dict[str, Any]:
+    return {"engage": {"brake_release_s": 0.05, "brake_close_s": 0.03} | engage}
+
+
+def homed(limit_m: float) -> dict[str, Any]:
+    """A turn is 80 mm of leg, of leg 3 40 mm."""
+    gear = {"lead_m": 0.08, "pulley_radius_m": None, "gear_ratio": [1, 1, 1, 2, 1, 1]}
+    return {
+        "drives": {
+            "force_limit_N": 300,
+            "transmission": gear,
+            "homing": {"file": "a.yaml", "limit_m": limit_m},
+        }
+    }
+
+
+def tracked(latency_ms: float, **estimation: Any) -> dict[str, Any]:
+    return {
+        "sensors": {"tracker": {"rate_Hz": 100, "latency_max_ms": latency_ms}},
+        "estimation": {"pose": "fused"} | estimation,
+    }
+
+
+LIVE = reference(
+    "live", limits={
+        "velocity_m_s": 0.2, "velocity_deg_s": 10, "acceleration_m_s2": 1, "acceleration_deg_s2": 50,
+        "jerk_m_s3": 10, "jerk_deg_s3": 500,
+    },
+)  # fmt: skip
+PD = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
+OFFLINE = {
+    "law": "feedforward_pd", "evaluation": "offline", "kp_N_m": 2e6, "kv_N_s_m": 5e4, "model": {"variant": "full"},
+}  # fmt: skip
+AHEAD = {"controller": {"delay_compensation": {"bus_ms": 0.5}}}
+FROZEN = {"controller": {"model": {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}}}
+LOST = {"fusion": {"may_lose_legs": [0]}}
+
+RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
+    # ranges
+    "plant.model.internal_step_us": ("virtual", {"plant": {"model": {"internal_step_us": 0.1}}}, {"plant": {"model": {"internal_step_us": 0.05}}}, "at least 0.1"),
+    "recording.ring_ticks": ("virtual", {"recording": {"ring_ticks": 131072}}, {"recording": {"ring_ticks": 131073}}, "at most 131072"),
+    "recording.budget_GB": ("virtual", {"recording": {"budget_GB": 1e9}}, {"recording": {"budget_GB": 1e300}}, "at most 1e+09"),
+    "loop.rate_Hz": ("ideal", {}, {"loop": {"rate_Hz": 1e9}}, "at most 100000"),
+    "loop.cpu": ("virtual", {"loop": {"cpu": 0}}, {"loop": {"cpu": -1}}, "at least 0"),
+    "engage.stop_s": ("virtual", {"engage": {"stop_s": 60}}, {"engage": {"stop_s": 61}}, "at most 60"),
+    "limits.stale_fault_ticks": ("virtual", {"limits": {"stale_fault_ticks": 1000}}, {"limits": {"stale_fault_ticks": 1001}}, "at most 1000"),
+    "reference.periods": ("virtual", {"reference": {"periods": 1000000}}, {"reference": {"periods": 10**30}}, "at most 1e+06"),
+    "reference.points[1].t_s": ("virtual", waypoints(86400), waypoints(86401), "at most 86400"),
+    "reference.duration_s": ("virtual", reference("hold", duration_s=1e9), reference("hold", duration_s=1e20), "at most 1e+09"),
+    "reference.axes[0].lines": ("virtual", multisine(), multisine(lines=1001), "at most 1000"),
+    "reference.axes[0].band_Hz": ("virtual", multisine(), multisine(period_s=1000, band_Hz=[1, 400]), "up to 200 Hz"),
+    "reference.components[0].frequency_Hz": ("virtual", sinusoid(500), sinusoid(501), "above half the rate"),
+    "platform.home.rotation_vector_deg": ("virtual", {}, {"platform": {"home": {"rotation_vector_deg": [0, 0, 181]}}}, "181"),
+    # rules within a section
+    "limits": ("virtual", {"limits": {"stale_warn_ticks": 5}}, {"limits": {"stale_warn_ticks": 6}}, "stale_warn_ticks is above"),
+    "controller.delay_compensation": ("virtual", AHEAD, {"controller": {"delay_compensation": {"bus_ms": 0}}}, ""),
+    "controller.model": ("virtual", FROZEN, {"controller": {"model": {"variant": "constant"}}}, "frozen_at"),
+    "platform.base_joints_m": ("virtual", pairs(3.9), pairs(4), "does not fit on the circle"),
+    "platform.platform.payload[0]": ("virtual", payload(mass_range_kg=[40, 80]), payload(mass_range_kg=[41, 80]), "mass_kg lies outside"),
+    "estimation.fusion.may_lose_legs ": ("virtual", tracked(10, fusion={"may_lose_legs": [0, 5]}), tracked(10, fusion={"may_lose_legs": [3, 3]}), "a leg twice"),
+    # rules between sections
+    "plant.drives.brake_open_ms": ("virtual", brakes(), brakes(brake_release_s=0.049), ""),
+    "plant.drives.brake_close_ms": ("virtual", brakes(), brakes(brake_close_s=0.029), ""),
+    "limits.standstill_m": ("virtual", {"plant": {"drives": {"encoder_resolution_m": 1.24e-4}}}, {"plant": {"drives": {"encoder_resolution_m": 1.26e-4}}}, "at least"),
+    "sensors.tracker.latency_max_ms": ("virtual", tracked(125.9), tracked(126.1), ""),
+    "sensors.tracker.node_id": ("virtual", tracked(10), tracked(10) | {"drives": {"node_ids": [20, 2, 3, 4, 5, 6]}, "sensors": {"tracker": {"rate_Hz": 100, "latency_max_ms": 10, "node_id": 20}}}, "drives.node_ids does not have"),
+    "estimation.fusion.may_lose_legs": ("virtual", tracked(10, **LOST), {"estimation": {"pose": "fused"} | LOST}, ""),
+    "drives.homing.limit_m": ("desktop", homed(0.00999), homed(0.01001), "less than 0.01"),
+    "drives.transmission": ("desktop", {}, {"drives": {"transmission": {"offset_m": [0.325, 0.325, 0.501, 0.325, 0.325, 0.325]}}}, "drive 2 reports ends"),
+    "monitor.action": ("virtual", {"controller": PD}, {"controller": PD, "monitor": {"action": "fault"}}, "no certificate"),
+    "estimation.wrench.source": ("virtual", {"estimation": {"wrench": {"source": "sensor"}}, "sensors": {"wrench": {}}}, {"estimation": {"wrench": {"source": "sensor"}}}, "no sensors.wrench"),
+    "controller.delay_compensation ": ("virtual", AHEAD, AHEAD | LIVE, "looks ahead"),
+    "controller.evaluation": ("virtual", {"controller": OFFLINE}, {"controller": OFFLINE, "reference": {"periods": None}} | LIVE, "needs a reference that ends"),
+    "platform.home": ("virtual", {}, {"platform": {"length_max_m": 1.6}}, "out of reach"),
+    "plant.model.rest_length_m": ("bench", {}, {"plant": {"model": {"rest_length_m": 0.1}}}, ""),
+    "bus.data_bitrate_bit_s": ("virtual", {}, {"bus": {"data_bitrate_bit_s": 500000}}, "slower than arbitration"),
+    "bus.bitrate_bit_s": ("virtual", {}, {"bus": {"bitrate_bit_s": 2000000}}, "too fast for arbitration"),
+    "plant.faults[0].kind": ("virtual", {"plant": {"faults": [{"kind": "wrench_step", "force_N": [0, 0, -9]}]}}, {"plant": {"model": {"type": "bench"}, "faults": [{"kind": "wrench_step", "force_N": [0, 0, -9]}]}}, "needs a platform"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "row"), RULES.items(), ids=list(RULES))
+def test_the_next_value_is_refused_at_once_at_its_place(key, row):
+    name, fine, refused, words = row
+    changed(name, fine)
+    begun = time.process_time()
+    with pytest.raises(ConfigurationError) as caught:
+        changed(name, refused)
+    assert time.process_time() - begun < 2.0
+    found = [each for each in caught.value.problems if f": {key.strip()}: " in each and words in each]
+    assert found, caught.value.problems
+    assert found[0].startswith("my.yaml:")
+
+
+@pytest.mark.parametrize(("heartbeat_ms", "frames"), [(100, 0), (6.1, 0), (6, 1), (3.1, 1)])
+def test_the_bus_budget_counts_the_heartbeats_of_every_tick(heartbeat_ms, frames):
+    """A status frame is classic, 5 bytes: 44 + 40 + 3 + floor(73 / 4) = 105 bits, 105 us of 1 ms."""
+    c = changed("virtual", {"drives": {"heartbeat_ms": heartbeat_ms}})
+    found = bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    assert found is not None
+    assert found.load_percent == pytest.approx(56.82 + 10.5 * frames, abs=1e-9)
+
+
+def test_heartbeats_that_do_not_fit_are_refused_with_the_arithmetic():
+    with pytest.raises(ConfigurationError, match=r"6 x classic  5 byte: 105 bit = 105\.0 us each, 630\.0 us"):
+        changed("virtual", {"drives": {"heartbeat_ms": 1}})
+
+
+@pytest.mark.parametrize(("closes", "expected"), [(None, 0.1), (0.0, 0.0), (0.05, 0.05), (0.3, 0.3)])
+def test_brakes_close_in_the_time_given_or_else_in_that_to_open(closes, expected):
+    assert EngageSettings(brake_release_s=0.1, brake_close_s=closes).closing_s == expected
+
+
+@pytest.mark.parametrize("reaction", ["ss1", "sbc", "sto"])
+def test_each_fault_leads_to_its_reaction_and_no_other(reaction):
+    settings = ReactionSettings(stroke="ss1", speed="ss1", drive="sto", stale="sto", law="sto")
+    expected = {
+        "ss1": {"STROKE", "SPEED", "CERTIFICATE", "REFUSED_FRAMES", "SET_UP"},
+        "sto": {"DRIVE", "STALE", "LAW"},
+        "sbc": {
+            "FOLLOWING", "KINEMATICS", "ASSEMBLY", "CONDITION", "NOT_FINITE", "ENCODER", "UNCERTAIN",
+            "DUPLICATE_NODE",
+        },
+    }  # fmt: skip
+    found = settings.led_to(reaction)
+    assert {fault.name for fault in Fault if fault and fault in found} == expected[reaction]
+
+
+@pytest.mark.parametrize(("word", "number"), [("1", 1.0), ("-.5", -0.5), (" 3e-2 ", 0.03), ("1E3", 1000.0)])
+def test_plain_figures_are_a_number(word, number):
+    assert plain_number(word) == number
+
+
+@pytest.mark.parametrize("word", ["", ".", "1_0", "nan", "inf", "0x10", "٣", "1 2", "1e", "--1", "1,5"])
+def test_other_characters_are_no_number(word):
+    assert plain_number(word) != plain_number(word)

@@ -7,11 +7,10 @@ from importlib import resources
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import loads
 from hil.app.sim.command import simulate
 
 PDO = {"velocity: difference": "velocity: pdo", "  rate_Hz: 400": "  rate_Hz: 312.5"}
-SAME = ("platform", "controller", "monitor", "engage", "reference", "limits", "reactions", "plant")
 """Sections of a shipped configuration that its twin with CiA 402 drives has, too."""
 
 
@@ -21,20 +20,6 @@ def configuration(name, changes=None):
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     return loads(text, name)
-
-
-@pytest.mark.parametrize("name", ["virtual", "lab"])
-def test_a_shipped_robot_and_its_twin_with_cia402_drives_differ_in_bus_drives_and_rate_alone(name):
-    ours, theirs = load(name), load(f"{name}-cia402")
-    assert theirs.drives.protocol == "cia402"
-    for section in SAME:
-        one, other = (getattr(c, section).model_dump() for c in (ours, theirs))
-        if section == "plant":
-            one["drives"].pop("encoder_resolution_m")
-            assert other["drives"].pop("encoder_resolution_m") == 0.0, "the drives count by themselves"
-        assert one == other, section
-    assert theirs.drives.force_limit_N == ours.drives.force_limit_N
-    assert theirs.loop.model_dump() == ours.loop.model_dump() | {"rate_Hz": 400.0}
 
 
 @pytest.mark.parametrize(
@@ -63,9 +48,3 @@ def test_a_rate_that_the_bus_does_not_carry_is_refused_with_the_arithmetic():
     assert "12 x classic  4 byte: 95 bit = 95.0 us each, 1140.0 us" in text
     assert "total 2005.0 us of a 2500.0 us period = 80.2 % at 400 Hz (allowed 70 %)" in text
     assert "up to 349 Hz" in text
-
-
-def test_a_reaction_that_such_drives_do_not_have_is_refused():
-    changes = {"  silence: brake ": "  silence: hold  "}
-    with pytest.raises(ConfigurationError, match=r"allowed with drives\.protocol cia402.*brake, damp"):
-        configuration("virtual", changes)

@@ -1,30 +1,21 @@
 """The command line as a user meets it: help that teaches, exit codes, the summary on the terminal and as JSON."""
 
 import json
-import os
 import re
 import shlex
 import subprocess
 import sys
 import zipfile
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import LogError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.text_file import shipped
 from hil.app.output import (
-    check_json_path,
-    fold,
-    log_path,
-    replay_sentence,
-    show,
     table,
-    write_json,
 )
 from hil.cli import main
 
@@ -105,31 +96,6 @@ def test_help_imports_nothing_heavy():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.splitlines()[-1] == "heavy: []"
-
-
-def test_the_list_of_commands_imports_none_of_them():
-    code = (
-        "import sys; from hil.cli import main; main(['--help'], standalone_mode=False); "
-        "print([m for m in sys.modules if m.startswith('hil.')])"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.splitlines()[-1] == "['hil.cli.interrupts', 'hil.cli.streams', 'hil.cli']"
-
-
-def test_a_run_and_a_simulation_start_without_scipys_algebra():
-    """Numba asks for it as it loads kernels; with it each start is up to a tenth longer."""
-    code = (
-        "import sys, hil.app.sim.command, hil.app.run.command; "
-        "print([m for m in sys.modules if m.startswith(('scipy.linalg', 'numpy.f2py'))])"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.splitlines()[-1] == "[]"
-
-
-def test_an_unknown_command_is_refused_with_its_name():
-    result = hil("symulate")
-    assert result.exit_code == 2
-    assert "No such command 'symulate'" in result.stderr
 
 
 def test_an_unknown_configuration_names_the_shipped_ones():
@@ -225,11 +191,6 @@ def test_check_exits_2_with_all_problems_on_the_terminal_and_in_json(tmp_path):
         assert problem in result.stderr
 
 
-def test_check_folds_its_lines_to_the_terminal(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    assert max(len(line) for line in hil("check", "lab").stdout.splitlines()) <= 80
-
-
 def test_fmu_build_copies_both_versions_into_a_folder_that_it_makes(tmp_path):
     result = hil("fmu", "build", "--output", tmp_path / "new" / "fmus", "--json", tmp_path / "fmu.json")
     assert result.exit_code == 0, result.output
@@ -288,136 +249,7 @@ def test_the_table_is_aligned_rounded_and_has_units(width):
     assert "\n".join(table(SUMMARY, width)) == TABLE
 
 
-def test_a_long_value_is_folded_under_its_column_and_a_path_is_not():
-    path = "/a/very/long/path/" + "x" * 80 + ".mcap"
-    lines = table({"success": True, "log": path, "recorder": "one two three four five six " * 4}, 80)
-    assert lines[0] == f"log       {path}"
-    assert all(len(line) <= 80 and line.startswith(" " * 10) for line in lines[2:])
-    assert len(lines) == 3
-
-
-def test_the_headline_says_how_it_went(capsys):
-    show("run", SUMMARY | {"success": False}, width=80)
-    assert capsys.readouterr().out.splitlines()[0] == "run: failed"
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({}, "21302 ticks, 0 differences"),
-        (
-            {
-                "different_ticks": 1,
-                "wire_different_ticks": 1,
-                "first": ["tick 1200: tau: recorded [1. 2.], replayed [1. 3.]"],
-            },
-            "21302 ticks, 1 difference (1 in sent frames), the first in tick 1200: tau",
-        ),
-        (
-            {"ticks": 700, "gaps": ["1 ticks missing from tick 700"]},
-            "700 ticks, 0 differences; 1 ticks missing from tick 700",
-        ),
-        ({"ticks": 0}, "0 ticks: nothing to compare"),
-    ],
-)
-def test_a_replay_is_one_sentence(changes, sentence):
-    assert replay_sentence(SUMMARY["replay"] | changes) == sentence
-
-
-def test_folding_breaks_between_words_only():
-    assert fold("alpha beta gamma delta epsilon", 20) == ["alpha beta gamma", "delta epsilon"]
-
-
 # -- files ---------------------------------------------------------------------------------------------------
 
 
-def test_a_summary_with_a_number_that_is_none_is_json_all_the_same(tmp_path):
-    write_json(tmp_path / "a.json", {"success": True, "x": float("nan"), "y": [float("inf"), 1.5]})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"success": True, "x": None, "y": [None, 1.5]}
-
-
-def test_a_summary_goes_into_a_pipe_without_replacing_it():
-    code = (
-        "from pathlib import Path; from hil.app.output import write_json; "
-        "write_json(Path('/dev/stdout'), {'success': True}); assert Path('/dev/null').is_char_device(); "
-        "write_json(Path('/dev/null'), {}); assert Path('/dev/null').is_char_device()"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert json.loads(out) == {"success": True}
-
-
-def test_logs_of_the_same_second_get_names_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr("time.strftime", lambda *_: "20260131T120000")
-    first = log_path(str(tmp_path), "bench", None, "-plant")
-    first.touch()
-    second = log_path(str(tmp_path), "bench", None, "-plant")
-    assert [first.name, second.name] == [
-        "bench-20260131T120000-plant.mcap",
-        "bench-20260131T120000-2-plant.mcap",
-    ]
-
-
-def test_links_in_a_circle_are_one_line_wherever_a_file_is_named(tmp_path):
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    loop = str(tmp_path / "loop")
-    for words in (["check", loop], ["replay", loop], ["export", loop, f"{loop}.csv"], ["plot", loop]):
-        result = CliRunner().invoke(main, words)
-        assert result.exit_code == 2
-        assert re.fullmatch(r"(hil|Error).*\n|(?s:Usage.*)", result.stderr), result.stderr
-    with pytest.raises(LogError, match="name a file of its own"):
-        check_json_path(Path(loop), Path(loop))
-
-
-def test_a_set_point_without_its_position_is_refused_and_does_not_wait_for_input():
-    result = hil("setpoint", "virtual", "--rotation", 0, 5, 0)
-    assert result.exit_code == 2
-    assert "--rotation needs --position" in result.output
-
-
 # -- a pipe that closes early --------------------------------------------------------------------------------
-
-
-@contextmanager
-def nobody_reads():
-    """Standard output is a pipe whose reader has closed it."""
-    reader, writer = os.pipe()
-    os.close(reader)
-    saved, stdout = os.dup(1), sys.stdout
-    os.dup2(writer, 1)
-    sys.stdout = os.fdopen(1, "w", closefd=False)
-    try:
-        yield
-    finally:
-        with suppress(BrokenPipeError):
-            sys.stdout.close()
-        sys.stdout = stdout
-        os.dup2(saved, 1)
-        os.close(saved)
-        os.close(writer)
-
-
-@pytest.mark.parametrize("words", ["--help", "sim --help", "schema", "replay tests/data/none.mcap"])
-def test_a_command_that_nobody_reads_any_more_ends_without_a_word(words, capfd):
-    with nobody_reads(), pytest.raises(SystemExit) as end:
-        main(words.split())
-    refused = words.startswith("replay")
-    assert end.value.code == (2 if refused else 141), "what prints nothing ends as ever"
-    said = "hil: tests/data/none.mcap: no such file\n" if refused else ""
-    assert capfd.readouterr() == ("", said)
-
-
-def test_a_picture_is_drawn_whatever_window_another_program_would_open_for_it(tmp_path):
-    """In a process of its own, as Matplotlib reads the variable when it is imported."""
-    process = subprocess.run(
-        [sys.executable, "-c", "import hil.cli, matplotlib; print(matplotlib.get_backend())"],
-        env=os.environ | {"MPLBACKEND": "nonsense"},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert process.stdout == "agg\n"
-
-
-@pytest.mark.parametrize("number", ["1e300", "1.1e15", "1e-61"])
-def test_a_number_of_an_option_that_is_not_meant_is_refused_with_what_is_allowed(number):
-    result = CliRunner().invoke(main, ["workspace", "virtual", "--payload", number])
-    assert result.exit_code == 2
-    assert f"'--payload': '{number}' is not meant, allowed in size: 0, and 1e-60 to 1e+15." in result.stderr

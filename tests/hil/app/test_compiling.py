@@ -28,12 +28,3 @@ def test_a_pipe_gets_one_line_and_none_where_nothing_is_compiled(compiled, capsy
     (line,) = capsys.readouterr().err.splitlines()
     (most,) = map(int, re.findall(r"kernel 1 of at most (\d+)", line))
     assert 100 < most < 300, "counted in the sources"
-
-
-def test_a_terminal_gets_a_row_a_kernel_that_goes_with_it(compiled, capsys, monkeypatch):
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    compiled(3)
-    shown = capsys.readouterr().err
-    assert re.findall(r"kernel (\d+) of", shown) == ["1", "2", "3"]
-    assert shown.endswith("\r\x1b[K")
-    assert "\n" not in shown

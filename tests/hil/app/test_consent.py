@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pty
 import select
-import signal
 import subprocess
 import sys
 import time
@@ -18,10 +17,8 @@ from click.testing import CliRunner
 
 from drivers.errors import RunError
 from drivers.signals import Fault, Mode
-from hil.app.run.command import _hung_up
 from hil.app.run.consent import EnterKey
 from hil.cli import main
-from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from hil.signals import Operator
 from tests.broad import broad
@@ -108,42 +105,9 @@ def test_a_terminal_that_hangs_up_is_one_stop_and_no_defect(tmp_path, asked):
     assert said.read_text() == "1 [False, False, False] ['STOP']\n"
 
 
-def test_a_stop_that_was_asked_for_before_the_terminal_went_stays_one(monkeypatch):
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    panel = OperatorPanel()
-    panel.running()
-    panel.interrupt(signal.SIGHUP, None)
-    _hung_up(panel)
-    assert panel.take() == (Operator.STOP,)
-
-
 def test_without_a_terminal_arm_is_asked_for(tmp_path):
     with (tmp_path / "input").open("w+") as file, pytest.raises(RunError, match="--arm"):
         EnterKey(lambda: None, file.fileno())
-
-
-def test_a_process_in_the_background_of_its_terminal_is_refused():
-    """Reading there would stop the process."""
-    code = (
-        "import os, sys; sys.path.insert(0, os.getcwd())\n"
-        "from hil.app.run.consent import EnterKey\n"
-        "child = os.fork()\n"
-        "if child == 0:\n"
-        "    os.setpgid(0, 0)\n"
-        "    try:\n        EnterKey(lambda: None)\n"
-        "    except Exception as error:\n        os.write(2, str(error).encode()); os._exit(3)\n"
-        "    os._exit(0)\n"
-        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
-    )
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.chdir(ROOT)
-        os.execv(sys.executable, [sys.executable, "-c", code])
-    heard = read_until(terminal, b"--arm")
-    _, status = os.waitpid(pid, 0)
-    os.close(terminal)
-    assert b"add --arm" in heard
-    assert os.waitstatus_to_exitcode(status) == 3
 
 
 def test_hil_run_without_a_word_ends_before_it_opens_the_bus():

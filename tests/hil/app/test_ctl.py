@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -10,19 +9,22 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, RunError
+from hil.app import operate, setpoint
 from hil.app.configuration.address import address
 from hil.app.configuration.configuration import load
 from hil.app.configuration.text_file import read_configuration
-from hil.app.sim.commands import CommandScript, read_commands
+from hil.app.sim.commands import read_commands
 from hil.cli import main
 from hil.operate.channel import OperatorChannel
+from hil.operate.client import Answer
 from hil.signals import Operator, Order, SetPoint
 
 STATUS = {
@@ -229,49 +231,6 @@ def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
     assert controller.heard == [SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
-def test_set_points_of_bytes_that_are_no_text_are_refused_and_the_others_go_on(
-    controller, tmp_path, monkeypatch, capsys, encoding
-):
-    given = io.BytesIO(b"0 0 1\n\xff\n0 0 1.\xe9\n0.1 0 1\n")
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(given, encoding=encoding))
-    monkeypatch.setattr("sys.argv", ["hil", "setpoint", changed(tmp_path, "type: waypoints", "type: live")])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
-    assert [each.x for each in controller.heard] == [0.0, 0.1]
-    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert (shown["sent"], shown["taken"]) == ("4", "2")
-
-
-@pytest.mark.parametrize(
-    "words", [["\udcff"], ["hold\udcff"], ["speed", "\udcff40"], ["jog", "x", "1\udcff"]]
-)
-def test_a_word_of_bytes_that_are_no_text_is_refused(controller, words):
-    result = ctl(*words)
-    assert result.exit_code == 1, result.output
-    assert "hil: refused: " in result.stderr
-    assert not controller.heard
-
-
-@pytest.mark.parametrize("length", [600, 4_000, 300_000])
-def test_a_line_of_any_length_is_refused_as_too_long_by_a_controller_that_runs_on(controller, length):
-    result = ctl("hold" + " " * length)
-    assert result.exit_code == 1, result.output
-    assert "hil: refused: longer than 512 bytes" in result.stderr
-    assert ctl("hold").exit_code == 0
-    assert controller.heard == [Order(Operator.HOLD)]
-
-
-@pytest.mark.parametrize("t", [-1e-9, float("nan"), float("inf"), 1e306, 1.1e9])
-def test_a_command_at_a_time_that_no_run_reaches_is_refused_with_its_place(t):
-    with pytest.raises(
-        ConfigurationError, match=r"o\.txt: command 2: time .*, allowed: seconds from 0 to 1e\+09"
-    ):
-        CommandScript([(0.0, "hold"), (t, "park")], 1000.0, "o.txt")
-    assert CommandScript([(1e9, "hold")], 1000.0).left == 1
-
-
 @pytest.mark.parametrize(
     ("line", "told"),
     [
@@ -292,15 +251,83 @@ def test_a_wrong_line_of_a_file_of_commands_is_named_with_its_number(tmp_path, l
         read_commands(file)
 
 
-def test_a_file_of_commands_may_begin_with_the_mark_of_its_encoding(tmp_path):
-    (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf1 hold\n")
-    assert read_commands(tmp_path / "a.txt") == [(1.0, "hold")]
+LIVE = """reference:
+  type: live
+  limits: {velocity_m_s: 0.3, velocity_deg_s: 20, acceleration_m_s2: 1, acceleration_deg_s2: 60, jerk_m_s3: 10, jerk_deg_s3: 600}
+
+"""
+
+Said = Callable[..., tuple[Result, Path]]
 
 
-def test_a_file_of_commands_has_times_words_and_remarks(tmp_path):
-    file = tmp_path / "operator.txt"
-    file.write_text("# a remark\n2.5 hold\n\n 4 speed 40  # slow\n")
-    assert [(t, text.strip()) for t, text in read_commands(file)] == [(2.5, "hold"), (4.0, "speed 40")]
-    file.write_text("hold 2.5\n")
-    with pytest.raises(ConfigurationError, match=r"operator\.txt:1: 'hold' is no time"):
-        read_commands(file)
+class Ending:
+    """Answers so many lines, and has ended then; refuses the second one where it is to."""
+
+    def __init__(self, answers: int, *, refuses: bool = False) -> None:
+        self._left, self._refuses = answers, refuses
+        self.heard: list[str] = []
+
+    def say(self, line: str) -> Answer:
+        if not self._left:
+            raise RunError("the controller did not answer: has it ended?")
+        self._left -= 1
+        self.heard.append(line)
+        return Answer(not (self._refuses and len(self.heard) == 2), "too far")
+
+    def key(self) -> None:
+        self.say("key")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """There is nothing to give back."""
+
+
+@pytest.fixture
+def said(tmp_path, monkeypatch) -> Said:
+    """Give a command to a controller that ends; return the result and the file of its summary."""
+    text = load("virtual").text
+    first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
+    (tmp_path / "my.yaml").write_text(text[:first] + LIVE + text[last:])
+    monkeypatch.setattr(operate, "REPEAT_S", 0.0)
+
+    def said(words: str, controller: Ending, lines: str = "") -> tuple[Result, Path]:
+        for module in (operate, setpoint):
+            monkeypatch.setattr(module, "OperatorClient", lambda *_: controller)
+        name, *more = words.split()
+        given = [name, str(tmp_path / "my.yaml"), *more, "--json", str(tmp_path / "a.json")]
+        return CliRunner().invoke(main, given, input=lines), tmp_path / "a.json"
+
+    return said
+
+
+@pytest.mark.parametrize("words", ["ctl key", "ctl jog x 1", "ctl jog leg3 -0.5 --for 9"])
+def test_a_controller_that_ends_meanwhile_is_a_failure_whose_summary_says_how_often_it_heard(said, words):
+    result, file = said(words, Ending(3))
+    assert result.exit_code == 1
+    summary = json.loads(file.read_text())
+    assert (summary["success"], summary["sent"]) == (False, 3)
+    assert "has it ended?" in summary["trouble"]
+    assert summary["trouble"] in result.stderr
+
+
+@pytest.mark.parametrize("refuses", [False, True])
+def test_set_points_that_were_taken_before_the_controller_ended_are_counted(said, refuses):
+    lines = "0 0 1\n0 0 1.1\n\n0 0 1.2\n0 0 1.3\n0 0 1.4\n"
+    result, file = said("setpoint", Ending(3, refuses=refuses), lines)
+    assert result.exit_code == 1
+    summary = json.loads(file.read_text())
+    assert summary["success"] is False
+    assert (summary["sent"], summary["taken"]) == (4, 3 - refuses)
+    assert summary["refused"] == ["0 0 1.1: too far"] * refuses
+    assert summary["trouble"].startswith("0 0 1.3: the controller did not answer")
+    assert summary["trouble"] in result.stderr
+
+
+@pytest.mark.parametrize("words", ["ctl key", "ctl jog x 1", "setpoint"])
+def test_a_controller_that_answers_nothing_at_all_is_refused_with_2_and_leaves_no_summary(said, words):
+    result, file = said(words, Ending(0), "0 0 1\n0 0 1.1\n")
+    assert result.exit_code == 2
+    assert "has it ended?" in result.stderr
+    assert not file.exists()

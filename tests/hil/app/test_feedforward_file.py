@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +10,13 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
-from hil.app.check.feedforward import report_feedforward
-from hil.app.check.findings import Report
 from hil.app.compose import attachments, build_cycle
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import feedforward_text, made_for, read_feedforward
-from hil.app.configuration.platform import build_platform
 from hil.app.recorded_files import with_attachments
 from hil.app.stability.subject import Stated, Subject
 from hil.config.feedforward import FeedforwardHead
-from hil.lab.identify.axes import excited_axes
-from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian
-from hil.study.campaign.named_files import digests
-from hil.study.compare.command import compare
 
 pytestmark = pytest.mark.usefixtures("unproven")
 
@@ -67,25 +58,6 @@ def test_a_file_is_read_as_it_was_written() -> None:
     assert not tau.flags.writeable
 
 
-def test_a_mark_of_byte_order_and_line_ends_of_another_system_change_nothing() -> None:
-    other = b"\xef\xbb\xbf" + TEXT.replace("\n", "\r\n").encode()
-    head, tau, _, _ = read_feedforward(other, "learned.csv")
-    assert head.source == "first.mcap"
-    np.testing.assert_array_equal(tau, ROWS)
-
-
-def test_a_campaign_knows_the_file_that_its_rows_read(tmp_path: Path) -> None:
-    using(tmp_path)
-    base = {"feedforward": {"file": "learned.csv"}}
-    assert list(digests(base, {}, tmp_path, tmp_path, tmp_path)) == [str(tmp_path / "learned.csv")]
-
-
-def test_a_spreadsheet_reads_the_columns_behind_the_comments() -> None:
-    rows = list(csv.DictReader(line for line in TEXT.splitlines() if not line.startswith("#")))
-    np.testing.assert_array_equal([float(row["leg_3_N"]) for row in rows], ROWS[:, 3])
-    np.testing.assert_allclose([float(row["t_s"]) for row in rows], 1e-3 * np.arange(-4, 6))
-
-
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -115,24 +87,6 @@ def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: st
 
 
 @pytest.mark.parametrize(
-    "raw",
-    [
-        b"",
-        b"#\n",
-        b"\xff\xfe",
-        b"# a\n" * 5000,
-        TEXT[: TEXT.index("-0.003")].encode(),
-        TEXT[: TEXT.index("-0.004")].encode(),
-        TEXT[: TEXT.index("0.005,")].encode(),
-        TEXT[:-3].encode(),
-    ],
-)
-def test_what_is_no_such_file_is_refused(raw: bytes) -> None:
-    with pytest.raises(ConfigurationError, match=r"learned\.csv"):
-        read_feedforward(raw, "learned.csv")
-
-
-@pytest.mark.parametrize(
     ("what", "changes"),
     [
         ("reference", {"reference": {"periods": 2}}),
@@ -152,11 +106,6 @@ def test_it_acts_on_nothing_but_what_it_was_learned_on(what: str, changes: Any, 
     assert "learn anew" in str(refused.value)
 
 
-def test_what_does_not_change_the_path_changes_no_fingerprint(tmp_path: Path) -> None:
-    c = using(tmp_path, reference={"evaluation": "offline"}, limits={"force_N": 24000})
-    assert build_cycle(c, 1000.0, 0.01).parts.learned is not None
-
-
 def test_more_than_its_limit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigurationError, match=r"above feedforward\.limit_N, allowed: up to 90 N, given: 99"
@@ -174,19 +123,6 @@ def test_a_live_reference_has_no_feed_forward(tmp_path: Path) -> None:
     }  # fmt: skip
     with pytest.raises(ConfigurationError, match="set-points will send a live reference"):
         using(tmp_path, reference=live)
-
-
-def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
-    c = using(tmp_path)
-    (tmp_path / "learned.csv").unlink()
-    with pytest.raises(ConfigurationError, match=r"no such file, allowed: one that `hil learn` wrote"):
-        loads(c.text, "my.yaml", tmp_path)
-
-
-def test_another_trajectory_than_the_reference_runs_without_it(tmp_path: Path) -> None:
-    c = using(tmp_path)
-    other = build_cycle(VIRTUAL, 1000.0, 0.01).parts.trajectory
-    assert build_cycle(c, 1000.0, 0.01, trajectory=other).parts.learned is None
 
 
 def test_a_log_carries_the_file_and_a_replay_reads_nothing_else(tmp_path: Path) -> None:
@@ -209,31 +145,6 @@ def at_rest(folder: Path, size: float = 1.0) -> Configuration:
     """Return a configuration at rest with learned forces of this size."""
     c = loads(with_changes(VIRTUAL.text, {"name": "virtual", "reference": REST}), "my.yaml", folder)
     return using(folder, feedforward_text(head_of(c), size * ROWS, -4, 1e-3), 5000.0, reference=REST)
-
-
-def test_check_says_what_was_learned_and_what_it_can_do(tmp_path: Path) -> None:
-    c = at_rest(tmp_path)
-    report = inspect(c)
-    said = " ".join(report.sections["feed-forward"])
-    assert "1 run(s), the last one first.mcap with 1.6 mm rms" in said
-    assert f"up to {np.abs(ROWS).max():.0f} N (limit 5000), -0.004 to 0.005 s" in said
-    platform = build_platform(c.platform)
-    home = np.array([0.0, 0.0, 1.0]), np.eye(3)
-    J = jacobian(platform, *home)
-    M = Model(platform).mass_matrix(*home)
-    expected = np.abs(J @ np.linalg.solve(M, J.T @ ROWS.T)).max()
-    assert report.figures["feedforward"]["disturbance_m_s2"] == pytest.approx(expected, rel=1e-6)
-    assert not [line for line in report.warnings if "feed-forward" in line]
-
-
-def test_check_warns_of_another_rate_than_that_of_the_runs(tmp_path: Path) -> None:
-    def warned(c: Configuration) -> list[str]:
-        return [line for line in inspect(c).warnings if "was learned at 1000 Hz" in line]
-
-    assert not warned(at_rest(tmp_path))
-    text = feedforward_text(head_of(VIRTUAL), ROWS, -4, 1e-3)
-    slower = {"loop": {"rate_Hz": 500.0}}
-    assert warned(using(tmp_path, text, 5000.0, **slower))
 
 
 def test_check_warns_of_forces_beyond_the_disturbance_of_the_certificate(tmp_path: Path) -> None:
@@ -268,26 +179,3 @@ def test_a_bound_of_the_error_says_that_the_feed_forward_is_not_in_it(tmp_path: 
         for line in Subject(at_rest(tmp_path), Stated()).unseen
     )
     assert not Subject(VIRTUAL, Stated()).unseen
-
-
-def test_an_excitation_has_no_feed_forward(tmp_path: Path) -> None:
-    assert excited_axes(using(tmp_path), None, None).configuration.feedforward is None
-
-
-@pytest.mark.long
-def test_laws_are_compared_without_what_was_learned_under_one_of_them(tmp_path: Path) -> None:
-    c = using(tmp_path, recording={"folder": str(tmp_path)})
-    found = compare(c, laws=["pd"], path_laws=["none"], duration_s=0.1, jobs=1)
-    assert found["laws"]["pd"]["fault"] is None
-
-
-@pytest.mark.parametrize("step_s", [1e-3, 2e-3, 5e-3])
-def test_what_learned_forces_change_by_in_a_tick_is_said_of_any_step_of_their_file(
-    step_s: float, tmp_path: Path
-) -> None:
-    """120 N from row to row are 24 N a tick of 1 ms where the rows are 5 ms apart."""
-    rows = np.zeros((10, 6))
-    rows[:, 4] = [0.0, 0.0, 60.0, 120.0, 160.0, 160.0, 40.0, 0.0, 0.0, 0.0]
-    report = Report("")
-    report_feedforward(report, using(tmp_path, feedforward_text(head_of(VIRTUAL), rows, -4, step_s)))
-    assert report.figures["feedforward"]["step_N"] == pytest.approx(120.0 * 1e-3 / step_s)

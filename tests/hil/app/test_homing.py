@@ -17,9 +17,9 @@ from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.homing.command import state_homing
-from hil.app.homing.file import homing_path, read_homing
+from hil.app.homing.file import read_homing
 from hil.app.homing.keeping import Keeper
-from hil.app.homing.last_pose import HOMING_JSON, recorded, start_lengths
+from hil.app.homing.last_pose import start_lengths
 from hil.app.sim.command import simulate
 from hil.loop.cycle import Cycle
 from hil.mathematics.rotations import rotation_vector
@@ -134,22 +134,6 @@ def test_a_run_that_ends_in_a_fault_says_where_the_legs_are_only_if_it_knows(
     assert (gap < 2 * RESOLUTION_M) == (state == "parked")
 
 
-def test_the_log_carries_what_was_read_to_the_bit(parked):
-    folder, summary, _ = parked
-    log = Log.open(Path(summary["log"]))
-    there = recorded("log", log.attachments[HOMING_JSON])
-    assert there is not None
-    assert there.length.tolist() == start_lengths(configuration(folder)).tolist()
-
-
-def test_without_a_file_of_its_own_a_simulation_knows_where_its_plant_begins(tmp_path):
-    text = configuration(tmp_path).text.replace("  homing_file: bench.yaml\n", "")
-    summary = simulate(loads(text, "desktop", tmp_path), log=tmp_path / "a.mcap", duration_s=0.1)
-    assert summary["replay"]["exact"]
-    assert summary["trouble"] is None
-    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
-
-
 # -- the file ----------------------------------------------------------------------------------------------
 
 
@@ -186,21 +170,6 @@ def test_a_file_of_another_robot_is_refused(tmp_path):
     state(configuration(tmp_path))
     said = refusal(configuration(tmp_path, mass=11))
     assert "for another robot, configuration 'desktop'" in said
-
-
-def test_a_file_of_another_robot_is_not_patched_by_one_leg(tmp_path):
-    state(configuration(tmp_path))
-    with pytest.raises(ConfigurationError, match="another robot"):
-        state_homing(configuration(tmp_path, mass=11), emulated=True, legs_m={2: 0.33})
-
-
-@pytest.mark.parametrize("version", [0, 2, 10])
-def test_a_file_of_an_older_or_a_newer_version_is_refused(tmp_path, version):
-    c = configuration(tmp_path)
-    state(c)
-    file = tmp_path / "bench.yaml"
-    file.write_text(file.read_text().replace("version: 1", f"version: {version}"))
-    assert f"version {version}, allowed: 1" in refusal(c)
 
 
 def test_after_a_run_that_was_killed_the_file_is_not_believed(tmp_path):
@@ -282,26 +251,7 @@ def test_a_length_outside_the_stroke_is_refused_and_nothing_is_written(tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_real_and_emulated_drives_have_files_of_their_own(tmp_path):
-    c = configuration(tmp_path)
-    assert homing_path(c, emulated=False) == tmp_path / "real.yaml"
-    assert homing_path(c, emulated=True) == tmp_path / "bench.yaml"
-
-
 # -- the configuration, and the drives' end -----------------------------------------------------------------
-
-
-def test_a_limit_that_no_leg_could_exceed_is_refused(tmp_path):
-    with pytest.raises(
-        ConfigurationError, match=r"drives\.homing\.limit_m: too large .* less than 0\.003142"
-    ):
-        configuration(tmp_path, homing=HOMING.replace("0.0005", "0.00315"))
-
-
-def test_drives_that_speak_of_legs_have_no_turns_to_forget(tmp_path):
-    text = resources.files("configs").joinpath("virtual.yaml").read_text(encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=r"drives\.homing: .* speaks of leg lengths"):
-        loads(text.replace("drives:\n", f"drives:\n{HOMING}", 1), "virtual")
 
 
 def test_an_emulated_drive_counts_from_the_turn_in_which_it_is_switched_on():

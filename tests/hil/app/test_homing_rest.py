@@ -2,18 +2,14 @@
 
 import errno
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.errors import LogError
 from drivers.signals import DriveState, Fault, Mode
 from drivers.tick_columns import new_record
 from hil.app.homing.file import read_homing
 from hil.app.homing.keeping import Keeper
-from hil.app.homing.last_pose import attached, recorded
-from hil.loop.homing import LastPose
 from tests.hil.app.test_homing import configuration, state
 
 NOT_BELIEVED = (
@@ -85,19 +81,3 @@ def test_a_run_whose_homing_file_cannot_be_written_in_the_end_is_told_and_the_fi
 
 def test_legs_whose_turns_were_never_found_are_not_written_as_parked(ended):
     assert ended(Fault.NONE, known=False).state == "moved"
-
-
-LENGTH, LIMIT, STEP, PER_TURN = (np.full(6, value) for value in (0.3, 5e-4, 0.01, 0.1))
-GOOD = LastPose(LENGTH, LIMIT, STEP, PER_TURN, origin="parked", command="hil homing")
-
-
-@pytest.mark.parametrize("name", ["length", "limit_m", "step_m", "m_per_turn"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_log_that_says_of_a_leg_what_is_no_finite_number_is_refused(name, value):
-    ((_, text),) = attached(GOOD)
-    assert recorded("a.mcap", text) is not None
-    wrong: dict[str, Any] = {name: np.full(6, 0.2)}
-    wrong[name][4] = value
-    ((_, text),) = attached(GOOD._replace(**wrong))
-    with pytest.raises(LogError, match=r"a\.mcap: attachment homing\.json: not what a run writes"):
-        recorded("a.mcap", text)

@@ -21,7 +21,6 @@ from hil.app.homing.command import state_homing
 from hil.app.homing.file import HomingFile, read_homing, write_homing
 from hil.app.homing.keeping import Keeper
 from hil.app.run import command
-from hil.app.sim import command as sim
 from hil.loop.homing import LastPose
 from tests.hil.app.test_homing import configuration
 
@@ -153,23 +152,6 @@ def test_an_interrupt_as_a_run_marks_its_file_leaves_it_as_it_was(
 
 
 @MOMENTS
-def test_an_interrupt_as_a_simulation_marks_its_file_leaves_it_as_it_was(
-    stated: Configuration, monkeypatch: pytest.MonkeyPatch, moment: str
-) -> None:
-    cycle = cycle_of(tick={"age": np.full(6, 99)})
-    cycle.homing.opened = False
-    monkeypatch.setattr(sim, "build_cycle", lambda *_, **__: cycle)
-    monkeypatch.setattr(sim, "build_nodes", lambda *_, **__: (None, SimpleNamespace(close=lambda: None)))
-    monkeypatch.setattr(sim, "build_lockstep", lambda *_, **__: None)
-    monkeypatch.setattr(sim, "record", nothing)
-    written = pressed(monkeypatch, 1, moment)
-    with pytest.raises(KeyboardInterrupt):
-        sim.simulate(stated, log=stated.folder / "a.mcap", duration_s=0.1)
-    assert written == ["moved", "stated"]
-    assert states(stated) == {False: "stated", True: "stated"}
-
-
-@MOMENTS
 @pytest.mark.parametrize(("opened", "left"), [(True, "parked"), (False, "stated")])
 def test_an_interrupt_as_a_run_says_where_the_legs_are_comes_too_late_to_lose_it(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, opened: bool, left: str, moment: str
@@ -185,47 +167,6 @@ def test_an_interrupt_as_a_run_says_where_the_legs_are_comes_too_late_to_lose_it
     keeper.close()
     assert written == ["moved", left, left]
     assert states(stated) == {False: "stated", True: left}
-
-
-def test_a_run_on_a_rehearsal_bench_reads_and_marks_no_file_of_a_machine(
-    stated: Configuration, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[dict[str, bool]] = []
-
-    def keeper(_c: Configuration, **kind: bool) -> Any:
-        made.append(kind)
-        raise EndsHere
-
-    monkeypatch.setattr(command, "Keeper", keeper)
-    monkeypatch.setattr(command, "select_rate", lambda *_, **__: (400.0, 0.01))
-    for on_bench in (False, True):
-        with sockets(monkeypatch), pytest.raises(EndsHere):
-            command.run_daemon(stated, arm=True, draw=False, on_bench=on_bench)
-    assert made == [{"emulated": False, "on_bench": on_bench} for on_bench in (False, True)]
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_a_leg_that_still_moves_either_way_as_a_run_ends_is_not_parked(
-    stated: Configuration, leg: int
-) -> None:
-    path = stated.folder / FILES[True]
-    before = read_homing(stated, path)
-    for rate, state in (
-        (0.0, "parked"),
-        (0.1, "moved"),
-        (-0.1, "moved"),
-        (1e-6, "parked"),
-        (-1e-6, "parked"),
-    ):
-        write_homing(stated, path, before)
-        keeper, rates = Keeper(stated, emulated=True), np.zeros(6)
-        rates[leg] = rate
-        cycle = cycle_of(tick={"rate": rates})
-        keeper.begin(cycle)
-        keeper.close()
-        file = read_homing(stated, path)
-        assert (rate, file.state) == (rate, state)
-        assert (file.lengths_m == cycle.tick["length"].tolist()) == (state == "parked")
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from hil.app.configuration.configuration import load
+from hil.app.interrupted import leaving
 from hil.app.sim import command
 from hil.cli import check, main
 from hil.cli.interrupts import INTERRUPTED
@@ -93,25 +90,6 @@ def test_a_second_press_does_not_disturb_what_closes_the_files(process, monkeypa
     interrupted_in(monkeypatch, work)
     assert process("check") == (130, "hil: interrupted\n")
     assert closed
-
-
-def test_what_a_library_makes_of_an_interrupt_is_one_line_too(process, monkeypatch):
-    def work():
-        with contextlib.suppress(KeyboardInterrupt):
-            press()
-        raise TypeError("error building the serializer: KeyboardInterrupt")
-
-    interrupted_in(monkeypatch, work)
-    assert process("check") == (130, "hil: interrupted\n")
-
-
-def test_before_the_command_line_has_its_answer_to_an_interrupt_the_package_imports_next_to_nothing():
-    program = "import sys; before = {*sys.modules}; import hil; print(*sorted({*sys.modules} - before))"
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", "import importlib, __future__; " + program],
-        cwd=Path(__file__).parents[3], capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.split() == ["hil"]
 
 
 @pytest.mark.parametrize("starting", ["worker", "recorder"])
@@ -219,11 +197,9 @@ def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, mo
     assert signal.getsignal(number) is before
 
 
-def test_another_program_that_answers_an_interrupt_itself_may_import_the_command_line_in_a_thread():
-    program = (
-        "import signal, threading; signal.signal(signal.SIGINT, signal.SIG_IGN); done = []\n"
-        "def work():\n    import hil.cli; done.append(signal.getsignal(signal.SIGINT))\n"
-        "thread = threading.Thread(target=work); thread.start(); thread.join()\n"
-        "assert done == [signal.SIG_IGN], done"
-    )
-    subprocess.run([sys.executable, "-c", program], cwd=Path(__file__).parents[3], check=True)
+@pytest.mark.parametrize(("own", "told"), [("", "a log"), ("at 2 s", "at 2 s")])
+def test_an_interrupt_that_says_nothing_yet_says_what_there_is_and_one_that_does_keeps_its_words(own, told):
+    with pytest.raises(KeyboardInterrupt) as interrupt, leaving(lambda: "nothing has moved"):  # noqa: SIM117
+        with leaving(lambda: "a log"):
+            raise KeyboardInterrupt(*([own] if own else []))
+    assert str(interrupt.value) == told

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from drivers.errors import LogError
-from hil.app import log_budget
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
-from hil.app.log_budget import TICK_BYTES, dated_logs, make_room, needed_bytes
+from hil.app.log_budget import dated_logs, make_room
 from hil.app.sim.command import simulate
 from hil.record.log import Log
 from hil.record.mcap_file import McapFile
@@ -76,13 +73,6 @@ def test_the_oldest_without_a_fault_go_first_then_the_others_and_the_newest_neve
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
 
 
-def test_the_tenth_run_of_a_second_is_younger_than_its_second(tmp_path):
-    names = [f"virtual-20260101T000000{end}" for end in ("", "-2", "-9", "-10")]
-    for name in names:
-        (tmp_path / f"{name}.mcap").touch()
-    assert [log.path.stem for log in dated_logs(tmp_path, "virtual")] == names
-
-
 def test_no_more_goes_than_the_budget_needs(runs):
     size = (runs / "mine.mcap").stat().st_size
     total = sum(log.size for log in dated_logs(runs, "virtual"))
@@ -105,14 +95,6 @@ def test_a_run_that_needs_more_than_the_budget_or_the_disk_is_refused(runs):
     with pytest.raises(LogError, match=r"are free, and this run may write"):
         make_room(load("virtual"), 100 * free, runs / "own.mcap")
     assert len(left(runs)) == 10
-
-
-def test_what_a_run_may_write_follows_from_its_end_and_covers_what_was_written(logs):
-    c = load("virtual")
-    assert needed_bytes(c, None, None) == 0
-    assert needed_bytes(c, 20.0, 2.0) == 32_000 * TICK_BYTES
-    for name in ("good", "bad"):
-        assert logs[name].stat().st_size < TICK_BYTES * Log(logs[name]).summary.ticks
 
 
 def test_a_simulation_says_what_it_removed_in_summary_and_log(runs, monkeypatch):
@@ -138,52 +120,6 @@ def test_a_run_that_is_still_recorded_stays_with_both_of_its_logs_although_a_new
         file.close()
     assert len(make_room(c, 0)) == 4
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
-
-
-def test_the_newest_run_keeps_its_own_log_and_its_plants(runs):
-    newest = "virtual-20260101T000004"
-    shutil.copy(runs / "mine.mcap", runs / f"{newest}-plant.mcap")
-    make_room(configured(runs, 1e-6), 0)
-    assert left(runs) == OTHERS | {newest, f"{newest}-plant"}
-
-
-def test_old_logs_make_room_on_a_disk_that_is_nearly_full_although_the_budget_is_kept(runs, monkeypatch):
-    def size():
-        return sum(log.size for log in dated_logs(runs, "virtual"))
-
-    before, one = size(), (runs / "mine.mcap").stat().st_size
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=before - size()))
-    removed = make_room(configured(runs, 1.0), one + 1)
-    assert [path.rsplit("/", 1)[1] for path in removed] == [
-        "virtual-20260101T000000.mcap",
-        "virtual-20260101T000003.mcap",
-    ]
-
-
-def test_a_log_that_another_run_has_removed_meanwhile_is_no_reason_to_refuse_this_one(runs, monkeypatch):
-    def looked(path):
-        (runs / "virtual-20260101T000000.mcap").unlink(missing_ok=True)
-        return False
-
-    monkeypatch.setattr(log_budget, "_had_trouble", looked)
-    make_room(configured(runs, 1e-6), 0)
-    assert left(runs) == OTHERS | {"virtual-20260101T000004"}
-
-
-def test_logs_that_go_while_the_folder_is_looked_at_are_no_reason_to_refuse_a_run(runs, monkeypatch):
-    there, once = Path.stat, set(runs.glob("virtual-2*.mcap"))
-
-    def looked(path, **options):
-        found = there(path, **options)
-        if path in once:
-            path.unlink()
-            once.remove(path)
-        return found
-
-    monkeypatch.setattr(Path, "stat", looked)
-    dated_logs(runs, "virtual")
-    assert not once
-    assert dated_logs(runs, "virtual") == []
 
 
 def closed(path, **end):

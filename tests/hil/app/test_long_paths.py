@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from hil.app import reachability
-from hil.app.check.progress import line
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
-from hil.app.log_budget import TICK_BYTES, needed_bytes
 from hil.app.reachability import SAMPLES, span_s, violations, walk
-from hil.config.reference import HoldReference
 from hil.robot.dynamics import Model
 from hil.trajectory.build import build_trajectory
 
@@ -34,18 +28,6 @@ def walked(points, interpolation="cubic", force_step_N=4000):
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
     w = walk(platform, Model(platform), trajectory, span_s(trajectory), PERIOD_S, c.plant)
     return w, [v.message for v in violations(w, c.platform, c.limits, PERIOD_S)]
-
-
-@pytest.mark.parametrize("duration_s", [1.0, 86_400.0, 1e9])
-def test_a_hold_of_any_length_that_is_allowed_is_looked_at(duration_s):
-    hold = build_trajectory(
-        HoldReference(type="hold", duration_s=duration_s), VIRTUAL_C.platform.home, Path()
-    )
-    platform = build_platform(VIRTUAL_C.platform)
-    w = walk(platform, Model(platform), hold, span_s(hold), PERIOD_S, VIRTUAL_C.plant)
-    assert w.t[-1] == duration_s
-    assert not np.abs(w.dq).max()
-    assert needed_bytes(VIRTUAL_C, duration_s, None) == round((duration_s + 30.0) * 1000.0 * TICK_BYTES)
 
 
 LATE = [(0, 1.0), (40.0, 1.0), (40.5, 1.05), (80.0, 1.05)]
@@ -70,24 +52,3 @@ def test_a_jump_beyond_the_limit_is_refused_on_a_long_path_too():
     _, found = walked(LATE, force_step_N=200)
     assert any("limits.force_step_N 200 in one tick" in each for each in found)
     assert not walked(LATE, force_step_N=800)[1]
-
-
-def test_on_so_long_a_path_that_250_ms_are_few_samples_they_are_not_judged():
-    w, _ = walked([(0, 1.0), (2000.0, 1.05)])
-    assert w.swings(PERIOD_S) is None
-    nearer, _ = walked([(0, 1.0), (900.0, 1.05)])
-    assert nearer.swings(PERIOD_S) is not None
-
-
-def test_the_line_tells_how_far_it_is_and_how_long_it_takes():
-    assert line(30.0, 90.0, 10.0, 10.0) == (
-        "along the reference, with all that may ride on it: 30 of 90 s, about 30 s left; Ctrl-C ends it"
-    )
-    assert "left" not in line(10.0, 90.0, 0.0, 10.0)
-
-
-def test_fewer_samples_find_the_same_jump(monkeypatch):
-    whole, _ = walked([(0, 1.0), (2.0, 1.05)])
-    monkeypatch.setattr(reachability, "SAMPLES", 100)
-    coarse, _ = walked([(0, 1.0), (2.0, 1.05)])
-    assert np.abs(coarse.steps()[1]).max() == pytest.approx(np.abs(whole.steps()[1]).max(), rel=1e-9)

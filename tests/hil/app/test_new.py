@@ -12,9 +12,8 @@ from click.testing import CliRunner
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
 from hil.app.configuration.schema import named_schema, schema_path
-from hil.app.force_steps import stepped_error_m
 from hil.app.new.derive import monitor_section
-from hil.app.new.drives import drives_section, model_trouble
+from hil.app.new.drives import drives_section
 from hil.app.sim.command import simulate
 from hil.cli import main
 from tests.broad import broad
@@ -91,42 +90,6 @@ def test_a_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
     assert summary["replay"]["agrees"]
     stroke = float(ROBOTS[name].split("--stroke ")[1].split()[0])
     assert summary["tracking"]["peak_leg_error_mm"] < stroke  # a thousandth of it
-
-
-@pytest.mark.long
-def test_the_static_forces_at_home_carry_platform_and_legs(tmp_path):
-    """Sum of the vertical leg forces: weight of the platform, and of each leg what its far end carries."""
-    path = tmp_path / "r.yaml"
-    assert new(path, changed(ROBOTS["table"], leg_mass=0)).exit_code == 0
-    c = load(path)
-    report = inspect(c)
-    height, q = c.platform.home.position_m[2], 0.6
-    vertical = sum(report.figures["home"]["static_forces_N"]) * height / q
-    assert vertical == pytest.approx(42 * 9.81, rel=1e-5)
-
-
-def test_a_platform_that_hangs_pulls_on_its_legs(tmp_path):
-    path = tmp_path / "r.yaml"
-    assert new(path, ROBOTS["hanging"]).exit_code == 0
-    assert max(inspect(load(path)).figures["home"]["static_forces_N"]) < 0.0
-
-
-@pytest.mark.long
-def test_twice_the_robot_has_twice_every_mass_and_force(tmp_path):
-    once, twice = tmp_path / "once.yaml", tmp_path / "twice.yaml"
-    assert new(once, ROBOTS["stand"]).exit_code == 0
-    heavy = changed(
-        ROBOTS["stand"], mass=400, leg_mass=30, drive_force=6000, reflected_mass=40, inertia="30,30,50"
-    )
-    assert new(twice, heavy).exit_code == 0
-    a, b = (yaml.safe_load(path.read_text()) for path in (once, twice))
-    for section, key in (("limits", "force_N"), ("limits", "force_step_N"), ("drives", "force_limit_N")):
-        assert b[section][key] == pytest.approx(2 * a[section][key], rel=0.06), (
-            key
-        )  # rounded up to two digits
-    assert b["platform"]["cylinder"]["mass_kg"] == pytest.approx(21.0)
-    assert b["reference"] == a["reference"]
-    assert b["controller"]["wn_rad_s"] == a["controller"]["wn_rad_s"]
 
 
 @pytest.mark.parametrize(
@@ -230,17 +193,6 @@ def test_what_drives_cannot_do_is_said_of_the_answer(words, told, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [("cia402 --travel 0.01 --rate 500", False), ("legs --layout classic --rate 700", True)],
-)
-def test_a_rate_that_does_not_fit_offers_no_layout_that_the_drives_lack(words, offered, tmp_path):
-    done = new(tmp_path / "r.yaml", f"{ROBOTS['table']} --drives {words}")
-    assert done.exit_code == 2
-    assert "the frames of one tick do not fit at 1 Mbit/s, worst-case" in done.output, "no data phase"
-    assert ("or use bus.layout: fd" in done.output) == offered
-
-
 HEAVY = ROBOTS["simulator"].replace(" --layout classic", " --drives cia402 --travel 0.01 --rate 500")
 
 
@@ -265,19 +217,6 @@ def test_a_rate_that_one_bus_does_not_carry_is_refused_with_the_number_that_does
     assert legs == [("can0", [0, 1]), ("can1", [2, 3]), ("can2", [4, 5])]
 
 
-def test_a_rate_that_no_number_of_buses_carries_is_offered_none(tmp_path):
-    done = new(tmp_path / "r.yaml", HEAVY.replace("--rate 500", "--rate 4000"))
-    assert done.exit_code == 2
-    assert "--channels" not in done.output
-
-
-@pytest.mark.long
-def test_more_buses_give_the_loop_a_higher_rate_by_itself(tmp_path):
-    path = tmp_path / "r.yaml"
-    assert new(path, f"{HEAVY.replace(' --rate 500', '')} --channels 6").exit_code == 0
-    assert load(path).loop.rate_Hz == 1000.0
-
-
 @pytest.mark.long
 def test_two_tonnes_on_two_classic_buses_run_at_500_hz(tmp_path):
     path = tmp_path / "r.yaml"
@@ -287,25 +226,6 @@ def test_two_tonnes_on_two_classic_buses_run_at_500_hz(tmp_path):
     assert summary["replay"]["agrees"]
     assert set(summary["bus_load_percent_by_channel"]) == {"hil0", "hil1"}
     assert max(summary["bus_load_percent_by_channel"].values()) < 70.0
-
-
-def test_the_noise_of_a_new_robot_is_that_of_the_drives_frames(tmp_path):
-    """By hand, ODrive: singles of up to 2 m are off by 2 x 2^-24 m = 0.12 um, the encoder by its 1 um."""
-    path = tmp_path / "r.yaml"
-    assert new(path, f"{ROBOTS['table']} {DRIVES['odrive']}").exit_code == 0
-    assert load(path).monitor.length_noise_m == 2e-6
-    fine = f"{ROBOTS['table']} {DRIVES['odrive']} --encoder-resolution 1e-9"
-    assert new(path, fine, "--force").exit_code == 0
-    assert load(path).monitor.length_noise_m == pytest.approx(4.0 * 2.0**-24, rel=5e-3)
-
-
-def test_a_models_name_is_taken_in_any_case_and_written_as_its_family_does():
-    asked = {
-        "drive_force_N": 800.0, "length_min_m": 0.5, "stroke_m": 0.2, "travel_m": 0.06, "drives": "cubemars",
-        "model": "ak80-9",
-    }  # fmt: skip
-    assert model_trouble(asked) is None
-    assert drives_section(asked, 400.0)["options"]["model"] == "AK80-9"
 
 
 LIGHT = (
@@ -328,18 +248,6 @@ def test_a_torque_field_too_coarse_for_a_light_robot_is_refused(words, told, tmp
     assert done.exit_code == 2
     assert told in done.output
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.long
-def test_the_least_travel_that_is_allowed_is_fine_enough_for_the_first_run(tmp_path):
-    path = tmp_path / "r.yaml"
-    assert new(path, f"{LIGHT} --model AK80-9 --travel 0.1258").exit_code == 0
-    c = load(path)
-    left_m = stepped_error_m(c)
-    assert left_m is not None
-    assert 0.98 * c.limits.following_error_m < left_m <= c.limits.following_error_m
-    summary = simulate(c, log=tmp_path / "run.mcap", duration_s=2.0)
-    assert summary["success"], summary
 
 
 def test_yes_names_every_answer_that_has_no_default(tmp_path):
@@ -370,49 +278,6 @@ def test_a_dialogue_that_ends_early_says_where_and_writes_nothing(tmp_path):
     assert "ended at base_half_angle_deg, nothing is written" in done.output
     assert "--base-half-angle" in done.output
     assert not list(tmp_path.iterdir())
-
-
-def test_an_fmu_that_is_not_there_is_refused_before_the_first_question(tmp_path):
-    done = new(tmp_path / "r.yaml", "", "--fmu", str(tmp_path / "none.fmu"), answers="")
-    assert done.exit_code == 2
-    assert "none.fmu: no such FMU file" in done.output
-    assert "base_radius" not in done.output
-
-
-@pytest.mark.parametrize(
-    "stem",
-    broad(
-        [
-            "Grüße 机器人",
-            "null",
-            "true",
-            "Off",
-            "1e3",
-            "a #b",
-            "a: b",
-            "#x",
-            "e:",
-            "q\"'\\n",
-            "-",
-            "@a",
-            "my robot",
-        ],
-        quick=2,
-    ),
-)
-def test_any_name_of_a_file_becomes_the_name_of_the_robot(stem, tmp_path):
-    path = tmp_path / f"{stem}.yaml"
-    assert new(path, ROBOTS["desktop"]).exit_code == 0
-    plain = "".join(sign if sign.isascii() and (sign.isalnum() or sign in "._-") else "_" for sign in stem)
-    assert load(path).name == plain
-    assert yaml.safe_load(path.read_text())["name"] == plain  # YAML 1.1 reads the same
-
-
-def test_what_to_type_next_is_quoted_for_the_shell(tmp_path):
-    path = tmp_path / "my robot.yaml"
-    done = new(path, ROBOTS["desktop"])
-    assert f"next: hil sim '{path}'" in done.output
-    assert f"`hil check '{path}'`" in path.read_text()
 
 
 @pytest.mark.parametrize(("rate", "watchdog_ms"), broad([(333.3, 16), (300, 17), (700, 10)], quick=1))

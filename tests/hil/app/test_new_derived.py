@@ -14,7 +14,6 @@ from hil.app.configuration.platform import build_platform
 from hil.app.configuration.yaml_positions import parse
 from hil.app.new import derive
 from hil.app.new.answers import QUESTIONS
-from hil.app.new.command import new_configuration
 from hil.app.new.robot import platform_section, robot_at_home
 from hil.app.new.text import yaml_text
 from hil.app.reachability import Walk
@@ -85,21 +84,6 @@ def test_the_disc_that_is_estimated_is_a_body_with_the_digits_that_are_written(t
     np.testing.assert_allclose(body.inertia, disc, rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "typed",
-    [
-        {"encoder_resolution_m": "1.3333e-4"},
-        {"mass_kg": "41.7", "platform_radius_m": "0.251"},
-        {"rate_Hz": "333.33333333"},
-        {"rate_Hz": "123.456789012", "brake_ms": "33.333333333"},
-        {"stroke_m": "0.123456789012", "drive_force_N": "799.99999999", "brake_force_N": "799.99999999"},
-    ],
-)
-def test_any_digits_of_an_answer_make_a_configuration_that_is_taken(typed, tmp_path):
-    _, c = new_configuration(answered(**typed), tmp_path / "r.yaml")
-    assert c.loop.rate_Hz == pytest.approx(float(typed.get("rate_Hz", "1000")), rel=1e-6)
-
-
 def test_a_brake_gets_the_time_to_act_and_to_stop_the_fastest_leg_and_a_fifth_of_it_more(table):
     """60 kg at 1 m/s: 50 ms, then 1000 N less the 400 N of weight take 100 ms; 0.18 s are written."""
     answers, home, _ = table
@@ -123,39 +107,3 @@ def test_a_leg_is_braked_by_half_of_the_force_that_its_weight_leaves(table):
         assert derive.limits_section(a, bearing, path, 0.01, 1000.0)["deceleration_m_s2"] == 5.0
         a = answers | {"drive_force_N": 420.0}
         assert derive.limits_section(a, bearing, path, 0.01, 1000.0)["deceleration_m_s2"] == 0.35
-
-
-@pytest.mark.parametrize("strokes_s", [0.5, 0.1, 0.03, 0.005])
-@pytest.mark.parametrize("mounting", ["standing", "hanging"])
-def test_a_path_for_slow_drives_fades_in_and_out_within_half_of_their_speed(table, strokes_s, mounting):
-    """It is slow, too: a fade of 2 s from wherever it stands would be faster than the drives."""
-    a = table[0] | {"drive_speed_m_s": strokes_s * 0.2, "mounting": mounting}
-    path = derive.reference_section(a, robot_at_home(a))
-    w = derive.walked(a, path, 20.0)
-    fastest = float(np.abs(w.dq).max())
-    assert fastest <= 0.5 * a["drive_speed_m_s"]
-    assert fastest >= 0.15 * a["drive_speed_m_s"] or strokes_s == 0.5, "and not far slower than they are"
-
-
-@pytest.mark.parametrize(
-    "slow",
-    [
-        {"drive_speed_m_s": 1e-4},
-        {"drive_speed_m_s": 1e-4, "length_min_m": 100.0, "stroke_m": 99.0},
-        {"drive_force_N": 900.0, "reflected_mass_kg": 1e6, "length_min_m": 100.0, "stroke_m": 99.0},
-    ],
-)
-def test_of_the_slowest_drives_that_can_be_asked_for_a_path_takes_an_hour_at_most(table, slow):
-    """It is the shorter for it, as fast as ever, and no path that a configuration refuses."""
-    a = table[0] | slow
-    home = robot_at_home(a)
-    path = derive.reference_section(a, home)
-    assert 3.0 / path["components"][0]["frequency_Hz"] <= path["duration_s"] <= 3600.0
-    assert path["ramp_s"] <= 0.25 * path["duration_s"]
-    w = derive.walked(a, path, 0.2)
-    assert np.abs(w.q - w.q[0]).max() <= 0.2 * a["stroke_m"]
-    spare = (a["drive_force_N"] - np.abs(home.static_N).max()) / home.leg_mass_kg
-    speed, acceleration = np.abs(w.dq).max() / a["drive_speed_m_s"], np.abs(w.ddq).max() / spare
-    assert speed <= 0.5
-    assert acceleration <= 0.2
-    assert speed >= 0.15 or acceleration >= 0.05, "and it uses what there is"

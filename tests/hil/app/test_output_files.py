@@ -1,37 +1,51 @@
-"""Two output files of one command are never the same one: it is refused before the work begins."""
+"""Commands that write a file: nothing of others is replaced, no two outputs are one file, nothing is lost."""
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import json
 import os
-import select
+import resource
 import shlex
-import struct
-import termios
+import shutil
+import signal
 from pathlib import Path
-from threading import Thread
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
-from hil.app.output import write_json
+from drivers.errors import ConfigurationError, LogError
+from hil.app.configuration.configuration import load
+from hil.app.configuration.section_file import check_section_path
+from hil.app.files import made_whole, new_file
+from hil.app.output import check_json_path, fail, further, log_path, write_json
+from hil.app.sim.command import simulate
 from hil.cli import main
+from hil.config.axis_model import AxisModel
+from tests.hil.lab.test_calibrate_command import rows, write
 
 SAID = "is another file of this command; name a file of its own"
+FULL = "No space left on device"
 
 
-def hil(line):
+def hil(line: str) -> Any:
     return CliRunner().invoke(main, shlex.split(line))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    simulate(load("ideal"), log=path, duration_s=0.1, check_replay=False)
+    return path
 
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
-    """An empty folder to work in, with a link to where one of the files will be."""
+    """An empty folder to work in."""
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    (folder / "link").symlink_to("x")
     return folder
 
 
@@ -47,93 +61,246 @@ def here(tmp_path, monkeypatch):
         "faults nowhere.yaml --junit x",
         "campaign nowhere.yaml --junit x",
         "campaign nowhere.yaml --page x",
-        "campaign nowhere.yaml --out x",
         "campaign x",
         "campaign rerun nowhere.yaml 1 --log x",
         "design hinf nowhere.yaml --plot x",
         "design hinf nowhere.yaml -o x",
-        "design hinf nowhere.yaml --model x",
-        "design hinf nowhere.yaml --robot x",
         "design hinf x",
         "learn a.mcap -o n.csv --axes x",
-        "learn a.mcap x -o n.csv",
         "plot a.mcap x",
         "export a.mcap a.csv x",
         "identify payload a.mcap x",
-        "identify nowhere.yaml --model x",
         "calibrate nowhere.yaml x",
-        "sim nowhere.yaml --setpoints x",
         "sim nowhere.yaml --commands x",
         "bringup nowhere.yaml --state x",
         "new x",
     ],
 )
-def test_a_summary_takes_the_place_of_no_other_file_that_the_command_names(line, here):
+def test_a_summary_replaces_no_other_file_of_its_command(line, here):
     result = hil(f"{line} --json x")
     assert result.exit_code == 2, result.output
     assert f"--json x: {SAID}" in result.stderr
-    assert [file.name for file in here.iterdir()] == ["link"]
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.parametrize(
-    ("line", "option"),
+    "line",
     [
-        ("replay a.mcap --set a.b=1 --plot x --log {}", "--log"),
-        ("replay a.mcap --set a.b=1 --salvage x --log {}", "--log"),
-        ("replay a.mcap --set a.b=1 --salvage x --plot {}", "--plot"),
-        ("campaign nowhere.yaml --page x --junit {}", "--junit"),
-        ("campaign nowhere.yaml --junit x --page {}", "--junit"),
-        ("design hinf nowhere.yaml -o x --plot {}", "--plot"),
-        ("identify nowhere.yaml -o x --log {}", "--log"),
-        ("bringup nowhere.yaml --state x --log {}", "--log"),
+        "replay a.mcap --set a.b=1 --plot x --log {}",
+        "replay a.mcap --set a.b=1 --salvage x --plot {}",
+        "campaign nowhere.yaml --page x --junit {}",
+        "design hinf nowhere.yaml -o x --plot {}",
+        "identify nowhere.yaml -o x --log {}",
+        "bringup nowhere.yaml --state x --log {}",
     ],
 )
-def test_no_two_other_outputs_are_one_file(line, option, here):
-    result = hil(line.format("x"))
-    assert result.exit_code == 2, result.output
-    assert SAID in result.stderr
-    assert f"{option} " in result.stderr
-    assert [file.name for file in here.iterdir()] == ["link"]
+@pytest.mark.parametrize("name", ["x", "../here/x"])
+def test_no_two_outputs_are_one_file_by_whatever_name(line, name, here):
+    result = hil(line.format(name))
+    assert (result.exit_code, SAID in result.stderr) == (2, True), result.output
+    assert list(here.iterdir()) == []
+
+
+OUTPUTS = {
+    "check virtual --json X": "a.json",
+    "sim ideal --duration 0.1 --json X": "a.json",
+    "sim ideal --duration 0.1 --log X": "a.mcap",
+    "run virtual --arm --log X": "a.mcap",
+    "plant virtual --log X": "a.mcap",
+    "replay LOG --json X": "a.json",
+    "replay LOG --salvage X": "a.mcap",
+    "replay LOG --set limits.force_N=1e5 --log X": "a.mcap",
+    "report LOG --out X": "a.html",
+    "plot LOG --out X": "a.png",
+    "export LOG X": "a.csv",
+    "campaign payload --page X": "a.html",
+    "design hinf hinf -o X": "a.yaml",
+    "identify payload LOG -o X": "a.yaml",
+    "calibrate lab poses.csv --out X": "a.yaml",
+    "learn LOG -o X": "a.csv",
+}
+"""Command -> the name of its output."""
+
+
+@pytest.mark.parametrize("line", OUTPUTS)
+@pytest.mark.parametrize("there", ["theirs", "a folder", "another log"])
+def test_nothing_of_others_is_replaced(log, here, line, there):
+    name = OUTPUTS[line]
+    write(here / "poses.csv", rows())
+    if there == "a folder":
+        Path(name).mkdir()
+    elif there == "theirs":
+        Path(name).write_text("theirs")
+    else:
+        shutil.copy(log, name)
+    before = sorted(here.iterdir())
+    result = hil(line.replace("LOG", str(log)).replace("X", name))
+    assert (result.exit_code, name in result.stderr) == (2, True), result.output
+    assert sorted(here.iterdir()) == before
+    if there != "a folder":
+        assert Path(name).read_bytes() == (b"theirs" if there == "theirs" else log.read_bytes())
+
+
+@pytest.mark.parametrize("line", [each for each, name in OUTPUTS.items() if not name.endswith("mcap")])
+def test_a_missing_folder_is_refused_before_the_work(log, here, line):
+    write(here / "poses.csv", rows())
+    result = hil(line.replace("LOG", str(log)).replace("X", f"nowhere/{OUTPUTS[line]}"))
+    assert (result.exit_code, "nowhere" in result.stderr) == (2, True), result.output
+    assert [path.name for path in here.iterdir()] == ["poses.csv"]
+
+
+@pytest.mark.parametrize("text", ['["success", 1]', "{}", '{"a": "success"}', "null", "notes", "[" * 100_000])
+def test_only_a_summary_is_replaced_by_a_summary(tmp_path, text):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(LogError, match="is not a summary of hil and is not overwritten"):
+        check_json_path(path)
+    for earlier in ('{"success": false}', ""):
+        path.write_text(earlier)
+        check_json_path(path)
+
+
+@pytest.mark.parametrize("text", ["kind: another\n", "a: 1\n", "- 1\n", "kind: [\n"])
+def test_only_a_section_of_its_kind_is_replaced_by_a_section(tmp_path, text):
+    path = tmp_path / "a.yaml"
+    path.write_text(text)
+    with pytest.raises(LogError, match=r"^-o .*a\.yaml: exists, is not a file of kind axis-model"):
+        check_section_path("-o", path, AxisModel)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_pipe_is_never_replaced_by_a_file(tmp_path, force):
+    pipe = tmp_path / "pipe.html"
+    os.mkfifo(pipe)
+    with pytest.raises(LogError, match="is a device or a pipe"):
+        new_file(pipe, force=force)
+    assert pipe.is_fifo()
+
+
+def test_a_link_to_nothing_is_no_name_for_a_log(tmp_path):
+    link = tmp_path / "link.mcap"
+    link.symlink_to(tmp_path / "unmounted.mcap")
+    with pytest.raises(LogError, match="exists and is not overwritten"):
+        log_path("", "a", link)
+
+
+def test_logs_of_the_same_second_get_different_names(tmp_path, monkeypatch):
+    monkeypatch.setattr("time.strftime", lambda *_: "20260131T120000")
+    first = log_path(str(tmp_path), "bench", None, "-plant")
+    first.touch()
+    second = log_path(str(tmp_path), "bench", None, "-plant")
+    assert [first.name, second.name] == [
+        "bench-20260131T120000-plant.mcap",
+        "bench-20260131T120000-2-plant.mcap",
+    ]
+
+
+def test_a_summary_with_numbers_that_are_not_finite_is_json(tmp_path):
+    write_json(tmp_path / "a.json", {"success": True, "x": float("nan"), "y": [float("inf"), 1.5]})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"success": True, "x": None, "y": [None, 1.5]}
+
+
+# -- the disk is full ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_files():
+    """No file may grow beyond 2 kB, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2048, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+FORMATS = {
+    "html": "report LOG --out",
+    "png": "plot LOG --out",
+    **dict.fromkeys(("log", "asc", "blf", "csv", "parquet"), "export LOG"),
+}
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_full_disk_leaves_nothing_behind_and_is_reported(log, here, small_files, ending):
+    done = hil(f"{FORMATS[ending].replace('LOG', str(log))} a.{ending}")
+    assert done.exit_code == 2
+    assert f"a.{ending}: cannot be written: " in done.stderr
+    assert list(here.iterdir()) == []
+
+
+def test_a_failure_half_way_leaves_the_earlier_file(tmp_path):
+    out = tmp_path / "a.csv"
+    out.write_text("old")
+
+    def half():
+        with made_whole(out, overwrite=True) as temporary:
+            temporary.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        half()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+    assert out.read_text() == "old"
+
+
+def test_a_file_that_appears_meanwhile_stays(tmp_path):
+    out = tmp_path / "a.yaml"
+    with pytest.raises(LogError, match="exists and is not overwritten"), made_whole(out, overwrite=False):
+        out.write_text("theirs")
+    assert out.read_text() == "theirs"
+
+
+def test_later_trouble_does_not_hide_earlier_trouble():
+    summary: dict[str, Any] = {"success": True, "trouble": None}
+    for why in ("", "the recorder stopped", "the picture failed"):
+        fail(summary, why)
+    assert summary == {"success": False, "trouble": "the recorder stopped; the picture failed"}
+
+
+@pytest.mark.parametrize("success", [True, False])
+def test_each_output_that_fails_is_listed_and_the_figures_stay(success):
+    summary: dict[str, Any] = {"success": success, "figure": 7}
+    with further(summary):
+        summary["one"] = 1
+    assert summary == {"success": success, "figure": 7, "one": 1}
+    for error in (
+        OSError(errno.ENOSPC, FULL, "a.png"),
+        LogError("b.xml: full"),
+        ConfigurationError("c: full"),
+    ):
+        with further(summary):
+            raise error
+    said = [f"a.png: {FULL}", "b.xml: full", "c: full"]
+    assert summary == {"success": False, "figure": 7, "one": 1, "unwritten": said}
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """A disk on which there is room for a summary alone."""
+    replace = Path.replace
+
+    def full(self, target):
+        if Path(target).suffix != ".json":
+            raise OSError(errno.ENOSPC, FULL)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
 
 
 @pytest.mark.parametrize(
-    "line", ["design hinf nowhere.yaml -o x --plot {}", "faults nowhere.yaml --junit x --json {}"]
+    ("line", "output", "figure"),
+    [
+        ("replay --suite FOLDER --jobs 1 --junit a.xml", "a.xml", "passed"),
+        ("calibrate lab poses.csv --out a.yaml", "a.yaml", "rms_m"),
+    ],
 )
-@pytest.mark.parametrize("name", ["./x", "../here/x", "link"])
-def test_one_file_is_the_same_by_whatever_name(line, name):
-    assert SAID in hil(line.format(name)).stderr
-
-
-@pytest.mark.parametrize(
-    "line", ["design hinf nowhere.yaml -o y --plot x.png", "campaign nowhere.yaml --page x"]
-)
-def test_files_of_different_names_are_no_reason_to_refuse(line):
-    result = hil(f"{line} --json z")
-    assert "nowhere.yaml" in result.stderr
-    assert SAID not in result.stderr
-
-
-def test_the_files_of_two_folders_may_have_one_name(here: Path):
-    for folder in ("a", "b"):
-        (here / folder).mkdir()
-    assert SAID not in hil("design hinf nowhere.yaml -o a/x --plot b/x.png --json x").stderr
-
-
-def waiting_bytes(fd: int) -> int:
-    return int(struct.unpack("i", fcntl.ioctl(fd, termios.FIONREAD, bytes(4)))[0])
-
-
-def test_a_summary_larger_than_a_pipe_holds_goes_into_it_whole_however_late_it_is_read(here: Path) -> None:
-    os.mkfifo(here / "pipe")
-    reader = os.open(here / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    os.set_blocking(reader, True)
-    room = fcntl.fcntl(reader, fcntl.F_SETPIPE_SZ, 4096)
-    summary = {"success": True, "ticks": list(range(2 * room))}
-    writing = Thread(target=write_json, args=(here / "pipe", summary))
-    writing.start()
-    while waiting_bytes(reader) < room and writing.is_alive():
-        select.select([reader], [], [], 10.0)
-    with os.fdopen(reader, "rb") as file:
-        found = file.read()
-    writing.join()
-    assert json.loads(found) == summary
+def test_a_result_whose_file_cannot_be_written_is_not_lost(here, log, full_disk, line, output, figure):
+    write(here / "poses.csv", rows())
+    result = hil(f"{line.replace('FOLDER', str(log.parent))} --json a.json")
+    assert result.exit_code == 1, result.output
+    found = json.loads(Path("a.json").read_text())
+    assert not found["success"]
+    assert figure in found, sorted(found)
+    assert (output in found["unwritten"][0], FULL in result.stderr) == (True, True)
+    assert not Path(output).exists()

@@ -180,31 +180,9 @@ def test_a_plant_that_has_died_and_answers_nothing_is_a_failure_that_summary_and
         assert found.log.closed["trouble"] == DIED
 
 
-def test_the_last_row_of_a_plant_that_has_died_is_in_its_log_and_has_no_truth(serve):
-    found = serve(Legs(dies_s=0.0115))
-    assert [bool(np.isfinite(row["p"]).all()) for row in found.log.rows] == [True, False]
-    assert found.log.rows[-1]["syncs"] == found.summary["syncs"] > found.log.rows[0]["syncs"]
-    assert np.isfinite(found.log.rows[-1]["length"]).all()
-
-
-@pytest.mark.parametrize("leg", range(6))
-@pytest.mark.parametrize("rate_m_s", [0.25, -0.25])
-def test_the_summary_tells_the_fastest_leg_at_the_end_whichever_way_it_moves(serve, leg, rate_m_s):
-    rates = [0.125] * 6
-    rates[leg] = rate_m_s
-    found = serve(Legs(lambda _: rates), recorded=False)
-    assert found.summary["success"]
-    assert found.summary["peak_final_rate_m_s"] == 0.25
-
-
 def test_rows_that_were_dropped_and_rows_that_were_lost_are_told(serve):
     found = serve(Legs())
     assert (found.summary["dropped_ticks"], found.summary["recorder"]) == (5, "full")
-
-
-@pytest.mark.parametrize(("loop", "plants"), [(80, 70), (5, 1)])
-def test_the_plant_runs_below_the_loop_that_it_shares_the_machine_with(serve, loop, plants):
-    assert serve(Legs(), priority=loop, recorded=False).priority == plants
 
 
 @pytest.mark.parametrize("rate_m_s", [0.3, -0.3])

@@ -16,7 +16,6 @@ from hil.app import plant
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import read_fault
-from hil.lab.bringup.rehearsal import build_bench, wiring_of
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
@@ -114,11 +113,3 @@ def test_a_controller_is_told_of_a_second_node_in_the_first_round_after_a_stall_
 def test_a_flood_is_on_the_bus_with_all_of_its_frames() -> None:
     bus = served(with_fault("bus_flood rate=8000"))
     assert sum(frame.id == 0 for sent in bus.sent for frame in sent) == 8 * ROUNDS + 1
-
-
-@pytest.mark.parametrize(("leg", "other"), [(5, 2), (0, 3)])
-def test_two_drives_of_a_bench_that_have_one_number_both_answer(leg: int, other: int) -> None:
-    wiring = wiring_of([f"same_id leg={leg} other={other}"], PROTOCOL)
-    bus = served(build_bench(C, wiring).nodes)
-    found = [set(answers(bus, each)) for each in range(6)]
-    assert found == [{2} if each == other else {0} if each == leg else {1} for each in range(6)]

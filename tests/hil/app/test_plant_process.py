@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -24,7 +23,7 @@ from hil.app import plant
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import plant_process
-from hil.app.run.plant_process import LAST_BYTES, LAST_LINES, SupervisedPlant
+from hil.app.run.plant_process import LAST_LINES, SupervisedPlant
 from hil.cli import main
 from hil.contracts.by_value import ByValue
 from hil.contracts.messages import Configure
@@ -133,40 +132,3 @@ def test_of_a_plant_whose_model_speaks_at_each_step_the_last_lines_are_told(
             pass
         text = str(refused.value).partition("ended with exit code 3: ")[2]
     assert text.splitlines() == [f"step {n} of the model" for n in range(3000 - LAST_LINES, 3000)]
-
-
-def test_of_a_line_without_end_the_end_is_told(begin: Begin) -> None:
-    with (
-        pytest.raises(PlantError) as refused,
-        begin("head -c 100000 /dev/zero | tr '\\0' x >&2; echo end >&2; exit 1"),
-    ):
-        pass
-    text = str(refused.value).partition("exit code 1: ")[2]
-    assert text == "x" * (LAST_BYTES - 4) + "end"
-
-
-def test_a_line_whose_beginning_is_cut_is_not_told_before_a_whole_one(begin: Begin) -> None:
-    with (
-        pytest.raises(PlantError) as refused,
-        begin("head -c 100000 /dev/zero | tr '\\0' x >&2; echo >&2; echo end >&2; exit 1"),
-    ):
-        pass
-    assert str(refused.value).partition("exit code 1: ")[2] == "end"
-
-
-def test_what_a_plant_says_after_it_was_shortened_goes_behind_what_was_left(begin: Begin) -> None:
-    with begin(SERVES) as served:
-        served._process.wait()
-        file = served._errors.fileno()
-        assert fcntl.fcntl(file, fcntl.F_GETFL) & os.O_APPEND
-        line, most = b"a step of the model\n", plant.SAID_BYTES
-        os.write(file, line * (most // len(line)))
-        before = os.fstat(file).st_size
-        plant.shorten(file)
-        assert os.fstat(file).st_size == before <= most, "it is not yet too long"
-        os.write(file, line)
-        plant.shorten(file)
-        os.write(file, b"last\n")
-        assert os.fstat(file).st_size == plant.KEPT_BYTES + 5
-        words = served.trouble().splitlines()
-    assert words[-2:] == ["a step of the model", "last"]

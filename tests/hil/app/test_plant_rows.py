@@ -10,10 +10,9 @@ import pytest
 from drivers.arrays import Rows
 from drivers.frame_array import NO_FRAMES, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
-from drivers.signals import DriveState
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
-from hil.app.plant_rows import SILENT_NS, PlantRows, at_rest
+from hil.app.plant_rows import SILENT_NS, PlantRows
 from tests.drivers.legs_frames import opening
 
 MS = 1_000_000
@@ -62,16 +61,6 @@ def test_what_came_while_drives_had_to_answer_is_in_one_row_with_every_frame(ser
     assert (row["syncs"], row["t_ns"], row["tick"]) == (2, 2 * MS, 0)
 
 
-def test_a_row_that_is_due_is_written_once(served):
-    _, log, rows, _ = served
-    rows.write(MS)
-    assert log.rows == [], "nobody was heard"
-    heard_at(served, MS)
-    rows.write(MS)
-    rows.write(MS)
-    assert len(log.rows) == 1
-
-
 def test_drives_that_have_to_answer_all_the_time_are_recorded_all_the_same(served):
     _, log, rows, _ = served
     for t_ns in range(MS, 13 * MS, MS):
@@ -107,13 +96,3 @@ def test_a_platform_that_moves_is_recorded_while_nobody_asks_and_one_at_rest_is_
     assert [int(row["t_ns"]) for row, _, _ in log.rows[1:]] == (
         [MS + k * SILENT_NS for k in range(1, 5)] if moves else []
     )
-
-
-@pytest.mark.parametrize("state", [DriveState.READY, DriveState.RUN])
-def test_a_platform_with_a_drive_that_is_powered_is_not_at_rest(served, state):
-    real = served[0].snapshot()
-    assert at_rest(real)
-    for leg in range(6):
-        states = real.state.copy()
-        states[leg] = state
-        assert not at_rest(real._replace(state=states))

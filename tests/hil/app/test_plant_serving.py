@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from types import SimpleNamespace
 from typing import Any
 
@@ -89,32 +88,6 @@ def test_a_frame_that_waits_out_its_latency_goes_onto_the_bus_at_its_time():
     assert bus.sent == [(first + 301_000, LATER)]
 
 
-def test_the_bench_wakes_up_when_the_next_drive_speaks_by_its_timer():
-    bus, stop, readings = Waited(), plant._Stop(), Timer(301_000, 300_000)
-
-    def step(_now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
-        readings.speak()
-        if len(bus.deadlines) == 3:
-            stop.reason = "enough"
-        return []
-
-    serve(bus, stop, step, readings)
-    assert bus.deadlines == [301_000, 601_000, 901_000]
-
-
-def test_a_bench_that_hangs_while_a_timer_is_due_waits_and_does_not_spin():
-    """No drive speaks meanwhile: the instant of the next one lies in the past."""
-    bus, stop, readings = Waited(), plant._Stop(), Timer(301_000, 300_000)
-
-    def step(_now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
-        if len(bus.deadlines) == 4:
-            stop.reason = "enough"
-        return []
-
-    serve(bus, stop, step, readings)
-    assert bus.deadlines == [301_000 + k * plant.IDLE_NS for k in range(4)]
-
-
 @pytest.mark.parametrize(("supervisor", "patience_s"), [(None, 0.0), (3, plant.ORPHAN_S + plant.CLOSING_S)])
 def test_the_plant_of_a_run_waits_for_the_orphan_of_the_one_before_and_any_other_is_refused_at_once(
     monkeypatch, supervisor, patience_s
@@ -129,28 +102,3 @@ def test_the_plant_of_a_run_waits_for_the_orphan_of_the_one_before_and_any_other
     with pytest.raises(RunError, match="in use"):
         plant.run_plant(load("virtual"), supervisor=supervisor)
     assert asked == [patience_s]
-
-
-@pytest.mark.parametrize("supervised", [False, True])
-def test_the_words_of_a_plant_are_shortened_where_they_go_to_the_file_of_its_supervisor(
-    monkeypatch, supervised
-):
-    bus: Any = Waited()
-    stop, shortened = plant._Stop(), list[int]()
-
-    def step(now_ns: int, _received: Any) -> list[tuple[int, Frame]]:
-        if now_ns > 2 * plant.LOOK_NS + 2 * plant.IDLE_NS:
-            stop.reason = "enough"
-        return []
-
-    monkeypatch.setattr(plant, "shorten", shortened.append)
-    nodes = Drives(start=lambda _: None, advance=advancing(step), snapshot=record_of, readings=Timer())
-    bench = plant.Bench(nodes, None, lambda: None)  # type: ignore[arg-type]
-    faults: Any = SimpleNamespace(strike=lambda _: None)
-    reading, writing = os.pipe()
-    plant._serve(
-        bench, bus, None, stop, None, reading if supervised else None, faults, build_protocol(load("virtual"))
-    )
-    os.close(reading)
-    os.close(writing)
-    assert shortened == [2, 2, 2] * supervised

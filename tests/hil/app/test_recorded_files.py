@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +10,13 @@ import pytest
 from drivers.errors import LogError
 from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
 from hil.app.configuration.configuration import load
-from hil.app.recorded_files import attached, with_attachments
+from hil.app.recorded_files import with_attachments
 from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
 from hil.control.state_space import StateSpaceSettings
 
 VIRTUAL = load("virtual")
 SAMPLED = VIRTUAL.model_copy(update={"reference": SampledReference(type="sampled", path="my.csv")})
-
-
-def test_a_full_disk_of_temporary_files_is_in_the_way_of_no_configuration_that_names_no_file(monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(tempfile, "TemporaryDirectory", full)
-    with attached(VIRTUAL, {}) as found:
-        assert found is VIRTUAL
-    with pytest.raises(OSError, match="No space"), attached(SAMPLED, {REFERENCE_CSV: b""}):
-        pass
 
 
 NAMING: Any = {
@@ -65,11 +53,3 @@ def test_a_file_that_a_log_lacks_is_named_by_its_key_and_its_attachment(tmp_path
     with pytest.raises(LogError, match=rf"a file in {section}\.{key}, .* \(attachment {name}\)"):
         with_attachments(naming, files, tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_a_log_carries_is_there_while_it_is_needed_and_gone_afterwards():
-    with attached(SAMPLED, {REFERENCE_CSV: b"t_s"}) as found:
-        assert isinstance(found.reference, SampledReference)
-        path = Path(found.reference.path)
-        assert path.read_bytes() == b"t_s"
-    assert not path.parent.exists()

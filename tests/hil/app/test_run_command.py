@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from drivers.errors import LogError
 from drivers.frame_array import NO_FRAMES
 from drivers.signals import Fault, Mode
-from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.run import command
 from hil.loop.clock import RealTime
 from hil.loop.daemon import Shell
 from hil.loop.run_end import NO_DRIVES, Course, Ending
-from hil.record import LogSummary, Recording
-from hil.record.log import Log
+from hil.record import LogSummary
 from tests.loop.test_run_end import cycle as a_cycle
 
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", 9)
@@ -186,20 +180,6 @@ def test_a_plant_that_still_ends_is_asked_why_it_fell_silent_where_legs_were_not
         assert summary["trouble"].startswith(f"{why}; the controller: {seen}")
 
 
-@pytest.mark.parametrize("unexpected", ["", "Traceback (most recent call last): ..."])
-def test_a_log_has_the_traceback_of_a_defect_and_the_summary_one_line(ran: Ran, unexpected: str) -> None:
-    events: list[tuple[Any, ...]] = []
-    *_, summary = ran(ending=replace(STOPPED, unexpected=unexpected), events=events)
-    assert events == [(0, "error", unexpected or "latched fault ESTOP")]
-    assert summary["trouble"] == "latched fault ESTOP"
-
-
-@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_run_without_a_plant_of_its_own_is_a_success_where_it_has_parked(ran: Ran, ending: Ending) -> None:
-    *_, summary = ran(ending=ending)
-    assert summary["success"] is (ending is PARKED)
-
-
 def test_a_run_that_could_not_say_where_the_legs_rest_is_no_success_and_its_summary_says_why(
     ran: Ran,
 ) -> None:
@@ -207,55 +187,3 @@ def test_a_run_that_could_not_say_where_the_legs_rest_is_no_success_and_its_summ
     assert (summary["success"], summary["trouble"]) == (False, "lab.yaml: cannot be written")
     *_, summary = ran(ending=STOPPED, unsaid="lab.yaml: cannot be written")
     assert summary["trouble"] == "latched fault ESTOP; lab.yaml: cannot be written"
-
-
-@pytest.mark.parametrize("name", ["a.mcap", "a.log", "a", "a.b.mcap"])
-def test_the_plants_log_is_where_a_log_looks_for_it_whatever_its_name_ends_with(
-    ran: Ran, tmp_path: Path, name: str
-) -> None:
-    *_, summary = ran(log=tmp_path / name, with_plant=True)
-    with Recording.start(tmp_path / name, configuration=""):
-        pass
-    with pytest.raises(LogError, match=f"{re.escape(str(tmp_path / summary['plant']['log']))}, the plant's"):
-        Log(tmp_path / name).plant  # noqa: B018 - there is none
-
-
-@pytest.mark.parametrize("name", ["run.png", "run.PNG", "lab.mcap", "lab", "linked.log"])
-def test_a_run_whose_picture_would_replace_its_log_or_a_file_of_the_user_does_not_begin(
-    ran: Ran, tmp_path: Path, name: str
-) -> None:
-    (tmp_path / "lab.png").write_text("notes")
-    (tmp_path / "linked.png").symlink_to("lab.png")
-    before = sorted(tmp_path.iterdir())
-    with pytest.raises(LogError, match=rf"--log .*{name}: "):
-        ran(log=tmp_path / name, draw=True)
-    assert sorted(tmp_path.iterdir()) == before
-    assert (tmp_path / "lab.png").read_text() == "notes"
-
-
-def test_a_run_that_draws_nothing_asks_for_no_picture_beside_its_log(ran: Ran, tmp_path: Path) -> None:
-    (tmp_path / "lab.png").write_text("notes")
-    *_, summary = ran(log=tmp_path / "lab.mcap")
-    assert summary["success"]
-
-
-@pytest.mark.parametrize("earlier", [None, b"", b"\x89PNG\r\n\x1a\n of before"])
-def test_an_earlier_picture_beside_a_new_log_is_in_nobodys_way(
-    ran: Ran, tmp_path: Path, earlier: bytes | None
-) -> None:
-    if earlier is not None:
-        (tmp_path / "lab.png").write_bytes(earlier)
-    *_, summary = ran(log=tmp_path / "lab.mcap", draw=True)
-    assert summary["success"]
-
-
-@pytest.mark.parametrize(
-    ("fault_tick", "last", "count"), [(10, 10, 1), (30, 30, 21), (59, 59, 50), (80, 79, 50), (90, 90, 50)]
-)
-def test_the_ticks_that_are_shown_of_a_fault_end_with_its_own(fault_tick: int, last: int, count: int) -> None:
-    """Ticks 80 to 89 are not in the log."""
-    rows = np.zeros(90, ROW)
-    rows["tick"] = [*range(10, 80), *range(90, 110)]
-    shown = [each["tick"] for each in command._tail(rows, fault_tick)]
-    assert (shown[-1], len(shown)) == (last, count)
-    assert shown == sorted(shown)

@@ -9,14 +9,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.errors import LogError
 from drivers.signals import Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
-from hil.loop.homing import LastPose
 from hil.loop.run_end import Ending
 from plant_fmu.config import FmuPlant
 
@@ -65,48 +63,31 @@ def simulated(
     )
 
 
+NO_REPLAY = "the log was not replayed: "
+NOWHERE = "a.mcap: no such file"
+VERDICTS: dict[str, tuple[dict[str, Any], bool, str]] = {
+    "parked": ({}, True, ""),
+    "replay differs": ({"agrees": False}, False, ""),
+    "two whole logs": ({"plant": ""}, True, ""),
+    "own log": ({"own": FULL}, False, FULL),
+    "own log, whole plant": ({"own": FULL, "plant": ""}, False, FULL),
+    "log of the plant": ({"plant": FULL}, False, FULL),
+    "both logs": ({"own": FULL, "plant": FULL}, False, FULL),
+    "log gone": ({"fails": LogError(NOWHERE)}, False, NO_REPLAY + NOWHERE),
+    "disk full": ({"fails": OSError(errno.ENOSPC, "No space", "/t/x")}, False, f"{NO_REPLAY}/t/x: No space"),
+    "unreadable": ({"unreadable": "a.mcap: damaged"}, False, "a.mcap: damaged"),
+    "own log, unreadable": ({"own": FULL, "unreadable": "a.mcap: damaged"}, False, FULL),
+}
+
+
+@pytest.mark.parametrize(("run", "success", "trouble"), VERDICTS.values(), ids=VERDICTS)
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-@pytest.mark.parametrize("agrees", [True, False])
-def test_a_simulation_is_a_success_where_it_parked_and_its_log_replays(monkeypatch, tmp_path, ending, agrees):
-    found = simulated(monkeypatch, tmp_path, ending, agrees=agrees)
-    assert found["replay"] == {"agrees": agrees}
-    assert found["success"] is (ending is PARKED and agrees)
-
-
-@pytest.mark.parametrize(("own", "plant"), [(FULL, None), (FULL, ""), ("", FULL), (FULL, FULL)])
-@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_simulation_whose_log_or_plant_log_is_not_whole_is_no_success_and_says_why(
-    monkeypatch, tmp_path, ending, own, plant
-):
-    found = simulated(monkeypatch, tmp_path, ending, own, plant)
-    assert found["success"] is False
-    assert found["trouble"] == "; ".join(filter(None, (ending.trouble, FULL)))
-    assert "replay" not in found, "there is nothing to compare"
-
-
-def test_a_simulation_of_two_whole_logs_is_a_success(monkeypatch, tmp_path):
-    found = simulated(monkeypatch, tmp_path, PARKED, "", "")
-    assert (found["success"], found["trouble"]) == (True, None)
-
-
-@pytest.mark.parametrize(
-    ("fails", "why"),
-    [
-        (LogError("a.mcap: no such file"), "a.mcap: no such file"),
-        (OSError(errno.ENOSPC, "No space left on device", "/t/x"), "/t/x: No space left on device"),
-    ],
-)
-@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_simulation_that_cannot_be_replayed_in_the_end_has_its_summary_all_the_same(
-    monkeypatch, tmp_path, ending, fails, why
-):
-    found = simulated(monkeypatch, tmp_path, ending, fails=fails)
-    said = f"the log was not replayed: {why}"
-    assert (found["success"], found["trouble"]) == (
-        False,
-        "; ".join(filter(None, (ending.trouble, said))),
-    )
+def test_a_loss_is_never_a_success(monkeypatch, tmp_path, ending, run, success, trouble):
+    found = simulated(monkeypatch, tmp_path, ending, **run)
+    assert found["success"] is (ending is PARKED and success)
+    assert (found["trouble"] or "") == "; ".join(filter(None, (ending.trouble, trouble)))
     assert found["log"] == str(tmp_path / "a.mcap")
+    assert "replay" not in found or trouble == "", "there is nothing to compare"
 
 
 def ended(monkeypatch: pytest.MonkeyPatch, ends: Any, faults: Fault) -> list[tuple[Any, ...]]:
@@ -144,12 +125,6 @@ def test_an_interrupted_simulation_closes_its_log_with_its_mode_and_its_faults_a
     ]
 
 
-def test_the_trouble_of_a_simulation_stands_in_its_log_at_its_last_tick(monkeypatch):
-    trouble = ("event", 14_000_000, "error", "latched fault ESTOP")
-    assert ended(monkeypatch, STOPPED, Fault.ESTOP) == [trouble]
-    assert ended(monkeypatch, PARKED, Fault.NONE) == []
-
-
 FILES: list[list[tuple[str, bytes]]] = [
     [],
     [("path.csv", b"0 1")],
@@ -185,42 +160,6 @@ def test_simulations_of_an_fmu_that_was_built_anew_under_its_name_are_not_the_sa
     assert len(set(found)) == 3
 
 
-def test_simulations_whose_legs_stand_elsewhere_are_not_the_same_run_and_since_when_is_nothing():
-    one = np.ones(6)
-    stood = LastPose(one, 0.01 * one, 0.2 * one, 0.02 * one, "parked 2026-01-01", "hil homing a")
-    others: list[LastPose | None] = [None, stood]
-    for name in ("length", "limit_m", "step_m", "m_per_turn"):
-        for leg in range(6):
-            moved = getattr(stood, name).copy()
-            moved[leg] = np.nextafter(moved[leg], 2.0)
-            others.append(stood._replace(**{name: moved}))
-    found = [command.run_identity(VIRTUAL, 2.0, None, None, (), each) for each in others]
-    assert len(set(found)) == len(others) == 26
-    later = stood._replace(origin="parked 2026-01-02")
-    assert command.run_identity(VIRTUAL, 2.0, None, None, (), later) == found[1]
-
-
-def test_the_identity_of_a_run_is_asked_for_with_where_its_legs_stand(monkeypatch, tmp_path):
-    asked = []
-
-    def identity(*given):
-        asked.append(given)
-        return "a"
-
-    stood = object()
-    keeper = SimpleNamespace(
-        last_pose=stood, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=""
-    )
-    monkeypatch.setattr(command, "Keeper", lambda *_, **__: keeper)
-    monkeypatch.setattr(command, "run_identity", identity)
-    parts = SimpleNamespace(trajectory=SimpleNamespace(duration_s=1.0), law=None)
-    monkeypatch.setattr(command, "build_cycle", lambda *_, **__: SimpleNamespace(parts=parts))
-    monkeypatch.setattr(command, "build_lockstep", lambda *_, **__: None)
-    monkeypatch.setattr(command, "law_figures", lambda *_: {})
-    simulated(monkeypatch, tmp_path, PARKED)
-    assert [given[-1] for given in asked] == [stood]
-
-
 def faulty(*names: str) -> Any:
     return SimpleNamespace(plant=SimpleNamespace(faults=names))
 
@@ -243,17 +182,6 @@ def test_each_fault_has_struck_or_waits_for_its_mode_or_for_its_time_and_is_told
     assert command._injected(faulty("a", "b", "c"), nodes) == expected
 
 
-def test_set_points_that_were_not_reached_stand_beside_those_that_were_taken(monkeypatch, tmp_path):
-    monkeypatch.setattr(command, "Script", lambda *_: SimpleNamespace(left=3))
-    monkeypatch.setattr(command, "run_identity", lambda *_: "1")
-    given = {"setpoints": {"taken": 5, "refused": 1, "why": None}}
-    for figures in ({}, given):
-        folder = tmp_path / str(len(figures))
-        folder.mkdir()
-        found = simulated(monkeypatch, folder, PARKED, figures=figures, setpoints=folder / "poses.csv")
-        assert found["setpoints"] == figures.get("setpoints", {}) | {"not_reached": 3}
-
-
 def test_commands_that_were_not_given_were_neither_given_nor_refused():
     operator: Any = SimpleNamespace(left=2, refused=1)
     assert command._commands([], operator) == {}
@@ -270,14 +198,3 @@ def test_a_simulation_whose_plant_log_exists_is_refused_before_its_own_log_is_be
         simulated(monkeypatch, tmp_path, PARKED, plant="")
     assert begun == []
     assert [path.name for path in tmp_path.iterdir()] == ["a-plant.mcap"]
-
-
-@pytest.mark.parametrize(("own", "told"), [("", "a.mcap: damaged"), (FULL, FULL)])
-@pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_log_that_cannot_be_read_is_a_trouble_of_its_own_where_its_recorder_had_none(
-    monkeypatch, tmp_path, ending, own, told
-):
-    found = simulated(monkeypatch, tmp_path, ending, own, unreadable="a.mcap: damaged")
-    assert found["success"] is False
-    assert found["trouble"] == "; ".join(filter(None, (ending.trouble, told)))
-    assert "replay" not in found

@@ -9,18 +9,14 @@ from click.testing import CliRunner
 
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
-from hil.app.stability import spring_models
 from hil.app.stability.command import JUDGES, assess, judge
 from hil.app.stability.designed import designed
-from hil.app.stability.subject import Payload, Stated, Subject
+from hil.app.stability.subject import Stated, Subject
 from hil.cli import main
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control import LAWS
 from hil.design.stability.disturbance import Load
-from hil.design.stability.energy import Basin
-from hil.robot.kinematics import jacobian
-from tests.broad import broad
 
 CONSTANT = "  model: {variant: constant, frozen_at: {position_m: [0, 0, 1]}}\n"
 DELAY = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
@@ -89,19 +85,6 @@ def test_the_verdict_on_a_law(law, rest, status, because):
         assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
 
 
-def test_a_level_is_a_length_only_where_it_is_that_of_the_legs_springs_alone(monkeypatch):
-    """72 J over six springs of 400 kN/m are 7.75 mm; with weight or turns in S it is no length of the legs."""
-    edge = Basin(72.0, np.zeros(3), "somewhere")
-    monkeypatch.setattr(spring_models, "basin", lambda *_: edge)
-    found = judge(bench(f"  law: pd_gravity\n{LEGS}", rest=True))
-    assert found.figures["energy"]["start_mm"] == pytest.approx(1e3 * np.sqrt(2 * 72.0 / (6 * 4e5)))
-    for law in (f"  law: pd\n{LEGS}", f"  law: cartesian_pd\n{POSE}"):
-        other = judge(bench(law, rest=True))
-        assert other.figures["energy"]["level_J"] == 72.0
-        assert other.figures["energy"]["start_mm"] is None
-        assert not any("every start" in line for line in other.lines)
-
-
 def test_a_pd_on_the_bench_is_stable_up_to_what_sampling_and_delay_leave():
     """200 kg, pure damping, h = T kv / m, a period late behind its hold: z^2 - z + h = 0, so stable below h = 1."""
     text = load("bench").text.replace("force_bandwidth_Hz: 200", "force_bandwidth_Hz: 0")
@@ -112,12 +95,6 @@ def test_a_pd_on_the_bench_is_stable_up_to_what_sampling_and_delay_leave():
     for h, status in ((0.95, "conditional"), (1.05, "unstable")):
         changed = text.replace(kp, "  kp_N_m: 1").replace(kv, f"  kv_N_s_m: {h * 200.0 * 1000.0}")
         assert judge(loads(changed, "bench.yaml", Path())).status == status
-
-
-def test_what_a_pd_sags_is_what_its_springs_carry():
-    """To first order tau / K_p, the book's 3.66 kN a leg at home."""
-    found = judge(bench(f"  law: pd\n{LEGS}", rest=True), quick=True).figures["energy"]["sag_mm"]
-    assert found == pytest.approx(1e3 * 3660 / 4e5, rel=0.02)
 
 
 def test_a_sliding_gain_that_is_too_small_for_the_load_given_is_not_proven():
@@ -164,16 +141,6 @@ def test_a_designed_controller_is_judged_by_its_loop():
     assert designed(Subject(plain, Stated()), wild, ModelSettings(), []).status == "unstable"
 
 
-def test_the_law_that_runs_a_designed_controller_is_judged_by_its_file(tmp_path):
-    file = tmp_path / "pd.yaml"
-    file.write_text(
-        "kind: linear-controller\nmethod: hinf\naxes: joint\nrate_Hz: 1000\ninputs: [error, rate_error]\n"
-        "A: []\nB: []\nC: [[]]\nD: [[400, 40]]\nanti_windup: []\ndesign: {}\n"
-    )
-    verdict = judge(bench(f"  law: state_space\n  controller_file: {file}\n"))
-    assert verdict.line == judge(bench("  law: inverse_dynamics\n  wn_rad_s: 20\n")).line
-
-
 def test_friction_that_the_law_does_not_know_counts_as_a_disturbance():
     """The lab's drives lose 250 N of Coulomb and 600 N s/m of viscous friction, and its law knows nothing of it."""
     verdict = judge(load("lab"))
@@ -209,29 +176,12 @@ def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
     assert len(summary["figures"]["ultimate_bound"]) == 6
 
 
-@pytest.mark.long
-def test_the_command_searches_the_sublevel_set_of_an_energy(tmp_path):
-    config = tmp_path / "my.yaml"
-    config.write_text(bench(f"  law: pd_gravity\n{LEGS}", rest=True).text)
-    result = CliRunner().invoke(main, ["stability", str(config)])
-    assert result.exit_code == 0, result.output
-    assert "sublevel set" in result.output
-    assert "in this assembly" in " ".join(result.output.split())
-    assert "V knows no sampling, delay or lag" in " ".join(result.output.split())
-
-
 def test_a_refuted_law_ends_with_one_and_a_wrong_option_with_two(tmp_path):
     config = tmp_path / "my.yaml"
     config.write_text(bench("  law: inverse_dynamics\n  wn_rad_s: 500\n").text)
     assert CliRunner().invoke(main, ["stability", str(config)]).exit_code == 1
     assert CliRunner().invoke(main, ["stability", "virtual", "--model-error", "1"]).exit_code == 2
     assert CliRunner().invoke(main, ["stability", "virtual", "--disturbance-force", "-1"]).exit_code == 2
-
-
-def test_its_help_teaches_the_verdicts():
-    text = CliRunner().invoke(main, ["stability", "--help"]).output
-    for word in ("proven", "conditional", "LaSalle", "reaching condition"):
-        assert word in text
 
 
 @pytest.mark.parametrize(
@@ -280,38 +230,6 @@ def test_of_a_live_reference_nothing_is_proven_without_saying_that_it_has_to_res
     assert any("live" in one or "rests" in one for one in found.conditions)
 
 
-def test_alpha_is_that_of_the_two_mass_matrices():
-    subject = Subject(VIRTUAL_CONFIGURATION, Stated(payload=Payload(230.0, (0.5, 0.3, 0.5))))
-    bare, x = subject.robots[0], np.array([0.5, 0.3, 0.5])
-    found = []
-    for s in subject.path:
-        J, at = jacobian(subject.platform, s.p, s.R), s.R @ x
-        across = np.array([[0, -at[2], at[1]], [at[2], 0, -at[0]], [-at[1], at[0], 0]])
-        point = np.hstack([np.eye(3), -across])
-        M = bare.mass_matrix(s.p, s.R)
-        Gamma = J @ np.linalg.solve(M + 230.0 * point.T @ point, M) @ np.linalg.inv(J)
-        found.append(np.abs(Gamma - np.eye(6)).sum(axis=1).max())
-    assert judge(VIRTUAL_CONFIGURATION, subject.stated).figures["alpha"] == pytest.approx(
-        max(found), rel=1e-6
-    )
-
-
-@pytest.mark.parametrize(
-    ("law", "status", "says"),
-    broad(
-        [
-            (SLIDING, "conditional", "s reaches its layer"),
-            (f"  law: pd_gravity\n{LEGS}", "conditional", "off the set-point"),
-        ],
-        quick=1,
-    ),
-)
-def test_other_laws_are_judged_with_the_payload_too(law, status, says):
-    found = judge(bench(law, rest=True), Stated(payload=Payload(230.0, (0.5, 0.3, 0.5))))
-    assert found.status == status, found.line
-    assert says in found.line
-
-
 @pytest.mark.parametrize(
     "given", ["heavy", "-1kg", "230kg@0,0", "230kg@0,0,nan", "inf", "1e300", "230@0,1e300,0", ""]
 )
@@ -319,13 +237,3 @@ def test_a_payload_that_is_none_is_refused(given):
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", given])
     assert done.exit_code == 2
     assert "allowed: a mass in kg and its place in m" in done.output
-
-
-def test_without_a_layer_nothing_that_is_stated_beside_the_section_is_judged():
-    law = (
-        "  law: sliding_mode\n  lambda_rad_s: 40\n  reaching_m_s2: 3\n  boundary_layer_m_s: 0\n"
-        "  uncertainty: {disturbance_m_s2: 15}\n"
-    )
-    assert judge(bench(law)).status == "conditional"
-    found = judge(bench(law), Stated(Load(1e6)))
-    assert (found.status, "nothing but section uncertainty" in found.claim) == ("not proven", True)

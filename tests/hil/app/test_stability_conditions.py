@@ -159,18 +159,6 @@ def test_errors_that_the_steps_of_readings_keep_up_are_not_said_to_die_out(linea
         assert (SURVEYED in found.conditions) == (status == "conditional")
 
 
-@pytest.mark.parametrize(
-    ("length_m", "rate_m_s", "status"),
-    [(0.0, 0.0, "proven"), (1e-6, 0.0, "conditional"), (0.0, 1e-5, "conditional")],
-)
-def test_steps_in_the_reading_of_one_leg_are_enough(length_m, rate_m_s, status, monkeypatch):
-    c = held(LINEAR, FINE)
-    of_one = np.eye(6)[4]
-    drives = Drives.of(c)._replace(length=length_m * of_one, rate=rate_m_s * of_one)
-    monkeypatch.setattr(Drives, "of", lambda _: drives)
-    assert judge(c).status == status
-
-
 def test_of_springs_the_steps_of_forces_and_readings_are_left_out_and_a_condition_says_so(monkeypatch):
     c = held(SPRINGS["pid"])
     real, of_one = Drives.of(c), 1e-9 * np.eye(6)[3]

@@ -10,12 +10,9 @@ import pytest
 import configs
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
-from hil.app.configuration.platform import build_platform
 from hil.app.sim.command import simulate
 from hil.app.stability.command import judge
 from hil.app.stability.imperfect_drives import Drives
-from hil.robot.kinematics import leg_lengths
-from hil.trajectory.build import build_trajectory
 from tools.drive_families import FAMILIES, NO_FRICTION, NO_LOSS, merged
 
 SHIPPED = (Path(str(configs.__file__)).parent / "desktop.yaml").read_text(encoding="utf-8")
@@ -28,7 +25,6 @@ COARSE = {
         }
     }
 }  # fmt: skip
-NO_TIMER = {"drives": {"options": {"encoder_msg_rate_ms": 0, "variant": None, "model": None}}}
 SLIGHT = merged(SMOOTH, {"drives": {"transmission": {"efficiency": 0.98, "back_driving_efficiency": 0.98}}})
 
 
@@ -52,24 +48,6 @@ def test_steps_and_losses_are_those_of_the_family():
     np.testing.assert_allclose(drives.force, 20.0 / 4095 / 0.02 / 0.85, rtol=1e-12)
     np.testing.assert_allclose(drives.loss, 1.0 / (0.9 * 0.85) - 1.0, rtol=1e-12)
     assert drives.most_N == 120.0
-
-
-def test_a_reading_that_is_sent_unasked_is_wrong_by_what_a_leg_moves_in_six_tenths_of_a_period():
-    """Speeds and accelerations of the legs by differences of their lengths along the reference."""
-    c = desktop(FAMILIES["odrive"], LOSSLESS)
-    asked = desktop(FAMILIES["odrive"], LOSSLESS, NO_TIMER)
-    aged, fresh, h = Drives.of(c), Drives.of(asked), 1e-4
-    platform, trajectory = (
-        build_platform(c.platform),
-        build_trajectory(c.reference, c.platform.home, c.folder),
-    )
-    poses = [[trajectory.sample(t + k * h) for k in (-1, 0, 1)] for t in np.linspace(h, 20.0, 4000)]
-    q = np.array([[leg_lengths(platform, s.p, s.R) for s in three] for three in poses])
-    dq, ddq = (q[:, 2] - q[:, 0]) / (2 * h), (q[:, 2] - 2 * q[:, 1] + q[:, 0]) / h**2
-    age_s = 0.6 / c.loop.rate_Hz
-    np.testing.assert_allclose((aged.length - fresh.length) / age_s, np.abs(dq).max(axis=0), rtol=0.02)
-    np.testing.assert_allclose((aged.rate - fresh.rate) / age_s, np.abs(ddq).max(axis=0), rtol=0.02)
-    assert (Drives.of(desktop({})).length == Drives.of(desktop({})).length[0]).all(), "those that are polled"
 
 
 def test_the_bound_grows_with_the_steps_and_with_the_losses():

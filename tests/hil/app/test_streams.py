@@ -12,8 +12,7 @@ from typing import Any, TextIO
 
 import pytest
 
-from drivers.errors import HilError
-from hil.app.output import show, show_lines
+from hil.app.output import show
 from hil.cli import check, main
 from hil.cli.shared import finish, finish_briefly, finish_lines
 
@@ -76,66 +75,6 @@ def test_a_full_disk_behind_the_output_costs_no_result_and_is_no_refusal(
     assert invoked(end) == 1
     assert capsys.readouterr().err == f"hil: standard output {FULL}"
     assert json_file.read_text().startswith('{\n  "success": true')
-
-
-def test_a_full_disk_behind_the_output_leaves_a_refusal_what_it_is(
-    invoked: Invoked, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], full: TextIO
-) -> None:
-    def refused(_: Path) -> None:
-        show_lines(["a"])
-        raise HilError("no such file")
-
-    monkeypatch.setattr("sys.stdout", full)
-    assert invoked(refused) == 2
-    assert capsys.readouterr().err == f"hil: no such file\nhil: standard output {FULL}"
-
-
-@pytest.mark.parametrize("success", [True, False])
-def test_messages_that_cannot_be_written_cost_no_result_either(
-    invoked: Invoked,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    json_file: Path,
-    full: TextIO,
-    success: bool,
-) -> None:
-    monkeypatch.setattr("sys.stderr", full)
-    summary = {"success": success, "kind": "check", "trouble": "what nobody reads"}
-    assert invoked(lambda file: finish("check", summary, file)) == 1
-    assert capsys.readouterr().out.startswith(f"check: {'success' if success else 'failed'}\n")
-    assert json_file.exists()
-
-
-@pytest.mark.parametrize("end", [finish, finish_briefly])
-def test_what_went_wrong_is_said_on_standard_error(
-    invoked: Invoked, capsys: pytest.CaptureFixture[str], end: Callable[..., None]
-) -> None:
-    summary = {"success": False, "kind": "check", "trouble": "nobody answers"}
-    assert invoked(lambda file: end("check", summary, file)) == 1
-    assert "hil: nobody answers\n" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("encoding", "shown"), [("latin-1", "\xe9 \\u2013"), ("ascii", "\\xe9 \\u2013")])
-@pytest.mark.parametrize("form", ["figures", "lines"])
-def test_a_sign_that_the_locale_has_not_is_shown_as_its_number(
-    invoked: Invoked,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    json_file: Path,
-    encoding: str,
-    shown: str,
-    form: str,
-) -> None:
-    out, text = tmp_path / "out.txt", "\xe9 \u2013"
-    work = {
-        "figures": lambda file: finish("check", GOOD | {"text": text}, file),
-        "lines": lambda file: finish_lines([text], GOOD, file),
-    }[form]
-    with out.open("w", encoding=encoding) as stream, monkeypatch.context() as patch:
-        patch.setattr("sys.stdout", stream)
-        assert invoked(work) == 0
-    assert shown in out.read_text(encoding=encoding)
-    assert json_file.exists()
 
 
 @pytest.mark.parametrize("end", list(ENDS.values())[:4], ids=list(ENDS)[:4])

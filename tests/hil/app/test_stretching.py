@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import BitTiming, frame_time_ns
-from drivers.frame_array import sent_array
-from drivers.protocol import BUS, Frame
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.app.run.stretching import begin, stood_still_line, stretches
@@ -44,28 +41,6 @@ def test_of_what_the_bus_leaves_of_the_window_a_sixth_is_to_wake_up_and_a_third_
     bus_ns = 6 * MS - 6 * wake_ns
     assert 0.1 * MS < bus_ns < MS, "a SYNC and six feedbacks of CAN FD"
     assert work_ns == pytest.approx(2 * wake_ns, abs=2)
-
-
-def test_a_window_that_the_bus_fills_leaves_a_tenth_of_a_millisecond_all_the_same(ends: Any) -> None:
-    assert shares(ends, 1000) == (100_000 // 6, 100_000 // 3)
-
-
-@pytest.mark.parametrize("fullest", [0, 1])
-def test_of_several_buses_the_fullest_alone_leaves_the_rest_of_the_window(fullest: int) -> None:
-    """One of one SYNC and one feedback, the other of one SYNC and three."""
-    sync, answer = Frame(0x80, b"", 0), Frame(0x700, bytes(8), 0)
-    counts = [3 if bus == fullest else 1 for bus in (0, 1)]
-    asked = [sync._replace(flags=bus * BUS) for bus in (0, 1)]
-    answers = [
-        answer._replace(id=0x700 + 8 * bus + n, flags=bus * BUS) for bus in (0, 1) for n in range(counts[bus])
-    ]
-    protocol: Any = SimpleNamespace(traits=SimpleNamespace(feedbacks=answers))
-    each = SimpleNamespace(bitrate_bit_s=1_000_000, data_bitrate_bit_s=5_000_000, layout="classic")
-    c = SimpleNamespace(bus=SimpleNamespace(buses=(each, each)))
-    wake_ns, _ = shares((c, protocol, sent_array(asked)), 10 * MS)
-    timing = BitTiming.of(each)  # type: ignore[arg-type]
-    taken_ns = frame_time_ns(0, 0, timing) + 3 * frame_time_ns(8, 0, timing)
-    assert wake_ns == (10 * MS - taken_ns) // 6
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ from drivers.errors import ConfigurationError
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
-from hil.app.configuration.fault_words import with_faults
-from hil.app.configuration.unattended import unattended, without_operator
 from hil.app.sim import command as sim
 from hil.app.sim.build import build_lockstep
 from hil.config.operator import OperatorSettings
@@ -94,17 +92,6 @@ def test_no_command_in_simulated_time_waits_for_an_operator(
             assert each.operator == OperatorSettings.model_validate(SPEEDS), settings
 
 
-@pytest.mark.parametrize("command", RUNS)
-def test_runs_begin_where_the_plant_does_but_for_a_simulation_of_its_own(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`hil sim` rehearses power-off and start; a series of runs would be tied together by the file."""
-    c = seen_by(command, attended(**WAITS["stays"]), tmp_path, monkeypatch)
-    for each in (c, loads(c.text, "mine.yaml", Path())):
-        assert each.plant is not None
-        assert each.plant.homing_file == ("parked.yaml" if command == "sim" else None)
-
-
 def test_a_simulation_in_which_somebody_speaks_keeps_what_the_configuration_asks_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,19 +100,6 @@ def test_a_simulation_in_which_somebody_speaks_keeps_what_the_configuration_asks
     with pytest.raises(SeenError) as found:
         sim.simulate(c, commands=[(1.0, "start")])
     assert found.value.c is c
-
-
-def test_what_is_not_in_the_text_goes_along_and_what_waits_for_nobody_stays_as_it_is() -> None:
-    c = with_faults(attended(**WAITS["stays"]), ["encoder_jump leg=1 by=5e-3"])
-    for taken in (unattended(c), without_operator(c)):
-        assert taken.plant is not None
-        assert [fault.kind for fault in taken.plant.faults] == ["encoder_jump"]
-        assert (taken.source, taken.folder, taken.name) == (c.source, c.folder, "mine")
-    plain = load("virtual")
-    assert unattended(plain) is plain
-    assert without_operator(attended()).text == attended().text, (
-        "set-up speeds and a homing file make no wait"
-    )
 
 
 @pytest.mark.parametrize("key", WAITS)

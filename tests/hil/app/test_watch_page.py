@@ -59,20 +59,6 @@ def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
 
 
-@pytest.mark.long
-@pytest.mark.realtime
-def test_the_page_is_drawn_anew_fifty_times_a_second(rows, watch):
-    now = "[watching.counts.states, watching.counts.drawn, performance.now()]"
-    with LiveRun(rows), Browser() as browser:
-        browser.go(watch.link)
-        until(browser, "watching.counts.drawn > 20")
-        first = browser.value(now)
-        time.sleep(5.0)
-        states, drawn, ms = np.subtract(browser.value(now), first)
-        assert states / ms * 1e3 > 47.0
-        assert drawn / ms * 1e3 > 40.0
-
-
 def test_what_is_shown_is_the_newest_row(rows, watch):
     with LiveRun(rows[:1].copy()) as run, Browser() as browser:
         browser.go(watch.link)

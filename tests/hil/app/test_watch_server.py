@@ -7,22 +7,14 @@ import json
 import socket
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.tick_columns import ROW
-from hil.app.configuration.configuration import load
-from hil.app.run_description import run_description
-from hil.app.watch.access import Access
 from hil.app.watch.feed import Feed
-from hil.app.watch.http import Refused
-from hil.app.watch.operating import Operating
-from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Server, Watcher
-from hil.record.mirror import FIGURES, Mirror, MirrorReader
-from hil.record.row import TICKS, describe
+from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Watcher
 from tests.live_run import Listening, LiveRun, Watch
 
 pytestmark = pytest.mark.usefixtures("meeting_place")
@@ -169,37 +161,6 @@ def test_connections_and_streams_are_bounded(rows):
             each.close()
 
 
-def test_a_run_of_another_version_is_said_to_be_one_and_ends_nothing(tmp_path):
-    about = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
-    columns = json.loads(describe(TICKS.columns))
-    path = tmp_path / "mirror"
-    feed = Feed(path)
-    changes: tuple[dict[str, Any], ...] = (
-        {"columns": [c | {"name": "share"} if c["name"] == "lyapunov_share" else c for c in columns]},
-        {
-            "columns": [
-                c | {"shape": [5], "elements": []} if c["name"] == "drive_fault" else c for c in columns
-            ]
-        },
-        {"force_limit_N": None},
-        {"length_min_m": [0.0] * 5},
-    )
-    for n, change in enumerate(changes):
-        given: dict[str, Any] = {"columns": columns, **change}
-        mirror = Mirror(path, {**about, **given, "columns": json.dumps(given["columns"])})
-        mirror.write(np.zeros((), MirrorReader(path).dtype), np.zeros((), FIGURES))
-        assert not feed.look(2.0 * n)
-        assert b"use the version that runs there" in feed.about
-        found = feed.run
-        assert not feed.look(2.0 * n + 1.0)
-        assert feed.run == found, "it is said once"
-        mirror.close()
-    mirror = Mirror(path, {**about, "columns": json.dumps(columns)})
-    mirror.write(np.zeros((), ROW), np.zeros((), FIGURES))
-    assert feed.look(100.0)
-    mirror.close()
-
-
 class Transport:
     """Counts what is written; `waiting` bytes are not read."""
 
@@ -221,38 +182,6 @@ class Transport:
 
     def abort(self):
         self.aborted = True
-
-
-def test_of_a_full_house_those_who_do_not_read_leave_first_and_those_with_the_token_last(tmp_path):
-    access = Access("t" * 32, 1, frozenset({"localhost"}), beyond=False, operate=False)
-    feed = Feed(tmp_path / "none")
-    feed.state = b"state"
-
-    def house(*ours):
-        server = Server(feed, access, {}, None)
-        writers: list[Any] = [Transport() for _ in ours]
-        for writer, mine in zip(writers, ours, strict=True):
-            server._watchers[Watcher(writer, ours=mine)] = None
-        return server, writers
-
-    def left(writers):
-        return [writer.aborted for writer in writers]
-
-    server, writers = house(True, False, False)
-    server._make_room(ours=False)
-    assert left(writers) == [False, True, False], "the oldest without the token"
-    server._make_room(ours=True)
-    assert left(writers) == [False, True, True]
-    with pytest.raises(Refused, match="pages are open"):
-        server._make_room(ours=False)
-    server._make_room(ours=True)
-    assert left(writers) == [True, True, True], "the oldest of all"
-    server, writers = house(False, True, False)
-    writers[2].waiting = BEHIND_BYTES + 1
-    for watcher in server._watchers:
-        watcher.send(feed, 0.0, fresh=True)
-    server._make_room(ours=False)
-    assert left(writers) == [False, False, True], "it does not read"
 
 
 def test_a_watcher_that_is_behind_gets_nothing_until_it_reads_and_is_cut_off_in_the_end(tmp_path):
@@ -308,19 +237,6 @@ def test_where_the_configuration_does_not_allow_it_nobody_operates(rows, watch):
         assert len(watch.token) >= 32, "who has it keeps his place among many"
         assert post(watch, "hold")[0] == 403
         assert controller.lines == []
-
-
-def test_a_runtime_folder_that_others_may_write_to_ends_neither_the_page_nor_its_questions(
-    monkeypatch, tmp_path
-):
-    folder = tmp_path / "hexapod-hil"
-    folder.mkdir()
-    folder.chmod(0o777)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert Operating("localcan", "a").status() is None
-    taken, why = Operating("localcan", "a").say("hold")
-    assert not taken
-    assert "mode 0700" in why
 
 
 def test_where_no_controller_listens_the_page_is_told(rows, operated):

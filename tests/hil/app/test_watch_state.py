@@ -40,13 +40,6 @@ def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():
     assert found["margin"] == pytest.approx([10.0, 20.0, 725.0, -3.0, -4.0, 20.0], abs=0.01)
 
 
-def test_a_leg_that_was_never_heard_has_no_margin_and_no_length():
-    found = legs_of(q=1.5, age=[0, NEVER, 3, NEVER, 0, 0])
-    heard = [True, False, True, False, True, True]
-    assert [x is not None for x in found["margin"]] == heard
-    assert [x is not None for x in found["q"]] == heard
-
-
 def test_a_leg_is_marked_silent_from_the_tick_of_the_fault_on_but_not_before_it_was_ever_heard():
     found = legs_of(age=[0, SILENT - 1, SILENT, SILENT + 1, NEVER - 1, NEVER])
     assert found["marked"] == ["", "", "silent", "silent", "silent", ""]
@@ -105,15 +98,6 @@ def shown(path, name, events=BEGUN, **changes):
     return mirror
 
 
-def test_of_each_run_that_follows_the_events_are_shown_though_they_are_those_of_the_former(tmp_path):
-    path, page = tmp_path / "mirror", Page()
-    feed = Feed(path)
-    for n, name in enumerate(("first", "second", "third")):
-        mirror = shown(path, name)
-        assert [e["text"] for e in page.told(feed, 10.0 * n, "events")[-1]] == ["begun"], name
-        mirror.close()
-
-
 def test_a_page_that_is_open_is_told_once_that_what_runs_now_cannot_be_read(tmp_path):
     path, page = tmp_path / "mirror", Page()
     feed = Feed(path)
@@ -131,35 +115,4 @@ def test_a_page_that_is_open_is_told_once_that_what_runs_now_cannot_be_read(tmp_
     mirror = shown(path, "other shapes", length_min_m=[0.0] * 5)
     told = page.told(feed, 40.0, "about")
     assert "use the version that runs there" in told[-1]["trouble"]
-    mirror.close()
-
-
-FEWER = np.dtype([(name, FIGURES[name]) for name in FIGURES.names[:-1]])  # type: ignore[index]
-MORE = np.dtype([*FIGURES.descr, ("later_ns", "<i8")])
-OTHER_PIECES = {
-    "a figure less": (FEWER, BEGUN),
-    "a figure less, no event": (FEWER, []),
-    "a figure more": (MORE, BEGUN),
-    "a figure more, no event": (MORE, []),
-    "no figures": (np.dtype([]), []),
-    "events without a level": (FIGURES, [{"number": 1, "t_ns": 5, "text": "begun"}]),
-    "events that are words": (FIGURES, ["begun"]),
-    "events with numbers for text": (FIGURES, [{**BEGUN[0], "text": 5}]),
-}
-
-
-@pytest.mark.parametrize("case", OTHER_PIECES)
-def test_of_a_run_whose_pieces_are_made_otherwise_the_page_is_told_so_and_goes_on(tmp_path, case):
-    figures, events = OTHER_PIECES[case]
-    path, page = tmp_path / "mirror", Page()
-    feed = Feed(path)
-    other = Mirror(path, {**ABOUT, "name": "other", "columns": describe(TICKS.columns)})
-    other.write(np.zeros((), ROW), np.zeros((), figures), json.dumps(events).encode())
-    assert "use the version that runs there" in page.told(feed, 0.0, "about")[-1]["trouble"]
-    assert page.told(feed, 10.0, "about") == [], "it is said once"
-    assert feed.state == b""
-    other.close()
-    mirror = shown(path, "good")
-    assert [about["name"] for about in page.told(feed, 20.0, "about")] == ["good"]
-    assert [e["text"] for e in json.loads(feed.events.partition(b"data: ")[2])] == ["begun"]
     mirror.close()

@@ -155,10 +155,7 @@ def robot(bench, tmp_path):
     """A bench whose plant is a foreign FMU: ours, copied, with changes to the map; leaves files out of it."""
 
     def write(*changes, without=None):
-        with (
-            zipfile.ZipFile(build("3.0")) as source,
-            zipfile.ZipFile(tmp_path / "robot.fmu", "w") as target,
-        ):
+        with zipfile.ZipFile(build("3.0")) as source, zipfile.ZipFile(tmp_path / "robot.fmu", "w") as target:
             for name in source.namelist():
                 if without is None or not name.startswith(without):
                     target.writestr(name, source.read(name))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect, stopping_distances_m
@@ -64,21 +63,6 @@ def test_the_arithmetic_of_the_bus_is_shown():
     assert report.figures["bus"]["feedback_us"] == pytest.approx(75 + 6 * 64.6)
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("virtual", "270 us more, 83.8 % in all"),
-        ("lab-cia402", "810 us more, 89.8 % in all"),
-        ("two_buses", "270 us more, 122.3 % in all; the rest waits for the next tick"),
-    ],
-)
-def test_the_frames_that_set_the_drives_up_are_in_the_arithmetic_of_the_bus(name, said):
-    """By hand: 8 bytes take 135 us at 1 Mbit/s; one CONFIG, or three SDOs, and as many answers, in a tick."""
-    report = inspect(load(name))
-    assert f"set-up of the drives, on shut brakes: {said}" in "\n".join(report.lines)
-    assert report.figures["bus"]["set_up_us"] == pytest.approx(float(said.split()[0]))
-
-
 BROKEN = [
     ("force_N: 25000 ", "force_N: 15000 ", "force above limits.force_N 15000", "force", 15000),
     ("speed_m_s: 2 ", "speed_m_s: 1 ", "rate above limits.speed_m_s 1", "rate", 1),
@@ -133,29 +117,6 @@ def test_a_path_through_a_singularity_is_refused_with_its_first_instant():
 def test_a_path_too_near_to_a_singularity_is_refused_before_it():
     with pytest.raises(ConfigurationError, match=r"condition of J above limits\.condition 50: 50\.\d"):
         inspect(spinning())
-
-
-def test_an_acceleration_beyond_its_limit_is_named_with_its_first_instant():
-    c = edited(
-        ("  stroke_margin_m: 0.02\n", "  stroke_margin_m: 0.02\n  acceleration_m_s2: 3\n"),
-        ("interpolation: cubic ", "interpolation: quintic "),
-    )
-    with pytest.raises(ConfigurationError) as caught:
-        inspect(c)
-    (problem,) = caught.value.problems
-    t = float(
-        re.findall(r"at t = ([\d.]+) s: leg \d: acceleration above limits.acceleration_m_s2 3", problem)[0]
-    )
-    a, b = np.array(c.platform.base_joints_m), np.array(c.platform.platform_joints_m)
-    times = np.arange(0.0, 1.0, 1e-3)
-    u = (10 * times**3 - 15 * times**4 + 6 * times**5)[:, None]
-    p = [0, 0, 1] + u * [0.25, 0.5, -0.25]
-    R = Rotation.from_rotvec(u * [5, 10, 15], degrees=True).as_matrix()
-    q = np.linalg.norm(p[:, None] + np.einsum("nij,kj->nki", R, b) - a, axis=2)
-    acceleration = np.gradient(np.gradient(q, times, axis=0), times, axis=0)[3:-3]
-    beyond = times[3:-3][(np.abs(acceleration) > 3).any(axis=1)][0]
-    assert 0.05 < beyond < 0.3
-    assert t == pytest.approx(beyond, abs=1.1e-3)
 
 
 def test_a_step_of_force_that_the_limit_would_cut_is_named_at_the_start():
@@ -271,14 +232,6 @@ def test_silence_drives_a_leg_into_its_end_where_the_books_lengths_and_rates_say
     away = q + dq * T + a * T**2 / 2, q + dq * T - a * T**2 / 2
     assert (away[0].max() > 2.2 or away[1].min() < 0.75) == leaves
     assert bool(warnings("virtual", closing(closing_s))) == leaves
-
-
-@pytest.mark.parametrize("name", ["lab", "vcan50", "virtual"])
-def test_a_shipped_bench_gives_its_brakes_two_to_four_times_what_they_take_to_act(name):
-    """They begin to act within it, and stop the legs: then the brakes are tested."""
-    c = load(name)
-    taken_ms = c.plant.drives.brake_close_ms  # type: ignore[union-attr]
-    assert 2 * taken_ms <= 1e3 * c.engage.closing_s <= 4 * taken_ms
 
 
 def test_the_printed_distance_is_speed_and_acceleration_over_watchdog_and_brake():

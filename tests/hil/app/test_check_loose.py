@@ -5,14 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from hil.app.check.command import inspect
 from hil.app.check.loose import loose_limits
 from hil.app.check.operating import speed_change
-from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
 from hil.app.reachability import span_s, walk
-from hil.config.reference import LiveReference
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.build import build_trajectory
@@ -90,43 +87,3 @@ def test_a_deceleration_that_no_force_gives_is_warned_of(virtual):
     assert line.startswith(f"limits.deceleration_m_s2 {4.1 * able:g} is 4.1 times the {able:.3g} m/s^2")
     proposed = float(line.rsplit(" ", 1)[1])
     assert 0.9 * able < proposed <= able
-
-
-def test_a_live_reference_needs_what_its_setpoints_may_ask_for(virtual):
-    """At rest the approach is fastest, 1.875 x 0.2 m/s, and 2 m/s beyond it; a leg at 0.6 m/s needs them."""
-    c, w, _ = virtual
-    resting = w._replace(dq=np.zeros_like(w.dq), ddq=np.zeros_like(w.ddq))
-    for velocity_m_s, loose in ((0.01, True), (0.6, False)):
-        limits = {
-            "velocity_m_s": velocity_m_s,
-            "velocity_deg_s": 1.0,
-            "acceleration_m_s2": 1.0,
-            "acceleration_deg_s2": 1.0,
-            "jerk_m_s3": 10.0,
-            "jerk_deg_s3": 10.0,
-        }
-        reference = LiveReference.model_validate({"type": "live", "limits": limits})
-        found = list(loose_limits(c.model_copy(update={"reference": reference}), resting, None))
-        assert any("limits.speed_m_s" in each for each in found) == loose, found
-
-
-def named(warnings):
-    return {each.split()[0] for each in warnings if "would show a failure late" in each}
-
-
-WEIGHTLESS = {"gravity_m_s2": [0.0, 0.0, 0.0]}
-
-
-@pytest.mark.parametrize(
-    ("changes", "loose"),
-    [
-        ({"limits": {"acceleration_m_s2": 5.0}}, {"limits.force_N", "limits.speed_m_s"}),
-        ({"platform": WEIGHTLESS}, {"limits.speed_m_s"}),
-        ({"platform": WEIGHTLESS, "limits": {"acceleration_m_s2": 5.0}}, {"limits.speed_m_s"}),
-    ],
-)
-def test_a_limit_of_what_a_pose_that_is_held_does_not_need_at_all_is_not_loose(virtual, changes, loose):
-    """No acceleration at rest, and no force without weight: no ratio, and nothing to propose."""
-    c, held = virtual[0], {"type": "hold", "duration_s": 1.0}
-    text = with_changes(c.text, {"name": c.name, "reference": held} | changes)
-    assert named(inspect(loads(text, "held.yaml", c.folder)).warnings) == loose

@@ -1,16 +1,12 @@
 """What `hil check` says of operating: a change of speed against the limits, the key against those who hold it."""
 
-import re
-
 import numpy as np
 import pytest
 
-from hil.app.check.operating import PAGE_REPEAT_S, _beyond, speed_change
+from hil.app.check.operating import _beyond, speed_change
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.app.operate import REPEAT_S
 from hil.app.reachability import span_s, walk
-from hil.app.watch.command import assets
 from hil.robot.dynamics import Model
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.override import Override
@@ -83,9 +79,3 @@ def test_a_limit_that_holds_on_the_path_and_not_while_its_speed_changes_is_warne
             found = list(_beyond(c.model_copy(update={"limits": limits}), w, said))
             assert len(found) == warns, (name, found)
             assert all(f"limits.{name}" in each and "engage.stop_s" in each for each in found)
-
-
-def test_the_intervals_are_those_of_the_clients():
-    assert REPEAT_S == 0.02
-    script = assets()["/operate.js"][0].decode()
-    assert re.findall(r"HELD_MS = (\d+)", script) == [f"{1e3 * PAGE_REPEAT_S:g}"]

@@ -78,19 +78,6 @@ def test_a_push_that_the_limits_would_clip_is_told(force, swing, friction, key):
     assert key is None or key in str(told)
 
 
-def test_a_push_that_moves_a_free_leg_out_of_its_following_error_is_told():
-    c = stated(load("lab"), 60.0)
-    limits = limits_of(c)
-    accelerates = limits.push_N[0] * limits.mobility[0, 0] / 2.0
-    seen_s = 1e-3 * limits.acting_ticks + (6.0 * limits.length_noise_m / accelerates) ** 0.5
-    moved = accelerates * seen_s**2
-    for share, fine in ((1.05, True), (0.95, False)):
-        asked = c.limits.model_copy(update={"following_error_m": share * moved})
-        told = clipped(c.model_copy(update={"limits": asked}), limits, walked(500.0))
-        assert (told is None) == fine
-        assert fine or "limits.following_error_m" in str(told)
-
-
 def test_a_run_is_refused_with_place_value_what_is_allowed_and_how_to_mend_it():
     c = edited("lab", (r"^monitor:.*", "monitor:\n  friction_N: 900"))
     line = c.text[: c.text.index("friction_N: 900")].count("\n") + 1

@@ -14,9 +14,6 @@ from click.testing import CliRunner
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.text_file import shipped
-from hil.app.output import (
-    table,
-)
 from hil.cli import main
 
 
@@ -202,51 +199,6 @@ def test_fmu_build_copies_both_versions_into_a_folder_that_it_makes(tmp_path):
 
 
 # -- the summary table ---------------------------------------------------------------------------------------
-
-SUMMARY = {
-    "success": True,
-    "kind": "run",
-    "configuration": "configs/virtual.yaml",
-    "log": "runs/virtual-20260131T120000.mcap",
-    "rate_Hz": 1000.0,
-    "trouble": None,
-    "real_time": {"granted": ["SCHED_FIFO", "locked memory"], "missing": []},
-    "bus_load_percent": 56.82,
-    "faults": [],
-    "tracking": {"ticks": 20000, "peak_leg_error_mm": 0.12032475, "peak_force_N": 16044.2399},
-    "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 3, "FORCE_WINDOW": 0},
-    "wake_up_us": {"p50": 3.14159, "p99": 51.04, "max": 1034.6},
-    "compute_us": {"p50": 0.0, "p99": 0.0, "max": 0.0},
-    "stale_ticks": 0,
-    "plant": {"success": True, "kind": "plant", "ending": "SIGTERM", "final_states": ["OFF"] * 6},
-    "replay": {"exact": True, "ticks": 21302, "different_ticks": 0, "gaps": [], "first": []},
-    "last_ticks": [{"tick": 1}],
-}
-TABLE = """\
-configuration     configs/virtual.yaml
-log               runs/virtual-20260131T120000.mcap
-rate              1000 Hz
-real time
-  granted         SCHED_FIFO; locked memory
-  missing         none
-bus load          56.8 %
-faults            none
-tracking
-  ticks           20000
-  peak leg error  0.12 mm
-  peak force      16044 N
-limited ticks     force step 3
-wake up           p50 3.14, p99 51, max 1035 us
-stale ticks       0
-plant
-  ending          SIGTERM
-  final states    all OFF
-replay            21302 ticks, 0 differences"""
-
-
-@pytest.mark.parametrize("width", [80, 120])
-def test_the_table_is_aligned_rounded_and_has_units(width):
-    assert "\n".join(table(SUMMARY, width)) == TABLE
 
 
 # -- files ---------------------------------------------------------------------------------------------------

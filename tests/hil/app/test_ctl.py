@@ -323,11 +323,3 @@ def test_set_points_that_were_taken_before_the_controller_ended_are_counted(said
     assert summary["refused"] == ["0 0 1.1: too far"] * refuses
     assert summary["trouble"].startswith("0 0 1.3: the controller did not answer")
     assert summary["trouble"] in result.stderr
-
-
-@pytest.mark.parametrize("words", ["ctl key", "ctl jog x 1", "setpoint"])
-def test_a_controller_that_answers_nothing_at_all_is_refused_with_2_and_leaves_no_summary(said, words):
-    result, file = said(words, Ending(0), "0 0 1\n0 0 1.1\n")
-    assert result.exit_code == 2
-    assert "has it ended?" in result.stderr
-    assert not file.exists()

@@ -113,18 +113,6 @@ def test_more_than_its_limit_is_refused(tmp_path: Path) -> None:
         using(tmp_path, limit_N=90.0)
 
 
-def test_a_live_reference_has_no_feed_forward(tmp_path: Path) -> None:
-    live = {
-        "type": "live",
-        "limits": {
-            "velocity_m_s": 0.1, "velocity_deg_s": 5, "acceleration_m_s2": 1, "acceleration_deg_s2": 50,
-            "jerk_m_s3": 10, "jerk_deg_s3": 500,
-        },
-    }  # fmt: skip
-    with pytest.raises(ConfigurationError, match="set-points will send a live reference"):
-        using(tmp_path, reference=live)
-
-
 def test_a_log_carries_the_file_and_a_replay_reads_nothing_else(tmp_path: Path) -> None:
     c = using(tmp_path)
     files = dict(attachments(c))
@@ -137,7 +125,6 @@ def test_a_log_carries_the_file_and_a_replay_reads_nothing_else(tmp_path: Path) 
     np.testing.assert_array_equal(learned.tau, ROWS)
 
 
-FILE = {"file": "learned.csv", "limit_N": 500.0}
 REST = {"type": "hold", "duration_s": 0.5, "interpolation": None, "periods": None, "points": None}
 
 
@@ -150,27 +137,6 @@ def at_rest(folder: Path, size: float = 1.0) -> Configuration:
 def test_check_warns_of_forces_beyond_the_disturbance_of_the_certificate(tmp_path: Path) -> None:
     report = inspect(at_rest(tmp_path, 48.0))
     assert [line for line in report.warnings if "the certificate may alarm" in line]
-
-
-@pytest.mark.parametrize(
-    ("fade_s", "step_N", "said"), [(0.001, 150.0, "lengthen feedforward.fade_s"), (5.0, 100.0, "lower feedf")]
-)
-def test_check_warns_of_forces_that_change_faster_than_the_limit_of_a_tick(
-    fade_s: float, step_N: float, said: str, tmp_path: Path
-) -> None:
-    """Fading in one tick is all of 160 N at once; from row to row it is 120 N at most."""
-    rows = np.zeros((10, 6))
-    rows[:, 2] = [0.0, 0.0, 60.0, 120.0, 160.0, 160.0, 40.0, 0.0, 0.0, 0.0]
-    c = loads(with_changes(VIRTUAL.text, {"name": "virtual", "reference": REST}), "my.yaml", tmp_path)
-    text = feedforward_text(head_of(c), rows, -4, 1e-3)
-    limits = {"limits": {"force_step_N": step_N}}
-    c = using(tmp_path, text, 500.0, reference=REST, feedforward=FILE | {"fade_s": fade_s}, **limits)
-    report = inspect(c)
-    assert report.figures["feedforward"]["step_N"] == pytest.approx(120.0)
-    (line,) = [line for line in report.warnings if "the learned feed-forward alone changes" in line]
-    assert said in line
-    assert f"limits.force_step_N {step_N:g}" in line
-    assert not [each for each in inspect(at_rest(tmp_path)).warnings if "feed-forward alone" in each]
 
 
 def test_a_bound_of_the_error_says_that_the_feed_forward_is_not_in_it(tmp_path: Path) -> None:

@@ -7,12 +7,10 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
-from hil.app.check.silence import reacted_to
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, platform_body, pose_arrays
 from hil.app.encoder_limits import encoder_limits
-from hil.app.reachability import Walk
 from hil.app.stability.command import judge
 from hil.app.unknown_payload import unknown_payload
 from hil.robot.dynamics import Model
@@ -22,11 +20,6 @@ from tests.loop import unrecorded
 OWN = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"
 POINT = "mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}"
 BOX = POINT + ", mass_range_kg: [0, 80], com_range_m: [[-0.1, 0.2], [0, 0], [0.1, 0.3]]"
-TENSOR = (
-    "mass_kg: 100, com_m: [0.1, 0.2, 0.3], inertia_kg_m2: [[9, 1, 0], [1, 8, 2], [0, 2, 7]], "
-    "products: positive_integral, frame: {origin_m: [0, 0.1, 0.4], rotation_vector_deg: [10, 20, 30]}, "
-    "inertia_about: {rotation_vector_deg: [0, 0, 45]}"
-)
 
 
 def robot(payload="", *, name="virtual", changes=()):
@@ -59,20 +52,6 @@ def test_each_corner_is_the_robot_with_that_payload():
         np.testing.assert_allclose(body.inertia, expected.inertia, rtol=1e-14, atol=1e-12)
     assert found[1].words == "no payload"
     assert found[2].words == "80 kg at (-0.1, 0, 0.1) m"
-
-
-def test_a_tensor_grows_with_the_mass_wherever_it_is_given():
-    nominal = platform_body(robot(TENSOR).platform)
-    half, double = (
-        platform_body(corner.settings)
-        for corner in corners(robot(f"{TENSOR}, mass_range_kg: [50, 200]").platform)[1:]
-    )
-    own = platform_body(robot().platform)
-    np.testing.assert_allclose(2 * half.mass - own.mass, nominal.mass, rtol=1e-14)
-    two = platform_body(robot([TENSOR, TENSOR]).platform)
-    assert double.mass == two.mass
-    np.testing.assert_allclose(double.com, two.com, rtol=1e-14)
-    np.testing.assert_allclose(double.inertia, two.inertia, rtol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -151,18 +130,3 @@ def test_the_bound_holds_for_every_corner_and_is_met_by_the_real_loop():
         assert (worst <= bound).all(), stated
         ratios.append((bound / worst).min())
     assert min(ratios) < 4.0
-
-
-def test_after_silence_a_leg_falls_as_with_the_payload_that_falls_fastest():
-    """On a walk at rest; legs have masses of their own, so what rides decides how fast a leg falls."""
-    c = robot("mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}, mass_range_kg: [0, 900]")
-    home, still = pose_arrays(c.platform.home), np.zeros(6)
-    falls = []
-    for mass in (40, 0, 900):
-        platform = build_platform(carried(mass, 0.05, 0, 0.2).platform)
-        twist = Model(platform).forward_dynamics(*home, still, still)
-        falls.append(float(np.abs(jacobian(platform, *home) @ twist).max()))
-    nothing, t = np.zeros((2, 6)), np.zeros(2)
-    at_rest = Walk(t, nothing + 1.6, nothing, nothing, nothing, nothing, t, t, True, False)
-    assert max(falls) > falls[0], "not the model's own"
-    assert reacted_to(c, at_rest).a == pytest.approx(max(falls), rel=1e-9)

@@ -1,15 +1,24 @@
 """The row that `hil plant` records."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
+import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from hil.app.compose import build_nodes
+from drivers.arrays import Rows
+from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
+from drivers.protocol import Frame, Received
+from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.plant_columns import PLANT
-from hil.app.plant_rows import plant_row
+from hil.app.plant_rows import SILENT_NS, PlantRows, plant_row
 from hil.record import Recording
 from hil.record.log import Log
+from tests.drivers.legs_frames import opening
 
 
 def test_the_plants_truth_comes_back_from_its_log_under_the_names_of_legs_and_axes(tmp_path):
@@ -30,3 +39,57 @@ def test_the_plants_truth_comes_back_from_its_log_under_the_names_of_legs_and_ax
     assert seen.length.leg_3 == snapshot.length[3]
     assert (seen.p.z, seen.R.yz) == (snapshot.truth.p[2], snapshot.truth.R[1, 2])
     assert seen.drive_state_number.leg_5 == snapshot.state[5]
+
+
+MS = 1_000_000
+
+
+class Kept:
+    """Keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[Any, list[Received], list[Frame]]] = []
+
+    def tick(self, row: Any, heard: Rows, sent: Rows) -> None:
+        self.rows.append((row, [*received_frames(heard)], [*sent_frames(sent)]))
+
+
+@pytest.fixture
+def served():
+    """Six drives that nobody has asked, their log and its rows, and the SYNC of a tick."""
+    c = load("virtual")
+    nodes, plant = build_nodes(c)
+    protocol = build_protocol(c)
+    nodes.start(0)
+    log = Kept()
+    yield nodes, log, PlantRows(log.tick, nodes), lambda tick: opening(protocol, tick)[0]
+    plant.close()
+
+
+def heard_at(served, t_ns):
+    nodes, _, rows, sync = served
+    heard = [Received(t_ns, sync(t_ns // MS))]
+    sent = [frame for _, frame in nodes.step(t_ns, heard)]
+    rows.take(received_array(heard), sent_array(sent), t_ns)
+    return heard, sent
+
+
+def test_what_came_while_drives_had_to_answer_is_in_one_row_with_every_frame(served):
+    _, log, rows, _ = served
+    first, second = heard_at(served, MS), heard_at(served, 2 * MS)
+    rows.write(2 * MS, answered=False)
+    assert log.rows == []
+    rows.write(2 * MS)
+    ((row, heard, sent),) = log.rows
+    assert heard == first[0] + second[0]
+    assert sent == first[1] + second[1]
+    assert len(sent) >= 12
+    assert (row["syncs"], row["t_ns"], row["tick"]) == (2, 2 * MS, 0)
+
+
+def test_drives_that_have_to_answer_all_the_time_are_recorded_all_the_same(served):
+    _, log, rows, _ = served
+    for t_ns in range(MS, 13 * MS, MS):
+        heard_at(served, t_ns)
+        rows.write(t_ns, answered=False)
+    assert [int(row["t_ns"]) for row, _, _ in log.rows] == [MS + SILENT_NS, 2 * MS + 2 * SILENT_NS]

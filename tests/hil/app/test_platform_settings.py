@@ -61,9 +61,7 @@ def test_circles_give_the_books_platform():
 def test_pairs_and_shapes_give_the_laboratory_platform():
     """The figures of configs/lab.yaml, whose comments say where they come from, to its rounding."""
     text = section(
-        LAB,
-        "base_joints_m",
-        " {radius_m: 0.75, pair_centres_deg: [0, 120, 240], pair_half_angle_deg: 10}",
+        LAB, "base_joints_m", " {radius_m: 0.75, pair_centres_deg: [0, 120, 240], pair_half_angle_deg: 10}"
     )
     text = section(
         text,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import itertools
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +15,6 @@ from drivers.signals import Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
 from hil.loop.run_end import Ending
-from plant_fmu.config import FmuPlant
 
 VIRTUAL = load("virtual")
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", 9)
@@ -123,41 +121,6 @@ def test_an_interrupted_simulation_closes_its_log_with_its_mode_and_its_faults_a
         ("close", {"ending": "TRACKING", "reason": "interrupted", "faults": int(faults)}),
         ("at 0.014 s of simulated time; the log until then: a.mcap",),
     ]
-
-
-FILES: list[list[tuple[str, bytes]]] = [
-    [],
-    [("path.csv", b"0 1")],
-    [("path.csv", b"0 2")],
-    [("feedforward.csv", b"0 1")],
-    [("path.csv", b"0 1"), ("controller.yaml", b"a")],
-    [("path.csv", b"0 1"), ("controller.yaml", b"b")],
-    [("path.csv", b"0 1"), ("feedforward.csv", b"a")],
-]
-
-
-def test_simulations_whose_named_files_differ_in_name_or_content_are_not_the_same_run(monkeypatch):
-    found = []
-    for files in FILES:
-        monkeypatch.setattr(command, "attachments", lambda _, files=files: files)
-        found += [command.run_identity(VIRTUAL, 2.0, None, None, ()) for _ in range(2)]
-    assert found[::2] == found[1::2]
-    assert all(a != b for a, b in itertools.combinations(found[::2], 2))
-
-
-def test_simulations_of_an_fmu_that_was_built_anew_under_its_name_are_not_the_same_run(tmp_path):
-    model = FmuPlant.model_validate(
-        {"type": "fmu", "path": "a.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}
-    )
-    assert VIRTUAL.plant is not None
-    c = VIRTUAL.model_copy(update={"plant": VIRTUAL.plant.model_copy(update={"model": model})})
-    c._folder = tmp_path
-    found = []
-    for content in (b"one", b"two", b"one", b""):
-        (tmp_path / "a.fmu").write_bytes(content)
-        found.append(command.run_identity(c, 2.0, None, None, ()))
-    assert found[0] == found[2]
-    assert len(set(found)) == 3
 
 
 def faulty(*names: str) -> Any:

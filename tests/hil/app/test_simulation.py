@@ -8,7 +8,6 @@ import hil
 from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import replay_log
 from hil.app.sim.command import run_identity
 from plant_fmu.faults.kinds import EncoderJump
@@ -109,16 +108,6 @@ def test_another_law_or_type_takes_nothing_over():
 def test_none_takes_a_key_away():
     assert "plant" not in changed(plant=None)
     assert changed(plant={"log": None})["plant"] == {"model": {"type": "stewart", "friction": 0}}
-
-
-@pytest.mark.parametrize(
-    "text", ["1e3", "no", "12:30", "0x10", "", "null", "- a", "ä: b", "true", "1_000", ".inf"]
-)
-def test_text_stays_text(text):
-    value = parse(with_changes(TEXT, {"description": text})).value
-    assert value is not None
-    assert value["description"] == text
-    assert value["name"] == "12:30"
 
 
 @pytest.mark.parametrize("duration_s", [0, -1.0, float("nan"), float("inf"), 1e306])

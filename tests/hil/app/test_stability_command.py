@@ -163,12 +163,7 @@ def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
     result = CliRunner().invoke(main, options)
     assert result.exit_code == 0, result.output
     text = " ".join(result.output.split())
-    for words in (
-        "status conditional",
-        "mm of leg length",
-        "margins phase 71 deg",
-        "dV/dt <= -10 (V - d^2)",
-    ):
+    for words in ("status conditional", "mm of leg length", "margins phase 71 deg", "dV/dt <= -10 (V - d^2)"):
         assert words in text
     summary = json.loads(file.read_text())
     assert summary["kind"] == "stability"

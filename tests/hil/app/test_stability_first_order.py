@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.optimize import root
 
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
-from hil.app.loop_delay import loop_delay
 from hil.app.stability.command import judge
 from hil.app.stability.subject import Stated, Subject
 from hil.mathematics.rotations import rotation_from_vector
@@ -22,7 +20,6 @@ from tests.hil.app.test_stability_conditions import held
 
 STILL = np.zeros(6)
 T = 1e-3
-IDEAL = {"plant": {"model": {"force_bandwidth_Hz": 0}}}
 WEIGHTLESS = {"platform": {"gravity_m_s2": [0, 0, 0]}}
 AT = {"position_m": [0.05, -0.1, 1.1], "rotation_vector_deg": [3, -8, 5]}
 FROZEN = "{variant: %s, frozen_at: {position_m: [0, 0, 1]}}"
@@ -184,56 +181,3 @@ def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, va
     without = "has no potential" in found.claim
     assert without == any(one == "errors are small" for one in found.conditions)
     assert without != any("no other equilibrium" in one for one in found.conditions)
-
-
-def largest_pole(c: Configuration) -> float:
-    """Return the largest |z| of the robot, by differences of its accelerations, under forces a period late."""
-    subject, tau = Subject(c, Stated()), forces(c)
-    p, R = rest_of(c)
-    robot, held_by, h = subject.robot, tau(p, R, STILL), 1e-6 * np.eye(6)
-
-    def moved(x: Array) -> tuple[Array, Array]:
-        return p + x[:3], rotation_from_vector(x[3:]) @ R
-
-    def slopes(of: Callable[[Array], Array]) -> Array:
-        return np.column_stack([of(x) - of(-x) for x in h]) / 2e-6
-
-    own = slopes(lambda x: robot.forward_dynamics(*moved(x), STILL, held_by))
-    push = slopes(lambda x: robot.forward_dynamics(p, R, STILL, held_by + 1e3 * x)) / 1e3
-    answer = np.hstack([slopes(lambda x: tau(*moved(x), STILL)), slopes(lambda x: tau(p, R, x))])
-    block = np.zeros((18, 18))
-    block[:6, 6:12], block[6:12, :6], block[6:12, 12:] = np.eye(6), own, push
-    A = expm(block * T)
-    A[12:, :12], A[12:, 12:] = answer, 0.0
-    return float(np.abs(np.linalg.eigvals(A)).max())
-
-
-SOFT = "  kp_N_m: 1.5e5\n  kv_N_s_m: 60\n"
-SOFT_POSE = (
-    "  kp_position_N_m: 2e5\n  kv_position_N_s_m: [900, 700, 500]\n  kp_rotation_N_m_rad: 1e5\n"
-    "  kv_rotation_N_m_s_rad: 300\n"
-)
-
-
-@pytest.mark.parametrize(
-    "law",
-    [
-        f"  law: pd\n{SOFT}",
-        f"  law: pd_gravity\n{SOFT}",
-        f"  law: pd_gravity\n{SOFT}  model: {{inertia_scale: 0.8}}\n",
-        f"  law: pd_gravity\n{SOFT}  model: {FROZEN % 'constant_MG'}\n",
-        f"  law: feedforward_pd\n{SOFT}",
-        f"  law: cartesian_pd\n{SOFT_POSE}",
-        f"  law: cartesian_pd\n{SOFT_POSE}  model: {{}}\n",
-        f"  law: cartesian_pd\n{SOFT_POSE}  model: {FROZEN % 'constant'}\n",
-        f"  law: cartesian_pd\n{SOFT_POSE}  model: {{}}\n{VECTORS}",
-    ],
-)
-def test_the_loop_of_springs_is_that_of_the_robot_with_its_weight_where_it_rests(law):
-    """Soft springs and little damping: what weight and its late compensation do is no small matter."""
-    c = held(law, at(AT), IDEAL)
-    assert (loop_delay(c).transport_s, loop_delay(c).lag_s) == (T, 0.0)
-    found = judge(c, quick=True)
-    expected = largest_pole(c)
-    assert found.figures["sampled"]["largest_pole"] == pytest.approx(expected, abs=1e-9)
-    assert found.status == ("unstable" if expected >= 1.0 else "conditional")

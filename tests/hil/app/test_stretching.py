@@ -34,15 +34,6 @@ def shares(ends: Any, window_ns: int) -> tuple[int, int]:
     return found
 
 
-def test_of_what_the_bus_leaves_of_the_window_a_sixth_is_to_wake_up_and_a_third_to_answer(ends: Any) -> None:
-    (wake_ns, work_ns), (more_wake_ns, more_work_ns) = (shares(ends, ms * MS) for ms in (6, 12))
-    assert more_wake_ns - wake_ns == pytest.approx(1 * MS, abs=1)
-    assert more_work_ns - work_ns == pytest.approx(2 * MS, abs=1)
-    bus_ns = 6 * MS - 6 * wake_ns
-    assert 0.1 * MS < bus_ns < MS, "a SYNC and six feedbacks of CAN FD"
-    assert work_ns == pytest.approx(2 * wake_ns, abs=2)
-
-
 @pytest.mark.parametrize(
     ("stood_ns", "times", "longest_ms", "harmful"),
     [

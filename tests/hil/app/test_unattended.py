@@ -13,15 +13,8 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.sim import command as sim
 from hil.app.sim.build import build_lockstep
-from hil.config.operator import OperatorSettings
-from hil.lab.bringup import release
-from hil.lab.identify import runs
-from hil.lab.learn import rehearsal
-from hil.lab.learn.command import Knowledge
 from hil.study.campaign.plan import read_plan
 from hil.study.campaign.row import row_configuration
-from hil.study.compare import command as compare
-from hil.study.faults import command as faults
 from tests.hil.study.campaign.campaigns import SMALL, written
 
 WAITS: dict[str, dict[str, Any]] = {
@@ -56,40 +49,7 @@ def campaign(c: Configuration, folder: Path) -> None:
     raise SeenError(row_configuration(read_plan(written(folder, text)).job(0)))
 
 
-RUNS: dict[str, Any] = {
-    "compare": (compare, "chosen", lambda c, _: compare.compare(c)),
-    "faults": (faults, "cases", lambda c, _: faults.run_matrix(c)),
-    "learn": (rehearsal, "simulate", lambda c, at: rehearsal.rehearse(c, 2, Knowledge(), at, lambda _: None)),
-    "identify": (
-        runs,
-        "simulate",
-        lambda c, _: runs.run_for(runs.Excited(c, 1.0), None, real_time=False, with_plant=False, arm=False),
-    ),
-    "bringup": (release, "build_cycle", lambda c, _: release.six_legs(c, None)),  # type: ignore[arg-type]
-    "campaign": (compare, "chosen", campaign),
-    "sim": (sim, "build_cycle", lambda c, _: sim.simulate(c)),
-}
 """What a command calls with the configuration that it runs, and the command."""
-
-
-def seen_by(command: str, c: Configuration, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Configuration:
-    module, name, run = RUNS[command]
-    monkeypatch.setattr(module, name, seen)
-    monkeypatch.setattr(rehearsal, "refuse_unreachable", lambda _: None)
-    with pytest.raises(SeenError) as found:
-        run(c, folder)
-    return found.value.c
-
-
-@pytest.mark.parametrize("command", RUNS)
-def test_no_command_in_simulated_time_waits_for_an_operator(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It would stand at the start of its path, judge a platform at rest, or never end."""
-    for settings in (*WAITS.values(), {key: value for each in WAITS.values() for key, value in each.items()}):
-        c = seen_by(command, attended(**settings), tmp_path, monkeypatch)
-        for each in (c, loads(c.text, "mine.yaml", Path())):
-            assert each.operator == OperatorSettings.model_validate(SPEEDS), settings
 
 
 def test_a_simulation_in_which_somebody_speaks_keeps_what_the_configuration_asks_for(

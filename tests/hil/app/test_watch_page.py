@@ -59,25 +59,6 @@ def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
 
 
-def test_what_is_shown_is_the_newest_row(rows, watch):
-    with LiveRun(rows[:1].copy()) as run, Browser() as browser:
-        browser.go(watch.link)
-        until(browser, "watching.counts.drawn > 5")
-        row = rows[0]
-        cells = browser.value(
-            "[...document.querySelectorAll('#legs tbody tr')].map((r) => [...r.cells].map((c) => c.textContent))"
-        )
-        assert [float(each[1]) for each in cells] == pytest.approx(row["q"], abs=6e-5)
-        assert [float(each[3]) for each in cells] == pytest.approx(row["tau"], abs=0.06)
-        end = np.minimum(row["q"] - 0.75, 2.2 - row["q"])  # the stroke of the shipped configuration
-        assert [float(each[2]) for each in cells] == pytest.approx(1e3 * end, abs=6e-2)
-        pose = browser.value(
-            "[...document.querySelector('#pose tbody tr').cells].slice(1, 4).map((c) => Number(c.textContent))"
-        )
-        assert pose == pytest.approx(row["p"], abs=6e-5)
-        assert run.shown > 0
-
-
 def test_faults_are_told_in_words_and_legs_are_marked(rows, watch):
     bad = rows[:1].copy()
     bad["mode"], bad["faults"] = Mode.FAULT, Fault.DRIVE | Fault.BRAKE
@@ -129,11 +110,7 @@ def tab_to(browser, condition):
 
 @pytest.mark.long
 def test_every_control_works_by_the_keyboard(rows, operated):
-    with (
-        LiveRun(rows),
-        Listening() as controller,
-        Browser() as browser,
-    ):
+    with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         assert browser.value("location.search") == "", "the token is not left in the address"
@@ -213,11 +190,7 @@ LET_GO = {
 
 @pytest.mark.long
 def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, operated):
-    with (
-        LiveRun(rows) as run,
-        Listening() as controller,
-        Browser() as browser,
-    ):
+    with LiveRun(rows) as run, Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         for how, let_go in LET_GO.items():
@@ -241,11 +214,7 @@ def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, operat
 
 
 def test_who_jogs_holds_the_key(rows, operated):
-    with (
-        LiveRun(rows),
-        Listening() as controller,
-        Browser() as browser,
-    ):
+    with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         browser.value("document.getElementById('jogging').open = true")

@@ -6,15 +6,11 @@ import http.client
 import json
 import socket
 import time
-from contextlib import suppress
-from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.tick_columns import ROW
-from hil.app.watch.feed import Feed
-from hil.app.watch.server import BEHIND_BYTES, MOST_CONNECTIONS, MOST_STREAMS, PATIENCE_S, Watcher
 from tests.live_run import Listening, LiveRun, Watch
 
 pytestmark = pytest.mark.usefixtures("meeting_place")
@@ -132,77 +128,6 @@ def test_ten_watchers_see_the_run_while_others_do_harm(rows, watch):
         for each in (*others, *idle, *bad, silent, first):
             each.close()
         assert ask(watch, "GET", "/")[0] == 200
-
-
-def test_connections_and_streams_are_bounded(rows):
-    with Watch("virtual") as watch, LiveRun(rows):
-        streams = [Reading(watch) for _ in range(MOST_STREAMS)]
-        for each in streams:
-            each.read(1.0, states=1)
-        assert ask(watch, "GET", "/stream", Host=f"localhost:{watch.port}")[0] == 200, "the oldest makes room"
-        with pytest.raises(AssertionError, match="has closed"):
-            streams[0].read(2.0)
-        streams.pop(0).close()
-        rest = [opened(watch, b"GET") for _ in range(MOST_CONNECTIONS - MOST_STREAMS + 50)]
-        time.sleep(0.5)
-        assert ask(watch, "GET", "/")[0] == 200, "those who only wait keep nobody out"
-        for each in rest[:50]:
-            each.settimeout(1.0)
-            with suppress(ConnectionResetError):
-                assert each.recv(1) == b"", "the longest wait is cut off"
-        rest[-1].settimeout(0.1)
-        with pytest.raises(TimeoutError):
-            rest[-1].recv(1)
-        for each in streams:
-            each.text = b""
-            each.read(1.0, states=1)
-            assert each.states(), "who is served stays"
-        for each in (*streams, *rest):
-            each.close()
-
-
-class Transport:
-    """Counts what is written; `waiting` bytes are not read."""
-
-    def __init__(self):
-        self.written, self.waiting, self.aborted = 0, 0, False
-
-    @property
-    def transport(self):
-        return self
-
-    def is_closing(self):
-        return self.aborted
-
-    def get_write_buffer_size(self):
-        return self.waiting
-
-    def write(self, data):
-        self.written += len(data)
-
-    def abort(self):
-        self.aborted = True
-
-
-def test_a_watcher_that_is_behind_gets_nothing_until_it_reads_and_is_cut_off_in_the_end(tmp_path):
-    feed = Feed(tmp_path / "none")
-    writer: Any = Transport()
-    feed.state = b"state"
-    watcher = Watcher(writer)
-    watcher.send(feed, 0.0, fresh=True)
-    first = writer.written
-    assert first > 0
-    writer.waiting = BEHIND_BYTES + 1
-    for t in (1.0, PATIENCE_S):
-        watcher.send(feed, t, fresh=True)
-    assert (writer.written, writer.aborted) == (first, False)
-    writer.waiting = 0
-    watcher.send(feed, PATIENCE_S + 1.0, fresh=True)
-    assert writer.written == first + len(b"state"), "it has read, and counts anew"
-    writer.waiting = BEHIND_BYTES + 1
-    watcher.send(feed, 100.0, fresh=True)
-    watcher.send(feed, 100.0 + PATIENCE_S + 0.1, fresh=True)
-    assert writer.aborted
 
 
 def post(watch, line, **headers):

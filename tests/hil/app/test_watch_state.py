@@ -13,8 +13,6 @@ from drivers.signals import NEVER, DriveFault
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.run_description import run_description
-from hil.app.watch.feed import Feed
-from hil.app.watch.server import Watcher
 from hil.app.watch.state import state
 from hil.record.mirror import FIGURES, Mirror, Piece
 from hil.record.row import TICKS, describe
@@ -57,36 +55,6 @@ def test_the_mark_of_each_leg_says_all_that_is_wrong_with_it(leg):
     assert found == [""] * 5
 
 
-class Page:
-    """A page that is open, and all that it was sent."""
-
-    def __init__(self):
-        self.data = b""
-        writer: Any = self
-        self._watcher = Watcher(writer)
-
-    @property
-    def transport(self):
-        return self
-
-    def is_closing(self):
-        return False
-
-    def get_write_buffer_size(self):
-        return 0
-
-    def write(self, data):
-        self.data += data
-
-    def told(self, feed, now, name):
-        """Return the data of the events of a name that come with a look."""
-        self.data = b""
-        fresh = feed.look(now)
-        self._watcher.send(feed, now, fresh=fresh)
-        parts = self.data.decode().split("\n\n")[:-1]
-        return [json.loads(p.partition("\ndata: ")[2]) for p in parts if p.startswith(f"event: {name}\n")]
-
-
 BEGUN = [{"number": 1, "t_ns": 5_000_000, "level": "info", "text": "begun"}]
 
 
@@ -96,23 +64,3 @@ def shown(path, name, events=BEGUN, **changes):
     mirror = Mirror(path, about)
     mirror.write(np.zeros((), ROW), np.zeros((), FIGURES), json.dumps(events).encode())
     return mirror
-
-
-def test_a_page_that_is_open_is_told_once_that_what_runs_now_cannot_be_read(tmp_path):
-    path, page = tmp_path / "mirror", Page()
-    feed = Feed(path)
-    mirror = shown(path, "good")
-    assert [about["name"] for about in page.told(feed, 0.0, "about")] == ["good"]
-    mirror.close()
-    path.write_bytes(b"of another version")
-    (about,) = page.told(feed, 10.0, "about")
-    assert "use the version that runs there" in about["trouble"]
-    assert page.told(feed, 20.0, "about") == [], "it is said once"
-    path.unlink()
-    mirror = shown(path, "good again")
-    assert [about["name"] for about in page.told(feed, 30.0, "about")] == ["good again"]
-    mirror.close()
-    mirror = shown(path, "other shapes", length_min_m=[0.0] * 5)
-    told = page.told(feed, 40.0, "about")
-    assert "use the version that runs there" in told[-1]["trouble"]
-    mirror.close()

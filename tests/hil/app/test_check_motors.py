@@ -58,8 +58,6 @@ TITLE = "fused pose, standard deviations"
 
 PLANT = "\nplant:\n"
 
-ASSUMED = "(assumed); state monitor.friction_N or estimation.fusion.leg_force_std_N as measured"
-
 
 def fused(name, *, plant=True, fusion="{}", changes=()):
     text = load(name).text
@@ -79,11 +77,3 @@ def test_it_prints_what_follows_from_encoders_rates_and_friction():
         "leg rates      0.0289 mm/s, 28.9 us of the acceleration, 0.58 % of the rate",
         "unknown forces 60 N over 100 ms",
     ]
-
-
-@pytest.mark.parametrize("unstated", [True, False])
-def test_friction_that_nobody_states_is_assumed_and_asked_for(unstated):
-    stated = ("action: warn", "action: warn\n  friction_N: 100")
-    found = fused("lab", plant=False, changes=[] if unstated else [stated])
-    assert found.sections[TITLE][2].startswith("unknown forces 100 N over 100 ms")
-    assert found.sections[TITLE][2].endswith(ASSUMED) == unstated

@@ -92,19 +92,3 @@ def test_a_run_is_refused_with_place_value_what_is_allowed_and_how_to_mend_it():
     refuse_unreachable(stated(c, 0.99 * allowed))
     with pytest.raises(ConfigurationError):
         refuse_unreachable(stated(c, 1.01 * allowed + 1.0))
-
-
-def test_a_push_gets_the_ticks_in_which_its_force_can_rise_or_turn_round():
-    """By limits.force_step_N a tick; without friction, from one way to the other, by twice its size."""
-    c = load("lab")
-    limits = limits_of(c)
-    whole = limits.push_N.max()
-    for step, more in ((1.01 * whole, 0), (0.99 * whole, 1), (0.3 * whole, 3)):
-        slow = c.model_copy(update={"limits": c.limits.model_copy(update={"force_step_N": step})})
-        assert limits_of(slow).push_ticks == limits.push_ticks + more
-    free = load("virtual")
-    base = limits_of(free)
-    twice = 2.0 * base.push_N.max()
-    for step, ticks in ((1.01 * twice / base.push_ticks, base.push_ticks), (twice / 35.5, 36)):
-        slow = free.model_copy(update={"limits": free.limits.model_copy(update={"force_step_N": step})})
-        assert limits_of(slow).push_ticks == ticks

@@ -67,13 +67,6 @@ def test_every_example_in_the_help_is_a_command_line_that_parses(words):
         COMMANDS[words].make_context("hil", given[len(words) :])
 
 
-@pytest.mark.parametrize("name", ["run", "plant", "sim"])
-def test_what_writes_a_log_takes_its_name_and_says_where_it_goes(name):
-    assert "log" in [p.name for p in COMMANDS[(name,)].params if isinstance(p, click.Option)]
-    text = " ".join(hil(name, "--help").output.split()).replace("- ", "-")  # folded at any hyphen
-    assert re.search(r"The log goes to --log, else to runs/NAME-TIME[-a-z]*\.mcap", text)
-
-
 def test_the_group_lists_its_commands_in_the_order_of_their_use_and_all_shipped_configurations():
     text = hil("--help").output
     assert re.findall(r"^    (\d+)  \w+", text, re.MULTILINE) == ["0", "1", "2", "130", "141"], "exit codes"

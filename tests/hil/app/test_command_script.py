@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import ConfigurationError
 from hil.app.sim.commands import CommandScript, read_commands
 from hil.signals import Operator
 
@@ -59,19 +58,6 @@ def test_a_word_that_is_repeated_is_said_every_20_ms_and_not_once_more_at_its_en
     assert [tick for tick in range(2000) if script(tick).orders] == [1000 + 20 * k for k in range(words)]
 
 
-def test_a_word_that_has_begun_to_be_said_was_reached_and_one_that_has_not_was_not() -> None:
-    script = CommandScript([(0.0, "jog x 1 for 0.1"), (0.05, "hold"), (0.06, "start")], 1000.0)
-    assert (script.left, script.over) == (3, False)
-    script(0)
-    assert (script.left, script.over) == (2, False)
-    script(50)
-    assert (script.left, script.over) == (1, False)
-    script(60)
-    assert (script.left, script.over) == (0, False)
-    script(80)
-    assert (script.left, script.over) == (0, True)
-
-
 @pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["none", "byte order mark"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["unix", "windows"])
 def test_a_file_of_commands_is_read_whichever_editor_wrote_it(tmp_path: Path, mark: str, end: str) -> None:
@@ -80,17 +66,3 @@ def test_a_file_of_commands_is_read_whichever_editor_wrote_it(tmp_path: Path, ma
     assert [(t, " ".join(word.split())) for t, word in read_commands(tmp_path / "c.txt")] == [
         (0.5, "start"), (2.0, "jog x 1 for 1.5"), (10.0, "hold"),
     ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "word", ["hold for 2", "stop for 1", "arm for 0.1", "setpoint 0 0 1 for 1", "status", "x"]
-)
-def test_a_word_that_is_not_repeated_or_asks_or_is_none_is_refused_with_its_place(word: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"^c: command 2: "):
-        CommandScript([(0.0, "hold"), (1.0, word)], 1000.0, "c")
-
-
-@pytest.mark.parametrize("length", ["0", "-1", "3600.1", "nan", "inf", "soon", ""])
-def test_a_word_is_repeated_for_some_time_up_to_an_hour(length: str) -> None:
-    with pytest.raises(ConfigurationError, match="allowed: seconds up to 3600"):
-        CommandScript([(0.0, f"jog x 1 for {length}")], 1000.0)

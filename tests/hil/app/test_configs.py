@@ -117,21 +117,3 @@ def test_ideal_is_ideal():
     assert (c.engage.force_ramp_s, c.engage.brake_release_s, c.engage.blend_s) == (0, 0, 0)
     assert c.controller.wn_rad_s == 20
     assert c.reference.periods == 1
-
-
-def test_the_laboratory_platforms_inertia_is_that_of_a_disc_and_a_block():
-    """Two bodies about their common centre, each by its handbook formula."""
-    disc, block = 80.0, 220.0
-    z = np.array([0.025, 0.05 + 0.25])
-    com = (disc * z[0] + block * z[1]) / (disc + block)
-    across = (
-        disc * (3 * 0.6**2 + 0.05**2) / 12
-        + disc * (z[0] - com) ** 2
-        + block * (0.6**2 + 0.5**2) / 12
-        + block * (z[1] - com) ** 2
-    )
-    axial = disc * 0.6**2 / 2 + block * (0.6**2 + 0.6**2) / 12
-    body = platform_dict(load("lab").platform)["platform"]
-    assert body["mass"] == disc + block
-    assert body["com"][2] == pytest.approx(com, abs=1e-4)
-    assert np.diag(body["inertia"]) == pytest.approx([across, across, axial], rel=1e-3)

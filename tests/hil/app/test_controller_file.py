@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.controller_file import read_controller, spectral_radius
+from hil.app.configuration.controller_file import read_controller
 
 GOOD = Path(__file__).parents[2] / "data" / "controller.yaml"
 
@@ -57,24 +57,6 @@ def test_what_is_wrong_in_the_file_is_named_by_line_and_column(old, tmp_path):
     with pytest.raises(ConfigurationError, match=message):
         read_controller(path)
     assert "controller.controller_file: " in refusal(path.name, tmp_path)
-
-
-def test_a_file_may_state_that_only_its_closed_loop_is_stable(tmp_path):
-    path = changed(tmp_path, "[0, 1]]", "[0, 1.01]]")
-    path.write_text(path.read_text().replace("gamma: 1.0", "unstable_controller: true"))
-    assert spectral_radius(read_controller(path)) == pytest.approx(1.01)
-
-
-def test_a_file_that_is_none_is_refused(tmp_path):
-    message = refusal("none.yaml", tmp_path)
-    assert message.startswith("bench.yaml:")
-    assert "controller.controller_file: no such file" in message
-    assert "given: none.yaml" in message
-    (tmp_path / "none.yaml").write_bytes(b"\xff")
-    assert "none.yaml:1:1: not UTF-8 text" in refusal("none.yaml", tmp_path)
-    (tmp_path / "none.yaml").unlink()
-    (tmp_path / "none.yaml").mkdir()
-    assert "cannot be read" in refusal("none.yaml", tmp_path)
 
 
 def test_a_controller_for_another_rate_is_refused_where_it_is_named():

@@ -30,13 +30,6 @@ def test_a_sheet_in_the_present_folder_or_beside_the_configuration_is_read(
         loads(text("drive.eds"), "a.yaml", beside)
 
 
-def test_a_sheet_that_is_not_there_is_refused_in_its_line(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"a\.yaml:\d+:\d+: drives\.options\.eds: no such file: n\.eds"
-    ):
-        loads(text("n.eds"), "a.yaml", tmp_path)
-
-
 def test_who_reads_the_configuration_of_a_log_opens_no_file_that_it_names(tmp_path: Path) -> None:
     """One that is no sheet would be quoted in the refusal."""
     secret = tmp_path / "secret"

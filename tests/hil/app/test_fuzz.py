@@ -36,8 +36,6 @@ def test_damaged_input_is_answered_from_many_seeds(sound, target):
     assert [r for r in results if r.problem] == []
 
 
-"""For each process of Python, in place of the targets: a reader whose process dies."""
-
 TEXT = load("ideal").text
 
 LINES = TEXT.splitlines()

@@ -208,22 +208,6 @@ def test_a_stated_length_may_be_off_by_a_quarter_of_a_turn_and_a_parked_one_by_t
     assert limits(c) == [0.0005] * 6
 
 
-def test_a_leg_that_was_measured_widens_its_own_limit_alone(tmp_path):
-    c = configuration(tmp_path)
-    path = tmp_path / "bench.yaml"
-    state(c)
-    text = path.read_text().replace("state: stated", "state: parked")
-    path.write_text(text)
-    state_homing(c, emulated=True, legs_m={2: 0.31})
-    wide = STEP_M / 4
-    assert limits(c) == pytest.approx([5e-4, 5e-4, wide, 5e-4, 5e-4, 5e-4])
-    state_homing(c, emulated=True, legs_m={0: 0.31})
-    assert limits(c) == pytest.approx([wide, 5e-4, wide, 5e-4, 5e-4, 5e-4])
-    state(c)
-    state_homing(c, emulated=True, legs_m={0: 0.31})
-    assert limits(c) == pytest.approx([wide] * 6)
-
-
 def test_nothing_is_written_while_a_run_has_the_bus(tmp_path):
     c = configuration(tmp_path)
     state(c)

@@ -15,7 +15,6 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from drivers.signals import DriveState, Fault, Mode
-from drivers.tick_columns import new_record
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.homing import keeping
@@ -24,7 +23,7 @@ from hil.app.homing.file import HomingFile, read_homing, write_homing
 from hil.app.homing.keeping import Keeper
 from hil.app.run import command
 from hil.loop.homing import LastPose
-from tests.hil.app.test_homing import configuration, state
+from tests.hil.app.test_homing import configuration
 
 LENGTHS = [0.31, 0.32, 0.33, 0.34, 0.35, 0.36]
 
@@ -121,26 +120,23 @@ def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_lo
     assert [pose.length.tolist() for pose in told] == [expected] * 2
 
 
-def pressed(monkeypatch: pytest.MonkeyPatch, which: int, moment: str) -> list[str]:
-    """Let Ctrl-C come as the file is written for that time, before it is there or behind; what is written."""
+def pressed(monkeypatch: pytest.MonkeyPatch, moment: str) -> list[str]:
+    """Let Ctrl-C come as the file is first written, before it is there or behind; return what is written."""
     written: list[str] = []
 
     def write(c: Configuration, path: Path, file: HomingFile) -> None:
         written.append(file.state)
-        if len(written) == which and moment == "before":
+        if len(written) == 1 and moment == "before":
             raise KeyboardInterrupt
         write_homing(c, path, file)
-        if len(written) == which and moment == "behind":
+        if len(written) == 1 and moment == "behind":
             raise KeyboardInterrupt
 
     monkeypatch.setattr(keeping, "write_homing", write)
     return written
 
 
-MOMENTS = pytest.mark.parametrize("moment", ["before", "behind"])
-
-
-@MOMENTS
+@pytest.mark.parametrize("moment", ["before", "behind"])
 @pytest.mark.parametrize("with_plant", [False, True])
 def test_an_interrupt_as_a_run_marks_its_file_leaves_it_as_it_was(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool, moment: str
@@ -148,31 +144,61 @@ def test_an_interrupt_as_a_run_marks_its_file_leaves_it_as_it_was(
     cycle = cycle_of(tick={"age": np.full(6, 99)})
     cycle.homing.opened = False
     stand_in(monkeypatch, lambda *_, **__: cycle)
-    written = pressed(monkeypatch, 1, moment)
+    written = pressed(monkeypatch, moment)
     with sockets(monkeypatch), pytest.raises(KeyboardInterrupt, match="nothing has moved"):
         command.run_daemon(stated, with_plant=with_plant, arm=True, draw=False)
     assert written == ["moved", "stated"]
     assert states(stated) == {False: "stated", True: "stated"}
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"mode": Mode.TRACKING},
-        {"faults": Fault.ENCODER},
-        {"drive_state": int(DriveState.RUN)},
-        {"tick": {"age": np.array([0, 0, 0, 0, 0, 6])}},
-        {"homing": SimpleNamespace(known=False, opened=True, raw=np.zeros(6))},
-    ],
-    ids=["not at its end", "an encoder is not believed", "powered", "not heard lately", "turns not known"],
-)
-def test_a_run_that_does_not_know_where_it_left_the_legs_stays_marked(
-    stated: Configuration, changes: dict[str, Any]
-) -> None:
-    keeper = Keeper(stated, emulated=False)
+NOT_BELIEVED = (
+    Fault.STALE, Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION, Fault.NOT_FINITE, Fault.LAW, Fault.ENCODER,
+    Fault.UNCERTAIN, Fault.DUPLICATE_NODE,
+)  # fmt: skip
+BELIEVED = (Fault.NONE, Fault.DRIVE, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING, Fault.ESTOP, Fault.BRAKE)
+UNKNOWN: dict[str, dict[str, Any]] = {
+    "not at its end": {"mode": Mode.TRACKING},
+    "powered": {"drive_state": int(DriveState.RUN)},
+    "not heard lately": {"tick": {"age": np.array([0, 0, 0, 0, 0, 6])}},
+    "a leg moves": {"tick": {"rate": np.array([0, 0, 0, 0, 0, -0.1])}},
+    "turns not known": {"homing": SimpleNamespace(known=False, opened=True, raw=np.zeros(6))},
+    **{f"fault {fault.name}": {"mode": Mode.FAULT, "faults": fault} for fault in NOT_BELIEVED},
+    "fault and stop": {"mode": Mode.FAULT, "faults": Fault.ENCODER | Fault.ESTOP},
+}
+
+
+def ended(c: Configuration, changes: dict[str, Any]) -> HomingFile:
+    """The file of the real drives once a run with these changes has begun and ended."""
+    keeper = Keeper(c, emulated=False)
     keeper.begin(cycle_of(**changes))
+    assert states(c) == {False: "moved", True: "stated"}
     keeper.close()
-    assert states(stated) == {False: "moved", True: "stated"}
+    assert states(c)[True] == "stated"
+    return read_homing(c, c.folder / FILES[False])
+
+
+@pytest.mark.parametrize("why", UNKNOWN)
+def test_a_run_that_does_not_know_where_it_left_the_legs_stays_marked(stated, why):
+    assert ended(stated, UNKNOWN[why]).state == "moved"
+
+
+@pytest.mark.parametrize("fault", BELIEVED)
+def test_lengths_at_rest_after_another_fault_are_kept(stated, fault):
+    file = ended(stated, {"mode": Mode.FAULT if fault else Mode.PARKED, "faults": fault})
+    assert (file.state, file.lengths_m) == ("parked", pytest.approx([each + 0.005 for each in LENGTHS]))
+
+
+def test_a_homing_file_that_cannot_be_written_stays_marked_and_is_reported(stated, monkeypatch):
+    def full(path, _):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    keeper = Keeper(stated, emulated=False)
+    keeper.begin(cycle_of())
+    assert keeper.trouble == ""
+    monkeypatch.setattr("hil.app.configuration.section_file.write_whole", full)
+    keeper.close()
+    assert "real.yaml: cannot be written: No space left on device" in keeper.trouble
+    assert states(stated)[False] == "moved"
 
 
 @pytest.mark.parametrize(
@@ -187,83 +213,9 @@ def test_a_run_that_does_not_know_where_it_left_the_legs_stays_marked(
     ],
     ids=str,
 )
-def test_a_file_is_not_believed_once_a_leg_has_other_turns_by_number_gear_or_field(
-    stated: Configuration, drives: dict[str, Any]
-) -> None:
+def test_a_file_is_not_believed_once_a_leg_counts_other_turns(stated, drives):
     other = loads(with_changes(stated.text, {"name": "desktop", "drives": drives}), "desktop", stated.folder)
     for emulated in (False, True):
         assert Keeper(stated, emulated=emulated).last_pose is not None
         with pytest.raises(ConfigurationError, match="another robot"):
             Keeper(other, emulated=emulated)
-
-
-NOT_BELIEVED = (
-    Fault.STALE,
-    Fault.KINEMATICS,
-    Fault.ASSEMBLY,
-    Fault.CONDITION,
-    Fault.NOT_FINITE,
-    Fault.LAW,
-    Fault.ENCODER,
-    Fault.UNCERTAIN,
-    Fault.DUPLICATE_NODE,
-)
-
-BELIEVED = (Fault.NONE, Fault.DRIVE, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING, Fault.ESTOP, Fault.BRAKE)
-
-
-def kept(c, mode, fault, *, known=True, opened=True):
-    """The keeper of a run whose legs rest, which has begun."""
-    state(c)
-    tick = new_record()
-    tick["age"], tick["rate"], tick["length"] = 0, 0.0, 0.33
-    tick["drive_state"] = DriveState.OFF
-    homing = SimpleNamespace(known=known, raw=np.full(6, 0.5), opened=opened)
-    keeper = Keeper(c, emulated=True)
-    keeper.begin(SimpleNamespace(tick=tick, homing=homing, faults=fault, mode=mode))  # type: ignore[arg-type]
-    return keeper
-
-
-@pytest.fixture(scope="module")
-def ended(tmp_path_factory):
-    """A function that ends a run whose legs rest, with a fault and one more change; the file's state."""
-    folder = tmp_path_factory.mktemp("rest")
-    c = configuration(folder)
-
-    def end(fault, *, known=True):
-        kept(c, Mode.FAULT if fault else Mode.PARKED, fault, known=known).close()
-        return read_homing(c, folder / "bench.yaml")
-
-    return end
-
-
-@pytest.mark.parametrize("fault", NOT_BELIEVED)
-def test_lengths_that_a_fault_has_made_doubtful_are_not_believed_by_the_next_run(ended, fault):
-    assert ended(fault).state == "moved"
-    assert ended(fault | Fault.ESTOP).state == "moved"
-
-
-@pytest.mark.parametrize("fault", BELIEVED)
-def test_lengths_at_rest_after_another_fault_are_kept(ended, fault):
-    file = ended(fault)
-    assert (file.state, list(file.lengths_m)) == ("parked", [0.33] * 6)
-
-
-@pytest.mark.parametrize("opened", [True, False])
-def test_a_run_whose_homing_file_cannot_be_written_in_the_end_is_told_and_the_file_stays_marked(
-    tmp_path, monkeypatch, opened
-):
-    def full(path, _):
-        raise OSError(errno.ENOSPC, "No space left on device", str(path))
-
-    c = configuration(tmp_path)
-    keeper = kept(c, Mode.PARKED if opened else Mode.LOADING, Fault.NONE, opened=opened)
-    assert keeper.trouble == ""
-    monkeypatch.setattr("hil.app.configuration.section_file.write_whole", full)
-    keeper.close()
-    assert "bench.yaml: cannot be written: No space left on device" in keeper.trouble
-    assert read_homing(c, tmp_path / "bench.yaml").state == "moved"
-
-
-def test_legs_whose_turns_were_never_found_are_not_written_as_parked(ended):
-    assert ended(Fault.NONE, known=False).state == "moved"

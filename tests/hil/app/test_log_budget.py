@@ -97,16 +97,6 @@ def test_a_run_that_needs_more_than_the_budget_or_the_disk_is_refused(runs):
     assert len(left(runs)) == 10
 
 
-def test_a_simulation_says_what_it_removed_in_summary_and_log(runs, monkeypatch):
-    monkeypatch.setattr("hil.app.log_budget.TICK_BYTES", 1)
-    c = configured(runs, 0.001)
-    summary = simulate(c, duration_s=0.1, check_replay=False)
-    assert summary["removed_logs"][0].endswith("virtual-20260101T000000.mcap")
-    assert left(runs) >= OTHERS | {"virtual-20260101T000004"}
-    events = [event.text for event in Log(summary["log"]).events()]
-    assert any("virtual-20260101T000000.mcap" in text for text in events)
-
-
 def test_a_run_that_is_still_recorded_stays_with_both_of_its_logs_although_a_newer_one_has_begun(runs):
     own, other = "virtual-20260101T000000-2", "virtual-20260101T000002-2"
     both = {own, f"{own}-plant", other, f"{other}-plant"}

@@ -20,8 +20,6 @@ from hil.app.configuration.schema import named_schema, schema_path
 from hil.app.configuration.yaml_positions import parse
 from hil.app.new import derive
 from hil.app.new.answers import QUESTIONS
-from hil.app.new.derive import monitor_section
-from hil.app.new.drives import drives_section
 from hil.app.new.robot import platform_section, robot_at_home
 from hil.app.new.text import yaml_text
 from hil.app.reachability import Walk
@@ -162,24 +160,6 @@ def test_a_new_robot_with_drives_that_can_be_bought_runs_at_the_highest_rate_of_
     assert summary["rate_Hz"] == rate_Hz
     assert summary["tracking"]["peak_leg_error_mm"] < 0.5
     assert summary["replay"]["agrees"]
-
-
-def test_what_new_writes_of_drives_follows_from_force_stroke_and_travel():
-    """By hand: 800 N at 10 mm a turn are 1.273 N m; legs of 0.5 to 0.7 m; 1 um is 10000 counts of 10 mm."""
-    asked = {
-        "drive_force_N": 800.0, "length_min_m": 0.5, "stroke_m": 0.2, "encoder_resolution_m": 1e-6,
-        "travel_m": 0.01, "drives": "cia402", "interface": "localcan", "layout": "classic", "channels": "1",
-    }  # fmt: skip
-    written = drives_section(asked, 312.5)
-    assert written["options"]["rated_torque_Nm"] == pytest.approx(1.273, rel=0.01)
-    assert written["options"]["rated_torque_Nm"] > 1.273
-    assert written["transmission"] == {"lead_m": 0.01, "counts_per_turn": 10000, "offset_m": 0.6}
-    assert written["watchdog_ms"] == 16.0
-    assert monitor_section(asked, 312.5) == {"length_noise_m": 2e-6}
-    damiao = monitor_section(asked | {"travel_m": 0.1, "drives": "damiao", "model": "DM8009"}, 400.0)
-    rad_m = 0.1 / 6.2831853
-    assert damiao["length_noise_m"] == pytest.approx(2 * 25 / 65535 * rad_m, rel=1e-2)  # 16 bits, 12.5 rad
-    assert damiao["rate_noise_m_s"] == pytest.approx(1.5 * 90 / 4095 * rad_m, rel=0.05)  # 12 bits, 45 rad/s
 
 
 @pytest.mark.parametrize(

@@ -145,14 +145,6 @@ def test_each_fault_has_struck_or_waits_for_its_mode_or_for_its_time_and_is_told
     assert command._injected(faulty("a", "b", "c"), nodes) == expected
 
 
-def test_commands_that_were_not_given_were_neither_given_nor_refused():
-    operator: Any = SimpleNamespace(left=2, refused=1)
-    assert command._commands([], operator) == {}
-    assert command._commands([(0.0, "hold")] * 7, operator) == {
-        "commands": {"given": 5, "refused": 1, "not_reached": 2}
-    }
-
-
 def test_a_simulation_whose_plant_log_exists_is_refused_before_its_own_log_is_begun(monkeypatch, tmp_path):
     begun = []
     (tmp_path / "a-plant.mcap").write_bytes(b"an earlier one")

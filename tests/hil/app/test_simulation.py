@@ -1,14 +1,18 @@
 """`hil.sim`: a run from Python with a changed configuration, its log, its summary, the plant's truth."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
 
 import hil
 from drivers.errors import ConfigurationError, LogError
+from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
+from hil.app.sim.build import build_lockstep
 from hil.app.sim.command import run_identity
 from plant_fmu.faults.kinds import EncoderJump
 from plant_fmu.faults.plan import FaultPlan
@@ -135,3 +139,19 @@ def test_one_run_has_one_identity_and_none_of_another(run, tmp_path):
     ]
     assert len({first, *others}) == 9
     assert run_identity(c, 2.0, FaultPlan([EncoderJump(leg=0, at_s=2.0, by_m=5e-3)]), None, ()) == others[2]
+
+
+@pytest.mark.parametrize(
+    "operator", [{"start": "asked"}, {"deadman_s": 0.2}, {"stays": True}], ids=lambda each: next(iter(each))
+)
+def test_a_lockstep_that_would_wait_for_an_operator_is_refused(operator):
+    """In simulated time nobody attends a run."""
+    c = loads(with_changes(load("virtual").text, {"operator": operator}), "mine.yaml", Path())
+    cycle = build_cycle(c, c.loop.rate_Hz, 0.01)
+    nodes, plant = build_nodes(c)
+    try:
+        with pytest.raises(ConfigurationError, match=r"mine\.yaml: operator: nobody gives commands here"):
+            build_lockstep(c, cycle, nodes)
+        assert build_lockstep(c, cycle, nodes, attended=True).tick == -1
+    finally:
+        plant.close()

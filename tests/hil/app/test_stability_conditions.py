@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.stability.command import judge
-from hil.app.stability.imperfect_drives import Drives
 from hil.app.stability.subject import SURVEYED, Stated, Subject
 from hil.config.model import ModelSettings
 from hil.design.stability.assessment import Assessment
@@ -105,11 +103,6 @@ def test_of_a_fused_pose_nothing_is_proven_without_saying_that_its_filter_is_not
     assert judge(held(LINEAR, FINE)).conditions == []
 
 
-def test_encoders_that_may_be_lost_are_named_where_the_fused_pose_is(linearising):
-    fused = FUSED | {"estimation": {"pose": "fused", "fusion": {"may_lose_legs": [0, 3]}}}
-    assert among(judge(held(linearising[0], FINE, fused)), "no encoder is lost")
-
-
 @pytest.mark.parametrize("name", list(SPRINGS))
 def test_springs_that_follow_a_live_reference_are_proven_only_while_it_rests(name):
     moves = "the reference rests; while it moves nothing is proven"
@@ -157,12 +150,3 @@ def test_errors_that_the_steps_of_readings_keep_up_are_not_said_to_die_out(linea
         assert found.status == status, law
         assert says in found.claim
         assert (SURVEYED in found.conditions) == (status == "conditional")
-
-
-def test_of_springs_the_steps_of_forces_and_readings_are_left_out_and_a_condition_says_so(monkeypatch):
-    c = held(SPRINGS["pid"])
-    real, of_one = Drives.of(c), 1e-9 * np.eye(6)[3]
-    for length, rate, force in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)):
-        each = real._replace(length=length * of_one, rate=rate * of_one, force=force * of_one)
-        monkeypatch.setattr(Drives, "of", lambda _, each=each: each)
-        assert among(judge(c, quick=True), "have no steps") == bool(length + rate + force)

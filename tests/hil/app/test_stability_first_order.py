@@ -19,7 +19,6 @@ from tests.hil.app.test_stability_command import LEGS, POSE
 from tests.hil.app.test_stability_conditions import held
 
 STILL = np.zeros(6)
-T = 1e-3
 WEIGHTLESS = {"platform": {"gravity_m_s2": [0, 0, 0]}}
 AT = {"position_m": [0.05, -0.1, 1.1], "rotation_vector_deg": [3, -8, 5]}
 FROZEN = "{variant: %s, frozen_at: {position_m: [0, 0, 1]}}"

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.configuration import Configuration, loads
 from hil.app.loop_delay import loop_delay
 from hil.app.stability.command import judge
 from hil.app.stability.imperfect_drives import Drives
-from hil.app.stability.subject import Stated, Subject
-from hil.config.model import ModelSettings
-from hil.robot.kinematics import leg_lengths
-from plant_fmu.config import BenchPlant
 from tests.hil.app.test_stability_command import LEGS, bench
 
 
@@ -27,22 +23,6 @@ def changed(law, *changes):
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     return loads(text, "my.yaml", Path())
-
-
-"""Nearly twice the platform itself, and three times its inertia; or nothing."""
-
-
-def test_what_a_law_compensates_too_much_of_the_friction_counts_as_what_it_compensates_too_little():
-    """The drives of the lab lose 200 N s/m and 60 N; dry friction may meet that of the law with the other sign."""
-    subject = Subject(load("lab"), Stated())
-    assert subject.plant is not None
-    assert (subject.plant.viscous_friction_N_s_m, subject.plant.coulomb_friction_N) == (200.0, 60.0)
-    believed = [0.0, 100.0, 200.0, 300.0, 500.0, 1e4]
-    found = subject.friction(
-        ModelSettings(viscous_friction_N_s_m=believed, coulomb_friction_N=[0, 1, 2, 3, 4, 5])
-    )
-    assert found.viscous_N_s_m == pytest.approx([200.0, 100.0, 0.0, 100.0, 300.0, 9800.0])
-    assert found.coulomb_N == pytest.approx([60.0, 61.0, 62.0, 63.0, 64.0, 65.0])
 
 
 @pytest.mark.parametrize(
@@ -72,51 +52,6 @@ def test_an_integral_has_to_carry_the_weight_whether_the_legs_push_or_pull(down)
     for limit, status in ((3500.0, "not proven"), (3800.0, "conditional")):
         law = f"  law: pid\n{LEGS}  ki_N_m_s: 4e5\n  integral_limit_N: {limit}\n"
         assert judge(changed(law, gravity)).status == status
-
-
-@pytest.mark.parametrize(("springs", "cubic"), [(1e8, 0.0), (1e6, 0.0), (0.0, 0.0), (0.0, 2e10), (5e3, 2e4)])
-def test_what_late_damping_makes_of_the_benchs_own_springs_is_in_its_verdict(springs, cubic):
-    """m p'' = -k p + u of a period before, by sine and cosine; k of a cubic spring is that of where it rests."""
-    m, K_p, K_v, T = 20.0, 1e4, 1e3, 1e-3
-    text = load("bench").text
-    text = with_changes(
-        text,
-        {
-            "plant": {
-                "model": {"mass_kg": m, "stiffness_N_m": springs, "stiffness_N_m3": cubic},
-                "drives": {"force_bandwidth_Hz": 0},
-            },
-            "controller": {"kp_N_m": K_p, "kv_N_s_m": K_v},
-        },
-    )
-    c = loads(text, "bench.yaml", Path())
-    assert (loop_delay(c).transport_s, loop_delay(c).lag_s) == (T, 0.0)
-    assert c.plant is not None
-    assert isinstance(c.plant.model, BenchPlant)
-    subject = Subject(c, Stated())
-    x_d = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R) - c.plant.model.rest_length_m
-    largest = 0.0
-    for x in x_d:
-        rest = np.roots([cubic, 0.0, springs + K_p, -K_p * x])
-        (at,) = rest[np.abs(rest.imag) < 1e-9].real
-        k = springs + 3.0 * cubic * at**2
-        w = np.sqrt(max(k, 1e-9) / m)
-        A = np.array(
-            [
-                [
-                    np.cos(w * T),
-                    np.sin(w * T) / w,
-                    T * T / (2.0 * m) if k < 1.0 else (1.0 - np.cos(w * T)) / k,
-                ],
-                [-w * np.sin(w * T), np.cos(w * T), np.sin(w * T) / (m * w)],
-                [-K_p, -K_v, 0.0],
-            ]
-        )
-        largest = max(largest, float(np.abs(np.linalg.eigvals(A)).max()))
-    found = judge(c)
-    assert found.figures["sampled"]["largest_pole"] == pytest.approx(largest, abs=1e-6)
-    assert found.status == ("unstable" if largest >= 1.0 else "conditional")
-    assert (springs == 1e8) <= (found.status == "unstable")
 
 
 T = 1e-3

@@ -4,14 +4,12 @@ import os
 import re
 
 import pytest
-from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load, loads
 from hil.app.files import printable
 from hil.app.recorded_files import with_attachments
 from hil.app.terminal import one_line, visible
-from hil.cli import main
 
 VIRTUAL = load("virtual").text
 
@@ -42,15 +40,6 @@ def test_what_steers_a_terminal_is_shown_and_not_sent():
     assert visible("plain é ✓") == "plain é ✓"
     assert one_line("a\nb\u2028c") == "a\\nb\\u2028c"
     assert printable("a\x1b[2J\n.mcap") == "a\\x1b[2J\\n.mcap"
-
-
-def test_a_message_about_a_hostile_file_is_one_line_without_control_characters(tmp_path):
-    path = tmp_path / "a\x1b[2Jb\nc.mcap"
-    path.write_bytes(b"no log")
-    result = CliRunner().invoke(main, ["plot", str(path)])
-    assert result.exit_code == 2
-    assert result.stderr.endswith("a\\x1b[2Jb\\nc.mcap: not an MCAP file\n")
-    assert result.stderr.count("\n") == 1
 
 
 # -- what a log names ----------------------------------------------------------------------------------------

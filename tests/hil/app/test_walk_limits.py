@@ -126,15 +126,3 @@ def test_friction_and_rotors_of_the_plant_ask_for_force_along_the_motion_either_
     np.testing.assert_allclose(tau[1], 50.0 + 8.0 + way * (10.0 + 20.0 * np.arange(1, 7)))
     np.testing.assert_allclose(tau[0], 58.0)
     np.testing.assert_allclose(rest, 50.0)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_the_damping_of_a_bench_leg_asks_for_force_along_the_motion_either_way(way):
-    """Bench legs: 20 kg at 2 m/s^2, 500 N s^2/m^2 v|v|, 0.1 m past the rest: 100 N and 3 N of the cube."""
-    model = BenchPlant(
-        type="bench", mass_kg=20.0, damping_N_s2_m2=500.0, stiffness_N_m=1000.0, stiffness_N_m3=3000.0, rest_length_m=1.5
-    )  # fmt: skip
-    tau, rest = forces(model, 1.5 + 0.1 * way, 0.1 * way, 2.0)
-    np.testing.assert_allclose(tau[1], 40.0 + way * (103.0 + 5.0 * np.arange(1, 7) ** 2))
-    np.testing.assert_allclose(tau[0], 40.0 + way * 103.0)
-    np.testing.assert_allclose(rest, way * 103.0)

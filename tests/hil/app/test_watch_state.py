@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.run_description import run_description
 from hil.app.watch.state import state
-from hil.record.mirror import FIGURES, Mirror, Piece
-from hil.record.row import TICKS, describe
+from hil.record.mirror import FIGURES, Piece
 
 ABOUT = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
 SHORTEST, LONGEST, SILENT = 0.75, 2.2, 5
@@ -53,14 +51,3 @@ def test_the_mark_of_each_leg_says_all_that_is_wrong_with_it(leg):
     said = set(found.pop(leg).split(", "))
     assert said == {"encoder doubted", "moved on its brake", "drive refuses", "silent", "overforce"}
     assert found == [""] * 5
-
-
-BEGUN = [{"number": 1, "t_ns": 5_000_000, "level": "info", "text": "begun"}]
-
-
-def shown(path, name, events=BEGUN, **changes):
-    """Return the mirror of a run with one row."""
-    about = {**ABOUT, "name": name, "columns": describe(TICKS.columns), **changes}
-    mirror = Mirror(path, about)
-    mirror.write(np.zeros((), ROW), np.zeros((), FIGURES), json.dumps(events).encode())
-    return mirror

@@ -103,7 +103,7 @@ def spinning(limits=()):
     return loads(text, "my.yaml")
 
 
-def test_a_path_through_a_singularity_is_refused_with_its_first_instant():
+def test_a_path_through_a_singularity_is_refused_at_its_first_instant():
     """On this platform det J changes its sign at a turn of 90 deg about z, where opposite legs cross."""
     with pytest.raises(ConfigurationError) as caught:
         inspect(spinning([("condition: 50 ", "condition: 1e30 ")]))
@@ -119,7 +119,7 @@ def test_a_path_too_near_to_a_singularity_is_refused_before_it():
         inspect(spinning())
 
 
-def test_a_step_of_force_that_the_limit_would_cut_is_named_at_the_start():
+def test_a_step_of_force_above_the_limit_is_refused_at_the_start():
     with pytest.raises(
         ConfigurationError,
         match=r"at t = 0\.000 s: leg 1: force changes by more than limits\.force_step_N 2000",
@@ -204,7 +204,7 @@ def with_law(law):
         quick=1,
     ),
 )
-def test_the_phase_margin_of_a_boundary_layer_is_that_of_its_linear_law(law, margin_deg):
+def test_a_boundary_layer_has_the_phase_margin_of_its_linear_law(law, margin_deg):
     report = with_law(law)
     assert report.figures["controller"]["phase_margin_deg"] == pytest.approx(margin_deg, abs=0.06)
     assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
@@ -225,7 +225,7 @@ def closing(seconds):
 
 
 @pytest.mark.parametrize(("closing_s", "leaves"), [(0.125, False), (0.135, True)])
-def test_silence_drives_a_leg_into_its_end_where_the_books_lengths_and_rates_say_so(closing_s, leaves):
+def test_silence_warns_where_a_leg_of_the_book_reaches_its_end(closing_s, leaves):
     """A leg of a platform that falls accelerates by a little more than 9.81 x 1 / 1.5925 = 6.2 m/s^2."""
     T, a = 0.01 + closing_s, 6.4
     q, dq = (np.array([state[key] for state in BOOK["states"]]) for key in ("length", "rate"))
@@ -234,7 +234,7 @@ def test_silence_drives_a_leg_into_its_end_where_the_books_lengths_and_rates_say
     assert bool(warnings("virtual", closing(closing_s))) == leaves
 
 
-def test_the_printed_distance_is_speed_and_acceleration_over_watchdog_and_brake():
+def test_the_stopping_distance_counts_watchdog_and_brake():
     """The distance is v T + a T^2 / 2: its mean speed rises in proportion to T, from the top speed on."""
     text = load("virtual").text
     T = np.array([0.04, 0.06, 0.1])

@@ -41,7 +41,7 @@ def answer(mobility):
     return Probe(np.zeros(6), mobility)
 
 
-def test_single_legs_under_a_law_with_a_model_are_pointed_to_pd_with_the_heaviest_legs_mass():
+def test_uncoupled_legs_are_pointed_to_pd_with_the_largest_mass():
     masses = np.array([40.0, 41.0, 50.0, 42.0, 43.0, 44.0])
     (said,) = coupling_dangers(load("virtual"), answer(np.diag(1 / masses)))
     assert "controller.law: pd" in said
@@ -49,7 +49,7 @@ def test_single_legs_under_a_law_with_a_model_are_pointed_to_pd_with_the_heavies
     assert list(coupling_dangers(load("bench"), answer(np.diag(1 / masses)))) == []
 
 
-def test_coupled_legs_are_left_in_peace_and_a_leg_that_pulls_is_named():
+def test_coupled_legs_pass_and_a_leg_that_pulls_is_reported():
     platform = 0.02 * np.eye(6) + 0.005
     assert list(coupling_dangers(load("virtual"), answer(platform))) == []
     platform[3] *= -1.0
@@ -58,7 +58,7 @@ def test_coupled_legs_are_left_in_peace_and_a_leg_that_pulls_is_named():
 
 
 @pytest.mark.parametrize("brake", broad(["", "brake"], quick=1))
-def test_a_plant_without_brakes_is_warned_of_by_check_and_before_it_falls_by_sim(brake, tmp_path):
+def test_check_and_sim_warn_about_a_plant_without_brakes(brake, tmp_path):
     file = configured(tmp_path, brake)
     warnings = [w for w in inspect(load(file)).warnings if w.startswith("plant.model.brake")]
     assert len(warnings) == (not brake)
@@ -71,7 +71,7 @@ def test_a_plant_without_brakes_is_warned_of_by_check_and_before_it_falls_by_sim
     assert said.find("no brake holds") < said.find("sim: ")
 
 
-def test_check_prints_the_answer_to_a_push_and_refuses_an_fmu_that_does_not_fit(tmp_path):
+def test_check_prints_units_and_refuses_an_fmu_that_does_not_fit(tmp_path):
     report = inspect(load(configured(tmp_path, "brake")))
     assert "units of force, length and rate are stated" in report.sections["plant FMU"]
     assert report.figures["fmu"]["assumed_units"] == {}

@@ -52,7 +52,7 @@ BORDERS = {
 
 
 @pytest.mark.parametrize("name", BORDERS)
-def test_a_limit_far_beyond_what_is_needed_is_warned_of_with_need_ratio_and_proposal(virtual, name):
+def test_a_limit_far_above_need_is_warned_about_with_a_proposal(virtual, name):
     tight, loose, needed = BORDERS[name]
     assert warned(virtual, **{name: tight}) == []
     (line,) = warned(virtual, **{name: loose})
@@ -78,7 +78,7 @@ def platform_mass_kg(c):
     return 1.0 / np.diag(J @ np.linalg.solve(Model(platform).mass_matrix(p, R), J.T)).min()
 
 
-def test_a_deceleration_that_no_force_gives_is_warned_of(virtual):
+def test_a_deceleration_that_no_force_gives_is_warned_about(virtual):
     """By hand: a leg alone feels 1 / (J M^-1 J^T)_ii; 25 kN bear 3.6 kN of weight at the path's start."""
     c, w, _ = virtual
     able = (25000.0 - np.abs(w.rest).max()) / platform_mass_kg(c)

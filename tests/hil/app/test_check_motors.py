@@ -46,7 +46,7 @@ def test_each_leg_has_what_its_motor_reads_turns_and_gives():
     assert second.split()[1:6] == ["-80", "+0.9375", "to", "-0.9375", "78.54"]
 
 
-def test_too_much_torque_names_the_leg_that_needs_most_of_it_with_its_own_figures():
+def test_too_much_torque_is_refused_with_the_leg_that_needs_most():
     """Leg 5 alone loses 30 %: 300 N x 0.1 m / (2 pi x 0.7) = 6.82 N m; the DM4310 carries 10."""
     with pytest.raises(
         ConfigurationError, match=r"450 N need 10\.23 N m of the motor of leg 5 \(62\.83 N a N m"

@@ -53,7 +53,7 @@ def stopped(c, model, trajectory, at_s, up=False):
 
 
 @pytest.mark.parametrize("up", [False, True])
-def test_no_hold_and_no_start_on_the_path_is_beyond_what_is_said_and_the_worst_is_near_it(virtual, up):
+def test_a_hold_or_start_on_the_path_stays_within_the_printed_bounds(virtual, up):
     c, _, model, trajectory, w, said = virtual
     fastest = float(w.t[np.abs(w.dq).max(axis=1).argmax()])
     found = [stopped(c, model, trajectory, t, up) for t in (fastest - 0.25, fastest - 0.1, 3.0, 7.3, 12.1)]
@@ -65,7 +65,7 @@ def test_no_hold_and_no_start_on_the_path_is_beyond_what_is_said_and_the_worst_i
     assert steps < own + said.step_N
 
 
-def test_a_limit_that_holds_on_the_path_and_not_while_its_speed_changes_is_warned_of(virtual):
+def test_a_limit_that_breaks_while_the_speed_changes_is_warned_about(virtual):
     c, *_, w, said = virtual
     for name, own, least in (
         ("acceleration_m_s2", np.abs(w.ddq).max(), said.acceleration_m_s2),

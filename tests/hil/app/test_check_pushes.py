@@ -44,7 +44,7 @@ def stated(c, friction):
         (3000, 1500, 600, 30.0),
     ],
 )
-def test_unstated_friction_is_a_twentieth_of_what_a_leg_may_be_asked_for(rated, force, window, friction):
+def test_unstated_friction_is_a_twentieth_of_the_largest_force(rated, force, window, friction):
     c = load("socketcan")
     drives = c.drives.model_copy(update={"force_limit_N": rated})
     asked = c.limits.model_copy(update={"force_N": force, "force_window_N": window})
@@ -71,14 +71,14 @@ def walked(force, swing=0.0):
         (-1600.0, 0.0, 390.0, "limits.force_N 2500"),
     ],
 )
-def test_a_push_that_the_limits_would_clip_is_told(force, swing, friction, key):
+def test_a_push_that_the_limits_would_clip_is_reported(force, swing, friction, key):
     c = stated(load("lab"), friction)
     told = clipped(c, limits_of(c), walked(force, swing))
     assert (told is None) == (key is None)
     assert key is None or key in str(told)
 
 
-def test_a_run_is_refused_with_place_value_what_is_allowed_and_how_to_mend_it():
+def test_a_clipped_push_refuses_a_run_with_the_value_that_is_allowed():
     c = edited("lab", (r"^monitor:.*", "monitor:\n  friction_N: 900"))
     line = c.text[: c.text.index("friction_N: 900")].count("\n") + 1
     for entry in (refuse_unreachable, inspect):

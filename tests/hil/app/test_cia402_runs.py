@@ -31,7 +31,7 @@ def configuration(name, changes=None):
         pytest.param("lab", PDO, 2.3, marks=pytest.mark.long),
     ],
 )
-def test_the_robot_tracks_and_parks_and_the_log_replays_exactly(name, changes, peak_mm, tmp_path):
+def test_the_robot_tracks_parks_and_replays_exactly(name, changes, peak_mm, tmp_path):
     found = simulate(configuration(name, changes), log=tmp_path / "run.mcap", duration_s=4.0)
     assert found["success"], found
     assert found["final_mode"] == "PARKED"
@@ -40,7 +40,7 @@ def test_the_robot_tracks_and_parks_and_the_log_replays_exactly(name, changes, p
     assert (found["replay"]["exact"], found["replay"]["wire_different_ticks"]) == (True, 0)
 
 
-def test_a_rate_that_the_bus_does_not_carry_is_refused_with_the_arithmetic():
+def test_a_rate_above_the_bus_is_refused_with_the_arithmetic():
     with pytest.raises(ConfigurationError) as refused:
         configuration("virtual", {"velocity: difference": "velocity: pdo"})
     text = str(refused.value)

@@ -67,7 +67,7 @@ def test_every_example_in_the_help_is_a_command_line_that_parses(words):
         COMMANDS[words].make_context("hil", given[len(words) :])
 
 
-def test_the_group_lists_its_commands_in_the_order_of_their_use_and_all_shipped_configurations():
+def test_help_lists_commands_exit_codes_and_shipped_configurations():
     text = hil("--help").output
     assert re.findall(r"^    (\d+)  \w+", text, re.MULTILINE) == ["0", "1", "2", "130", "141"], "exit codes"
     listed = re.findall(r"^  (\w+) {2,}[A-Z]", text.partition("Commands:")[2], re.MULTILINE)
@@ -107,7 +107,7 @@ def simulated(tmp_path_factory):
     return result, folder
 
 
-def test_a_simulation_that_parks_exits_0_and_says_so_on_the_terminal_and_in_json(simulated):
+def test_a_simulation_that_parks_exits_0(simulated):
     result, folder = simulated
     assert result.exit_code == 0, result.output
     summary = json.loads((folder / "run.json").read_text())
@@ -119,7 +119,7 @@ def test_a_simulation_that_parks_exits_0_and_says_so_on_the_terminal_and_in_json
     assert re.search(rf"^replay +{summary['ticks']} ticks, 0 differences$", result.stdout, re.MULTILINE)
 
 
-def test_a_replay_exits_0_says_one_sentence_and_leaves_the_log_alone(simulated, tmp_path):
+def test_a_replay_exits_0_and_leaves_the_log_alone(simulated, tmp_path):
     log = simulated[1] / "run.mcap"
     before = log.read_bytes()
     result = hil("replay", log, "--json", tmp_path / "replay.json")
@@ -168,7 +168,7 @@ def test_check_exits_0_with_figures(tmp_path):
     assert summary["figures"]["bus"]["total_us"] == pytest.approx(568.2)
 
 
-def test_check_exits_2_with_all_problems_on_the_terminal_and_in_json(tmp_path):
+def test_check_exits_2_with_all_problems(tmp_path):
     (tmp_path / "two.yaml").write_text(
         edited(("silence: brake ", "silence: pray "), ("priority: 80", "priorty: 80"))
     )

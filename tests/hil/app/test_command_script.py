@@ -51,16 +51,14 @@ def test_a_command_whose_tick_is_skipped_is_given_in_the_next_one(skipped: int) 
     ("seconds", "words"),
     [(0.01, 1), (0.02, 1), (0.03, 2), (0.06, 3), (0.14, 7), (0.28, 14), (0.29, 15), (0.56, 28)],
 )
-def test_a_word_that_is_repeated_is_said_every_20_ms_and_not_once_more_at_its_end(
-    seconds: float, words: int
-) -> None:
+def test_a_repeated_command_is_sent_every_20_ms_until_its_end(seconds: float, words: int) -> None:
     script = CommandScript([(1.0, f"jog x 1 for {seconds}")], 1000.0)
     assert [tick for tick in range(2000) if script(tick).orders] == [1000 + 20 * k for k in range(words)]
 
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["none", "byte order mark"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["unix", "windows"])
-def test_a_file_of_commands_is_read_whichever_editor_wrote_it(tmp_path: Path, mark: str, end: str) -> None:
+def test_a_file_of_commands_is_read_whatever_editor_wrote_it(tmp_path: Path, mark: str, end: str) -> None:
     lines = ["0.5 start # at last", "", "# a remark", "  2  jog x 1 for 1.5 ", "1e1\thold"]
     (tmp_path / "c.txt").write_bytes((mark + end.join(lines) + end).encode())
     assert [(t, " ".join(word.split())) for t, word in read_commands(tmp_path / "c.txt")] == [

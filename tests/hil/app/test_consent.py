@@ -45,7 +45,7 @@ def read_until(terminal: int, word: bytes) -> bytes:
     return heard
 
 
-def test_enter_counts_once_all_is_ready_and_what_was_typed_before_does_not():
+def test_enter_counts_only_once_all_is_ready():
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(ROOT)
@@ -105,12 +105,12 @@ def test_a_terminal_that_hangs_up_is_one_stop_and_no_defect(tmp_path, asked):
     assert said.read_text() == "1 [False, False, False] ['STOP']\n"
 
 
-def test_without_a_terminal_arm_is_asked_for(tmp_path):
+def test_without_a_terminal_arm_is_required(tmp_path):
     with (tmp_path / "input").open("w+") as file, pytest.raises(RunError, match="--arm"):
         EnterKey(lambda: None, file.fileno())
 
 
-def test_hil_run_without_a_word_ends_before_it_opens_the_bus():
+def test_hil_run_without_consent_ends_before_it_opens_the_bus():
     ended = subprocess.run(
         [sys.executable, "-m", "hil.cli", "run", "virtual", "--plant"],
         cwd=ROOT,
@@ -135,7 +135,7 @@ def cycle(mode: Mode) -> Any:
     return SimpleNamespace(mode=mode, mode_tick=0, reset_tick=0, faults=Fault.NONE, parts=parts)
 
 
-def test_a_course_that_is_not_armed_waits_for_ever_and_counts_its_duration_from_the_word():
+def test_an_unarmed_course_waits_and_counts_from_the_command():
     c = cycle(Mode.IDLE)
     course = Course(c, 2.0, armed=False)
     for tick in range(0, 100_000, 500):

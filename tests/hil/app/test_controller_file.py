@@ -51,7 +51,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("old", WRONG)
-def test_what_is_wrong_in_the_file_is_named_by_line_and_column(old, tmp_path):
+def test_a_mistake_in_the_file_is_reported_by_line_and_column(old, tmp_path):
     new, message = WRONG[old]
     path = changed(tmp_path, old, new)
     with pytest.raises(ConfigurationError, match=message):
@@ -59,7 +59,7 @@ def test_what_is_wrong_in_the_file_is_named_by_line_and_column(old, tmp_path):
     assert "controller.controller_file: " in refusal(path.name, tmp_path)
 
 
-def test_a_controller_for_another_rate_is_refused_where_it_is_named():
+def test_a_controller_for_another_rate_is_refused():
     message = refusal(GOOD, Path(), rate_Hz=500)
     assert "controller.controller_file: made for 1000 Hz, and the loop runs at 500 Hz" in message
     assert "design again for that rate" in message
@@ -93,7 +93,7 @@ def crossing(delay_s, lag_s):
     return w_c, float(np.angle(-loop(w_c), deg=True))
 
 
-def test_the_check_warns_of_a_delay_that_the_controller_was_not_made_for(tmp_path):
+def test_check_warns_about_a_delay_beyond_the_design(tmp_path):
     """Ten times the gains: over at 400 rad/s, where the lag of 5 ms alone takes 63 deg."""
     path = changed(tmp_path, "C: [[1, 1]]", "C: [[10, 10]]")
     report = inspect(bench(path.name, tmp_path))

@@ -73,7 +73,7 @@ def ctl(*words):
     return CliRunner().invoke(main, ["ctl", "virtual", *words])
 
 
-def test_a_word_that_is_taken_is_a_success_and_one_that_is_refused_says_why(controller):
+def test_an_accepted_command_is_a_success_and_a_refused_one_is_not(controller):
     assert ctl("speed", "40").exit_code == 0
     assert controller.heard == [Order(Operator.SPEED, (0.4,))]
     controller.why = "not now"
@@ -96,13 +96,13 @@ def test_a_status_is_lines_to_read(controller):
     assert lines["faults"] == "none"
 
 
-def test_the_key_is_held_for_as_long_as_it_is_asked_for(controller):
+def test_the_key_is_held_for_the_requested_time(controller):
     assert ctl("key", "--for", "0.5").exit_code == 0
     assert set(controller.heard) == {Order(Operator.KEY)}
     assert 5 <= len(controller.heard) <= 26
 
 
-def test_a_jog_is_said_again_and_let_go_of_at_the_end_or_ends_with_why_it_is_refused(controller):
+def test_a_jog_is_repeated_and_released_or_ends_when_refused(controller):
     assert ctl("jog", "leg3", "-0.5", "--for", "0.3").exit_code == 0
     *said, last = controller.heard
     assert set(said) == {Order(Operator.JOG, (9.0, -0.5))}
@@ -116,12 +116,12 @@ def test_a_jog_is_said_again_and_let_go_of_at_the_end_or_ends_with_why_it_is_ref
     assert controller.heard == [Order(Operator.JOG, (0.0, 1.0))]
 
 
-def test_a_time_is_for_the_key_and_the_jog_alone(controller):
+def test_only_key_and_jog_take_a_time(controller):
     assert ctl("hold", "--for", "1").exit_code == 2
     assert not controller.heard
 
 
-def test_without_a_controller_nothing_is_said(monkeypatch):
+def test_without_a_controller_a_command_is_refused(monkeypatch):
     with tempfile.TemporaryDirectory(prefix="op") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         result = ctl("estop")
@@ -141,7 +141,7 @@ assert not heavy, heavy
 
 
 @pytest.mark.parametrize("word", ["estop", "jog x 1", "status", "key"])
-def test_a_word_is_said_without_a_heavy_import(tmp_path, word):
+def test_a_command_is_sent_without_a_heavy_import(tmp_path, word):
     tmp_path.chmod(0o700)
     ended = subprocess.run(
         [sys.executable, "-c", HEAVY, *word.split()],
@@ -162,7 +162,7 @@ def changed(tmp_path, old, new):
     return str(file)
 
 
-def test_a_wrong_value_elsewhere_does_not_hold_up_an_emergency_stop(controller, tmp_path):
+def test_a_wrong_value_elsewhere_does_not_delay_an_emergency_stop(controller, tmp_path):
     file = changed(tmp_path, "mass_kg: 1150", "mass_kg: heavy")
     with pytest.raises(ConfigurationError, match=r"platform\.platform\.mass_kg"):
         load(file)
@@ -178,14 +178,14 @@ def test_a_wrong_value_elsewhere_does_not_hold_up_an_emergency_stop(controller, 
         ("\nbus:", "\nbuss:", "bus: missing"),
     ],
 )
-def test_a_file_that_does_not_say_where_gets_the_whole_check(controller, tmp_path, old, new, complaint):
+def test_a_file_without_a_channel_gets_the_whole_check(controller, tmp_path, old, new, complaint):
     result = CliRunner().invoke(main, ["ctl", changed(tmp_path, old, new), "estop"])
     assert result.exit_code == 2
     assert complaint in result.stderr
     assert not controller.heard
 
 
-def test_the_channel_of_the_file_is_the_one_that_is_spoken_to(controller, tmp_path):
+def test_commands_go_to_the_channel_of_the_file(controller, tmp_path):
     result = CliRunner().invoke(main, ["ctl", changed(tmp_path, "channel: hil0", "channel: other"), "estop"])
     assert result.exit_code == 2
     assert "no controller runs on bus localcan:other" in result.stderr
@@ -195,7 +195,7 @@ def test_the_channel_of_the_file_is_the_one_that_is_spoken_to(controller, tmp_pa
 
 
 @pytest.mark.parametrize("first", ["two0", "two1"])
-def test_of_several_buses_the_first_one_is_spoken_to_as_a_run_is_found_there(tmp_path, first):
+def test_commands_go_to_the_first_of_several_buses(tmp_path, first):
     file = tmp_path / "two.yaml"
     _, text = read_configuration("two_buses")
     swapped = {"two0": "two1", "two1": "two0"}
@@ -232,7 +232,7 @@ def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
         ("hold", "'hold' is no time"),
     ],
 )
-def test_a_wrong_line_of_a_file_of_commands_is_named_with_its_number(tmp_path, line, told):
+def test_a_wrong_line_of_a_file_of_commands_has_its_number(tmp_path, line, told):
     file = tmp_path / "operator.txt"
     file.write_text(f"1 hold\n\n# then\n{line}\n")
     with pytest.raises(ConfigurationError, match=rf"operator\.txt:4: .*{re.escape(told)}"):

@@ -15,7 +15,7 @@ def text(name: str) -> str:
 
 
 @pytest.mark.parametrize("where", ["here", "beside"])
-def test_a_sheet_in_the_present_folder_or_beside_the_configuration_is_read(
+def test_a_data_sheet_is_found_here_or_next_to_the_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     here, beside = tmp_path / "here", tmp_path / "beside"
@@ -30,7 +30,7 @@ def test_a_sheet_in_the_present_folder_or_beside_the_configuration_is_read(
         loads(text("drive.eds"), "a.yaml", beside)
 
 
-def test_who_reads_the_configuration_of_a_log_opens_no_file_that_it_names(tmp_path: Path) -> None:
+def test_the_configuration_of_a_log_opens_no_data_sheet(tmp_path: Path) -> None:
     """One that is no sheet would be quoted in the refusal."""
     secret = tmp_path / "secret"
     secret.write_text("the key\n")

@@ -53,7 +53,7 @@ def test_the_command_writes_controller_figures_and_picture(tmp_path):
     assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
 
 
-def test_an_identified_axis_goes_before_the_designs_own(tmp_path):
+def test_an_identified_axis_replaces_that_of_the_design(tmp_path):
     out = tmp_path / "c.yaml"
     done = design("hinf", "--model", axis_file(tmp_path), "-o", out)
     assert done.exit_code == 0, done.output
@@ -109,7 +109,7 @@ def test_a_wrong_design_is_refused_with_what_is_allowed(old, new, says, tmp_path
 
 
 @pytest.mark.parametrize("given", ["bench.yaml", "virtual.yaml"])
-def test_a_configuration_in_the_place_of_a_design_is_refused_in_one_line(given):
+def test_a_configuration_instead_of_a_design_is_one_problem(given):
     file = Path(__file__).parents[3] / "configs" / given
     with pytest.raises(ConfigurationError) as refused:
         load_design(str(file))

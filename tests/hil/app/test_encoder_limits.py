@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("unproven")
 
 
 @pytest.mark.parametrize("name", ["virtual", "lab", "socketcan"])
-def test_the_limits_are_printed_and_what_is_not_observable_is_named_with_its_error(name):
+def test_limits_and_what_is_not_observable_are_printed(name):
     report = inspect(load(name))
     lines = report.sections["encoders, at rest"]
     unseen = [line for line in lines if "not observable with these sensors" in line]
@@ -92,7 +92,7 @@ def test_a_drift_that_the_rate_contains_is_never_found_in_motion(speed_m_s):
     assert doubt_of(1.5 + way + drift[0], rate + drift[1]) is Doubt.NONE
 
 
-def test_a_drift_that_begins_with_a_step_of_the_rate_beyond_the_printed_one_is_a_leap():
+def test_a_drift_that_begins_above_the_printed_step_is_a_leap():
     step = 1.05 * printed()["leap_m_s"]
     drift = step * np.maximum(T_S - 0.5, 0.0), step * (T_S > 0.5)
     assert doubt_of(1.5 + drift[0], drift[1]) is Doubt.LEAP
@@ -127,7 +127,7 @@ def test_a_push_overcomes_what_the_transmission_loses():
     np.testing.assert_allclose(encoder_limits(c, 400.0).push_N, expected, rtol=1e-12)
 
 
-def test_friction_is_what_is_stated_or_known_or_a_share_of_the_rated_force():
+def test_friction_is_stated_known_or_a_share_of_the_rated_force():
     assert friction_N(load("virtual")) == 0.0
     assert friction_N(load("lab")) == 60.0
     assert friction_N(load("socketcan")) == pytest.approx(75.0), "5 % of 1.5 kN: nobody knows"

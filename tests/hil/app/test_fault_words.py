@@ -43,7 +43,7 @@ MEANT = [
 
 
 @pytest.mark.parametrize(("text", "fault"), MEANT, ids=[text for text, _ in MEANT])
-def test_words_mean_the_entry_of_the_configuration(text, fault):
+def test_words_mean_the_same_as_the_configuration(text, fault):
     assert read_fault(text) == fault
     assert read_fault(show_fault(fault)) == fault
 
@@ -68,7 +68,7 @@ def test_words_mean_the_entry_of_the_configuration(text, fault):
         ("drive_reset leg=0 for=1", "for: unknown key of drive_reset"),
     ],
 )  # fmt: skip
-def test_words_that_mean_nothing_are_refused_with_what_is_allowed(text, message):
+def test_wrong_words_are_refused_with_what_is_allowed(text, message):
     with pytest.raises(ConfigurationError) as refused:
         read_fault(text)
     assert str(refused.value).startswith(f'--fault "{text}": ')
@@ -111,7 +111,7 @@ def test_wrong_entries_are_refused_at_their_place(entry, message):
     assert message in str(refused.value)
 
 
-def test_a_simulation_refuses_faults_of_a_process_and_real_time_those_of_a_mode():
+def test_sim_refuses_process_faults_and_real_time_those_of_a_mode():
     process = with_faults(load("virtual"), ["process_kill at=1"])
     process.require("plant")
     with pytest.raises(ConfigurationError, match="process_kill: a simulation has no process of its own"):

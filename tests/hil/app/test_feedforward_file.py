@@ -96,7 +96,7 @@ def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: st
         ("reference", {"platform": {"home": {"position_m": [0, 0, 1.01]}}}),
     ],
 )
-def test_it_acts_on_nothing_but_what_it_was_learned_on(what: str, changes: Any, tmp_path: Path) -> None:
+def test_learned_forces_are_refused_on_anything_else(what: str, changes: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as refused:
         using(tmp_path, **changes)
     assert "my.yaml" in str(refused.value)
@@ -134,7 +134,7 @@ def at_rest(folder: Path, size: float = 1.0) -> Configuration:
     return using(folder, feedforward_text(head_of(c), size * ROWS, -4, 1e-3), 5000.0, reference=REST)
 
 
-def test_check_warns_of_forces_beyond_the_disturbance_of_the_certificate(tmp_path: Path) -> None:
+def test_check_warns_about_forces_beyond_the_certificate(tmp_path: Path) -> None:
     report = inspect(at_rest(tmp_path, 48.0))
     assert [line for line in report.warnings if "the certificate may alarm" in line]
 

@@ -33,9 +33,7 @@ def own(*inputs: str, faults: str = "") -> Configuration:
         *((words, ("wrench",), "map six inputs in plant.model.brake") for words in SLIPS),
     ],
 )
-def test_a_fault_that_would_come_to_nothing_at_an_fmu_is_refused(
-    words: str, inputs: tuple[str, ...], why: str
-) -> None:
+def test_a_fault_without_effect_at_an_fmu_is_refused(words: str, inputs: tuple[str, ...], why: str) -> None:
     kind = words.partition(" ")[0]
     with pytest.raises(ConfigurationError, match=f"{kind} needs .*{why}"):
         with_faults(own(*inputs), [words])
@@ -56,7 +54,7 @@ def test_a_fault_with_an_input_is_taken() -> None:
         (("wrench",), {"payload_step", "brake_stuck_open", "brake_stuck_closed", "brake_slipping"}),
     ],
 )
-def test_the_matrix_has_no_fault_that_would_pass_because_nothing_happens(
+def test_the_fault_matrix_leaves_out_faults_without_effect(
     inputs: tuple[str, ...], without: set[str]
 ) -> None:
     found = {case.name for case in cases(own(*inputs))}

@@ -93,7 +93,7 @@ def test_after_a_power_off_the_platform_is_where_it_was(parked, tmp_path):
     assert summary["replay"]["exact"]
 
 
-def test_a_platform_that_was_moved_by_hand_is_not_armed_and_the_replay_refuses_it_too(parked, tmp_path):
+def test_a_platform_moved_by_hand_is_not_armed_nor_in_the_replay(parked, tmp_path):
     folder, _, truth = parked
     c = configuration(folder, begins_where(truth, 0.002))
     before = (folder / "bench.yaml").read_text()
@@ -117,9 +117,7 @@ def test_a_platform_that_was_moved_by_hand_is_not_armed_and_the_replay_refuses_i
     ("fault", "commands", "state"),
     [((), [(1.2, "estop")], "parked"), (("encoder_lost leg=1 mode=TRACKING at=0.8",), [], "moved")],
 )
-def test_a_run_that_ends_in_a_fault_says_where_the_legs_are_only_if_it_knows(
-    tmp_path, fault, commands, state
-):
+def test_after_a_fault_lengths_are_kept_only_where_known(tmp_path, fault, commands, state):
     c = with_faults(configuration(tmp_path, "  initial_position_m: [0, 0, 0.284]\n"), fault)
     state_homing(c, emulated=True, lengths_m=start_lengths(c).tolist())
     summary = simulate(
@@ -155,7 +153,7 @@ def test_a_missing_file_is_refused_and_says_how_to_make_one(tmp_path):
     assert "`hil homing desktop --emulated` --at-home" in said
 
 
-def test_a_file_that_was_half_written_is_refused_wherever_it_ends(tmp_path):
+def test_a_half_written_file_is_refused_wherever_it_ends(tmp_path):
     c = configuration(tmp_path)
     state(c)
     file = tmp_path / "bench.yaml"
@@ -199,7 +197,7 @@ def test_one_leg_is_corrected_and_the_others_stay(tmp_path):
     assert there.turns is None
 
 
-def test_a_stated_length_may_be_off_by_a_quarter_of_a_turn_and_a_parked_one_by_the_limit(tmp_path):
+def test_a_stated_length_may_be_off_by_a_quarter_turn(tmp_path):
     c = configuration(tmp_path)
     state(c)
     assert limits(c) == pytest.approx([STEP_M / 4] * 6)
@@ -238,7 +236,7 @@ def test_a_length_outside_the_stroke_is_refused_and_nothing_is_written(tmp_path)
 # -- the configuration, and the drives' end -----------------------------------------------------------------
 
 
-def test_an_emulated_drive_counts_from_the_turn_in_which_it_is_switched_on():
+def test_an_emulated_drive_counts_from_its_turn_at_power_on():
     gear = Transmission(
         TransmissionSettings(lead_m=0.005, gear_ratio=2.0, sign=[1, -1, 1, -1, 1, -1], offset_m=0.3)
     )

@@ -92,7 +92,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, build_cycle: Callable[..., Any]) -
 
 
 @pytest.mark.parametrize("with_plant", [False, True])
-def test_a_run_reads_the_file_of_its_own_drives_and_marks_it_alone_before_the_loop_begins(
+def test_a_run_marks_the_file_of_its_own_drives_before_the_loop(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool
 ) -> None:
     told: list[LastPose] = []
@@ -138,7 +138,7 @@ def pressed(monkeypatch: pytest.MonkeyPatch, moment: str) -> list[str]:
 
 @pytest.mark.parametrize("moment", ["before", "behind"])
 @pytest.mark.parametrize("with_plant", [False, True])
-def test_an_interrupt_as_a_run_marks_its_file_leaves_it_as_it_was(
+def test_an_interrupt_while_marking_leaves_the_file_as_it_was(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool, moment: str
 ) -> None:
     cycle = cycle_of(tick={"age": np.full(6, 99)})

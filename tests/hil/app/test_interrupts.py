@@ -53,13 +53,13 @@ def interrupted_in(monkeypatch, work):
     monkeypatch.setattr(check, "load", lambda *_: work())
 
 
-def test_an_interrupt_is_one_line_and_130_and_nothing_disturbs_the_end_of_the_process(process, monkeypatch):
+def test_an_interrupt_is_one_line_and_exit_code_130(process, monkeypatch):
     interrupted_in(monkeypatch, press)
     assert process("check") == (INTERRUPTED, "hil: interrupted\n") == (130, "hil: interrupted\n")
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_an_interrupt_of_a_question_is_one_line_that_says_which_and_130(process, monkeypatch, tmp_path):
+def test_an_interrupt_of_a_question_says_which_one(process, monkeypatch, tmp_path):
     """The end of the input at the same place is a missing answer: 2."""
 
     def ended(_: str) -> str:
@@ -131,7 +131,7 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
     assert log.metadata["summary"]["reason"] == "interrupted"
 
 
-def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process, monkeypatch, tmp_path):
+def test_an_interrupt_while_the_recorder_writes_leaves_a_whole_log(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
     send, answer, answered = child.send, child.answer, []
 
@@ -155,7 +155,7 @@ def test_an_interrupt_while_the_recorder_still_writes_leaves_a_whole_log(process
     assert (log.cut, log.metadata["summary"]["ending"]) == ("", "PARKED")
 
 
-def test_an_interrupt_of_the_replay_after_a_simulation_says_how_it_ended(monkeypatch, tmp_path):
+def test_an_interrupt_of_the_replay_says_how_the_simulation_ended(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "replay_log", lambda _: press())
     with pytest.raises(
         KeyboardInterrupt, match=r"after the run, which ended in PARKED; its log is whole: .*a\.mcap"
@@ -164,7 +164,7 @@ def test_an_interrupt_of_the_replay_after_a_simulation_says_how_it_ended(monkeyp
     assert not Log.open(tmp_path / "a.mcap").cut
 
 
-def test_before_the_loop_a_second_press_does_not_disturb_the_end_of_the_start():
+def test_a_second_press_does_not_disturb_the_end_of_the_start():
     panel = OperatorPanel()
 
     def begin():
@@ -198,7 +198,7 @@ def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, mo
 
 
 @pytest.mark.parametrize(("own", "told"), [("", "a log"), ("at 2 s", "at 2 s")])
-def test_an_interrupt_that_says_nothing_yet_says_what_there_is_and_one_that_does_keeps_its_words(own, told):
+def test_an_interrupt_reports_what_there_is_or_its_own_words(own, told):
     with pytest.raises(KeyboardInterrupt) as interrupt, leaving(lambda: "nothing has moved"):  # noqa: SIM117
         with leaving(lambda: "a log"):
             raise KeyboardInterrupt(*([own] if own else []))

@@ -60,7 +60,7 @@ def left(folder):
     return {path.stem for path in folder.glob("*.mcap")}
 
 
-def test_the_oldest_without_a_fault_go_first_then_the_others_and_the_newest_never(runs):
+def test_the_oldest_logs_without_a_fault_go_first_the_newest_never(runs):
     removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]
     assert removed == [
         "virtual-20260101T000000",
@@ -80,7 +80,7 @@ def test_no_more_goes_than_the_budget_needs(runs):
     assert [path.rsplit("/", 1)[1] for path in removed] == ["virtual-20260101T000000.mcap"]
 
 
-def test_without_a_budget_and_for_a_log_with_a_name_of_its_own_nothing_goes(runs, tmp_path):
+def test_without_a_budget_or_with_a_named_log_nothing_goes(runs, tmp_path):
     before = left(runs)
     c = loads(load("virtual").text.replace("folder: runs", f"folder: {runs}"), "virtual")
     assert make_room(c, 0) == []
@@ -97,7 +97,7 @@ def test_a_run_that_needs_more_than_the_budget_or_the_disk_is_refused(runs):
     assert len(left(runs)) == 10
 
 
-def test_a_run_that_is_still_recorded_stays_with_both_of_its_logs_although_a_newer_one_has_begun(runs):
+def test_a_run_that_is_still_recorded_keeps_both_of_its_logs(runs):
     own, other = "virtual-20260101T000000-2", "virtual-20260101T000002-2"
     both = {own, f"{own}-plant", other, f"{other}-plant"}
     shutil.copy(runs / "mine.mcap", runs / f"{own}-plant.mcap")
@@ -132,9 +132,7 @@ def closed(path, **end):
     ],
     ids=["parked", "fault", "producer died", "disk full", "no end"],
 )
-def test_a_run_of_which_no_end_without_a_fault_is_known_stays_longer_than_one_that_has_parked(
-    runs, end, kept
-):
+def test_a_log_that_may_hold_a_fault_outlives_one_that_parked(runs, end, kept):
     oldest, parked = "virtual-20250101T000000", "virtual-20260101T000000"
     closed(runs / f"{oldest}.mcap", **end)
     removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]

@@ -66,7 +66,7 @@ def changed(words, **options):
 
 
 @pytest.mark.parametrize("name", broad(ROBOTS, quick=1))
-def test_a_new_configuration_passes_check_and_keeps_half_of_the_force_and_most_of_the_stroke(name, tmp_path):
+def test_a_new_configuration_passes_check_with_force_in_reserve(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     done = new(path, ROBOTS[name])
     assert done.exit_code == 0, done.output
@@ -129,7 +129,7 @@ def test_a_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
         ({"base_radius": -1}, "--base-radius: allowed: 0.001 to 100 m"),
     ],
 )
-def test_what_cannot_work_is_said_of_the_answer_and_nothing_is_written(change, told, tmp_path):
+def test_an_answer_that_cannot_work_is_refused_and_nothing_is_written(change, told, tmp_path):
     done = new(tmp_path / "r.yaml", changed(ROBOTS["table"], **change))
     assert done.exit_code == 2
     assert told in done.output
@@ -149,7 +149,7 @@ DRIVES = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", DRIVES)
-def test_a_new_robot_with_drives_that_can_be_bought_runs_at_the_highest_rate_of_their_page(name, tmp_path):
+def test_a_new_robot_runs_at_the_highest_rate_of_its_drives(name, tmp_path):
     """The rates of the table of docs/guides/drives.md, down to one that is tried."""
     rate_Hz = {"cia402": 312.5, "odrive": 312.5, "robstride": 312.5}.get(name, 400.0)
     path = tmp_path / f"{name}.yaml"
@@ -180,7 +180,7 @@ def test_a_new_robot_with_drives_that_can_be_bought_runs_at_the_highest_rate_of_
         ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),
     ],
 )  # fmt: skip
-def test_what_drives_cannot_do_is_said_of_the_answer(words, told, tmp_path):
+def test_an_answer_beyond_the_drives_is_refused(words, told, tmp_path):
     done = new(tmp_path / "r.yaml", f"{ROBOTS['table']} {words}")
     assert done.exit_code == 2
     assert told in done.output
@@ -190,7 +190,7 @@ def test_what_drives_cannot_do_is_said_of_the_answer(words, told, tmp_path):
 HEAVY = ROBOTS["simulator"].replace(" --layout classic", " --drives cia402 --travel 0.01 --rate 500")
 
 
-def test_a_rate_that_one_bus_does_not_carry_is_refused_with_the_number_that_does_and_written_with_it(
+def test_a_rate_above_one_bus_is_refused_with_the_number_of_buses(
     tmp_path,
 ):
     """docs/guides/buses.md: six drives take 2005 us of a tick on one bus, three on each 1030 us."""
@@ -242,7 +242,7 @@ def test_yes_names_every_answer_that_has_no_default(tmp_path):
     assert "--mass," not in done.output
 
 
-def test_a_dialogue_asks_again_at_the_question_that_cannot_work(tmp_path):
+def test_a_dialogue_repeats_the_question_that_cannot_work(tmp_path):
     path = tmp_path / "r.yaml"
     typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1 1000"
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
@@ -272,7 +272,7 @@ def test_a_file_that_is_there_is_not_overwritten_without_force(tmp_path):
     assert named_schema(path.read_text()) == str(schema_path())
 
 
-def test_a_copy_without_its_schema_is_told_of_and_mended(tmp_path):
+def test_hil_schema_restores_a_missing_schema(tmp_path):
     path = tmp_path / "copy.yaml"
     text = load("ideal").text
     path.write_text(text)
@@ -323,7 +323,7 @@ def table():
 @example(resolution_m=1.3333e-4, stroke_m=0.2)
 @example(resolution_m=1.32500004e-4, stroke_m=0.2)
 @example(resolution_m=1e-6, stroke_m=0.012344)
-def test_the_tolerance_of_standstill_is_never_below_four_steps_of_an_encoder(table, resolution_m, stroke_m):
+def test_standstill_is_never_below_four_steps_of_an_encoder(table, resolution_m, stroke_m):
     asked, home, w = table
     a = asked | {"encoder_resolution_m": resolution_m, "stroke_m": stroke_m}
     limits = derive.limits_section(a, home, w, 0.01, a["rate_Hz"])
@@ -339,7 +339,7 @@ def test_the_tolerance_of_standstill_is_never_below_four_steps_of_an_encoder(tab
 @settings(max_examples=25)
 @given(mass_kg=st.floats(1e-3, 1e6), radius_m=st.floats(0.1, 0.34))
 @example(mass_kg=2.36, radius_m=0.1862699)
-def test_the_disc_that_is_estimated_is_a_body_with_the_digits_that_are_written(table, mass_kg, radius_m):
+def test_the_estimated_disc_is_a_valid_body_as_written(table, mass_kg, radius_m):
     """Of a thin disc the moment about its axis is the sum of the others: no body has more."""
     a = table[0] | {"mass_kg": mass_kg, "platform_radius_m": radius_m}
     read: Any = parse(yaml_text([], {"platform": platform_section(a)}, {})).value
@@ -349,7 +349,7 @@ def test_the_disc_that_is_estimated_is_a_body_with_the_digits_that_are_written(t
     np.testing.assert_allclose(body.inertia, disc, rtol=1e-5)
 
 
-def test_a_brake_gets_the_time_to_act_and_to_stop_the_fastest_leg_and_a_fifth_of_it_more(table):
+def test_a_brake_gets_time_to_act_and_to_stop_the_fastest_leg(table):
     """60 kg at 1 m/s: 50 ms, then 1000 N less the 400 N of weight take 100 ms; 0.18 s are written."""
     answers, home, _ = table
     a = answers | {"brake_ms": 50.0, "brake_force_N": 1000.0}

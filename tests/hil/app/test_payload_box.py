@@ -68,12 +68,12 @@ def test_each_corner_is_the_robot_with_that_payload():
         ([f"{POINT}, mass_range_kg: [0, 80]"] * 2, "bodies 0, 1 have ranges, allowed: one body"),
     ],
 )
-def test_ranges_that_say_nothing_are_refused(payload, words):
+def test_invalid_ranges_are_refused(payload, words):
     with pytest.raises(ConfigurationError, match="(?s)" + words.replace("(", r"\(").replace("[", r"\[")):
         robot(payload)
 
 
-def test_check_refuses_a_payload_under_which_a_limit_breaks_and_says_which():
+def test_check_refuses_a_payload_that_breaks_a_limit():
     peak = inspect(robot(POINT)).figures["reference"]["force_max_N"]
     limit = [(f"force_N: {load('virtual').limits.force_N:.0f}", f"force_N: {peak + 300:.0f}")]
     with pytest.raises(
@@ -115,7 +115,7 @@ def test_safety_allows_for_what_the_payload_does_to_the_legs():
 
 
 @pytest.mark.long
-def test_the_bound_holds_for_every_corner_and_is_met_by_the_real_loop():
+def test_the_bound_holds_for_every_corner_in_the_loop():
     c = robot(BOX, changes=[("periods: 10", "periods: 1")])
     verdict = judge(c)
     assert verdict.status == "conditional"

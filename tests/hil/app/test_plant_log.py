@@ -21,7 +21,7 @@ from hil.record.log import Log
 from tests.drivers.legs_frames import opening
 
 
-def test_the_plants_truth_comes_back_from_its_log_under_the_names_of_legs_and_axes(tmp_path):
+def test_the_truth_of_the_plant_comes_back_from_its_log(tmp_path):
     nodes, physics = build_nodes(load("virtual"))
     nodes.start(0)
     nodes.step(5_000_000, ())
@@ -74,7 +74,7 @@ def heard_at(served, t_ns):
     return heard, sent
 
 
-def test_what_came_while_drives_had_to_answer_is_in_one_row_with_every_frame(served):
+def test_frames_that_wait_for_answers_share_one_row(served):
     _, log, rows, _ = served
     first, second = heard_at(served, MS), heard_at(served, 2 * MS)
     rows.write(2 * MS, answered=False)

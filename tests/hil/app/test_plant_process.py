@@ -54,7 +54,7 @@ def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
 
 
 @pytest.mark.parametrize(("given_s", "held_s"), [(0.2, 0.2), (None, 0.01)])
-def test_axes_that_no_frame_tells_their_watchdog_have_the_one_that_the_run_has_chosen(
+def test_the_plant_gets_the_watchdog_that_the_run_has_chosen(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given_s: float | None, held_s: float
 ) -> None:
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
@@ -86,7 +86,7 @@ def test_axes_that_no_frame_tells_their_watchdog_have_the_one_that_the_run_has_c
 
 
 @pytest.mark.parametrize("said", ["", "it compiles"])
-def test_a_plant_that_takes_too_long_to_serve_is_said_to_and_not_to_have_been_killed(
+def test_a_plant_that_does_not_serve_in_time_is_reported(
     begin: Begin, monkeypatch: pytest.MonkeyPatch, said: str
 ) -> None:
     slow, waited_s = begin(f"echo {said} >&2; kill -STOP $$; exec sleep 60"), []
@@ -108,7 +108,7 @@ def test_a_plant_that_takes_too_long_to_serve_is_said_to_and_not_to_have_been_ki
     assert text.endswith(f"Its last words: {said}" if said else "try again")
 
 
-def test_of_a_plant_that_ends_before_it_serves_the_code_and_all_of_a_short_message_are_told(
+def test_a_plant_that_ends_early_is_reported_with_its_message(
     begin: Begin,
 ) -> None:
     with (
@@ -119,9 +119,7 @@ def test_of_a_plant_that_ends_before_it_serves_the_code_and_all_of_a_short_messa
 
 
 @pytest.mark.parametrize("serves", [False, True])
-def test_of_a_plant_whose_model_speaks_at_each_step_the_last_lines_are_told(
-    begin: Begin, *, serves: bool
-) -> None:
+def test_the_last_lines_of_a_talkative_plant_are_reported(begin: Begin, *, serves: bool) -> None:
     if serves:
         with begin(f"{SERVES}{SPEAKS} kill -SEGV $$") as ended:
             ended._process.wait()

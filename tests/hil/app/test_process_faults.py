@@ -52,7 +52,7 @@ def test_a_stopped_process_goes_on_after_its_time():
         assert stopped[-1] - stopped[0] == pytest.approx(0.5, abs=0.3)
 
 
-def test_a_slow_process_takes_so_much_longer_while_the_fault_is_present():
+def test_a_slow_process_is_slow_while_the_fault_is_present():
     faults = ProcessFaults([ProcessSlow(by_ms=50.0, at_s=1.0, for_s=1.0), EncoderFreeze(leg=0)], 0)
     took = []
     for t_s in (0.9, 1.0, 1.5, 2.0, 2.1):

@@ -30,9 +30,7 @@ NAMING: Any = {
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_each_file_that_a_log_carries_takes_the_place_of_the_named_one_and_no_other_is_written(
-    tmp_path, monkeypatch, name
-):
+def test_a_file_in_the_log_replaces_the_one_on_disk(tmp_path, monkeypatch, name):
     section, key, settings = NAMING[name]
     naming = VIRTUAL.model_copy(update={section: settings})
     monkeypatch.chdir(tmp_path)
@@ -46,7 +44,7 @@ def test_each_file_that_a_log_carries_takes_the_place_of_the_named_one_and_no_ot
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_a_file_that_a_log_lacks_is_named_by_its_key_and_its_attachment(tmp_path, name):
+def test_a_file_missing_from_the_log_is_reported_by_its_key(tmp_path, name):
     section, key, settings = NAMING[name]
     naming = VIRTUAL.model_copy(update={section: settings})
     files = {each: b"" for each in NAMING if each != name}

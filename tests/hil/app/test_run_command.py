@@ -111,7 +111,7 @@ BUSES = pytest.mark.parametrize("options", KINDS, ids=["real", "plant", "bench"]
 
 @BUSES
 @pytest.mark.parametrize("goes_on", [False, True])
-def test_a_run_holds_a_platform_until_it_is_released_and_goes_on_where_the_operator_stays(
+def test_a_run_holds_a_platform_and_goes_on_for_an_operator(
     ran: Ran, options: dict[str, bool], goes_on: bool
 ) -> None:
     operator = VIRTUAL.operator.model_copy(update={"stays": goes_on})
@@ -123,7 +123,7 @@ def test_a_run_holds_a_platform_until_it_is_released_and_goes_on_where_the_opera
 @pytest.mark.parametrize(
     ("rate_Hz", "window_ns"), [(1000.0, 750_000), (500.0, 1_500_000), (125.0, 6_000_000)]
 )
-def test_feedback_is_waited_for_as_long_as_the_rate_that_runs_allows(
+def test_the_feedback_window_follows_the_rate_that_runs(
     ran: Ran, options: dict[str, bool], rate_Hz: float, window_ns: int
 ) -> None:
     """Three quarters of a period; the configured rate is 1000 Hz."""
@@ -136,18 +136,14 @@ def test_feedback_is_waited_for_as_long_as_the_rate_that_runs_allows(
 
 @pytest.mark.parametrize("plant_success", [True, False])
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_run_with_its_plant_is_a_success_where_both_have_ended_well(
-    ran: Ran, ending: Ending, plant_success: bool
-) -> None:
+def test_a_run_with_its_plant_succeeds_only_if_both_do(ran: Ran, ending: Ending, plant_success: bool) -> None:
     *_, summary = ran(ending=ending, plant_success=plant_success, with_plant=True)
     assert summary["success"] is (ending is PARKED and plant_success)
     assert summary["plant"]["success"] is plant_success
 
 
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_plant_that_has_died_is_the_reason_of_what_the_controller_saw_and_is_named_first(
-    ran: Ran, ending: Ending
-) -> None:
+def test_a_dead_plant_is_reported_before_what_the_controller_saw(ran: Ran, ending: Ending) -> None:
     died = "the plant, process 7, was killed by SIGKILL"
     *_, summary = ran(ending=ending, plant_success=False, plant_trouble=died, with_plant=True)
     assert summary["success"] is False
@@ -166,9 +162,7 @@ def test_a_plant_that_has_died_is_the_reason_of_what_the_controller_saw_and_is_n
     ],
     ids=["stale", "stale and stopped", "no drives", "stopped", "parked"],
 )
-def test_a_plant_that_still_ends_is_asked_why_it_fell_silent_where_legs_were_not_heard(
-    ran: Ran, ending: Ending, seen: str | None
-) -> None:
+def test_a_failed_plant_explains_legs_that_fell_silent(ran: Ran, ending: Ending, seen: str | None) -> None:
     why = "my.fmu: the FMU did not step within 5 s"
     *_, summary = ran(
         ending=ending, plant_success=False, plant_trouble=why, plant_lives=True, with_plant=True
@@ -180,7 +174,7 @@ def test_a_plant_that_still_ends_is_asked_why_it_fell_silent_where_legs_were_not
         assert summary["trouble"].startswith(f"{why}; the controller: {seen}")
 
 
-def test_a_run_that_could_not_say_where_the_legs_rest_is_no_success_and_its_summary_says_why(
+def test_a_run_that_cannot_write_its_homing_file_is_a_failure(
     ran: Ran,
 ) -> None:
     *_, summary = ran(unsaid="lab.yaml: cannot be written")

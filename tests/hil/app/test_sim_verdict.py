@@ -114,9 +114,7 @@ def ended(monkeypatch: pytest.MonkeyPatch, ends: Any, faults: Fault) -> list[tup
 
 
 @pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.ESTOP])
-def test_an_interrupted_simulation_closes_its_log_with_its_mode_and_its_faults_and_says_when(
-    monkeypatch, faults
-):
+def test_an_interrupted_simulation_closes_its_log_with_its_faults(monkeypatch, faults):
     assert ended(monkeypatch, KeyboardInterrupt(), faults) == [
         ("close", {"ending": "TRACKING", "reason": "interrupted", "faults": int(faults)}),
         ("at 0.014 s of simulated time; the log until then: a.mcap",),
@@ -137,15 +135,13 @@ def faulty(*names: str) -> Any:
         (["c", "a", "b"], [], {"injected": ["c", "a", "b"]}),
     ],
 )
-def test_each_fault_has_struck_or_waits_for_its_mode_or_for_its_time_and_is_told_once(
-    monkeypatch, begun, waiting, expected
-):
+def test_each_fault_is_listed_once_as_injected_or_not_reached(monkeypatch, begun, waiting, expected):
     monkeypatch.setattr(command, "show_fault", str)
     nodes: Any = SimpleNamespace(schedule=SimpleNamespace(begun=lambda _: begun), now_ns=0, waiting=waiting)
     assert command._injected(faulty("a", "b", "c"), nodes) == expected
 
 
-def test_a_simulation_whose_plant_log_exists_is_refused_before_its_own_log_is_begun(monkeypatch, tmp_path):
+def test_an_existing_plant_log_refuses_a_simulation_before_it_begins(monkeypatch, tmp_path):
     begun = []
     (tmp_path / "a-plant.mcap").write_bytes(b"an earlier one")
     monkeypatch.setattr(command, "build_nodes", lambda *_: begun.append("plant"))

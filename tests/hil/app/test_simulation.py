@@ -60,7 +60,7 @@ def test_neither_log_is_written_over(run):
         hil.sim("virtual", duration_s=0.4, log=run.log.path)
 
 
-def test_faults_and_what_is_no_configuration_are_answered_as_by_the_command(tmp_path):
+def test_sim_answers_mistakes_and_faults_as_the_command_does(tmp_path):
     with pytest.raises(ConfigurationError, match=r"controller\.wn_rad_s"):
         hil.sim("virtual", controller={"wn_rad_s": -1})
     with pytest.raises(ConfigurationError, match="contoller: unknown"):

@@ -85,7 +85,7 @@ def test_the_verdict_on_a_law(law, rest, status, because):
         assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
 
 
-def test_a_pd_on_the_bench_is_stable_up_to_what_sampling_and_delay_leave():
+def test_a_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
     """200 kg, pure damping, h = T kv / m, a period late behind its hold: z^2 - z + h = 0, so stable below h = 1."""
     text = load("bench").text.replace("force_bandwidth_Hz: 200", "force_bandwidth_Hz: 0")
     (kp,), (kv,) = (
@@ -97,7 +97,7 @@ def test_a_pd_on_the_bench_is_stable_up_to_what_sampling_and_delay_leave():
         assert judge(loads(changed, "bench.yaml", Path())).status == status
 
 
-def test_a_sliding_gain_that_is_too_small_for_the_load_given_is_not_proven():
+def test_a_sliding_gain_too_small_for_its_load_is_not_proven():
     config = bench(SLIDING, rest=True)
     assert judge(config, Stated(Load(15_000.0), 0.1)).status == "conditional"
     verdict = judge(config, Stated(Load(30_000.0), 0.1))
@@ -105,7 +105,7 @@ def test_a_sliding_gain_that_is_too_small_for_the_load_given_is_not_proven():
     assert "do not cover" in verdict.claim
 
 
-def test_the_bound_of_partial_linearisation_is_that_of_what_it_leaves_out():
+def test_partial_linearisation_is_bounded_by_what_it_leaves_out():
     """H alone, 0.0839 m/s^2 over wn^2, beside what the delay makes of weight and inertia."""
 
     def rest(law):
@@ -182,9 +182,7 @@ def test_a_refuted_law_ends_with_one_and_a_wrong_option_with_two(tmp_path):
 @pytest.mark.parametrize(
     ("at", "alpha", "millimetres"), [("230kg@0,0,0", 0.441, 11.3), ("230@0.5,0.3,0.5", 0.571, 36.9)]
 )
-def test_a_payload_that_the_law_does_not_know_counts_by_its_inertia_and_its_weight(
-    at, alpha, millimetres, tmp_path
-):
+def test_an_unknown_payload_counts_by_its_inertia_and_weight(at, alpha, millimetres, tmp_path):
     """Not by its share of the mass, 0.17: where it is away from the middle it turns the platform."""
     path = tmp_path / "proof.json"
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", at, "--json", str(path)])
@@ -197,7 +195,7 @@ def test_a_payload_that_the_law_does_not_know_counts_by_its_inertia_and_its_weig
 
 
 @pytest.mark.parametrize("belief", ["{inertia_scale: 0.9}", "{coulomb_friction_N: 100}"])
-def test_errors_that_stand_still_for_ever_are_not_said_to_die_out(belief):
+def test_constant_errors_are_not_said_to_die_out(belief):
     """A wrong weight, or a friction that the law pushes against and the robot has not."""
     found = judge(bench(f"  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {belief}\n", rest=True))
     assert found.status == "conditional"
@@ -205,7 +203,7 @@ def test_errors_that_stand_still_for_ever_are_not_said_to_die_out(belief):
     assert "die out" not in found.line
 
 
-def test_dry_friction_of_the_plant_counts_even_where_the_law_compensates_it():
+def test_dry_friction_counts_even_where_the_law_compensates_it():
     text = bench(
         "  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {coulomb_friction_N: 250}\n", rest=True
     ).text
@@ -215,7 +213,7 @@ def test_dry_friction_of_the_plant_counts_even_where_the_law_compensates_it():
     assert found.figures["ultimate_bound"][0] > 3.5e-3, "250 N hold a leg against its spring of wn^2 m"
 
 
-def test_of_a_live_reference_nothing_is_proven_without_saying_that_it_has_to_rest():
+def test_a_live_reference_is_proven_only_at_rest():
     text = bench("  law: inverse_dynamics\n  wn_rad_s: 20\n", rest=True).text
     a, b = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
     limits = "velocity_m_s: 0.5, velocity_deg_s: 30, acceleration_m_s2: 5, acceleration_deg_s2: 300"

@@ -69,9 +69,7 @@ def linearising(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(("source", "status"), [("none", "proven"), ("observer", "conditional")])
-def test_where_an_estimated_wrench_is_taken_off_nothing_is_proven_without_saying_so(
-    linearising, source, status
-):
+def test_an_estimated_wrench_is_among_the_conditions(linearising, source, status):
     for law in linearising:
         found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
         assert "small errors die out" in found.claim
@@ -79,7 +77,7 @@ def test_where_an_estimated_wrench_is_taken_off_nothing_is_proven_without_saying
         assert among(found, "the estimated wrench is right") == (source == "observer"), law
 
 
-def test_a_law_that_takes_no_wrench_off_needs_none_to_be_right():
+def test_a_law_without_a_wrench_needs_no_condition_about_it():
     law = "  law: partial_linearisation\n  wn_rad_s: 20\n"
     for source in ("none", "observer"):
         found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
@@ -87,14 +85,14 @@ def test_a_law_that_takes_no_wrench_off_needs_none_to_be_right():
 
 
 @pytest.mark.parametrize("evaluation", ["online", "offline"])
-def test_a_feed_forward_that_takes_an_estimated_wrench_off_says_so(evaluation):
+def test_a_feed_forward_with_an_estimated_wrench_has_its_condition(evaluation):
     law = f"{SPRINGS['feedforward_pd']}  evaluation: {evaluation}\n"
     found = judge(held(law, {"estimation": {"wrench": {"source": "observer"}}}), quick=True)
     assert among(found, "the estimated wrench is right") == (evaluation == "online")
     assert not among(judge(held(law), quick=True), "wrench")
 
 
-def test_of_a_fused_pose_nothing_is_proven_without_saying_that_its_filter_is_not_in_the_loop(linearising):
+def test_a_fused_pose_is_among_the_conditions(linearising):
     for law in [*linearising, SPRINGS["pid"], SPRINGS["pd_gravity"]]:
         found = judge(held(law, FINE, FUSED), quick=True)
         assert among(found, "the fused pose is as good as measured lengths"), law
@@ -104,7 +102,7 @@ def test_of_a_fused_pose_nothing_is_proven_without_saying_that_its_filter_is_not
 
 
 @pytest.mark.parametrize("name", list(SPRINGS))
-def test_springs_that_follow_a_live_reference_are_proven_only_while_it_rests(name):
+def test_springs_on_a_live_reference_are_proven_only_at_rest(name):
     moves = "the reference rests; while it moves nothing is proven"
     found = judge(held(SPRINGS[name], {"reference": LIVE}), quick=True)
     assert found.conditions.count(moves) == 1
@@ -112,7 +110,7 @@ def test_springs_that_follow_a_live_reference_are_proven_only_while_it_rests(nam
 
 
 @pytest.mark.parametrize("plant", [REAL, FMU])
-def test_of_a_robot_that_is_not_known_the_reflected_masses_are_those_that_the_law_believes(plant):
+def test_an_unknown_robot_has_the_reflected_masses_of_the_law(plant):
     """Half a tonne in each leg triples the inertia: without it nothing would be left of an exact model."""
     geared = {"controller": {"model": {"reflected_mass_kg": [500, 480, 460, 440, 420, 400]}}}
     bare, found = judge(held(LINEAR, plant)), judge(held(LINEAR, plant, geared))
@@ -124,7 +122,7 @@ def test_of_a_robot_that_is_not_known_the_reflected_masses_are_those_that_the_la
     assert among(found, "with the friction and the reflected masses that the law believes")
 
 
-def test_dry_friction_that_the_law_takes_off_counts_whether_the_plant_is_known_or_not():
+def test_compensated_dry_friction_counts_on_an_unknown_plant():
     """It may meet that of a robot which has as much with the other sign, leg by leg."""
     believed = [0.0, 100.0, 200.0, 300.0, 400.0, 500.0]
     model = ModelSettings(coulomb_friction_N=believed, viscous_friction_N_s_m=1e3)
@@ -143,7 +141,7 @@ def test_dry_friction_that_the_law_takes_off_counts_whether_the_plant_is_known_o
         (1e-6, "conditional", "errors stay below 0.00212 mm"),
     ],
 )
-def test_errors_that_the_steps_of_readings_keep_up_are_not_said_to_die_out(linearising, step_m, status, says):
+def test_errors_kept_up_by_encoder_steps_do_not_die_out(linearising, step_m, status, says):
     """wn 20: 1 um is 4e-4 m/s^2 of what the law asks for, four times what counts as none."""
     for law in linearising:
         found = judge(held(law, {"plant": {"drives": {"encoder_resolution_m": step_m}}}))

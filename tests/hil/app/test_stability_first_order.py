@@ -87,7 +87,7 @@ ON_A_POST = {
 
 @pytest.mark.parametrize("stiffness", ["[1e3, 1e3, 1.001e3]", "[1e3, 1e3, 1e3]"])
 @pytest.mark.parametrize("error", ["", VECTORS])
-def test_a_weight_that_is_stiffer_than_the_springs_is_not_said_to_be_held_by_them(stiffness, error):
+def test_springs_softer_than_the_weight_are_not_called_stable(stiffness, error):
     """300 kg on a post of 1 m have 2943 N m/rad."""
     pose = POSE.replace("kp_rotation_N_m_rad: 2e5", f"kp_rotation_N_m_rad: {stiffness}").partition("  model")[
         0

@@ -35,7 +35,7 @@ def changed(law, *changes):
         ),
     ],
 )
-def test_a_platform_that_comes_to_rest_beyond_the_soft_end_of_a_leg_is_not_called_stable_there(law, soft_end):
+def test_a_rest_beyond_a_soft_end_is_not_called_stable(law, soft_end):
     """Home is inside; the springs of 40 kN/m carry the weight, or what is held up too much, 0.09 m away from it."""
     inside = judge(changed(law), quick=True)
     assert inside.status == "conditional"
@@ -46,7 +46,7 @@ def test_a_platform_that_comes_to_rest_beyond_the_soft_end_of_a_leg_is_not_calle
 
 
 @pytest.mark.parametrize("down", [-9.81, 9.81])
-def test_an_integral_has_to_carry_the_weight_whether_the_legs_push_or_pull(down):
+def test_an_integral_has_to_carry_the_weight_in_push_and_pull(down):
     """3.66 kN a leg: 102 % of the one limit and 99 % of the other; with gravity upwards the legs pull."""
     gravity = "gravity_m_s2: [0, 0, -9.81]", f"gravity_m_s2: [0, 0, {down}]"
     for limit, status in ((3500.0, "not proven"), (3800.0, "conditional")):
@@ -78,7 +78,7 @@ def largest_pole(wn: float, gain: float = 1.0) -> float:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("leg", [0, 5])
-def test_small_errors_die_out_as_slowly_as_those_of_the_slowest_axis(law, leg, monkeypatch):
+def test_errors_die_out_as_slowly_as_on_the_slowest_axis(law, leg, monkeypatch):
     """Whichever that is: wn 2 beside 20 leaves more than half of its error after 0.3 s."""
     wn = [20.0] * 6
     wn[leg] = 2.0

@@ -63,7 +63,7 @@ def full(request: pytest.FixtureRequest) -> Iterator[TextIO]:
 
 
 @pytest.mark.parametrize("end", ENDS.values(), ids=ENDS)
-def test_a_full_disk_behind_the_output_costs_no_result_and_is_no_refusal(
+def test_a_full_disk_behind_the_output_loses_no_result(
     invoked: Invoked,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -78,7 +78,7 @@ def test_a_full_disk_behind_the_output_costs_no_result_and_is_no_refusal(
 
 
 @pytest.mark.parametrize("end", list(ENDS.values())[:4], ids=list(ENDS)[:4])
-def test_the_json_is_there_although_nobody_reads_the_summary(
+def test_the_json_is_written_although_nobody_reads_the_summary(
     invoked: Invoked,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -95,7 +95,7 @@ def test_the_json_is_there_although_nobody_reads_the_summary(
 
 
 @pytest.mark.parametrize("end", list(ENDS.values())[:3], ids=list(ENDS)[:3])
-def test_a_summary_whose_json_cannot_be_written_is_shown_and_is_no_refusal(
+def test_a_summary_whose_json_cannot_be_written_is_still_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], end: Callable[[Path], Any]
 ) -> None:
     folder = tmp_path / "gone"

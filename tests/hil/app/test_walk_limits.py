@@ -47,7 +47,7 @@ def broken(w: Walk, *, but: str = "") -> list[str]:
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_leg_that_is_too_fast_to_stop_before_the_end_ahead_of_it_breaks_that_limit(leg, way):
+def test_a_leg_too_fast_to_stop_before_its_end_breaks_the_limit(leg, way):
     """With 10 m/s^2 over 50 mm: 1 m/s. The end behind it does not count, however near."""
     ahead, behind = (HIGH - 0.02, LOW + 0.02)[:: int(way)]
     assert broken(walked(leg, q=ahead - 0.05 * way, dq=0.99 * way)) == []
@@ -75,7 +75,7 @@ def test_a_limit_of_size_holds_for_both_signs_of_each_leg(leg, key, limit, words
 
 
 @pytest.mark.parametrize("leg", LEGS)
-def test_a_leg_may_be_as_long_as_the_soft_ends_and_no_longer_or_shorter(leg):
+def test_a_leg_beyond_a_soft_end_breaks_the_limit(leg):
     for end, way in ((HIGH - 0.02, 1.0), (LOW + 0.02, -1.0)):
         assert broken(walked(leg, q=end - 1e-4 * way)) == []
         (message,) = broken(walked(leg, q=end + 1e-4 * way))
@@ -117,7 +117,7 @@ def forces(model: StewartPlant | BenchPlant, q_m: float, rate: float, ddq: float
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_friction_and_rotors_of_the_plant_ask_for_force_along_the_motion_either_way(way):
+def test_friction_and_rotors_need_force_along_the_motion(way):
     """50 N of the rigid bodies, 10 N of dry friction, 200 N s/m, 4 kg at 2 m/s^2; none at rest."""
     model = StewartPlant(
         type="stewart", viscous_friction_N_s_m=200.0, coulomb_friction_N=10.0, reflected_mass_kg=4.0

@@ -80,7 +80,7 @@ def test_a_request_is_read_with_its_body_and_no_more():
         (b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n", HTTPStatus.BAD_REQUEST),
     ],
 )  # fmt: skip
-def test_what_is_malformed_or_too_large_is_refused(data, status):
+def test_a_malformed_or_too_large_request_is_refused(data, status):
     with pytest.raises(Refused) as refused:
         read(data)
     assert refused.value.status is status
@@ -210,7 +210,7 @@ def operate(line):
     return request("/operate", "POST", TOKEN, **GOOD)._replace(body=b'{"line": "%s"}' % line.encode())
 
 
-def test_an_emergency_stop_waits_for_no_answer_and_has_room_where_other_commands_are_refused(tmp_path):
+def test_an_emergency_stop_passes_where_other_commands_wait(tmp_path):
     """Eight commands and a question for the state wait; further ones get 503, but each emergency stop is passed on."""
     deaf, watcher = Deaf(), Watcher(object())  # type: ignore[arg-type]
     server = Server(Feed(tmp_path / "none"), LOCAL, {}, deaf)

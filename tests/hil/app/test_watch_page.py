@@ -40,7 +40,7 @@ def text(browser, name):
 
 
 @pytest.mark.parametrize("width", broad([360, 1200], quick=1))
-def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_line(rows, watch, width):
+def test_the_page_shows_a_run_without_errors_or_foreign_requests(rows, watch, width):
     with LiveRun(rows), Browser(width=width) as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 20")
@@ -59,7 +59,7 @@ def test_the_page_shows_a_run_without_an_error_a_request_to_elsewhere_or_a_wide_
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
 
 
-def test_faults_are_told_in_words_and_legs_are_marked(rows, watch):
+def test_faults_are_shown_in_words_and_legs_are_marked(rows, watch):
     bad = rows[:1].copy()
     bad["mode"], bad["faults"] = Mode.FAULT, Fault.DRIVE | Fault.BRAKE
     bad["drive_fault"][0, 3], bad["legs_moved"] = DriveFault.OVERFORCE, 1 << 5
@@ -79,7 +79,7 @@ def test_faults_are_told_in_words_and_legs_are_marked(rows, watch):
 
 
 @pytest.mark.long
-def test_old_data_are_called_old_and_a_run_that_follows_is_picked_up(rows):
+def test_old_data_are_marked_and_the_next_run_is_shown(rows):
     with Watch("virtual") as watch, Browser() as browser:
         browser.go(watch.link)
         until(browser, "document.getElementById('banner').textContent === 'nothing runs on this bus yet'")
@@ -140,7 +140,7 @@ window.fetch = (to, {body}) => new Promise((answer) => {
 """
 
 
-def test_nothing_waits_behind_an_emergency_stop_and_nothing_overtakes_it(rows, operated):
+def test_nothing_delays_or_overtakes_an_emergency_stop(rows, operated):
     def click(*words):
         for word in words:
             browser.value(f"document.querySelector('[data-line={word}], button#{word}').click()")
@@ -189,7 +189,7 @@ LET_GO = {
 
 
 @pytest.mark.long
-def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, operated):
+def test_a_held_control_sends_until_it_is_released(rows, operated):
     with LiveRun(rows) as run, Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
@@ -213,7 +213,7 @@ def test_a_held_control_speaks_until_it_is_let_go_and_not_once_more(rows, operat
         assert browser.errors == []
 
 
-def test_who_jogs_holds_the_key(rows, operated):
+def test_a_jog_holds_the_key(rows, operated):
     with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")

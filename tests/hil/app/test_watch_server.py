@@ -82,7 +82,7 @@ class Reading:
         self._socket.close()
 
 
-def test_a_watcher_sees_the_run_and_what_was_said(rows, watch):
+def test_a_watcher_sees_the_run_and_its_events(rows, watch):
     with LiveRun(rows, name="first"):
         watcher = Reading(watch)
         watcher.read(5.0, states=40)
@@ -101,7 +101,7 @@ def test_a_watcher_sees_the_run_and_what_was_said(rows, watch):
         watcher.close()
 
 
-def test_ten_watchers_see_the_run_while_others_do_harm(rows, watch):
+def test_ten_watchers_see_the_run_despite_hostile_connections(rows, watch):
     with LiveRun(rows):
         first = Reading(watch)
         first.read(1.0, states=1)
@@ -141,7 +141,7 @@ def post(watch, line, **headers):
     return ask(watch, "POST", "/operate", body, **{name: value for name, value in given.items() if value})
 
 
-def test_without_the_token_nothing_is_said_to_the_controller(rows, operated):
+def test_without_the_token_nothing_reaches_the_controller(rows, operated):
     with LiveRun(rows), Listening() as controller:
         assert len(operated.token) >= 32
         for headers in (
@@ -157,14 +157,14 @@ def test_without_the_token_nothing_is_said_to_the_controller(rows, operated):
         assert controller.lines == ["hold"]
 
 
-def test_where_the_configuration_does_not_allow_it_nobody_operates(rows, watch):
+def test_without_watch_operate_nobody_operates(rows, watch):
     with LiveRun(rows), Listening() as controller:
         assert len(watch.token) >= 32, "who has it keeps his place among many"
         assert post(watch, "hold")[0] == 403
         assert controller.lines == []
 
 
-def test_where_no_controller_listens_the_page_is_told(rows, operated):
+def test_the_page_is_told_that_no_controller_listens(rows, operated):
     with LiveRun(rows):
         status, _, body = post(operated, "hold")
         assert status == 200
@@ -172,7 +172,7 @@ def test_where_no_controller_listens_the_page_is_told(rows, operated):
         assert "no controller runs on bus localcan:hil0" in json.loads(body)["why"]
 
 
-def test_the_link_sets_the_cookie_and_the_policy_forbids_what_is_foreign(rows, operated):
+def test_the_link_sets_the_cookie_and_the_policy(rows, operated):
     with LiveRun(rows):
         status, headers, _ = ask(operated, "GET", f"/?token={operated.token}")
         assert status == 200

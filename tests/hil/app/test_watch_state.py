@@ -36,7 +36,7 @@ def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():
     assert found["margin"] == pytest.approx([10.0, 20.0, 725.0, -3.0, -4.0, 20.0], abs=0.01)
 
 
-def test_a_leg_is_marked_silent_from_the_tick_of_the_fault_on_but_not_before_it_was_ever_heard():
+def test_a_leg_is_marked_silent_from_the_tick_of_the_fault_on():
     found = legs_of(age=[0, SILENT - 1, SILENT, SILENT + 1, NEVER - 1, NEVER])
     assert found["marked"] == ["", "", "silent", "silent", "silent", ""]
 

@@ -1,4 +1,4 @@
-"""What modules ask for: servers of `hil watch`, a `hil check` without proofs."""
+"""Fixtures of this room: servers of `hil watch`, and a `hil check` without proofs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`hil check`: figures against the book's, and the first instant of every limit that the reference breaks."""
+"""`hil check`: figures against the book, and the first instant at which a path breaks a limit."""
 
 import functools
 import json
@@ -15,13 +15,10 @@ from hil.app.configuration.configuration import load, loads
 from tests.broad import broad
 
 pytestmark = pytest.mark.usefixtures("unproven")
-
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
-
 STATES = {
     key: np.array([s[key] for s in BOOK["states"]]) for key in ("t", "length", "rate", "force", "cond_J")
 }
-
 VIRTUAL = load("virtual").text
 
 
@@ -176,9 +173,7 @@ def test_a_csv_path_in_mm_is_said_to_be_one_and_nothing_else_is_said(tmp_path):
 
 
 UNCERTAIN = "  uncertainty: {disturbance_m_s2: 13, model_error: 0.1, acceleration_m_s2: 12}\n"
-
 SLIDING = "  law: sliding_mode\n  reaching_m_s2: 1\n" + UNCERTAIN
-
 ROBUST = "  law: robust_inverse_dynamics\n  wn_rad_s: 60\n" + UNCERTAIN
 
 

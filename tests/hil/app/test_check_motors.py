@@ -1,4 +1,4 @@
-"""`hil check` on the way from motor to leg, against figures by hand: signs, gears and losses leg by leg."""
+"""`hil check` from motor to leg and on the fused pose, against figures by hand."""
 
 from math import pi
 from pathlib import Path
@@ -11,9 +11,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 
 pytestmark = pytest.mark.usefixtures("unproven")
-
 EFFICIENCY = [0.9, 0.85, 0.8, 0.9, 1, 0.7]
-
 MIXED = {
     "lead_m": [0.1, 0.1, 0.16, 0.1, 0.12, 0.1],
     "pulley_radius_m": None,
@@ -55,7 +53,6 @@ def test_too_much_torque_is_refused_with_the_leg_that_needs_most():
 
 
 TITLE = "fused pose, standard deviations"
-
 PLANT = "\nplant:\n"
 
 

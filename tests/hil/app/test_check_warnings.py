@@ -1,4 +1,4 @@
-"""What `hil check` warns about: each dangerous setting at both sides of its border."""
+"""Warnings of `hil check`: each dangerous setting at both sides of its border."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: help that teaches, exit codes, the summary on the terminal and as JSON."""
+"""The command line: help, exit codes, summaries on the terminal and as JSON."""
 
 import json
 import re

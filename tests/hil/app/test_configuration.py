@@ -1,4 +1,4 @@
-"""What a user writes wrongly is named with file, line, column, path and what is allowed; all of it at once."""
+"""Mistakes in a configuration: all reported at once, with file, line, column and path."""
 
 from pathlib import Path
 from typing import Any

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from drivers.errors import ConfigurationError
 from drivers.signals import Fault
 from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.yaml_positions import path_text
 from hil.config.number import plain_number
 from hil.config.reactions import ReactionSettings
 from hil.config.running import EngageSettings
+from tests.broad import broad
 
 
 def changed(name: str, changes: dict[str, Any]) -> Configuration:
@@ -86,7 +91,6 @@ OFFLINE = {
 AHEAD = {"controller": {"delay_compensation": {"bus_ms": 0.5}}}
 FROZEN = {"controller": {"model": {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}}}
 LOST = {"fusion": {"may_lose_legs": [0]}}
-
 RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     # ranges
     "plant.model.internal_step_us": ("virtual", {"plant": {"model": {"internal_step_us": 0.1}}}, {"plant": {"model": {"internal_step_us": 0.05}}}, "at least 0.1"),
@@ -187,3 +191,42 @@ def test_plain_figures_are_a_number(word, number):
 @pytest.mark.parametrize("word", ["", ".", "1_0", "nan", "inf", "0x10", "٣", "1 2", "1e", "--1", "1,5"])
 def test_other_characters_are_no_number(word):
     assert plain_number(word) != plain_number(word)
+
+
+CONFIGS = Path(load("virtual").source).parent
+
+
+def numbers(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    if isinstance(value, dict | list):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value[:1]):
+            yield from numbers(each, (*path, key))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield path
+
+
+def with_number(text: str, path: tuple[str | int, ...], number: float) -> str:
+    value = place = yaml.load(text, yaml.CSafeLoader)
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = number
+    return str(yaml.dump(value, Dumper=yaml.CSafeDumper))
+
+
+TEXTS = {name: load(name).text for name in ("virtual", "lab")}
+PLACES = [(name, path) for name, text in TEXTS.items() for path in numbers(yaml.safe_load(text))]
+
+
+@pytest.mark.parametrize(
+    "number", broad([-1.1e30, 0.9e-60, 2 * 10**30, 10**300], quick=1), ids="{:.2g}".format
+)
+def test_an_absurd_number_is_refused_wherever_it_stands(number):
+    assert len(PLACES) > 50
+    for name, path in PLACES:
+        with pytest.raises(ConfigurationError) as refused:
+            loads(with_number(TEXTS[name], path, number), "a.yaml", CONFIGS)
+        assert f": {path_text(path)}: " in str(refused.value), (name, path)
+
+
+def test_a_limit_of_1e30_stands_for_none():
+    text = with_number(load("virtual").text, ("limits", "condition"), 1e30)
+    assert loads(text, "a.yaml", CONFIGS).limits.condition == 1e30

@@ -1,4 +1,4 @@
-"""The operator's word: a real terminal's line discipline, and the course of a run that waits for it."""
+"""The operator's consent: Enter in a real terminal, and a run that waits for it."""
 
 from __future__ import annotations
 

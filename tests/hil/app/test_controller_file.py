@@ -1,4 +1,4 @@
-"""The file of law `state_space`: read with the place of every problem, and refused where the loop cannot run it."""
+"""The file of law `state_space`: problems at their place, and refused where the loop cannot run it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults as a user writes them: in the configuration and as words, with what is refused and how to mend it."""
+"""Faults in the configuration and as words of a command: what they mean, and what is refused."""
 
 from __future__ import annotations
 

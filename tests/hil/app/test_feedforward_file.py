@@ -1,4 +1,4 @@
-"""The file of a learned feed-forward: what is read of it, and what a run refuses."""
+"""The file of a learned feed-forward: what is read, and what a run refuses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from hil.app.stability.subject import Stated, Subject
 from hil.config.feedforward import FeedforwardHead
 
 pytestmark = pytest.mark.usefixtures("unproven")
-
 VIRTUAL = load("virtual")
 ROWS = np.round(100.0 * np.sin(np.arange(60.0)).reshape(10, 6), 4)
 

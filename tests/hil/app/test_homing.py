@@ -1,4 +1,4 @@
-"""A power-off between two runs: the file of the last parked pose, what it refuses, what it tells."""
+"""The homing file over a power-off: what a run writes, and what the next one refuses."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""`hil run` and the homing file: the file of the drives that it runs, marked while brakes may open."""
+"""The homing file in a run: marked while brakes may open, parked only where lengths are known."""
 
 from __future__ import annotations
 
@@ -26,9 +26,7 @@ from hil.loop.homing import LastPose
 from tests.hil.app.test_homing import configuration
 
 LENGTHS = [0.31, 0.32, 0.33, 0.34, 0.35, 0.36]
-
 FILES = {False: "real.yaml", True: "bench.yaml"}
-
 """Of real and of emulated drives."""
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C in this process: one line, exit code 130, closed logs; no press disturbs what closes them."""
+"""Ctrl-C in this process: one line, exit code 130, closed logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`recording.budget_GB`: what goes, what stays, what is refused."""
+"""`recording.budget_GB`: which logs are removed, which stay, and what is refused."""
 
 from __future__ import annotations
 

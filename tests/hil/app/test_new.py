@@ -1,4 +1,4 @@
-"""`hil new`: five very different robots, and what cannot work said at its question."""
+"""`hil new`: five very different robots, figures by hand, and answers that cannot work."""
 
 from __future__ import annotations
 

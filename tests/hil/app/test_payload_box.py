@@ -1,4 +1,4 @@
-"""A payload known by ranges: its corners, and what model, check, safety and stability make of them."""
+"""A payload known by ranges: its corners, and what check, safety and stability make of them."""
 
 from __future__ import annotations
 

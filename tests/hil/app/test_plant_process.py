@@ -1,4 +1,4 @@
-"""What `hil run --plant` tells of a plant that does not serve, or has ended, and how much of its words it keeps."""
+"""`hil run --plant`: a plant that does not serve or has ended, and its last words."""
 
 from __future__ import annotations
 

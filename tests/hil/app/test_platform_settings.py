@@ -1,4 +1,4 @@
-"""Section `platform` in the forms that people have it in: circles, CAD figures, shapes, payload."""
+"""Section `platform`: circles, CAD figures, shapes and payload."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The files that a log carries are written for its replay, and nothing is where it carries none."""
+"""Files that a configuration names: found next to it, and in a replay only in the log."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import LogError
+from drivers.errors import ConfigurationError, LogError
 from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
-from hil.app.configuration.configuration import load
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
 from hil.app.recorded_files import with_attachments
 from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
 from hil.control.state_space import StateSpaceSettings
+from tests.drivers.cia402_sheet import sheet
 
 VIRTUAL = load("virtual")
 SAMPLED = VIRTUAL.model_copy(update={"reference": SampledReference(type="sampled", path="my.csv")})
-
-
 NAMING: Any = {
     REFERENCE_CSV: ("reference", "path", SAMPLED.reference),
     CONTROLLER_FILE: (
@@ -51,3 +51,31 @@ def test_a_file_missing_from_the_log_is_reported_by_its_key(tmp_path, name):
     with pytest.raises(LogError, match=rf"a file in {section}\.{key}, .* \(attachment {name}\)"):
         with_attachments(naming, files, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def text(name: str) -> str:
+    return with_changes(load("virtual-cia402").text, {"drives": {"options": {"eds": name}}})
+
+
+@pytest.mark.parametrize("where", ["here", "beside"])
+def test_a_data_sheet_is_found_here_or_next_to_the_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    here, beside = tmp_path / "here", tmp_path / "beside"
+    for folder in (here, beside):
+        folder.mkdir()
+    monkeypatch.chdir(here)
+    file = tmp_path / where / "drive.eds"
+    file.write_text(sheet(), encoding="ascii")
+    loads(text("drive.eds"), "a.yaml", beside)
+    file.write_text(sheet(0x605E), encoding="ascii")
+    with pytest.raises(ConfigurationError, match=r"drives\.options\.eds: by .*0x605E:0 .* is not there"):
+        loads(text("drive.eds"), "a.yaml", beside)
+
+
+def test_the_configuration_of_a_log_opens_no_data_sheet(tmp_path: Path) -> None:
+    """One that is no sheet would be quoted in the refusal."""
+    secret = tmp_path / "secret"
+    secret.write_text("the key\n")
+    for name in (str(secret), str(tmp_path / "nowhere")):
+        assert loads(text(name), "log.mcap:config.yaml").drives.options["eds"] == name

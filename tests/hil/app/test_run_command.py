@@ -1,4 +1,4 @@
-"""What `hil run` begins its loop with, and what it makes of the end of the loop and of its plant."""
+"""`hil run`: how its loop begins, and what comes of its end and of its plant."""
 
 from __future__ import annotations
 

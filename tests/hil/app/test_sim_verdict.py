@@ -1,4 +1,4 @@
-"""When a simulation is a success: parked, both logs whole, and a log that replays; and which one it was."""
+"""The verdict of `hil sim`: a success only if it parked, and its logs are whole and replay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`hil.sim`: a run from Python with a changed configuration, its log, its summary, the plant's truth."""
+"""`hil.sim`: a run from Python with changes, its log, its summary and the truth of the plant."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`hil stability` and the line in `hil check`: a verdict for every law, with reasons."""
+"""`hil stability`: a verdict for every law, with its reason."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What `hil stability` takes for granted is among the conditions that it names, for every law."""
+"""`hil stability`: every premise is among the conditions of its verdict."""
 
 from __future__ import annotations
 

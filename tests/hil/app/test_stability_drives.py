@@ -1,4 +1,4 @@
-"""What steps and losses of drives cost in the bound of a loop: it has to hold of the loop that runs."""
+"""`hil stability`: the bound holds with the steps and losses of the drives."""
 
 from __future__ import annotations
 

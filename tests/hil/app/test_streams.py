@@ -1,4 +1,4 @@
-"""What standard output or error cannot take ends no command, and costs no result: one line and the exit code say so."""
+"""Output that nobody reads or that a full disk refuses costs no result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The live page in a browser: no error, no request to elsewhere, keyboard, a phone's width, controls that let go."""
+"""The live page in a browser: content, keyboard, emergency stop, controls that let go."""
 
 from __future__ import annotations
 

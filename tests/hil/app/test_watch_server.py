@@ -1,4 +1,4 @@
-"""The server of the live page against those who mean it harm, and those who do not read."""
+"""The server of the live page: watchers, hostile connections, and the token."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from drivers.tick_columns import ROW
 from tests.live_run import Listening, LiveRun, Watch
 
 pytestmark = pytest.mark.usefixtures("meeting_place")
-
 ASSETS = (
     "/",
     "/watch.css",

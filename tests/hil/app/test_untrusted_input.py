@@ -1,18 +1,78 @@
-"""Untrusted input, damaged at random from a seed: an answer, a HilError, never a traceback, and soon."""
+"""Untrusted input: control characters, files that a log names, and damage at random from a seed."""
 
+import os
+import re
 import string
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load, loads
+from hil.app.files import printable
+from hil.app.recorded_files import with_attachments
+from hil.app.terminal import one_line, visible
 from tools.fuzz import case
 from tools.fuzz.targets import TARGETS, stock
 
-QUICK = {"log": 25, "configuration": 12, "csv": 20, "controller": 8, "fmu": 6, "operator": 6}
+VIRTUAL = load("virtual").text
 
+
+@pytest.fixture
+def pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path / "pipe"
+
+
+# -- what is no regular file ---------------------------------------------------------------------------------
+
+
+# -- names and texts -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["../up", "a b", "a/b", "", "x" * 101, "\\e[31m", "a\\n"])
+def test_a_name_that_would_be_a_strange_file_name_is_refused(name):
+    text = VIRTUAL.replace("name: virtual\n", f'name: "{name}"\n', 1)
+    with pytest.raises(
+        ConfigurationError, match=re.escape("name: wrong form, allowed: text of the form [A-Za-z")
+    ):
+        loads(text)
+
+
+def test_what_steers_a_terminal_is_shown_and_not_sent():
+    assert visible("red \x1b[31m\r\x07 back \u202e \x9b\n") == "red \\x1b[31m\\r\\x07 back \\u202e \\x9b\n"
+    assert visible("plain é ✓") == "plain é ✓"
+    assert one_line("a\nb\u2028c") == "a\\nb\\u2028c"
+    assert printable("a\x1b[2J\n.mcap") == "a\\x1b[2J\\n.mcap"
+
+
+# -- what a log names ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def names_a_file():
+    """The shipped configuration with a reference from a file, as a log has it: not looked for."""
+
+    def make(file):
+        head, _, rest = VIRTUAL.partition("\nreference:")
+        behind = rest[re.search(r"\n(?=[a-z])", rest[1:]).start() + 1 :]  # type: ignore[union-attr]
+        return f'{head}\nreference:\n  type: sampled\n  path: "{file}"\n{behind}'
+
+    return make
+
+
+def test_replay_opens_no_file_that_a_log_names(names_a_file, pipe, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("the first line of another file\n")
+    for file in (secret, pipe):
+        c = loads(names_a_file(file), "log:config.yaml")
+        with pytest.raises(LogError, match=r"reference\.path, and the log does not carry it") as found:
+            with_attachments(c, {}, tmp_path)
+        assert "first line" not in str(found.value)
+
+
+QUICK = {"log": 25, "configuration": 12, "csv": 20, "controller": 8, "fmu": 6, "operator": 6}
 """Cases of each kind; `make fuzz` runs thousands."""
 
 
@@ -37,9 +97,7 @@ def test_damaged_input_is_answered_from_many_seeds(sound, target):
 
 
 TEXT = load("ideal").text
-
 LINES = TEXT.splitlines()
-
 WORDS = st.sampled_from([
     *("", "x", "-", "[", "]", "{", "}", ":", "? ", "*a", "&a", "!t", "|", "'", '"', "\t", "%", "@", ".nan", "1e999", "~"),
     *("[1, [2]]", "{a: b}", "null", "true", "-0", "9" * 400, "\u00e9", "\u2028", "\ufeff", "0x", "1e", "...", "---", "#"),

@@ -1,28 +1,41 @@
-"""How `hil plant` ends and what it then says, in summary and log: of a plant that has failed, too."""
+"""`hil plant`: how it ends, what it records, and faults of its process."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from math import inf
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
-from drivers.frame_array import received_array
+from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from hil.app import plant
-from hil.app.compose import build_protocol
+from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
+from hil.app.plant_columns import PLANT
+from hil.app.plant_rows import PlantRows, plant_row
+from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime
+from hil.record import Recording
+from hil.record.log import Log
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.kinds import EncoderFreeze, ProcessSlow
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import opening
 
@@ -155,3 +168,115 @@ def test_an_orphan_ends_once_its_legs_rest_and_at_a_limit_anyway(serve, rate_m_s
     summary, _, ended_s = serve(legs, period_ns=10 * MS, orphan=True)
     assert summary["ending"] == "orphaned"
     assert ended_s == pytest.approx(end_s, abs=0.05)
+
+
+def test_the_truth_of_the_plant_comes_back_from_its_log(tmp_path):
+    nodes, physics = build_nodes(load("virtual"))
+    nodes.start(0)
+    nodes.step(5_000_000, ())
+    snapshot = nodes.snapshot()
+    physics.close()
+    with Recording.start(tmp_path / "a.mcap", configuration="", table=PLANT, lockstep=True) as recording:
+        recording.tick(plant_row(0, snapshot), (), ())
+    row = Log.open(tmp_path / "a.mcap").rows()[0]
+    assert snapshot.truth is not None
+    assert row["length"].tobytes() == snapshot.length.tobytes()
+    assert row["R"].tobytes() == np.ascontiguousarray(snapshot.truth.R).tobytes()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        seen = next(d for _, _, _, d in reader.iter_decoded_messages(["/plant"]))
+    assert seen.length.leg_3 == snapshot.length[3]
+    assert (seen.p.z, seen.R.yz) == (snapshot.truth.p[2], snapshot.truth.R[1, 2])
+    assert seen.drive_state_number.leg_5 == snapshot.state[5]
+
+
+class KeptRows:
+    """The rows that a log was given."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[Any, list[Received], list[Frame]]] = []
+
+    def tick(self, row: Any, heard: Rows, sent: Rows) -> None:
+        self.rows.append((row, [*received_frames(heard)], [*sent_frames(sent)]))
+
+
+@pytest.fixture
+def served():
+    """Six drives that nobody has asked, their log and its rows, and the SYNC of a tick."""
+    c = load("virtual")
+    nodes, plant = build_nodes(c)
+    protocol = build_protocol(c)
+    nodes.start(0)
+    log = KeptRows()
+    yield nodes, log, PlantRows(log.tick, nodes), lambda tick: opening(protocol, tick)[0]
+    plant.close()
+
+
+def heard_at(served, t_ns):
+    nodes, _, rows, sync = served
+    heard = [Received(t_ns, sync(t_ns // MS))]
+    sent = [frame for _, frame in nodes.step(t_ns, heard)]
+    rows.take(received_array(heard), sent_array(sent), t_ns)
+    return heard, sent
+
+
+def test_frames_that_wait_for_answers_share_one_row(served):
+    _, log, rows, _ = served
+    first, second = heard_at(served, MS), heard_at(served, 2 * MS)
+    rows.write(2 * MS, answered=False)
+    assert log.rows == []
+    rows.write(2 * MS)
+    ((row, heard, sent),) = log.rows
+    assert heard == first[0] + second[0]
+    assert sent == first[1] + second[1]
+    assert len(sent) >= 12
+    assert (row["syncs"], row["t_ns"], row["tick"]) == (2, 2 * MS, 0)
+
+
+LOOP = """
+import sys, time
+from hil.app.configuration.fault_words import read_fault
+from hil.app.process_faults import ProcessFaults
+faults, begun = ProcessFaults([read_fault(sys.argv[1])], 0), time.monotonic()
+print("loops", flush=True)
+t_ns = 0
+while t_ns < 1_000_000_000:
+    faults.strike(t_ns)
+    t_ns += 10_000_000
+    time.sleep(0.005)
+print("done", flush=True)
+"""
+
+
+def looping(words: str) -> subprocess.Popen[str]:
+    process = subprocess.Popen([sys.executable, "-c", LOOP, words], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "loops\n"
+    return process
+
+
+def test_a_killed_process_is_gone():
+    with looping("process_kill at=0.2") as process:
+        assert process.wait(30) == -signal.SIGKILL
+
+
+def test_a_stopped_process_goes_on_after_its_time():
+    with looping("process_stop at=0.2 for=0.5") as process:
+        stat = Path(f"/proc/{process.pid}/stat")
+        stopped = []
+        while process.poll() is None:
+            if stat.read_text().rpartition(")")[2].split()[0] == "T":
+                stopped.append(time.monotonic())
+            time.sleep(0.01)
+        assert process.returncode == 0
+        assert stopped[-1] - stopped[0] == pytest.approx(0.5, abs=0.3)
+
+
+def test_a_slow_process_is_slow_while_the_fault_is_present():
+    faults = ProcessFaults([ProcessSlow(by_ms=50.0, at_s=1.0, for_s=1.0), EncoderFreeze(leg=0)], 0)
+    took = []
+    for t_s in (0.9, 1.0, 1.5, 2.0, 2.1):
+        begun = time.monotonic()
+        faults.strike(round(t_s * 1e9))
+        took.append(time.monotonic() - begun)
+    assert [t >= 0.05 for t in took] == [False, True, True, False, False]

@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from drivers.can.runtime_folder import RoleLock
-from drivers.config import HomingSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration, loads
@@ -24,7 +23,6 @@ from hil.app.sim.command import simulate
 from hil.loop.cycle import Cycle
 from hil.mathematics.rotations import rotation_vector
 from hil.record.log import Log
-from plant_fmu.drives.drive import forgotten_m
 
 STEP_M = 0.1 * 2.0 * np.pi * 0.02
 """What a drive forgets: its encoder sits in front of the gear of 10 : 1, its pinion has a radius of 20 mm."""
@@ -234,20 +232,3 @@ def test_a_length_outside_the_stroke_is_refused_and_nothing_is_written(tmp_path)
 
 
 # -- the configuration, and the drives' end -----------------------------------------------------------------
-
-
-def test_an_emulated_drive_counts_from_its_turn_at_power_on():
-    gear = Transmission(
-        TransmissionSettings(lead_m=0.005, gear_ratio=2.0, sign=[1, -1, 1, -1, 1, -1], offset_m=0.3)
-    )
-    length = np.array([0.3007, 0.3017, 0.3043, 0.2957, 0.3, 0.31])
-    homing = HomingSettings(file="a", limit_m=1e-4)
-    forgotten = forgotten_m(homing, gear, length)
-    # a turn is 2.5 mm of leg: 0.7 mm is 0.28 turns, 1.7 mm -0.68, 4.3 mm 1.72, -4.3 mm 1.72, 10 mm -4
-    reported = gear.turns(length - forgotten)
-    np.testing.assert_allclose(reported, [0.28, 0.32, -0.28, -0.28, 0.0, 0.0], atol=1e-9)
-    moved = length + 0.0075
-    np.testing.assert_allclose(gear.turns(moved - forgotten)[0], 3.28, atol=1e-9)
-    again = forgotten_m(homing, gear, moved)
-    np.testing.assert_allclose(gear.turns(moved - again)[0], 0.28, atol=1e-9)
-    np.testing.assert_allclose(gear.turns(moved - forgotten)[1], -2.68, atol=1e-9)

@@ -117,16 +117,12 @@ def test_a_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
         ({"encoder_resolution": 1e-3}, "--encoder-resolution: less than 1000 counts"),
         ({"drive_speed": 20}, "--drive-speed: the whole stroke in less than 20 ms"),
         ({"mass": "nan"}, "--mass: allowed: a finite number"),
-        ({"mass": "heavy"}, "--mass: allowed: a number"),
         (
             {"base_radius": "0,35"},
             "--base-radius: allowed: a number in m without the unit, with a decimal point",
         ),
-        ({"stroke": "200mm"}, "--stroke: allowed: a number in m without the unit"),
-        ({"inertia": "1;1;1"}, "--inertia: allowed: three numbers above 0 with commas"),
         ({"rate": 1500}, "--rate: bus: the frames of one tick do not fit"),
         ({"rate": 5}, "--rate: allowed: 10 to 4000 Hz"),
-        ({"base_radius": -1}, "--base-radius: allowed: 0.001 to 100 m"),
     ],
 )
 def test_an_answer_that_cannot_work_is_refused_and_nothing_is_written(change, told, tmp_path):
@@ -172,9 +168,6 @@ def test_a_new_robot_runs_at_the_highest_rate_of_its_drives(name, tmp_path):
         # +-12.5 rad are 3.98 turns, 0.2 m of stroke over them 0.0503 m; 54 N m over 800 N are 0.424 m
         ("--drives damiao --model DM8009 --travel 0.01", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
         ("--drives damiao --model DM3507 --travel 0.06", "--model: DM3507 is too weak at any lead"),
-        ("--drives moteus --travel 10", "--travel: allowed: up to 2 m a turn"),
-        ("--drives damiao --model dm8009 --travel 10", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
-        ("--drives moteus --travel -0.01", "--travel: allowed: at least 1e-05 m, given"),
         ("--drives cubemars --travel 0.06", "no default for --model"),
         ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames alone"),
         ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),

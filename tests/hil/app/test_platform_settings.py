@@ -152,15 +152,11 @@ HEAD = "mass_kg: 10\n    com_m: [0, 0, 1]\n    "
 BAD = [
     (HEAD + "inertia_kg_m2: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    inertia_about: {point_m: [0, 0, 0]}", "[[1, 0", "platform.platform.inertia_kg_m2: got principal moments -9, -9, 1 kg m^2 once moved"),
     (HEAD + "payload: []", "mass_kg", "platform.platform: allowed: either inertia_kg_m2 or shape"),
-    (HEAD + "shape: {type: ball}", '"ball"', 'platform.platform.shape.type: unknown value, allowed: box, cylinder, point, sphere, given: "ball"'),
-    (HEAD + "shape: {type: box, size_m: [1, 2]}", "[1, 2]", "platform.platform.shape.size_m: wrong number of entries"),
     (HEAD + "shape: {type: box, size_mm: [1, 2, 3]}", "size_mm", "platform.platform.shape.size_mm: wrong unit: the key is size_m (in m)"),
     (HEAD + "shape: {type: point}", "{type: point}", "platform.platform.inertia_kg_m2: got [0.0, 0.0, 0.0], allowed is three principal moments > 0"),
     (HEAD + "shape: {type: sphere, radius_m: 1}\n    products: positive_integral", "mass_kg", "platform.platform: products has no meaning with shape"),
     (HEAD + "shape: {type: cylinder, radius_m: 1, length_m: 1, inner_radius_m: 1}", "{type", "platform.platform.shape: inner_radius_m leaves no wall"),
-    (HEAD + "shape: {type: sphere, radius_m: 1}\n    frame: {rotation_vector_deg: [0, 0, 181]}", "[0, 0, 181]", "platform.platform.frame.rotation_vector_deg: more than half a turn"),
     (HEAD + "shape: {type: sphere, radius_m: 1}\n    payload:\n      - {mass_kg: 1, com_m: [0, 0, 0], inertia_kg_m2: [[1, 0, 0], [0, 1, 0], [0, 0, 9]]}", "[[1, 0, 0], [0, 1, 0], [0, 0, 9]]", "platform.platform.payload[0].inertia_kg_m2: got principal moments 1, 1, 9"),
-    (HEAD + "shape: {type: sphere, radius_m: 1}\n    payload:\n      - {mass_kg: -1, com_m: [0, 0, 0], shape: {type: point}}", "-1", "platform.platform.payload[0].mass_kg: out of range"),
 ]  # fmt: skip
 
 
@@ -179,12 +175,8 @@ def test_a_wrong_body_is_named_where_it_stands(text, needle, message):
 BAD_CIRCLES = [
     ("{angles_deg: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.radius_m: missing, allowed: a number greater than 0"),
     ("{radius_m: 2}", "platform.base_joints_m: allowed: either angles_deg or pair_centres_deg"),
-    ("{radius_m: 2, angles_deg: [0, 60, 120]}", "platform.base_joints_m.angles_deg: wrong number of entries, allowed: a list of 6 numbers"),
-    ("{radius_m: 2, angles: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.angles: missing unit: the key is angles_deg"),
     ("{radius_m: 2, pair_centres_deg: [0, 120, 240]}", "platform.base_joints_m: allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m"),
-    ("{radius_m: 2, pair_centres_deg: [0, 120, 240], pair_spacing_m: 4}", "platform.base_joints_m: pair_spacing_m does not fit on the circle, allowed: less than 4"),
     ("{radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300], pairs_begin: second_leg}", "platform.base_joints_m: angles_deg needs no pairs"),
-    ("{radius_m: -2, angles_deg: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.radius_m: out of range"),
     ("{radius_m: 2, angles_deg: [0, 0, 0, 180, 180, 180]}", "platform.base_joints_m: got legs 0 and 1 with both joints in common"),
 ]  # fmt: skip
 

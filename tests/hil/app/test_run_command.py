@@ -28,24 +28,12 @@ Ran = Callable[..., tuple[Course, Shell, list[int], dict[str, Any]]]
 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
-    """A function that runs a loop of no tick on a bus that does nothing.
-
-    It returns its course, its shell, with which windows bench time was held, and the summary.
-    """
+    """Run a loop of no tick on a bus that does nothing: its course, shell, windows of bench time and summary."""
 
     def run_daemon(
-        c: Configuration = VIRTUAL,
-        ending: Ending = PARKED,
-        *,
-        rate_Hz: float = 1000.0,
-        plant_success: bool = True,
-        unsaid: str = "",
-        plant_trouble: str = "",
-        plant_lives: bool = False,
-        events: list[tuple[Any, ...]] | None = None,
-        **options: Any,
-    ) -> tuple[Course, Shell, list[int], dict[str, Any]]:
-        told = [] if events is None else events
+        c: Configuration = VIRTUAL, ending: Ending = PARKED, *, rate_Hz: float = 1000.0, plant_success: bool = True,
+        unsaid: str = "", plant_trouble: str = "", plant_lives: bool = False, **options: Any,
+    ) -> tuple[Course, Shell, list[int], dict[str, Any]]:  # fmt: skip
         begun: list[tuple[Course, Shell]] = []
         windows: list[int] = []
         watchdogs: list[float] = []
@@ -57,11 +45,10 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
         cycle.begin = lambda _: NO_FRAMES
         cycle.parts.trajectory, cycle.parts.law = SimpleNamespace(duration_s=1.0), None
         closed = LogSummary(tmp_path / "a.mcap", 0, 0, 0, 0, 0, 0.0, True, "", gave_up=False)
-        recording = SimpleNamespace(event=lambda *each: told.append(each), close=lambda _: closed)
-        finished: dict[str, Any] = {"success": plant_success, "trouble": plant_trouble or None}
+        recording = SimpleNamespace(event=lambda *_: None, close=lambda _: closed)
         found = "" if plant_lives else plant_trouble
+        finished: dict[str, Any] = {"success": plant_success, "trouble": plant_trouble or None}
         plant = SimpleNamespace(trouble=lambda: found, finish=lambda: finished)
-
         keeper = SimpleNamespace(
             last_pose=None, begin=lambda _: None, close=lambda: None, summary=lambda _: {}, trouble=unsaid
         )
@@ -70,36 +57,28 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
             begun.append((course, shell))
             return ending
 
-        def supervised(_c: Any, log: Path, _faults: Any, watchdog_s: float) -> Any:
-            finished["log"] = log.name
-            watchdogs.append(watchdog_s)
+        def supervised(*given: Any) -> Any:
+            watchdogs.append(given[-1])
             return contextlib.nullcontext(plant)
 
+        def gives(it: Any) -> Any:
+            return lambda *_, **__: it
+
         stand_ins = {
-            "Bus": SimpleNamespace(open=lambda *_, **__: contextlib.nullcontext(bus)),
-            "bench_clock": lambda *_: clock,
-            "begin": lambda *given: windows.append(given[-1]),
-            "select_rate": lambda *_, **__: (rate_Hz, 0.2),
-            "Keeper": lambda *_, **__: keeper,
-            "build_cycle": lambda *_, **__: cycle,
-            "make_room": lambda *_: [],
-            "needed_bytes": lambda *_: 0,
-            "SupervisedPlant": supervised,
-            "record": lambda *_, **__: contextlib.nullcontext(recording),
-            "OperatorChannel": lambda *_: contextlib.nullcontext(None),
-            "real_time": lambda *_: contextlib.nullcontext(RealTime()),
-            "run": run,
-            "law_figures": lambda *_: {},
-            "loads": lambda *_: {},
-        }
+            "Bus": SimpleNamespace(open=gives(contextlib.nullcontext(bus))),
+            "bench_clock": gives(clock), "begin": lambda *given: windows.append(given[-1]),
+            "select_rate": gives((rate_Hz, 0.2)), "Keeper": gives(keeper), "build_cycle": gives(cycle),
+            "make_room": gives([]), "needed_bytes": gives(0), "SupervisedPlant": supervised,
+            "record": gives(contextlib.nullcontext(recording)),
+            "OperatorChannel": gives(contextlib.nullcontext(None)),
+            "real_time": gives(contextlib.nullcontext(RealTime())), "run": run, "law_figures": gives({}),
+            "loads": gives({}),
+        }  # fmt: skip
         for name, stand_in in stand_ins.items():
             monkeypatch.setattr(command, name, stand_in)
-        given: dict[str, Any] = {"log": tmp_path / "a.mcap", "draw": False} | options
-        summary = command.run_daemon(c, arm=True, **given)
+        summary = command.run_daemon(c, arm=True, log=tmp_path / "a.mcap", draw=False, **options)
         ((course, shell),) = begun
-        assert watchdogs == [0.2] * bool(options.get("with_plant")), (
-            "that of the rate, not the configured one"
-        )
+        assert watchdogs == [0.2] * bool(options.get("with_plant")), "that of the rate that runs"
         return course, shell, windows, summary
 
     return run_daemon

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import NEVER, DriveFault
+from drivers.signals import DriveFault
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.run_description import run_description
@@ -271,11 +271,6 @@ def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():
     low, high = SHORTEST + 0.01, LONGEST - 0.02
     found = legs_of(q=[low, high, 0.5 * (SHORTEST + LONGEST), SHORTEST - 0.003, LONGEST + 0.004, high])
     assert found["margin"] == pytest.approx([10.0, 20.0, 725.0, -3.0, -4.0, 20.0], abs=0.01)
-
-
-def test_a_leg_is_marked_silent_from_the_tick_of_the_fault_on():
-    found = legs_of(age=[0, SILENT - 1, SILENT, SILENT + 1, NEVER - 1, NEVER])
-    assert found["marked"] == ["", "", "silent", "silent", "silent", ""]
 
 
 @pytest.mark.parametrize("leg", range(6))

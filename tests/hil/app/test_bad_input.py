@@ -14,21 +14,12 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
-from hil.app.configuration.configuration import load
 from hil.cli import main
 from plant_fmu.stewart.build import build
 from tests.broad import broad
+from tests.hil.app.texts import VIRTUAL, edited
 
-VIRTUAL = load("virtual").text
 FIRST_TIME = re.compile(r"^compiling the mathematics, once: .*\n", re.MULTILINE)
-
-
-def edited(*changes):
-    text = VIRTUAL
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return text
 
 
 def contents(folder):
@@ -159,11 +150,7 @@ def robot(bench, tmp_path):
             for name in source.namelist():
                 if without is None or not name.startswith(without):
                     target.writestr(name, source.read(name))
-        model = FOREIGN
-        for old, new in changes:
-            assert model.count(old) == 1, old
-            model = model.replace(old, new)
-        return bench((MODEL, model))
+        return bench((MODEL, edited(*changes, base=FOREIGN)))
 
     return write
 

@@ -13,21 +13,17 @@ from hil.app.check.command import inspect, stopping_distances_m
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from tests.broad import broad
+from tests.hil.app.texts import VIRTUAL, edited
 
 pytestmark = pytest.mark.usefixtures("unproven")
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())
 STATES = {
     key: np.array([s[key] for s in BOOK["states"]]) for key in ("t", "length", "rate", "force", "cond_J")
 }
-VIRTUAL = load("virtual").text
 
 
-def edited(*changes):
-    text = VIRTUAL
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return loads(text, "my.yaml")
+def loaded(*changes):
+    return loads(edited(*changes), "my.yaml")
 
 
 def test_the_figures_of_the_books_path_are_the_books():
@@ -69,7 +65,7 @@ BROKEN = [
 @pytest.mark.parametrize(("old", "new", "message", "column", "limit"), BROKEN)
 def test_the_first_instant_beyond_a_limit_lies_where_the_book_has_it(old, new, message, column, limit):
     with pytest.raises(ConfigurationError) as caught:
-        inspect(edited((old, new)))
+        inspect(loaded((old, new)))
     (problem,) = [p for p in caught.value.problems if message in p]
     line = VIRTUAL[: VIRTUAL.index("\nreference:")].count("\n") + 2
     assert problem.startswith(f"my.yaml:{line}:1: reference: at t = ")
@@ -90,14 +86,8 @@ def spinning(limits=()):
     """A turn of 160 deg about z: on a platform of this kind J is singular at +-90 deg (Fichter 1986)."""
     first, last = VIRTUAL.index("\nreference:") + 1, VIRTUAL.index("\nlimits:") + 1
     text = VIRTUAL[:first] + SPIN + "\n" + VIRTUAL[last:]
-    for old, new in (
-        ("length_min_m: 0.75", "length_min_m: 0.1"),
-        ("length_max_m: 2.2", "length_max_m: 5"),
-        *limits,
-    ):
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return loads(text, "my.yaml")
+    wide = ("length_min_m: 0.75", "length_min_m: 0.1"), ("length_max_m: 2.2", "length_max_m: 5")
+    return loads(edited(*wide, *limits, base=text), "my.yaml")
 
 
 def test_a_path_through_a_singularity_is_refused_at_its_first_instant():
@@ -121,7 +111,7 @@ def test_a_step_of_force_above_the_limit_is_refused_at_the_start():
         ConfigurationError,
         match=r"at t = 0\.000 s: leg 1: force changes by more than limits\.force_step_N 2000",
     ):
-        inspect(edited(("force_step_N: 4000 ", "force_step_N: 2000 ")))
+        inspect(loaded(("force_step_N: 4000 ", "force_step_N: 2000 ")))
 
 
 SWINGING = """  points:
@@ -156,7 +146,7 @@ def test_a_jump_of_force_from_one_pass_to_the_next_is_seen():
 
 def test_a_window_narrower_than_the_paths_own_change_is_named():
     with pytest.raises(ConfigurationError, match=r"limits\.force_window_N 5000 within 250 ms"):
-        inspect(edited(("force_window_N: 12000 ", "force_window_N: 5000 ")))
+        inspect(loaded(("force_window_N: 12000 ", "force_window_N: 5000 ")))
 
 
 def test_a_csv_path_in_mm_is_said_to_be_one_and_nothing_else_is_said(tmp_path):
@@ -181,7 +171,7 @@ ROBUST = "  law: robust_inverse_dynamics\n  wn_rad_s: 60\n" + UNCERTAIN
 def with_law(law):
     """Return the report on a law."""
     changes = ("  law: inverse_dynamics\n", law), ("  wn_rad_s: 20\n", ""), ("  damping_ratio: 1\n", "")
-    return inspect(edited(*changes))
+    return inspect(loaded(*changes))
 
 
 @pytest.mark.parametrize(
@@ -205,14 +195,10 @@ def test_a_boundary_layer_has_the_phase_margin_of_its_linear_law(law, margin_deg
     assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
 
 
-def warnings(name, *changes):
-    text = load(name).text
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    others = ("SCHED_FIFO", "Unable to load schema")
-    found = inspect(loads(text, "my.yaml")).warnings
-    return [each for each in found if not any(other in each for other in others)]
+def silenced(seconds):
+    """The warnings about silence with brakes that close within a time."""
+    found = inspect(loaded(closing(seconds))).warnings
+    return [each for each in found if "after silence at t" in each]
 
 
 def closing(seconds):
@@ -226,7 +212,7 @@ def test_silence_warns_where_a_leg_of_the_book_reaches_its_end(closing_s, leaves
     q, dq = (np.array([state[key] for state in BOOK["states"]]) for key in ("length", "rate"))
     away = q + dq * T + a * T**2 / 2, q + dq * T - a * T**2 / 2
     assert (away[0].max() > 2.2 or away[1].min() < 0.75) == leaves
-    assert bool(warnings("virtual", closing(closing_s))) == leaves
+    assert bool(silenced(closing_s)) == leaves
 
 
 def test_the_stopping_distance_counts_watchdog_and_brake():

@@ -9,6 +9,7 @@ from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
+from tests.hil.app.texts import edited
 
 pytestmark = pytest.mark.usefixtures("unproven")
 EFFICIENCY = [0.9, 0.85, 0.8, 0.9, 1, 0.7]
@@ -61,9 +62,7 @@ def fused(name, *, plant=True, fusion="{}", changes=()):
     if not plant:
         text = text[: text.index(PLANT)]
         text = text.replace("  interface: localcan", "  interface: socketcan")
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
+    text = edited(*changes, base=text)
     added = f"sensors:\n  tracker: {{}}\nestimation:\n  pose: fused\n  fusion: {fusion}\n"
     return inspect(loads(text.replace("\nloop:\n", f"\n{added}\nloop:\n"), "my.yaml", Path()))
 

@@ -12,9 +12,9 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from hil.app.configuration.configuration import load
 from hil.app.configuration.text_file import shipped
 from hil.cli import main
+from tests.hil.app.texts import edited
 
 
 def commands(group, words=()):
@@ -32,14 +32,6 @@ COMMANDS = commands(main)
 
 def hil(*words):
     return CliRunner().invoke(main, [str(w) for w in words])
-
-
-def edited(*changes):
-    text = load("virtual").text
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return text
 
 
 # -- help ----------------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +20,13 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import platform_dict
 from hil.app.configuration.text_file import shipped
 from hil.app.sim.command import simulate
+from tests.hil.app.texts import edited
 
 ROOT = Path(__file__).parents[3]
 BOOK = json.loads((ROOT / "tests/data/book_platform.json").read_text())
 NAMES = [
-    "bench",
-    "desktop",
-    "ideal",
-    "lab",
-    "lab-cia402",
-    "socketcan",
-    "two_buses",
-    "vcan50",
-    "virtual",
-    "virtual-cia402",
-]
+    "bench", "desktop", "ideal", "lab", "lab-cia402", "socketcan", "two_buses", "vcan50", "virtual", "virtual-cia402",
+]  # fmt: skip
 
 
 class Floats(yaml.SafeLoader):
@@ -124,29 +115,24 @@ def test_ideal_is_ideal():
     assert c.reference.periods == 1
 
 
-PDO = {"velocity: difference": "velocity: pdo", "  rate_Hz: 400": "  rate_Hz: 312.5"}
-"""Sections of a shipped configuration that its twin with CiA 402 drives has, too."""
+PDO = ("velocity: difference", "velocity: pdo"), ("  rate_Hz: 400", "  rate_Hz: 312.5")
 
 
-def configuration(name, changes=None):
-    text = resources.files("configs").joinpath(f"{name}-cia402.yaml").read_text(encoding="utf-8")
-    for old, new in (changes or {}).items():
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return loads(text, name)
+def configuration(name, *changes):
+    return loads(edited(*changes, base=load(f"{name}-cia402").text), name)
 
 
 @pytest.mark.parametrize(
     ("name", "changes", "peak_mm"),
     [
-        ("virtual", {}, 0.19),
+        ("virtual", (), 0.19),
         pytest.param("virtual", PDO, 0.26, marks=pytest.mark.long),
-        pytest.param("lab", {}, 2.3, marks=pytest.mark.long),
+        pytest.param("lab", (), 2.3, marks=pytest.mark.long),
         pytest.param("lab", PDO, 2.3, marks=pytest.mark.long),
     ],
 )
 def test_the_robot_tracks_parks_and_replays_exactly(name, changes, peak_mm, tmp_path):
-    found = simulate(configuration(name, changes), log=tmp_path / "run.mcap", duration_s=4.0)
+    found = simulate(configuration(name, *changes), log=tmp_path / "run.mcap", duration_s=4.0)
     assert found["success"], found
     assert found["final_mode"] == "PARKED"
     assert found["rejected_frames"] == 0
@@ -156,7 +142,7 @@ def test_the_robot_tracks_parks_and_replays_exactly(name, changes, peak_mm, tmp_
 
 def test_a_rate_above_the_bus_is_refused_with_the_arithmetic():
     with pytest.raises(ConfigurationError) as refused:
-        configuration("virtual", {"velocity: difference": "velocity: pdo"})
+        configuration("virtual", PDO[0])
     text = str(refused.value)
     assert "6 x classic  8 byte: 135 bit = 135.0 us each, 810.0 us" in text
     assert "12 x classic  4 byte: 95 bit = 95.0 us each, 1140.0 us" in text

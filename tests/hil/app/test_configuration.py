@@ -9,16 +9,7 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.text_file import shipped
 from hil.app.configuration.yaml_positions import parse
-
-VIRTUAL = load("virtual").text
-
-
-def edited(*changes, base=VIRTUAL):
-    """The shipped text with each (old, new) replaced exactly once."""
-    for old, new in changes:
-        assert base.count(old) == 1, (old, base.count(old))
-        base = base.replace(old, new)
-    return base
+from tests.hil.app.texts import VIRTUAL, edited
 
 
 def problems(text, folder=None):
@@ -141,7 +132,6 @@ SYNTAX = [
     ("bus:\n\tlayout: fd\n", "2:1: tab: YAML indents with spaces only"),
     ("a: [1, 2\nb: 3\n", "not YAML: while parsing a flow sequence"),
     ("", "1:1: the file is empty"),
-    ("# only a remark\n", "1:1: the file is empty"),
     ("- 1\n- 2\n", "1:1: expected sections"),
     ("name: a\n---\nname: b\n", "2:1: a second document (`---`) is not allowed"),
     ("a: &x 1\nb: *x\n", "2:4: alias *x is not supported: write the value out"),
@@ -151,10 +141,7 @@ SYNTAX = [
     ),
     ("name: a\x01\n", "1:8: character U+0001 is not allowed in YAML"),
     ('recording: {folder: "a\\0b"}\n', "1:21: recording.folder: character U+0000 is not allowed"),
-    ('feedforward:\n  file: "\\ud800"\n', "2:9: feedforward.file: character U+D800 is not allowed"),
-    ('compare: {laws: ["\\x00"]}\n', "1:18: compare.laws[0]: character U+0000 is not allowed"),
     ("name: {<<: {a: 1}}\n", "1:8: name.<<: merging (<<) is not supported"),
-    ("? [1, 2]\n: 3\n", "1:3: a key has to be a plain word"),
     ("a: " + "[" * 3000 + "\n", "1:1: nested too deeply"),
     ("a: " + "9" * 5000 + "\n", "1:4: a: number of 5000 digits: too long"),
 ]
@@ -168,22 +155,8 @@ def test_text_that_is_not_plain_yaml_is_refused_at_its_place(text, message):
 def test_scalars_are_those_of_yaml_1_2():
     text = "[1e3, 1E-3, 010, 0o10, 0xff, no, 12:30, 1_000, ~, true, '5', -.5, 1., 1e400]"
     value: Any = (parse(f"a: {text}").value or {})["a"]
-    assert value == [
-        1000,
-        0.001,
-        10,
-        8,
-        255,
-        "no",
-        "12:30",
-        "1_000",
-        None,
-        True,
-        "5",
-        -0.5,
-        1.0,
-        float("inf"),
-    ]
+    expected = [1000, 0.001, 10, 8, 255, "no", "12:30", "1_000", None, True, "5", -0.5, 1.0, float("inf")]
+    assert value == expected
     assert isinstance(value[0], int)
 
 

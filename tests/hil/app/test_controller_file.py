@@ -10,22 +10,21 @@ from scipy.optimize import brentq
 
 from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import loads
 from hil.app.configuration.controller_file import read_controller
+from tests.hil.app.texts import VIRTUAL, edited
 
 GOOD = Path(__file__).parents[2] / "data" / "controller.yaml"
 
 
 def changed(folder, old, new):
-    text = GOOD.read_text()
-    assert text.count(old) == 1
     path = folder / "mine.yaml"
-    path.write_text(text.replace(old, new))
+    path.write_text(edited((old, new), base=GOOD.read_text()))
     return path
 
 
 def bench(controller_file, folder, *, rate_Hz=1000, more=""):
-    text = load("virtual").text
+    text = VIRTUAL
     a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
     law = f"controller:\n  law: state_space\n  controller_file: {controller_file}\n{more}\n"
     text = f"{text[:a]}{law}{text[b:]}".replace("  periods: 10\n", "").replace(

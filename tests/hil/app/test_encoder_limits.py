@@ -25,26 +25,6 @@ from tests.hil.encoder_bench import WIDE, six
 pytestmark = pytest.mark.usefixtures("unproven")
 
 
-@pytest.mark.parametrize("name", ["virtual", "lab", "socketcan"])
-def test_limits_and_what_is_not_observable_are_printed(name):
-    report = inspect(load(name))
-    lines = report.sections["encoders, at rest"]
-    unseen = [line for line in lines if "not observable with these sensors" in line]
-    assert [line.split("  ")[0].split(" ")[0] for line in unseen] == ["drift", "scale", "a", "frozen"]
-    figures = report.figures["encoders"]
-    assert figures["jump_m"] < 0.1 * 0.5e-3, "half a millimetre is well beyond"
-    text = " ".join(" ".join(lines).split())
-    assert "drift as of the rate: not observable with these sensors in motion, at any speed" in text
-    assert (
-        "scale as of the rate: not observable with these sensors at any size; leaves share x travel" in text
-    )
-    late = 0.3e-3 / 50e-3 * 1000.0 / load(name).loop.rate_Hz
-    assert figures["scale_of_rate_alone"] == pytest.approx(0.01 + late), (
-        "monitor.rate_error_percent, and time"
-    )
-    assert set(figures["not_observable"]) == {"late_m", "frozen_m"}, "no figure bounds drift and scale"
-
-
 def doubt_of(length: Array, rate: Array) -> Doubt:
     """Return what safety doubts of leg 2, which reads (n,) m and m/s at 1 kHz, on `virtual`.
 

@@ -11,9 +11,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.log_budget import dated_logs, make_room
 from hil.app.sim.command import simulate
-from hil.record.log import Log
 from hil.record.mcap_file import McapFile
-from hil.record.schema import IDENTITY, SUMMARY
 
 
 @pytest.fixture(scope="module")
@@ -110,31 +108,3 @@ def test_a_run_that_is_still_recorded_keeps_both_of_its_logs(runs):
         file.close()
     assert len(make_room(c, 0)) == 4
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
-
-
-def closed(path, **end):
-    """Write a log that says of its end what is given."""
-    file = McapFile(path, "a test")
-    file.add_metadata(IDENTITY, {**Log(path.parent / "mine.mcap").metadata[IDENTITY]})
-    if end:
-        file.add_metadata(SUMMARY, end)
-    file.finish()
-
-
-@pytest.mark.parametrize(
-    ("end", "kept"),
-    [
-        ({"closed": "clean", "faults": "0"}, False),
-        ({"closed": "clean", "faults": "64"}, True),
-        ({"closed": "producer died"}, True),
-        ({"closed": "disk_full"}, True),
-        ({}, True),
-    ],
-    ids=["parked", "fault", "producer died", "disk full", "no end"],
-)
-def test_a_log_that_may_hold_a_fault_outlives_one_that_parked(runs, end, kept):
-    oldest, parked = "virtual-20250101T000000", "virtual-20260101T000000"
-    closed(runs / f"{oldest}.mcap", **end)
-    removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]
-    assert oldest in removed
-    assert (removed.index(oldest) > removed.index(parked)) is kept

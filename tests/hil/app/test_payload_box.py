@@ -15,6 +15,7 @@ from hil.app.stability.command import judge
 from hil.app.unknown_payload import unknown_payload
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
+from tests.hil.app.texts import edited
 from tests.loop import unrecorded
 
 OWN = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"
@@ -24,10 +25,7 @@ BOX = POINT + ", mass_range_kg: [0, 80], com_range_m: [[-0.1, 0.2], [0, 0], [0.1
 
 def robot(payload="", *, name="virtual", changes=()):
     """Return a shipped configuration with this payload, as a flow mapping of YAML, or several."""
-    text = load(name).text
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
+    text = edited(*changes, base=load(name).text)
     if payload:
         bodies = [payload] if isinstance(payload, str) else payload
         text = text.replace(OWN, OWN + "    payload:\n" + "".join(f"      - {{{body}}}\n" for body in bodies))

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -103,17 +102,6 @@ def test_a_sliding_gain_too_small_for_its_load_is_not_proven():
     verdict = judge(config, Stated(Load(30_000.0), 0.1))
     assert verdict.status == "not proven"
     assert "do not cover" in verdict.claim
-
-
-def test_partial_linearisation_is_bounded_by_what_it_leaves_out():
-    """H alone, 0.0839 m/s^2 over wn^2, beside what the delay makes of weight and inertia."""
-
-    def rest(law):
-        figures = judge(bench(f"  law: {law}\n  wn_rad_s: 20\n")).figures
-        return np.max(np.subtract(figures["ultimate_bound"], figures["late"]))
-
-    left = rest("partial_linearisation") - rest("inverse_dynamics")
-    assert left == pytest.approx(0.0839 / 400.0, rel=0.15)
 
 
 def test_a_load_in_pose_space_is_bounded_in_millimetres_and_degrees():

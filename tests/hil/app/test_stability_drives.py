@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import configs
@@ -12,7 +11,6 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
 from hil.app.sim.command import simulate
 from hil.app.stability.command import judge
-from hil.app.stability.imperfect_drives import Drives
 from tools.drive_families import FAMILIES, NO_FRICTION, NO_LOSS, merged
 
 SHIPPED = (Path(str(configs.__file__)).parent / "desktop.yaml").read_text(encoding="utf-8")
@@ -38,16 +36,6 @@ def bound_mm(c):
     found = judge(c)
     assert found.status == "conditional", found.claim
     return 1e3 * max(found.figures["ultimate_bound"])
-
-
-def test_steps_and_losses_are_those_of_the_family():
-    """25 rad / 65535, 60 rad/s / 4095 and 20 N m / 4095 behind 20 mm; 0.9 and 0.85."""
-    drives = Drives.of(desktop({}))
-    np.testing.assert_allclose(drives.length, 25.0 / 65535 * 0.02, rtol=1e-12)
-    np.testing.assert_allclose(drives.rate, 60.0 / 4095 * 0.02, rtol=1e-12)
-    np.testing.assert_allclose(drives.force, 20.0 / 4095 / 0.02 / 0.85, rtol=1e-12)
-    np.testing.assert_allclose(drives.loss, 1.0 / (0.9 * 0.85) - 1.0, rtol=1e-12)
-    assert drives.most_N == 120.0
 
 
 def test_the_bound_grows_with_the_steps_and_with_the_losses():

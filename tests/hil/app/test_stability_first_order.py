@@ -21,6 +21,7 @@ from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.kinematics import jacobian, leg_lengths
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 from tests.hil.app.test_stability_conditions import held
+from tests.hil.app.texts import edited
 
 STILL = np.zeros(6)
 WEIGHTLESS = {"platform": {"gravity_m_s2": [0, 0, 0]}}
@@ -188,11 +189,7 @@ def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, va
 
 def changed(law, *changes):
     """Return the bench that holds a pose under a law, with parts of its text replaced."""
-    text = bench(law, rest=True).text
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return loads(text, "my.yaml", Path())
+    return loads(edited(*changes, base=bench(law, rest=True).text), "my.yaml", Path())
 
 
 @pytest.mark.parametrize(

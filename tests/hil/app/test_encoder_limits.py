@@ -168,23 +168,6 @@ def stated(c, friction):
     return c.model_copy(update={"monitor": c.monitor.model_copy(update={"friction_N": friction})})
 
 
-@pytest.mark.parametrize(
-    ("rated", "force", "window", "friction"),
-    [
-        (60_000, 1500, 1600, 75.0),
-        (3000, 1500, 1600, 75.0),
-        (1500, 1500, 1600, 75.0),
-        (3000, 400, 1600, 20.0),
-        (3000, 1500, 600, 30.0),
-    ],
-)
-def test_unstated_friction_is_a_twentieth_of_the_largest_force(rated, force, window, friction):
-    c = load("socketcan")
-    drives = c.drives.model_copy(update={"force_limit_N": rated})
-    asked = c.limits.model_copy(update={"force_N": force, "force_window_N": window})
-    assert friction_N(c.model_copy(update={"drives": drives, "limits": asked})) == pytest.approx(friction)
-
-
 def walked(force, swing=0.0):
     """A path of 1 s at 1 kHz whose forces change by `swing` to `force`, N."""
     n = 1001

@@ -121,26 +121,6 @@ def test_an_interrupted_simulation_closes_its_log_with_its_faults(monkeypatch, f
     ]
 
 
-def faulty(*names: str) -> Any:
-    return SimpleNamespace(plant=SimpleNamespace(faults=names))
-
-
-@pytest.mark.parametrize(
-    ("begun", "waiting", "expected"),
-    [
-        ([], [], {"time_not_reached": ["a", "b", "c"]}),
-        (["b"], [], {"injected": ["b"], "time_not_reached": ["a", "c"]}),
-        ([], ["c"], {"mode_not_reached": ["c"], "time_not_reached": ["a", "b"]}),
-        (["a"], ["c"], {"injected": ["a"], "mode_not_reached": ["c"], "time_not_reached": ["b"]}),
-        (["c", "a", "b"], [], {"injected": ["c", "a", "b"]}),
-    ],
-)
-def test_each_fault_is_listed_once_as_injected_or_not_reached(monkeypatch, begun, waiting, expected):
-    monkeypatch.setattr(command, "show_fault", str)
-    nodes: Any = SimpleNamespace(schedule=SimpleNamespace(begun=lambda _: begun), now_ns=0, waiting=waiting)
-    assert command._injected(faulty("a", "b", "c"), nodes) == expected
-
-
 def test_an_existing_plant_log_refuses_a_simulation_before_it_begins(monkeypatch, tmp_path):
     begun = []
     (tmp_path / "a-plant.mcap").write_bytes(b"an earlier one")

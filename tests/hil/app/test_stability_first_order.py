@@ -218,9 +218,6 @@ def test_an_integral_has_to_carry_the_weight_in_push_and_pull(down):
         assert judge(changed(law, gravity)).status == status
 
 
-T = 1e-3
-
-
 @pytest.mark.parametrize("leg", [0, 5])
 def test_one_unstable_axis_is_enough(leg):
     wn = [600.0 if k == leg else 2.0 for k in range(6)]

@@ -106,7 +106,7 @@ RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     "reference.axes[0].lines": ("virtual", multisine(), multisine(lines=1001), "at most 1000"),
     "reference.axes[0].band_Hz": ("virtual", multisine(), multisine(period_s=1000, band_Hz=[1, 400]), "up to 200 Hz"),
     "reference.components[0].frequency_Hz": ("virtual", sinusoid(500), sinusoid(501), "above half the rate"),
-    "reference.path": ("virtual", {}, reference("sampled", path="gone.csv"), "no such file"),
+    "reference.path": ("virtual", {}, reference("sampled", path="gone.csv"), "gone.csv"),
     "platform.home.rotation_vector_deg": ("virtual", {}, {"platform": {"home": {"rotation_vector_deg": [0, 0, 181]}}}, "181"),
     # rules within a section
     "limits": ("virtual", {"limits": {"stale_warn_ticks": 5}}, {"limits": {"stale_warn_ticks": 6}}, "stale_warn_ticks is above"),

@@ -9,6 +9,7 @@ import resource
 import shlex
 import shutil
 import signal
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,13 @@ def log(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
-    """An empty folder to work in."""
+    """An empty folder to work in; no bus of another process is in the way."""
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    return folder
+    with tempfile.TemporaryDirectory(prefix="hil-") as sockets:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", sockets)
+        yield folder
 
 
 @pytest.mark.parametrize(
@@ -108,16 +111,23 @@ OUTPUTS = {
     "run virtual --arm --log X": "a.mcap",
     "plant virtual --log X": "a.mcap",
     "replay LOG --json X": "a.json",
+    "stability ideal --json X": "a.json",
     "replay LOG --salvage X": "a.mcap",
     "replay LOG --set limits.force_N=1e5 --log X": "a.mcap",
     "report LOG --out X": "a.html",
     "plot LOG --out X": "a.png",
     "export LOG X": "a.csv",
+    "view LOG --out X": "a.rrd",
+    "replay --suite . --junit X": "a.xml",
+    "faults ideal --junit X": "a.xml",
     "campaign payload --page X": "a.html",
     "design hinf hinf -o X": "a.yaml",
     "identify payload LOG -o X": "a.yaml",
     "calibrate lab poses.csv --out X": "a.yaml",
     "learn LOG -o X": "a.csv",
+    "identify virtual -o X": "a.yaml",
+    "bringup virtual --rehearse --yes --state X": "a.json",
+    "new X": "a.yaml",
 }
 """Command -> the name of its output."""
 
@@ -229,8 +239,8 @@ def test_a_full_disk_leaves_nothing_behind_and_is_reported(log, here, small_file
     assert list(here.iterdir()) == []
 
 
-def test_a_failure_half_way_leaves_the_earlier_file(tmp_path):
-    out = tmp_path / "a.csv"
+def test_a_failure_half_way_leaves_the_earlier_file(here):
+    out = here / "a.csv"
     out.write_text("old")
 
     def half():
@@ -240,7 +250,7 @@ def test_a_failure_half_way_leaves_the_earlier_file(tmp_path):
 
     with pytest.raises(ZeroDivisionError):
         half()
-    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+    assert [p.name for p in here.iterdir()] == ["a.csv"]
     assert out.read_text() == "old"
 
 
@@ -292,7 +302,7 @@ def full_disk(monkeypatch):
     ("line", "output", "figure"),
     [
         ("replay --suite FOLDER --jobs 1 --junit a.xml", "a.xml", "passed"),
-        ("calibrate lab poses.csv --out a.yaml", "a.yaml", "rms_m"),
+        ("calibrate lab poses.csv --out a.yaml", "a.yaml", "base_joints_m"),
     ],
 )
 def test_a_result_whose_file_cannot_be_written_is_not_lost(here, log, full_disk, line, output, figure):

@@ -104,7 +104,7 @@ def test_a_loss_is_never_a_success(verdict, run, success, trouble):
     found = verdict(**run)
     assert found["success"] is success
     assert (found["trouble"] or "") == trouble
-    assert found["dropped_ticks"] == run.get("dropped", 0)
+    assert found["dropped_ticks"] == run.get("dropped", 0) + run.get("lost", 0)
 
 
 ENDINGS = {

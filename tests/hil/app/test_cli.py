@@ -80,15 +80,6 @@ def test_help_imports_nothing_heavy():
     assert out.splitlines()[-1] == "heavy: []"
 
 
-def test_an_unknown_configuration_names_the_shipped_ones():
-    result = hil("sim", "virtal")
-    assert result.exit_code == 2
-    assert result.stderr == (
-        "hil: virtal: no such file; shipped configurations are: bench, desktop, ideal, lab, lab-cia402, "
-        "socketcan, two_buses, vcan50, virtual, virtual-cia402\n"
-    )
-
-
 # -- exit codes and JSON -------------------------------------------------------------------------------------
 
 

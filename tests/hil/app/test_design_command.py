@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import ConfigurationError
 from hil.app.configuration.controller_file import read_controller
-from hil.app.design.command import load_design
 from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -106,18 +104,6 @@ def test_a_wrong_design_is_refused_with_what_is_allowed(old, new, says, tmp_path
     assert done.exit_code == 2
     assert says in done.output
     assert not (tmp_path / "c.yaml").exists()
-
-
-@pytest.mark.parametrize("given", ["bench.yaml", "virtual.yaml"])
-def test_a_configuration_instead_of_a_design_is_one_problem(given):
-    file = Path(__file__).parents[3] / "configs" / given
-    with pytest.raises(ConfigurationError) as refused:
-        load_design(str(file))
-    assert len(refused.value.problems) == 1
-    assert str(refused.value).startswith(
-        f"{file}: is another kind of file, with the keys name, platform, bus"
-    )
-    assert "`kind: design`" in str(refused.value)
 
 
 SHIPPED_MU = (Path(__file__).resolve().parents[3] / "configs/designs/mu.yaml").read_text()

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 import hil
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
@@ -53,11 +53,6 @@ def test_the_truth_of_each_tick_is_what_its_encoders_read(run):
     )
     assert (np.abs(read - true) <= 0.6e-6 + 50e-6 * np.abs(rate)).all()
     assert np.abs(true[1:] - read[:-1]).max() > 5e-4  # a tick beside the right one would be seen
-
-
-def test_neither_log_is_written_over(run):
-    with pytest.raises(LogError, match="exists and is not overwritten"):
-        hil.sim("virtual", duration_s=0.4, log=run.log.path)
 
 
 def test_sim_answers_mistakes_and_faults_as_the_command_does(tmp_path):

@@ -1,9 +1,7 @@
 """CiA 402 drives of the tests: a screw of 20 mm, 2^17 counts a turn, 9 N m of rated torque."""
 
-from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
-from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import State
@@ -14,16 +12,6 @@ from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import memory_of
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.cia402_dictionary import PLACE, fill_pdos
-
-
-class Slope(NamedTuple):
-    """The step from one length of a leg to the next."""
-
-    rate: float = 0.0
-    T: float = 0.0
-    latched_ns: int = 0
-    length: float | None = None
-
 
 NODES = (1, 2, 3, 4, 5, 6)
 COUNTS = 131072
@@ -57,15 +45,6 @@ def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, legs=(ALL_LEGS,)
     word = "pdo" if velocity else "difference"
     own = {"force_limit_N": 10_000.0, "heartbeat_ms": 24.0}
     return made(node_ids, settings(**changes), legs, velocity=word, rated_torque_Nm=rated_Nm, **own)
-
-
-def difference(length: float, t_ns: int, before: Slope, rate: float, period_s: float) -> tuple[float, Slope]:
-    """Return the rate at the end of a step and what the next one needs, see `kernels.difference`."""
-    places = {"mean": [before.rate], "T": [before.T], "latched_ns": [before.latched_ns]}
-    lengths = {"length": [before.length], "has_length": [before.length is not None]}
-    c: Any = SimpleNamespace(period_s=period_s, **places, **lengths)
-    found = kernels.difference(c, 0, length, t_ns, rate)
-    return found, Slope(c.mean[0], c.T[0], c.latched_ns[0], c.length[0])
 
 
 DEVICE_STATES = {

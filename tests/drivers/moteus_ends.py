@@ -6,12 +6,11 @@ import numpy as np
 
 from drivers.moteus import read
 from drivers.protocol import BRS, EXTENDED, FD, Frame
-from drivers.signals import DriveState, Reaction
+from drivers.signals import DriveState
 from hil.contracts.messages import Sync
-from tests.drivers.motor_families import MoteusProtocol
-from tests.drivers.test_odrive import UNIT
+from tests.drivers.motor_families import UNIT, moteus
 
-P = MoteusProtocol((1, 2, 3, 4, 5, 6), 0, Reaction.DAMP, 2.0, UNIT)
+P = moteus(UNIT, 2.0)
 
 
 def asked(data: bytes) -> tuple[tuple[int, int], ...]:

@@ -18,10 +18,31 @@ from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POW
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame
 from drivers.registry import loaded
 from drivers.signals import LEGS, Reaction
+from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import memory_of
 from plant_fmu.drives.ends import DrivesEnd
+
+GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
+UNIT = Transmission(TransmissionSettings(lead_m=1.0))
+UNLIKE_GEAR = TransmissionSettings(
+    lead_m=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+    gear_ratio=[1.0, 2.0, 3.0, 4.0, 5.0, 7.0],
+    sign=[1, -1, 1, -1, 1, -1],
+    efficiency=0.8,
+    back_driving_efficiency=0.5,
+    full_loss_m_s=0.1,
+    offset_m=[1.1, 1.2, 1.3, 1.4, 1.5, 1.6],
+)
+UNLIKE = Transmission(UNLIKE_GEAR)
+RANGES = Ranges(95.5, 400.0, 144.0)
+"""Wide enough for the contract's legs of 1.5 to 2 m and 6 kN, behind a lead of 0.1 m."""
+ALL_NODES = (1, 2, 3, 4, 5, 6)
+MIT_NODES = (1, 2, 3, 4, 5, 15)
+ROBSTRIDE_NODES = (1, 2, 3, 4, 5, 127)
+ODRIVE_NODES = (0, 1, 2, 3, 5, 62)
+MOTEUS_NODES = (1, 2, 3, 4, 5, 126)
 
 
 class Heard(NamedTuple):
@@ -78,6 +99,18 @@ class MotorMemory(Remembered):
         )
 
 
+def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
+    """Return the measurement of the tick before, each leg with numbers of its own."""
+    last = new_record()
+    last["tick"], last["age"] = number, age
+    last["length"] = [2.1, 2.2, 2.3, 2.4, 2.5, 2.6]
+    last["rate"] = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+    last["drive_force"] = [11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    last["drive_state"] = [0, 1, 2, 3, 4, 1]
+    last["drive_fault"] = [0, 1, 2, 3, 4, 5]
+    return last
+
+
 class Motors(ByValue):
     """Such a family."""
 
@@ -128,20 +161,16 @@ def pack_command(position: float, velocity: float, kp: float, kd: float, torque:
 def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, float]:
     """Return position rad, velocity rad/s, kp, kd and torque N m of the eight bytes of a command."""
     number = int.from_bytes(data, "big")
-    p, v, kp, kd, t = (
+    p, *others = (
         number >> 48,
         number >> 36 & 0xFFF,
         number >> 24 & 0xFFF,
         number >> 12 & 0xFFF,
         number & 0xFFF,
     )
-    return (
-        value(p, -r.position, r.position, 16),
-        value(v, -r.velocity, r.velocity, 12),
-        value(kp, 0.0, 500.0, 12),
-        value(kd, 0.0, 5.0, 12),
-        value(t, -r.torque, r.torque, 12),
-    )
+    ends = (-r.velocity, r.velocity), (0.0, 500.0), (0.0, 5.0), (-r.torque, r.torque)
+    v, kp, kd, t = (value(x, *end, 12) for x, end in zip(others, ends, strict=True))
+    return value(p, -r.position, r.position, 16), v, kp, kd, t
 
 
 def sections(protocol: str, nodes: Any, legs: Any, options: dict[str, Any], **drives: float) -> Any:
@@ -176,8 +205,7 @@ class MitProtocol(Motors):
 
 @cache
 def _mini_cheetahs(r: Ranges) -> MitProtocol:
-    gear = Transmission(TransmissionSettings(lead_m=1.0))
-    return MitProtocol("mini_cheetah", r, (1, 2, 3, 4, 5, 6), 0, gear)
+    return MitProtocol("mini_cheetah", r, ALL_NODES, 0, UNIT)
 
 
 def read_reply(data: bytes, r: Ranges) -> tuple[float, float, float]:
@@ -226,3 +254,28 @@ class MoteusProtocol(Motors):
         made: Any = loaded("hil.protocols", "moteus")(*sections("moteus", nodes, legs, options))
         made.transmission = gear
         super().__init__(made)
+
+
+def mit(variant: str, gear: Any = GEAR) -> MitProtocol:
+    """Return drives of a variant with 11-bit identifiers; those of a Damiao answer on 16 and their number."""
+    return MitProtocol(variant, RANGES, MIT_NODES, 16 if variant == "damiao" else 0, gear)
+
+
+def robstride(gear: Any = GEAR) -> RobStrideProtocol:
+    return RobStrideProtocol(RANGES, ROBSTRIDE_NODES, 253, gear)
+
+
+def odrive(gear: Any = GEAR) -> ODriveProtocol:
+    return ODriveProtocol(ODRIVE_NODES, 0.05, gear)
+
+
+def moteus(gear: Any = GEAR, most_Nm: float = 1000.0) -> MoteusProtocol:
+    return MoteusProtocol(MOTEUS_NODES, 0, Reaction.DAMP, most_Nm, gear)
+
+
+MOTORS: dict[str, Any] = {name: mit(name) for name in ("mini_cheetah", "cubemars", "damiao")} | {
+    "robstride": robstride(),
+    "odrive": odrive(),
+    "moteus": moteus(),
+}
+"""Each family of single-motor drives."""

@@ -12,27 +12,15 @@ import numpy as np
 from drivers.arrays import array_at
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import data_at, of_python
-from drivers.config import TransmissionSettings
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.motor_kernels import HEARD
 from drivers.motors import NO_BRAKE, Exchange, MotorProtocol
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received, Traits
 from drivers.signals import DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
-from drivers.transmission import Transmission
 from hil.contracts.by_value import Remembered
-from tests.drivers.motor_families import Heard, Motors
+from tests.drivers.motor_families import UNLIKE, Heard, Motors, last_tick
 
-UNLIKE_GEAR = TransmissionSettings(
-    lead_m=[0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
-    gear_ratio=[1.0, 2.0, 3.0, 4.0, 5.0, 7.0],
-    sign=[1, -1, 1, -1, 1, -1],
-    efficiency=0.8,
-    back_driving_efficiency=0.5,
-    full_loss_m_s=0.1,
-    offset_m=[1.1, 1.2, 1.3, 1.4, 1.5, 1.6],
-)
-UNLIKE = Transmission(UNLIKE_GEAR)
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 SINCE_NS = 1_000
 
@@ -80,7 +68,7 @@ class SpokenProtocol(MotorProtocol):
     def _hear(self, _ear: int, frame: int, into: int) -> int:
         heard = self.words[sent_frames(array_at(frame, 1, FRAME))[0].id]
         if heard is not None:
-            bits = (
+            told = (
                 heard.broken,
                 heard.foreign,
                 heard.motion,
@@ -89,7 +77,7 @@ class SpokenProtocol(MotorProtocol):
                 heard.power,
                 heard.answer,
             )
-            has = sum(1 << k for k, bit in enumerate(bits) if bit is not None and bit is not False)
+            has = sum(1 << k for k, bit in enumerate(told) if bit is not None and bit is not False)
             motion, answer = heard.motion or (0.0, 0.0), heard.answer or (0, 0.0)
             array_at(into, 1, HEARD)[0] = (
                 heard.leg, has, *motion, heard.torque or 0.0, heard.power or 0, heard.fault, *answer,
@@ -153,18 +141,6 @@ class Spoken(Motors):
         return tick, self.decode(
             self.begun(**fields), run, last_tick() if last is None else last, tick, since_ns
         )
-
-
-def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
-    """Return the measurement of the tick before, each leg with numbers of its own."""
-    last = new_record()
-    last["tick"], last["age"] = number, age
-    last["length"] = [2.1, 2.2, 2.3, 2.4, 2.5, 2.6]
-    last["rate"] = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
-    last["drive_force"] = [11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
-    last["drive_state"] = [0, 1, 2, 3, 4, 1]
-    last["drive_fault"] = [0, 1, 2, 3, 4, 5]
-    return last
 
 
 def feedback(leg: int, turns: float = 0.5, speed: float = 0.0, **more: Any) -> Heard:

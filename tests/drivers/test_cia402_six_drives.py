@@ -7,14 +7,15 @@ import struct
 import numpy as np
 import pytest
 
+from drivers.cia402 import objects as o
 from drivers.cia402.states import State
 from drivers.errors import ProtocolError
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, Frame
-from drivers.signals import DriveState
+from drivers.signals import INVALID, DriveState
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.messages import Alive, Answer, Sync
+from hil.contracts.messages import Alive, Answer, EmergencyStop, Rejected, Sync
 from tests.drivers.cia402_drives import changed, drives, holding, made
-from tests.drivers.spoken_drives import UNLIKE, UNLIKE_GEAR
+from tests.drivers.motor_families import UNLIKE, UNLIKE_GEAR
 
 NODES = (11, 12, 13, 14, 15, 16)
 P = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
@@ -31,7 +32,7 @@ def write(leg: int, text: str) -> Frame:
     return Frame(0x600 + NODES[leg], bytes.fromhex(text))
 
 
-def test_a_sync_is_answered_by_drives_in_operational_that_send_something_and_ends_a_fault_reaction():
+def test_sync_is_answered_by_drives_in_operational_with_a_tpdo():
     memory = changed(changed(running(), 1, nmt=127), 2, nmt=4)
     memory = changed(memory, 4, state=State.FAULT_REACTION)
     for at in (0x1800, 0x1801):
@@ -41,7 +42,7 @@ def test_a_sync_is_answered_by_drives_in_operational_that_send_something_and_end
     assert after.state["state"].tolist() == [State.FAULT if leg == 4 else State.ENABLED for leg in range(6)]
 
 
-def test_a_heartbeat_is_heard_by_the_drives_that_watch_its_node():
+def test_heartbeat_feeds_the_drives_that_watch_its_node():
     memory, messages = running(), {}
     for leg, node in ((1, 9), (4, 9), (5, 0)):
         memory, _ = P.parse(memory, write(leg, f"23161001e803{node:02x}00"))
@@ -53,7 +54,7 @@ def test_a_heartbeat_is_heard_by_the_drives_that_watch_its_node():
 
 
 @pytest.mark.parametrize("flag", [EXTENDED, FD, REMOTE, ERROR])
-def test_a_frame_that_cannot_be_ours_changes_nothing(flag):
+def test_frame_with_another_flag_changes_nothing(flag):
     memory = running()
     for frame in (Frame(0x80, b"", flag), Frame(0x20B, bytes(4), flag), Frame(0, b"\2\0", flag)):
         assert P.parse(memory, frame) == (memory, ())
@@ -75,16 +76,7 @@ def test_each_drive_answers_with_its_own_position_speed_and_torque():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_drive_never_sends_what_is_no_number(leg):
-    for at in range(3):
-        given = [np.full(6, 1.0) for _ in range(3)]
-        given[at][leg] = np.nan
-        with pytest.raises(ProtocolError, match="not a number"):
-            P.answer(running(), Sync(0), given[0], given[1], given[2], RUNNING)
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_what_a_drive_sends_and_hears_follows_what_was_written_to_it_alone(leg):
+def test_identifiers_of_a_drive_follow_what_was_written_to_it_alone(leg):
     before = running()
     node = NODES[leg]
     memory, _ = P.parse(before, write(leg, "2300180180010080"))
@@ -100,7 +92,7 @@ def test_what_a_drive_sends_and_hears_follows_what_was_written_to_it_alone(leg):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_drive_that_was_switched_off_and_on_sends_nothing_until_it_is_set_up_anew(leg):
+def test_drive_that_was_switched_off_and_on_sends_nothing_until_it_is_set_up(leg):
     started = running()._replace(started=True)
     states = RUNNING.copy()
     states[leg] = DriveState.BOOT
@@ -112,7 +104,44 @@ def test_a_drive_that_was_switched_off_and_on_sends_nothing_until_it_is_set_up_a
     assert {each for each, _ in sent} == set(range(6)) - {leg}
 
 
-def test_each_drive_says_the_counts_of_its_own_encoder():
+@pytest.mark.parametrize("node", range(7))
+def test_nmt_stop_takes_the_force_of_every_enabled_drive_that_it_addresses(node):
+    protocol = ByValue(drives())
+    states = [DriveState.RUN, DriveState.OFF, DriveState.RUN, DriveState.RUN, DriveState.OFF, DriveState.RUN]
+    addressed = [leg for leg in range(6) if node in (0, leg + 1)]
+    enabled = [leg for leg in addressed if states[leg] == DriveState.RUN]
+    stop = Frame(0x000, bytes((0x02, node)))
+    memory, messages = protocol.parse(holding(protocol.protocol, states), stop)
+    assert messages == tuple(EmergencyStop((leg,)) for leg in enabled)
+    assert [leg for leg in range(6) if memory.nmt[leg] == o.STOPPED] == addressed
+    assert [leg for leg in range(6) if memory.state["state"][leg] == State.QUICK_STOP] == enabled
+    assert protocol.parse(memory, stop)[1] == ()
+
+
+def test_answers_saturate_and_come_from_the_drives_that_run_and_have_a_position():
+    protocol = ByValue(drives(velocity=False))
+    memory = holding(protocol.protocol, [3] * 6)
+    states = np.array([0, 1, 2, 3 | INVALID, 4, 3])
+    gear = protocol.transmission
+    length = gear.length(np.array([1, 2, 3, 4, 1e12, -1e12]) / gear.counts)
+    _, sent = protocol.answer(memory, Sync(0, (0, 1, 3, 4, 5)), length, np.zeros(6), np.zeros(6), states)
+    assert [leg for leg, _ in sent] == [1, 4, 5]
+    assert [struct.unpack("<Hih", frame.data)[1] for _, frame in sent] == [2, 2**31 - 1, -(2**31)]
+    for frame in (Frame(0, b"\1"), Frame(0x77F, b"\5\5"), Frame(0x601, bytes(7))):
+        assert protocol.parse(memory, frame) == (memory, (Rejected(),))
+    assert protocol.parse(memory, Frame(0x607, bytes(8))) == (memory, ())
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("leg", range(6))
+def test_drive_never_sends_what_is_not_a_number(leg, which):
+    given = [np.full(6, 1.0) for _ in range(3)]
+    given[which][leg] = np.nan
+    with pytest.raises(ProtocolError, match="not a number"):
+        P.answer(running(), Sync(0), *given, RUNNING)
+
+
+def test_each_drive_reports_the_counts_of_its_own_encoder():
     counts = [1000, 2000, 3000, 4000, 5000, 6000]
     protocol, found = ByValue(drives(NODES, counts_per_turn=counts)), []
     memory = protocol.power_up()._replace(nmt=127)

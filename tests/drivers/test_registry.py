@@ -12,7 +12,7 @@ from drivers.registry import loaded, named, registered
 from hil.control.law import LawSettings
 
 
-def test_a_package_that_cannot_be_imported_is_refused_with_its_entry_point(monkeypatch):
+def test_package_that_cannot_be_imported_is_refused_with_its_entry_point(monkeypatch):
     entry = EntryPoint("broken", "no_such_package:Law", "hil.laws")
     monkeypatch.setitem(registered("hil.laws"), "broken", entry)
     with pytest.raises(ConfigurationError, match=r"hil\.laws: broken = no_such_package:Law .*uninstall"):
@@ -28,19 +28,17 @@ def test_two_packages_with_one_name_are_refused_with_both(tmp_path):
     code = "from drivers.registry import registered; registered('hil.protocols')"
     here = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     done = subprocess.run([sys.executable, "-c", code], env=here, capture_output=True, text=True, check=False)
-    assert "mine is registered as first:Mine (package first) and as second:Mine" in done.stderr
+    assert "first:Mine" in done.stderr
+    assert "second:Mine" in done.stderr
 
 
-def test_settings_of_a_law_without_a_name_get_that_of_the_entry_point():
+def test_settings_of_a_law_get_the_name_of_the_entry_point_and_others_are_refused():
     class Mine(LawSettings):
         gain: float
 
     made = named("mine", Mine, LawSettings, "law").model_validate({"law": "mine", "gain": 1.0})
     assert isinstance(made, Mine)
     with pytest.raises(ValueError, match="law"):
-        named("mine", Mine, LawSettings, "law").model_validate({"law": "other", "gain": 1.0})
-
-
-def test_settings_that_are_not_of_a_law_are_refused():
+        named("mine", Mine).model_validate({"law": "other", "gain": 1.0})
     with pytest.raises(ConfigurationError, match=r"law mine: .* not a subclass"):
         named("mine", dict, LawSettings, "law")

@@ -25,8 +25,7 @@ from hil.study.report.page import figure
 from hil.study.report.story import quantity, told
 from hil.study.report.timing import Traffic, counts, spreads
 from tests.drivers.cia402_drives import drives
-from tests.drivers.motor_families import ODriveProtocol
-from tests.drivers.test_odrive import GEAR
+from tests.drivers.motor_families import GEAR, ODriveProtocol
 
 LEGS = [f"leg_{leg}" for leg in range(6)]
 

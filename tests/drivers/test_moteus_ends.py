@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError, ProtocolError
-from drivers.moteus import STOP, pad, torque_command
+from drivers.moteus import QUERY, STOP, pad, torque_command
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
-from hil.contracts.messages import Configure, Rejected, Sync
+from hil.contracts.messages import Configure, DeviceCommand, Rejected, Sync
 from tests.drivers.moteus_ends import asked, registers
-from tests.drivers.motor_families import Heard, MoteusProtocol
-from tests.drivers.spoken_drives import UNLIKE
+from tests.drivers.motor_families import UNLIKE, Heard, MoteusProtocol
 
 NODES = (9, 2, 3, 4, 5, 126)
 P = MoteusProtocol(NODES, 1, Reaction.DAMP, 2.0, UNLIKE)
@@ -40,7 +38,7 @@ def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
     return memory, found
 
 
-def test_a_drive_is_enabled_by_its_first_torque_obeys_the_next_and_resets_by_a_stop():
+def test_drive_is_enabled_by_its_first_torque_obeys_the_next_and_resets_by_a_stop():
     torque = to(4, torque_command(0.5, 2.0, 0.03))
     memory, found = told(torque, to(4, torque_command(-0.25, 2.0, 0.04)), to(4, STOP), torque)
     kept = round(float(np.float32(0.03)), 9)
@@ -64,12 +62,6 @@ def test_a_drive_is_enabled_by_its_first_torque_obeys_the_next_and_resets_by_a_s
     assert memory.enabled == (False, False, False, False, True, False)
 
 
-@pytest.mark.parametrize(("sent", "given"), [(2.0, 2.0), (2.5, 2.0), (-2.0, -2.0), (-2.5, -2.0), (1.5, 1.5)])
-def test_a_torque_saturates_at_the_most_that_is_sent_with_it(sent, given):
-    _, (messages,) = told(to(1, torque_command(sent, 2.0, 0.1)))
-    assert messages[2] == command(1, RUN, 2, given * PER[1])
-
-
 def written(**values: float) -> Frame:
     """Return position mode with some of: torque, kp, kd, most."""
     data = b"\x01\0\x0a"
@@ -83,6 +75,8 @@ def written(**values: float) -> Frame:
     ("values", "torque"),
     [
         ({"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": 2.0}, 0.5),
+        ({"torque": 2.5, "kp": 0.0, "kd": 0.0, "most": 2.0}, 2.0),
+        ({"torque": -2.5, "kp": 0.0, "kd": 0.0, "most": 2.0}, -2.0),
         ({"torque": 0.5, "kp": 0.0, "kd": 0.0}, 0.5),
         ({"kp": 0.0, "kd": 0.0, "most": 2.0}, 0.0),
         ({"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": nan}, 0.5),
@@ -94,9 +88,7 @@ def written(**values: float) -> Frame:
         ({"torque": 0.5, "kp": 1.0, "kd": 0.0, "most": 2.0}, None),
     ],
 )
-def test_position_mode_is_a_torque_without_gains_and_with_a_limit_above_nothing_where_one_is_given(
-    values, torque
-):
+def test_position_mode_is_a_torque_without_gains_and_with_a_limit_above_nothing(values, torque):
     memory, (messages,) = told(written(**values))
     if torque is None:
         assert messages == (Rejected(), Sync(0, (1,)))
@@ -106,18 +98,42 @@ def test_position_mode_is_a_torque_without_gains_and_with_a_limit_above_nothing_
     assert messages[0] == Configure(1, 0.1, Reaction.DAMP), "its own time: the command gives none"
 
 
-def test_another_mode_is_refused_by_its_number_and_a_query_is_answered_alone():
-    assert told(to(2, b"\x01\0\x0f"))[1] == [(Rejected(), Sync(0, (2,)))]
-    assert told(to(2, b"\x11\0"))[1] == [(Sync(0, (2,)),)]
+@pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (nan, 0.1), (0.0, 0.1)])
+def test_command_without_a_time_leaves_the_drive_the_delivered_one(sent_s, kept_s):
+    _, ((first, *_),) = told(to(3, torque_command(0.5, 2.0, sent_s)))
+    assert first.leg == 3
+    assert first.watchdog_s == pytest.approx(kept_s, rel=1e-6)
+
+
+def test_command_that_an_emulated_drive_does_not_have_is_refused_and_answered():
+    for text in (
+        "01000a0c06200000c07f000000000000003f0000803f0000803f00000040",  # gains
+        "01000a0d220000003f",  # the drive's own gains
+        "01000a0e200000803ecdccccbd",  # position
+        "01000f",  # brake
+    ):
+        assert told(to(2, bytes.fromhex(text) + QUERY))[1] == [(Rejected(), Sync(0, (2,)))]
+    assert told(to(2, b"\x11\0"))[1] == [(Sync(0, (2,)),)], "a query"
     assert told(to(2, b"\x01\0"))[1] == [(Rejected(),)]
 
 
-def test_a_drive_is_asked_by_the_last_controller_that_wanted_a_reply():
+def test_reply_goes_to_the_last_controller_that_wanted_one():
     memory, _ = told(Frame(0x8500 | 4, b"\x11\0", ALL), Frame(0x0600 | 4, b"\x11\1", FD | BRS))
     assert memory.asked == tuple((5, ((0, 0),)) if leg == 3 else P.power_up().asked[leg] for leg in range(6))
     memory, _ = told(Frame(0xFF00 | 4, b"\x11\0", ALL))
     assert memory.asked[3][0] == 0x7F
     assert P.power_up().asked == ((1, asked(STOP)),) * 6
+
+
+def test_command_to_all_drives_is_obeyed_by_all_and_answered_where_it_asks_for_it():
+    torque = pad(torque_command(0.5, 2.0, 0.1))
+    memory, (messages,) = told(Frame(0x7F, torque, FD | BRS))
+    assert memory.enabled == (True,) * 6
+    legs = [each.legs for each in messages if isinstance(each, DeviceCommand) and each.mode == RUN]
+    assert legs == [(leg,) for leg in range(6)]
+    assert not [each for each in messages if isinstance(each, Sync)]
+    _, messages = P.parse(memory, Frame(0x807F, torque, ALL))
+    assert [each.legs for each in messages if isinstance(each, Sync)] == [(leg,) for leg in range(6)]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +154,7 @@ def test_a_drive_is_asked_by_the_last_controller_that_wanted_a_reply():
         (0x7F, FD, True),
     ],
 )
-def test_a_drive_obeys_a_frame_of_can_fd_whose_identifier_names_it_or_all(identifier, flags, obeyed):
+def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all(identifier, flags, obeyed):
     enabled = P.power_up()._replace(enabled=(True,) * 6)
     memory, messages = P.parse(enabled, Frame(identifier, STOP, flags))
     stopped = [leg for leg in range(6) if not memory.enabled[leg]]
@@ -195,7 +211,7 @@ def test_each_drive_answers_with_its_own_numbers_on_its_own_identifier():
         (DriveState.FAULT, DriveFault.NONE, 1, 33),
     ],
 )
-def test_mode_and_fault_of_an_answer_are_those_of_the_drives_state(state, fault, mode, code):
+def test_mode_and_fault_of_an_answer_follow_from_the_drives_state(state, fault, mode, code):
     six, faults = np.full(6, 1), np.zeros(6, np.int64)
     six[2], faults[2] = state, fault
     for leg, frame in states(state=six, fault=faults):
@@ -209,14 +225,6 @@ def test_mode_and_fault_of_an_answer_are_those_of_the_drives_state(state, fault,
     assert other is not None
     assert (heard.motion, other.motion is None) == (None, False)
     assert heard.torque == pytest.approx(3.0, rel=1e-6)
-
-
-@pytest.mark.parametrize("which", [0, 1, 2])
-def test_what_is_no_number_is_no_feedback(which):
-    given: Any = [np.ones(6), np.ones(6), np.ones(6)]
-    given[which][3] = np.inf
-    with pytest.raises(ProtocolError, match="not a number"):
-        P.answer(P.power_up(), Sync(0), given[0], given[1], given[2], np.ones(6, np.int64))
 
 
 # the controller's end
@@ -249,20 +257,25 @@ def reply(
         ({"torque": inf}, None),
     ],
 )
-def test_a_reply_is_heard_as_what_it_says(given, heard):
+def test_reply_is_heard_with_its_state_fault_and_motion(given, heard):
     values: dict[str, Any] = {"motion": (0.5, 0.25), "feedback": True, "torque": 1.5, "fault": 0}
     expected = Heard(3, broken=True) if heard is None else Heard(3, **values | heard)
     assert P.hear(reply(**given)) == expected
 
 
-@pytest.mark.parametrize("missing", [0, 1, 2, 3, 0xF])
-def test_a_reply_without_one_of_its_registers_cannot_be_trusted(missing):
-    data = b"".join(bytes((0x21, k, 1)) for k in (0, 1, 2, 3, 0xF) if k != missing)
-    assert P.hear(Frame(4 << 8 | 1, pad(data), FD | BRS)) == Heard(3, broken=True)
+def test_reply_that_is_not_whole_or_lacks_a_register_is_broken():
+    short = [
+        bytes.fromhex(each) for each in ("21", "2100", "2f01000000", "ff", "210001", "2c", "2c7f7f", "7f01")
+    ]
+    for missing in (0, 1, 2, 3, 0xF):
+        short.append(pad(b"".join(bytes((0x21, k, 1)) for k in (0, 1, 2, 3, 0xF) if k != missing)))
+    assert [P.hear(Frame(4 << 8 | 1, data, FD | BRS)) for data in short] == [Heard(3, broken=True)] * len(
+        short
+    )
 
 
 @pytest.mark.parametrize("wrong", [EXTENDED, REMOTE, ERROR, BUS])
-def test_a_reply_with_a_flag_that_it_cannot_have_is_nobodys(wrong):
+def test_reply_with_another_flag_is_nobodys(wrong):
     frame = reply()
     assert P.hear(frame._replace(flags=frame.flags | wrong)) is None
     assert P.hear(frame._replace(flags=BRS)) is None
@@ -273,7 +286,7 @@ def test_a_reply_with_a_flag_that_it_cannot_have_is_nobodys(wrong):
     assert there.leg == 5
 
 
-def test_a_command_of_another_is_foreign_of_its_leg_and_of_the_first_where_it_is_to_all():
+def test_command_of_another_controller_is_foreign_of_its_leg():
     for identifier, leg in ((0x0502, 1), (126, 5), (0x007F, 0), (0xFF7F, 0), (0xFF05, 4)):
         flags = FD | EXTENDED * (identifier > 0x7FF)
         assert P.hear(Frame(identifier, STOP, flags)) == Heard(leg, foreign=True)
@@ -285,7 +298,7 @@ def test_a_command_of_another_is_foreign_of_its_leg_and_of_the_first_where_it_is
         assert P.hear(Frame(2, STOP, flags)) is None
 
 
-def test_a_reply_over_eleven_bits_is_extended_from_the_first_such_identifier_on():
+def test_reply_over_eleven_bits_is_extended():
     nodes = (7, 8, 3, 4, 5, 6)
     protocol = MoteusProtocol(nodes, 0, Reaction.DAMP, 2.0, UNLIKE)
     for leg, identifier, right, wrong in ((0, 0x700, FD, FD | EXTENDED), (1, 0x800, FD | EXTENDED, FD)):
@@ -295,7 +308,7 @@ def test_a_reply_over_eleven_bits_is_extended_from_the_first_such_identifier_on(
         assert protocol.hear(reply()._replace(id=identifier, flags=wrong)) is None
 
 
-def test_only_a_drive_that_ran_and_says_that_it_is_off_is_stopped_in_run():
+def test_drive_that_ran_and_reports_off_is_stopped_in_run_and_no_other():
     six: dict[str, Any] = {"power": (1, 1, 3, 0, 4, 1), "ran": (True, False, True, True, True, True)}
     begun = P.start(DriveSetup(0.05, Reaction.DAMP, 250.0))._replace(
         torque=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6), **six
@@ -308,41 +321,7 @@ def test_only_a_drive_that_ran_and_says_that_it_is_off_is_stopped_in_run():
             assert frame == Frame(0x8100 | NODES[leg], data, ALL)
 
 
-def test_a_version_of_the_firmware_is_a_revision_and_a_word_below_zero_its_two_complement():
-    said = P.identity(Frame(4 << 8 | 1, pad(bytes.fromhex("298102") + struct.pack("<i", -2)), FD | BRS))
-    assert said is not None
-    assert tuple(said) == (3, "revision", 0xFFFFFFFE)
-    assert P.identity(reply()) is None
-
-
-@pytest.mark.parametrize(("nodes", "host", "named"), [((0, 2), 5, 0), ((1, 127), 5, 1), ((1, 5), 5, 1)])
-def test_an_identifier_that_a_frame_cannot_carry_or_the_controller_has_is_refused(nodes, host, named):
-    text = rf"drives.node_ids\[{named}\]: .* 1 to 126 but the controller's {host}, given: {nodes[named]}$"
-    with pytest.raises(ConfigurationError, match=text):
-        MoteusProtocol((*nodes, 11, 12, 13, 14), host, Reaction.DAMP, 2.0, UNLIKE)
-
-
-@pytest.mark.parametrize(("host", "taken"), [(-1, False), (0, True), (126, True), (127, False)])
-def test_a_controller_has_an_identifier_of_0_to_126(host, taken):
-    nodes = (1, 2, 3, 4, 5, 6)
-    if taken:
-        assert MoteusProtocol(nodes, host, Reaction.DAMP, 2.0, UNLIKE).traits.feedback_ids == {
-            n << 8 | host for n in nodes
-        }
-        return
-    with pytest.raises(
-        ConfigurationError, match=f"host_id .*allowed: a whole number of 0 to 126, given: {host}"
-    ):
-        MoteusProtocol(nodes, host, Reaction.DAMP, 2.0, UNLIKE)
-
-
-def test_what_a_drive_does_by_itself_is_named_with_the_number_of_its_setting():
-    stops = MoteusProtocol(NODES, 1, Reaction.BRAKE, 2.0, UNLIKE)
-    assert "set it to 0, stopped with moteus_tool" in stops.traits.dangers[1]
-    assert "set it to 12, zero velocity with moteus_tool" in P.traits.dangers[1]
-
-
-def test_a_tick_is_six_torques_with_their_queries_and_six_replies():
+def test_tick_has_six_torques_with_their_queries_and_six_replies():
     commands, replies = P.traits.cyclic_frames[:6], P.traits.cyclic_frames[6:]
     assert commands == tuple(to(leg, torque_command(0.0, 2.0, 1.0)) for leg in range(6))
     assert [(frame.id, len(frame.data)) for frame in replies] == [(n << 8 | 1, 24) for n in NODES]

@@ -1,0 +1,194 @@
+"""CiA 402 frames, byte for byte as the package canopen 2.4.1 makes and reads them (tests/data)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.cia402 import objects as o
+from drivers.cia402.end import plan
+from drivers.cia402.states import STATE_OF, State, controlword
+from drivers.errors import ProtocolError
+from drivers.frame_array import received_array
+from drivers.protocol import Frame, Received
+from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState
+from drivers.tick_columns import new_record
+from hil.contracts.by_value import ByValue
+from hil.contracts.ends import SETUP
+from hil.contracts.messages import Status, Sync
+from tests.drivers.cia402_drives import COUNTS, NODES, PERMILLE_N, SCREW_m, STEP_m, changed, drives, holding
+
+DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
+LEG = 4
+"""Of node 5."""
+P = ByValue(drives(NODES))
+RUNNING = holding(P.protocol, [DriveState.RUN] * 6)
+"""What drives remember that have been set up."""
+
+
+def vectors(what: str) -> list[Any]:
+    found = [v for v in DATA["vectors"] if v["what"].startswith(what)]
+    assert found, what
+    return found
+
+
+def each(what: str) -> Any:
+    return pytest.mark.parametrize("v", vectors(what), ids=lambda v: f"{v['what']} {v['data']}")
+
+
+def frame(v: Any) -> Frame:
+    return Frame(v["id"], bytes.fromhex(v["data"]))
+
+
+def place_of(v: Any) -> tuple[int, int]:
+    return int(v["inputs"]["index"], 16), v["inputs"]["sub"]
+
+
+def decoded(frames, protocol=P):
+    m = new_record()
+    m["tick"] = 0
+    heard = received_array([Received(1, f) for f in frames])
+    protocol.decode(protocol.start(SETUP), heard, new_record(), m, 0)
+    return m
+
+
+def test_set_up_sync_and_heartbeat_have_the_bytes_of_canopen():
+    steps = plan(5, SETUP, P)
+    sent = [Frame(0x605, step.request(5)) for step in steps if step.kind == "write"]
+    for pdo in ("remap RPDO1", "remap TPDO1"):
+        expected = [frame(v) for v in vectors(pdo)]
+        at = sent.index(expected[0])
+        assert sent[at : at + len(expected)] == expected
+    nmt = [Frame(0x000, step.request(5)) for step in steps if step.kind == "nmt"]
+    assert nmt == [frame(vectors(f"NMT to node 5: {s}")[0]) for s in ("PRE-OPERATIONAL", "OPERATIONAL")]
+    assert P.begin(P.start(SETUP), 7) == (frame(vectors("SYNC without counter")[0]),)
+    _, sent = P.command(P.start(SETUP), Command(DriveMode.OFF, np.zeros(LEGS)), 0)
+    assert sent[-1] == Frame(0x700 + 127, frame(vectors("heartbeat OPERATIONAL")[0]).data)
+
+
+@each("SDO request: download")
+def test_download_has_the_bytes_of_canopen(v):
+    size = {"u16": 2, "i16": 2, "i8": 1, "i32": 4}[v["inputs"]["type"]]
+    assert o.download(place_of(v), v["inputs"]["value"], size) == frame(v).data
+
+
+@each("SDO request: upload")
+def test_upload_has_the_bytes_of_canopen(v):
+    assert o.upload(place_of(v)) == frame(v).data
+
+
+@each("SDO reply: upload")
+def test_answer_is_read_as_canopen_reads_it(v):
+    bits = {0x4B: 16, 0x43: 32}[frame(v).data[0]]
+    assert o.read_value(frame(v).data) == (place_of(v), v["decoded"]["value"] % (1 << bits))
+
+
+@each("SDO abort")
+def test_abort_is_written_as_canopen_does_and_its_code_is_known(v):
+    code = int.from_bytes(frame(v).data[4:], "little")
+    assert o.abort(place_of(v), code) == frame(v).data
+    assert code in o.ABORTS
+
+
+@each("statusword decoded")
+def test_statusword_is_the_state_that_canopen_reads(v):
+    name = v["decoded"]["state"].replace("OPERATION ENABLED", "ENABLED").replace(" ", "_")
+    name = name.removesuffix("_ACTIVE")
+    assert STATE_OF[v["inputs"]["statusword"] & 0x7F] == (-1 if name == "UNKNOWN" else State[name])
+
+
+@pytest.mark.parametrize(
+    ("state", "mode", "word"),
+    [
+        ("SWITCH ON DISABLED", DriveMode.READY, "shutdown"),
+        ("READY TO SWITCH ON", DriveMode.READY, "switch_on"),
+        ("OPERATION ENABLED", DriveMode.READY, "switch_on"),
+        ("SWITCHED ON", DriveMode.RUN, "enable_operation"),
+        ("OPERATION ENABLED", DriveMode.RUN, "enable_operation"),
+        ("SWITCH ON DISABLED", DriveMode.RUN, "disable_voltage"),
+        ("OPERATION ENABLED", DriveMode.OFF, "shutdown"),
+        ("SWITCHED ON", DriveMode.OFF, "shutdown"),
+        ("QUICK STOP ACTIVE", DriveMode.OFF, "shutdown"),
+        ("SWITCH ON DISABLED", DriveMode.OFF, "disable_voltage"),
+        ("FAULT", DriveMode.RUN, "disable_voltage"),
+        ("FAULT", DriveMode.RESET, "fault_reset"),
+    ],
+)
+def test_controlword_is_that_of_canopens_table(state, mode, word):
+    known = STATE_OF[int(DATA["tables"]["statusword_masks"][state]["value"], 16)]
+    assert controlword(mode, known, edge=True, stopped=False) == DATA["tables"]["controlwords"][word]
+
+
+@each("TPDO1 statusword")
+def test_tpdo_of_node_5_is_length_force_and_state(v):
+    m, said = decoded([frame(v)], ByValue(drives(NODES, velocity=False))), v["inputs"]
+    assert m["age"].tolist() == [NEVER] * 4 + [0, NEVER]
+    assert m["length"][LEG] == pytest.approx(0.75 + SCREW_m * said["position_counts"] / COUNTS, abs=1e-9)
+    assert m["drive_force"][LEG] == pytest.approx(PERMILLE_N * said["torque_permille"])
+    states = {561: DriveState.OFF, 567: DriveState.RUN, 536: DriveState.FAULT}
+    assert m["drive_state"][LEG] == states[said["statusword"]]
+
+
+def test_emcy_and_boot_up_have_the_bytes_of_canopen():
+    _, booted = P.report(P.power_up(), Status(LEG, DriveState.BOOT, 0))
+    assert booted == (frame(vectors("heartbeat INITIALISING")[0]),)
+    memory = changed(RUNNING, LEG, {o.PRODUCER_HEARTBEAT: 0})
+    lost = Status(LEG, DriveState.FAULT, DriveFault.WATCHDOG)
+    for status, what in ((lost, "EMCY 0x8130"), (Status(LEG, DriveState.OFF, 0), "EMCY error reset")):
+        memory, sent = P.report(memory, status)
+        assert sent == (frame(vectors(what)[0]),)
+
+
+@each("EMCY")
+def test_emcy_is_the_drives_fault(v):
+    assert decoded([frame(v)])["drive_fault"].tolist() == [0] * 4 + [v["inputs"]["error_code"], 0]
+
+
+# every value of a field
+
+
+inside = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6)
+
+
+@given(st.lists(st.integers(-(1 << 31), (1 << 31) - 1), min_size=6, max_size=6), inside, inside)
+def test_length_rate_and_force_come_back_over_the_whole_range(counts, speed, torque):
+    sign, offset = np.array([1, -1, 1, -1, 1, 1]), np.array([0.75] * 5 + [0.5])
+    length = offset + sign * STEP_m * np.array(counts)
+    rate = np.array(speed) * 300.0
+    force = np.array(torque) * 32767 * PERMILLE_N
+    m = decoded(
+        [f for _, f in P.answer(RUNNING, Sync(0), length, rate, force, np.full(6, DriveState.RUN))[1]]
+    )
+    np.testing.assert_allclose(m["length"], length, rtol=0, atol=STEP_m / 2 * 1.001 + 1e-9)
+    np.testing.assert_allclose(m["rate"], rate, rtol=0, atol=STEP_m / 2 * 1.001)
+    np.testing.assert_allclose(m["drive_force"], force, rtol=0, atol=PERMILLE_N / 2 * 1.001)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_reading_saturates_at_the_edge_of_its_field(side):
+    far = np.full(6, side * 1e9)
+    m = decoded([f for _, f in P.answer(RUNNING, Sync(0), far, far, far, np.full(6, DriveState.RUN))[1]])
+    assert abs(m["length"][0] - 0.75) == pytest.approx((1 << 31) * STEP_m, abs=2 * STEP_m)
+    assert abs(m["rate"][0]) == pytest.approx((1 << 31) * STEP_m, abs=2 * STEP_m)
+    assert abs(m["drive_force"][0]) == pytest.approx(32768 * PERMILLE_N, rel=1e-4)
+    assert m["length"][1] > 0 if side > 0 else m["length"][1] < 0
+
+
+@given(st.lists(st.integers(-32767, 32767), min_size=6, max_size=6))
+def test_force_is_thousandths_of_the_rated_torque_with_the_legs_sign(permille):
+    command = Command(DriveMode.RUN, np.array([1, -1, 1, -1, 1, 1]) * PERMILLE_N * np.array(permille))
+    _, frames = P.command(P.start(SETUP)._replace(states=(State.ENABLED,) * 6), command, 1)
+    assert [f.data for f in frames] == [b"\x0f\0" + p.to_bytes(2, "little", signed=True) for p in permille]
+
+
+def test_force_just_beyond_the_field_is_refused():
+    fits = np.array([0, 32767.4 * PERMILLE_N, 0, 0, 0, 0])
+    P.command(P.start(SETUP), Command(DriveMode.RUN, fits), 0)
+    with pytest.raises(ProtocolError, match="0x6071"):
+        P.command(P.start(SETUP), Command(DriveMode.RUN, fits * (1 + 1e-5)), 0)

@@ -1,0 +1,367 @@
+"""MIT framing frame by frame: what emulated drives obey and answer, what replies are heard as, what drives are sent."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ProtocolError
+from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, ZERO
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
+from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
+from hil.contracts.by_value import Remembered
+from hil.contracts.drives_end import command, plain
+from hil.contracts.messages import Answer, Configure, Rejected, Sync
+from tests.drivers.motor_families import MIT_NODES, RANGES, UNLIKE, Heard, mit, pack_command
+
+VARIANTS = {name: mit(name, UNLIKE) for name in ("mini_cheetah", "cubemars", "damiao")}
+DAMIAO = VARIANTS["damiao"]
+SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
+STEP_Nm = 288.0 / 4095
+OFF, RUN, FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
+SYNC, REFUSED = (Sync(0, (3,)),), (Rejected(),)
+TURNS = np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])
+
+every_variant = pytest.mark.parametrize("name", VARIANTS)
+
+
+# what drives obey
+
+
+def told(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
+    memory, found = memory or VARIANTS[name].power_up(), []
+    for frame in frames:
+        memory, messages = VARIANTS[name].parse(memory, frame)
+        found.append(plain(messages))
+    return memory, found
+
+
+def torque(code: int) -> Frame:
+    """Return a torque to leg 3 by its code."""
+    return Frame(4, (0x7FFF7FF0000 << 20 & ~0xFFF | code).to_bytes(8, "big"))
+
+
+@every_variant
+def test_drive_obeys_torques_from_enabling_to_disabling_and_answers_every_frame(name):
+    def force(code: int) -> float:
+        return float((code * STEP_Nm - 144.0) * UNLIKE.N_per_Nm[3])
+
+    enable, disable = Frame(4, ENABLE), Frame(4, DISABLE)
+    frames = torque(3000), enable, torque(3000), enable, torque(1000), disable, torque(1000), enable
+    memory, found = told(name, *frames)
+    delivered = (Configure(3, 1e6, Reaction.BRAKE),)
+    enabled = [
+        (*delivered, command(3, DriveMode.READY, k), command(3, DriveMode.RUN, k + 1), *SYNC) for k in (1, 6)
+    ]
+    assert found == [
+        SYNC,
+        enabled[0],
+        (command(3, DriveMode.RUN, 3, force(3000)), *SYNC),
+        SYNC,
+        (command(3, DriveMode.RUN, 4, force(1000)), *SYNC),
+        (command(3, DriveMode.OFF, 5), *delivered * (name != "damiao"), *SYNC),
+        SYNC,
+        enabled[1],
+    ]
+    assert memory.heard == (0, 0, 0, 7, 0, 0)
+    assert memory.enabled == (False, False, False, True, False, False)
+
+
+@every_variant
+def test_clear_resets_a_damiao_and_a_new_zero_a_cut_and_an_unknown_frame_are_not_obeyed(name):
+    running = VARIANTS[name].power_up()._replace(enabled=(True,) * 6)
+    memory, ((first, *_),) = told(name, Frame(4, CLEAR), memory=running)
+    assert first.mode == (DriveMode.RESET if name == "damiao" else DriveMode.RUN)
+    assert memory.enabled[3] == (name != "damiao")
+    memory, found = told(name, Frame(4, ZERO), Frame(4, ENABLE[:7]), Frame(4, b""))
+    assert found == [REFUSED + SYNC, REFUSED, REFUSED]
+    assert not any(memory.enabled)
+    for flags in (EXTENDED, FD, REMOTE, ERROR, BUS):
+        assert told(name, Frame(4, ENABLE, flags))[1] == [()]
+        assert VARIANTS[name].hear(Frame(4, ENABLE, flags)) is None
+    assert told(name, Frame(6, ENABLE), Frame(0x7FE, ENABLE))[1] == [(), ()]
+
+
+# Damiao's registers
+
+
+READ, WRITE = 0x33, 0x55
+
+
+def request(kind: int, register: int, value: bytes = bytes(4), node: int = 4) -> Frame:
+    return Frame(0x7FF, struct.pack("<HBB", node, kind, register) + value)
+
+
+def reply(kind: int, register: int, value: bytes) -> Answer:
+    return Answer(3, Frame(20, bytes((4, 0, kind, register)) + value))
+
+
+@pytest.mark.parametrize(
+    ("register", "form", "value"),
+    [
+        (9, "I", 0),
+        (10, "I", 0),
+        (14, "I", 1),
+        (15, "I", 4),
+        (21, "f", 95.5),
+        (22, "f", 400.0),
+        (23, "f", 144.0),
+    ],
+)
+def test_new_register_reads_as_delivered_on_the_drives_own_identifier(register, form, value):
+    held = struct.pack(f"<{form}", value)
+    assert told("damiao", request(READ, register))[1] == [(reply(READ, register, held),)]
+
+
+def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
+    ticks, one, other = struct.pack("<I", 1000), struct.pack("<I", 1), struct.pack("<f", 7.5)
+    limit = Configure(3, 0.05, Reaction.BRAKE)
+    memory, found = told(
+        "damiao",
+        request(WRITE, 9, ticks),
+        request(WRITE, 10, one),
+        request(READ, 9),
+        Frame(4, ENABLE),
+        request(WRITE, 9, bytes(4)),
+        request(WRITE, 21, other),
+        request(READ, 21),
+    )
+    assert found == [
+        (limit, reply(WRITE, 9, ticks)),
+        (reply(WRITE, 10, one),),
+        (reply(READ, 9, ticks),),
+        (limit, command(3, DriveMode.READY, 1), command(3, DriveMode.RUN, 2), *SYNC),
+        (reply(WRITE, 9, bytes(4)),),
+        (reply(WRITE, 21, other),),
+        (reply(READ, 21, other),),
+    ]
+    assert memory.registers[3][:3] == [1.0, 0.0, 7.5]
+    assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
+
+
+def test_request_is_for_the_damiao_of_its_two_byte_node_and_an_unknown_one_is_refused():
+    memory = DAMIAO.power_up()
+    for leg, node in enumerate(MIT_NODES):
+        for kind in (READ, WRITE):
+            assert DAMIAO.addressed(request(kind, 10, node=node)) == (leg,)
+            assert DAMIAO.parse(memory, request(kind, 10, node=node))[1]
+            for high in (1, 0x80, 0xFF):
+                other = request(kind, 10, node=high << 8 | node)
+                assert (DAMIAO.addressed(other), DAMIAO.parse(memory, other)) == ((), (memory, ()))
+        assert DAMIAO.addressed(Frame(node, b"")) == (leg,)
+    assert [DAMIAO.addressed(Frame(0x7FF, data)) for data in (b"\4", b"")] == [(), ()]
+    assert VARIANTS["cubemars"].addressed(request(READ, 9)) == ()
+    assert told("damiao", request(0xCC, 0))[1] == [SYNC], "a request for feedback"
+    refused = [request(0xCC, 0, b"\0\0\0"), request(0xCC, 0, node=9), Frame(0x7FF, b""), Frame(0x7FF, b"\4")]
+    # not there; who the drive is, which can only be read
+    refused += [request(READ, 8), request(READ, 0), request(WRITE, 14), request(WRITE, 15), request(0xAA, 9)]
+    refused.append(request(0x34, 9))
+    assert told("damiao", *refused)[1] == [REFUSED] * len(refused)
+    assert told("damiao", request(READ, 9, node=9), request(WRITE, 9, node=9))[1] == [(), ()]
+
+
+# what drives send
+
+
+def sent(name: str, **changes: Any) -> list[tuple[int, Frame]]:
+    """Return what all drives answer, each with numbers of its own, from inside their ranges."""
+    given: dict[str, Any] = {"state": np.full(6, int(OFF)), "fault": None, "legs": tuple(range(6))} | changes
+    rate = UNLIKE.rate(TURNS / 4)
+    reading = UNLIKE.length(TURNS), rate, UNLIKE.force(TURNS * 2, rate), given["state"], given["fault"]
+    return VARIANTS[name].answer(VARIANTS[name].power_up(), Sync(0, given["legs"]), *reading)[1]
+
+
+@every_variant
+def test_each_drive_answers_with_its_own_numbers(name):
+    found = sent(name, legs=(5, 0, 2))
+    assert [leg for leg, _ in found] == [5, 0, 2]
+    tau = 2 * np.pi
+    for leg, frame in found:
+        heard = VARIANTS[name].hear(frame)
+        assert heard is not None
+        assert heard.leg == leg
+        assert heard.motion is not None
+        assert heard.motion[0] == pytest.approx(TURNS[leg], abs=191.0 / 65535 / tau)
+        assert heard.motion[1] == pytest.approx(TURNS[leg] / 4, abs=800.0 / 4095 / tau)
+        assert heard.torque == pytest.approx(TURNS[leg] * 2, abs=STEP_Nm)
+        assert frame.id == (MIT_NODES[leg] + 16 if name == "damiao" else 0)
+        assert len(frame.data) == (7 if name == "mini_cheetah" else 8)
+        assert name == "damiao" or frame.data[0] == MIT_NODES[leg]
+
+
+@pytest.mark.parametrize(
+    ("fault", "cubemars", "damiao"),
+    [
+        (DriveFault.NONE, 0, 0),
+        (DriveFault.WATCHDOG, 0, 13),
+        (DriveFault.ESTOP, 0, 0),
+        (DriveFault.OVERFORCE, 2, 10),
+        (DriveFault.SENSOR, 5, 8),
+        (DriveFault.STROKE, 0, 14),
+    ],
+)
+def test_state_and_fault_are_where_each_variant_has_them(fault, cubemars, damiao):
+    faults = np.array([0, 0, fault, 0, 0, 0])
+    for state in DriveState:
+        states = np.array([1, 1, state, 1, 1, 1])
+        frames = {name: sent(name, state=states, fault=faults)[2][1] for name in VARIANTS}
+        assert frames["cubemars"].data[6:] == bytes((30, cubemars if state == FAULT else 0))
+        assert frames["mini_cheetah"].data[6:] == b"\x99"
+        status = damiao if state == FAULT else int(state == RUN)
+        assert frames["damiao"].data[0] == status << 4 | 3
+        assert frames["damiao"].data[6:] == bytes((30, 30))
+
+
+def test_drive_with_a_lost_encoder_still_sends_speed_torque_and_state():
+    lost, there = (
+        sent("damiao", state=np.array([1, 1, 3 | bit, 1, 1, 1]))[2][1].data for bit in (INVALID, 0)
+    )
+    assert lost[1:3] == b"\0\0"
+    assert lost[3:] == there[3:]
+    assert lost[0] == there[0] == 0x13
+
+
+# what replies are heard as
+
+
+REST = bytes((0x80, 0, 0x80, 8, 0, 30, 30))
+
+
+@pytest.mark.parametrize("status", range(16))
+def test_status_of_a_damiao_is_its_state_or_its_fault_or_broken(status):
+    heard = DAMIAO.hear(Frame(19, bytes((status << 4 | 3,)) + REST))
+    if status in (2, 3, 4, 5, 6, 7, 15):
+        assert heard == Heard(2, broken=True)
+        return
+    known = {0: (OFF, 0), 1: (RUN, 0), 13: (FAULT, DriveFault.WATCHDOG)}
+    power, fault = known.get(status, (FAULT, 0x100 + status))
+    assert heard is not None
+    assert (heard.leg, heard.power, heard.fault, heard.feedback) == (2, power, fault, True)
+
+
+@pytest.mark.parametrize(("code", "words"), [(1, "motor over temperature"), (6, "phase current unbalance")])
+def test_reply_of_a_cubemars_with_a_code_is_of_a_drive_in_fault(code, words):
+    protocol = VARIANTS["cubemars"]
+    good, bad = (protocol.hear(Frame(0, b"\3" + REST[:6] + bytes((each,)))) for each in (0, code))
+    assert good is not None
+    assert bad is not None
+    assert (good.power, bad.leg, bad.power, protocol.fault_text(bad.fault)) == (None, 2, FAULT, words)
+
+
+@pytest.mark.parametrize(("name", "sizes"), [("mini_cheetah", (6, 7)), ("cubemars", (8,)), ("damiao", (8,))])
+def test_reply_of_another_length_or_node_is_broken(name, sizes):
+    protocol, identifier = VARIANTS[name], 19 if name == "damiao" else 0
+    for size in range(9):
+        heard = protocol.hear(Frame(identifier, bytes((3, 0x80, 0, 0x80, 8, 0, 0, 0))[:size]))
+        assert heard is not None
+        assert heard.broken == (size not in sizes), size
+        assert (heard.power, heard.fault) == (None if name != "damiao" or heard.broken else OFF, 0)
+        assert heard.leg == (0 if name != "damiao" and heard.broken else 2)
+    other = protocol.hear(Frame(identifier, bytes((6, *bytes(sizes[-1] - 1)))))
+    assert other == Heard(2 if name == "damiao" else 0, broken=True)
+    assert protocol.hear(Frame(16, bytes(8))) is None
+
+
+@pytest.mark.parametrize("code", [0, 1, 0x8000, 0xFFFE, 0xFFFF])
+@every_variant
+def test_end_of_the_position_is_no_reading_where_replies_saturate(name, code):
+    tail = {"mini_cheetah": b"", "cubemars": bytes((30, 0)), "damiao": bytes((30, 30))}[name]
+    first, identifier = (0x13, 19) if name == "damiao" else (3, 0)
+    data = bytes((first, code >> 8, code & 0xFF, 0x80, 0x08, 0)) + tail
+    heard = VARIANTS[name].hear(Frame(identifier, data))
+    assert heard is not None
+    assert (heard.leg, heard.broken, heard.feedback) == (2, False, True)
+    assert (heard.motion is None) == (name != "mini_cheetah" and code in (0, 0xFFFF))
+
+
+def test_register_of_a_damiao_is_an_answer_and_its_identity_is_not():
+    def heard(data: bytes) -> Heard | None:
+        return DAMIAO.hear(Frame(MIT_NODES[3] + 16, data))
+
+    assert heard(b"\4\0\x33\x15" + struct.pack("<f", 95.5)) == Heard(3, answer=(21, 95.5))
+    assert heard(b"\4\0\x55\x09" + struct.pack("<I", 1000)) == Heard(3, answer=(9, 1000.0))
+    for register in (14, 15, 8):
+        assert heard(bytes((4, 0, 0x33, register, 1, 0, 0, 0))) == Heard(3)
+    for data in (b"\4\1\x33\x15", b"\4\0\x34\x15"):
+        found = heard(data + bytes(4))
+        assert found is not None
+        assert found.feedback
+    assert heard(b"\3\0\x33\x15" + bytes(4)) == Heard(3, broken=True)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_identity_of_a_damiao_is_in_its_own_two_registers(leg):
+    node = MIT_NODES[leg]
+    for register, what in ((15, "serial number"), (14, "revision")):
+        data = bytes((node, 0, 0x33, register, 1, 2, 3, 4))
+        frame = Frame(node + 16, data)
+        said = DAMIAO.identity(frame)
+        assert said is not None
+        assert tuple(said) == (leg, what, 0x04030201)
+        strange = [frame._replace(flags=FD), frame._replace(id=node + 15), frame._replace(data=data[:7])]
+        strange += [frame._replace(data=bytes((*data[:k], data[k] + 1, *data[k + 1 :]))) for k in range(3)]
+        strange.append(frame._replace(data=bytes((node, 0, 0x33, 9, 1, 2, 3, 4))))
+        assert [DAMIAO.identity(each) for each in strange] == [None] * 7
+    requests = tuple(tuple(request(READ, register, node=n) for n in MIT_NODES) for register in (15, 14))
+    assert DAMIAO.traits.identity_requests == requests
+    assert VARIANTS["cubemars"].traits.identity_requests == ()
+    assert VARIANTS["cubemars"].identity(Frame(0, data)) is None
+
+
+# what drives are sent
+
+
+@every_variant
+def test_each_drive_is_sent_what_its_own_state_and_history_ask_for(name):
+    protocol = VARIANTS[name]
+    six: dict[str, Any] = {"power": (1, 3, 4, 1, 0, 4), "ran": (False, False, False, True, False, True)}
+    begun = protocol.start(SETUP)._replace(torque=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), **six)
+    for mode in DriveMode:
+        expected = [DISABLE] * 6
+        if mode == DriveMode.RUN:
+            torques = [pack_command(0, 0, 0, 0, float(k + 1), RANGES) for k in range(6)]
+            expected = [ENABLE, torques[1], ENABLE, torques[3], ENABLE, torques[5]]
+        if mode == DriveMode.RESET and name == "damiao":
+            expected[2] = expected[5] = CLEAR
+        assert protocol.begin(begun._replace(mode=int(mode)), 0) == tuple(map(Frame, MIT_NODES, expected))
+    polls = protocol.traits.cyclic_frames[:6]
+    assert polls == tuple(Frame(node, pack_command(0.0, 0.0, 0.0, 0.0, -144.0, RANGES)) for node in MIT_NODES)
+    assert protocol.traits.emergency_stop == tuple(Frame(node, DISABLE) for node in MIT_NODES)
+
+
+def test_damiao_is_set_up_with_its_mode_its_limit_and_its_three_ranges():
+    (exchanges, *_, last) = DAMIAO.exchanges(SETUP)
+    assert [(each.register, each.value) for each in exchanges] == [
+        (10, 1),
+        (9, 1000),
+        (21, 95.5),
+        (22, 400),
+        (23, 144),
+    ]
+    assert [each.frames for each in last] == [
+        (Frame(0x7FF, bytes.fromhex("0f00550a01000000")),),
+        (Frame(0x7FF, bytes.fromhex("0f005509e8030000")),),
+        *((request(READ, register, node=15),) for register in (21, 22, 23)),
+    ]
+    assert VARIANTS["cubemars"].exchanges(SETUP) == ((),) * 6
+    for watchdog_s, ticks in ((0.000026, 1), (0.01, 200)):
+        assert DAMIAO.exchanges(SETUP._replace(watchdog_s=watchdog_s))[0][1].value == ticks
+    with pytest.raises(ProtocolError, match="watchdog of 2"):
+        DAMIAO.exchanges(SETUP._replace(watchdog_s=0.000024))
+
+
+def test_torque_is_truncated_to_its_twelve_bits_and_a_step_is_the_resolution():
+    given = np.array([10.0, -20.0, 30.0, 0.0, 143.0, -144.0])
+    expected = np.floor((given + 144.0) / STEP_Nm) * STEP_Nm - 144.0
+    tau, per_turn = 2 * np.pi, np.abs(UNLIKE.m_per_turn)
+    for protocol in VARIANTS.values():
+        np.testing.assert_allclose(protocol.coded(given), expected, rtol=0, atol=1e-9)
+        assert protocol.torque_limit == pytest.approx(0xFFB * STEP_Nm - 144.0, rel=1e-12)
+        length, rate, force, differences = protocol.traits.resolution.at(250.0)
+        np.testing.assert_allclose(length, 191.0 / 65535 / tau * per_turn, rtol=1e-12)
+        np.testing.assert_allclose(rate, 800.0 / 4095 / tau * per_turn, rtol=1e-12)
+        np.testing.assert_allclose(force, STEP_Nm * np.abs(UNLIKE.N_per_Nm), rtol=1e-12)
+        assert differences is False

@@ -1,0 +1,239 @@
+"""Motor drives of every family: no length of a lost encoder, other controllers, and answers that come late."""
+
+from __future__ import annotations
+
+import struct
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import ProtocolError
+from drivers.frame_array import received_array
+from drivers.moteus import STOP
+from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
+from drivers.signals import INVALID, LEGS, DriveState
+from hil.contracts.drives_end import answers
+from hil.contracts.ends import PERIOD_NS, Ends, at_tick
+from hil.contracts.messages import Sync
+from tests.drivers.motor_families import (
+    GEAR,
+    MIT_NODES,
+    MOTEUS_NODES,
+    MOTORS,
+    ODRIVE_NODES,
+    ROBSTRIDE_NODES,
+    mit,
+    robstride,
+)
+
+TELL = [name for name in MOTORS if name != "mini_cheetah"]
+"""Their replies say that there is no position; those of mini-cheetah wrap."""
+ZEROS = np.zeros(LEGS)
+
+
+def sent(name: str, length: float, lost: int = -1, state: DriveState = DriveState.OFF) -> list[Frame]:
+    """Return what six drives answer whose legs stand at a length, one of them without its encoder."""
+    states = np.full(LEGS, int(state))
+    states[lost] |= INVALID if lost >= 0 else 0
+    found = answers(MOTORS[name], Sync(0), np.full(LEGS, length), ZEROS, ZEROS, states)
+    assert [leg for leg, _ in found] == list(range(LEGS))
+    return [frame for _, frame in found]
+
+
+# no reading
+
+
+@pytest.mark.parametrize("state", DriveState)
+@pytest.mark.parametrize("name", MOTORS)
+def test_no_length_is_read_of_a_lost_encoder_in_any_state_and_of_the_others_theirs(name, state):
+    for lost in range(LEGS):
+        frames = sent(name, 1.6, lost, state)
+        if name == "mini_cheetah":
+            assert [leg for leg, frame in enumerate(frames) if frame.data[1:3] == b"\0\0"] == [lost], (
+                "its end"
+            )
+            continue
+        heard = [MOTORS[name].hear(frame) for frame in frames]
+        assert [each.leg for each in heard] == list(range(LEGS))
+        assert [each.leg for each in heard if each.motion is None] == [lost]
+        assert all(each.feedback and not each.broken for each in heard)
+
+
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+@pytest.mark.parametrize("name", ["cubemars", "damiao", "robstride"])
+def test_position_past_either_end_of_its_range_is_no_length(name, end):
+    past, inside = (1.75 + end * 0.1 * turns / (2 * np.pi) for turns in (96.0, 95.0))
+    assert [MOTORS[name].hear(frame).motion for frame in sent(name, past)] == [None] * LEGS
+    assert all(MOTORS[name].hear(frame).motion is not None for frame in sent(name, inside))
+
+
+@pytest.mark.parametrize("place", [0.5, nan, inf, -inf])
+@pytest.mark.parametrize("speed", [0.25, nan, inf, -inf])
+def test_estimate_of_an_axis_is_motion_only_if_both_of_its_numbers_are(place, speed):
+    for leg, node in enumerate(ODRIVE_NODES):
+        heard = MOTORS["odrive"].hear(Frame(node << 5 | 0x09, struct.pack("<ff", place, speed)))
+        assert (heard.leg, heard.feedback) == (leg, True)
+        assert heard.motion == ((0.5, 0.25) if (place, speed) == (0.5, 0.25) else None)
+
+
+@pytest.mark.parametrize("name", MOTORS)
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_drive_never_sends_what_is_not_a_number(name, which):
+    given = [np.ones(6) for _ in range(3)]
+    given[which][3] = nan
+    with pytest.raises(ProtocolError, match="not a number"):
+        answers(MOTORS[name], Sync(0), *given, np.ones(6, np.int64))
+    assert len(answers(MOTORS[name], Sync(0, (0, 1, 2, 4, 5)), *given, np.ones(6, np.int64))) == 5
+
+
+# other controllers
+
+
+COMMANDS: dict[str, Any] = {
+    **{name: (MIT_NODES, [lambda n: Frame(n, bytes(8))]) for name in ("mini_cheetah", "cubemars")},
+    "damiao": (MIT_NODES, [lambda n: Frame(n, bytes(8))]),
+    "robstride": (
+        ROBSTRIDE_NODES,
+        [
+            lambda n, kind=kind, host=host: Frame(
+                kind << 24 | host << 8 | n, struct.pack("<HxxI", 0x7005, 0), EXTENDED
+            )
+            for kind in (1, 3, 4, 17, 18)
+            for host in (253, 0xAA)
+        ],
+    ),
+    "odrive": (
+        ODRIVE_NODES,
+        [
+            # a node number of 0xFF: a setting of the address, no answer with it
+            lambda n, kind=kind: Frame(n << 5 | kind, b"\xff" + bytes(7))
+            for kind in (
+                2,
+                4,
+                6,
+                7,
+                0xB,
+                0xC,
+                0xD,
+                0xE,
+                0xF,
+                0x11,
+                0x12,
+                0x13,
+                0x16,
+                0x18,
+                0x19,
+                0x1A,
+                0x1B,
+                0x1F,
+            )
+        ],
+    ),
+    "moteus": (
+        MOTEUS_NODES,
+        [
+            lambda n, host=host: Frame(host << 8 | n, STOP, FD | BRS | EXTENDED * (host > 7))
+            for host in (0, 0x80, 0x85, 5)
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_command_of_another_controller_is_foreign_whatever_it_sets(name):
+    nodes, commands = COMMANDS[name]
+    for command in commands:
+        for leg, node in enumerate(nodes):
+            heard = MOTORS[name].hear(command(node))
+            assert heard is not None, command(node)
+            assert (heard.leg, heard.foreign) == (leg, True), command(node)
+
+
+def test_register_request_to_any_damiao_is_foreign_and_nobodys_with_other_variants():
+    for node in MIT_NODES:
+        for request in (0x33, 0x55, 0xCC, 0xAA):
+            frame = Frame(0x7FF, bytes((node, 0, request, 9, 1, 0, 0, 0)))
+            assert MOTORS["damiao"].hear(frame).foreign
+            assert MOTORS["cubemars"].hear(frame) is MOTORS["mini_cheetah"].hear(frame) is None
+
+
+def test_what_an_axis_sends_itself_is_not_foreign():
+    for kind in (0x01, 0x03, 0x05, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D):
+        for node in ODRIVE_NODES:
+            heard = MOTORS["odrive"].hear(Frame(node << 5 | kind, bytes(8)))
+            assert heard is None or not heard.foreign
+
+
+@pytest.mark.parametrize("prefix", [1, 2, 0x7FF, 0x1FFF])
+def test_moteus_frame_with_a_prefix_is_of_another_group_of_drives(prefix):
+    for node in (*MOTEUS_NODES, 0x7F):
+        for identifier in (node, 0x8000 | node, 0x8500 | node):
+            frame = Frame(prefix << 16 | identifier, STOP, EXTENDED | FD | BRS)
+            assert MOTORS["moteus"].hear(frame) is None
+
+
+# answers without a counter that come later than their tick
+
+
+LEG = 2
+
+
+class Late:
+    """A controller that hears, a tick, as many answers of one leg as it is told, each of another length."""
+
+    def __init__(self, name: str) -> None:
+        self.ends = Ends(robstride() if name == "robstride" else mit(name, GEAR))
+        self.ends.until_set_up()
+        self.ends.step()
+        awaited = self.ends.protocol.awaited
+        self.others = [each for each in self.ends.received if awaited(each.frame) not in {-1, LEG}]
+        self.answer = next(each for each in self.ends.received if awaited(each.frame) == LEG)
+        self.last, self.dialogue, self.said = self.ends.measurement, self.ends.dialogue, 0
+
+    def hears(self, count: int) -> Any:
+        """Return the next tick's measurement."""
+        m = at_tick(int(self.last["tick"]) + 1)
+        begun = int(m["tick"]) * PERIOD_NS
+        frames = [Received(begun + 1, each.frame) for each in (*self.others, *self.answers(count))]
+        self.dialogue = self.ends.protocol.decode(self.dialogue, received_array(frames), self.last, m, begun)
+        self.last = m
+        return m
+
+    def answers(self, count: int) -> list[Received]:
+        """Return answers of the leg that differ from each other and from all before."""
+        found = []
+        for _ in range(count):
+            self.said += 1
+            data = self.answer.frame.data
+            changed = data[0], data[1] ^ self.said, *data[2:]
+            found.append(self.answer._replace(frame=self.answer.frame._replace(data=bytes(changed))))
+        return found
+
+
+@pytest.mark.parametrize("name", ["damiao", "robstride"])
+@pytest.mark.parametrize(
+    ("counts", "doubled"),
+    [
+        ((0, 1, 2), ()),
+        ((0, 1, 1, 1, 1, 1, 2), ()),
+        ((0, 0, 0, 4, 1), ()),
+        ((0, 0, 0, 5), (3,)),
+        ((2,), (0,)),
+        ((0, 0, 0, 2, 2, 2, 2, 2), (6, 7)),
+    ],
+)
+def test_node_is_doubled_once_it_sent_more_answers_than_it_owed(name, counts, doubled):
+    late = Late(name)
+    heard = [late.hears(count)["doubled"] for count in counts]
+    assert heard == [1 << LEG if n in doubled else 0 for n in range(len(counts))]
+
+
+@pytest.mark.parametrize("name", ["damiao", "robstride"])
+def test_newest_of_owed_answers_counts(name):
+    late, newest = Late(name), Late(name)
+    last = [late.hears(count) for count in (0, 1, 2)][-1]
+    newest.said = late.said - 1
+    assert last["length"][LEG] == newest.hears(1)["length"][LEG]
+    assert last["age"].tolist() == [0] * LEGS

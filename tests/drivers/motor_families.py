@@ -11,13 +11,13 @@ from drivers import motor_kernels as kernels
 from drivers.compiled.pointed import data_at
 from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
 from drivers.controller_end import ControllerEnd
-from drivers.frame_array import FRAME, sent_frames
+from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.frame_pointers import code, value
 from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
-from drivers.protocol import ALL_LEGS, DriveSetup, Frame
+from drivers.protocol import ALL_LEGS, ALWAYS, DriveSetup, Frame, Received
 from drivers.registry import loaded
-from drivers.signals import LEGS, Reaction
+from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue, Remembered
@@ -120,8 +120,8 @@ class Motors(ByValue):
     def _memory(self, end: DrivesEnd) -> Remembered:
         return MotorMemory(memory_of(end))
 
-    def hear(self, frame: Frame) -> Heard | None:
-        """Return what a drive's frame says; None for a frame that is nobody's."""
+    def hear(self, frame: Frame) -> Any:
+        """Return what a drive's frame says as `Heard`; None for a frame that is nobody's."""
         heard = self.protocol._heard(frame)
         if heard is None:
             return None
@@ -211,9 +211,6 @@ def _mini_cheetahs(r: Ranges) -> MitProtocol:
 def read_reply(data: bytes, r: Ranges) -> tuple[float, float, float]:
     """Return rad, rad/s and N m that the controller reads in five bytes of a reply."""
     heard = _mini_cheetahs(r).hear(Frame(0, b"\1" + data))
-    assert heard is not None
-    assert heard.motion is not None
-    assert heard.torque is not None
     return heard.motion[0] * TURN, heard.motion[1] * TURN, heard.torque
 
 
@@ -273,9 +270,41 @@ def moteus(gear: Any = GEAR, most_Nm: float = 1000.0) -> MoteusProtocol:
     return MoteusProtocol(MOTEUS_NODES, 0, Reaction.DAMP, most_Nm, gear)
 
 
-MOTORS: dict[str, Any] = {name: mit(name) for name in ("mini_cheetah", "cubemars", "damiao")} | {
-    "robstride": robstride(),
-    "odrive": odrive(),
-    "moteus": moteus(),
-}
-"""Each family of single-motor drives."""
+def motors(gear: Any) -> dict[str, Any]:
+    """Return each family of single-motor drives behind a gear."""
+    found: dict[str, Any] = {name: mit(name, gear) for name in ("mini_cheetah", "cubemars", "damiao")}
+    return found | {"robstride": robstride(gear), "odrive": odrive(gear), "moteus": moteus(gear)}
+
+
+MOTORS = motors(GEAR)
+
+
+SINCE_NS = 1_000
+LATE = SINCE_NS - 1
+
+
+def begun(protocol: Motors, **fields: Any) -> Remembered:
+    """Return the dialogue of drives that are set up and disabled, with other fields."""
+    start = protocol.start(DriveSetup(0.05, protocol.traits.reactions[0], 250.0))
+    set_up = tuple(1 + n for n in start.exchanges)
+    return start._replace(**{"done": set_up, "power": (int(DriveState.OFF),) * LEGS} | fields)
+
+
+def measured(
+    protocol: Motors,
+    *frames: Frame | tuple[int, Frame],
+    last: Record | None = None,
+    number: int = 13,
+    **fields: Any,
+) -> tuple[Any, Remembered]:
+    """Return a tick and the dialogue after these frames; one with a time came then, the others in time."""
+    timed: list[Any] = [each if type(each) is tuple else (SINCE_NS, each) for each in frames]
+    tick = new_record()
+    tick["tick"] = number
+    for name in ("blind", "rejected", "doubled", "foreign"):
+        tick[name] = 9
+    run = received_array([Received(*each) for each in timed])
+    since_ns = SINCE_NS if frames else ALWAYS
+    return tick, protocol.decode(
+        begun(protocol, **fields), run, last_tick() if last is None else last, tick, since_ns
+    )

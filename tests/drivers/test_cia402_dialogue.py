@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402 import objects as o
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
 from hil.contracts.by_value import ByValue
 from hil.contracts.ends import FORCE, OFF, PERIOD_NS, SETUP, Ends
-from plant_fmu.drives import cia402_dictionary as dictionary
-from plant_fmu.faults.kinds import DriveReset, DriveSilence
+from plant_fmu.faults.kinds import DriveReset
 from tests.drivers.cia402_drives import drives
 
 RUN = Command(DriveMode.RUN, FORCE)
@@ -34,14 +32,6 @@ def alone(ends: Ends, frames: Any, ticks: int) -> list[Frame]:
         t = ends.tick * PERIOD_NS
         sent += [frame for _, frame in ends.nodes.step(t, [Received(t, f) for f in frames])]
     return sent
-
-
-def lacks(ends: Ends) -> set[str]:
-    """Return what the drives lack after a while."""
-    for _ in range(200):
-        ends.step()
-    assert not any(ends.protocol.legs_set_up(ends.dialogue))
-    return set(ends.protocol.set_up_lacks(ends.dialogue))
 
 
 def test_drive_that_resets_in_motion_is_in_boot_at_once_and_the_others_run_on():
@@ -88,65 +78,11 @@ def test_another_rated_torque_is_reported_and_no_drive_is_set_up():
     ends = Ends(drives())
     ends.protocol = ByValue(drives(rated_Nm=10.0))
     ends.dialogue = ends.protocol.start(SETUP)
-    assert lacks(ends) == {"0x6076:0 motor rated torque is 9000, expected 10000"}
-
-
-@pytest.mark.parametrize(
-    ("key", "code"),
-    [
-        (o.FAULT_REACTION, o.NO_OBJECT),
-        (o.MODE, o.BAD_VALUE),
-        ((0x1A00, 2), o.CANNOT_MAP),
-        (o.COMMUNICATION_ERROR, o.BAD_VALUE),  # optional, but there
-    ],
-)
-def test_refused_write_is_reported_with_object_and_code(monkeypatch, key, code):
-    honest = dictionary.refused
-    monkeypatch.setattr(
-        "plant_fmu.drives.cia402_dictionary.refused",
-        lambda values, k, v, n: code if k == key else honest(values, k, v, n),
-    )
-    (lack,) = lacks(Ends(drives()))
-    assert lack.startswith(f"0x{key[0]:04X}:{key[1]}")
-    assert f"write refused with abort 0x{code:08X}" in lack
-
-
-def test_drive_may_lack_what_is_optional(monkeypatch):
-    honest = dictionary.missing
-    optional = {0x1029, 0x60C2, 0x1802, 0x1803, 0x6502, 0x608F}
-    monkeypatch.setattr(
-        "plant_fmu.drives.cia402_dictionary.missing",
-        lambda key: o.NO_OBJECT if key[0] in optional else honest(key),
-    )
-    Ends(drives()).until_set_up()
-
-
-def test_value_that_a_drive_does_not_keep_is_found_when_read_back(monkeypatch):
-    honest = dictionary.signed
-    monkeypatch.setattr(
-        "plant_fmu.drives.cia402_dictionary.signed",
-        lambda key, value: 40 if key == o.PRODUCER_HEARTBEAT else honest(key, value),
-    )
-    assert lacks(Ends(drives())) == {"0x1017:0 producer heartbeat time is 40, expected 24"}
-
-
-def test_silent_drive_is_asked_no_more_often_than_its_patience_allows():
-    ends = Ends(drives(), DriveSilence(leg=3))
-    asked = []
     for _ in range(150):
-        asked += [ends.tick for frame in ends.step() if frame.id == 0x604]
-    assert min(np.diff(asked)) >= 12
-    assert "no answer to" in ends.protocol.set_up_lacks(ends.dialogue)[3]
-
-
-def test_drive_that_leaves_operational_is_set_up_again():
-    ends = Ends(drives())
-    ends.until_set_up()
-    ends.step(first=[Frame(0x000, b"\x80\x03")])
-    for _ in range(8):
-        ends.step(set_up=False)
-    assert not ends.protocol.legs_set_up(ends.dialogue)[2]
-    ends.until_set_up()
+        ends.step()
+    lacks = ends.protocol.set_up_lacks(ends.dialogue)
+    assert lacks == ("0x6076:0 motor rated torque is 9000, expected 10000",) * LEGS
+    assert not any(ends.protocol.legs_set_up(ends.dialogue))
 
 
 @pytest.mark.parametrize("runs", [True, False])

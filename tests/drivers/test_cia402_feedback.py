@@ -205,15 +205,12 @@ def test_emcy_is_the_fault_of_its_drive_low_byte_first_or_that_it_is_over(leg):
 
 @pytest.mark.parametrize("leg", range(6))
 def test_drive_that_boots_loses_its_fault_its_answer_and_its_set_up(leg):
-    before = last_tick()
+    before, mine = last_tick(), [each == leg for each in range(6)]
     before["drive_fault"] = 0x7305
-    tick, dialogue = told(
-        place(leg), speed(leg), Frame(0x701 + leg, b"\0"), last=before, tries=(4,) * 6, asked=(3,) * 6
-    )
-    mine = [each == leg for each in range(6)]
-    assert [s == BOOT for s in tick["drive_state"]] == [
-        m or s == BOOT for m, s in zip(mine, before["drive_state"], strict=True)
-    ]
+    booted = place(leg), speed(leg), Frame(0x701 + leg, b"\0")
+    tick, dialogue = told(*booted, last=before, tries=(4,) * 6, asked=(3,) * 6)
+    states = [BOOT if m else state for m, state in zip(mine, before["drive_state"].tolist(), strict=True)]
+    assert tick["drive_state"].tolist() == states
     assert tick["age"].tolist() == [1] * 6
     assert tick["drive_fault"].tolist() == [0 if m else 0x7305 for m in mine]
     assert dialogue.states == tuple(UNHEARD if m else State.ENABLED for m in mine)
@@ -234,26 +231,26 @@ def test_drive_that_leaves_operational_is_set_up_again_and_keeps_its_fault(nmt, 
 
 @pytest.mark.parametrize("leg", range(6))
 def test_drive_that_stopped_quickly_is_in_fault_until_it_is_switched_on(leg):
-    for state, before in ((State.QUICK_STOP, State.DISABLED), (State.DISABLED, State.ENABLED)):
-        others = int(State.ENABLED if before is State.DISABLED else State.SWITCHED_ON)
-        states = tuple(int(before) if each == leg else others for each in range(6))
-        tick, dialogue = told(place(leg, state=state), states=states)
+    def of_leg(own: State, others: State) -> tuple[int, ...]:
+        return tuple(int(own if each == leg else others) for each in range(6))
+
+    for state, before, others in (
+        (State.QUICK_STOP, State.DISABLED, State.ENABLED),
+        (State.DISABLED, State.ENABLED, State.SWITCHED_ON),
+    ):
+        tick, dialogue = told(place(leg, state=state), states=of_leg(before, others))
         assert dialogue.stopped == 1 << leg
         assert (tick["drive_state"][leg], tick["drive_fault"][leg]) == (FAULT, [2, 1, 2, 3, 4, 5][leg])
-    states = tuple(int(State.SWITCHED_ON if each == leg else State.ENABLED) for each in range(6))
-    tick, dialogue = told(place(leg, state=State.DISABLED), states=states)
+    tick, dialogue = told(place(leg, state=State.DISABLED), states=of_leg(State.SWITCHED_ON, State.ENABLED))
     assert (dialogue.stopped, tick["drive_state"][leg]) == (0, OFF)
-    halted, running = (
-        told(states=(int(state),) * 6, stopped=1 << leg)[0]
-        for state in (State.READY_TO_SWITCH_ON, State.ENABLED)
-    )
-    assert halted["drive_state"][leg] == FAULT
-    assert running["drive_state"].tolist() == last_tick()["drive_state"].tolist()
     mine = last_tick()
     mine["drive_fault"] = DriveFault.ESTOP
-    assert told(last=mine, stopped=1 << leg)[0]["drive_fault"].tolist() == [
-        2 if each == leg else 0 for each in range(6)
-    ]
+    for state in (State.READY_TO_SWITCH_ON, State.ENABLED):
+        tick, _ = told(last=mine, states=(int(state),) * 6, stopped=1 << leg)
+        halted = state is State.READY_TO_SWITCH_ON
+        assert tick["drive_state"][leg] == (FAULT if halted else mine["drive_state"][leg])
+    tick, _ = told(last=mine, stopped=1 << leg)
+    assert tick["drive_fault"].tolist() == [2 if each == leg else 0 for each in range(6)]
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -133,7 +133,6 @@ def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
 def test_damiao_feedback_is_read_with_its_status(v):
     protocol, said = damiao(v["inputs"]["motor"]), v["decoded"]
     heard, code = protocol.hear(frame(v)), v["decoded"]["status_code"]
-    assert heard is not None
     assert heard.leg == 4
     assert heard.power == {0: DriveState.OFF, 1: DriveState.RUN}.get(code, DriveState.FAULT)
     assert heard.torque == pytest.approx(said["torque_Nm"], rel=3e-5)
@@ -176,7 +175,6 @@ def test_robstride_special_frames_are_those_of_its_libraries():
     ):
         assert [sent] == [frame(v) for v in vectors("robstride", what)]
     heard = protocol.hear(frame(vectors("robstride", "type 17 reply run_mode")[0]))
-    assert heard is not None
     assert heard.answer == (0x7005, 2.0)
 
 
@@ -185,7 +183,6 @@ def test_robstride_feedback_is_read_as_by_the_library_with_the_makers_scale(v):
     heard = robstride().hear(frame(v))
     said = v["others"]["RS"] if "others" in v else v["decoded"]
     faults, mode = v["inputs"]["fault_bits"], v["inputs"]["mode_bits"]
-    assert heard is not None
     assert heard.leg == 0
     assert heard.power == (DriveState.FAULT if faults else DriveState.RUN if mode == 2 else DriveState.OFF)
     assert heard.fault == (0x100 + faults if faults else 0)

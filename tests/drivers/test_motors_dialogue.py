@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.motor_kernels import ENABLE
 from drivers.protocol import DriveSetup, Frame
 from drivers.signals import NEVER, Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from hil.contracts.messages import Status
-from tests.drivers.motor_families import MOTORS, UNLIKE, Heard
-from tests.drivers.spoken_drives import SETUP, Spoken
+from tests.drivers.motor_families import MIT_NODES, MOTORS, UNLIKE, begun, measured, mit, moteus
 
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
+P, DAMIAO = moteus(UNLIKE, 2.0), mit("damiao", UNLIKE)
+PMAX, VMAX = 21, 22
+"""Registers of the third and fourth exchange of a Damiao, which hold 95.5 and 400."""
 
 
-def answer(leg: int, register: int, value: float) -> Heard:
-    return Heard(leg, answer=(register, value))
+def answer(leg: int, register: int, value: float) -> Frame:
+    """Return what a Damiao answers to the reading of a register."""
+    node = MIT_NODES[leg]
+    return Frame(16 + node, struct.pack("<HBBf", node, 0x33, register, value))
 
 
 def at(number: int, age: Any = 0) -> Record:
@@ -30,147 +34,131 @@ def at(number: int, age: Any = 0) -> Record:
 
 
 def test_dialogue_begins_with_unknown_drives_and_asks_at_once():
-    dialogue = Spoken().start(SETUP)
-    begun = {
+    dialogue = P.start(DriveSetup(0.05, Reaction.DAMP, 250.0))
+    fields = {
         "mode": DriveMode.OFF, "torque": (0.0,) * 6, "rate": (0.0,) * 6, "power": (BOOT,) * 6, "ran": (0,) * 6,
         "done": (0,) * 6, "asked": (-10,) * 6, "has_read": (0,) * 6, "said": (0,) * 6, "owed": (0,) * 6,
         "patience_ticks": NEVER,
     }  # fmt: skip
-    assert {name: getattr(dialogue, name) for name in begun} == begun
+    assert {name: getattr(dialogue, name) for name in fields} == fields
 
 
 def test_watchdog_and_reaction_that_the_drives_do_not_have_are_refused():
     for watchdog_s in (1e-9, 100.0):
-        Spoken().start(DriveSetup(watchdog_s, Reaction.BRAKE, 250.0))
+        P.start(DriveSetup(watchdog_s, Reaction.DAMP, 250.0))
     for watchdog_s in (0.0, -1.0, 100.001, float("nan")):
         with pytest.raises(ProtocolError, match="watchdog"):
-            Spoken().start(DriveSetup(watchdog_s, Reaction.BRAKE, 250.0))
-    for reaction in set(Reaction) - {Reaction.BRAKE}:
-        with pytest.raises(ProtocolError, match=f"reactions.silence {reaction.name.lower()}.* brake"):
-            Spoken().start(DriveSetup(0.05, reaction, 250.0))
+            P.start(DriveSetup(watchdog_s, Reaction.DAMP, 250.0))
+    for reaction in set(Reaction) - {Reaction.DAMP}:
+        with pytest.raises(ProtocolError, match=f"reactions.silence {reaction.name.lower()}.* damp"):
+            P.start(DriveSetup(0.05, reaction, 250.0))
 
 
 # commands
 
 
-def test_tick_begins_with_the_polls_of_all_drives_in_leg_order():
-    protocol = Spoken()
-    polls = protocol.begin(protocol.begun(mode=int(DriveMode.RUN)), 3)
-    assert polls == tuple(Frame(0x100 + leg, bytes((ENABLE,))) for leg in range(6))
-
-
 def test_command_is_remembered_as_torques_at_the_rates_last_read_and_sends_nothing():
-    protocol, force = Spoken(), np.array([1.0, -2.0, 3.0, 0.0, 5.0, -6.0])
-    rate = (0.05, -0.05, 0.2, 0.0, -0.2, 0.01)
-    dialogue, frames = protocol.command(protocol.begun(rate=rate), Command(DriveMode.READY, force), 3)
+    force, rate = np.array([1.0, -2.0, 3.0, 0.0, 5.0, -6.0]), (0.05, -0.05, 0.2, 0.0, -0.2, 0.01)
+    dialogue, frames = P.command(begun(P, rate=rate), Command(DriveMode.READY, force), 3)
     assert (frames, dialogue.mode) == ((), DriveMode.READY)
     assert dialogue.torque == tuple(UNLIKE.torque(force, np.array(rate)).tolist())
     assert dialogue.torque != tuple(UNLIKE.torque(force).tolist())
 
 
 def test_which_drives_ran_is_lost_with_another_mode_and_with_no_other_command():
-    protocol, zeros = Spoken(), np.zeros(6)
     ran = (True, False, True, False, False, True)
     for before in DriveMode:
         for after in DriveMode:
-            dialogue = protocol.begun(mode=int(before), ran=ran)
-            dialogue, _ = protocol.command(dialogue, Command(after, zeros), 3)
+            dialogue, _ = P.command(begun(P, mode=int(before), ran=ran), Command(after, np.zeros(6)), 3)
             assert dialogue.ran == (ran if before == after else (False,) * 6)
 
 
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_force_is_taken_up_to_the_largest_torque_of_the_field(leg, sign):
-    protocol, force = Spoken(), np.zeros(6)
+    force = np.zeros(6)
     most = sign * 2.0 * UNLIKE.N_per_Nm[leg]
     force[leg] = most * (1.0 + 1e-10)
-    dialogue, _ = protocol.command(protocol.begun(), Command(DriveMode.RUN, force), 3)
+    dialogue, _ = P.command(begun(P), Command(DriveMode.RUN, force), 3)
     assert dialogue.torque[leg] == pytest.approx(sign * 2.0)
     force[leg] = most * (1.0 + 2e-9)
     with pytest.raises(ProtocolError, match=r"up to 2 N m are allowed; lower limits.force_N"):
-        protocol.command(protocol.begun(), Command(DriveMode.RUN, force), 3)
-
-
-@pytest.mark.parametrize(
-    "force", [[1.0] * 5, [1.0] * 5 + [float("nan")], [float("-inf")] + [1.0] * 5, [[1.0] * 6]]
-)
-def test_forces_that_are_not_six_finite_ones_are_refused(force):
-    with pytest.raises(ProtocolError, match="six finite ones"):
-        Spoken().command(Spoken().begun(), Command(DriveMode.RUN, np.array(force)), 3)
+        P.command(begun(P), Command(DriveMode.RUN, force), 3)
+    for wrong in ([1.0] * 5, [1.0] * 5 + [float("nan")], [float("-inf")] + [1.0] * 5, [[1.0] * 6]):
+        with pytest.raises(ProtocolError, match="six finite ones"):
+            P.command(begun(P), Command(DriveMode.RUN, np.array(wrong)), 3)
 
 
 def test_carried_is_what_the_torques_of_a_command_give_a_leg_at_rest():
     force, rate = np.array([1.0, -2.0, 3.0, -4.0, 5.0, -6.0]), (0.2, 0.2, -0.2, -0.2, 0.0, 0.05)
-    carried = Spoken().carried(Spoken().begun(rate=rate), force)
     # F0 / F at these rates, of an efficiency of 0.8 and 0.5 the other way
-    np.testing.assert_allclose(carried / force, [1.25, 0.5, 0.5, 1.25, 1.0, 0.75], rtol=1e-12)
+    shares = P.carried(begun(P, rate=rate), force) / force
+    np.testing.assert_allclose(shares, [1.25, 0.5, 0.5, 1.25, 1.0, 0.75], rtol=1e-12)
 
 
 # the start-up dialogue
 
 
 def test_each_drive_is_asked_for_its_next_exchange_one_drive_a_tick():
-    protocol = Spoken(exchanges=2)
-    dialogue = protocol.begun(done=(3, 1, 0, 2, 1, 3))
+    dialogue = begun(DAMIAO, done=(6, 3, 0, 5, 3, 6))
     sent = []
     for number in range(13, 16):
-        dialogue, frames = protocol.set_up(dialogue, at(number))
-        sent += [each.id for each in frames]
-    assert sent == [0x210, 0x231, 0x240]
+        dialogue, frames = DAMIAO.set_up(dialogue, at(number))
+        sent += [(each.data[0], each.data[3]) for each in frames]
+    assert sent == [(2, PMAX), (4, 23), (5, PMAX)]
     assert dialogue.asked == (-10, 13, -10, 14, 15, -10)
-    assert protocol.set_up(dialogue, at(16)) == (dialogue, ())
+    assert DAMIAO.set_up(dialogue, at(16)) == (dialogue, ())
 
 
 def test_drive_that_cannot_be_asked_does_not_hold_up_the_next_one():
-    protocol = Spoken(exchanges=1)
     power = tuple(map(int, (RUN, OFF, OFF, FAULT, OFF, OFF)))
-    for asked, frame in ((4, 0x230), (3, 0x210)):  # ten ticks without an answer are over, or not
-        dialogue = protocol.begun(done=(1,) * 6, power=power, asked=(-10, asked, -10, -10, -10, -10))
+    for asked, node in ((4, 4), (3, 2)):  # ten ticks without an answer are not over, or are
+        dialogue = begun(DAMIAO, done=(1,) * 6, power=power, asked=(-10, asked, -10, -10, -10, -10))
         # enabled; asked; silent; one tick silent
-        assert protocol.set_up(dialogue, at(13, [0, 0, 2, 1, 0, 0]))[1] == (Frame(frame, b""),)
+        _, (frame,) = DAMIAO.set_up(dialogue, at(13, [0, 0, 2, 1, 0, 0]))
+        assert frame.data[0] == node
 
 
 @pytest.mark.parametrize("mode", DriveMode)
 def test_no_drive_is_asked_while_ready_or_run_is(mode):
-    protocol = Spoken(exchanges=1)
-    _, frames = protocol.set_up(protocol.begun(done=(1,) * 6, mode=int(mode)), at(13))
+    _, frames = DAMIAO.set_up(begun(DAMIAO, done=(1,) * 6, mode=int(mode)), at(13))
     assert bool(frames) == (mode in (DriveMode.OFF, DriveMode.RESET))
 
 
 def test_answer_of_the_value_as_a_single_confirms_its_exchange():
-    protocol = Spoken(exchanges=2)
-    before: dict[str, Any] = {"done": (1,) * 6, "asked": (9,) * 6, "read": (4.0,) * 6}
-    tick, dialogue = protocol.told(answer(3, 10, float(np.float32(30.1))), **before)
-    assert dialogue.done == (1, 1, 1, 2, 1, 1)
+    before: dict[str, Any] = {"done": (3,) * 6, "asked": (9,) * 6, "read": (4.0,) * 6}
+    tick, dialogue = measured(DAMIAO, answer(3, PMAX, 95.5), **before)
+    assert dialogue.done == (3, 3, 3, 4, 3, 3)
     assert dialogue.asked == (9, 9, 9, -10, 9, 9)
     assert dialogue.read == (4.0, 4.0, 4.0, None, 4.0, 4.0)
     assert tick["age"].tolist() == [1] * 6, "it is no feedback"
-    assert protocol.told(answer(3, 11, 31.1), done=(3, 3, 3, 2, 3, 3))[1].done == (3,) * 6
-    _, dialogue = protocol.told(answer(3, 10, 30.2), done=(1,) * 6)
-    assert (dialogue.done, dialogue.read) == ((1,) * 6, (None, None, None, 30.2, None, None)), "another value"
+    assert measured(DAMIAO, answer(3, 23, 144.0), done=(6, 6, 6, 5, 6, 6))[1].done == (6,) * 6
+    _, dialogue = measured(DAMIAO, answer(3, PMAX, 95.0), done=(3,) * 6)
+    assert (dialogue.done, dialogue.read) == ((3,) * 6, (None, None, None, 95.0, None, None)), "another value"
 
 
-@pytest.mark.parametrize(("done", "register"), [(0, 10), (0, 11), (1, 11), (2, 10), (3, 10), (3, 11)])
+@pytest.mark.parametrize(
+    ("done", "register"), [(0, PMAX), (2, PMAX), (3, VMAX), (4, PMAX), (6, PMAX), (6, 23)]
+)
 def test_answer_to_another_request_changes_nothing(done, register):
-    protocol = Spoken(exchanges=2)
-    for value in (register - 10 + 30.1, 7.0):
-        _, dialogue = protocol.told(answer(3, register, value), done=(done,) * 6)
-        assert dialogue == protocol.begun(done=(done,) * 6, owed=(min(done, 1),) * 6)
+    for value in (95.5, 400.0, 144.0, 7.0):
+        _, dialogue = measured(DAMIAO, answer(3, register, value), done=(done,) * 6)
+        assert dialogue == begun(DAMIAO, done=(done,) * 6, owed=(min(done, 1),) * 6)
 
 
 def test_each_drive_lacks_its_answer_its_register_or_its_state():
-    protocol = Spoken(exchanges=2)
     power = tuple(map(int, (OFF, OFF, OFF, OFF, BOOT, RUN)))
-    dialogue = protocol.begun(done=(0, 1, 2, 2, 3, 3), power=power, read=(None, None, None, 7.25, None, 1.0))
-    assert protocol.set_up_lacks(dialogue) == (
+    read = (None, None, None, 7.25, None, 1.0)
+    dialogue = begun(DAMIAO, done=(0, 1, 3, 3, 6, 6), power=power, read=read)
+    assert DAMIAO.set_up_lacks(dialogue) == (
         "it has not answered",
-        "register 0 is not confirmed",
-        "register 1 is not confirmed",
-        "register 1 is 7.25 in the drive, 31.1 here",
+        "CTRL_MODE (register 10) is not confirmed",
+        "PMAX (register 21) is not confirmed",
+        "PMAX (register 21) is 7.25 in the drive, 95.5 here",
         "it has not said whether it is enabled",
         "",
     )
-    assert protocol.legs_set_up(dialogue) == (False,) * 5 + (True,)
+    assert DAMIAO.legs_set_up(dialogue) == (False,) * 5 + (True,)
 
 
 # what the families are
@@ -202,7 +190,7 @@ def test_each_family_has_its_traits(name):
 
 
 def test_turns_without_an_end_name_no_lengths_and_are_off_by_a_single():
-    traits = Spoken().traits
+    traits = P.traits
     assert traits.reported_lengths is None
     # a single has 24 bits, and no leg is farther than 2 m from where its drive reads zero
     length, rate, force, differences = traits.resolution.at(250.0)

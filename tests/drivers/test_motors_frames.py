@@ -11,6 +11,7 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array
+from drivers.mit.fields import TURN
 from drivers.moteus import STOP
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
 from drivers.signals import INVALID, LEGS, DriveState
@@ -24,7 +25,9 @@ from tests.drivers.motor_families import (
     MOTORS,
     ODRIVE_NODES,
     ROBSTRIDE_NODES,
+    UNLIKE,
     mit,
+    motors,
     robstride,
 )
 
@@ -42,7 +45,31 @@ def sent(name: str, length: float, lost: int = -1, state: DriveState = DriveStat
     return [frame for _, frame in found]
 
 
-# no reading
+# readings
+
+
+STEPS = {  # turns, turns/s, N m that a reading is off by at most
+    "mini_cheetah": (191 / 65535 / TURN, 800 / 4095 / TURN, 288 / 4095),
+    "robstride": (191 / 65535 / TURN, 800 / 65535 / TURN, 288 / 65535),
+    "odrive": (1e-6, 1e-6, None),
+    "moteus": (1e-6, 1e-6, 1e-5),
+}
+UNLIKES = motors(UNLIKE)
+
+
+@pytest.mark.parametrize("name", MOTORS)
+def test_each_drive_answers_with_its_own_numbers_in_the_order_of_the_poll(name):
+    protocol, turns = UNLIKES[name], np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])
+    rate = UNLIKE.rate(turns / 4)
+    reading = UNLIKE.length(turns), rate, UNLIKE.force(turns * 2, rate), np.ones(6, np.int64)
+    found = answers(protocol, Sync(0, (5, 0, 2)), *reading)
+    assert [leg for leg, _ in found] == [5, 0, 2]
+    for leg, frame in found:
+        heard, (place, speed, torque) = protocol.hear(frame), STEPS.get(name, STEPS["mini_cheetah"])
+        assert (heard.leg, heard.feedback, heard.fault) == (leg, True, 0)
+        assert heard.motion[0] == pytest.approx(turns[leg], abs=place)
+        assert heard.motion[1] == pytest.approx(turns[leg] / 4, abs=speed)
+        assert heard.torque == (torque and pytest.approx(turns[leg] * 2, abs=torque))
 
 
 @pytest.mark.parametrize("state", DriveState)

@@ -92,7 +92,6 @@ def test_states_modes_errors_and_stops_are_the_vendors_frames():
 def test_estimates_are_read_and_sent_as_the_vendors_header_has_them(v):
     leg, said = NODES.index(v["inputs"]["node_id"]), v["inputs"]
     heard = P.hear(frame(v))
-    assert heard is not None
     assert (heard.leg, heard.feedback) == (leg, True)
     assert heard.motion == pytest.approx((said["Pos_Estimate"], said["Vel_Estimate"]), rel=1e-7)
     length, rate = (np.full(6, said[key]) for key in ("Pos_Estimate", "Vel_Estimate"))
@@ -106,7 +105,6 @@ def test_heartbeats_are_read_with_state_and_error(v):
     if said["node_id"] not in NODES:
         assert heard is None
         return
-    assert heard is not None
     assert not heard.feedback
     error = said["Axis_Error"]
     state = DriveState.RUN if said["Axis_State"] == 8 else DriveState.OFF

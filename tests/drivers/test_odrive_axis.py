@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Said
-from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
 from hil.contracts.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, Status, Sync
@@ -130,19 +130,6 @@ def test_axis_that_was_switched_off_and_on_has_lost_all_and_the_others_nothing()
     assert P.restarted(both, ()) == both
 
 
-def test_axis_answers_with_its_own_motion_and_without_its_encoder_with_nan():
-    places = np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])
-    states = np.array([1, 2, 3, 4, 3 | INVALID, 1])
-    reading = UNLIKE.length(places), UNLIKE.rate(places / 4), np.zeros(6), states
-    _, sent = P.answer(P.power_up(), Sync(0, (5, 4, 2)), *reading)
-    assert [(leg, frame.id) for leg, frame in sent] == [(leg, NODES[leg] << 5 | 9) for leg in (5, 4, 2)]
-    for k, leg in ((0, 5), (2, 2)):
-        assert struct.unpack("<ff", sent[k][1].data) == pytest.approx(
-            (places[leg], places[leg] / 4), rel=1e-6
-        )
-    assert np.isnan(struct.unpack("<ff", sent[1][1].data)).all()
-
-
 @pytest.mark.parametrize(
     ("fault", "error"),
     [
@@ -186,7 +173,6 @@ def test_error_of_a_heartbeat_is_a_known_fault_or_the_axis_own(error, axis, powe
 def test_heartbeat_or_estimate_of_another_length_is_broken(size):
     for kind in (0x01, 0x09):
         heard = P.hear(to(kind, bytes(size)))
-        assert heard is not None
         assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
 
 

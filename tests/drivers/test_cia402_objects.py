@@ -70,29 +70,6 @@ def with_value(values, key, value):
     return values
 
 
-@pytest.mark.parametrize(
-    ("cob", "code"),
-    [
-        (0x204, 0),
-        (0x80000204, 0),
-        (0, o.BAD_VALUE),
-        (1, 0),
-        (0x7FF, 0),
-        (0x800, o.BAD_VALUE),
-        (0xC0000000, 0),
-    ],
-)
-def test_identifier_of_a_pdo_has_eleven_bits_and_changes_while_it_is_off(cob, code):
-    for key, here in (((0x1400, 1), 0x200 + NODE), ((0x1800, 1), 0x180 + NODE)):
-        assert [NEW[PLACE[key[0] + n, 1]] for n in range(4)] == [
-            (n > 0) << 31 | here + 0x100 * n for n in range(4)
-        ]
-        on, off = (with_value(NEW, key, here | valid) for valid in (0, o.NOT_VALID))
-        assert refused(off, key, cob, 4) == code
-        assert refused(on, key, here + 1, 4) == o.BAD_STATE
-        assert refused(on, key, here, 4) == refused(on, key, o.NOT_VALID | here + 1, 4) == 0
-
-
 @pytest.mark.parametrize("n", range(PDOS))
 @pytest.mark.parametrize(
     ("parameters", "entry", "other"), [(o.RPDO, 0x60400010, 0x60640020), (o.TPDO, 0x60410010, 0x12340010)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from math import ceil
 from typing import Any
@@ -9,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import BitTiming
 from drivers.cia402.objects import check_eds
 from drivers.cia402.states import DRIVE_STATE, STATE_OF, STATUSWORDS, State, commanded, controlword
 from drivers.config import BusSettings, DriveSettings
@@ -24,12 +24,10 @@ from drivers.protocol import (
     SERIAL,
     DriveSetup,
     Frame,
-    Received,
     Said,
 )
 from drivers.registry import loaded
 from drivers.signals import Command, DriveMode, Reaction
-from hil.app.configuration.bus_budget import budget
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.ends import SETUP
 from tests.drivers.cia402_drives import NODES, PERMILLE_N, STEP_m, drives, made, settings
@@ -154,14 +152,6 @@ def test_heartbeat_comes_four_times_within_the_watchdog_whatever_is_commanded(wa
             assert found == [() if n % beat else (Frame(0x77F, b"\5"),) for n in range(60)]
 
 
-@pytest.mark.parametrize(
-    "force", [[0.0] * 5, [0.0] * 7, [0.0] * 5 + [float("nan")], [float("inf")] + [0.0] * 5]
-)
-def test_forces_that_are_not_six_finite_ones_are_refused(force):
-    with pytest.raises(ProtocolError, match=r"0x6071: .* 92646\.5 N"):
-        P.command(begun(), Command(RUN, np.array(force)), 1)
-
-
 def test_force_that_fits_is_that_of_the_weakest_leg():
     unlike = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
     with pytest.raises(ProtocolError, match=r"up to 18529\.3 N"):
@@ -222,11 +212,9 @@ def test_answer_identifies_its_drive_and_nothing_else_does(leg):
     assert U.identity(good._replace(data=bytes.fromhex("4318100302000100"))) == Said(leg, REVISION, 0x10002)
     texts = "8018100400000206", "6018100400000000", "4318100278563412", "43181004785634", "4118100478563412"
     wrong = [good._replace(data=bytes.fromhex(text)) for text in texts]
-    wrong += [good._replace(id=kind + UNLIKE_NODES[leg]) for kind in (0x700, 0x080, 0x600)]
-    wrong += [
-        good._replace(id=0x589),
-        *(good._replace(flags=flags) for flags in (EXTENDED, FD, REMOTE, ERROR, BUS)),
-    ]
+    ids = (0x589, *(kind + UNLIKE_NODES[leg] for kind in (0x700, 0x080, 0x600)))
+    wrong += [good._replace(id=identifier) for identifier in ids]
+    wrong += [good._replace(flags=flags) for flags in (EXTENDED, FD, REMOTE, ERROR, BUS)]
     assert [U.identity(frame) for frame in wrong] == [None] * len(wrong)
 
 
@@ -241,14 +229,6 @@ def test_tick_has_a_sync_six_rpdos_and_two_tpdos_a_drive():
     assert {frame.id >> 7 for frame in drives(velocity=False).traits.cyclic_frames} == {1, 3, 4}
 
 
-def test_fresh_is_a_tpdo_of_its_length_from_the_beginning_of_the_tick_on():
-    good = Frame(0x182, bytes(8))
-    assert P.fresh(Received(10, good), 0, 10)
-    strange = [good._replace(flags=flags) for flags in (EXTENDED, FD, REMOTE, ERROR)]
-    for frame in (*strange, good._replace(data=bytes(7)), good._replace(id=0x187), Frame(0x282, bytes(8))):
-        assert not P.fresh(Received(10, frame), 0, 10)
-
-
 def test_lengths_can_be_reported_that_are_32_bits_of_counts():
     offset = np.array([0.75] * 5 + [0.5])
     below, above = 2147483648 * STEP_m, 2147483647 * STEP_m
@@ -259,11 +239,9 @@ def test_lengths_can_be_reported_that_are_32_bits_of_counts():
 
 def test_such_drives_have_their_traits():
     t = P.traits
-    assert (t.command_delay_ticks, t.set_up_frames, t.reset_ticks, t.unasked_s) == (0, 3, 6, 0.0)
-    assert (t.database, t.power_told, t.reactions) == (None, "feedback", (Reaction.BRAKE, Reaction.DAMP))
+    assert (t.command_delay_ticks, t.reset_ticks, t.reactions) == (0, 6, (Reaction.BRAKE, Reaction.DAMP))
     assert {t.latches_together, t.stop_latches, t.has_watchdog} == {True}
-    assert {t.shares_identifiers, t.answers_name_sync, t.force_on_brakes} == {False}
-    assert P.fault_text(0x7305) == "EMCY 0x7305, incremental encoder 1 fault"
+    assert "encoder 1" in P.fault_text(0x7305)
 
 
 @pytest.mark.parametrize("velocity", [True, False])
@@ -289,19 +267,6 @@ def configured(
     return loaded("hil.protocols", "cia402")(BusSettings(layout=layout), section)
 
 
-@pytest.mark.parametrize(
-    ("velocity", "buses", "rate"), [(False, 1, 487.8), (True, 1, 349.1), (True, 2, 679.6)]
-)
-def test_rate_that_a_bus_of_1_Mbit_s_carries_at_70_percent(velocity, buses, rate):
-    """SYNC 55 bit; a leg: RPDO of 4 bytes 95, TPDO of 8 bytes 135, one with the velocity 95 more."""
-    frames = []
-    for frame in drives(velocity=velocity).traits.cyclic_frames:
-        node = frame.id & 0x7F
-        frames += [frame] * (node == 0 or (node - 1) % buses == 0)
-    found = budget(frames, BitTiming(1_000_000, 1_000_000), 100.0)
-    assert found.allowed_rate_Hz == pytest.approx(rate, abs=0.05)
-
-
 def test_each_setting_of_the_drives_reaches_its_object():
     own: dict[str, Any] = {
         "node_ids": [9, 8, 7, 6, 5, 4], "heartbeat_ms": 35.0, "watchdog_ms": 20.0, "force_limit_N": 500.0,
@@ -317,6 +282,9 @@ def test_each_setting_of_the_drives_reaches_its_object():
     for heartbeat_ms, set_to in ((0.2, 1), (24.4, 24), (70_000.0, 65_535)):
         steps = made(NODES, UNLIKE_GEAR, heartbeat_ms=heartbeat_ms).plans(SETUP)[0]
         assert [s.value for s in steps if s.key == (0x1017, 0) and s.kind == "write"] == [set_to]
+    assert made((1, 2, 3, 4, 5, 127), UNLIKE_GEAR, controller_node=9).nodes == (1, 2, 3, 4, 5, 127)
+    for rated_Nm in (1e-3, 4_294_967.0):
+        assert configured(options={"rated_torque_Nm": rated_Nm}).rated_torque_mNm == round(1e3 * rated_Nm)
     for checks, asked in ((True, [131072]), (False, [])):
         found = configured(options={"rated_torque_Nm": 9.0, "check_encoder": checks})
         plans = ByValue(found).plans(SETUP)
@@ -353,53 +321,23 @@ def test_setting_that_does_not_fit_is_refused_by_name(changes, message):
         configured(**changes)
 
 
-def test_settings_at_the_ends_of_their_ranges_are_taken():
-    assert made((1, 2, 3, 4, 5, 127), UNLIKE_GEAR, controller_node=9).nodes == (1, 2, 3, 4, 5, 127)
-    for rated_Nm in (1e-3, 4_294_967.0):
-        assert configured(options={"rated_torque_Nm": rated_Nm}).rated_torque_mNm == round(1e3 * rated_Nm)
-
-
-# data sheets
-
-
-def test_data_sheet_that_has_all_is_taken_and_a_codec_opens_none(tmp_path):
+def test_data_sheet_lists_what_the_drive_lacks_and_a_codec_opens_none(tmp_path):
     path = tmp_path / "drive.eds"
     path.write_text(sheet(), encoding="ascii")
     for velocity in (True, False):
         check_eds(str(path), velocity=velocity)
-    configured(options={"rated_torque_Nm": 9.0, "eds": str(tmp_path / "nowhere.eds")})
-
-
-@pytest.mark.parametrize("velocity", [True, False])
-def test_data_sheet_lists_each_object_that_is_missing_or_read_only_or_cannot_be_mapped(tmp_path, velocity):
-    read = ["1000:0", "6061:0", "6076:0"]
-    written = [
-        "1016:1",
-        "1017:0",
-        "1400:1",
-        "1400:2",
-        "1600:0",
-        "1800:1",
-        "1800:2",
-        "1A00:0",
-        "6007:0",
-        "605A:0",
-        "605E:0",
-        "6060:0",
-        "6072:0",
-    ]
-    mapped = ["6040:0", "6071:0", "6041:0", "6064:0", "6077:0"]
-    if velocity:
-        written += ["1801:1", "1A01:0"]
-        mapped.append("606C:0")
-    path, everything = tmp_path / "drive.eds", [*read, *written, *mapped]
-    for text, lacks in (
-        (sheet(*{int(each.partition(":")[0], 16) for each in everything}), everything),
-        (sheet().replace("AccessType=rw", "AccessType=ro"), written),
-        (sheet().replace("PDOMapping=1", "PDOMapping=0"), mapped),
-    ):
-        path.write_text(text, encoding="ascii")
+    text = sheet(0x605E, 0x1801)
+    for section, key in (("[6060]", "AccessType=rw"), ("[6077]", "PDOMapping=1")):
+        at = text.index(section)
+        fixed = {"AccessType=rw": "AccessType=ro", "PDOMapping=1": "PDOMapping=0"}[key]
+        text = text[:at] + text[at:].replace(key, fixed, 1)
+    path.write_text(text, encoding="ascii")
+    lacks = "0x605E:0 .*is not there; .*0x6060:0 .*cannot be written; .*0x6077:0 cannot be mapped"
+    for velocity in (True, False):
         with pytest.raises(ConfigurationError) as refused:
             check_eds(str(path), velocity=velocity)
-        found = [each.split()[0] for each in str(refused.value).partition("needs: ")[2].split("; ")]
-        assert sorted(found) == sorted(f"0x{each}" for each in lacks)
+        said = sorted(str(refused.value).partition("needs: ")[2].split("; "))
+        found = "; ".join(each for each in said if "0x1801" not in each)
+        assert re.search(lacks, found), found
+        assert any("0x1801" in each for each in said) == velocity
+    configured(options={"rated_torque_Nm": 9.0, "eds": str(tmp_path / "nowhere.eds")})

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.objects import NAMES
 from drivers.cia402.states import meaning
 from drivers.mit.fields import CUBEMARS_FAULTS, DAMIAO_FAULTS, ROBSTRIDE_FAULTS
 from drivers.moteus import FAULTS
@@ -86,18 +85,3 @@ EMCY = {
 def test_words_of_canopen_are_those_of_the_documents_for_each_code_and_class():
     assert meaning(0x00EE) == meaning(0xEFEE) == "unknown"
     assert {code: meaning(code) for code, said in EMCY.items() if said not in meaning(code)} == {}
-
-
-OBJECTS = {
-    (0x1000, 0): "device type", (0x1016, 1): "consumer heartbeat", (0x1017, 0): "producer heartbeat",
-    (0x1018, 3): "revision", (0x1018, 4): "serial", (0x1029, 1): "communication error",
-    (0x6007, 0): "abort connection", (0x605A, 0): "quick stop", (0x605E, 0): "fault reaction",
-    (0x6060, 0): "mode of operation", (0x6061, 0): "display", (0x6072, 0): "max torque",
-    (0x6076, 0): "rated torque", (0x608F, 1): "encoder increments", (0x608F, 2): "motor revolutions",
-    (0x60C2, 1): "time period", (0x60C2, 2): "time index", (0x6502, 0): "supported drive modes",
-}  # fmt: skip
-
-
-def test_object_has_the_name_that_the_documents_give_its_index():
-    assert NAMES.keys() == OBJECTS.keys()
-    assert {key: NAMES[key] for key, said in OBJECTS.items() if said not in NAMES[key]} == {}

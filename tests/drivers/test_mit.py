@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers import build_protocol
-from drivers.arrays import Array
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array
@@ -18,10 +17,8 @@ from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Foreign
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import PERIOD_NS, SETUP, Ends, Given, at_tick
+from hil.contracts.ends import PERIOD_NS, SETUP, Ends, at_tick
 from hil.contracts.trouble import TroubleContract
-from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.nodes import Nodes
 from tests.drivers.motor_families import GEAR, MIT_NODES, RANGES, MitProtocol, mit, pack_command, robstride
 
 LEAD_m, NEWTONS = 0.1, 2 * np.pi / 0.1
@@ -125,20 +122,6 @@ BOTH = pytest.mark.parametrize("make", [lambda: mit("damiao"), robstride], ids=[
 
 
 @BOTH
-def test_drive_that_restarts_in_motion_is_lost_and_is_not_enabled_again(make):
-    ends = Ends(make())
-    ends.running()
-    drives = ends.nodes._drives
-    drives.seen.state[3], drives.seen.configured[3] = DriveState.BOOT, False
-    end: Any = ends.nodes._end
-    end.record["enabled"] = (1, 1, 1, 0, 1, 1)
-    for _ in range(10):
-        ends.step(Command(DriveMode.RUN, np.zeros(6)))
-        assert ends.measurement["drive_state"][3] == DriveState.BOOT
-    assert ends.nodes.snapshot().state[3] == DriveState.BOOT
-
-
-@BOTH
 def test_another_controller_a_second_answer_and_a_late_one_are_told_apart(make):
     ends = Ends(make())
     ends.until_set_up()
@@ -193,33 +176,6 @@ def test_drive_is_enabled_by_a_controller_that_has_set_nothing_up(variant):
     assert nodes.snapshot().state.tolist() == [0, DriveState.RUN, 0, 0, 0, 0]
     assert nodes.snapshot().command[1] == pytest.approx(-10.0 * NEWTONS, abs=STEP_N)
     assert nodes.snapshot().rejected == 0
-
-
-class Pushed(Given):
-    """A plant that keeps what pushes its legs."""
-
-    force = np.zeros(6)
-
-    def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        self.force = force.copy()
-        return super().step(force, brake, wrench, dt_s)
-
-
-def test_command_makes_up_for_losses_and_the_drive_reports_the_force_of_the_leg():
-    lossy = TransmissionSettings(
-        lead_m=LEAD_m, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75, efficiency=0.9, back_driving_efficiency=0.6
-    )
-    protocol = mit("damiao", Transmission(lossy))
-    ends, plant = Ends(protocol), Pushed()
-    drives = DriveSettings(heartbeat_ms=24.0, transmission=lossy, force_limit_N=3000.0)
-    ends.nodes = Nodes(plant, protocol.protocol, DriveEmulation(encoder_resolution_m=0.0), drives)
-    # both ways against RATE, and the rated one
-    force = np.array([1000.0, 2000.0, 3000.0, -3000.0, 0.0, -500.0])
-    ends.running(force)
-    ends.step(Command(DriveMode.RUN, force), set_up=False)
-    np.testing.assert_allclose(plant.force, force, rtol=0, atol=STEP_N)
-    np.testing.assert_allclose(ends.measurement["drive_force"], force, rtol=0, atol=2 * STEP_N)
-    assert ends.nodes._drives.seen.command[0] == pytest.approx(1000.0 / 0.9, rel=0.01)
 
 
 # settings

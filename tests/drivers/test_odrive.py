@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_array import received_array
 from drivers.protocol import REMOTE, Frame, Received
-from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import answers, reports
-from hil.contracts.ends import PERIOD_NS, SETUP, Ends, at_tick
+from hil.contracts.ends import SETUP, Ends
 from hil.contracts.messages import Configure, DeviceCommand, Status, Sync
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
@@ -118,20 +117,6 @@ def test_torque_comes_out_as_the_single_that_went_in(torque, leg):
     _, (command,) = P.parse(memory, P.poll(running(torque), leg))
     assert isinstance(command, DeviceCommand)
     assert command.force[0] == pytest.approx(2 * np.pi * float(np.float32(torque)), rel=1e-12)
-
-
-def test_lost_encoder_is_a_blind_leg_and_another_controller_is_heard():
-    ends = Ends(odrive())
-    ends.until_set_up()
-    begun = ends.tick * PERIOD_NS
-    state = np.array([DriveState.OFF, DriveState.OFF | INVALID, *[DriveState.OFF] * 4])
-    zeros = np.zeros(6)
-    frames = [f for _, f in answers(ends.protocol, Sync(0), zeros + 1.7, zeros, zeros, state)]
-    m = at_tick(ends.tick + 1)
-    received = [Received(begun, each) for each in (*frames, Frame(0x2E, bytes(8)))]
-    ends.protocol.decode(ends.dialogue, received_array(received), ends.measurement, m, begun)
-    assert m["blind"].tolist() == [0, 1, 0, 0, 0, 0]
-    assert m["foreign"] == Foreign.COMMAND
 
 
 def test_each_axis_is_told_by_its_own_state():

@@ -153,12 +153,10 @@ def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_in_run_alone(fault, 
     ("error", "axis", "power", "fault"),
     [
         (0, 8, DriveState.RUN, 0),
-        (0, 1, DriveState.OFF, 0),
         (0, 9, DriveState.OFF, 0),
         (0x1000000, 1, DriveState.FAULT, DriveFault.WATCHDOG),
         (0x2000000, 8, DriveState.FAULT, DriveFault.ESTOP),
         (0x3000000, 8, DriveState.FAULT, 0x3000100),
-        (0x1000, 1, DriveState.FAULT, 0x1100),
         (0x80000000, 1, DriveState.FAULT, 0x80000100),
     ],
 )
@@ -169,11 +167,11 @@ def test_error_of_a_heartbeat_is_a_known_fault_or_the_axis_own(error, axis, powe
     assert P.fault_text(0x2108) == "missing estimate, motor over temperature"
 
 
-@pytest.mark.parametrize("size", [0, 4, 7])
-def test_heartbeat_or_estimate_of_another_length_is_broken(size):
+def test_heartbeat_or_estimate_of_another_length_is_broken():
     for kind in (0x01, 0x09):
-        heard = P.hear(to(kind, bytes(size)))
-        assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
+        for size in (0, 4, 7):
+            heard = P.hear(to(kind, bytes(size)))
+            assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
 
 
 def test_address_is_of_eight_bytes_from_its_own_node_and_not_a_request():

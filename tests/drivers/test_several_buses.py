@@ -15,12 +15,12 @@ from drivers.can.bus import Bus
 from drivers.can.link import Link
 from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, ImuSettings, SensorSettings, TransmissionSettings
-from drivers.errors import BusError, ConfigurationError
+from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, DriveSetup, Frame, Received, off_bus
 from drivers.sensors import SensorProtocol
-from drivers.signals import BusState, Command, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
 from hil.contracts.ends import PERIOD_NS, Ends, shapes
@@ -204,8 +204,6 @@ def test_drive_is_told_its_slot_in_the_command_of_its_bus():
     protocol = LegsProtocol("fd", NODES, 100.0, ODD)
     frames = protocol.configure(0.01, Reaction.BRAKE)
     assert [frame.data[5] for frame in frames] == [1, 1, 2, 3, 4, 2], "legs 0 and 5; legs 1 to 4"
-    alone = LegsProtocol("fd", NODES, 100.0).configure(0.01, Reaction.BRAKE)
-    assert [frame.data[5] for frame in alone] == [1, 2, 3, 4, 5, 6]
     assert parse(protocol, frames[5]) == Configure(5, 0.01, Reaction.BRAKE)
     assert parse(protocol, frames[5]._replace(flags=frames[5].flags + BUS)) is None
 
@@ -282,16 +280,6 @@ def fakes(count: int) -> list[Any]:
     return [FakeLink(Still()) for _ in range(count)]
 
 
-def test_buses_are_virtual_where_one_is_and_know_ends_where_each_does():
-    links = fakes(2)
-    assert not Bus(links).virtual
-    links[1].virtual = links[0].knows_ends = True
-    assert Bus(links).virtual
-    assert not Bus(links).knows_ends
-    links[1].knows_ends = True
-    assert Bus(links).knows_ends
-
-
 def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
     links = fakes(2)
     group = Bus(links)
@@ -321,58 +309,6 @@ def test_skew_is_that_of_the_first_frames_and_each_frame_has_the_time_of_its_own
     bus.send(sent_array([Frame(identifier, b"", flags) for identifier, flags in order]))
     links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
     assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "none where the bus did not take it"
-
-
-@pytest.mark.parametrize("bus", [0, 1, 2])
-def test_bus_that_was_off_is_named_by_its_bit_and_its_own_waiting_frames_are_dropped(bus):
-    links, dropped = fakes(3), []
-    for k, link in enumerate(links):
-        link.died = lambda k=k: dropped.append(k)
-    links[bus].worst_state = lambda: BusState.OFF
-    group = Bus(links)
-    assert group.events() == (0, 1 << bus, 9, BusState.OFF)
-    assert (group.events().off, dropped) == (1 << bus, [bus]), "once, until it has been back"
-    del links[bus].worst_state
-    assert group.events().off == 0
-    links[bus].off = True
-    assert (group.events().off, dropped) == (1 << bus, [bus] * 2)
-    links[bus].off = False
-    for link, state in zip(links, (BusState.ACTIVE, BusState.PASSIVE, BusState.WARNING), strict=True):
-        link.worst_state = lambda state=state: state
-    assert Bus(links).events().state is BusState.PASSIVE, "of the worst bus"
-
-
-def test_one_bus_that_takes_no_frame_for_50_ms_is_off_though_the_other_takes_all():
-    clock = Still()
-    links: list[Any] = [FakeLink(clock), FakeLink(clock)]
-    bus = Bus(links)
-    links[0].send = lambda frames: 0
-    pair = sent_array([Frame(1, b""), Frame(1, b"", BUS)])
-    for wait_ns, off in ((0, 0), (50_000_000, 0b01)):
-        clock.t_ns += wait_ns
-        assert bus.send(pair) == 1
-        assert bus.events().off == off
-    del links[0].send
-    assert bus.send(pair) == 0
-    assert bus.events().off == 0
-
-
-def test_bus_that_cannot_be_flushed_keeps_no_other_from_it_and_all_are_left():
-    links, done = fakes(3), []
-
-    def refuse():
-        raise BusError("no right")
-
-    links[0].flush_tx = refuse
-    for k, link in enumerate(links):
-        link.close = lambda k=k: done.append(k)
-        if k:
-            link.flush_tx = link.close
-    with pytest.raises(BusError, match="no right"):
-        Bus(links).flush_tx()
-    assert done == [1, 2]
-    Bus(links).close()
-    assert done == [1, 2, 0, 1, 2]
 
 
 def test_two_localcan_channels_are_one_bus_on_one_clock():

@@ -316,15 +316,9 @@ def test_damiao_is_set_up_with_its_mode_its_limit_and_its_three_ranges():
         DAMIAO.exchanges(SETUP._replace(watchdog_s=0.000024))
 
 
-def test_torque_is_truncated_to_its_twelve_bits_and_a_step_is_the_resolution():
+def test_torque_is_truncated_to_its_twelve_bits():
     given = np.array([10.0, -20.0, 30.0, 0.0, 143.0, -144.0])
     expected = np.floor((given + 144.0) / STEP_Nm) * STEP_Nm - 144.0
-    tau, per_turn = 2 * np.pi, np.abs(UNLIKE.m_per_turn)
     for protocol in VARIANTS.values():
         np.testing.assert_allclose(protocol.coded(given), expected, rtol=0, atol=1e-9)
         assert protocol.torque_limit == pytest.approx(0xFFB * STEP_Nm - 144.0, rel=1e-12)
-        length, rate, force, differences = protocol.traits.resolution.at(250.0)
-        np.testing.assert_allclose(length, 191.0 / 65535 / tau * per_turn, rtol=1e-12)
-        np.testing.assert_allclose(rate, 800.0 / 4095 / tau * per_turn, rtol=1e-12)
-        np.testing.assert_allclose(force, STEP_Nm * np.abs(UNLIKE.N_per_Nm), rtol=1e-12)
-        assert differences is False

@@ -94,21 +94,6 @@ def test_commands_and_stops_are_the_vectors_with_their_identifiers():
     assert len(pad(data)) == 48
 
 
-@pytest.mark.parametrize("v", [v for v in VECTORS if v["what"].startswith("reply")], ids=lambda v: v["what"])
-def test_replies_are_those_of_the_vectors(v):
-    said, decoded = registers(bytes.fromhex(v["data"]), 0x20), v["decoded"]
-    assert said is not None
-    for name, register in {"MODE": 0, "POSITION": 1, "VELOCITY": 2, "TORQUE": 3, "FAULT": 15}.items():
-        if name in decoded:
-            assert said[register] == pytest.approx(float(decoded[name]), rel=1e-5, nan_ok=True)
-    heard = P.hear(Frame(v["id"], bytes.fromhex(v["data"]), FD | BRS))
-    fault = decoded.get("FAULT")
-    if fault is None:
-        assert heard.broken, "an error in place of what was asked for"
-    elif fault:
-        assert (heard.power, heard.fault) == (DriveState.FAULT, 0x100 + fault)
-
-
 @given(st.floats(-1e3, 1e3), st.integers(0, 5))
 def test_torque_comes_out_as_the_single_that_went_in_and_saturates_at_its_limit(torque, leg):
     protocol = moteus(UNIT, 100.0)

@@ -263,12 +263,3 @@ def test_drive_that_ran_and_reports_off_is_stopped_in_run_and_no_other():
             stops = mode != DriveMode.RUN or leg in (0, 5)
             data = STOP if stops else pad(torque_command(begun.torque[leg], 2.0, 0.05))
             assert frame == Frame(0x8100 | NODES[leg], data, ALL)
-
-
-def test_tick_has_six_torques_with_their_queries_and_six_replies():
-    commands, replies = P.traits.cyclic_frames[:6], P.traits.cyclic_frames[6:]
-    assert commands == tuple(to(leg, torque_command(0.0, 2.0, 1.0)) for leg in range(6))
-    assert [(frame.id, len(frame.data)) for frame in replies] == [(n << 8 | 1, 24) for n in NODES]
-    assert [P.awaited(frame) for frame in P.traits.cyclic_frames] == [-1] * 6 + [n << 8 | 1 for n in NODES]
-    assert P.traits.emergency_stop == tuple(to(leg, STOP) for leg in range(6))
-    assert [P.addressed(frame) for frame in commands] == [(leg,) for leg in range(6)]

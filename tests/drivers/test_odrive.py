@@ -18,9 +18,9 @@ from drivers.errors import ConfigurationError
 from drivers.protocol import REMOTE, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.drives_end import answers, reports
+from hil.contracts.drives_end import reports
 from hil.contracts.ends import SETUP, Ends
-from hil.contracts.messages import Configure, DeviceCommand, Status, Sync
+from hil.contracts.messages import Configure, DeviceCommand, Status
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
 from tests.drivers.motor_families import UNIT, odrive
@@ -50,10 +50,6 @@ def vectors(name: str) -> list[Any]:
     return found
 
 
-def each(name: str) -> Any:
-    return pytest.mark.parametrize("v", vectors(name), ids=lambda v: v["data"])
-
-
 def frame(v: Any) -> Frame:
     return Frame(v["id"], bytes.fromhex(v["data"]))
 
@@ -68,12 +64,6 @@ def running(torque: float) -> Remembered:
     return P.start(BRAKES)._replace(mode=DriveMode.RUN, ran=(True,) * 6, torque=(torque,) * 6)
 
 
-@each("Set_Input_Torque")
-def test_torque_is_sent_as_the_vendors_header_packs_it(v):
-    leg = NODES.index(v["inputs"]["node_id"])
-    assert P.poll(running(v["inputs"]["Input_Torque"]), leg) == frame(v)
-
-
 def test_states_modes_errors_and_stops_are_the_vendors_frames():
     start = P.start(BRAKES)
     for sent, name in (
@@ -85,30 +75,6 @@ def test_states_modes_errors_and_stops_are_the_vendors_frames():
     ):
         assert sent == frame(vectors(name)[0])
     assert P.begin(start, 0)[1] == Frame(vectors("Get_Encoder_Estimates")[0]["id"], b"", REMOTE)
-
-
-@each("Get_Encoder_Estimates")
-def test_estimates_are_read_and_sent_as_the_vendors_header_has_them(v):
-    leg, said = NODES.index(v["inputs"]["node_id"]), v["inputs"]
-    heard = P.hear(frame(v))
-    assert (heard.leg, heard.feedback) == (leg, True)
-    assert heard.motion == pytest.approx((said["Pos_Estimate"], said["Vel_Estimate"]), rel=1e-7)
-    length, rate = (np.full(6, said[key]) for key in ("Pos_Estimate", "Vel_Estimate"))
-    sent = answers(P, Sync(0, (leg,)), length, rate, np.zeros(6), np.ones(6, np.int64))
-    assert sent == [(leg, frame(v))]
-
-
-@each("Heartbeat")
-def test_heartbeats_are_read_with_state_and_error(v):
-    heard, said = P.hear(frame(v)), v["inputs"]
-    if said["node_id"] not in NODES:
-        assert heard is None
-        return
-    assert not heard.feedback
-    error = said["Axis_Error"]
-    state = DriveState.RUN if said["Axis_State"] == 8 else DriveState.OFF
-    assert heard.power == (DriveState.FAULT if error else state)
-    assert heard.fault == (0x100 + error if error else 0)
 
 
 @given(st.floats(-1e4, 1e4), st.integers(0, 5))

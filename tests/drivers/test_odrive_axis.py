@@ -183,18 +183,6 @@ def test_address_is_of_eight_bytes_from_its_own_node_and_not_a_request():
     assert P.traits.identity_requests == (tuple(Frame(node << 5 | 6, b"", REMOTE) for node in NODES),)
 
 
-def test_tick_has_six_polls_six_torques_and_six_estimates():
-    ids = [[node << 5 | kind for node in NODES] for kind in (9, 0x0E, 9)]
-    polls, torques, estimates = (P.traits.cyclic_frames[k : k + 6] for k in (0, 6, 12))
-    assert polls == tuple(Frame(each, b"", REMOTE) for each in ids[0])
-    assert torques == tuple(Frame(each, bytes(8)) for each in ids[1])
-    assert estimates == tuple(Frame(each, bytes(8)) for each in ids[2])
-    assert len(P.traits.cyclic_frames) == 18
-    assert P.traits.emergency_stop == tuple(Frame(node << 5 | 2, b"") for node in NODES)
-    assert P.traits.feedback_ids == set(ids[2])
-    assert [P.awaited(frame) for frame in P.traits.cyclic_frames] == [-1] * 12 + ids[2]
-
-
 # what the controller asks an axis for
 
 

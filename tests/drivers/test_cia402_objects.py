@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.objects import mapped, read_value
+from drivers.cia402.objects import read_value
 from plant_fmu.drives.cia402_dictionary import (
     ENTRIES,
-    MAPPED,
     PDOS,
     PLACE,
     defaults,
@@ -87,14 +86,3 @@ def test_mapping_is_changed_while_its_own_pdo_is_off_and_it_is_empty(parameters,
         o.BAD_STATE,
         0,
     ]
-
-
-def test_mapping_counts_entries_that_fit_into_eight_bytes():
-    mapping = o.TPDO + 0x200
-    values = with_value(with_value(NEW, (o.TPDO, 1), o.NOT_VALID | 0x185), (mapping, 0), 0)
-    for sub in range(1, MAPPED + 1):
-        values = with_value(values, (mapping, sub), mapped((0x6064, 0), 32))
-    codes = [refused(values, (mapping, 0), count, 1) for count in (2, 3, MAPPED + 1)]
-    assert codes == [0, o.MAPPING_TOO_LONG, o.MAPPING_TOO_LONG]
-    assert refused(with_value(values, (mapping, 2), 0), (mapping, 0), 2, 1) == o.CANNOT_MAP
-    assert mapped((0x6064, 0x12), 32) == 0x60641220

@@ -201,13 +201,10 @@ def test_drives_that_are_done_or_wait_or_are_powered_are_passed_over():
         assert (4 in asked(frames)) == there, "silent for its patience"
 
 
-@pytest.mark.parametrize(
-    ("rate_Hz", "ticks"), [(250.0, 12), (100.0, 6), (120.0, 6), (150.0, 8), (1000.0, 50)]
-)
+@pytest.mark.parametrize(("rate_Hz", "ticks"), [(250.0, 12), (100.0, 6), (150.0, 8), (1000.0, 50)])
 def test_patience_is_50_ms_and_six_ticks_at_least(rate_Hz, ticks):
-    setup = SETUP._replace(rate_Hz=rate_Hz)
     for since, again in ((ticks - 1, False), (ticks, True)):
-        assert bool(sent(begun(setup=setup, asked=100 - since))) == again
+        assert bool(sent(begun(setup=SETUP._replace(rate_Hz=rate_Hz), asked=100 - since))) == again
 
 
 @pytest.mark.parametrize(("tries", "at", "first"), [(19, 1, False), (20, 1, True), (20, 0, False)])

@@ -145,21 +145,16 @@ def test_request_is_for_the_damiao_of_its_two_byte_node_and_an_unknown_one_is_re
     memory = DAMIAO.power_up()
     for leg, node in enumerate(MIT_NODES):
         for kind in (READ, WRITE):
-            assert DAMIAO.addressed(request(kind, 10, node=node)) == (leg,)
-            assert DAMIAO.parse(memory, request(kind, 10, node=node))[1]
-            for high in (1, 0x80, 0xFF):
-                other = request(kind, 10, node=high << 8 | node)
-                assert (DAMIAO.addressed(other), DAMIAO.parse(memory, other)) == ((), (memory, ()))
-        assert DAMIAO.addressed(Frame(node, b"")) == (leg,)
+            own, other = (request(kind, 10, node=each) for each in (node, 1 << 8 | node))
+            assert (DAMIAO.addressed(own), DAMIAO.addressed(other)) == ((leg,), ())
+            assert DAMIAO.parse(memory, own)[1]
+            assert DAMIAO.parse(memory, other) == (memory, ())
     assert [DAMIAO.addressed(Frame(0x7FF, data)) for data in (b"\4", b"")] == [(), ()]
     assert VARIANTS["cubemars"].addressed(request(READ, 9)) == ()
     assert told("damiao", request(0xCC, 0))[1] == [SYNC], "a request for feedback"
-    refused = [request(0xCC, 0, b"\0\0\0"), request(0xCC, 0, node=9), Frame(0x7FF, b""), Frame(0x7FF, b"\4")]
-    # not there; who the drive is, which can only be read
-    refused += [request(READ, 8), request(READ, 0), request(WRITE, 14), request(WRITE, 15), request(0xAA, 9)]
-    refused.append(request(0x34, 9))
-    assert told("damiao", *refused)[1] == [REFUSED] * len(refused)
-    assert told("damiao", request(READ, 9, node=9), request(WRITE, 9, node=9))[1] == [(), ()]
+    # cut; of an unknown node; not there; who the drive is, which can only be read
+    unknown = request(0xCC, 0, b"\0\0\0"), request(0xCC, 0, node=9), Frame(0x7FF, b"\4"), request(READ, 8)
+    assert told("damiao", *unknown, request(WRITE, 14), request(WRITE, 15))[1] == [REFUSED] * 6
 
 
 # what drives send

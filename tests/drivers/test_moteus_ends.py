@@ -15,7 +15,7 @@ from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
 from hil.contracts.messages import Configure, DeviceCommand, Rejected, Sync
-from tests.drivers.moteus_ends import asked, registers
+from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import UNLIKE, Heard, MoteusProtocol
 
 NODES = (9, 2, 3, 4, 5, 126)
@@ -115,14 +115,6 @@ def test_command_that_an_emulated_drive_does_not_have_is_refused_and_answered():
         assert told(to(2, bytes.fromhex(text) + QUERY))[1] == [(Rejected(), Sync(0, (2,)))]
     assert told(to(2, b"\x11\0"))[1] == [(Sync(0, (2,)),)], "a query"
     assert told(to(2, b"\x01\0"))[1] == [(Rejected(),)]
-
-
-def test_reply_goes_to_the_last_controller_that_wanted_one():
-    memory, _ = told(Frame(0x8500 | 4, b"\x11\0", ALL), Frame(0x0600 | 4, b"\x11\1", FD | BRS))
-    assert memory.asked == tuple((5, ((0, 0),)) if leg == 3 else P.power_up().asked[leg] for leg in range(6))
-    memory, _ = told(Frame(0xFF00 | 4, b"\x11\0", ALL))
-    assert memory.asked[3][0] == 0x7F
-    assert P.power_up().asked == ((1, asked(STOP)),) * 6
 
 
 def test_command_to_all_drives_is_obeyed_by_all_and_answered_where_it_asks_for_it():

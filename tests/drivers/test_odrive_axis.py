@@ -70,19 +70,15 @@ def test_frame_with_another_flag_or_node_is_neither_obeyed_nor_heard(flags):
         assert P.addressed(frame) == ()
 
 
-def test_stop_of_any_length_stops_its_axis_alone():
-    enabled = P.power_up()._replace(enabled=(True,) * 6)
-    for size in (0, 8):
-        memory, messages = P.parse(enabled, to(0x02, bytes(size)))
-        assert messages == (EmergencyStop((4,)),)
-        assert memory == enabled._replace(enabled=(True, True, True, True, False, True))
-
-
 def test_frame_that_the_axis_does_not_have_is_refused_and_what_no_controller_sends_is_ignored():
     taken = {0x02, 0x06, 0x07, 0x0B, 0x0E, 0x18}
     ignored = {0x00, 0x01, 0x03, 0x05, 0x08, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D, 0x1E}
     for kind in set(range(32)) - taken:
         assert told(to(kind, bytes(8)))[1] == [() if kind in ignored else REFUSED], hex(kind)
+    enabled = P.power_up()._replace(enabled=(True,) * 6)
+    memory, messages = P.parse(enabled, to(0x02))
+    assert messages == (EmergencyStop((4,)),)
+    assert memory == enabled._replace(enabled=(True, True, True, True, False, True))
     for kind, sizes in ((0x07, (4, 8)), (0x0B, (8,)), (0x0E, (4, 8)), (0x18, (0, 1))):
         for size in range(9):
             (messages,) = told(to(kind, b"\1\0\0\0\0\0\0\0"[:size]))[1]
@@ -120,14 +116,6 @@ def test_axis_closes_its_loop_under_torque_control_alone_and_counts_its_commands
     for number in (0, 2, 3, 7, 9):
         memory, found = told(TORQUE_CONTROL, state(8), state(number))
         assert (found[-1], memory.enabled[4]) == (REFUSED, True), "neither idle nor closed loop"
-
-
-def test_axis_that_was_switched_off_and_on_has_lost_all_and_the_others_nothing():
-    memory, _ = told(TORQUE_CONTROL, state(8))
-    both, _ = P.parse(memory, to(0x0B, struct.pack("<II", 1, 1), leg=0))
-    after = P.restarted(both, (4,))
-    assert after == P.power_up()._replace(registers=[both.registers[0], *[[0.0] * 8] * 5])
-    assert P.restarted(both, ()) == both
 
 
 @pytest.mark.parametrize(

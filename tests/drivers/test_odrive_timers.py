@@ -122,21 +122,6 @@ def test_reset_clears_errors_that_axes_have_not_yet_reported(anew):
     assert ends.nodes.snapshot().state.tolist() == [DriveState.OFF] * LEGS
 
 
-def test_emulated_axis_sends_its_heartbeat_by_a_timer_and_none_with_a_change():
-    ends, told = line(), list[tuple[int, int]]()
-
-    def hear(frames: list[Received]) -> list[Received]:
-        told.extend((t_ns, frame.id >> 5) for t_ns, frame in frames if frame.id & 0x1F == HEARTBEAT)
-        return frames
-
-    ends.to_hear = hear
-    for command in (FORCED, READY, FORCED, OFF, RESET, OFF) * 4:
-        ends.step(command, set_up=False, first=ends.protocol.traits.emergency_stop if command == OFF else ())
-    assert len(told) > 3 * LEGS
-    assert set(np.diff([t_ns for t_ns, _ in told])) == {BEAT_TICKS * PERIOD_NS // LEGS}
-    assert {node for _, node in told[:LEGS]} == set(NODES)
-
-
 # estimates that nobody asked for
 
 

@@ -1,12 +1,25 @@
-"""CiA 402 drives keep the contract of a drive protocol."""
+"""CiA 402 drives keep the contract of a drive protocol; they reset, trip, lose the controller and are stopped."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import pytest
 
+from drivers.protocol import Frame, Received
+from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
+from hil.contracts.by_value import ByValue
+from hil.contracts.ends import FORCE, OFF, PERIOD_NS, SETUP, Ends
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
+from plant_fmu.faults.kinds import DriveReset
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives
+
+RUN = Command(DriveMode.RUN, FORCE)
+READY = Command(DriveMode.READY, FORCE)
+RESET = Command(DriveMode.RESET, np.zeros(LEGS))
+HEARTBEAT = 0x77F
 
 
 class TestCia402WithVelocity(TroubleContract):
@@ -34,3 +47,102 @@ class TestCia402WithoutVelocity(ProtocolContract):
     @pytest.fixture
     def family(self):
         return drives((126, 20, 30, 40, 50, 1), velocity=False)
+
+
+def states(ends: Ends) -> list[int]:
+    return list(map(int, ends.measurement["drive_state"]))
+
+
+def alone(ends: Ends, frames: Any, ticks: int) -> list[Frame]:
+    """Let the drives live for some ticks with these frames in each, and return what they send."""
+    sent: list[Frame] = []
+    for _ in range(ticks):
+        ends.tick += 1
+        t = ends.tick * PERIOD_NS
+        sent += [frame for _, frame in ends.nodes.step(t, [Received(t, f) for f in frames])]
+    return sent
+
+
+def test_drive_that_resets_in_motion_is_in_boot_at_once_and_the_others_run_on():
+    ends = Ends(drives(), DriveReset(leg=2, at_s=2.0))
+    ends.running()
+    while ends.tick * PERIOD_NS < 1_990_000_000:
+        ends.step(RUN, set_up=False)
+    assert states(ends) == [DriveState.RUN] * LEGS
+    for _ in range(12):
+        ends.step(RUN, set_up=False)
+    assert states(ends) == [3, 3, DriveState.BOOT, 3, 3, 3]
+    assert ends.measurement["age"].tolist()[2] > 1
+    assert ends.nodes.snapshot().brake.tolist() == [0, 0, 1, 0, 0, 0]
+    assert ends.protocol.legs_set_up(ends.dialogue) == (True, True, False, True, True, True)
+
+
+def test_each_drive_trips_with_its_emcy_without_our_heartbeat_although_pdos_go_on():
+    ends = Ends(drives())
+    ends.running()
+    for _ in range(40):
+        ends.step(RUN, set_up=False)
+    assert states(ends) == [DriveState.RUN] * LEGS
+    sent = alone(ends, [frame for frame in ends.sent if frame.id != HEARTBEAT], 30)
+    for node in range(1, 7):
+        assert Frame(0x080 + node, bytes.fromhex("3081110000000000")) in sent
+    ends.to_controller = [Received(ends.tick * PERIOD_NS, frame) for frame in sent]
+    ends.step(RUN, set_up=False)
+    ends.step(RUN, set_up=False)
+    assert states(ends) == [DriveState.FAULT] * LEGS
+    assert ends.measurement["drive_fault"].tolist() == [0x8130] * LEGS
+    assert "heartbeat" in ends.protocol.fault_text(0x8130)
+
+
+def test_heartbeats_of_its_controller_alone_keep_a_drive_enabled():
+    ends = Ends(drives())
+    ends.running()
+    alone(ends, [Frame(HEARTBEAT, b"\x05")], 100)
+    assert ends.nodes.snapshot().state.tolist() == [DriveState.RUN] * LEGS
+    alone(ends, [Frame(HEARTBEAT - 1, b"\x05")], 100)
+    assert ends.nodes.snapshot().state.tolist() == [DriveState.FAULT] * LEGS
+
+
+def test_another_rated_torque_is_reported_and_no_drive_is_set_up():
+    ends = Ends(drives())
+    ends.protocol = ByValue(drives(rated_Nm=10.0))
+    ends.dialogue = ends.protocol.start(SETUP)
+    for _ in range(150):
+        ends.step()
+    lacks = ends.protocol.set_up_lacks(ends.dialogue)
+    assert lacks == ("0x6076:0 motor rated torque is 9000, expected 10000",) * LEGS
+    assert not any(ends.protocol.legs_set_up(ends.dialogue))
+
+
+@pytest.mark.parametrize("runs", [True, False])
+def test_emergency_stop_with_the_off_of_its_tick_stays_a_stop_until_a_reset(runs):
+    ends = Ends(drives())
+    if runs:
+        ends.running()
+    else:
+        ends.until_set_up()
+    stop = ends.protocol.traits.emergency_stop
+    ends.step(OFF._replace(stop=True), set_up=False, first=stop)
+    for command in (OFF, READY, READY, READY, RUN, RUN, *[OFF] * 30):
+        ends.step(command, set_up=False)
+        assert states(ends) == [DriveState.FAULT] * LEGS
+        assert not runs or ends.measurement["drive_fault"].tolist() == [DriveFault.ESTOP] * LEGS
+    assert ends.nodes.snapshot().brake.all()
+    for _ in range(ends.protocol.traits.reset_ticks):
+        ends.step(RESET, set_up=False)
+    ends.step(set_up=False)
+    assert states(ends) == [DriveState.OFF] * LEGS
+    assert not ends.measurement["drive_fault"].any()
+
+
+def test_force_is_there_from_enabling_on_and_a_drive_is_not_enabled_from_off():
+    ends = Ends(drives())
+    ends.until_set_up()
+    for command, state in ((RUN, DriveState.OFF), (READY, DriveState.READY)):
+        for _ in range(8):
+            ends.step(command, set_up=False)
+        assert states(ends) == [state] * LEGS
+        assert not ends.nodes.snapshot().force.any()
+        assert not ends.measurement["drive_force"].any()
+    ends.step(RUN, set_up=False)
+    np.testing.assert_allclose(ends.nodes.snapshot().force, FORCE, rtol=0, atol=1.5)

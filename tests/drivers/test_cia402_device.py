@@ -251,16 +251,6 @@ def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault
 # six drives behind one bus
 
 
-def test_sync_is_answered_by_drives_in_operational_with_a_tpdo():
-    memory = changed(changed(HELD, 1, nmt=127), 2, nmt=4)
-    memory = changed(memory, 4, state=State.FAULT_REACTION)
-    for at in (0x1800, 0x1801):
-        memory, _ = on_sdo(memory, f"23{at & 0xFF:02x}{at >> 8:02x}0180010080")
-    after, messages = P.parse(memory, Frame(0x80, b""))
-    assert messages == (Sync(0, (0, 4, 5)),)
-    assert after.state["state"].tolist() == [State.FAULT if leg == 4 else State.ENABLED for leg in range(6)]
-
-
 def test_heartbeat_feeds_the_drives_that_watch_its_node():
     memory = HELD
     for leg, node in ((1, 9), (4, 9), (5, 0)):

@@ -244,6 +244,22 @@ def test_drive_in_fault_without_a_known_code_is_asked_for_it():
 # answers
 
 
+@pytest.mark.parametrize(
+    ("head", "value"),
+    [
+        (0x43, 0x12345678), (0x47, 0x345678), (0x4B, 0x5678), (0x4F, 0x78), (0x42, 0x12345678),
+        # without bit 0 the two bits of the size mean nothing
+        (0x46, 0x12345678), (0x4A, 0x12345678), (0x4E, 0x12345678),
+        # to come in segments; an abort; a confirmation
+        (0x40, None), (0x41, None), (0x44, None), (0x49, None), (0x4D, None), (0x80, None), (0x60, None),
+    ],
+)  # fmt: skip
+def test_answer_has_as_many_bytes_as_its_size_gives_else_four(head, value):
+    data = bytes.fromhex(f"{head:02x}64601278563412")
+    assert o.read_value(data) == (None if value is None else ((0x6064, 0x12), value))
+    assert o.read_value(data[:7]) is None
+
+
 def read(value: int, index: int = 0x1000) -> bytes:
     return bytes((0x43, index & 0xFF, index >> 8, 0)) + value.to_bytes(4, "little")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.cia402.objects import check_eds
-from drivers.cia402.states import DRIVE_STATE, STATE_OF, STATUSWORDS, State, commanded, controlword
+from drivers.cia402.states import State, commanded, controlword
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.protocol import (
@@ -77,13 +77,6 @@ def test_controlword_leads_each_state_where_the_automaton_has_it(word, after):
     assert tuple(map(int, (commanded(word, state, rises=True) for state in State))) == after
     level = tuple(map(int, (commanded(word, state, rises=False) for state in State)))
     assert level == (*after[:7], 7), "a fault is cleared at a rising edge alone"
-
-
-def test_states_are_those_of_statuswords_whatever_the_other_bits():
-    assert list(STATUSWORDS.values()) == [0x200, 0x250, 0x231, 0x233, 0x237, 0x217, 0x21F, 0x218]
-    for state, word in STATUSWORDS.items():
-        assert STATE_OF[word & 0x7F] == STATE_OF[(word ^ 0x10) & 0x7F] == state
-    assert tuple(map(int, DRIVE_STATE)) == (0, 1, 1, 2, 3, 4, 4, 4)
 
 
 # commands
@@ -230,13 +223,6 @@ def test_lengths_can_be_reported_that_are_32_bits_of_counts():
     shortest, longest = P.traits.reported_lengths
     np.testing.assert_allclose(shortest, offset - np.where(SIGN > 0, below, above), rtol=1e-13)
     np.testing.assert_allclose(longest, offset + np.where(SIGN > 0, above, below), rtol=1e-13)
-
-
-def test_such_drives_have_their_traits():
-    t = P.traits
-    assert (t.command_delay_ticks, t.reset_ticks, t.reactions) == (0, 6, (Reaction.BRAKE, Reaction.DAMP))
-    assert {t.latches_together, t.stop_latches, t.has_watchdog} == {True}
-    assert "encoder 1" in P.fault_text(0x7305)
 
 
 # settings

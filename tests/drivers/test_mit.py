@@ -10,16 +10,14 @@ import pytest
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_array import NO_FRAMES, received_array
 from drivers.mit.fields import VARIANTS
 from drivers.mit.protocol import ENABLE
-from drivers.protocol import Frame, Received
-from drivers.signals import Command, DriveMode, DriveState, Foreign
+from drivers.signals import Command, DriveMode, DriveState
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import PERIOD_NS, SETUP, Ends, at_tick
+from hil.contracts.ends import SETUP, Ends
 from hil.contracts.trouble import TroubleContract
-from tests.drivers.motor_families import GEAR, MIT_NODES, RANGES, MitProtocol, mit, pack_command, robstride
+from tests.drivers.motor_families import GEAR, MIT_NODES, RANGES, MitProtocol, mit, robstride
 
 LEAD_m, NEWTONS = 0.1, 2 * np.pi / 0.1
 # Twice a step, because the codecs truncate.
@@ -84,21 +82,6 @@ def test_run_that_is_asked_for_again_enables_again_though_nothing_was_heard_betw
     assert {frame.data for frame in protocol.begin(dialogue, 2)} == {ENABLE}
 
 
-@pytest.mark.parametrize(
-    ("mode", "ticks"), [(DriveMode.OFF, [100, 110, 120, 130]), (DriveMode.READY, []), (DriveMode.RUN, [])]
-)
-def test_request_is_repeated_after_its_time_and_not_while_a_drive_is_to_hold_or_run(mode, ticks):
-    protocol, dialogue = in_dialogue(mode=mode, done=(6, 6, 3, 6, 6, 6))
-    asked = []
-    for number in range(100, 131):
-        tick = at_tick(number)
-        tick["age"] = 0
-        dialogue, frames = protocol.set_up(dialogue, tick)
-        asked += [number] * len(frames)
-        assert all(frame.data[0] == MIT_NODES[2] for frame in frames)
-    assert asked == ticks
-
-
 def test_drive_with_other_ranges_is_not_set_up_and_says_which():
     ends = Ends(mit("damiao"))
     other = ByValue(MitProtocol("damiao", RANGES._replace(position=100.0), MIT_NODES, 16, GEAR))
@@ -113,69 +96,6 @@ def test_drive_with_other_ranges_is_not_set_up_and_says_which():
 def test_range_that_is_not_a_single_is_confirmed_by_the_nearest_one():
     near = RANGES._replace(position=95.3, velocity=400.1, torque=143.9)
     Ends(MitProtocol("damiao", near, MIT_NODES, 16, GEAR)).until_set_up()
-
-
-# second nodes, late answers, restarts
-
-
-BOTH = pytest.mark.parametrize("make", [lambda: mit("damiao"), robstride], ids=["damiao", "robstride"])
-
-
-@BOTH
-def test_another_controller_a_second_answer_and_a_late_one_are_told_apart(make):
-    ends = Ends(make())
-    ends.until_set_up()
-    ends.step()
-    begun = ends.tick * PERIOD_NS
-    answer, third = (
-        next(e for e in ends.received if ends.protocol.awaited(e.frame) == leg) for leg in (2, 3)
-    )
-
-    def other(each: Received) -> Received:
-        data = each.frame.data
-        return each._replace(frame=each.frame._replace(data=bytes((data[0], data[1] ^ 1)) + data[2:]))
-
-    def measured(*frames: Received) -> Any:
-        m = at_tick(ends.tick + 1)
-        ends.protocol.decode(ends.dialogue, received_array(frames), ends.measurement, m, begun)
-        return m
-
-    m = measured(answer, other(answer))
-    assert (m["doubled"], m["foreign"], m["rejected"]) == (4, 0, 0)
-    assert measured(answer, answer)["doubled"] == 0, "the same again"
-    assert measured(answer, other(answer), third, other(third))["doubled"] == 4 + 8, "two drives at once"
-    m = measured(answer, Received(begun, ends.opening[1]))
-    assert (m["doubled"], m["foreign"]) == (0, Foreign.COMMAND)
-    m = measured(answer._replace(t_ns=begun - 1))
-    assert (m["rejected"], m["age"][2] > 0) == (1, True)
-
-
-@BOTH
-def test_answer_that_comes_with_the_next_poll_measures_at_its_age(make):
-    ends = Ends(make())
-    ends.until_set_up()
-    ends.step()
-    begun = ends.tick * PERIOD_NS
-    late = next(each for each in ends.received if ends.protocol.awaited(each.frame) == 2)
-    missed = at_tick(ends.tick + 1)
-    dialogue = ends.protocol.decode(ends.dialogue, NO_FRAMES, ends.measurement, missed, begun)
-    missed["length"][2] = 7.0
-    m = at_tick(ends.tick + 2)
-    ends.protocol.decode(dialogue, received_array([late._replace(t_ns=begun - 1)]), missed, m, begun)
-    assert m["age"].tolist() == [2, 2, 1, 2, 2, 2]
-    assert m["length"][2] == pytest.approx(float(ends.measurement["length"][2]))
-    assert m["rejected"] == 1, "a drive that is always late is not relied upon"
-
-
-@pytest.mark.parametrize("variant", ["mini_cheetah", "cubemars", "damiao"])
-def test_drive_is_enabled_by_a_controller_that_has_set_nothing_up(variant):
-    nodes = Ends(mit(variant)).nodes
-    torque = pack_command(0.0, 0.0, 0.0, 0.0, 10.0, RANGES)
-    for k, data in enumerate((ENABLE, torque, torque)):
-        nodes.step(k * PERIOD_NS, [Received(k * PERIOD_NS, Frame(2, data))])
-    assert nodes.snapshot().state.tolist() == [0, DriveState.RUN, 0, 0, 0, 0]
-    assert nodes.snapshot().command[1] == pytest.approx(-10.0 * NEWTONS, abs=STEP_N)
-    assert nodes.snapshot().rejected == 0
 
 
 # settings

@@ -98,23 +98,6 @@ def reply(kind: int, register: int, value: bytes) -> Answer:
     return Answer(3, Frame(20, bytes((4, 0, kind, register)) + value))
 
 
-@pytest.mark.parametrize(
-    ("register", "form", "value"),
-    [
-        (9, "I", 0),
-        (10, "I", 0),
-        (14, "I", 1),
-        (15, "I", 4),
-        (21, "f", 95.5),
-        (22, "f", 400.0),
-        (23, "f", 144.0),
-    ],
-)
-def test_new_register_reads_as_delivered_on_the_drives_own_identifier(register, form, value):
-    held = struct.pack(f"<{form}", value)
-    assert told("damiao", request(READ, register))[1] == [(reply(READ, register, held),)]
-
-
 def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
     ticks, one, other = struct.pack("<I", 1000), struct.pack("<I", 1), struct.pack("<f", 7.5)
     limit = Configure(3, 0.05, Reaction.BRAKE)
@@ -205,13 +188,6 @@ def test_status_of_a_damiao_is_its_state_or_its_fault_or_broken(status):
     known = {0: (OFF, 0), 1: (RUN, 0), 13: (FAULT, DriveFault.WATCHDOG)}
     power, fault = known.get(status, (FAULT, 0x100 + status))
     assert (heard.leg, heard.power, heard.fault, heard.feedback) == (2, power, fault, True)
-
-
-@pytest.mark.parametrize(("code", "words"), [(1, "motor over temperature"), (6, "phase current unbalance")])
-def test_reply_of_a_cubemars_with_a_code_is_of_a_drive_in_fault(code, words):
-    protocol = VARIANTS["cubemars"]
-    good, bad = (protocol.hear(Frame(0, b"\3" + REST[:6] + bytes((each,)))) for each in (0, code))
-    assert (good.power, bad.leg, bad.power, protocol.fault_text(bad.fault)) == (None, 2, FAULT, words)
 
 
 @pytest.mark.parametrize(("name", "sizes"), [("mini_cheetah", (6, 7)), ("cubemars", (8,)), ("damiao", (8,))])

@@ -14,7 +14,7 @@ from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, 
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
-from hil.contracts.messages import Configure, DeviceCommand, Rejected, Sync
+from hil.contracts.messages import Configure, Rejected, Sync
 from tests.drivers.moteus_ends import registers
 from tests.drivers.motor_families import UNLIKE, Heard, MoteusProtocol
 
@@ -115,16 +115,6 @@ def test_command_that_an_emulated_drive_does_not_have_is_refused_and_answered():
         assert told(to(2, bytes.fromhex(text) + QUERY))[1] == [(Rejected(), Sync(0, (2,)))]
     assert told(to(2, b"\x11\0"))[1] == [(Sync(0, (2,)),)], "a query"
     assert told(to(2, b"\x01\0"))[1] == [(Rejected(),)]
-
-
-def test_command_to_all_drives_is_obeyed_by_all_and_answered_where_it_asks_for_it():
-    torque = pad(torque_command(0.5, 2.0, 0.1))
-    for identifier, flags, replies in ((0x7F, FD | BRS, []), (0x807F, ALL, [(leg,) for leg in range(6)])):
-        memory, (messages,) = told(Frame(identifier, torque, flags))
-        assert memory.enabled == (True,) * 6
-        runs = [each.legs for each in messages if isinstance(each, DeviceCommand) and each.mode == RUN]
-        assert runs == [(leg,) for leg in range(6)]
-        assert [each.legs for each in messages if isinstance(each, Sync)] == replies
 
 
 def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():

@@ -17,14 +17,6 @@ def options(*known: str, **given: Any) -> Options:
     return Options(BusSettings(), drives.model_copy(update={"options": given}), "kite", "fd", known)
 
 
-def test_options_that_fit_are_taken_and_others_have_their_default():
-    o = options("a", "b", "c", a=2, b="y")
-    assert (o.positive("a", 1.0), o.positive("c", 1.5)) == (2.0, 1.5)
-    assert (o.whole("a", 1), o.whole("c", 7)) == (2, 7)
-    assert (o.choice("b", ("x", "y")), o.choice("c", ("x",))) == ("y", "x")
-    assert o.transmission.m_per_turn.tolist() == [0.5] * 6
-
-
 @pytest.mark.parametrize(
     ("take", "given", "message"),
     [

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.protocol import REMOTE, Frame, Received
+from drivers.protocol import REMOTE, Frame
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import reports
-from hil.contracts.ends import SETUP, Ends
+from hil.contracts.ends import SETUP
 from hil.contracts.messages import Configure, DeviceCommand, Status
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
@@ -98,15 +98,6 @@ def test_each_axis_is_told_by_its_own_state():
     ):
         found = told(P.start(BRAKES)._replace(power=power), mode)
         assert [[frame.id & 0x1F for frame in frames] for frames in found] == kinds
-
-
-def test_axis_is_enabled_by_a_controller_that_never_sent_it_idle():
-    nodes = Ends(P).nodes
-    mode, closed = Frame(0x2B, struct.pack("<II", 1, 1)), Frame(0x27, struct.pack("<Ixxxx", 8))
-    nodes.step(0, [Received(0, each) for each in (mode, closed, Frame(0x2E, struct.pack("<fxxxx", 0.5)))])
-    assert nodes.snapshot().state.tolist() == [0, DriveState.RUN, 0, 0, 0, 0]
-    assert nodes.snapshot().command[1] == pytest.approx(0.5 * 2 * np.pi)
-    assert nodes.snapshot().rejected == 0
 
 
 # settings

@@ -164,21 +164,6 @@ def test_second_and_late_estimates_are_counted_where_axes_send_none_unasked():
     assert (tick["doubled"], tick["rejected"]) == (1 << 3, 1)
 
 
-@pytest.mark.parametrize("unasked_s", [0.0, UNASKED_S])
-def test_emulated_axis_sends_its_estimates_by_its_timer_beside_its_answers(unasked_s):
-    ends, times = ready(unasked_s), list[int]()
-    own = NODES[2] << 5 | ESTIMATES
-    for _ in range(100):
-        ends.step()
-        polled = ends.tick * PERIOD_NS + 100_000
-        found = [t_ns for t_ns, frame in ends.received if frame.id == own]
-        assert polled in found
-        times += [t_ns for t_ns in found if t_ns != polled]
-    assert (len(times) > 3) == bool(unasked_s)
-    assert not times or np.abs(np.diff(times) - 1e9 * UNASKED_S).max() <= 1
-    assert ends.nodes.syncs == (ends.tick + 1) * LEGS, "none counts as a poll"
-
-
 def configured(options: dict[str, int], **bus: Any) -> Any:
     values = {"protocol": "odrive", "transmission": {"lead_m": 0.02}, "options": options}
     settings = BusSettings.model_validate({"layout": "classic"} | bus)

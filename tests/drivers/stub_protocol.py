@@ -72,25 +72,20 @@ MOST_SET_UP = 2
 
 
 class StubDialogue(NamedTuple):
-    """The controller's end."""
+    """The controller's end: what each exchange sets, which are confirmed, ticks of requests, the next polls."""
 
     values: tuple[int, ...]
-    """What each exchange sets."""
     done: tuple[int, ...]
-    """Exchanges that each node has confirmed."""
     asked: tuple[int, ...]
-    """Tick of each node's last request."""
     polls: tuple[Frame, ...]
-    """What the next tick begins with."""
 
 
 class StubMemory(NamedTuple):
-    """The drives' end: one element a drive."""
+    """The drives' end: one element a drive; polls heard, of which none is a repetition."""
 
     done: tuple[int, ...]
     watchdog_us: tuple[int, ...]
     polls: tuple[int, ...]
-    """Polls heard: none is a repetition."""
 
 
 def _put(values: tuple[int, ...], leg: int, value: int) -> tuple[int, ...]:

@@ -281,17 +281,14 @@ def axis_heartbeat(v: Vector) -> bool:
 
 HEAD, TAIL = ((0, 0), (1, 3), (2, 3), (3, 3)), ((0xD, 0), (0xE, 0), (0xF, 0))
 COLLISION = "COLLISION: a saturated command is byte for byte the special frame "
+SPECIAL = {"enable": "| ready run answers", "disable": "> off answers", "zero position": "> refused answers"}
 EXPECTED: dict[str, dict[str, Any]] = {
     "mit": {
         "command: ": ("> run answers", packed("mit")),
         "command: all upper ends": ("> run answers", packed("mit"), lambda v: v["data"] == "f" * 16),
         "command with the library's sign flip": packed_with_the_sign,
-        COLLISION + "enable": "| ready run answers",
-        COLLISION + "disable": "> off answers",
-        COLLISION + "zero position": "> refused answers",
-        "special frame: enable": "| ready run answers",
-        "special frame: disable": "> off answers",
-        "special frame: zero position": "> refused answers",
+        **{COLLISION + name: words for name, words in SPECIAL.items()},
+        **{f"special frame: {name}": words for name, words in SPECIAL.items()},
         "reply WRAP": ("< feedback", mit_reply),
         "reply 7 bytes": ("< feedback", mit_reply),
         "reply parsed (8 bytes": ("< feedback", mit_reply),

@@ -1,23 +1,39 @@
-"""MIT framing: the contract of each variant, its dialogue, drives without a controller, and settings."""
+"""MIT framing: the contract of each variant, its dialogue, frames of other people's code, and settings."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.mit.fields import VARIANTS
+from drivers.mit.fields import VARIANTS, Ranges
 from drivers.mit.protocol import ENABLE
-from drivers.signals import Command, DriveMode, DriveState
+from drivers.protocol import EXTENDED, Frame
+from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue
 from hil.contracts.ends import SETUP, Ends
 from hil.contracts.trouble import TroubleContract
-from tests.drivers.motor_families import GEAR, MIT_NODES, RANGES, MitProtocol, mit, robstride
+from tests.drivers.motor_families import (
+    ALL_NODES,
+    GEAR,
+    MIT_NODES,
+    RANGES,
+    MitProtocol,
+    begun,
+    mit,
+    pack_command,
+    robstride,
+    unpack_command,
+)
 
 LEAD_m, NEWTONS = 0.1, 2 * np.pi / 0.1
 # Twice a step, because the codecs truncate.
@@ -63,19 +79,12 @@ class TestRobStride(MitInTrouble):
 # the dialogue
 
 
-def in_dialogue(**changes: Any) -> tuple[MitProtocol, Any]:
-    """Return a Damiao codec, and its dialogue with disabled drives and some changes."""
-    protocol = mit("damiao")
-    start = protocol.start(protocol_setup(protocol))
-    return protocol, start._replace(**{"power": (int(DriveState.OFF),) * 6} | changes)
-
-
-def protocol_setup(protocol: Any) -> Any:
-    return SETUP._replace(reaction=protocol.traits.reactions[0])
+BRAKES = SETUP._replace(reaction=Reaction.BRAKE)
 
 
 def test_run_that_is_asked_for_again_enables_again_though_nothing_was_heard_between():
-    protocol, dialogue = in_dialogue(mode=DriveMode.RUN, ran=(True,) * 6)
+    protocol = mit("damiao")
+    dialogue = begun(protocol, mode=DriveMode.RUN, ran=(True,) * 6)
     assert ENABLE not in {frame.data for frame in protocol.begin(dialogue, 1)}, "it fell back by itself"
     for mode in (DriveMode.OFF, DriveMode.RUN):
         dialogue, _ = protocol.command(dialogue, Command(mode, np.zeros(6)), 1)
@@ -85,7 +94,7 @@ def test_run_that_is_asked_for_again_enables_again_though_nothing_was_heard_betw
 def test_drive_with_other_ranges_is_not_set_up_and_says_which():
     ends = Ends(mit("damiao"))
     other = ByValue(MitProtocol("damiao", RANGES._replace(position=100.0), MIT_NODES, 16, GEAR))
-    ends.dialogue = other.start(protocol_setup(other))
+    ends.dialogue = other.start(BRAKES)
     ends.protocol = other
     for _ in range(100):
         ends.step()
@@ -96,6 +105,98 @@ def test_drive_with_other_ranges_is_not_set_up_and_says_which():
 def test_range_that_is_not_a_single_is_confirmed_by_the_nearest_one():
     near = RANGES._replace(position=95.3, velocity=400.1, torque=143.9)
     Ends(MitProtocol("damiao", near, MIT_NODES, 16, GEAR)).until_set_up()
+
+
+# other people's code: tests/data/drives has the sources
+
+
+DATA: dict[str, Any] = {
+    name: json.loads((Path(__file__).parents[1] / f"data/drives/{name}.json").read_text(encoding="utf-8"))
+    for name in ("mit", "damiao", "robstride")
+}
+
+
+def vectors(name: str, begins: str) -> list[Any]:
+    found = [v for v in DATA[name]["vectors"] if v["what"].startswith(begins)]
+    assert found, begins
+    return found
+
+
+def ranges(name: str, model: str) -> Ranges:
+    """Return them from position, velocity, kp, kd, torque, or without gains."""
+    p, v, *gains = DATA[name]["ranges"][model]
+    return Ranges(p, v, gains[0] if name == "robstride" else gains[-1])
+
+
+def frame(v: Any) -> Frame:
+    return Frame(v["id"], bytes.fromhex(v["data"]), EXTENDED * v["extended"])
+
+
+@pytest.mark.parametrize(
+    ("variant", "model", "name"),
+    [
+        ("mini_cheetah", "mini_cheetah", "classic_V65"),
+        ("cubemars", "AK80-9", "AK80-9_V50"),
+        ("cubemars", "AK10-9", "AK10-9_V50"),
+        ("cubemars", "AK80-6", "AK80-6_V76"),
+        ("cubemars", "AK80-64", "AK80-64_V8"),
+        *(("damiao", m, m) for m in ("DM4310", "DM8009", "DM4340", "DM6006", "DM4310_48V", "DM3507")),
+        *(("robstride", m, m) for m in VARIANTS["robstride"].models),
+    ],
+)
+def test_ranges_of_a_model_are_those_of_its_libraries(variant, model, name):
+    file = variant if variant in DATA else "mit"
+    assert VARIANTS[variant].models[model] == pytest.approx(ranges(file, name), rel=1e-8)
+
+
+def damiao(motor: str = "DM4310") -> MitProtocol:
+    return MitProtocol("damiao", ranges("damiao", motor), ALL_NODES, 16, GEAR)
+
+
+def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
+    protocol = damiao()
+    start = protocol.start(BRAKES)
+    # 0.1 s are 2000 steps of 50 us
+    found = protocol.exchanges(BRAKES._replace(watchdog_s=0.1))[4]
+    asked = {exchange.name.split()[0]: exchange.frames[0] for exchange in found}
+    faulted = start._replace(mode=DriveMode.RESET, power=(DriveState.FAULT,) * 6)
+    for sent, what in (
+        (protocol.poll(start, 4), "disable"),
+        (protocol.poll(start._replace(mode=DriveMode.RUN), 4), "enable"),
+        (protocol.poll(faulted, 4), "clear error"),
+        (asked["CTRL_MODE"], "write parameter CTRL_MODE"),
+        (asked["PMAX"], "read parameter PMAX"),
+        (asked["TMAX"], "read parameter TMAX"),
+        (asked["TIMEOUT"], "write parameter TIMEOUT"),
+    ):
+        assert sent == frame(vectors("damiao", what)[0]), what
+
+
+def test_robstride_special_frames_are_those_of_its_libraries():
+    protocol = robstride()
+    start = protocol.start(BRAKES)
+    written, read = protocol.exchanges(BRAKES)[0][0].frames
+    for sent, what in (
+        (protocol.poll(start._replace(mode=DriveMode.RUN), 0), "type 3 enable"),
+        (protocol.poll(start, 0), "type 4 disable"),
+        (written, "type 18 write parameter run_mode 0"),
+        (read, "type 17 read parameter run_mode"),
+    ):
+        assert [sent] == [frame(v) for v in vectors("robstride", what)]
+    heard = protocol.hear(frame(vectors("robstride", "type 17 reply run_mode")[0]))
+    assert heard.answer == (0x7005, 2.0)
+
+
+@given(torque=st.floats(-20.0, 20.0), position=st.floats(-15.0, 15.0))
+def test_command_saturates_and_no_torque_makes_it_a_special_frame(torque, position):
+    r = VARIANTS["damiao"].models["DM4310"]
+    p, v, kp, kd, t = unpack_command(pack_command(position, 0.0, 0.0, 0.0, torque, r), r)
+    assert 0.0 <= min(max(torque, -10.0), 10.0) - t < 20.0 / 4095 * (1 + 1e-9)
+    assert 0.0 <= min(max(position, -12.5), 12.5) - p < 25.0 / 65535 * (1 + 1e-9)
+    assert abs(v) <= 60.0 / 4095
+    assert (kp, kd) == (0.0, 0.0)
+    dialogue = damiao().start(BRAKES)._replace(mode=DriveMode.RUN, ran=(True,) * 6, torque=(torque,) * 6)
+    assert damiao().poll(dialogue, 0).data[:7] != b"\xff" * 7
 
 
 # settings
@@ -165,8 +266,8 @@ def test_settings_reach_the_nodes_ranges_and_identifiers_of_a_variant(variant, m
     for key, field in keys.items():
         found = made(node_ids=nodes, options=options | {key: 33.5}).ranges
         assert found == delivered._replace(**{field: 33.5})
-    for given, other in ((None, host), (200, 200)):
-        protocol = made(node_ids=nodes, options=options | ({} if given is None else {"host_id": given}))
+    for host_id, other in ((None, host), (200, 200)):
+        protocol = made(node_ids=nodes, options=options | ({} if host_id is None else {"host_id": host_id}))
         frames = protocol.traits.cyclic_frames
         if variant == "robstride":
             assert [frame.id for frame in protocol.traits.emergency_stop] == [

@@ -10,47 +10,62 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, ZERO
-from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
+from drivers.protocol import BUS, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
 from hil.contracts.messages import Answer, Configure, Rejected, Sync
-from tests.drivers.motor_families import MIT_NODES, RANGES, UNLIKE, Heard, mit, pack_command
+from tests.drivers.motor_families import MIT_NODES, ROBSTRIDE_NODES, UNLIKE, Heard, mit, robstride
 
-VARIANTS = {name: mit(name, UNLIKE) for name in ("mini_cheetah", "cubemars", "damiao")}
+VARIANTS: dict[str, Any] = {name: mit(name, UNLIKE) for name in ("mini_cheetah", "cubemars", "damiao")}
 DAMIAO = VARIANTS["damiao"]
+FOUR = VARIANTS | {"robstride": robstride(UNLIKE)}
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
 STEP_Nm = 288.0 / 4095
 OFF, RUN, FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 SYNC, REFUSED = (Sync(0, (3,)),), (Rejected(),)
+HALF = struct.pack(">HHHH", 0x7FFF, 0x7FFF, 0, 0)
+"""Position and speed of nothing in the middle of their ranges, no gains."""
 
 every_variant = pytest.mark.parametrize("name", VARIANTS)
+every_one = pytest.mark.parametrize("name", FOUR)
+
+
+def to(name: str, what: str, leg: int = 3, torque_Nm: float = 0.0) -> Frame:
+    """Return what asks a drive for something: idle, enable, clear or drive, with a torque."""
+    kinds = {"idle": DISABLE, "enable": ENABLE, "clear": CLEAR if name == "damiao" else DISABLE}
+    if name != "robstride":
+        code = int((torque_Nm + 144.0) / STEP_Nm)
+        drive = (0x7FFF7FF0000 << 20 & ~0xFFF | code).to_bytes(8, "big")
+        return Frame(MIT_NODES[leg], kinds.get(what, drive))
+    kind, middle, data = (
+        {"idle": 4, "enable": 3, "clear": 4}.get(what, 1),
+        253,
+        bytes((what == "clear", *bytes(7))),
+    )
+    if what == "drive":
+        middle, data = int((torque_Nm + 144.0) * 65535 / 288.0), HALF
+    return Frame(kind << 24 | middle << 8 | ROBSTRIDE_NODES[leg], data, EXTENDED)
 
 
 # what drives obey
 
 
 def told(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
-    memory, found = memory or VARIANTS[name].power_up(), []
+    memory, found = memory or FOUR[name].power_up(), []
     for frame in frames:
-        memory, messages = VARIANTS[name].parse(memory, frame)
+        memory, messages = FOUR[name].parse(memory, frame)
         found.append(plain(messages))
     return memory, found
 
 
-def torque(code: int) -> Frame:
-    """Return a torque to leg 3 by its code."""
-    return Frame(4, (0x7FFF7FF0000 << 20 & ~0xFFF | code).to_bytes(8, "big"))
-
-
-@every_variant
+@every_one
 def test_drive_obeys_torques_from_enabling_to_disabling_and_answers_every_frame(name):
-    def force(code: int) -> float:
-        return float((code * STEP_Nm - 144.0) * UNLIKE.N_per_Nm[3])
-
-    enable, disable = Frame(4, ENABLE), Frame(4, DISABLE)
-    frames = torque(3000), enable, torque(3000), enable, torque(1000), disable, torque(1000), enable
-    memory, found = told(name, *frames)
+    protocol, torques = FOUR[name], (66.5, -73.2)
+    drive, other = (to(name, "drive", torque_Nm=torque) for torque in torques)
+    enable, disable = to(name, "enable"), to(name, "idle")
+    memory, found = told(name, drive, enable, drive, enable, other, disable, other, enable)
+    taken = [float((protocol.coded(np.full(6, torque)) * UNLIKE.N_per_Nm)[3]) for torque in torques]
     delivered = (Configure(3, 1e6, Reaction.BRAKE),)
     enabled = [
         (*delivered, command(3, DriveMode.READY, k), command(3, DriveMode.RUN, k + 1), *SYNC) for k in (1, 6)
@@ -58,30 +73,57 @@ def test_drive_obeys_torques_from_enabling_to_disabling_and_answers_every_frame(
     assert found == [
         SYNC,
         enabled[0],
-        (command(3, DriveMode.RUN, 3, force(3000)), *SYNC),
+        (command(3, DriveMode.RUN, 3, taken[0]), *SYNC),
         SYNC,
-        (command(3, DriveMode.RUN, 4, force(1000)), *SYNC),
-        (command(3, DriveMode.OFF, 5), *delivered * (name != "damiao"), *SYNC),
+        (command(3, DriveMode.RUN, 4, taken[1]), *SYNC),
+        (command(3, DriveMode.OFF, 5), *delivered * (name in {"mini_cheetah", "cubemars"}), *SYNC),
         SYNC,
         enabled[1],
     ]
     assert memory.heard == (0, 0, 0, 7, 0, 0)
     assert memory.enabled == (False, False, False, True, False, False)
+    steps = 65535 if name == "robstride" else 4095
+    for torque in (66.5, -73.2, 0.0, 143.0, -144.0):
+        code = np.floor((torque + 144.0) * steps / 288.0)
+        assert protocol.coded(np.full(6, torque)) == pytest.approx(code * 288.0 / steps - 144.0, abs=1e-9)
+    most = 144.0 if name == "robstride" else 0xFFB * STEP_Nm - 144.0
+    assert protocol.torque_limit == pytest.approx(most, rel=1e-12)
 
 
-@every_variant
-def test_clear_resets_a_damiao_and_a_new_zero_a_cut_and_an_unknown_frame_are_not_obeyed(name):
-    running = VARIANTS[name].power_up()._replace(enabled=(True,) * 6)
-    memory, ((first, *_),) = told(name, Frame(4, CLEAR), memory=running)
-    assert first.mode == (DriveMode.RESET if name == "damiao" else DriveMode.RUN)
-    assert memory.enabled[3] == (name != "damiao")
-    memory, found = told(name, Frame(4, ZERO), Frame(4, ENABLE[:7]), Frame(4, b""))
-    assert found == [REFUSED + SYNC, REFUSED, REFUSED]
+@every_one
+def test_clear_resets_where_there_is_one_and_a_new_zero_a_cut_and_an_unknown_frame_are_not_obeyed(name):
+    running = FOUR[name].power_up()._replace(enabled=(True,) * 6)
+    clear = to(name, "clear") if name == "robstride" else Frame(4, CLEAR)
+    memory, ((first, *_),) = told(name, clear, memory=running)
+    resets = name in {"damiao", "robstride"}
+    assert first.mode == (DriveMode.RESET if resets else DriveMode.RUN)
+    assert memory.enabled[3] != resets
+    enable = to(name, "enable")
+    cut, stray = enable._replace(data=enable.data[:7]), enable._replace(id=enable.id ^ 2)
+    memory, found = told(
+        name, cut, stray, *(enable._replace(flags=enable.flags ^ f) for f in (EXTENDED, FD, REMOTE, BUS))
+    )
+    assert found == [REFUSED, *[()] * 5]
     assert not any(memory.enabled)
-    for flags in (EXTENDED, FD, REMOTE, ERROR, BUS):
-        assert told(name, Frame(4, ENABLE, flags))[1] == [()]
-        assert VARIANTS[name].hear(Frame(4, ENABLE, flags)) is None
-    assert told(name, Frame(6, ENABLE), Frame(0x7FE, ENABLE))[1] == [(), ()]
+    if name != "robstride":
+        assert told(name, Frame(4, ZERO))[1] == [REFUSED + SYNC]
+
+
+@every_one
+def test_each_drive_is_sent_what_its_own_state_and_history_ask_for(name):
+    protocol, torques = FOUR[name], (10.0, -20.0, 30.0, 40.0, 50.0, -144.0)
+    six: dict[str, Any] = {"power": (1, 3, 4, 1, 0, 4), "ran": (False, False, False, True, False, True)}
+    start = protocol.start(SETUP)._replace(torque=torques, **six)
+    for mode in DriveMode:
+        asks = ["idle"] * 6
+        if mode == DriveMode.RUN:
+            asks = ["enable", "drive"] * 3
+        if mode == DriveMode.RESET:
+            asks[2] = asks[5] = "clear"
+        expected = tuple(to(name, what, leg, torques[leg]) for leg, what in enumerate(asks))
+        assert protocol.begin(start._replace(mode=int(mode)), 0) == expected
+    assert protocol.traits.emergency_stop == tuple(to(name, "idle", leg) for leg in range(6))
+    assert protocol.traits.cyclic_frames[:6] == tuple(to(name, "drive", leg, -144.0) for leg in range(6))
 
 
 # Damiao's registers
@@ -245,36 +287,9 @@ def test_identity_of_a_damiao_is_in_its_own_two_registers(leg):
     assert VARIANTS["cubemars"].identity(Frame(0, data)) is None
 
 
-# what drives are sent
-
-
-@every_variant
-def test_each_drive_is_sent_what_its_own_state_and_history_ask_for(name):
-    protocol = VARIANTS[name]
-    six: dict[str, Any] = {"power": (1, 3, 4, 1, 0, 4), "ran": (False, False, False, True, False, True)}
-    begun = protocol.start(SETUP)._replace(torque=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), **six)
-    for mode in DriveMode:
-        expected = [DISABLE] * 6
-        if mode == DriveMode.RUN:
-            torques = [pack_command(0, 0, 0, 0, float(k + 1), RANGES) for k in range(6)]
-            expected = [ENABLE, torques[1], ENABLE, torques[3], ENABLE, torques[5]]
-        if mode == DriveMode.RESET and name == "damiao":
-            expected[2] = expected[5] = CLEAR
-        assert protocol.begin(begun._replace(mode=int(mode)), 0) == tuple(map(Frame, MIT_NODES, expected))
-    polls = protocol.traits.cyclic_frames[:6]
-    assert polls == tuple(Frame(node, pack_command(0.0, 0.0, 0.0, 0.0, -144.0, RANGES)) for node in MIT_NODES)
-    assert protocol.traits.emergency_stop == tuple(Frame(node, DISABLE) for node in MIT_NODES)
-
-
 def test_damiao_is_set_up_with_its_mode_its_limit_and_its_three_ranges():
     (exchanges, *_, last) = DAMIAO.exchanges(SETUP)
-    assert [(each.register, each.value) for each in exchanges] == [
-        (10, 1),
-        (9, 1000),
-        (21, 95.5),
-        (22, 400),
-        (23, 144),
-    ]
+    assert {each.register: each.value for each in exchanges} == {10: 1, 9: 1000, 21: 95.5, 22: 400, 23: 144}
     assert [each.frames for each in last] == [
         (Frame(0x7FF, bytes.fromhex("0f00550a01000000")),),
         (Frame(0x7FF, bytes.fromhex("0f005509e8030000")),),
@@ -285,11 +300,3 @@ def test_damiao_is_set_up_with_its_mode_its_limit_and_its_three_ranges():
         assert DAMIAO.exchanges(SETUP._replace(watchdog_s=watchdog_s))[0][1].value == ticks
     with pytest.raises(ProtocolError, match="watchdog of 2"):
         DAMIAO.exchanges(SETUP._replace(watchdog_s=0.000024))
-
-
-def test_torque_is_truncated_to_its_twelve_bits():
-    given = np.array([10.0, -20.0, 30.0, 0.0, 143.0, -144.0])
-    expected = np.floor((given + 144.0) / STEP_Nm) * STEP_Nm - 144.0
-    for protocol in VARIANTS.values():
-        np.testing.assert_allclose(protocol.coded(given), expected, rtol=0, atol=1e-9)
-        assert protocol.torque_limit == pytest.approx(0xFFB * STEP_Nm - 144.0, rel=1e-12)

@@ -46,44 +46,21 @@ MOTEUS_NODES = (1, 2, 3, 4, 5, 126)
 
 
 class Heard(NamedTuple):
-    """What one frame of a drive says."""
+    """What one frame of a drive says; None and False: it says nothing of it.
+
+    Motion in turns and turns/s, torque in N m, power as DriveState OFF (disabled), RUN (enabled) or FAULT, fault as
+    DriveFault or the family's own, answer as register and value of the start-up dialogue.
+    """
 
     leg: int
     broken: bool = False
-    """It cannot be trusted."""
     foreign: bool = False
-    """It is a command, so another controller's."""
     motion: tuple[float, float] | None = None
-    """Turns of the motor and turns/s; None in a frame that is no feedback, or where it is of no use."""
     feedback: bool = False
-    """It answers the poll."""
     torque: float | None = None
-    """N m."""
     power: int | None = None
-    """DriveState OFF (disabled), RUN (enabled) or FAULT; None where it does not say."""
     fault: int = 0
-    """DriveFault, or OWN_CODE and the family's code."""
     answer: tuple[int, float] | None = None
-    """Register and value, of the start-up dialogue."""
-
-
-class MotorDialogue(Remembered):
-    """What the controller's end remembers."""
-
-    @property
-    def read(self) -> tuple[float | None, ...]:
-        """What the last answer held that was not the right one, by leg; None: nothing."""
-        has = self.state["has_read"].tolist()
-        return tuple(
-            value if there else None for value, there in zip(self.state["read"].tolist(), has, strict=True)
-        )
-
-    def _replace(self, **values: Any) -> Remembered:
-        read = values.pop("read", None)
-        if read is not None:
-            values["read"] = [each or 0.0 for each in read]
-            values["has_read"] = [each is not None for each in read]
-        return super()._replace(**values)
 
 
 class MotorMemory(Remembered):
@@ -115,7 +92,7 @@ class Motors(ByValue):
     """Such a family."""
 
     def _dialogue(self, end: ControllerEnd, setup: DriveSetup | None) -> Remembered:
-        return MotorDialogue(end.remembered(), setup, "mode")
+        return Remembered(end.remembered(), setup, "mode")
 
     def _memory(self, end: DrivesEnd) -> Remembered:
         return MotorMemory(memory_of(end))

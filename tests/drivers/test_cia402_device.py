@@ -39,7 +39,9 @@ OFF, READY, RUN, RESET = DriveMode
 
 def drive(**fields: Any) -> Remembered:
     """Return drives that are set up, of which that of leg 3 has other objects and fields."""
-    objects = {o.CONSUMER_HEARTBEAT: 127 << 16, o.PRODUCER_HEARTBEAT: 0} | fields.pop("objects", {})
+    objects = {o.CONSUMER_HEARTBEAT: 127 << 16, o.PRODUCER_HEARTBEAT: 0, o.FAULT_REACTION: 2} | fields.pop(
+        "objects", {}
+    )
     return changed(HELD, LEG, objects, **{"started": True, "commands": 7} | fields)
 
 

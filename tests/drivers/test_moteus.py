@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
@@ -20,7 +18,7 @@ from drivers.moteus import QUERY, STOP, pad, torque_command
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.ends import PERIOD_NS, SETUP, Ends
-from hil.contracts.messages import DeviceCommand, Sync
+from hil.contracts.messages import Sync
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
 from tests.drivers import moteus_foreign as foreign
@@ -92,17 +90,6 @@ def test_commands_and_stops_are_the_vectors_with_their_identifiers():
     start = P.start(SETUP._replace(watchdog_s=0.1))._replace(mode=DriveMode.RUN, torque=(-1.25,) * 6)
     assert P.poll(start, 5) == Frame(0x8000 | 126, pad(data), EXTENDED | FD | BRS)
     assert len(pad(data)) == 48
-
-
-@given(st.floats(-1e3, 1e3), st.integers(0, 5))
-def test_torque_comes_out_as_the_single_that_went_in_and_saturates_at_its_limit(torque, leg):
-    protocol = moteus(UNIT, 100.0)
-    dialogue = protocol.start(SETUP)._replace(mode=DriveMode.RUN, torque=(torque,) * 6)
-    memory = protocol.power_up()._replace(enabled=(True,) * 6)
-    _, (command, _) = protocol.parse(memory, protocol.poll(dialogue, leg))
-    assert isinstance(command, DeviceCommand)
-    expected = 2 * np.pi * float(np.float32(min(max(torque, -100.0), 100.0)))
-    assert command.force[0] == pytest.approx(expected, rel=1e-12)
 
 
 # the drive without a controller

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.protocol import DriveSetup, Frame
-from drivers.signals import NEVER, Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from hil.contracts.messages import Status
 from tests.drivers.motor_families import MIT_NODES, MOTORS, UNLIKE, begun, measured, mit, moteus
@@ -33,25 +33,12 @@ def at(number: int, age: Any = 0) -> Record:
     return tick
 
 
-def test_dialogue_begins_with_unknown_drives_and_asks_at_once():
-    dialogue = P.start(DriveSetup(0.05, Reaction.DAMP, 250.0))
-    fields = {
-        "mode": DriveMode.OFF, "torque": (0.0,) * 6, "rate": (0.0,) * 6, "power": (BOOT,) * 6, "ran": (0,) * 6,
-        "done": (0,) * 6, "asked": (-10,) * 6, "has_read": (0,) * 6, "said": (0,) * 6, "owed": (0,) * 6,
-        "patience_ticks": NEVER,
-    }  # fmt: skip
-    assert {name: getattr(dialogue, name) for name in fields} == fields
-
-
-def test_watchdog_and_reaction_that_the_drives_do_not_have_are_refused():
-    for watchdog_s in (1e-9, 100.0):
-        P.start(DriveSetup(watchdog_s, Reaction.DAMP, 250.0))
-    for watchdog_s in (0.0, -1.0, 100.001, float("nan")):
-        with pytest.raises(ProtocolError, match="watchdog"):
-            P.start(DriveSetup(watchdog_s, Reaction.DAMP, 250.0))
+def test_reaction_that_the_drives_do_not_have_is_refused():
     for reaction in set(Reaction) - {Reaction.DAMP}:
         with pytest.raises(ProtocolError, match=f"reactions.silence {reaction.name.lower()}.* damp"):
             P.start(DriveSetup(0.05, reaction, 250.0))
+    for watchdog_s in (1e-9, 100.0):
+        P.start(DriveSetup(watchdog_s, Reaction.DAMP, 250.0))
 
 
 # commands
@@ -89,13 +76,6 @@ def test_force_is_taken_up_to_the_largest_torque_of_the_field(leg, sign):
             P.command(begun(P), Command(DriveMode.RUN, np.array(wrong)), 3)
 
 
-def test_carried_is_what_the_torques_of_a_command_give_a_leg_at_rest():
-    force, rate = np.array([1.0, -2.0, 3.0, -4.0, 5.0, -6.0]), (0.2, 0.2, -0.2, -0.2, 0.0, 0.05)
-    # F0 / F at these rates, of an efficiency of 0.8 and 0.5 the other way
-    shares = P.carried(begun(P, rate=rate), force) / force
-    np.testing.assert_allclose(shares, [1.25, 0.5, 0.5, 1.25, 1.0, 0.75], rtol=1e-12)
-
-
 # the start-up dialogue
 
 
@@ -126,15 +106,15 @@ def test_no_drive_is_asked_while_ready_or_run_is(mode):
 
 
 def test_answer_of_the_value_as_a_single_confirms_its_exchange():
-    before: dict[str, Any] = {"done": (3,) * 6, "asked": (9,) * 6, "read": (4.0,) * 6}
+    before: dict[str, Any] = {"done": (3,) * 6, "asked": (9,) * 6, "read": 4.0, "has_read": 1}
     tick, dialogue = measured(DAMIAO, answer(3, PMAX, 95.5), **before)
     assert dialogue.done == (3, 3, 3, 4, 3, 3)
     assert dialogue.asked == (9, 9, 9, -10, 9, 9)
-    assert dialogue.read == (4.0, 4.0, 4.0, None, 4.0, 4.0)
+    assert (dialogue.read, dialogue.has_read) == ((4.0, 4.0, 4.0, 0.0, 4.0, 4.0), (1, 1, 1, 0, 1, 1))
     assert tick["age"].tolist() == [1] * 6, "it is no feedback"
     assert measured(DAMIAO, answer(3, 23, 144.0), done=(6, 6, 6, 5, 6, 6))[1].done == (6,) * 6
     _, dialogue = measured(DAMIAO, answer(3, PMAX, 95.0), done=(3,) * 6)
-    assert (dialogue.done, dialogue.read) == ((3,) * 6, (None, None, None, 95.0, None, None)), "another value"
+    assert (dialogue.done, dialogue.read[3], dialogue.has_read) == ((3,) * 6, 95.0, (0, 0, 0, 1, 0, 0))
 
 
 @pytest.mark.parametrize(
@@ -148,8 +128,8 @@ def test_answer_to_another_request_changes_nothing(done, register):
 
 def test_each_drive_lacks_its_answer_its_register_or_its_state():
     power = tuple(map(int, (OFF, OFF, OFF, OFF, BOOT, RUN)))
-    read = (None, None, None, 7.25, None, 1.0)
-    dialogue = begun(DAMIAO, done=(0, 1, 3, 3, 6, 6), power=power, read=read)
+    read = {"read": (0.0, 0.0, 0.0, 7.25, 0.0, 1.0), "has_read": (0, 0, 0, 1, 0, 1)}
+    dialogue = begun(DAMIAO, done=(0, 1, 3, 3, 6, 6), power=power, **read)
     assert DAMIAO.set_up_lacks(dialogue) == (
         "it has not answered",
         "CTRL_MODE (register 10) is not confirmed",
@@ -187,14 +167,6 @@ def test_each_family_has_its_traits(name):
     if t.shares_identifiers:
         assert t.feedback_ids == frozenset(range(6))
         assert [MOTORS[name].awaited(each) for each in t.cyclic_frames] == [-1] * 6 + list(range(6))
-
-
-def test_turns_without_an_end_name_no_lengths_and_are_off_by_a_single():
-    traits = P.traits
-    assert traits.reported_lengths is None
-    # a single has 24 bits, and no leg is farther than 2 m from where its drive reads zero
-    length, rate, force, differences = traits.resolution.at(250.0)
-    assert (set(length), set(rate), set(force), differences) == ({2.0**-23}, {0.0}, {0.0}, False)
 
 
 @pytest.mark.parametrize("name", [name for name in MOTORS if name != "odrive"])

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
@@ -20,7 +18,7 @@ from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import reports
 from hil.contracts.ends import SETUP
-from hil.contracts.messages import Configure, DeviceCommand, Status
+from hil.contracts.messages import Configure, Status
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
 from tests.drivers.motor_families import UNIT, odrive
@@ -75,14 +73,6 @@ def test_states_modes_errors_and_stops_are_the_vendors_frames():
     ):
         assert sent == frame(vectors(name)[0])
     assert P.begin(start, 0)[1] == Frame(vectors("Get_Encoder_Estimates")[0]["id"], b"", REMOTE)
-
-
-@given(st.floats(-1e4, 1e4), st.integers(0, 5))
-def test_torque_comes_out_as_the_single_that_went_in(torque, leg):
-    memory = P.power_up()._replace(enabled=(True,) * 6)
-    _, (command,) = P.parse(memory, P.poll(running(torque), leg))
-    assert isinstance(command, DeviceCommand)
-    assert command.force[0] == pytest.approx(2 * np.pi * float(np.float32(torque)), rel=1e-12)
 
 
 def test_each_axis_is_told_by_its_own_state():

@@ -133,14 +133,6 @@ def test_state_and_faults_are_in_the_identifier_of_a_feedback(fault, bits):
             assert frame.data[2:] == sent()[leg][1].data[2:]
 
 
-def test_what_is_past_a_range_saturates_at_its_end():
-    far = np.full(6, 1e4)
-    for sign, codes in ((1, b"\xff\xff" * 3), (-1, bytes(6))):
-        reading = UNLIKE.length(sign * far), UNLIKE.rate(sign * far), UNLIKE.force(sign * far)
-        _, frames = P.answer(P.power_up(), Sync(0), *reading, np.full(6, 3))
-        assert {frame.data[:6] for _, frame in frames} == {codes}
-
-
 def feedback(mode: int, faults: int, data: bytes = b"\x80\0\x80\0\x80\0\0\xfa") -> Any:
     return P.hear(Frame(2 << 24 | mode << 22 | faults << 16 | 4 << 8 | 253, data, EXTENDED))
 

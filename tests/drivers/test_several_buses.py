@@ -309,23 +309,3 @@ def test_skew_is_that_of_the_first_frames_and_each_frame_has_the_time_of_its_own
     bus.send(sent_array([Frame(identifier, b"", flags) for identifier, flags in order]))
     links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
     assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "none where the bus did not take it"
-
-
-def test_two_localcan_channels_are_one_bus_on_one_clock():
-    settings = buses(*HALVES, layout="fd")
-    with Bus.open(settings, "controller") as near, Bus.open(settings, "plant") as far:
-        sent = [Frame(0x80, b"\1\2"), Frame(0x80, b"\1\2", BUS), Frame(0x111, bytes(16), 6 | BUS)]
-        begun = near.clock.now()
-        assert near.send(sent_array(sent)) == 0
-        heard: list[Received] = []
-        while len(heard) < 3 and near.clock.now() < begun + 500_000_000:
-            heard += got(far.wait(near.clock.now() + 100_000_000))
-        assert {each.frame for each in heard} == set(sent)
-        got(near.drain_now())
-        assert near.clock.stretched() == far.clock.stretched() == 0
-        by_bus = {each.frame.bus: each.t_ns for each in heard if each.frame.id == 0x80}
-        assert near.skew_ns() == abs(by_bus[1] - by_bus[0])
-        assert [list(near.sent_ns())[k] for k in (0, 1)] == [by_bus[0], by_bus[1]], "the ends on the wire"
-        assert far.send(sent_array([Frame(0x281, b"x"), Frame(0x284, b"y", BUS)])) == 0
-        found = got(near.drain(near.clock.now() + 500_000_000, {0x281, 0x284}))
-        assert sorted((each.frame.id, each.frame.bus) for each in found) == [(0x281, 0), (0x284, 1)]

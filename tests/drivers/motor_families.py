@@ -14,14 +14,16 @@ from drivers.controller_end import ControllerEnd
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.frame_pointers import code, value
 from drivers.mit.fields import TURN, VARIANTS, Ranges
+from drivers.moteus import read as read_subframes
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
-from drivers.protocol import ALL_LEGS, ALWAYS, DriveSetup, Frame, Received
+from drivers.protocol import ALL_LEGS, ALWAYS, BRS, EXTENDED, FD, DriveSetup, Frame, Received
 from drivers.registry import loaded
 from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import memory_of
+from hil.contracts.messages import Sync
 from plant_fmu.drives.ends import DrivesEnd
 
 GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
@@ -285,3 +287,35 @@ def measured(
     return tick, protocol.decode(
         begun(protocol, **fields), run, last_tick() if last is None else last, tick, since_ns
     )
+
+
+# subframes of moteus
+
+
+_MOTEUS = moteus(UNIT, 2.0)
+
+
+def asked(data: bytes) -> tuple[tuple[int, int], ...]:
+    """Return the registers that a frame asks for, each with its width."""
+    memory, _ = _MOTEUS.parse(_MOTEUS.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
+    registers: tuple[tuple[int, int], ...] = memory.asked[0][1]
+    return registers
+
+
+def replied(
+    data: bytes, turns: float = 0.5, speed: float = -1.0, torque: float = 1.5, state: int = DriveState.RUN
+) -> bytes:
+    """Return what a drive answers to a frame."""
+    memory, _ = _MOTEUS.parse(_MOTEUS.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
+    length, force = np.full(6, turns) * UNIT.m_per_turn, np.full(6, torque) * UNIT.N_per_Nm
+    rate, states = np.full(6, speed) * UNIT.m_per_turn, np.full(6, state, np.int64)
+    _, ((_, frame),) = _MOTEUS.answer(memory, Sync(0, (0,)), length + UNIT.offset_m, rate, force, states)
+    return frame.data
+
+
+def registers(data: bytes, kind: int) -> dict[int, float] | None:
+    """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known; None: not whole."""
+    names = tuple(range(0x180))
+    values = np.full(len(names), np.nan)
+    has = read_subframes(data, len(data), kind, names, values)
+    return None if has < 0 else {name: values[name] for name in names if has >> name & 1}

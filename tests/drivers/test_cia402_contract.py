@@ -77,7 +77,7 @@ def test_drive_that_resets_in_motion_is_in_boot_at_once_and_the_others_run_on():
     assert ends.protocol.legs_set_up(ends.dialogue) == (True, True, False, True, True, True)
 
 
-def test_each_drive_trips_with_its_emcy_without_our_heartbeat_although_pdos_go_on():
+def test_each_drive_trips_without_our_heartbeat_although_pdos_go_on():
     ends = Ends(drives())
     ends.running()
     for _ in range(40):

@@ -162,7 +162,7 @@ def test_torque_saturates_at_the_most_of_the_drive_and_is_none_without_a_mode(to
     assert control(drive(objects={o.MODE: 0}), 0x0F, torque)[1] == [command(RUN, 9)]
 
 
-def test_every_quick_stop_is_shown_once_and_one_of_option_code_0_disables_at_once():
+def test_every_quick_stop_is_shown_once_or_disables_at_once():
     memory = drive()
     for _ in range(2):
         memory, _ = control(memory, 0x02)
@@ -176,7 +176,7 @@ def test_every_quick_stop_is_shown_once_and_one_of_option_code_0_disables_at_onc
     assert (field(memory, "state"), found) == (State.DISABLED, [command(OFF, 8)])
 
 
-def test_pdo_is_taken_in_operational_and_one_that_is_cut_is_refused_with_an_emcy():
+def test_pdo_is_taken_in_operational_and_a_cut_one_is_refused_with_an_emcy():
     assert given(drive(), 0x204, struct.pack("<Hhx", 0x0F, 100))[1] == [command(RUN, 9, -250.0)]
     for nmt in (0, 4, 127):
         assert control(drive(nmt=nmt), 0x0F, 100) == (drive(nmt=nmt), [])

@@ -109,7 +109,7 @@ def test_answer_from_before_the_end_of_the_sync_on_its_bus_is_a_tick_old():
         assert tick["age"].tolist() == [first, 4, 4, 4, 4, last]
 
 
-def test_late_answer_counts_unless_a_newer_is_held_and_the_older_tpdo_is_the_age():
+def test_late_answer_counts_unless_a_newer_is_held():
     late, here = (WOKE_NS, place(2, 131072)), (WOKE_NS, speed(2))
     for age, there in ((0, False), (1, True)):
         ages = [1 - age] * 6

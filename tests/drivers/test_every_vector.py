@@ -16,7 +16,6 @@ from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from hil.contracts.drives_end import answers
 from hil.contracts.messages import Answer, Configure, DeviceCommand, EmergencyStop, Rejected, Sync
 from plant_fmu.drives.mit import device_motion
-from tests.drivers.moteus_ends import asked, registers
 from tests.drivers.motor_families import (
     ALL_NODES,
     ROBSTRIDE_NODES,
@@ -26,10 +25,12 @@ from tests.drivers.motor_families import (
     Motors,
     ODriveProtocol,
     RobStrideProtocol,
+    asked,
     begun,
     moteus,
     pack_command,
     read_reply,
+    registers,
     unpack_command,
 )
 

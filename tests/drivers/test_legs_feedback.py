@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.drivers.spoken_drives import last_tick
 
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
@@ -14,7 +15,8 @@ from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, Driv
 from drivers.tick_columns import Record, new_record
 from hil.contracts.drives_end import answers, reports
 from hil.contracts.messages import Configure, Status, Sync
-from tests.drivers.legs_frames import command_frames, opening, resealed
+from tests.drivers.legs_frames import command_frames, opening
+from tests.drivers.test_dbc import resealed
 
 NODES = (127, 20, 30, 40, 50, 1)
 P = {layout: LegsProtocol(layout, NODES, 32_000.0) for layout in ("classic", "fd", "ideal")}

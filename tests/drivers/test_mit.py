@@ -82,7 +82,7 @@ class TestRobStride(MitInTrouble):
 BRAKES = SETUP._replace(reaction=Reaction.BRAKE)
 
 
-def test_run_that_is_asked_for_again_enables_again_though_nothing_was_heard_between():
+def test_new_run_enables_again_though_nothing_was_heard_between():
     protocol = mit("damiao")
     dialogue = begun(protocol, mode=DriveMode.RUN, ran=(True,) * 6)
     assert ENABLE not in {frame.data for frame in protocol.begin(dialogue, 1)}, "it fell back by itself"

@@ -60,7 +60,7 @@ def told(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[R
 
 
 @every_one
-def test_drive_obeys_torques_from_enabling_to_disabling_and_answers_every_frame(name):
+def test_drive_obeys_torques_from_enabling_to_disabling(name):
     protocol, torques = FOUR[name], (66.5, -73.2)
     drive, other = (to(name, "drive", torque_Nm=torque) for torque in torques)
     enable, disable = to(name, "enable"), to(name, "idle")
@@ -91,7 +91,7 @@ def test_drive_obeys_torques_from_enabling_to_disabling_and_answers_every_frame(
 
 
 @every_one
-def test_clear_resets_where_there_is_one_and_a_new_zero_a_cut_and_an_unknown_frame_are_not_obeyed(name):
+def test_clear_resets_where_there_is_one_and_a_broken_frame_is_not_obeyed(name):
     running = FOUR[name].power_up()._replace(enabled=(True,) * 6)
     clear = to(name, "clear") if name == "robstride" else Frame(4, CLEAR)
     memory, ((first, *_),) = told(name, clear, memory=running)
@@ -166,7 +166,7 @@ def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
     assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
 
 
-def test_request_is_for_the_damiao_of_its_two_byte_node_and_an_unknown_one_is_refused():
+def test_request_is_for_the_damiao_of_its_node_and_an_unknown_one_is_refused():
     memory = DAMIAO.power_up()
     for leg, node in enumerate(MIT_NODES):
         for kind in (READ, WRITE):

@@ -22,8 +22,7 @@ from hil.contracts.messages import Sync
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
 from tests.drivers import moteus_foreign as foreign
-from tests.drivers.moteus_ends import registers
-from tests.drivers.motor_families import GEAR, MOTEUS_NODES, UNIT, Heard, MoteusProtocol, moteus
+from tests.drivers.motor_families import GEAR, MOTEUS_NODES, UNIT, Heard, MoteusProtocol, moteus, registers
 from tests.plant_fmu.by_hand import enter
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/moteus.json").read_text("utf-8"))["vectors"]
@@ -95,7 +94,7 @@ def test_commands_and_stops_are_the_vectors_with_their_identifiers():
 # the drive without a controller
 
 
-def test_enabled_drive_damps_when_the_time_of_its_last_command_is_over_until_a_stop():
+def test_enabled_drive_damps_after_the_time_of_its_last_command_until_a_stop():
     ends = Ends(moteus())
     ends.running()
     np.testing.assert_allclose(ends.nodes._drives.seen.watchdog_ns, 50e6, rtol=1e-7, err_msg="of the command")
@@ -116,7 +115,7 @@ def test_enabled_drive_damps_when_the_time_of_its_last_command_is_over_until_a_s
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_that_reported_a_stop_in_motion_is_enabled_again_by_a_new_run_alone(leg):
+def test_drive_that_stopped_in_motion_is_enabled_again_by_a_new_run_alone(leg):
     ends = Ends(moteus())
     ends.running()
     enter(ends.nodes._drives, leg, DriveState.OFF, DriveFault.NONE)

@@ -77,7 +77,7 @@ def test_tick_without_frames_keeps_the_measurement_and_counts_nothing():
     assert dialogue == begun(P, owed=(1,) * 6)
 
 
-def test_ages_grow_by_the_ticks_since_the_last_one_up_to_never_and_an_answer_makes_its_own_zero():
+def test_ages_grow_by_the_ticks_since_the_last_one_up_to_never():
     tick, _ = measured(P, reply(2), last=last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1]), number=13)
     assert tick["age"].tolist() == tick["counted_age"].tolist() == [3, 5, 0, NEVER, NEVER, 4]
     for before, grown in ((-1, 1), (0, 13)):
@@ -130,7 +130,7 @@ def test_broken_and_foreign_frames_are_counted_and_say_nothing():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_late_answer_that_its_drive_owed_measures_at_its_age_and_another_does_not(leg):
+def test_owed_late_answer_measures_at_its_age_and_another_does_not(leg):
     for owed in (0, 1, 2):
         ages = [owed if each == leg else 0 for each in range(6)]
         tick, _ = measured(P, (LATE, reply(leg)), last=last_tick(10, ages), number=14)
@@ -166,7 +166,7 @@ def test_late_answers_are_counted_of_a_drive_that_is_set_up(done, counted):
 
 
 @pytest.mark.parametrize("leg", [1, 4])
-def test_second_answer_is_doubled_where_it_says_something_else_and_the_first_counts(leg):
+def test_second_answer_with_other_content_is_doubled_and_the_first_counts(leg):
     for other in (reply(leg, 0.25), reply(leg, speed=0.25), reply(leg, torque=1.0), reply(leg, mode=10)):
         tick, _ = measured(P, reply(leg), other, reply(5 - leg))
         assert (tick["doubled"], tick["length"][leg]) == (1 << leg, length(0.5, leg))
@@ -196,7 +196,7 @@ def test_drive_not_heard_before_may_send_one_answer_more_than_polls():
 # states
 
 
-def test_frame_of_the_state_alone_measures_nothing_and_its_drive_stays_unanswered():
+def test_frame_of_the_state_alone_measures_nothing():
     tick, dialogue = measured(ODRIVE, beat(4, 8), beat(4, 16))
     assert (tick["age"].tolist(), tick["doubled"]) == ([1] * 6, 0)
     assert (dialogue.power[4], dialogue.said[4], tick["drive_fault"][4]) == (FAULT, 13, 0x110)
@@ -206,7 +206,7 @@ def test_frame_of_the_state_alone_measures_nothing_and_its_drive_stays_unanswere
     assert measured(ODRIVE, beat(4))[1].said == (0, 0, 0, 0, 13, 0), "the same again"
 
 
-def test_feedback_without_a_state_keeps_the_fault_and_one_without_a_fault_ends_it():
+def test_feedback_without_a_state_keeps_the_fault():
     tick, dialogue = measured(ODRIVE, estimate(4))
     assert (dialogue.power, dialogue.said) == ((int(OFF),) * 6, (0,) * 6)
     assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()

@@ -1,4 +1,4 @@
-"""ODrive CAN Simple 0.6: the contract, bytes of the vendor's own headers, and settings."""
+"""ODrive CAN Simple 0.6: the contract, bytes of the vendor's own headers, axes frame by frame, and settings."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import pytest
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.protocol import REMOTE, Frame
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.drives_end import reports
+from hil.contracts.drives_end import command, plain, reports
 from hil.contracts.ends import SETUP
-from hil.contracts.messages import Configure, Status
+from hil.contracts.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, Status, Sync
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
-from tests.drivers.motor_families import UNIT, odrive
+from tests.drivers.motor_families import UNIT, UNLIKE, ODriveProtocol, odrive
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/odrive.json").read_text("utf-8"))["vectors"]
 BRAKES = SETUP._replace(reaction=Reaction.BRAKE)
@@ -90,6 +90,194 @@ def test_each_axis_is_told_by_its_own_state():
         assert [[frame.id & 0x1F for frame in frames] for frames in found] == kinds
 
 
+# an emulated axis
+
+
+OTHERS = (7, 1, 2, 3, 5, 62)
+AXES = ODriveProtocol(OTHERS, 0.07, UNLIKE)
+TOOL = Configure(4, 0.07, Reaction.BRAKE)
+"""What odrivetool has set in leg 4, whose node is 5."""
+REFUSED = (Rejected(),)
+
+
+def to(kind: int, data: bytes = b"", flags: int = 0, leg: int = 4) -> Frame:
+    return Frame(OTHERS[leg] << 5 | kind, data, flags)
+
+
+def state(number: int, size: int = 8) -> Frame:
+    return to(0x07, struct.pack("<Ixxxx", number)[:size])
+
+
+def torque(value: float, size: int = 8) -> Frame:
+    return to(0x0E, struct.pack("<fxxxx", value)[:size])
+
+
+TORQUE_CONTROL = to(0x0B, struct.pack("<II", 1, 1))
+
+
+def sent_to(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]]:
+    """Return what an axis remembers of frames, and what each of them came to."""
+    memory, found = AXES.power_up(), []
+    for frame in frames:
+        memory, messages = AXES.parse(memory, frame)
+        found.append(plain(messages))
+    return memory, found
+
+
+def test_polls_and_requests_for_the_address_are_remote_frames_without_data():
+    address = Answer(4, Frame(5 << 5 | 6, bytes.fromhex("0505000000000000")))
+    polls = to(0x09, flags=REMOTE), to(0x06, flags=REMOTE)
+    others = to(0x09, b"\0", REMOTE), to(0x06, b"\0", REMOTE), to(0x01, flags=REMOTE), to(0x09)
+    assert sent_to(*polls, *others)[1] == [(Sync(0, (4,)),), (address,), (), (), (), ()]
+
+
+@pytest.mark.parametrize("flags", [EXTENDED, FD, ERROR, BUS, 3 * BUS])
+def test_frame_with_another_flag_or_node_is_neither_obeyed_nor_heard(flags):
+    enabled = AXES.power_up()._replace(enabled=(True,) * 6)
+    for frame in (torque(0.5), state(1), to(0x02), to(0x09, flags=REMOTE), to(0x06, flags=REMOTE), to(0x0D)):
+        assert AXES.parse(enabled, frame._replace(flags=frame.flags | flags)) == (enabled, ())
+        assert AXES.hear(frame._replace(flags=frame.flags | flags)) is None
+    for kind, data in ((0x01, bytes(8)), (0x09, bytes(8)), (0x06, b"\5" + bytes(7))):
+        assert AXES.hear(to(kind, data, flags)) is None
+        assert AXES.identity(to(kind, data, flags)) is None
+    for kind in range(32):
+        frame = Frame(8 << 5 | kind, bytes(8))
+        assert AXES.parse(enabled, frame) == (enabled, ())
+        assert AXES.hear(frame) is AXES.identity(frame) is None
+        assert AXES.addressed(frame) == ()
+
+
+def test_frame_that_the_axis_does_not_have_is_refused_or_ignored():
+    taken = {0x02, 0x06, 0x07, 0x0B, 0x0E, 0x18}
+    ignored = {0x00, 0x01, 0x03, 0x05, 0x08, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D, 0x1E}
+    for kind in set(range(32)) - taken:
+        assert sent_to(to(kind, bytes(8)))[1] == [() if kind in ignored else REFUSED], hex(kind)
+    enabled = AXES.power_up()._replace(enabled=(True,) * 6)
+    memory, messages = AXES.parse(enabled, to(0x02))
+    assert messages == (EmergencyStop((4,)),)
+    assert memory == enabled._replace(enabled=(True, True, True, True, False, True))
+    for kind, sizes in ((0x07, (4, 8)), (0x0B, (8,)), (0x0E, (4, 8)), (0x18, (0, 1))):
+        for size in range(9):
+            (messages,) = sent_to(to(kind, b"\1\0\0\0\0\0\0\0"[:size]))[1]
+            assert (messages == REFUSED) == (size not in sizes), (hex(kind), size)
+
+
+def test_axis_closes_its_loop_under_torque_control_alone():
+    frames = state(8), to(0x0B, struct.pack("<II", 2, 1)), state(8), TORQUE_CONTROL, torque(0.5), state(8, 4)
+    frames += state(8), torque(0.5), torque(-0.25, 4), torque(float("nan")), state(1), torque(0.5), state(8)
+    memory, found = sent_to(*frames, to(0x18, b"\0"), torque(0.5))
+    ready, run = DriveMode.READY, DriveMode.RUN
+    per = float(UNLIKE.N_per_Nm[4])
+    assert found == [
+        REFUSED,
+        (),
+        REFUSED,
+        (),
+        (),
+        (TOOL, command(4, ready, 1), command(4, run, 2)),
+        (),
+        (command(4, run, 3, 0.5 * per),),
+        (command(4, run, 4, -0.25 * per),),
+        REFUSED,
+        (command(4, DriveMode.OFF, 5), TOOL),
+        (),
+        (command(4, ready, 6), command(4, run, 7)),
+        (command(4, DriveMode.RESET, 8),),
+        (),
+    ]
+    assert memory.heard == (0, 0, 0, 0, 8, 0)
+    assert memory.enabled == (False,) * 6
+    assert memory.registers[4][:2] == [1.0, 1.0]
+    assert memory.registers[:4] == ([0.0] * 8,) * 4
+    assert sent_to(to(0x18))[1] == [(command(4, DriveMode.RESET, 1),)], "errors are cleared without data too"
+    for number in (0, 2, 3, 7, 9):
+        memory, found = sent_to(TORQUE_CONTROL, state(8), state(number))
+        assert (found[-1], memory.enabled[4]) == (REFUSED, True), "neither idle nor closed loop"
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        (DriveFault.NONE, 0),
+        (DriveFault.WATCHDOG, 0x1000000),
+        (DriveFault.ESTOP, 0x2000000),
+        (DriveFault.OVERFORCE, 0x1000),
+        (DriveFault.SENSOR, 0x8),
+        (DriveFault.STROKE, 0x10000),
+    ],
+)
+def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_in_run_alone(fault, error):
+    for now in DriveState:
+        _, (beat,) = AXES.report(AXES.power_up(), Status(4, now, fault))
+        closed = 8 if now == DriveState.RUN else 1
+        assert beat == Frame(5 << 5 | 1, struct.pack("<IBBBB", error, closed, 0, 0, 0))
+    assert AXES.report(AXES.power_up(), Status(4, DriveState.FAULT, fault, due=False))[1] == ()
+
+
+@pytest.mark.parametrize(
+    ("error", "axis", "power", "fault"),
+    [
+        (0, 8, DriveState.RUN, 0),
+        (0, 9, DriveState.OFF, 0),
+        (0x1000000, 1, DriveState.FAULT, DriveFault.WATCHDOG),
+        (0x2000000, 8, DriveState.FAULT, DriveFault.ESTOP),
+        (0x3000000, 8, DriveState.FAULT, 0x3000100),
+        (0x80000000, 1, DriveState.FAULT, 0x80000100),
+    ],
+)
+def test_error_of_a_heartbeat_is_a_known_fault_or_the_axis_own(error, axis, power, fault):
+    said: Any = AXES.hear(Frame(5 << 5 | 1, struct.pack("<IBBBB", error, axis, 9, 9, 9)))
+    assert (said.leg, said.power, said.fault) == (4, power, fault)
+    assert {said.feedback, said.broken, said.foreign} == {False}
+    assert AXES.fault_text(0x2108) == "missing estimate, motor over temperature"
+
+
+def test_heartbeat_or_estimate_of_another_length_is_broken():
+    for kind in (0x01, 0x09):
+        for size in (0, 4, 7):
+            heard = AXES.hear(to(kind, bytes(size)))
+            assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
+
+
+def test_address_is_of_eight_bytes_from_its_own_node_and_not_a_request():
+    data = bytes.fromhex("05010203040506ff")
+    assert AXES.identity(to(0x06, data)) == Said(4, "serial number", 0x060504030201)
+    for other in (to(0x06, data, REMOTE), to(0x06, data[:7]), to(0x05, data), to(0x06, b"\4" + data[1:])):
+        assert AXES.identity(other) is None
+    assert AXES.hear(to(0x06, data)) is None
+    assert AXES.traits.identity_requests == (tuple(Frame(node << 5 | 6, b"", REMOTE) for node in OTHERS),)
+
+
+# what the controller asks an axis for
+
+
+def test_axis_is_asked_again_if_it_reports_late_that_its_loop_is_open():
+    power = (DriveState.OFF, DriveState.OFF, DriveState.RUN, DriveState.OFF, DriveState.OFF, DriveState.OFF)
+    known = AXES.start(BRAKES)._replace(
+        mode=int(DriveMode.RUN),
+        said=(30, 19, 30, 31, 30, 30),
+        asked=(20, 10, 20, 20, 21, 20),
+        power=tuple(map(int, power)),
+        ran=(False,) * 5 + (True,),
+    )
+    dialogue, frames = AXES.command(known, Command(DriveMode.RUN, np.zeros(6)), 40)
+    assert [frame.id >> 5 for frame in frames if frame.id & 0x1F == 0x07] == [OTHERS[0], OTHERS[3]]
+    assert dialogue.asked == (40, 10, 20, 40, 21, 20)
+    kinds = [frame.id & 0x1F for frame in frames]
+    assert kinds == [0x07, 0x0E, 0x0E, 0x0E, 0x07, 0x0E, 0x0E, 0x0E]
+
+
+def test_axis_counts_as_enabled_after_run_until_it_reports_otherwise():
+    off, run, fault = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
+    power = (off, run, fault, 0, off, off)
+    for before in DriveMode:
+        for after in DriveMode:
+            known = AXES.start(BRAKES)._replace(mode=int(before), power=power)
+            dialogue, _ = AXES.command(known, Command(after, np.zeros(6)), 40)
+            left = before == DriveMode.RUN != after
+            assert dialogue.power == ((run, run, fault, 0, run, run) if left else power)
+
+
 # settings
 
 
@@ -115,7 +303,7 @@ def test_setting_that_does_not_fit_is_refused_by_name(changes, message):
         made(**changes)
 
 
-def test_settings_reach_the_codec_and_an_axis_sends_estimates_every_10_ms_as_delivered():
+def test_settings_reach_the_codec_and_estimates_come_every_10_ms_as_delivered():
     named = made(
         heartbeat_ms=125, watchdog_ms=40, options={"encoder_msg_rate_ms": 4}, node_ids=[7, 2, 0, 4, 5, 62]
     )

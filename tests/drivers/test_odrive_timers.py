@@ -59,7 +59,7 @@ def mute(frames: list[Received]) -> list[Received]:
     return [each for each in frames if each.frame.id & 0x1F != HEARTBEAT]
 
 
-def test_axis_has_its_force_from_its_request_on_and_is_ready_until_its_heartbeat():
+def test_axis_has_its_force_at_once_and_is_ready_until_its_heartbeat():
     ends = line()
     ends.to_hear = mute
     for _ in range(3 * BEAT_TICKS):
@@ -93,7 +93,7 @@ def test_axis_is_asked_once_to_close_its_loop_and_again_if_it_stays_open():
 
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.OFF])
 @pytest.mark.parametrize("ticks", [1, 2, BEAT_TICKS // 2])
-def test_axis_enabled_for_less_than_a_heartbeat_is_set_idle_and_counts_as_enabled(mode, ticks):
+def test_axis_enabled_for_less_than_a_heartbeat_counts_as_enabled(mode, ticks):
     ends = line()
     ends.to_hear = mute
     for _ in range(ticks):
@@ -152,7 +152,7 @@ BEFORE = tuple((-500_000, estimate(leg, 7.0)) for leg in range(LEGS))
 
 
 @pytest.mark.parametrize("leg", range(LEGS))
-def test_newest_estimate_of_a_tick_counts_and_one_from_before_the_poll_does_not(leg):
+def test_newest_estimate_counts_and_one_from_before_the_poll_does_not(leg):
     tick = heard(ready(), *BEFORE, *ANSWERS, (400_000, estimate(leg, 0.9)))
     expected = np.array([0.9 if each == leg else 0.1 * each for each in range(LEGS)])
     np.testing.assert_allclose(tick["length"], GEAR.length(expected), rtol=1e-6)

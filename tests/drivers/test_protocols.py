@@ -85,7 +85,7 @@ class TestStub(ProtocolContract):
     def family(self):
         return StubProtocol([4096, 513, 770, 1027, 1284, 65535])
 
-    def test_fault_code_of_the_drives_own_passes_through_and_polls_take_the_place_of_a_sync(self, protocol):
+    def test_own_fault_codes_pass_through_and_polls_take_the_place_of_a_sync(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         for _ in range(3):
@@ -137,7 +137,7 @@ def recorded(tmp_path_factory):
     return summary, Log.open(path)
 
 
-def test_protocol_that_shares_nothing_with_ours_runs_to_parked_and_replays_to_the_bit(recorded):
+def test_protocol_that_shares_nothing_with_ours_runs_and_replays_to_the_bit(recorded):
     summary, log = recorded
     assert summary["success"], summary
     rows = log.rows()
@@ -189,7 +189,7 @@ def test_lockstep_waits_to_its_deadline_for_what_is_not_fresh(row, change):
         plant.close()
 
 
-def test_drive_whose_set_up_is_not_complete_is_named_and_a_reset_begins_it_again(row):
+def test_drive_without_a_complete_set_up_is_named_and_a_reset_begins_again(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
     end: Any = cycle.end

@@ -32,7 +32,7 @@ def test_two_packages_with_one_name_are_refused_with_both(tmp_path):
     assert "second:Mine" in done.stderr
 
 
-def test_settings_of_a_law_get_the_name_of_the_entry_point_and_others_are_refused():
+def test_settings_of_a_law_get_the_name_of_its_entry_point():
     class Mine(LawSettings):
         gain: float
 

@@ -137,7 +137,7 @@ def feedback(mode: int, faults: int, data: bytes = b"\x80\0\x80\0\x80\0\0\xfa") 
     return P.hear(Frame(2 << 24 | mode << 22 | faults << 16 | 4 << 8 | 253, data, EXTENDED))
 
 
-def test_feedback_has_its_state_and_faults_in_its_identifier_and_no_position_at_either_end():
+def test_feedback_gives_state_and_faults_and_no_position_at_either_end():
     for mode, faults, power, fault in (
         (0, 0, DriveState.OFF, 0),
         (1, 0, DriveState.OFF, 0),
@@ -154,7 +154,7 @@ def test_feedback_has_its_state_and_faults_in_its_identifier_and_no_position_at_
         assert (heard.motion is not None) == there
 
 
-def test_frame_to_another_controller_is_nobodys_and_a_cut_one_to_ours_is_broken():
+def test_frame_to_another_controller_is_nobodys_and_a_cut_one_broken():
     assert feedback(2, 0, bytes(7)) == Heard(3, broken=True)
     assert P.hear(Frame(17 << 24 | 4 << 8 | 253, bytes(7), EXTENDED)) == Heard(3, broken=True)
     assert P.hear(Frame(2 << 24 | 4 << 8 | 252, bytes(8), EXTENDED)) is None

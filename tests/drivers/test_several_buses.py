@@ -280,7 +280,7 @@ def fakes(count: int) -> list[Any]:
     return [FakeLink(Still()) for _ in range(count)]
 
 
-def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_order_of_time():
+def test_frames_go_to_their_bus_and_come_back_with_its_index_by_time():
     links = fakes(2)
     group = Bus(links)
     assert group.send(sent_array([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)])) == 0
@@ -295,7 +295,7 @@ def test_frames_go_to_the_link_of_their_bus_and_come_back_with_its_index_in_the_
     assert group.events().overflow == 6
 
 
-def test_skew_is_that_of_the_first_frames_and_each_frame_has_the_time_of_its_own_bus():
+def test_skew_is_of_the_first_frames_and_each_frame_has_the_time_of_its_bus():
     clock = Still()
     for times, skew_ns in (
         (((75_000, 900_000), (151_000,), (80_000,)), 76_000),

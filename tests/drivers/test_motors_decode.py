@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.frame_array import received_array
 from drivers.moteus import pad
 from drivers.motor_kernels import wire_state
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
 from drivers.signals import NEVER, DriveMode, DriveState, Foreign
+from hil.contracts.ends import at_tick
 from tests.drivers.motor_families import (
     LATE,
     MOTEUS_NODES,
@@ -191,6 +193,32 @@ def test_drive_not_heard_before_may_send_one_answer_more_than_polls():
     assert measured(P, *two, done=(0,) * 6)[0]["doubled"] == 0
     tick, dialogue = measured(P, *two, reply(2, 0.75), done=(0,) * 6)
     assert (tick["doubled"], dialogue.owed) == (1 << 2, (0,) * 6)
+
+
+@pytest.mark.parametrize(
+    ("counts", "doubled"),
+    [
+        ((0, 1, 2), ()),
+        ((0, 1, 1, 1, 1, 1, 2), ()),
+        ((0, 0, 0, 4, 1), ()),
+        ((0, 0, 0, 5), (3,)),
+        ((2,), (0,)),
+        ((0, 0, 0, 2, 2, 2, 2, 2), (6, 7)),
+    ],
+)
+def test_node_is_doubled_once_it_sent_more_answers_than_it_owed(counts, doubled):
+    dialogue, last, said, found = begun(P), last_tick(12), 0, []
+    for number, count in enumerate(counts):
+        answers = [reply(2, said + k) for k in range(count)]
+        heard = received_array([Received(1, frame) for frame in answers])
+        said, tick = said + count, at_tick(13 + number)
+        dialogue = P.decode(dialogue, heard, last, tick, 0)
+        found += [number] if tick["doubled"] else []
+        if count:
+            newest = length(said - 1, 2)
+            assert (tick["length"][2] == newest) == (number not in doubled), "the newest of those owed counts"
+        last = tick
+    assert found == list(doubled)
 
 
 # states

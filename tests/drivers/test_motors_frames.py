@@ -1,33 +1,27 @@
-"""Motor drives of every family: no length of a lost encoder, other controllers, and answers that come late."""
+"""Motor drives of every family: their own numbers, no length of a lost encoder, and other controllers."""
 
 from __future__ import annotations
 
 import struct
 from math import inf, nan
-from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.frame_array import received_array
 from drivers.mit.fields import TURN
 from drivers.moteus import STOP
-from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
+from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import INVALID, LEGS, DriveState
 from hil.contracts.drives_end import answers
-from hil.contracts.ends import PERIOD_NS, Ends, at_tick
 from hil.contracts.messages import Sync
 from tests.drivers.motor_families import (
-    GEAR,
     MIT_NODES,
     MOTEUS_NODES,
     MOTORS,
     ODRIVE_NODES,
     ROBSTRIDE_NODES,
     UNLIKE,
-    mit,
     motors,
-    robstride,
 )
 
 TELL = [name for name in MOTORS if name != "mini_cheetah"]
@@ -142,68 +136,3 @@ def test_register_request_to_a_damiao_is_foreign_and_nobodys_elsewhere():
             frame = Frame(0x7FF, bytes((node, 0, request, 9, 1, 0, 0, 0)))
             assert MOTORS["damiao"].hear(frame).foreign
             assert MOTORS["cubemars"].hear(frame) is MOTORS["mini_cheetah"].hear(frame) is None
-
-
-# answers without a counter that come later than their tick
-
-
-LEG = 2
-
-
-class Late:
-    """A controller that hears, a tick, as many answers of one leg as it is told, each of another length."""
-
-    def __init__(self, name: str) -> None:
-        self.ends = Ends(robstride() if name == "robstride" else mit(name, GEAR))
-        self.ends.until_set_up()
-        self.ends.step()
-        awaited = self.ends.protocol.awaited
-        self.others = [each for each in self.ends.received if awaited(each.frame) not in {-1, LEG}]
-        self.answer = next(each for each in self.ends.received if awaited(each.frame) == LEG)
-        self.last, self.dialogue, self.said = self.ends.measurement, self.ends.dialogue, 0
-
-    def hears(self, count: int) -> Any:
-        """Return the next tick's measurement."""
-        m = at_tick(int(self.last["tick"]) + 1)
-        begun = int(m["tick"]) * PERIOD_NS
-        frames = [Received(begun + 1, each.frame) for each in (*self.others, *self.answers(count))]
-        self.dialogue = self.ends.protocol.decode(self.dialogue, received_array(frames), self.last, m, begun)
-        self.last = m
-        return m
-
-    def answers(self, count: int) -> list[Received]:
-        """Return answers of the leg that differ from each other and from all before."""
-        found = []
-        for _ in range(count):
-            self.said += 1
-            data = self.answer.frame.data
-            changed = data[0], data[1] ^ self.said, *data[2:]
-            found.append(self.answer._replace(frame=self.answer.frame._replace(data=bytes(changed))))
-        return found
-
-
-@pytest.mark.parametrize("name", ["damiao", "robstride"])
-@pytest.mark.parametrize(
-    ("counts", "doubled"),
-    [
-        ((0, 1, 2), ()),
-        ((0, 1, 1, 1, 1, 1, 2), ()),
-        ((0, 0, 0, 4, 1), ()),
-        ((0, 0, 0, 5), (3,)),
-        ((2,), (0,)),
-        ((0, 0, 0, 2, 2, 2, 2, 2), (6, 7)),
-    ],
-)
-def test_node_is_doubled_once_it_sent_more_answers_than_it_owed(name, counts, doubled):
-    late = Late(name)
-    heard = [late.hears(count)["doubled"] for count in counts]
-    assert heard == [1 << LEG if n in doubled else 0 for n in range(len(counts))]
-
-
-@pytest.mark.parametrize("name", ["damiao", "robstride"])
-def test_newest_of_owed_answers_counts(name):
-    late, newest = Late(name), Late(name)
-    last = [late.hears(count) for count in (0, 1, 2)][-1]
-    newest.said = late.said - 1
-    assert last["length"][LEG] == newest.hears(1)["length"][LEG]
-    assert last["age"].tolist() == [0] * LEGS

@@ -147,20 +147,3 @@ def test_kernel_takes_a_record_or_a_vector_of_records_and_refuses_others():
     assert (_sum(points[1:3]), _sum(points[:0])) == (6.0, 0.0)
     with pytest.raises(TypeError):
         _sum(np.zeros(4))
-
-
-ROW = np.dtype([("n", np.int64), ("forces", np.float64, 3), ("unseen", np.int64)])
-
-
-@kernel(record(ROW, "forces"))
-def _change_first(row: Any) -> float:
-    _change(row.forces)
-    return float(row.forces[2])
-
-
-def test_column_of_a_record_is_lent_to_a_kernel_that_takes_an_array():
-    row = np.zeros((), ROW)
-    row["n"], row["forces"], row["unseen"] = 5, [7.0, 8.0, 9.0], 6
-    assert _change_first(row) == 9.0
-    assert row["forces"].tolist() == [1.0, 8.0, 9.0]
-    assert [row["n"].tolist(), row["unseen"].tolist()] == [5, 6]

@@ -78,13 +78,6 @@ def test_turns_that_a_drive_forgets_are_a_length_without_a_sign(turns):
     np.testing.assert_allclose(forgotten_length(settings, turns), expected, rtol=1e-14)
 
 
-def test_each_leg_has_its_own_values():
-    t = six(lead_m=SIX, offset_m=SIX, gear_ratio=[1, 2, 3, 4, 5, 6])
-    np.testing.assert_allclose(t.length(all_legs(1.0)), [0.2, 0.3, 0.4, 0.5, 0.6, 0.7], rtol=1e-14)
-    with pytest.raises(ValueError, match="read-only"):
-        t.offset_m[0] = 1.0
-
-
 EDGES = [0.0, -0.0, np.nan, -np.nan, np.inf, -np.inf, 1e-3, -1e-3, 5e-324, -5e-324]
 any_number = st.floats(allow_nan=False) | st.sampled_from(EDGES)
 six_numbers = st.lists(any_number, min_size=6, max_size=6)

@@ -24,7 +24,6 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, received_frames, sent_array
 from drivers.protocol import (
-    ALWAYS,
     ERROR,
     EXTENDED,
     REMOTE,
@@ -38,7 +37,6 @@ from drivers.signals import (
     INVALID,
     LEGS,
     NEVER,
-    Command,
     DriveMode,
     DriveState,
     Reaction,
@@ -123,7 +121,7 @@ class StubProtocol(Family):
         return Traits(
             family="stub",
             resolution=Resolution.of(_STEP_m, _STEP_m, SINGLE),
-            sent=self._polls(DriveMode.OFF, (0.0,) * LEGS),
+            sent=self.polls(DriveMode.OFF, (0.0,) * LEGS),
             feedbacks=tuple(frame for leg in range(LEGS) for frame in self.feedback(leg, 0.0, 0.0, 0.0, 0)),
             emergency_stop=tuple(self.frame(STOP, leg) for leg in range(LEGS)),
             feedback_ids=frozenset(self.wanted),
@@ -167,17 +165,7 @@ class StubProtocol(Family):
         read = self.read(frame)
         return read[1] if read is not None and read[0] in (PLACE, LOAD, DONE, BEAT) else -1
 
-    # controller's end
-
-    def start(self, setup: DriveSetup) -> StubDialogue:
-        watchdog_us = setup.watchdog_s * 1e6
-        if not 1 <= watchdog_us < 1 << 32:
-            raise ProtocolError(f"drive watchdog of {setup.watchdog_s} s")
-        values = (MAGIC, round(watchdog_us), int(setup.reaction))
-        nothing = (0,) * LEGS
-        return StubDialogue(values, nothing, (-RETRY,) * LEGS, self._polls(DriveMode.OFF, nothing))
-
-    def _polls(self, mode: int, force: tuple[float, ...]) -> tuple[Frame, ...]:
+    def polls(self, mode: int, force: tuple[float, ...]) -> tuple[Frame, ...]:
         return tuple(self.frame(POLL, leg, mode, f) for leg, f in enumerate(force))
 
     def _fresh(self, _tables: int, frame: int, _tick: int, since_ns: int) -> int:
@@ -188,75 +176,6 @@ class StubProtocol(Family):
 
     def fault_text(self, code: int) -> str:
         return f"code {code - OWN_FAULTS} of the stub" if code >= OWN_FAULTS else ""
-
-    def decode(
-        self,
-        dialogue: StubDialogue,
-        frames: Rows,
-        last: Record,
-        tick: Record,
-        since_ns: int = ALWAYS,
-    ) -> StubDialogue:
-        place: dict[int, tuple[float, ...]] = {}
-        load: dict[int, tuple[float, ...]] = {}
-        number, before, rejected = int(tick["tick"]), int(last["tick"]), 0
-        for name in ("length", "rate", "drive_force", "drive_state", "drive_fault"):
-            tick[name] = last[name]
-        for received in received_frames(frames):
-            read = self.read(received.frame)
-            if read is None:
-                continue
-            kind, leg, fields = read
-            if fields is None or (kind == LOAD and int(fields[1]) & ~INVALID >= len(DriveState)):
-                rejected += 1
-            elif kind == PLACE and self.fresh(received, number, since_ns):
-                place[leg] = fields
-            elif kind == LOAD and self.fresh(received, number, since_ns):
-                load[leg] = fields
-            elif kind == DONE and fields[0] == dialogue.done[leg]:
-                done, asked = _put(dialogue.done, leg, int(fields[0]) + 1), _put(dialogue.asked, leg, -RETRY)
-                dialogue = dialogue._replace(done=done, asked=asked)
-            elif kind == BEAT:
-                tick["drive_fault"][leg] = fields[1]
-        tick["age"] = np.minimum(last["age"] + (number - before if before >= 0 else 1), NEVER)
-        tick["blind"] = 0
-        for leg in place.keys() & load.keys():
-            said = int(load[leg][1])
-            tick["drive_force"][leg], tick["drive_state"][leg] = load[leg][0], said & ~INVALID
-            tick["blind"][leg] = bool(said & INVALID)
-            if not tick["blind"][leg]:
-                tick["length"][leg], tick["rate"][leg] = (value * _STEP_m for value in place[leg])
-                tick["age"][leg] = 0
-        tick["counted_age"], tick["rejected"] = tick["age"], rejected
-        return dialogue
-
-    def command(
-        self, dialogue: StubDialogue, command: Command, _tick: int
-    ) -> tuple[StubDialogue, tuple[Frame, ...]]:
-        force = tuple(command.force.tolist())
-        if not all(isfinite(f) and abs(f) < 1e9 for f in force):
-            raise ProtocolError(f"force command {force}")
-        return dialogue._replace(polls=self._polls(command.mode, force)), ()
-
-    def set_up(self, dialogue: StubDialogue, tick: Record) -> tuple[StubDialogue, tuple[Frame, ...]]:
-        frames: list[Frame] = []
-        number = int(tick["tick"])
-        for leg in range(LEGS):
-            state, waited = tick["drive_state"][leg], number - dialogue.asked[leg]
-            if tick["age"][leg] > 1 or waited < RETRY or state in (DriveState.READY, DriveState.RUN):
-                continue
-            done = dialogue.done[leg]
-            if done == EXCHANGES:
-                if state != DriveState.BOOT or tick["age"][leg]:
-                    continue
-                done = 0  # it has lost its set-up
-            if len(frames) == MOST_SET_UP:
-                break
-            frames.append(self.frame(SET, leg, done, dialogue.values[done]))
-            dialogue = dialogue._replace(
-                done=_put(dialogue.done, leg, done), asked=_put(dialogue.asked, leg, number)
-            )
-        return dialogue, tuple(frames)
 
 
 class StubController(ControllerEnd):
@@ -269,28 +188,79 @@ class StubController(ControllerEnd):
         self.start()
 
     def start(self) -> None:
-        self.dialogue = self._protocol.start(self._setup)
+        watchdog_us, nothing = self._setup.watchdog_s * 1e6, (0,) * LEGS
+        if not 1 <= watchdog_us < 1 << 32:
+            raise ProtocolError(f"drive watchdog of {self._setup.watchdog_s} s")
+        values = (MAGIC, round(watchdog_us), int(self._setup.reaction))
+        polls = self._protocol.polls(DriveMode.OFF, nothing)
+        self.dialogue = StubDialogue(values, nothing, (-RETRY,) * LEGS, polls)
 
     def _begin(self, _opener: int, _number: int, into: int) -> int:
         array_at(into, LEGS, FRAME)[:] = sent_array(self.dialogue.polls)
         return LEGS
 
-    def _decode(self, _codec: int, at: int, count: int, since_ns: int, last: int, tick: int) -> int:
-        frames = array_at(at, count, FRAME) if count else NO_FRAMES
-        before = self.legs_set_up()
-        self.dialogue = self._protocol.decode(self.dialogue, frames, tick_at(last), tick_at(tick), since_ns)
+    def _put(self, leg: int, done: int, asked: int) -> None:
+        d = self.dialogue
+        self.dialogue = d._replace(done=_put(d.done, leg, done), asked=_put(d.asked, leg, asked))
+
+    def _decode(
+        self, _codec: int, at: int, count: int, since_ns: int, last_at: int, tick_address: int
+    ) -> int:
+        protocol, before = self._protocol, self.legs_set_up()
+        last, tick = tick_at(last_at), tick_at(tick_address)
+        place: dict[int, tuple[float, ...]] = {}
+        load: dict[int, tuple[float, ...]] = {}
+        number, previous, rejected = int(tick["tick"]), int(last["tick"]), 0
+        for name in ("length", "rate", "drive_force", "drive_state", "drive_fault"):
+            tick[name] = last[name]
+        for received in received_frames(array_at(at, count, FRAME) if count else NO_FRAMES):
+            read = protocol.read(received.frame)
+            if read is None:
+                continue
+            kind, leg, fields = read
+            if fields is None or (kind == LOAD and int(fields[1]) & ~INVALID >= len(DriveState)):
+                rejected += 1
+            elif kind in (PLACE, LOAD) and protocol.fresh(received, number, since_ns):
+                (place if kind == PLACE else load)[leg] = fields
+            elif kind == DONE and fields[0] == self.dialogue.done[leg]:
+                self._put(leg, int(fields[0]) + 1, -RETRY)
+            elif kind == BEAT:
+                tick["drive_fault"][leg] = fields[1]
+        tick["age"] = np.minimum(last["age"] + (number - previous if previous >= 0 else 1), NEVER)
+        tick["blind"] = 0
+        for leg in place.keys() & load.keys():
+            said = int(load[leg][1])
+            tick["drive_force"][leg], tick["drive_state"][leg] = load[leg][0], said & ~INVALID
+            tick["blind"][leg] = bool(said & INVALID)
+            if not tick["blind"][leg]:
+                tick["length"][leg], tick["rate"][leg] = (value * _STEP_m for value in place[leg])
+                tick["age"][leg] = 0
+        tick["counted_age"], tick["rejected"] = tick["age"], rejected
         return int(self.legs_set_up() != before)
 
-    def _command(self, _codec: int, number: int, mode: int, _stop: int, force: int, _into: int) -> int:
-        command = Command(DriveMode(mode), array_at(force, LEGS, np.float64))
-        try:
-            self.dialogue, _ = self._protocol.command(self.dialogue, command, number)
-        except ProtocolError:
+    def _command(self, _codec: int, _number: int, mode: int, _stop: int, force_at: int, _into: int) -> int:
+        force = tuple(array_at(force_at, LEGS, np.float64).tolist())
+        if not all(isfinite(f) and abs(f) < 1e9 for f in force):
             return FAILED
+        self.dialogue = self.dialogue._replace(polls=self._protocol.polls(mode, force))
         return 0
 
     def set_up(self, tick: Record) -> Rows:
-        self.dialogue, frames = self._protocol.set_up(self.dialogue, tick)
+        frames: list[Frame] = []
+        number = int(tick["tick"])
+        for leg in range(LEGS):
+            state, waited = tick["drive_state"][leg], number - self.dialogue.asked[leg]
+            if tick["age"][leg] > 1 or waited < RETRY or state in (DriveState.READY, DriveState.RUN):
+                continue
+            done = self.dialogue.done[leg]
+            if done == EXCHANGES:
+                if state != DriveState.BOOT or tick["age"][leg]:
+                    continue
+                done = 0  # it has lost its set-up
+            if len(frames) == MOST_SET_UP:
+                break
+            frames.append(self._protocol.frame(SET, leg, done, self.dialogue.values[done]))
+            self._put(leg, done, number)
         return sent_array(frames)
 
     def lack(self, leg: int) -> str:

@@ -22,6 +22,7 @@ from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
+from hil.contracts.ends import Given
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, RATED_Nm, SCREW_m, drives
@@ -65,7 +66,7 @@ def network():
     network.disconnect()
 
 
-class Carts:
+class Carts(Given):
     """Six masses on the legs, held by closed brakes."""
 
     internal_step_s = 1e-3
@@ -78,15 +79,6 @@ class Carts:
         self.v = np.where(brake > 0.5, 0.0, self.v + force / MASS_kg * dt_s)
         self.x = self.x + self.v * dt_s
         return self.x.copy(), self.v.copy()
-
-    def truth(self):
-        return None
-
-    def applied_force(self):
-        return None
-
-    def close(self):
-        pass
 
 
 class Emulated:

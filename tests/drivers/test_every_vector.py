@@ -282,6 +282,7 @@ def axis_heartbeat(v: Vector) -> bool:
 
 HEAD, TAIL = ((0, 0), (1, 3), (2, 3), (3, 3)), ((0xD, 0), (0xE, 0), (0xF, 0))
 COLLISION = "COLLISION: a saturated command is byte for byte the special frame "
+REFUSED = ("Set_Input_Pos", "Set_Input_Vel", "Set_Limits", "Set_Axis_Node_ID", "Reboot")
 SPECIAL = {"enable": "| ready run answers", "disable": "> off answers", "zero position": "> refused answers"}
 EXPECTED: dict[str, dict[str, Any]] = {
     "mit": {
@@ -303,16 +304,11 @@ EXPECTED: dict[str, dict[str, Any]] = {
         "refresh / request feedback on 0x7FF": "> answers",
         "refresh / request feedback on 0x7FF with an id over 8 bits": "> refused",
         "read parameter ": "> register",
-        "read parameter MST_ID": "> refused",
-        "read parameter xout": "> refused",
+        **{f"read parameter {name}": "> refused" for name in ("MST_ID", "xout")},
         "write parameter ": "> register",
-        "write parameter MST_ID": "> refused",
-        "write parameter ESC_ID": "> refused",
-        "write parameter DEC": "> refused",
+        **{f"write parameter {name}": "> refused" for name in ("MST_ID", "ESC_ID", "DEC")},
         "save parameters to flash": "> refused",
-        "position-velocity mode": "> ",
-        "velocity mode": "> ",
-        "position-force mode": "> ",
+        **{f"{name} mode": "> " for name in ("position-velocity", "velocity", "position-force")},
         "parameter reply": ("< register", damiao_register),
         "feedback ": ("< feedback", damiao_feedback),
         "parameter reply: DEC": "< state",  # nobody here asks for it
@@ -353,12 +349,8 @@ EXPECTED: dict[str, dict[str, Any]] = {
         "0.5: Set_Axis_State": axis_state,
         "0.5: Set_Controller_Mode": "> ",
         "0.5: Set_Input_Torque": "> run",
-        "0.5: Set_Input_Pos": "> refused",
-        "0.5: Set_Input_Vel": "> refused",
-        "0.5: Set_Limits": "> refused",
-        "0.5: Set_Axis_Node_ID": "> refused",
+        **{f"0.5: {name}": "> refused" for name in REFUSED},
         "0.5: Clear_Errors": "> reset",
-        "0.5: Reboot": "> refused",
         "0.5: Estop": "> stopped",
         "0.5: Heartbeat": "< state",
         "0.5.1: Heartbeat": "< state",

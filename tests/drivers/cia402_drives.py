@@ -5,8 +5,8 @@ from typing import Any
 from drivers.cia402 import objects as o
 from drivers.cia402.protocol import Cia402Protocol
 from drivers.cia402.states import State
-from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
-from drivers.protocol import ALL_LEGS, DriveSetup
+from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.protocol import DriveSetup
 from drivers.signals import DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import memory_of
@@ -31,20 +31,19 @@ def settings(**changes) -> TransmissionSettings:
     })  # fmt: skip
 
 
-def made(node_ids: Any, gear: TransmissionSettings, legs: Any = (ALL_LEGS,), **given: Any) -> Cia402Protocol:
+def made(node_ids: Any, gear: TransmissionSettings, **given: Any) -> Cia402Protocol:
     """Return the codec of drives with keys of the section `drives`, the others in their options."""
     options: dict[str, Any] = {"rated_torque_Nm": RATED_Nm}
     own: dict[str, Any] = {key: given.pop(key) for key in ("force_limit_N", "heartbeat_ms") if key in given}
-    channels = [ChannelSettings(channel=f"can{k}", legs=list(each)) for k, each in enumerate(legs)]
-    bus = BusSettings(layout="classic", channels=channels if len(channels) > 1 else [])
+    bus = BusSettings(layout="classic")
     section = DriveSettings(protocol="cia402", transmission=gear, options=options | given)
     return Cia402Protocol(bus, section.model_copy(update={"node_ids": list(node_ids), **own}))
 
 
-def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, legs=(ALL_LEGS,), **changes) -> Any:
+def drives(node_ids=NODES, *, velocity=True, rated_Nm=RATED_Nm, **changes) -> Any:
     word = "pdo" if velocity else "difference"
     own = {"force_limit_N": 10_000.0, "heartbeat_ms": 24.0}
-    return made(node_ids, settings(**changes), legs, velocity=word, rated_torque_Nm=rated_Nm, **own)
+    return made(node_ids, settings(**changes), velocity=word, rated_torque_Nm=rated_Nm, **own)
 
 
 DEVICE_STATES = {

@@ -9,14 +9,14 @@ import numpy as np
 
 from drivers import motor_kernels as kernels
 from drivers.compiled.pointed import data_at
-from drivers.config import BusSettings, ChannelSettings, DriveSettings, TransmissionSettings
+from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.controller_end import ControllerEnd
 from drivers.frame_array import FRAME, received_array, sent_frames
 from drivers.frame_pointers import code, value
 from drivers.mit.fields import TURN, VARIANTS, Ranges
 from drivers.moteus import read as read_subframes
 from drivers.motor_kernels import ANSWER, BROKEN, FEEDBACK, FOREIGN, MOTION, POWER, TORQUE
-from drivers.protocol import ALL_LEGS, ALWAYS, BRS, EXTENDED, FD, DriveSetup, Frame, Received
+from drivers.protocol import ALWAYS, BRS, EXTENDED, FD, DriveSetup, Frame, Received
 from drivers.registry import loaded
 from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
@@ -152,34 +152,25 @@ def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, 
     return value(p, -r.position, r.position, 16), v, kp, kd, t
 
 
-def sections(protocol: str, nodes: Any, legs: Any, options: dict[str, Any], **drives: float) -> Any:
-    """Return the sections `bus` and `drives` of such drives, with a transmission that carries any force."""
-    channels = [ChannelSettings(channel=f"can{k}", legs=list(own)) for k, own in enumerate(legs)]
-    bus = BusSettings(
-        layout="fd" if protocol == "moteus" else "classic", channels=channels if len(channels) > 1 else []
-    )
+def made(protocol: str, nodes: Any, gear: Any, options: dict[str, Any], **drives: float) -> Any:
+    """Return the codec of such drives behind a gear; made with one that carries any force."""
     light = TransmissionSettings(lead_m=1e-9)
     given = DriveSettings(protocol=protocol, transmission=light, options=options)
-    return bus, given.model_copy(update={"node_ids": list(nodes), **drives})
+    section = given.model_copy(update={"node_ids": list(nodes), **drives})
+    bus = BusSettings(layout="fd" if protocol == "moteus" else "classic")
+    found: Any = loaded("hil.protocols", protocol)(bus, section)
+    found.transmission = gear
+    return found
 
 
 class MitProtocol(Motors):
     """MIT framing on 11-bit identifiers."""
 
-    def __init__(
-        self, variant: str, ranges: Ranges, nodes: Any, host: int, gear: Any, legs: Any = (ALL_LEGS,)
-    ) -> None:
-        options = {
-            "variant": variant,
-            "model": next(iter(VARIANTS[variant].models)),
-            "host_id": host,
-            "position_rad": ranges.position,
-            "velocity_rad_s": ranges.velocity,
-            "torque_N_m": ranges.torque,
-        }
-        made: Any = loaded("hil.protocols", "mit")(*sections("mit", nodes, legs, options))
-        made.transmission, made.ranges = gear, ranges
-        super().__init__(made)
+    def __init__(self, variant: str, ranges: Ranges, nodes: Any, host: int, gear: Any) -> None:
+        model = next(iter(VARIANTS[variant].models))
+        keys = dict(zip(("position_rad", "velocity_rad_s", "torque_N_m"), ranges, strict=True))
+        options = {"variant": variant, "model": model, "host_id": host, **keys}
+        super().__init__(made("mit", nodes, gear, options))
 
 
 @cache
@@ -196,40 +187,25 @@ def read_reply(data: bytes, r: Ranges) -> tuple[float, float, float]:
 class RobStrideProtocol(MitProtocol):
     """RobStride's."""
 
-    def __init__(self, ranges: Ranges, nodes: Any, host: int, gear: Any, legs: Any = (ALL_LEGS,)) -> None:
-        super().__init__("robstride", ranges, nodes, host, gear, legs)
+    def __init__(self, ranges: Ranges, nodes: Any, host: int, gear: Any) -> None:
+        super().__init__("robstride", ranges, nodes, host, gear)
 
 
 class ODriveProtocol(Motors):
     """ODrive's."""
 
-    def __init__(
-        self,
-        nodes: Any,
-        watchdog_s: float,
-        gear: Any,
-        heartbeat_s: float = 0.1,
-        unasked_s: float = 0.0,
-        legs: Any = (ALL_LEGS,),
-    ) -> None:
-        times = {"watchdog_ms": 1e3 * watchdog_s, "heartbeat_ms": 1e3 * heartbeat_s}
+    def __init__(self, nodes: Any, watchdog_s: float, gear: Any, unasked_s: float = 0.0) -> None:
         options = {"encoder_msg_rate_ms": round(1e3 * unasked_s)}
-        made: Any = loaded("hil.protocols", "odrive")(*sections("odrive", nodes, legs, options, **times))
-        made.transmission, made.delivered_s = gear, watchdog_s
-        super().__init__(made)
+        super().__init__(made("odrive", nodes, gear, options, watchdog_ms=1e3 * watchdog_s))
 
 
 class MoteusProtocol(Motors):
     """moteus'."""
 
-    def __init__(
-        self, nodes: Any, host: int, mode: Reaction, most: float, gear: Any, legs: Any = (ALL_LEGS,)
-    ) -> None:
+    def __init__(self, nodes: Any, host: int, mode: Reaction, most: float, gear: Any) -> None:
         word = "stopped" if mode == Reaction.BRAKE else "zero_velocity"
         options = {"host_id": host, "timeout_mode": word, "torque_N_m": most}
-        made: Any = loaded("hil.protocols", "moteus")(*sections("moteus", nodes, legs, options))
-        made.transmission = gear
-        super().__init__(made)
+        super().__init__(made("moteus", nodes, gear, options))
 
 
 def mit(variant: str, gear: Any = GEAR) -> MitProtocol:

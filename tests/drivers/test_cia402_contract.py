@@ -9,11 +9,9 @@ import pytest
 
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
-from hil.contracts.by_value import ByValue
-from hil.contracts.ends import FORCE, OFF, PERIOD_NS, SETUP, Ends
+from hil.contracts.ends import FORCE, OFF, PERIOD_NS, Ends
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
-from plant_fmu.faults.kinds import DriveReset
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives
 
 RUN = Command(DriveMode.RUN, FORCE)
@@ -63,20 +61,6 @@ def alone(ends: Ends, frames: Any, ticks: int) -> list[Frame]:
     return sent
 
 
-def test_drive_that_resets_in_motion_is_in_boot_at_once_and_the_others_run_on():
-    ends = Ends(drives(), DriveReset(leg=2, at_s=2.0))
-    ends.running()
-    while ends.tick * PERIOD_NS < 1_990_000_000:
-        ends.step(RUN, set_up=False)
-    assert states(ends) == [DriveState.RUN] * LEGS
-    for _ in range(12):
-        ends.step(RUN, set_up=False)
-    assert states(ends) == [3, 3, DriveState.BOOT, 3, 3, 3]
-    assert ends.measurement["age"].tolist()[2] > 1
-    assert ends.nodes.snapshot().brake.tolist() == [0, 0, 1, 0, 0, 0]
-    assert ends.protocol.legs_set_up(ends.dialogue) == (True, True, False, True, True, True)
-
-
 def test_each_drive_trips_without_our_heartbeat_although_pdos_go_on():
     ends = Ends(drives())
     ends.running()
@@ -101,17 +85,6 @@ def test_heartbeats_of_its_controller_alone_keep_a_drive_enabled():
     assert ends.nodes.snapshot().state.tolist() == [DriveState.RUN] * LEGS
     alone(ends, [Frame(HEARTBEAT - 1, b"\x05")], 100)
     assert ends.nodes.snapshot().state.tolist() == [DriveState.FAULT] * LEGS
-
-
-def test_another_rated_torque_is_reported_and_no_drive_is_set_up():
-    ends = Ends(drives())
-    ends.protocol = ByValue(drives(rated_Nm=10.0))
-    ends.dialogue = ends.protocol.start(SETUP)
-    for _ in range(150):
-        ends.step()
-    lacks = ends.protocol.set_up_lacks(ends.dialogue)
-    assert lacks == ("0x6076:0 motor rated torque is 9000, expected 10000",) * LEGS
-    assert not any(ends.protocol.legs_set_up(ends.dialogue))
 
 
 @pytest.mark.parametrize("runs", [True, False])

@@ -253,14 +253,6 @@ def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault
 # six drives behind one bus
 
 
-def test_heartbeat_feeds_the_drives_that_watch_its_node():
-    memory = HELD
-    for leg, node in ((1, 9), (4, 9), (5, 0)):
-        memory, _ = P.parse(memory, Frame(0x601 + leg, bytes.fromhex(f"23161001e803{node:02x}00")))
-    found = {node: given(memory, 0x700 + node, b"\5")[1] for node in (9, 127, 5, 0)}
-    assert found == {9: [Alive((1, 4))], 127: [Alive((0, 2, 3))], 5: [], 0: [Alive((5,))]}
-
-
 def test_each_drive_answers_with_its_own_position_speed_and_torque():
     protocol, six = ByValue(made((1, 2, 3, 4, 5, 6), UNLIKE_GEAR, force_limit_N=100.0)), np.arange(1.0, 7.0)
     sign = np.array([1, -1, 1, 1, -1, 1])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-from math import inf, isnan, nan
+from math import inf, nan
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.moteus import QUERY, READ, REPLY, STOP, WRITE, pad, torque_command
+from drivers.moteus import READ, REPLY, STOP, WRITE, pad, torque_command
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
@@ -102,18 +102,6 @@ def test_command_without_a_time_leaves_the_drive_the_delivered_one(sent_s, kept_
     _, ((first, *_),) = told(to(3, torque_command(0.5, 2.0, sent_s)))
     assert first.leg == 3
     assert first.watchdog_s == pytest.approx(kept_s, rel=1e-6)
-
-
-def test_command_that_an_emulated_drive_does_not_have_is_refused_and_answered():
-    for text in (
-        "01000a0c06200000c07f000000000000003f0000803f0000803f00000040",  # gains
-        "01000a0d220000003f",  # the drive's own gains
-        "01000a0e200000803ecdccccbd",  # position
-        "01000f",  # brake
-    ):
-        assert told(to(2, bytes.fromhex(text) + QUERY))[1] == [(Rejected(), Sync(0, (2,)))]
-    assert told(to(2, b"\x11\0"))[1] == [(Sync(0, (2,)),)], "a query"
-    assert told(to(2, b"\x01\0"))[1] == [(Rejected(),)]
 
 
 def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():
@@ -294,17 +282,6 @@ def test_command_has_the_scale_of_what_is_read_and_a_time_its_own(register, scal
         number = struct.pack("<" + "bhif"[width], 3)
         found: Any = registers(bytes((WRITE | width << 2 | 1, register)) + number, WRITE)
         assert found == {register: pytest.approx(3 * scale, rel=1e-12)}
-
-
-@pytest.mark.parametrize("width", [0, 1, 2])
-def test_smallest_integer_is_not_a_number_where_there_is_a_scale(width):
-    size = (1, 2, 4)[width]
-    for least in (0, 1):
-        raw = (least - (1 << (8 * size - 1))).to_bytes(size, "little", signed=True)
-        scaled, plain = (registers(bytes((REPLY | width << 2 | 1, n)) + raw, REPLY) for n in (1, 0))
-        assert scaled is not None
-        assert plain == {0: int.from_bytes(raw, "little", signed=True)}
-        assert isnan(scaled[1]) == (least == 0)
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,12 @@ def obeyed(name: str, v: Vector, *, enabled: bool = True) -> str:
             case Configure():
                 continue
             case _:
-                kinds = {Rejected: "refused", EmergencyStop: "stopped", Answer: "register", Sync: "answers"}
+                kinds: dict[type, str] = {
+                    Rejected: "refused",
+                    EmergencyStop: "stopped",
+                    Answer: "register",
+                    Sync: "answers",
+                }
                 words.append(kinds[type(message)])
     return " ".join(words)
 
@@ -227,7 +232,7 @@ def axis_estimates(v: Vector) -> bool:
     )
     found, (length, rate) = ODRIVE.hear(frame(v)), (np.full(6, each) for each in figures)
     sent = answers(ODRIVE, Sync(0, (leg,)), length, rate, np.zeros(6), np.ones(6, np.int64))
-    return found.leg == leg and near(found.motion, figures, 1e-7) and sent == [(leg, frame(v))]
+    return bool(found.leg == leg and near(found.motion, figures, 1e-7) and sent == [(leg, frame(v))])
 
 
 def moteus_command(v: Vector) -> bool:

@@ -24,8 +24,6 @@ from tests.drivers.motor_families import (
     motors,
 )
 
-TELL = [name for name in MOTORS if name != "mini_cheetah"]
-"""Their replies say that there is no position; those of mini-cheetah wrap."""
 ZEROS = np.zeros(LEGS)
 
 

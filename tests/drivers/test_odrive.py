@@ -58,10 +58,6 @@ def told(dialogue: Remembered, mode: DriveMode, tick: int = 0) -> list[list[Fram
     return [[frame for frame in frames if frame.id >> 5 == node] for node in NODES]
 
 
-def running(torque: float) -> Remembered:
-    return P.start(BRAKES)._replace(mode=DriveMode.RUN, ran=(True,) * 6, torque=(torque,) * 6)
-
-
 def test_states_modes_errors_and_stops_are_the_vendors_frames():
     start = P.start(BRAKES)
     for sent, name in (

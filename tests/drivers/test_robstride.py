@@ -20,7 +20,6 @@ from tests.drivers.motor_families import UNLIKE, Heard, robstride
 
 P = robstride(UNLIKE)
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
-STEP_Nm = 288.0 / 65535
 DELIVERED = Configure(3, 1e6, Reaction.BRAKE)
 SYNC, REFUSED = (Sync(0, (3,)),), (Rejected(),)
 TURNS = np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])

@@ -95,23 +95,19 @@ def test_statusword_is_the_state_that_canopen_reads(v):
 @pytest.mark.parametrize(
     ("state", "mode", "word"),
     [
-        ("SWITCH ON DISABLED", DriveMode.READY, "shutdown"),
-        ("READY TO SWITCH ON", DriveMode.READY, "switch_on"),
-        ("OPERATION ENABLED", DriveMode.READY, "switch_on"),
-        ("SWITCHED ON", DriveMode.RUN, "enable_operation"),
-        ("OPERATION ENABLED", DriveMode.RUN, "enable_operation"),
-        ("SWITCH ON DISABLED", DriveMode.RUN, "disable_voltage"),
-        ("OPERATION ENABLED", DriveMode.OFF, "shutdown"),
-        ("SWITCHED ON", DriveMode.OFF, "shutdown"),
-        ("QUICK STOP ACTIVE", DriveMode.OFF, "shutdown"),
-        ("SWITCH ON DISABLED", DriveMode.OFF, "disable_voltage"),
-        ("FAULT", DriveMode.RUN, "disable_voltage"),
-        ("FAULT", DriveMode.RESET, "fault_reset"),
+        ("SWITCH ON DISABLED", "READY", "shutdown"), ("READY TO SWITCH ON", "READY", "switch_on"),
+        ("OPERATION ENABLED", "READY", "switch_on"), ("SWITCHED ON", "RUN", "enable_operation"),
+        ("OPERATION ENABLED", "RUN", "enable_operation"), ("SWITCH ON DISABLED", "RUN", "disable_voltage"),
+        ("OPERATION ENABLED", "OFF", "shutdown"), ("SWITCHED ON", "OFF", "shutdown"),
+        ("QUICK STOP ACTIVE", "OFF", "shutdown"), ("SWITCH ON DISABLED", "OFF", "disable_voltage"),
+        ("FAULT", "RUN", "disable_voltage"), ("FAULT", "RESET", "fault_reset"),
     ],
-)
+)  # fmt: skip
 def test_controlword_is_that_of_canopens_table(state, mode, word):
     known = STATE_OF[int(DATA["tables"]["statusword_masks"][state]["value"], 16)]
-    assert controlword(mode, known, edge=True, stopped=False) == DATA["tables"]["controlwords"][word]
+    assert (
+        controlword(DriveMode[mode], known, edge=True, stopped=False) == DATA["tables"]["controlwords"][word]
+    )
 
 
 @each("TPDO1 statusword")

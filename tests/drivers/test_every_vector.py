@@ -62,6 +62,9 @@ def frame(v: Vector) -> Frame:
     return Frame(v["id"], bytes.fromhex(v["data"]), flags)
 
 
+KINDS: dict[type, str] = {Rejected: "refused", EmergencyStop: "stopped", Answer: "register", Sync: "answers"}
+
+
 def obeyed(name: str, v: Vector, *, enabled: bool = True) -> str:
     """Return what the emulated drives make of a frame, in words."""
     protocol = family(name, v)
@@ -76,13 +79,7 @@ def obeyed(name: str, v: Vector, *, enabled: bool = True) -> str:
             case Configure():
                 continue
             case _:
-                kinds: dict[type, str] = {
-                    Rejected: "refused",
-                    EmergencyStop: "stopped",
-                    Answer: "register",
-                    Sync: "answers",
-                }
-                words.append(kinds[type(message)])
+                words.append(KINDS[type(message)])
     return " ".join(words)
 
 

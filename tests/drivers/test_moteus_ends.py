@@ -71,24 +71,16 @@ def written(**values: float) -> Frame:
 
 
 @pytest.mark.parametrize(
-    ("values", "torque"),
+    ("changes", "torque"),
     [
-        ({"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": 2.0}, 0.5),
-        ({"torque": 2.5, "kp": 0.0, "kd": 0.0, "most": 2.0}, 2.0),
-        ({"torque": -2.5, "kp": 0.0, "kd": 0.0, "most": 2.0}, -2.0),
-        ({"torque": 0.5, "kp": 0.0, "kd": 0.0}, 0.5),
-        ({"kp": 0.0, "kd": 0.0, "most": 2.0}, 0.0),
-        ({"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": nan}, 0.5),
-        ({"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": 0.0}, None),
-        ({"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": -1.0}, None),
-        ({"torque": nan, "kp": 0.0, "kd": 0.0, "most": 2.0}, None),
-        ({"torque": 0.5, "kd": 0.0, "most": 2.0}, None),
-        ({"torque": 0.5, "kp": 0.0, "most": 2.0}, None),
-        ({"torque": 0.5, "kp": 1.0, "kd": 0.0, "most": 2.0}, None),
+        ({}, 0.5), ({"torque": 2.5}, 2.0), ({"torque": -2.5}, -2.0), ({"most": None}, 0.5), ({"torque": None}, 0.0),
+        ({"most": nan}, 0.5), ({"most": 0.0}, None), ({"most": -1.0}, None), ({"torque": nan}, None),
+        ({"kp": None}, None), ({"kd": None}, None), ({"kp": 1.0}, None),
     ],
-)
-def test_position_mode_is_a_torque_without_gains_and_with_a_limit(values, torque):
-    memory, (messages,) = told(written(**values))
+)  # fmt: skip
+def test_position_mode_is_a_torque_without_gains_and_with_a_limit(changes, torque):
+    values = {"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": 2.0} | changes
+    memory, (messages,) = told(written(**{name: x for name, x in values.items() if x is not None}))
     if torque is None:
         assert messages == (Rejected(), Sync(0, (1,)))
         assert not any(memory.enabled)

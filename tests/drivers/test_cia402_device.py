@@ -281,6 +281,9 @@ def test_only_drives_that_run_and_have_a_position_answer():
     memory, sent = P.answer(drive(), Sync(0), zeros, zeros, zeros, states)
     assert {leg for leg, _ in sent} == set(range(6)) - {LEG}
     assert list(memory.nmt) == [0 if leg == LEG else 5 for leg in range(6)]
-    assert {leg for leg, _ in P.answer(memory, Sync(0), zeros, zeros, zeros, ALL_RUN)[1]} == set(range(6)) - {
-        LEG
-    }
+    answers = P.answer(memory, Sync(0), zeros, zeros, zeros, ALL_RUN)[1]
+    assert {leg for leg, _ in answers} == set(range(6)) - {LEG}
+    memory = changed(changed(changed(HELD, 1, nmt=127), 2, nmt=4), 4, state=State.FAULT_REACTION)
+    memory, messages = P.parse(memory, Frame(0x80, b""))
+    assert messages == (Sync(0, (0, 3, 4, 5)),), "in Operational"
+    assert memory.state["state"].tolist() == [State.FAULT if leg == 4 else State.ENABLED for leg in range(6)]

@@ -122,6 +122,21 @@ def test_reset_clears_errors_that_axes_have_not_yet_reported(anew):
     assert ends.nodes.snapshot().state.tolist() == [DriveState.OFF] * LEGS
 
 
+def test_emulated_axis_sends_its_heartbeat_by_a_timer_and_none_with_a_change():
+    ends, told = line(), list[tuple[int, int]]()
+
+    def hear(frames: list[Received]) -> list[Received]:
+        told.extend((t_ns, frame.id >> 5) for t_ns, frame in frames if frame.id & 0x1F == HEARTBEAT)
+        return frames
+
+    ends.to_hear = hear
+    for command in (FORCED, READY, FORCED, OFF, RESET, OFF) * 4:
+        ends.step(command, set_up=False, first=ends.protocol.traits.emergency_stop if command == OFF else ())
+    assert len(told) > 3 * LEGS
+    assert set(np.diff([t_ns for t_ns, _ in told])) == {BEAT_TICKS * PERIOD_NS // LEGS}
+    assert {node for _, node in told[:LEGS]} == set(NODES)
+
+
 # estimates that nobody asked for
 
 
@@ -162,6 +177,20 @@ def test_newest_estimate_counts_and_one_from_before_the_poll_does_not(leg):
 def test_second_and_late_estimates_are_counted_where_axes_send_none_unasked():
     tick = heard(ready(0.0), BEFORE[0], *ANSWERS, (400_000, estimate(3, 0.9)))
     assert (tick["doubled"], tick["rejected"]) == (1 << 3, 1)
+
+
+@pytest.mark.parametrize("unasked_s", [0.0, UNASKED_S])
+def test_emulated_axis_sends_its_estimates_by_its_timer_beside_its_answers(unasked_s):
+    ends, times = ready(unasked_s), list[int]()
+    for _ in range(100):
+        ends.step()
+        polled = ends.tick * PERIOD_NS + 100_000
+        found = [t_ns for t_ns, frame in ends.received if frame.id == NODES[2] << 5 | ESTIMATES]
+        assert polled in found
+        times += [t_ns for t_ns in found if t_ns != polled]
+    assert (len(times) > 3) == bool(unasked_s)
+    assert not times or np.abs(np.diff(times) - 1e9 * UNASKED_S).max() <= 1
+    assert ends.nodes.syncs == (ends.tick + 1) * LEGS, "none counts as a poll"
 
 
 def configured(options: dict[str, int], **bus: Any) -> Any:

@@ -99,7 +99,7 @@ def given(force: float, wrench: float) -> list[float]:
 
 
 @pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
-def test_inputs_are_set_when_one_has_changed_and_each_step_and_its_outputs_follow(counted):
+def test_inputs_are_set_only_when_one_has_changed(counted):
     fmu = Functions(counted=counted)
     pairs = [(1.0, 2.0), (1.0, 2.0), (1.0, 2.5), (1.5, 2.5), (1.5, 2.5)]
     ended = [fmu.exchange(*pair, t_s=0.25 * k) for k, pair in enumerate(pairs)]
@@ -116,22 +116,24 @@ def test_inputs_are_set_when_one_has_changed_and_each_step_and_its_outputs_follo
 
 
 @pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
-def test_inputs_that_were_refused_are_set_anew_and_no_step_is_taken_with_them(counted):
+def test_refused_inputs_are_set_again_and_no_step_is_taken_with_them(counted):
+    """The FMU may have taken a part of them."""
     fmu = Functions(counted=counted)
+    assert fmu.exchange(1.0, 2.0) == DONE
     fmu.set_status = ERROR
-    assert [fmu.exchange(1.0, 2.0), fmu.exchange(1.0, 2.0)] == [INPUTS_REFUSED] * 2
+    assert [fmu.exchange(3.0, 2.0), fmu.exchange(3.0, 2.0)] == [INPUTS_REFUSED] * 2
     assert fmu.exchange(np.nan, 2.0) == NOT_FINITE
-    assert (len(fmu.sets), fmu.steps) == (2, [])
+    assert (len(fmu.sets), len(fmu.steps)) == (3, 1)
     fmu.set_status = 0
     assert fmu.exchange(1.0, 2.0) == DONE
-    assert fmu.sets == [given(1.0, 2.0)] * 3
+    assert fmu.sets == [given(1.0, 2.0), given(3.0, 2.0), given(3.0, 2.0), given(1.0, 2.0)]
     fmu.step_status = ERROR
     assert fmu.exchange(1.0, 2.0) == STEP_REFUSED
-    assert len(fmu.sets) == 3, "the FMU has them"
+    assert len(fmu.sets) == 4, "the FMU has them"
 
 
 @pytest.mark.parametrize("slots", [(0, 6, 12), (6, 12, 0), (12, 0, 6), (-1, 0, -1)])
-def test_each_force_brake_and_part_of_the_wrench_stands_at_its_own_place_wherever_these_begin(slots):
+def test_force_brake_and_wrench_stand_at_their_own_places(slots):
     fmu = Functions(counted=True, slots=slots)
     given = np.arange(6.0) + 10.0, np.arange(6.0) / 8.0, np.arange(6.0) - 30.0
     assert fmu.move(*given) == (DONE, 0)
@@ -139,21 +141,8 @@ def test_each_force_brake_and_part_of_the_wrench_stands_at_its_own_place_whereve
     assert fmu.sets == [[x for _, values in there for x in values]]
 
 
-def test_after_inputs_that_were_refused_those_of_before_are_set_anew():
-    """The FMU may have taken a part of them."""
-    fmu = Functions(counted=True)
-    assert fmu.exchange(1.0, 2.0) == DONE
-    fmu.set_status = ERROR
-    assert fmu.exchange(3.0, 2.0) == INPUTS_REFUSED
-    fmu.set_status = 0
-    assert fmu.exchange(1.0, 2.0) == DONE
-    assert fmu.sets == [given(1.0, 2.0), given(3.0, 2.0), given(1.0, 2.0)]
-
-
 @pytest.mark.parametrize(("flag", "ended"), [(0, DONE), (1, INTERRUPTED), (2, INTERRUPTED)])
-def test_a_step_whose_simulation_ended_or_that_returned_early_was_interrupted_and_an_event_is_none(
-    flag, ended
-):
+def test_a_step_is_interrupted_by_termination_and_early_return_not_by_an_event(flag, ended):
     fmu = Functions(counted=True)
     assert fmu.exchange(1.0, 2.0) == DONE
     fmu.flagged = flag
@@ -162,20 +151,24 @@ def test_a_step_whose_simulation_ended_or_that_returned_early_was_interrupted_an
 
 
 @pytest.mark.parametrize("counted", [False, True], ids=["2.0", "3.0"])
-def test_a_warning_is_a_success_of_each_call_and_any_other_status_but_0_a_refusal(counted):
-    for name, refused in (
-        ("set_status", INPUTS_REFUSED),
-        ("step_status", STEP_REFUSED),
-        ("get_status", OUTPUTS_REFUSED),
-    ):
-        for status, ended in ((1, DONE), (2, refused), (5, refused), (-1, refused), (-(2**31), refused)):
-            fmu = Functions(counted=counted)
-            setattr(fmu, name, status)
-            assert fmu.exchange(1.0, 2.0) == ended, (name, status)
+@pytest.mark.parametrize(
+    ("name", "refused", "ticks"),
+    [
+        ("set_status", INPUTS_REFUSED, 0),
+        ("step_status", STEP_REFUSED, 0),
+        ("get_status", OUTPUTS_REFUSED, 1),
+    ],
+)
+def test_a_warning_is_a_success_and_time_goes_on_only_after_a_step(counted, name, refused, ticks):
+    for status, ended in ((1, DONE), (2, refused), (5, refused), (-1, refused), (-(2**31), refused)):
+        fmu = Functions(counted=counted)
+        setattr(fmu, name, status)
+        assert fmu.exchange(1.0, 2.0) == ended, status
+        assert fmu.fmu["ticks"] == (1 if ended == DONE else ticks), status
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_each_length_rate_and_input_has_to_be_finite(value):
+def test_each_length_rate_and_input_must_be_finite(value):
     for place in range(12):
         fmu = Functions(counted=True)
         fmu.measured[place] = value

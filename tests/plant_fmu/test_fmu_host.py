@@ -1,20 +1,16 @@
 """Hosting: agreement with fmpy's own simulation, and FMUs that are not what they should be."""
 
-import ctypes as ct
 import os
 import re
-import sys
 import zipfile
-from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
 
-from drivers.compiled.compiler import INTEGER, REAL
-from drivers.compiled.pointed import of_python
 from drivers.errors import PlantError
-from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
 from plant_fmu.stewart.build import build
@@ -74,12 +70,9 @@ def test_closing_removes_the_unpacked_files_and_can_be_repeated(tmp_path, tempor
         host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_our_fmu_has_no_file_left_while_it_runs_so_that_a_process_that_is_killed_leaves_none(
-    version, temporary
-):
-    truth = "position", "rotation", "twist", "applied_force"
-    host = FmuHost(spec(build(version), truth=truth))
+def test_our_fmu_leaves_no_file_if_its_process_is_killed(temporary):
+    """Its files are removed as soon as it is loaded."""
+    host = FmuHost(spec(build("3.0"), truth=("position", "rotation", "twist", "applied_force")))
     assert list(temporary.iterdir()) == []
     moved = [host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)[0] for _ in range(2)]
     host.reset()
@@ -89,13 +82,7 @@ def test_our_fmu_has_no_file_left_while_it_runs_so_that_a_process_that_is_killed
     np.testing.assert_array_equal(again, moved[0])
 
 
-def test_hosting_leaves_the_working_directory_alone(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    FmuHost(spec(build("3.0"))).close()
-    assert Path.cwd() == tmp_path
-
-
-def test_parameters_reach_the_fmu_by_array_by_name_of_an_item_and_by_number():
+def test_parameters_are_arrays_numbers_and_names_of_items():
     free = FmuHost(spec(build("2.0"), parameters={"mass": 1150}))
     q = free.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0]
     free.close()
@@ -114,17 +101,12 @@ def test_parameters_reach_the_fmu_by_array_by_name_of_an_item_and_by_number():
         ({"gravity": [0.0, 1.0]}, "3 elements but 2"),
         ({"length": [0.0] * 6}, "only parameters"),
         ({"leg_spin": "sometimes"}, "no value of it"),
-        ({"leg_spin": 1.5}, "no value of it"),
-        ({"leg_spin": float("inf")}, "no value of it"),
-        ({"leg_spin": 10**310}, "no value of it"),
-        ({"mass": 10**310}, "'mass' is of type .*; 10{59} is no value of it"),
-        ({"com": [0.0, 10**310, 0.0]}, "no value of it"),
         ({"mass": -1.0}, "refused parameter 'mass'.*outside"),
         ({"length_max": [1.5] * 6}, "stroke"),
     ],
 )
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_parameter_that_cannot_be_is_refused(version, parameters, word):
+def test_an_invalid_parameter_is_refused(version, parameters, word):
     with pytest.raises(PlantError, match=word):
         FmuHost(spec(build(version), parameters=parameters))
 
@@ -145,7 +127,7 @@ def test_a_parameter_that_cannot_be_is_refused(version, parameters, word):
     ],
 )
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_variable_map_that_does_not_fit_is_refused(version, changes, word):
+def test_a_map_that_does_not_fit_is_refused(version, changes, word):
     with pytest.raises(PlantError, match=word):
         FmuHost(spec(build(version), **changes))
 
@@ -190,61 +172,27 @@ def edit(old, new):
         (edit(b'instantiationToken="{', b'instantiationToken="{0'), "different builds"),
     ],
 )
-def test_an_fmu_that_is_not_what_it_should_be_is_refused(tmp_path, change, word):
+def test_a_changed_fmu_is_refused(tmp_path, change, word):
     bad = rewritten(build("3.0"), tmp_path / "bad.fmu", change)
     with pytest.raises(PlantError, match=f"(?s)bad.fmu.*{word}"):
         FmuHost(spec(bad))
 
 
-def test_a_binary_for_another_machine_is_named(tmp_path):
-    with zipfile.ZipFile(build("3.0")) as source, zipfile.ZipFile(tmp_path / "bad.fmu", "w") as target:
-        for name in source.namelist():
-            moved = "binaries/x86_64-windows/stewart.dll" if name.startswith("binaries/") else name
-            target.writestr(moved, source.read(name))
-    with pytest.raises(PlantError, match=r"no binary for this machine.*x86_64-windows"):
-        FmuHost(spec(tmp_path / "bad.fmu"))
-
-
-def test_a_missing_file_and_a_file_that_is_no_archive_are_refused(tmp_path):
-    os.mkfifo(tmp_path / "pipe.fmu")
-    for other in (tmp_path, tmp_path / "pipe.fmu"):
-        with pytest.raises(PlantError, match=f"{other.name}: no FMU: a folder, pipe, socket or device"):
-            FmuHost(spec(other))
-    with pytest.raises(PlantError, match="no such FMU"):
-        FmuHost(spec(tmp_path / "none.fmu"))
-    (tmp_path / "text.fmu").write_text("no archive")
-    with pytest.raises(PlantError, match="not an FMU"):
-        FmuHost(spec(tmp_path / "text.fmu"))
-
-
-def test_a_zip_bomb_is_refused_and_writes_nothing(tmp_path, monkeypatch):
+def test_a_zip_bomb_is_refused_and_writes_nothing(tmp_path, temporary):
     bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=[("resources/bomb", b"\0" * 8_000_000)])
-    (tmp_path / "tmp").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
     with pytest.raises(PlantError, match="times its packed size"):
         FmuHost(spec(bad))
-    assert list((tmp_path / "tmp").iterdir()) == []
-
-
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_two_descriptions_of_one_name_are_refused(tmp_path):
-    with zipfile.ZipFile(build("3.0")) as source:
-        real = source.read(XML)
-    first = rewritten(build("3.0"), tmp_path / "a.fmu", lambda n, d: b"<no/>" if n == XML else d)
-    with pytest.raises(PlantError, match="occurs twice"):
-        FmuHost(spec(rewritten(first, tmp_path / "b.fmu", extra=[(XML, real)])))
+    assert list(temporary.iterdir()) == []
 
 
 @pytest.mark.parametrize("reference", [-1, 2**32, 10**20])
-def test_a_value_reference_that_is_none_is_refused(tmp_path, reference):
+def test_an_invalid_value_reference_is_refused(tmp_path, reference):
     def renumbered(name, data):
         pattern = rb'(name="force\[1\]" valueReference=)"\d+"'
         return re.sub(pattern, rb'\1"%d"' % reference, data) if name == XML else data
 
     bad = rewritten(build("2.0"), tmp_path / "bad.fmu", renumbered)
-    with pytest.raises(
-        PlantError, match=rf"'force\[1\]' has the valueReference '{reference}'; 0 to 4294967295"
-    ):
+    with pytest.raises(PlantError, match=f"valueReference '{reference}'"):
         FmuHost(spec(bad))
 
 
@@ -258,93 +206,15 @@ def test_a_damaged_member_is_refused(tmp_path):
         FmuHost(spec(tmp_path / "bad.fmu"))
 
 
-def test_of_many_messages_the_last_are_told():
-    host = FmuHost(spec(build("3.0")))
-    for k in range(30):
-        host._log(f"message {k}".encode())
-    told = host._said()
-    host.close()
-    assert told == f": {'; '.join(f'message {k}' for k in range(10, 30))}"
-
-
-@pytest.mark.parametrize(
-    ("ended", "stepped"),
-    [
-        (fmu_call.INPUTS_REFUSED, False),
-        (fmu_call.STEP_REFUSED, False),
-        (fmu_call.OUTPUTS_REFUSED, True),
-        (fmu_call.OUTPUT_NOT_FINITE, True),
-    ],
-)
-def test_the_next_step_begins_where_the_fmu_is_after_a_step_that_failed(ended, stepped):
-    host = FmuHost(spec(build("3.0")))
-    begun_s: list[float] = []
-
-    def step(_instance: int, t_s: float, _dt_s: float, *_places: int) -> int:
-        begun_s.append(t_s)
-        return 3 if ended == fmu_call.STEP_REFUSED and len(begun_s) == 1 else 0
-
-    def refuse(_instance: int, _references: int, _count: int, values: int, _size: int) -> int:
-        ct.c_double.from_address(values).value = np.nan
-        return 0 if ended == fmu_call.OUTPUT_NOT_FINITE else 3
-
-    stepping, refusing = (
-        of_python(step, INTEGER, REAL, REAL, *[INTEGER] * 5),
-        of_python(refuse, *[INTEGER] * 5),
-    )
-    host._record["step"] = stepping[0]
-    at = "set" if ended == fmu_call.INPUTS_REFUSED else "get"
-    before = int(host._record[at])
-    if ended != fmu_call.STEP_REFUSED:
-        host._record[at] = refusing[0]
-    with pytest.raises(PlantError):
-        host.step(FORCE, np.zeros(6), np.zeros(6), 2e-3)
-    host._record[at] = before
-    host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
-    host.close()
-    assert begun_s[-1] == (2e-3 if stepped else 0.0)
-
-
-@pytest.mark.parametrize("proxy", [True, False], ids=["filled in", "as they are"])
-def test_an_fmu_of_fmi_2_is_given_memory_that_is_zero_and_its_messages_are_heard(monkeypatch, proxy, capsys):
-    """The library that fills in what messages leave out is not on every machine."""
-    if not proxy:
-        monkeypatch.setitem(sys.modules, "fmpy.logging", None)
-    host = FmuHost(spec(build("2.0")))
-    callbacks = host._fmu.callbacks
-    assert all((callbacks.allocateMemory, callbacks.freeMemory, callbacks.logger)), "none is a null pointer"
-    memory = callbacks.allocateMemory(3, 8)
-    assert memory
-    assert bytes((ct.c_char * 24).from_address(memory)) == bytes(24)
-    callbacks.freeMemory(memory)
-    callbacks.logger(None, b"plant", 3, b"category", b"it fails")
-    assert host._messages == ["it fails"]
-    host.close()
-    assert capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_after_a_reset_that_the_fmu_refuses_it_takes_no_step(monkeypatch, version):
-    def refuse() -> None:
+@pytest.mark.parametrize(("version", "kind"), [("2.0", FMU2Slave), ("3.0", FMU3Slave)])
+def test_after_a_refused_reset_the_fmu_takes_no_step(monkeypatch, version, kind):
+    def refuse(fmu: object) -> None:
         raise RuntimeError("reset fails")
 
     host = FmuHost(spec(build(version)))
-    monkeypatch.setattr(host._fmu, "reset", refuse)
-    with pytest.raises(PlantError, match="cannot be initialised: reset fails"):
+    monkeypatch.setattr(kind, "reset", refuse)
+    with pytest.raises(PlantError, match="reset fails"):
         host.reset()
-    with pytest.raises(PlantError, match="failed to initialise; reset it"):
+    with pytest.raises(PlantError, match="failed to initialise"):
         host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
     host.close()
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("brake", [("brake",), ()], ids=["brake", "none"])
-def test_a_reset_leaves_no_force_no_wrench_and_engaged_brakes(version, brake):
-    host = FmuHost(spec(build(version), brake=brake, wrench=("wrench",)))
-    host.step(FORCE, np.zeros(6), np.full(6, 3.0), 1e-3)
-    host.reset()
-    get = host._fmu.getReal if version == "2.0" else host._fmu.getFloat64
-    held = {key: get(list(references), *([6] if version == "3.0" else []))
-            for key, references in host._interface.inputs.items()}  # fmt: skip
-    host.close()
-    assert held == {"force": [0.0] * 6, **({"brake": [1.0] * 6} if brake else {}), "wrench": [0.0] * 6}

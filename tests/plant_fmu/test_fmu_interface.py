@@ -1,4 +1,4 @@
-"""An FMU's description against what is asked of it: version, binary, channels, units, parameters, in any order."""
+"""The description of an FMU against its settings: binary, variables, units, parameters."""
 
 from __future__ import annotations
 
@@ -12,27 +12,23 @@ import fmpy
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.fmu import check
-from plant_fmu.fmu.check import (
-    FmuSpec,
-    Interface,
-    described,
-    library_candidates,
-    read_interface,
-)
+from plant_fmu.config import FmuPlant
+from plant_fmu.fmu import check, child
+from plant_fmu.fmu.check import FmuSpec, Interface, described, fmu_spec, read_interface
 from plant_fmu.stewart.build import build
 
-PATH = Path("a.fmu")
 LIBRARY = f"binaries/{fmpy.platform_tuple}/model{fmpy.sharedLibraryExtension}"
 UNITS = {"force": "N", "length": "m", "rate": "m/s"}
-CAUSALITY = {"force": "input", "brake": "input", "wrench": "input"}
+INPUTS = ("force", "brake", "wrench")
+TRUTH = ("p", "R", "twist", "applied")
+NOTHING = dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd"), 0)
 
 
 def variable(name: str, reference: int, **more: Any) -> Any:
     known = {
         "name": name,
         "valueReference": str(reference),
-        "causality": CAUSALITY.get(name, "output"),
+        "causality": "input" if name in INPUTS else "output",
         "unit": UNITS.get(name),
         "type": "Float64",
         "shape": (6,),
@@ -42,189 +38,229 @@ def variable(name: str, reference: int, **more: Any) -> Any:
     return SimpleNamespace(**{**known, **more})
 
 
-def variables() -> dict[str, Any]:
-    names = ("force", "length", "rate", "brake", "wrench", "p", "R", "twist", "applied")
-    found = {name: variable(name, 10 * k + 3) for k, name in enumerate(names)}
+def variables(*others: Any, **changes: dict[str, Any]) -> list[Any]:
+    """The variables of a platform, some changed, and others."""
+    found = {name: variable(name, 10 * k + 3) for k, name in enumerate((*UNITS, "brake", "wrench", *TRUTH))}
     found["p"].shape, found["R"].shape = (3,), (3, 3)
-    return found
+    for name, change in changes.items():
+        vars(found[name]).update(change)
+    return [*found.values(), *others]
 
 
 @pytest.fixture
 def read(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The interface of an FMU with these variables and this binary, as a specification asks for it."""
+    """The interface of an FMU with these variables, units and members, under these settings."""
 
     def of(
-        given: dict[str, Any] | None = None,
+        given: list[Any] | None = None,
         members: tuple[str, ...] = (LIBRARY,),
         version: str = "3.0",
-        simulation: dict[str, Any] | None = None,
-        **asked: Any,
+        units: tuple[Any, ...] = (),
+        needs_tool: bool = False,
+        **settings: Any,
     ) -> Interface:
-        about = {"modelIdentifier": "model", "needsExecutionTool": False, **(simulation or {})}
         description = SimpleNamespace(
             fmiVersion=version,
-            unitDefinitions=[],
-            modelVariables=list((variables() if given is None else given).values()),
-            coSimulation=SimpleNamespace(**about),
+            unitDefinitions=units,
+            modelVariables=variables() if given is None else given,
+            coSimulation=SimpleNamespace(modelIdentifier="model", needsExecutionTool=needs_tool),
             generationTool="maker",
         )
         monkeypatch.setattr(check, "described", lambda _: description)
-        names = {"force": ("force",), "length": ("length",), "rate": ("rate",)}
-        return read_interface(members, FmuSpec.model_construct(**{"path": str(PATH), **names, **asked}))
+        names = {name: [name] for name in UNITS}
+        return read_interface(members, FmuSpec.model_construct(**{"path": "a.fmu", **names, **settings}))
 
     return of
 
 
-def changed(name: str, **more: Any) -> dict[str, Any]:
-    found = variables()
-    found[name] = variable(name, 99, **more)
-    return found
-
-
-TRUTH = ("p", "R", "twist", "applied")
-
-
-def test_channels_are_those_that_are_asked_for_with_their_references(read):
+def test_channels_have_the_references_of_their_variables(read):
     face = read()
-    assert face.inputs == {"force": (3,)}
-    assert face.outputs == {"length": (13,), "rate": (23,)}
+    assert (face.inputs, face.outputs) == ({"force": (3,)}, {"length": (13,), "rate": (23,)})
     assert (face.major, face.library, face.starts, face.assumed) == (3, LIBRARY, (), {})
-    face = read(brake=("brake",), wrench=("wrench",), truth=TRUTH)
-    assert list(face.inputs) == ["force", "brake", "wrench"]
-    assert (face.inputs["brake"], face.inputs["wrench"]) == ((33,), (43,))
+    face = read(brake=["brake"], wrench=["wrench"], truth=list(TRUTH))
+    assert face.inputs == {"force": (3,), "brake": (33,), "wrench": (43,)}
     assert list(face.outputs) == ["length", "rate", *TRUTH]
     assert face.outputs["applied"] == (83,)
 
 
-@pytest.mark.parametrize("name", TRUTH)
-def test_a_part_of_the_truth_has_its_own_number_of_values(read, name):
-    size = {"p": 3, "R": 9}.get(name, 6)
-    for other in (size - 1, size + 1):
-        with pytest.raises(PlantError, match=rf"truth: \['{name}'\] are {other} values; {size} are needed"):
-            read(changed(name, shape=(other,)), truth=TRUTH)
-
-
 @pytest.mark.parametrize("key", ["force", "length", "rate", "brake", "wrench"])
-def test_a_channel_has_six_real_values_of_its_causality_each_mapped_once(read, key):
-    asked = {key: (key,)}
-    other = {"input": "output", "output": "input"}[CAUSALITY.get(key, "output")]
-    units = {"unit": UNITS.get(key)}
-    for change, said in (
-        ({"causality": other}, f"{key}: variable '{key}' is of causality {other}; .* is needed"),
-        ({"type": "Float32"}, f"{key}: variable '{key}' is of type Float32; Real .* is needed"),
-        ({"shape": (5,)}, "are 5 values; 6 are needed"),
-        ({"shape": ()}, "are 1 values; 6 are needed"),
-        ({"shape": (7,)}, "are 7 values; 6 are needed"),
+def test_a_channel_has_six_reals_of_its_causality_each_mapped_once(read, key):
+    other = "output" if key in INPUTS else "input"
+    for change, word in (
+        ({"causality": other}, f"causality {other}"),
+        ({"type": "Float32"}, "type Float32"),
+        ({"shape": (5,)}, "5 values; 6"),
+        ({"shape": ()}, "1 values; 6"),
     ):
-        with pytest.raises(PlantError, match=said):
-            read(changed(key, **{**units, **change}), **asked)
-    legs = {f"{key}{k}": variable(key + str(k), k, shape=(), causality=CAUSALITY.get(key, "output"), **units)
-            for k in range(6)}  # fmt: skip
-    face = read({**variables(), **legs}, **{key: tuple(legs)})
+        with pytest.raises(PlantError, match=word):
+            read(variables(**{key: change}), **{key: [key]})
+    about = {"shape": (), "unit": UNITS.get(key), "causality": "input" if key in INPUTS else "output"}
+    legs = [variable(f"leg{k}", k, **about) for k in range(6)]
+    names = [leg.name for leg in legs]
+    face = read(variables(*legs), **{key: names})
     assert {**face.inputs, **face.outputs}[key] == (0, 1, 2, 3, 4, 5)
-    with pytest.raises(PlantError, match=rf"{key}: one variable is mapped twice"):
-        read({**variables(), **legs}, **{key: (*list(legs)[:5], f"{key}0")})
+    with pytest.raises(PlantError, match="mapped twice"):
+        read(variables(*legs), **{key: [*names[:5], names[0]]})
 
 
-def test_the_unit_of_a_variable_that_states_none_is_that_of_its_name_before_that_of_its_key(read):
-    bare = {**variables(), "force": variable("force", 1, unit=None)}
-    assert read(bare, assume_unit={"force": "N"}).assumed == {"force": "N"}
-    legs = {f"f[{k}]": variable(f"f[{k}]", k, shape=(), causality="input", unit=None) for k in range(1, 7)}
-    given = {**variables(), **legs}
+@pytest.mark.parametrize(("name", "size"), [*zip(TRUTH, (3, 9, 6, 6), strict=True)])
+def test_a_part_of_the_truth_has_its_number_of_values(read, name, size):
+    with pytest.raises(PlantError, match=f"{size + 1} values; {size} are needed"):
+        read(variables(**{name: {"shape": (size + 1,)}}), truth=list(TRUTH))
+
+
+def test_the_configured_unit_of_a_name_goes_before_that_of_its_key(read):
+    legs = [variable(f"f[{k}]", k, shape=(), causality="input", unit=None) for k in range(1, 7)]
+    names = [leg.name for leg in legs]
     for assume in (
         {"f": "N"},
         {"force": "N"},
-        {**dict.fromkeys(legs, "N"), "f": "m"},
+        {**dict.fromkeys(names, "N"), "f": "m"},
         {"f": "N", "force": "m"},
     ):
-        assert read(given, force=tuple(legs), assume_unit=assume).assumed == dict.fromkeys(legs, "N")
+        assert read(variables(*legs), force=names, assume_unit=assume).assumed == dict.fromkeys(names, "N")
     for assume in ({"f": "m"}, {"f[3]": "m", "force": "N"}, {"force": "m"}):
-        with pytest.raises(PlantError, match=r"assume_unit: 'f\[.\]' in 'm'; N is needed"):
-            read(given, force=tuple(legs), assume_unit=assume)
+        with pytest.raises(PlantError, match="in 'm'; N is needed"):
+            read(variables(*legs), force=names, assume_unit=assume)
 
 
-@pytest.mark.parametrize("key", ["force", "length", "rate"])
-def test_a_force_or_length_that_states_no_unit_is_refused_and_a_wrench_is_not(read, key):
-    for bare in (
-        variable(key, 1, unit=None),
-        variable(key, 1, unit=None, declaredType=SimpleNamespace(unit=None)),
-    ):
-        with pytest.raises(
-            PlantError, match=rf"'{key}' declares no unit; .*assume_unit: {{{key}: {UNITS[key]}}}"
-        ):
-            read({**variables(), key: bare})
-    typed = variable(key, 1, unit=None, declaredType=SimpleNamespace(unit=UNITS[key]))
-    assert read({**variables(), key: typed}, assume_unit={key: UNITS[key]}).assumed == {}
-    assert read(wrench=("wrench",)).assumed == {}
-    assert read(wrench=("wrench",), assume_unit={"wrench": "N.m"}).assumed == {"wrench": "N.m"}
+@pytest.mark.parametrize("key", UNITS)
+def test_a_force_or_length_without_a_unit_is_refused_but_not_a_wrench(read, key):
+    with pytest.raises(PlantError, match=rf"'{key}' declares no unit; .*{{{key}: {UNITS[key]}}}"):
+        read(variables(**{key: {"unit": None}}))
+    typed = {"unit": None, "declaredType": SimpleNamespace(unit=UNITS[key])}
+    assert read(variables(**{key: typed}), assume_unit={key: UNITS[key]}).assumed == {}
+    assert read(wrench=["wrench"]).assumed == {}
+
+
+@pytest.mark.parametrize(
+    ("key", "exponents"), [("force", (1, 1, -2)), ("length", (0, 1, 0)), ("rate", (0, 1, -1))]
+)
+def test_a_defined_unit_is_known_by_its_exponents_and_has_no_factor(read, key, exponents):
+    right = {**NOTHING, "factor": 1.0, "offset": 0.0, **dict(zip(("kg", "m", "s"), exponents, strict=True))}
+
+    def stated(**change: float) -> Interface:
+        unit = SimpleNamespace(name="x", baseUnit=SimpleNamespace(**{**right, **change}))
+        return read(variables(**{key: {"unit": "x"}}), units=(unit,))
+
+    assert stated().assumed == {}
+    for change in ({"factor": 1e3}, {"offset": 1.0}, *({base: 9.0} for base in NOTHING)):
+        with pytest.raises(PlantError, match=f"is in 'x'; {UNITS[key]} is needed"):
+            stated(**change)
+
+
+def test_an_undefined_unit_is_known_by_its_name(read):
+    for key, names in (("rate", ("m/s", "m.s-1", "m*s-1")), ("wrench", ("N", "N.m", "Nm", "N*m", "N m"))):
+        for name in names:
+            read(variables(**{key: {"unit": name}}), **{key: [key]})
+    for name in ("kN", "mm/s", "km/h", "1"):
+        with pytest.raises(PlantError, match="is needed"):
+            read(variables(rate={"unit": name}))
 
 
 @pytest.mark.parametrize(
     ("causality", "variability", "allowed"),
     [
-        ("parameter", "fixed", True),
-        ("parameter", "tunable", True),
-        ("input", "continuous", True),
-        ("parameter", "constant", False),
-        ("output", "continuous", False),
-        ("local", "constant", False),
+        *(("parameter", "fixed", True), ("parameter", "tunable", True), ("input", "continuous", True)),
+        *(("parameter", "constant", False), ("output", "continuous", False), ("local", "constant", False)),
     ],
 )
-def test_what_is_a_parameter_or_an_input_and_no_constant_can_be_set(read, causality, variability, allowed):
-    more = {"causality": causality, "variability": variability, "shape": (2,)}
-    given = {**variables(), "k": variable("k", 71, **more)}
+def test_only_parameters_and_inputs_can_be_set(read, causality, variability, allowed):
+    given = variables(variable("k", 71, causality=causality, variability=variability, shape=(2,)))
     if allowed:
         (start,) = read(given, parameters={"k": [1.5, 2.0]}).starts
         assert (start.name, start.references, start.values) == ("k", (71,), (1.5, 2.0))
-        for values in ([1.0], [1.0, 2.0, 3.0], 1.0):
-            with pytest.raises(PlantError, match=r"'k' has 2 elements but [13] are given"):
-                read(given, parameters={"k": values})
+    with pytest.raises(PlantError, match="2 elements but 3 are given" if allowed else "only parameters"):
+        read(given, parameters={"k": [1.0, 2.0, 3.0]})
+
+
+ITEMS = SimpleNamespace(items=[SimpleNamespace(name="off", value="4"), SimpleNamespace(name="on", value="9")])
+COUNTED = SimpleNamespace(items=[SimpleNamespace(name=name, value=None) for name in ("off", "on")])
+INTEGERS = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+TYPES: list[tuple[str, Any, Any]] = [
+    *((kind, value, int(value)) for kind in INTEGERS for value in (3, 3.0, -2)),
+    *((kind, wrong, None) for kind in INTEGERS for wrong in (3.5, True, "many", float("nan"))),
+    *((kind, value, float(value)) for kind in ("Real", "Float32", "Float64") for value in (3, 3.5)),
+    *(("Float64", wrong, None) for wrong in ("many", 10**310)),
+    *(("Boolean", True, True), ("Boolean", 1, None), ("Boolean", "true", None), ("String", "a", "a")),
+    *(("Binary", "a", None), ("Clock", 1, None)),
+]
+
+
+@pytest.mark.parametrize(("kind", "given", "value"), TYPES)
+def test_a_parameter_takes_values_of_its_type(read, kind, given, value):
+    one = variables(variable("k", 7, causality="parameter", type=kind, shape=()))
+    if value is None:
+        with pytest.raises(PlantError, match=f"type {kind}; .* is no value of it"):
+            read(one, parameters={"k": given})
         return
-    with pytest.raises(PlantError, match=f"'k' is a {causality}; only parameters can be set"):
-        read(given, parameters={"k": [1.0, 2.0]})
+    (start,) = read(one, parameters={"k": given}).starts
+    assert (start.setter, start.values, type(start.values[0])) == (kind, (value,), type(value))
 
 
-def test_parameters_are_set_in_the_order_of_the_configuration(read):
-    given = {
-        **variables(),
-        **{n: variable(n, k, causality="parameter", shape=()) for k, n in enumerate("cab")},
-    }
-    starts = read(given, parameters={"b": 1.0, "c": 2.0, "a": 3.0}).starts
-    assert [(each.name, each.values) for each in starts] == [("b", (1.0,)), ("c", (2.0,)), ("a", (3.0,))]
+@pytest.mark.parametrize(
+    ("version", "real", "setter"), [("2.0", "Real", "Integer"), ("3.0", "Float64", "Int64")]
+)
+def test_an_enumeration_takes_the_name_or_number_of_an_item(read, version, real, setter):
+    """Items without a value count from 1."""
+    for items, name, value in ((ITEMS, "off", 4), (ITEMS, "on", 9), (COUNTED, "on", 2), (ITEMS, 9, 9)):
+        about = {"causality": "parameter", "type": "Enumeration", "shape": (), "declaredType": items}
+        given = variables(variable("k", 7, **about))
+        for each in given[:-1]:
+            each.type = real
+        (start,) = read(given, version=version, parameters={"k": name}).starts
+        assert (start.setter, start.values) == (setter, (value,))
 
 
-def test_in_fmi_2_the_folder_of_that_standard_comes_first_and_the_one_of_fmi_3_counts_as_well(read):
-    file = f"model{fmpy.sharedLibraryExtension}"
-    old = f"binaries/{fmpy.platform}/{file}"
-    assert library_candidates(2, "model") == [old, LIBRARY]
-    assert library_candidates(3, "model") == [LIBRARY]
-    given = {name: SimpleNamespace(**{**vars(each), "type": "Real"}) for name, each in variables().items()}
+def test_elements_of_an_array_are_found_together_in_fmi_2_alone(read):
+    elements = [variable(f"leg.f[{k}]", k, shape=(), causality="input", unit="N") for k in (4, 1, 6, 3, 2, 5)]
+    others = [variable("leg.fs[1]", 8), variable("f[1]", 9)]
+    given = variables(*elements, *others)
+    assert read(given, version="2.0", force=["leg.f"]).inputs["force"] == (1, 2, 3, 4, 5, 6)
+    with pytest.raises(PlantError, match=r"no variable 'leg.f'; close to it: leg.f\[1\]"):
+        read(given, force=["leg.f"])
+    whole = variables(*elements, variable("leg.f", 70, causality="input", unit="N"))
+    assert read(whole, version="2.0", force=["leg.f"]).inputs["force"] == (70,)
+
+
+def test_in_fmi_2_the_folder_of_that_standard_comes_first(read):
+    old = f"binaries/{fmpy.platform}/model{fmpy.sharedLibraryExtension}"
     for members, library in (((LIBRARY, old), old), ((LIBRARY,), LIBRARY), ((old,), old)):
-        assert read(given, members, "2.0").library == library
+        assert read(members=members, version="2.0").library == library
+    with pytest.raises(PlantError, match="binaries for b"):
+        read(members=(old, "binaries/b/x.dll", "binaries/c", "resources/d/e"))
 
 
-def test_binaries_for_other_machines_are_named_each_once(read):
-    members = ("binaries/b/x.dll", "binaries/a/x.so", "binaries/a/deep/y.so", "binaries/c", "resources/d/e/f")
-    with pytest.raises(PlantError, match=r"no binary for this machine .* binaries for a, b\. Export it for"):
-        read(members=members)
-    with pytest.raises(PlantError, match=r"binaries for none\. "):
-        read(members=("binaries/c", "resources/d/e"))
+def test_a_needed_tool_must_be_allowed(read):
+    read(needs_tool=True, allow_execution_tool=True)
+    with pytest.raises(PlantError, match="needs maker at run time"):
+        read(needs_tool=True)
 
 
-def test_a_tool_is_needed_where_the_fmu_says_so_and_then_has_to_be_allowed(read):
-    for needed in (False, True):
-        assert read(simulation={"needsExecutionTool": needed}, allow_execution_tool=True).library == LIBRARY
-    with pytest.raises(PlantError, match="the FMU needs maker at run time"):
-        read(simulation={"needsExecutionTool": True})
-
-
-def test_a_description_that_can_be_read_need_not_keep_to_the_schema(tmp_path):
+def test_a_description_need_not_keep_to_the_schema(tmp_path):
     with zipfile.ZipFile(build("3.0")) as source, zipfile.ZipFile(tmp_path / "a.fmu", "w") as target:
         xml = source.read("modelDescription.xml")
         target.writestr("modelDescription.xml", re.sub(rb"<fmiModelDescription", rb'\g<0> own="1"', xml))
     assert described(tmp_path / "a.fmu").modelName == "Stewart platform"
 
 
-def test_a_text_with_what_is_no_sign_is_shown_with_its_numbers_and_any_other_as_it_is():
-    assert check.shown('it\'s "here" \\ \u00e4') == 'it\'s "here" \\ \u00e4'
-    assert check.shown("a\nb\x1b") == r"a\nb\x1b"
+@pytest.mark.parametrize(
+    ("isolation", "path", "whole"),
+    [
+        ("in_process", "models/a.fmu", "/etc/robot/models/a.fmu"),
+        ("child_process", "/models/a.fmu", "/models/a.fmu"),
+    ],
+)
+def test_settings_are_hosted_in_their_process_with_a_path_from_the_folder(
+    monkeypatch, isolation, path, whole
+):
+    names = {name: [name] for name in UNITS}
+    more = {"parameters": {"m": 1.5}, "memory_GB": 2.5, "step_us": 250.0, "isolation": isolation}
+    settings = FmuPlant.model_validate({"type": "fmu", "path": path, **names, **more})
+    spec = fmu_spec(settings, Path("/etc/robot"))
+    assert spec.model_dump() == {**settings.model_dump(), "path": whole, "truth": []}
+    assert spec.step_s == 250e-6
+    for name in ("FmuHost", "ChildHost"):
+        monkeypatch.setattr(child, name, lambda given, name=name: (name, given))
+    found: Any = child.host(spec)
+    assert found == ({"in_process": "FmuHost", "child_process": "ChildHost"}[isolation], spec)

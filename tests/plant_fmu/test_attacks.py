@@ -13,7 +13,7 @@ from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.drives_end import reports
 from hil.contracts.messages import Configure, Rejected, Status
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.plant_fmu.test_nodes import MS, Rig
+from tests.plant_fmu.rig import MS, Rig
 
 LAYOUTS = ("classic", "fd", "ideal")
 
@@ -44,7 +44,7 @@ def test_two_old_commands_in_turn_do_not_keep_the_drives_in_run(layout):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("ahead", [-8, -1, 1, 2, 7])
-def test_a_command_for_another_sync_than_the_present_one_changes_nothing(layout, ahead):
+def test_a_command_for_another_sync_changes_nothing(layout, ahead):
     rig = Rig(layout)
     rig.run(100.0)
     before = rig.nodes.snapshot()
@@ -53,17 +53,6 @@ def test_a_command_for_another_sync_than_the_present_one_changes_nothing(layout,
     np.testing.assert_array_equal(after.command, before.command)
     assert after.state.tolist() == [DriveState.RUN] * 6
     assert after.rejected - before.rejected == (2 if layout == "classic" else 1)
-
-
-@pytest.mark.parametrize("layout", ["classic", "fd"])
-def test_of_256_counters_one_is_present(layout):
-    protocol = LegsProtocol(layout, (1, 2, 3, 4, 5, 6))
-    answers = {}
-    for ahead in range(-127, 129):
-        frame = command_frames(protocol, Command(DriveMode.RUN, np.zeros(6)), 1000 + ahead)[0]
-        answers[ahead] = type(parse(protocol, frame, 1000 & 0xFF))
-    assert answers.pop(0) is not Rejected
-    assert set(answers.values()) == {Rejected}
 
 
 def test_of_two_commands_to_one_sync_the_first_counts():
@@ -86,7 +75,7 @@ def test_without_a_sync_no_command_counts(layout):
     assert rig.nodes.snapshot().commands == 0
 
 
-def test_any_flipped_bit_of_a_sync_is_refused_and_what_was_present_stays():
+def test_any_flipped_bit_of_a_sync_is_refused():
     rig = Rig()
     rig.run()
     good = sync(rig, rig.tick + 1)
@@ -123,9 +112,9 @@ def test_four_flipped_bits_of_an_fd_command_are_found(bits):
     assert isinstance(parse(protocol, frame._replace(data=bytes(data)), 77), Rejected)
 
 
-@pytest.mark.parametrize("data", [b"", b"\0", b"\xff", bytes(8), b"\x55" * 8])
+@pytest.mark.parametrize("data", [b"", b"\xff", b"\x55" * 8])
 @pytest.mark.parametrize("state", [DriveState.BOOT, DriveState.OFF, DriveState.RUN])
-def test_an_emergency_stop_acts_whatever_it_carries_and_is_confirmed_at_once(data, state):
+def test_an_emergency_stop_acts_whatever_its_data_and_is_confirmed(data, state):
     rig = Rig()
     if state is DriveState.OFF:
         rig.configure()
@@ -138,7 +127,7 @@ def test_an_emergency_stop_acts_whatever_it_carries_and_is_confirmed_at_once(dat
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_set_up_is_echoed_at_once_and_so_is_that_of_somebody_else():
+def test_a_set_up_is_echoed_whoever_sends_it():
     rig = Rig()
     rig.at(0)  # the first heartbeat
     ours = rig.at(1 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
@@ -150,9 +139,3 @@ def test_set_up_is_echoed_at_once_and_so_is_that_of_somebody_else():
         ]
         assert [frame for _, frame in sent] == expected
     assert len({frame.data[2:4] for _, frame in ours + theirs}) == 12, "watchdog, reaction and leg all count"
-
-
-def test_the_echo_tells_drives_of_another_rated_force():
-    a, b = (LegsProtocol("fd", (1, 2, 3, 4, 5, 6), rated) for rated in (30_000.0, 3_000.0))
-    holds = Status(0, DriveState.OFF, 0, Configure(0, 0.01, Reaction.BRAKE))
-    assert reports(a, holds) != reports(b, holds)

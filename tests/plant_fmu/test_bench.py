@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from drivers.errors import PlantError
 from plant_fmu.bench import BRAKE_FORCE_N, Bench
 from plant_fmu.config import BenchPlant
 
@@ -79,17 +78,6 @@ def test_under_the_opposite_force_it_moves_the_opposite_way():
             assert (q - 1.6).min() > 0.05
 
 
-def test_a_step_that_diverges_leaves_the_bench_as_it_was():
-    ahead, same = (bench(stiffness_N_m3=1e9, internal_step_us=10_000.0) for _ in range(2))
-    moved = [each.step(np.full(6, 100.0), OPEN, CALM, 0.01) for each in (ahead, same)]
-    assert (moved[0][1] > 0.0).all()
-    with pytest.raises(PlantError, match="diverged"):
-        ahead.step(np.full(6, 1e7), OPEN, CALM, 1.0)
-    after = [each.step(OPEN, OPEN, CALM, 0.01) for each in (ahead, same)]
-    np.testing.assert_array_equal(*after)
-    assert np.isfinite(after[0]).all()
-
-
 def test_an_engaged_brake_holds_20_kn_either_way_and_slips_beyond():
     for side in (1.0, -1.0):
         plant = bench(stiffness_N_m=0.0, stiffness_N_m3=0.0)
@@ -100,7 +88,7 @@ def test_an_engaged_brake_holds_20_kn_either_way_and_slips_beyond():
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_an_engaged_brake_stops_a_leg_within_a_few_steps_and_holds_it_against_its_springs(side):
+def test_an_engaged_brake_stops_a_leg_and_holds_it_against_its_springs(side):
     """6 N of the cubic spring at 0.3 m and 60 N of the other: 0.2 % of what the brake holds."""
     plant = bench(stiffness_N_m=200.0, stiffness_N_m3=220.0, damping_N_s2_m2=5000.0)
     plant.step(np.full(6, side * 2000.0), OPEN, CALM, 1.0)

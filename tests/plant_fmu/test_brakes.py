@@ -1,6 +1,8 @@
-"""Brakes that take their time: what holds each leg from the command to the brake that has moved."""
+"""Watchdogs, reactions, emergency stop, and brakes that take their time: what holds each leg."""
 
 from __future__ import annotations
+
+from math import exp
 
 import numpy as np
 import pytest
@@ -8,9 +10,229 @@ import pytest
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.kinds import BrakeStuckOpen
+from plant_fmu.faults.kinds import BrakeStuckOpen, FramesCorrupt, FramesLoss
 from tests.drivers.legs_frames import command_frames, opening
-from tests.plant_fmu.test_nodes import MASS, MS, REST, Rig, push
+from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push, starve
+
+
+@pytest.mark.parametrize("last_us", [0, 3000, 4049, 7777])
+def test_watchdog_reacts_within_its_time_and_one_grid_step(last_us):
+    rig = Rig()
+    rig.run(100.0)
+    if last_us:
+        rig.command(last_us * US, DriveMode.RUN, 100.0)
+    rig.plant.calls.clear()
+    started = round(last_us / 100) * 100  # us, the grid point at which the plant stands
+    sent = rig.at(30 * MS)
+    free = sum(dt for dt, _, brake in rig.plant.calls if brake[0] == 0.0)
+    stopped_us = started + free * 1e6
+    assert last_us + 10_000 - 50 <= stopped_us <= last_us + 10_000 + 100
+    told = [
+        (t, frame.data[:2]) for t, frame in sent if frame.id == 0x701 and frame.data[0] == DriveState.FAULT
+    ]
+    assert told[0] == (last_us * US + 10 * MS, bytes([DriveState.FAULT, DriveFault.WATCHDOG]))
+
+
+def test_each_drive_has_its_own_watchdog_and_reaction():
+    rig = Rig()
+    watchdog_ms = [30, 5, 10, 25, 15, 20]
+    reactions = [Reaction(leg % 4) for leg in range(6)]
+    sets = [
+        rig.protocol.configure(1e-3 * ms, each)[leg]
+        for leg, (ms, each) in enumerate(zip(watchdog_ms, reactions, strict=True))
+    ]
+    rig.at(0, *sets)
+    rig.command(0, DriveMode.READY)
+    rig.command(0, DriveMode.RUN)
+    for t_ms in range(2, 35, 5):
+        told = {frame.id: frame.data[:2] for _, frame in rig.at(t_ms * MS) if frame.id > 0x700}
+        over = [ms < t_ms for ms in watchdog_ms]
+        assert rig.states == [DriveState.FAULT if each else DriveState.RUN for each in over]
+        braked = [each and kind is Reaction.BRAKE for each, kind in zip(over, reactions, strict=True)]
+        assert rig.brakes == braked
+        for leg, ms in enumerate(watchdog_ms):
+            if t_ms - 5 <= ms < t_ms:
+                assert told[0x701 + leg] == bytes([DriveState.FAULT, DriveFault.WATCHDOG])
+
+
+def test_a_heartbeat_at_the_end_of_a_watchdog_reports_the_fault():
+    rig = Rig()
+    rig.run()
+    for t_ms in range(5, 91, 5):
+        rig.command(t_ms * MS, DriveMode.RUN)
+    told = [frame.data[0] for t, frame in rig.at(101 * MS) if frame.id == 0x701 and t == 100 * MS]
+    assert told == [DriveState.FAULT] * 2, "the change, and the seventh beat of six drives in 100 ms"
+
+
+def test_a_command_at_the_last_instant_is_in_time():
+    rig = Rig()
+    rig.run()
+    rig.command(10 * MS, DriveMode.RUN)
+    assert rig.states == [DriveState.RUN] * 6
+    rig.at(20 * MS + 1)
+    assert rig.states == [DriveState.FAULT] * 6
+
+
+def test_watchdog_runs_in_ready_and_not_in_off():
+    rig = Rig()
+    rig.configure()
+    rig.at(100 * MS)
+    assert rig.states == [DriveState.OFF] * 6
+    rig.command(100 * MS, DriveMode.READY)
+    rig.command(105 * MS, DriveMode.OFF)
+    rig.at(200 * MS)
+    assert rig.states == [DriveState.OFF] * 6
+    rig.command(200 * MS, DriveMode.READY)
+    rig.at(211 * MS)
+    assert rig.states == [DriveState.FAULT] * 6
+
+
+def test_a_repeated_counter_does_not_feed_the_watchdog():
+    rig = Rig()
+    rig.run()
+    frame = command_frames(rig.protocol, Command(DriveMode.RUN, np.full(6, 5.0)), rig.tick)
+    for k in range(1, 15):
+        rig.at(k * MS, *frame)
+    assert rig.states == [DriveState.FAULT] * 6
+    snapshot = rig.nodes.snapshot()
+    assert (snapshot.repeated, snapshot.commands) == (14, 2)
+
+
+def test_damaged_commands_do_not_feed_the_watchdog():
+    rig = Rig(faults=[FramesCorrupt(identifier=0x110, at_s=0.5e-3)])
+    rig.run()
+    for k in range(1, 15):
+        rig.command(k * MS, DriveMode.RUN)
+    assert rig.states == [DriveState.FAULT] * 6
+    assert rig.nodes.snapshot().rejected == 14
+
+
+def test_one_lost_command_frame_of_the_classic_layout_stops_its_three_legs():
+    rig = Rig("classic", faults=[FramesLoss(identifier=0x101, at_s=0.5e-3)])
+    rig.run()
+    for k in range(1, 15):
+        rig.command(k * MS, DriveMode.RUN)
+    assert rig.states == [DriveState.RUN] * 3 + [DriveState.FAULT] * 3
+
+
+def test_brake_stops_zero_coasts_and_damp_slows_exponentially():
+    stopped, travelled = starve(Reaction.BRAKE, seconds=0.1, load=-2000.0)
+    coasting, _ = starve(Reaction.ZERO, seconds=3.0)
+    damped, _ = starve(Reaction.DAMP, seconds=0.02)
+    for rig, moved, brake in ((stopped, 0.0, 1.0), (coasting, 0.1 * 3.0, 0.0)):
+        snapshot = rig.nodes.snapshot()
+        np.testing.assert_allclose(snapshot.length, REST + travelled + moved, rtol=0, atol=1e-11)
+        assert (snapshot.force.tolist(), snapshot.brake.tolist()) == ([0.0] * 6, [brake] * 6)
+    snapshot = damped.nodes.snapshot()
+    # m dv = -c v with c = 20000 N s/m; a drive that samples at h = 100 us gives (1 - c h / m)^n
+    np.testing.assert_allclose(snapshot.rate, 0.1 * (1 - 20_000 * 1e-4 / MASS) ** 200, rtol=1e-9)
+    travel = 0.1 * MASS / 20_000 * (1 - exp(-0.02 * 20_000 / MASS))
+    np.testing.assert_allclose(snapshot.length, REST + travelled + travel, rtol=0, atol=0.02 * travel)
+    assert snapshot.brake.tolist() == [0.0] * 6
+
+
+def test_hold_reaction_returns_to_the_length_of_the_fault_less_the_sag():
+    rig, travelled = starve(Reaction.HOLD, seconds=1.0, load=-2000.0)
+    snapshot = rig.nodes.snapshot()
+    sag = 2000.0 / 2e6
+    np.testing.assert_allclose(snapshot.length, REST + travelled - sag, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(snapshot.rate, 0.0, atol=1e-6)
+    assert snapshot.brake.tolist() == [0.0] * 6
+
+
+def test_damping_goes_by_present_rates_when_other_drives_are_commanded():
+    """The first three hear nothing from 0 ms on and damp from 10 ms on; 20000 N s/m."""
+    rig = Rig("classic", reaction=Reaction.DAMP)
+    rig.run(10.0 * MASS)
+    for t_ms in (5, 10, 15):
+        rig.tick += 1
+        command = Command(DriveMode.RUN, np.full(6, 10.0 * MASS))
+        frames = command_frames(rig.protocol, command, rig.tick)
+        rig.at(t_ms * MS, *opening(rig.protocol, rig.tick), frames[1])
+    found = rig.nodes.snapshot()
+    assert found.state.tolist() == [DriveState.FAULT] * 3 + [DriveState.RUN] * 3
+    assert (found.rate > 0.01).all()
+    np.testing.assert_allclose(found.force[:3], -20_000.0 * found.rate[:3], rtol=1e-12)
+    np.testing.assert_allclose(found.force[3:], 10.0 * MASS, rtol=1e-3)
+
+
+@pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])
+@pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
+def test_a_reaction_goes_on_under_commands_other_than_off_and_reset(reaction, mode):
+    rig, _ = starve(reaction, seconds=0.005)
+    other, _ = starve(reaction, seconds=0.005)
+    for t_ms in (16, 17, 18):
+        rig.command(t_ms * MS, mode, 500.0)
+    rig.at(20 * MS)
+    other.at(20 * MS)
+    told, left = rig.nodes.snapshot(), other.nodes.snapshot()
+    assert told.state.tolist() == [DriveState.FAULT] * 6
+    assert told.brake.tolist() == [0.0] * 6
+    assert not told.command.any()
+    np.testing.assert_allclose(told.rate, left.rate, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("reaction", list(Reaction))
+def test_no_fault_opens_a_closed_brake(reaction):
+    for path in ([], [DriveMode.READY]):
+        rig = Rig(reaction=reaction, faults=[push(-2000.0)])
+        rig.configure()
+        for mode in path:
+            rig.command(0, mode)
+        rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
+        rig.at(50 * MS)
+        assert rig.states == [DriveState.FAULT] * 6
+        np.testing.assert_array_equal(rig.nodes.snapshot().length, REST)
+
+
+def test_emergency_stop_faults_all_drives_and_latches_until_reset():
+    rig = Rig()
+    rig.run()
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
+    assert rig.nodes.snapshot().fault.tolist() == [DriveFault.ESTOP] * 6
+    for k, mode in enumerate((DriveMode.OFF, DriveMode.READY, DriveMode.RUN)):
+        rig.command((2 + k) * MS, mode)
+        assert rig.states == [DriveState.FAULT] * 6
+    rig.command(6 * MS, DriveMode.RESET)
+    assert rig.states == [DriveState.OFF] * 6
+    assert rig.nodes.snapshot().fault.tolist() == [DriveFault.NONE] * 6
+
+
+@pytest.mark.parametrize("reaction", list(Reaction))
+def test_emergency_stop_in_motion_brakes_whatever_the_reaction(reaction):
+    rig = Rig(reaction=reaction, faults=[push(-2000.0)])
+    rig.run()
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
+    snapshot = rig.nodes.snapshot()
+    assert snapshot.brake.tolist() == [1.0] * 6
+    assert not snapshot.force.any()
+
+
+@pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
+def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
+    for stop in ("estop", "off"):
+        rig, _ = starve(reaction, seconds=0.01)
+        assert rig.nodes.snapshot().brake.tolist() == [0.0] * 6
+        if stop == "estop":
+            rig.at(20 * MS, *rig.protocol.traits.emergency_stop)
+        else:
+            rig.command(20 * MS, DriveMode.OFF)
+        snapshot = rig.nodes.snapshot()
+        expected = DriveFault.ESTOP if stop == "estop" else DriveFault.WATCHDOG
+        assert snapshot.fault.tolist() == [expected] * 6
+        assert snapshot.brake.tolist() == [1.0] * 6
+        assert not snapshot.force.any()
+
+
+def test_reset_of_an_unconfigured_drive_leads_back_to_boot():
+    rig = Rig()
+    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
+    assert rig.states == [DriveState.FAULT] * 6
+    rig.command(2 * MS, DriveMode.RESET)
+    assert rig.states == [DriveState.BOOT] * 6
+
+
+# brakes that take their time
 
 OPEN_MS, CLOSE_MS = 50, 30
 SLOW = DriveEmulation(encoder_resolution_m=0.0, brake_open_ms=OPEN_MS, brake_close_ms=CLOSE_MS)
@@ -130,33 +352,6 @@ def test_damping_and_holding_end_in_the_brake_after_the_stated_time(reaction):
     a.command(3001 * MS, DriveMode.RESET)
     a.at(3100 * MS)
     assert a.states == [DriveState.OFF] * 6, "and nothing is left of it after a reset"
-
-
-def test_brakes_without_a_time_move_at_once():
-    a = Rig()
-    a.run()
-    assert a.brakes == [0.0] * 6
-    a.command(1 * MS, DriveMode.OFF)
-    assert a.brakes == [1.0] * 6
-
-
-@pytest.mark.parametrize("half", [0, 1])
-def test_brakes_of_three_legs_alone_open_and_close_on_time_while_the_others_stay(half):
-    """No command, heartbeat or watchdog falls between the command and the brakes that have moved."""
-    a = Rig("classic", emulation=DriveEmulation(encoder_resolution_m=0.0, brake_open_ms=4, brake_close_ms=2))
-    a.configure(watchdog_s=0.5)
-    a.command(0, DriveMode.READY)
-    asked = [leg // 3 == half for leg in range(6)]
-    for mode, at_ms, until_ms, free_for_ms in ((DriveMode.RUN, 1, 7, 2.0), (DriveMode.READY, 8, 13, 2.0)):
-        a.tick += 1
-        frames = command_frames(a.protocol, Command(mode, np.zeros(6)), a.tick)
-        a.at(at_ms * MS, *opening(a.protocol, a.tick))
-        a.plant.calls.clear()
-        a.at(at_ms * MS, frames[half])
-        a.at(until_ms * MS)
-        free = [free_ms(a, leg) for leg in range(6)]
-        np.testing.assert_allclose(free, np.where(asked, free_for_ms, 0.0), rtol=0, atol=1e-9)
-    assert a.brakes == [1.0] * 6
 
 
 def test_brakes_close_on_time_after_an_emergency_stop_between_two_heartbeats():

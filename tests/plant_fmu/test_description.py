@@ -1,100 +1,142 @@
-"""What our FMU says of its outputs and its terminals: what each depends on, and what belongs to which leg."""
+"""Both descriptions of our FMU: valid, alike, and true of what the binary does."""
 
 from __future__ import annotations
 
-from xml.etree import ElementTree as ET
+import zipfile
+from pathlib import Path
+from typing import Any
 
 import fmpy
+import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
+from lxml import etree  # type: ignore[import-untyped]
 
 from plant_fmu.stewart.build import build
-from plant_fmu.stewart.description import terminals
-from plant_fmu.stewart.variables import TYPES, VARIABLES
+from plant_fmu.stewart.variables import VARIABLES
 
 VERSIONS = pytest.mark.parametrize("version", ["2.0", "3.0"])
-ALL = {v.name for v in VARIABLES if v.causality == "parameter"}
-JOINTS = {"base_joints", "platform_joints"}
-POSE = {"initial_position", "initial_rotation"}
-BEHIND: dict[str, tuple[set[str], set[str]]] = {
-    "length": (set(), JOINTS | POSE),
-    "rate": (set(), JOINTS | POSE | {"initial_twist"}),
-    "applied_force": ({"force"}, {"force_bandwidth"}),
-    "position": (set(), {"initial_position"}),
-    "rotation": (set(), {"initial_rotation"}),
-    "twist": (set(), {"initial_twist"}),
-    "acceleration": ({"force", "brake", "wrench"}, ALL),
-    "kinetic_energy": (set(), ALL),
-    "potential_energy": (set(), ALL),
+SCHEMA = Path(fmpy.__file__).parent / "schema"
+UNITS = {
+    "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "N/m": {"kg": 1, "s": -2},
+    "N.s/m": {"kg": 1, "s": -1},
+    "kg": {"kg": 1},
+    "kg.m2": {"kg": 1, "m": 2},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "Hz": {"s": -1},
+    "s": {"s": 1},
+    "J": {"kg": 1, "m": 2, "s": -2},
 }
-"""Output -> inputs that it depends on at any time, and parameters that its first value depends on."""
+"""BIPM, The International System of Units (2019), table 4."""
+BOOK = {
+    "mass": [1150.0],
+    "inertia": [570.0, 0.0, 0.0, 0.0, 285.0, 0.0, 0.0, 0.0, 285.0],
+    "cylinder_mass": [85.0],
+    "cylinder_com": [0.75],
+    "cylinder_inertia": [0.0, 16.0],
+    "rod_mass": [22.0],
+    "rod_com": [0.75],
+    "rod_inertia": [0.0, 4.1],
+    "gravity": [0.0, 0.0, -9.81],
+    "brake": [1.0] * 6,
+    "initial_position": [0.0, 0.0, 1.0],
+}
+"""Taghirad, Parallel Robots (2013), chapter 5; brakes are engaged."""
 
 
-def base(name: str) -> str:
-    return name.split("[", maxsplit=1)[0]
-
-
-@VERSIONS
-def test_outputs_depend_on_their_inputs_and_first_values_on_the_parameters_behind_them_too(version):
-    description = fmpy.read_model_description(str(build(version)))
-    seen = set()
-    for unknowns, first in ((description.outputs, False), (description.initialUnknowns, True)):
-        for unknown in unknowns:
-            name = base(unknown.variable.name)
-            inputs, parameters = BEHIND[name]
-            depends = [each.name for each in unknown.dependencies]
-            assert {base(each) for each in depends} == (inputs | parameters if first else inputs), name
-            assert unknown.dependenciesKind == ["dependent"] * len(depends)
-            seen.add((name, first))
-    assert seen == {(name, first) for name in BEHIND for first in (False, True)}
-
-
-def test_the_applied_force_of_a_leg_depends_on_its_own_command_alone():
-    description = fmpy.read_model_description(str(build("2.0")))
-    found = {
-        unknown.variable.name: [each.name for each in unknown.dependencies]
-        for unknown in description.outputs
-        if unknown.variable.name.startswith("applied_force")
-    }
-    assert found == {f"applied_force[{leg}]": [f"force[{leg}]"] for leg in range(1, 7)}
-
-
-def test_every_element_depends_on_every_element_else():
-    """36 of the four that place a leg, and so on: no element of an array is left out."""
-    description = fmpy.read_model_description(str(build("2.0")))
-    sizes = {v.name: v.size for v in VARIABLES}
-    checked = 0
-    for unknown in description.initialUnknowns:
-        name = base(unknown.variable.name)
-        if name != "applied_force":
-            wanted = set.union(*BEHIND[name])
-            assert len(unknown.dependencies) == sum(sizes[each] for each in wanted)
-            checked += 1
-    assert checked == sum(sizes[name] for name in BEHIND) - 6
-
-
-def test_a_terminal_holds_what_belongs_to_its_leg_and_one_more_the_platform():
-    found = {
-        terminal.get("name"): (
-            terminal.get("description"),
-            {each.get("memberName"): each.get("variableName") for each in terminal},
-        )
-        for terminal in ET.fromstring(terminals()).iter("Terminal")
-    }
-    expected = {
-        f"leg{leg}": (
-            f"Drive and encoder of leg {leg}",
-            {f"{name}[{leg}]": name for name in ("force", "brake", "length", "rate", "applied_force")},
-        )
-        for leg in range(1, 7)
-    }
-    names = ("wrench", "position", "rotation", "twist", "acceleration")
-    expected["platform"] = ("Motion of the platform, wrench on it", {name: name for name in names})
-    assert found == expected
+def described(version: str) -> Any:
+    return fmpy.read_model_description(str(build(version)))  # type: ignore[arg-type]
 
 
 @VERSIONS
-def test_the_types_that_are_defined_are_those_of_single_elements(version):
-    description = fmpy.read_model_description(str(build(version)))
-    defined = [each.name for each in description.typeDefinitions]
-    assert set(defined) == set(TYPES) - {"Mixed"}
-    assert len(defined) == len(set(defined))
+def test_fmpy_finds_no_problem(version):
+    assert validate_fmu(str(build(version))) == []
+
+
+@pytest.mark.parametrize(
+    ("member", "schema"),
+    [
+        ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+        ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+    ],
+)
+def test_terminals_and_build_description_follow_the_schema(member, schema):
+    with zipfile.ZipFile(build("3.0")) as archive:
+        root = etree.fromstring(archive.read(member))
+    etree.XMLSchema(file=str(SCHEMA / "fmi3" / schema)).assertValid(root)
+
+
+def elements(version: str) -> list[tuple[Any, ...]]:
+    """Causality, first value and unit of each element; FMI 3 has those of its arrays."""
+    found = []
+    for v in described(version).modelVariables:
+        count = int(np.prod(v.shape)) if v.shape else 1
+        starts = [None] * count if v.start is None else [float(x) for x in str(v.start).split()]
+        assert len(starts) == count, v.name
+        found += [(v.name.split("[")[0], v.causality, start, v.unit) for start in starts]
+    return found
+
+
+def test_both_descriptions_state_the_same_values_and_units():
+    two, three = elements("2.0"), elements("3.0")
+    mixed = {
+        "initial_twist",
+        "wrench",
+        "twist",
+        "acceleration",
+    }  # of two units each, which FMI 3 cannot state
+    assert [each[:3] for each in two] == [each[:3] for each in three]
+    assert [each for each in two if each[0] not in mixed] == [each for each in three if each[0] not in mixed]
+    for name, half in (
+        ("wrench", ("N", "N.m")),
+        ("twist", ("m/s", "rad/s")),
+        ("initial_twist", ("m/s", "rad/s")),
+    ):
+        assert [each[3] for each in two if each[0] == name] == [half[0]] * 3 + [half[1]] * 3
+    for name, values in BOOK.items():
+        assert [each[2] for each in two if each[0] == name] == values, name
+    outputs = {v.name for v in VARIABLES if v.causality == "output"}
+    for version in ("2.0", "3.0"):
+        assert {u.variable.name.split("[")[0] for u in described(version).outputs} == outputs
+
+
+def test_the_binary_has_the_first_values_that_are_described(direct):
+    plant = direct()
+    for v in described("3.0").modelVariables:
+        if v.causality in {"parameter", "input"} and v.type == "Float64":
+            np.testing.assert_array_equal(plant.get(v.name), [float(x) for x in str(v.start).split()], v.name)
+
+
+@VERSIONS
+def test_units_have_the_exponents_of_their_names(version):
+    base = ("kg", "m", "s", "rad", "A", "K", "mol", "cd")
+    found = {unit.name: unit.baseUnit for unit in described(version).unitDefinitions}
+    assert {name: {k: n for k in base if (n := getattr(unit, k))} for name, unit in found.items()} == UNITS
+    assert all((unit.factor, unit.offset) == (1.0, 0.0) for unit in found.values())
+
+
+def test_direct_feedthrough_is_stated_where_it_exists():
+    depends = {u.variable.name: {d.name for d in u.dependencies} for u in described("3.0").outputs}
+    assert depends["acceleration"] == {"force", "brake", "wrench"}
+    assert depends["applied_force"] == {"force"}
+    assert depends["length"] == depends["twist"] == depends["kinetic_energy"] == set()
+    first = {u.variable.name: {d.name for d in u.dependencies} for u in described("3.0").initialUnknowns}
+    assert first["length"] == {"base_joints", "platform_joints", "initial_position", "initial_rotation"}
+
+
+def test_a_terminal_holds_what_belongs_to_its_leg():
+    with zipfile.ZipFile(build("3.0")) as archive:
+        root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+    found = {
+        t.get("name"): {m.get("memberName"): m.get("variableName") for m in t} for t in root.iter("Terminal")
+    }
+    names = ("force", "brake", "length", "rate", "applied_force")
+    for leg in range(1, 7):
+        assert found[f"leg{leg}"] == {f"{name}[{leg}]": name for name in names}
+    assert set(found) == {"platform", *(f"leg{leg}" for leg in range(1, 7))}

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from drivers.config import DriveSettings
-from drivers.errors import PlantError
 from drivers.legs.protocol import LegsProtocol
-from plant_fmu.bench import HAND_M
 from plant_fmu.config import DriveEmulation
 from plant_fmu.rehearsal.bench import RehearsalBench, Stand
 from plant_fmu.rehearsal.wiring import Wiring
@@ -55,12 +51,6 @@ def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[b
     return [bool(moved) for moved in np.abs(np.array(lengths(b)) - before) > 1e-9]
 
 
-def test_legs_begin_at_different_lengths_that_the_nodes_measure():
-    b = bench()
-    np.testing.assert_allclose(lengths(b), SHORT + STROKE * np.linspace(0.35, 0.6, 6), rtol=1e-12)
-    np.testing.assert_array_equal(b.nodes.snapshot().length, lengths(b))
-
-
 def test_scaled_encoders_are_right_at_mid_stroke():
     b = bench(Wiring(scale=(2.0,) * 6))
     reads, _ = b.cables.reset()
@@ -78,14 +68,8 @@ def test_brake_force_adds_to_the_friction_of_each_leg(side):
         assert gives_way(b, side * (most + 0.5), brake) == [True] * 6
 
 
-def test_unknown_friction_is_a_thousandth_of_the_rated_force():
-    b = bench(stand=STAND._replace(friction_N=0.0))
-    assert gives_way(b, np.full(6, 0.9), OPEN) == [False] * 6
-    assert gives_way(b, np.full(6, 1.1), OPEN) == [True] * 6
-
-
 @pytest.mark.parametrize("leg", range(6))
-def test_placed_leg_goes_at_most_2_percent_beyond_its_ends(leg):
+def test_a_placed_leg_goes_at_most_2_percent_beyond_its_ends(leg):
     shorter = tuple(0.1 if k == leg else 0.0 for k in range(6))
     for wiring, longest in ((Wiring(), 0.806), (Wiring(shorter=shorter), 0.776)):
         b = bench(wiring)
@@ -97,12 +81,6 @@ def test_placed_leg_goes_at_most_2_percent_beyond_its_ends(leg):
         b.do("place", leg, 0.5)
         b.do("move", leg, -0.01)
         assert b.length(leg) == pytest.approx(0.64)
-
-
-def test_a_leg_weighs_what_the_stand_says():
-    b = bench()
-    _, rate = b.cables.step(np.full(6, 16.0), OPEN, CALM, 0.001)
-    np.testing.assert_allclose(rate, (16.0 - 6.0) / 4.0 * 0.001, rtol=0.01)
 
 
 def drawn(take: Callable[[], float]) -> np.ndarray:
@@ -130,51 +108,13 @@ def prepared(seed: int = 1) -> RehearsalBench:
 
 
 @pytest.mark.parametrize("name", READINGS)
-def test_what_hands_read_is_right_within_the_errors_of_tape_and_gauge(name):
+def test_readings_have_the_errors_of_tape_and_gauge(name):
     take, true, sigma = READINGS[name]
     b = prepared()
     off = (drawn(lambda: take(b)) - true) / sigma
     assert abs(off.mean()) < WITHIN
     assert off.std() == pytest.approx(1.0, abs=WITHIN)
-    first, again, other = ([take(b) for _ in range(3)] for b in (prepared(), prepared(), prepared(seed=2)))
-    assert first == again
-    assert len({*first, *other}) == 6
-    b = prepared()
-    b._chance = cast("Any", SimpleNamespace(standard_normal=lambda: 2.0))
-    assert take(b) == pytest.approx(true + 2.0 * sigma, rel=1e-9), "an error above zero is one above"
-
-
-def test_default_seed_of_readings_is_1():
-    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
-    b = RehearsalBench(protocol, DriveEmulation(), DriveSettings(force_limit_N=RATED_N), STAND, Wiring())
-    assert b.do("measure", 0) == bench(seed=1).do("measure", 0)
-
-
-def test_gauge_without_a_leg_is_refused():
-    b = prepared()
-    b.do("free")
-    with pytest.raises(PlantError, match="no leg is clamped"):
-        b.do("read_gauge")
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_hand_pushes_with_a_twentieth_of_the_rated_force(leg):
-    b = bench()
-    others = [k for k in range(6) if k != leg]
-    b.do("push", leg)
-    assert b._legs.legs["hand"].tolist() == [50.0 * (k == leg) for k in range(6)]
-    b.do("let_go", leg)
-    b.do("push_others", leg)
-    assert b._legs.legs["hand"].tolist() == [50.0 * (k != leg) for k in range(6)]
-    before = np.array(lengths(b))
-    b.cables.step(CALM, OPEN, CALM, 0.2)
-    moved = np.array(lengths(b)) - before
-    np.testing.assert_allclose(moved[others], HAND_M, rtol=0, atol=1e-12)
-    assert moved[leg] == 0.0
-    b.do("let_go", others[0])
-    assert b._legs.legs["hand"][others[0]] == 0.0
-    b.do("let_go_all")
-    assert b._legs.legs["hand"].tolist() == [0.0] * 6
+    assert take(prepared()) == take(prepared()) != take(prepared(seed=2))
 
 
 @pytest.mark.parametrize(
@@ -185,11 +125,11 @@ def test_hand_pushes_with_a_twentieth_of_the_rated_force(leg):
         *[(1.0, 0.3, 0.0), (1.0, -0.3, 0.0)],
     ],
 )
-def test_weight_presses_or_pulls_only_along_the_legs(gravity, presses, way):
+def test_weight_presses_or_pulls_along_the_legs(gravity, presses, way):
     assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).do("read_way") == way
 
 
-def test_hung_platform_sets_the_lengths_of_its_legs_as_mounted():
+def test_a_hung_platform_sets_the_lengths_of_its_legs():
     """0.55 m above the base, whose joints are on a circle of 1 m, the platform's on one of 0.5 m."""
     stand = STAND._replace(length_max=2.0)
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

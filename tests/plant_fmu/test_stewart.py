@@ -18,7 +18,7 @@ def test_home_is_in_balance_under_the_known_static_force(direct):
 
 
 @pytest.mark.parametrize("leg_spin", ["none", "universal"])
-def test_energy_is_kept_to_1e_10_of_the_peak_kinetic_energy_in_10_s_hanging(direct, leg_spin):
+def test_energy_is_kept_to_1e_10_of_its_peak_in_10_s_hanging(direct, leg_spin):
     plant = direct()
     # gravity pulls away from the base: the platform hangs on its legs
     plant.set(gravity=[0, 0, 9.81], initial_twist=[0.5, -0.4, 0.45, 0.1, -0.2, 0.15], leg_spin=leg_spin)
@@ -51,7 +51,7 @@ def test_a_brake_that_is_too_weak_slips(direct):
     assert plant.get("position")[2] < 1.0 - 1e-3
 
 
-def test_engaging_brakes_stop_a_moving_platform_with_no_more_than_their_force(direct):
+def test_brakes_stop_a_moving_platform_with_no_more_than_their_force(direct):
     plant = direct()
     plant.set(initial_twist=[0.3, -0.2, 0.6, 0.2, 0.1, -0.3], brake_force=np.full(6, 8000.0))
     plant.start()
@@ -73,7 +73,7 @@ def test_engaging_brakes_stop_a_moving_platform_with_no_more_than_their_force(di
     assert work > 0.5 * 8000.0 * travel.sum()
 
 
-def test_coulomb_friction_sticks_below_its_bound_and_slides_with_it_above(direct):
+def test_coulomb_friction_sticks_below_its_bound_and_slides_above(direct):
     plant = direct()
     plant.set(coulomb_friction=np.full(6, 100.0))
     plant.start(force=np.full(6, HOME_FORCE + 99.0), brake=np.zeros(6))
@@ -123,20 +123,6 @@ def test_reflected_mass_of_each_leg_is_its_own(direct):
     assert there == pytest.approx(light.get("acceleration"), rel=1e-3, abs=1e-3)
 
 
-def test_reflected_mass_takes_its_share_of_the_force(direct):
-    # at home, from rest: symmetric forces lift the platform along z; sin(inclination) = 1/length
-    length = 1.592450434036
-    accelerations = []
-    for reflected in (0.0, 500.0):
-        plant = direct()
-        plant.set(reflected_mass=np.full(6, reflected))
-        plant.start(force=np.full(6, HOME_FORCE + 100.0), brake=np.zeros(6))
-        accelerations.append(plant.get("acceleration")[2])
-    lift = 6 * 100.0 / length
-    mass = lift / accelerations[0]
-    assert accelerations[1] == pytest.approx(lift / (mass + 6 * 500.0 / length**2), rel=1e-9)
-
-
 def test_end_stops_catch_the_falling_platform_and_let_it_rest(direct):
     plant = direct()
     plant.set(length_min=np.full(6, 1.5))
@@ -167,7 +153,7 @@ def test_each_leg_has_its_own_end_stops(direct, leg):
         assert beyond.sum() >= 3
 
 
-def test_legs_that_cross_their_whole_stroke_in_one_step_meet_both_stops_and_friction(direct):
+def test_legs_that_cross_their_stroke_in_one_step_meet_both_stops(direct):
     plant, home = direct(), 1.592450434036
     plant.set(length_min=np.full(6, home - 1e-5), length_max=np.full(6, home + 1e-5))
     plant.set(coulomb_friction=np.full(6, 10.0), initial_twist=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -238,12 +224,6 @@ def test_state_can_be_saved_restored_and_serialised(direct):
     assert (other.get("position") == want).all()
 
 
-def test_a_foreign_state_is_refused(direct):
-    plant = direct()
-    with pytest.raises(FMICallException):
-        plant.fmu.deserializeFMUState(b"x" * 5000)
-
-
 def test_instances_do_not_share_anything(direct):
     a, b = direct(), direct()
     a.start(force=np.full(6, 5000.0), brake=np.zeros(6))
@@ -258,25 +238,19 @@ def test_instances_do_not_share_anything(direct):
     assert a.get("position")[2] > 1.0 > b.get("position")[2]
 
 
-@pytest.mark.parametrize("dt", [1.05e-4, 0.99999e-3, -1e-3, np.nan, 5e-5])
-def test_a_step_that_is_no_multiple_is_refused_and_changes_nothing(direct, dt):
+@pytest.mark.parametrize(
+    ("t", "dt"), [(1e-3, 1.05e-4), (1e-3, 0.99999e-3), (1e-3, -1e-3), (1e-3, np.nan), (0.5, 1e-3)]
+)
+def test_a_step_of_another_length_or_from_another_time_changes_nothing(direct, t, dt):
     plant = direct()
     plant.start(brake=np.zeros(6))
     plant.step(1e-3)
     before = plant.get("position")
     with pytest.raises(FMICallException):
-        plant.fmu.doStep(1e-3, dt)
+        plant.fmu.doStep(t, dt)
     assert plant.messages
     assert (plant.get("position") == before).all()
     plant.fmu.doStep(1e-3, 1e-3)
-
-
-def test_a_step_from_another_time_is_refused(direct):
-    plant = direct()
-    plant.start()
-    with pytest.raises(FMICallException):
-        plant.fmu.doStep(0.5, 1e-3)
-    assert "stands at" in plant.messages[-1]
 
 
 def test_time_does_not_drift(direct):
@@ -285,16 +259,6 @@ def test_time_does_not_drift(direct):
     for k in range(20_000):
         plant.fmu.doStep(k * 1e-3, 1e-3)
     assert plant.get("time")[0] == pytest.approx(20.0, abs=4e-15)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_an_input_that_is_not_finite_is_refused_by_name(direct, value):
-    plant = direct()
-    plant.start()
-    with pytest.raises(FMICallException):
-        plant.set(force=[0, 0, value, 0, 0, 0])
-    assert "force[3]" in plant.messages[-1]
-    assert plant.get("force") == pytest.approx(np.zeros(6))
 
 
 @pytest.mark.parametrize(
@@ -313,7 +277,7 @@ def test_an_input_that_is_not_finite_is_refused_by_name(direct, value):
         ({"platform_joints": np.zeros((6, 3)), "initial_position": [2.0, 0.0, 0.0]}, "no length"),
     ],
 )
-def test_a_machine_without_meaning_is_refused_when_initialisation_ends(direct, values, word):
+def test_an_impossible_machine_is_refused(direct, values, word):
     plant = direct()
     plant.set(**values)
     with pytest.raises(FMICallException):
@@ -321,55 +285,42 @@ def test_a_machine_without_meaning_is_refused_when_initialisation_ends(direct, v
     assert word in plant.messages[-1]
 
 
-def test_parameters_are_fixed_after_initialisation(direct):
+def test_values_are_refused_at_the_wrong_time(direct):
     plant = direct()
+    for output in ("length", "potential_energy"):
+        with pytest.raises(FMICallException):
+            plant.get(output)
     plant.start()
     with pytest.raises(FMICallException):
         plant.set(mass=10.0)
     assert "fixed" in plant.messages[-1]
+    with pytest.raises(FMICallException):
+        plant.fmu.deserializeFMUState(b"x" * 5000)
 
 
-def test_parameters_and_inputs_can_be_read_at_any_time_and_outputs_once_it_is_initialised(direct):
-    plant = direct()
-    plant.set(mass=900.0, force=np.arange(6.0))
-    assert plant.get("mass") == [900.0]
-    assert plant.get("force").tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    for output in ("length", "potential_energy"):
-        with pytest.raises(FMICallException):
-            plant.get(output)
-        assert "no value before initialisation" in plant.messages[-1]
-    plant.start()
-    assert plant.get("length").min() > 0.0
+LEAST_0 = (
+    *(f"{part}mass" for part in ("", "cylinder_", "rod_", "reflected_")),
+    *(f"{half}_{key}" for half in ("cylinder", "rod") for key in ("com", "inertia")),
+    *("viscous_friction", "coulomb_friction", "force_bandwidth", "length_min", "length_max", "stop_damping"),
+    *("brake_force", "brake"),
+)
 
 
 @pytest.mark.parametrize(
-    ("name", "least"),
+    ("name", "allowed", "refused"),
     [
-        *[(f"{part}mass", 0.0) for part in ("", "cylinder_", "rod_", "reflected_")],
-        *[(f"{half}_{key}", 0.0) for half in ("cylinder", "rod") for key in ("com", "inertia")],
-        *[(f"{kind}_friction", 0.0) for kind in ("viscous", "coulomb")],
-        *[(name, 0.0) for name in ("force_bandwidth", "length_min", "length_max", "stop_damping")],
-        ("brake_force", 0.0),
-        ("stop_stiffness", 1.0),
-        ("brake", 0.0),
+        *((name, 0.0, -1e-9) for name in LEAST_0),
+        *(("stop_stiffness", 1.0, 1.0 - 1e-9), ("brake", 1.0, 1.0 + 1e-9)),
+        *(("force", 1e6, value) for value in (np.nan, np.inf, -np.inf)),
     ],
 )
-def test_a_value_below_the_least_of_its_kind_is_refused_by_name_and_the_least_is_taken(direct, name, least):
+def test_a_value_outside_its_range_is_refused_by_name(direct, name, allowed, refused):
     plant = direct()
-    plant.set(**{name: np.full(plant.size[name], least)})
+    plant.set(**{name: np.full(plant.size[name], allowed)})
     for element in range(plant.size[name]):
-        values = np.full(plant.size[name], least + 0.5)
-        values[element] = least - 1e-9
+        values = np.full(plant.size[name], allowed)
+        values[element] = refused
         with pytest.raises(FMICallException):
             plant.set(**{name: values})
         assert name in plant.messages[-1]
-    assert plant.get(name).tolist() == [least] * plant.size[name]
-
-
-def test_a_brake_is_engaged_by_no_more_than_all_of_it(direct):
-    plant = direct()
-    plant.set(brake=np.ones(6))
-    for leg in range(6):
-        with pytest.raises(FMICallException):
-            plant.set(brake=1.0 + 1e-9 * (np.arange(6) == leg))
-        assert f"brake[{leg + 1}]" in plant.messages[-1]
+    assert plant.get(name).tolist() == [allowed] * plant.size[name]

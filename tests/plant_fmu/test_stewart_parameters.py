@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from plant_fmu.config import StewartPlant
-from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.plant import Robot
-from plant_fmu.stewart import plant
 from plant_fmu.stewart.plant import stewart_parameters
 
 SIX_BY_3 = np.arange(18.0).reshape(6, 3)
@@ -45,7 +42,7 @@ SETTINGS = StewartPlant(
 AXES = "universal_joint_base_axes"
 
 
-def test_every_figure_of_a_robot_reaches_the_parameter_of_its_name():
+def test_each_figure_of_a_robot_reaches_the_parameter_of_its_name():
     assert stewart_parameters(SETTINGS, ROBOT) == {
         "base_joints": [100.0 + k for k in range(18)],
         "platform_joints": [200.0 + k for k in range(18)],
@@ -79,23 +76,3 @@ def test_legs_do_not_spin_by_default():
     found = stewart_parameters(SETTINGS, ROBOT._replace(platform=plain))
     assert found["leg_spin"] == "none"
     assert AXES not in found
-
-
-def test_our_fmu_is_hosted_by_its_own_names_with_its_parameters_its_step_and_its_truth(monkeypatch):
-    monkeypatch.setattr(plant, "build", lambda version: Path(f"{version}.fmu"))
-    monkeypatch.setattr(plant, "host", lambda spec: spec)
-    settings = SETTINGS.model_copy(update={"fmi_version": "2.0", "isolation": "child_process"})
-    found: Any = plant.stewart_plant(settings, ROBOT)
-    expected = FmuSpec(
-        path="2.0.fmu",
-        isolation="child_process",
-        force=["force"],
-        length=["length"],
-        rate=["rate"],
-        brake=["brake"],
-        wrench=["wrench"],
-        parameters=stewart_parameters(SETTINGS, ROBOT),
-        step_us=50.0,
-        truth=["position", "rotation", "twist", "applied_force"],
-    )
-    assert (found, found.step_s) == (expected, 5e-5)

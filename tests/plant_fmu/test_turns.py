@@ -16,7 +16,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import DriveReset
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.legs_frames import decode, opening
-from tests.plant_fmu.test_nodes import MS, REST, Masses
+from tests.plant_fmu.rig import MS, REST, Masses
 
 LEADS = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
 GEAR = TransmissionSettings(lead_m=LEADS.tolist(), sign=[1, -1, 1, -1, 1, -1], offset_m=0.003)

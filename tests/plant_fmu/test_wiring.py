@@ -11,7 +11,6 @@ import pytest
 from plant_fmu.rehearsal.wiring import (
     MISTAKES,
     OF_WATCHDOG,
-    RANGES,
     Mistake,
     Wiring,
     legs_of,
@@ -86,45 +85,31 @@ def changed(wiring: Wiring) -> dict[str, Any]:
     return {name: there for name, there, should in pairs if there != should}
 
 
-def mistake(name: str, *legs: int, value: float | None = None) -> Mistake:
-    """Return a mistake at as many of the legs as it names."""
-    leg, other, third = (*legs[: EXPECTED[name][0]], -1, -1, -1)[:3]
-    return Mistake(name, max(leg, 0), other, third, value)
-
-
-def test_every_mistake_of_the_table_changes_what_it_says_and_nothing_else():
+def test_each_mistake_changes_its_own_figures_at_its_legs_alone():
     assert set(EXPECTED) == set(MISTAKES)
     for name, (count, changes) in EXPECTED.items():
         assert legs_of(name) == count, name
-        assert changed(wired(mistake(name, 2, 4, 5))) == changes, name
+        legs = (*(2, 4, 5)[:count], -1, -1, -1)[:3]
+        assert changed(wired(Mistake(name, max(legs[0], 0), *legs[1:]))) == changes, name
     assert {"watchdog_missing", "watchdog_long", "watchdog_short"} == OF_WATCHDOG
 
 
-def test_legs_that_do_not_exist_or_are_named_twice_are_refused_and_both_ends_are_legs():
-    for name, (count, _) in EXPECTED.items():
-        for legs in ((0, 5, 1), (5, 0, 1)):
-            wired(mistake(name, *legs))
-        wrong = [(-1, 0, 1), (6, 0, 1)] if count else []
-        wrong += [(0, 0, 1), (0, 6, 1)] if count > 1 else []
-        wrong += [(0, 1, 1), (0, 1, 6)] if count > 2 else []
-        for leg, other, third in wrong:
-            with pytest.raises(ValueError, match=f"mistake {name}: different legs 0 to 5 are allowed"):
-                wired(Mistake(name, leg, other, third))
-    with pytest.raises(ValueError, match=r"given: \[0, 1, -1\]$"):
-        wired(Mistake("ids_rotated", 0, 1))
-    with pytest.raises(ValueError, match=r"given: \[0, -1\]$"):
-        wired(Mistake("ids_swapped", 0))
-    with pytest.raises(ValueError, match=r"mistake 'none': unknown, allowed: ids_swapped, "):
-        wired(Mistake("none", 0))
+@pytest.mark.parametrize(
+    ("name", "legs"),
+    [
+        ("offset", (6,)),
+        ("ids_swapped", (0,)),
+        ("ids_swapped", (2, 2)),
+        ("ids_rotated", (0, 1, 1)),
+        ("none", (0,)),
+    ],
+)
+def test_legs_that_do_not_exist_or_occur_twice_are_refused(name, legs):
+    with pytest.raises(ValueError, match=r"different legs|unknown"):
+        wired(Mistake(name, *legs))
 
 
-def test_a_size_that_is_given_takes_the_place_of_the_usual_one():
-    assert changed(wired(Mistake("offset", 5, value=-1e-3))) == {"offset_m": (0.0,) * 5 + (-1e-3,)}
-    assert changed(wired(Mistake("rate_scale", 0, value=0.0))) == {"rate_scale": (0.0,) + (1.0,) * 5}
-    assert changed(wired(Mistake("payload", 0, value=0.5))) == {"payload": 0.5}
-
-
-def test_factors_of_several_mistakes_multiply_and_cables_are_exchanged_one_after_the_other():
+def test_several_mistakes_multiply_or_follow_one_another():
     both = wired(Mistake("encoder_scale", 1, value=3.0), Mistake("drive_reversed", 1))
     assert changed(both) == {
         "scale": (1.0, -3.0, 1.0, 1.0, 1.0, 1.0),
@@ -132,35 +117,6 @@ def test_factors_of_several_mistakes_multiply_and_cables_are_exchanged_one_after
     }
     twice = wired(Mistake("motor_crossed", 0, 1), Mistake("motor_crossed", 1, 2))
     assert changed(twice) == {"motor": (1, 2, 0, 3, 4, 5)}
+    assert changed(wired(Mistake("offset", 5, value=-1e-3))) == {"offset_m": (0.0,) * 5 + (-1e-3,)}
     two = wired(Mistake("brake_of_another", 1, 4), Mistake("brake_of_another", 1, 0))
     assert two.brake[1] == {0, 1, 4}
-
-
-def test_a_machine_without_a_mistake_weighs_what_it_should_and_stands_upright_where_it_should():
-    right = wired()
-    assert (right.payload, right.gravity, right.home_off_m) == (1.0, 1.0, 0.0)
-
-
-SIZES = {
-    (-4.0, -0.25): {"encoder_sign", "force_sign", "drive_reversed"},
-    (-100.0, -0.01): {"rate_sign"},
-    (-0.1, 0.1): {"encoder_jumps", "offset", "joint_elsewhere", "wrong_home"},
-    (0.0, 0.1): {"backlash"},
-    (0.0, 0.9): {"end_stop"},
-    (0.0, 1.0): {"force_saturates", "brake_weak", "friction"},
-    (0.0, 100.0): {"rate_scale", "force_scale"},
-    (0.01, 1.0): {"watchdog_short"},
-    (0.01, 100.0): {"encoder_scale"},
-    (0.1, 10.0): {"payload"},
-    (0.25, 4.0): {"wrong_lead"},
-    (1.0, 100.0): {"watchdog_long"},
-}
-"""Least and largest size: signs stay signs, and shares are no more than the whole."""
-
-
-def test_sizes_that_may_be_asked_for_are_those_of_mistakes_that_have_one():
-    assert {name: ends for ends, names in SIZES.items() for name in names} == RANGES
-    for name, (low, high) in RANGES.items():
-        usual = MISTAKES[name][2]
-        assert usual is not None
-        assert low <= usual <= high, name

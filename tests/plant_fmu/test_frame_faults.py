@@ -1,0 +1,245 @@
+"""What faults do to frames: to one identifier, on one bus, in one direction, with seeded chance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from drivers.config import MAX_BUSES
+from drivers.legs.protocol import LegsProtocol
+from drivers.protocol import BUS, Frame, Received
+from plant_fmu.drives import drives_end
+from plant_fmu.drives.gateway import Gateway
+from plant_fmu.faults.fault import NEVER_NS, Fault
+from plant_fmu.faults.kinds import (
+    BusFlood,
+    BusOff,
+    BusSecondController,
+    DriveSilence,
+    FramesCorrupt,
+    FramesDelay,
+    FramesDuplicate,
+    FramesForgedCommand,
+    FramesLoss,
+    FramesOld,
+    FramesReorder,
+    WrenchStep,
+)
+from plant_fmu.faults.plan import FaultPlan, Schedule
+
+MS, S = 1_000_000, 1_000_000_000
+FRAME = Frame(0x282, bytes(range(12)), 6)
+PROTOCOL = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+
+
+def carry(schedule: Schedule, t_ns: int, frame: Frame = FRAME, *, to_drives: bool = True) -> list[Any]:
+    return schedule.carry(t_ns, frame, to_drives=to_drives)
+
+
+def test_without_frame_faults_every_frame_passes():
+    plan = FaultPlan([DriveSilence(leg=0)])
+    assert not plan.touches_frames
+    assert carry(Schedule(plan, 0), 5) == [(5, FRAME, False)]
+
+
+@pytest.mark.parametrize("kind", [FramesLoss, FramesDuplicate, FramesReorder, FramesDelay])
+@pytest.mark.parametrize("identifier", [0, 0x80, 0x7FF])
+def test_frames_of_the_given_identifier_are_struck_in_their_time(kind, identifier):
+    more = {"by_ms": 1.0} if kind is FramesDelay else {}
+    fault = kind(identifier=identifier, at_s=1.0, for_s=1.0, **more)
+    frames = [Frame(each, b"x", BUS * k) for each in (0, 0x80, 0x7FF) for k in (0, 1)]
+    for t_ns, struck in ((S - 1, False), (S, True), (2 * S - 1, True), (2 * S, False)):
+        schedule = Schedule(FaultPlan([fault]), 0)
+        passed = [f for f in frames if carry(schedule, t_ns, f) == [(t_ns, f, False)]]
+        assert passed == [f for f in frames if not struck or f.id != identifier]
+
+
+@pytest.mark.parametrize("to_drives", [True, False])
+@pytest.mark.parametrize("bus", [None, *range(MAX_BUSES)])
+def test_bus_off_cuts_the_given_bus_or_all_in_both_directions(bus, to_drives):
+    schedule = Schedule(FaultPlan([BusOff(bus=bus, at_s=1.0, for_s=1.0)]), 0)
+    frames = [Frame(0x80, b"", BUS * k) for k in range(MAX_BUSES)]
+    for t_ns, cut in ((S, True), (2 * S, False)):
+        passed = [f for f in frames if carry(schedule, t_ns, f, to_drives=to_drives)]
+        assert passed == [f for f in frames if not cut or bus not in (None, f.bus)]
+    assert schedule.present(S).bus_off == ((1 << MAX_BUSES) - 1 if bus is None else 1 << bus)
+
+
+@pytest.mark.parametrize("kind", [FramesLoss, FramesDuplicate])
+def test_chance_has_its_probability_and_repeats_with_its_seed(kind):
+    def struck(seed: int, of_plan: int = 7) -> list[bool]:
+        schedule = Schedule(FaultPlan([kind(probability=0.1, seed=seed)], seed=of_plan), 0)
+        return [len(carry(schedule, 0)) != 1 for _ in range(10_000)]
+
+    first = struck(3)
+    assert first == struck(3)
+    assert first != struck(4)
+    assert first != struck(3, of_plan=8)
+    assert abs(sum(first) - 1000) < 5 * (10_000 * 0.1 * 0.9) ** 0.5  # five standard deviations
+
+
+def test_two_faults_of_one_seed_are_independent():
+    schedule = Schedule(FaultPlan([FramesLoss(probability=0.5), FramesLoss(probability=0.5)]), 0)
+    passed = sum(len(carry(schedule, 0)) for _ in range(10_000))
+    assert abs(passed - 2500) < 5 * (10_000 * 0.25 * 0.75) ** 0.5
+
+
+def test_corruption_flips_one_bit_and_leaves_empty_frames():
+    schedule = Schedule(FaultPlan([FramesCorrupt()]), 0)
+    places = set()
+    for _ in range(2000):
+        ((_, frame, foreign),) = carry(schedule, 0)
+        assert not foreign
+        assert (frame.id, frame.flags) == (FRAME.id, FRAME.flags)
+        change = int.from_bytes(frame.data, "big") ^ int.from_bytes(FRAME.data, "big")
+        assert change.bit_count() == 1
+        places.add(change)
+    assert len(places) == 96
+    empty = Frame(1, b"")
+    assert carry(schedule, 0, empty) == [(0, empty, False)]
+
+
+def numbered(schedule: Schedule, identifiers: str = "aaaa") -> list[tuple[str, int, bool]]:
+    """Pass frames one a ms on; return identifier, number and foreign of what arrives, in order."""
+    found = []
+    for k, name in enumerate(identifiers):
+        frame = Frame(ord(name), bytes([k]))
+        found += [(chr(f.id), f.data[0], foreign) for _, f, foreign in carry(schedule, k * MS, frame)]
+    return found
+
+
+def on_buses(schedule: Schedule, buses: Sequence[int], *, to_drives: bool) -> list[tuple[int, int]]:
+    """Pass frames of one identifier, one a ms, each on its bus; return bus and number of what arrives."""
+    found = []
+    for k, bus in enumerate(buses):
+        arriving = carry(schedule, k * MS, Frame(0x80, bytes([k]), BUS * bus), to_drives=to_drives)
+        found += [(frame.bus, frame.data[0]) for _, frame, _ in arriving]
+    return found
+
+
+def test_a_delayed_frame_is_late_by_its_time():
+    schedule = Schedule(FaultPlan([FramesDelay(by_ms=1.5)]), 0)
+    assert carry(schedule, 10 * MS) == [(11_500_000, FRAME, False)]
+
+
+def test_reordered_frames_swap_with_the_next_of_their_identifier():
+    schedule = Schedule(FaultPlan([FramesReorder()]), 0)
+    assert numbered(schedule, "abab") == [("a", 2, False), ("a", 0, False), ("b", 3, False), ("b", 1, False)]
+
+
+def test_frames_of_both_directions_do_not_swap():
+    schedule = Schedule(FaultPlan([FramesReorder()]), 0)
+    assert carry(schedule, 0, to_drives=True) == []
+    assert carry(schedule, 1, to_drives=False) == []
+    assert len(carry(schedule, 2, to_drives=True)) == 2
+
+
+@pytest.mark.parametrize("to_drives", [True, False])
+def test_reordered_frames_swap_on_their_own_bus(to_drives: bool):
+    schedule = Schedule(FaultPlan([FramesReorder()]), 0)
+    found = on_buses(schedule, (0, 1, 1, 0), to_drives=to_drives)
+    assert found == [(1, 2), (1, 1), (0, 3), (0, 0)]
+
+
+@pytest.mark.parametrize("to_drives", [True, False])
+def test_an_old_frame_comes_from_its_own_bus(to_drives: bool):
+    schedule = Schedule(FaultPlan([FramesOld(back=1)]), 0)
+    found = on_buses(schedule, (0, 1, 0, 1), to_drives=to_drives)
+    assert found == [(0, 0), (1, 1), (0, 2), (0, 0), (1, 3), (1, 1)]
+
+
+def test_an_old_frame_follows_the_present_one_and_is_foreign():
+    schedule = Schedule(FaultPlan([FramesOld(back=2)]), 0)
+    new = [("a", k, False) for k in range(4)]
+    assert numbered(schedule) == [new[0], new[1], new[2], ("a", 0, True), new[3], ("a", 1, True)]
+
+
+@pytest.mark.parametrize("back", [1, 2, 5])
+def test_an_old_frame_is_always_the_same_number_of_frames_old(back):
+    schedule = Schedule(FaultPlan([FramesOld(back=back, probability=0.3)]), 0)
+    again = []
+    for number in range(100):
+        _, *old = schedule.carry(number, Frame(0x110, bytes((number,)), 0), to_drives=True)
+        again += [(number, frame.data[0]) for _, frame, _ in old]
+    assert 15 < len(again) < 45
+    assert all(sent == number - back for number, sent in again)
+
+
+def test_foreign_frame_stays_foreign_through_further_faults():
+    """One that repeats the last frame, and one that is late."""
+    schedule = Schedule(FaultPlan([FramesOld(back=1), FramesDelay(by_ms=1.0)]), 0)
+    found = []
+    for k in range(3):
+        frames = schedule.carry(k * MS, Frame(5, bytes([k])), to_drives=True)
+        found.append([(t_ns // MS, frame.data[0], foreign) for t_ns, frame, foreign in frames])
+    assert found == [[(1, 0, False)], [(2, 1, False), (2, 0, True)], [(3, 2, False), (3, 1, True)]]
+
+
+def test_senders_count_their_own_frames_and_late_frames_come_once():
+    floods = [BusFlood(rate_Hz=1000.0, identifier=1), BusFlood(rate_Hz=500.0, identifier=2, at_s=1e-3)]
+    late = FramesDelay(by_ms=2.0, identifier=9)
+    gateway = Gateway(Schedule(FaultPlan([*floods, late]), 0), PROTOCOL, drives_end(PROTOCOL), 0)
+    heard: list[tuple[int, int]] = []
+    for t_ms in range(6):
+        received = [Received(t_ms * MS, Frame(9, b""))] if t_ms == 1 else []
+        heard += [(frame.id, t_ns // MS) for t_ns, frame in gateway.hear(received, t_ms * MS)]
+    assert [t for identifier, t in heard if identifier == 1] == [0, 1, 2, 3, 4, 5]
+    assert [t for identifier, t in heard if identifier == 2] == [1, 3, 5]
+    assert [t for identifier, t in heard if identifier == 9] == [3]
+
+
+def test_a_flood_wins_against_every_identifier_of_the_protocol():
+    protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
+    (there,) = BusFlood(identifier=0x123, bus=2).frames(protocol, 7)
+    assert (there.id, there.data, there.bus) == (0x123, bytes(8), 2)
+    (frame,) = BusFlood().frames(protocol, 0)
+    assert frame.id < min(f.id for f in (*protocol.traits.cyclic_frames, *protocol.traits.emergency_stop))
+    assert not frame.flags
+
+
+@pytest.mark.parametrize("bus", range(MAX_BUSES))
+def test_an_additional_sender_sends_on_its_own_bus(bus):
+    each_leg = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, [[leg] for leg in range(6)])
+    for fault in (BusFlood(bus=bus), BusSecondController(bus=bus)):
+        assert {frame.bus for frame in fault.frames(each_leg, 3)} == {bus}
+
+
+def test_a_plan_touches_frames_if_one_of_its_faults_does():
+    others = [DriveSilence(leg=0), WrenchStep()]
+    for fault in (FramesLoss(), BusOff(), BusFlood(), BusSecondController(), FramesForgedCommand()):
+        for faults in ([fault], [fault, *others], [*others, fault]):
+            assert FaultPlan(faults).touches_frames
+    assert not FaultPlan(others).touches_frames
+    assert not FaultPlan().touches_frames
+
+
+@pytest.mark.parametrize("first", [DriveSilence(leg=0, at_s=9.0), DriveSilence(leg=0, mode="PARKED")])
+def test_no_sender_sends_before_its_own_time_or_mode(first):
+    bounded, waiting = BusFlood(at_s=1.0, for_s=2.0), BusFlood(mode="TRACKING", at_s=0.5, for_s=4.0)
+    schedule = Schedule(FaultPlan([first, bounded, waiting, BusSecondController(at_s=3.0)]), 7 * S)
+
+    def sending() -> list[tuple[Fault, int, int]]:
+        return [(fault, own.start_ns, own.stop_ns) for fault, own in schedule.senders()]
+
+    second = (BusSecondController(at_s=3.0), 10 * S, 10 * S + NEVER_NS)
+    assert sending() == [(bounded, 8 * S, 10 * S), second]
+    schedule.reached("TRACKING", 20 * S)
+    begun = (waiting, round(20.5 * S), round(24.5 * S))
+    assert sending() == [(bounded, 8 * S, 10 * S), begun, second]
+
+
+@pytest.mark.parametrize("t0_ms", [0, 1, 3_600_000])
+def test_a_sender_is_ahead_by_the_last_step_and_2_ms_at_most(t0_ms):
+    t0_ns = t0_ms * MS
+    schedule = Schedule(FaultPlan([BusFlood(rate_Hz=2000.0, for_s=0.012)]), t0_ns)
+    gateway = Gateway(schedule, PROTOCOL, drives_end(PROTOCOL), t0_ns)
+    sent, heard = [], []
+    for until_ms in (0.0, 1.0, 1.5, 1.5, 6.5, 8.0, 20.0, 21.0):
+        until_ns = t0_ns + round(until_ms * MS)
+        heard.append([(each.t_ns - t0_ns) / MS for each in gateway.hear([], until_ns)])
+        sent.append([(t_ns - t0_ns) / MS for t_ns, _ in gateway.send([])])
+    halves = [0.5 * k for k in range(24)]
+    assert sent == [halves[:1], halves[1:5], [], [], halves[5:18], halves[18:20], halves[20:], []]
+    assert heard == [halves[:1], halves[1:3], halves[3:4], [], halves[4:14], halves[14:17], halves[17:], []]

@@ -35,10 +35,6 @@ def test_every_name_in_a_page_exists(page):
     assert not wrong
 
 
-def test_the_theory_page_names_functions():
-    assert len(NAME.findall((ROOT / "docs/theory/equations.md").read_text())) >= 12
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_test_in_a_page_exists(page):
     named = TEST.findall(page.read_text())
@@ -52,19 +48,12 @@ def functions(file):
     return {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)}
 
 
-def test_the_theory_names_tests_and_the_chapter_its_pages():
-    theory = {page.name: page.read_text() for page in PAGES if page.parent.name == "theory"}
-    assert sum(len(TEST.findall(text)) for text in theory.values()) >= 30
-    linked = set(re.findall(r"\[\]\((\w+\.md)\)", "".join(theory.values())))
-    assert linked | {"chapter.md", "equations.md"} == set(theory)
-
-
 @pytest.mark.parametrize(
     "page",
     [page for page in PAGES if EXAMPLE.search(page.read_text())],
     ids=lambda page: page.relative_to(ROOT).as_posix(),
 )
-def test_the_examples_of_a_page_say_what_it_says(page):
+def test_the_examples_of_a_page_give_what_it_shows(page):
     """All of one page in order, with one set of names."""
     text = "\n".join(EXAMPLE.findall(page.read_text()))
     examples = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)

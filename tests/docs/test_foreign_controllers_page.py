@@ -8,7 +8,6 @@ import re
 import runpy
 import sys
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -83,39 +82,6 @@ def at_rest(nodes: Nodes) -> Snapshot:
     return snapshot
 
 
-@pytest.mark.long
-@pytest.mark.realtime(patient=True)
-def test_a_canopen_master_moves_one_drive_and_parks_it(tmp_path, monkeypatch, capsys):
-    assert metadata.version("canopen") == "2.4.1"
-    with serving(configuration("cia402", tmp_path)) as nodes:
-        before = nodes.snapshot().length
-        run_example(monkeypatch, "canopen_master.py", str(EDS), CHANNEL)
-        after = at_rest(nodes)
-    (moved,) = moved_mm(capsys.readouterr().out)
-    way = after.length - before
-    assert 1e3 * way[4] == pytest.approx(moved, abs=2.0), "the true way is the one that the master reports"
-    assert 0.7 * MOVED_m < way[4] < MOVED_m * 1.1
-    assert np.abs(np.delete(way, 4)).max() < 1e-9, "the other five stood on their brakes"
-    assert after.state.tolist() == [DriveState.BOOT] * 4 + [DriveState.OFF, DriveState.BOOT]
-    assert after.rejected == 0
-
-
-@pytest.mark.realtime(patient=True)
-def test_the_moteus_package_moves_all_legs_and_stops_them(tmp_path, monkeypatch, capsys):
-    assert metadata.version("moteus") == "1.1.1"
-    with serving(configuration("moteus", tmp_path)) as nodes:
-        before = nodes.snapshot().length
-        run_example(monkeypatch, "moteus_master.py", CHANNEL)
-        after = at_rest(nodes)
-    moved = moved_mm(capsys.readouterr().out)
-    way = after.length - before
-    np.testing.assert_allclose(1e3 * way, moved, rtol=0, atol=2.0)
-    assert (way > 0.7 * MOVED_m).all()
-    assert (way < 1.1 * MOVED_m).all()
-    assert after.state.tolist() == [DriveState.OFF] * 6
-    assert after.rejected == 0
-
-
 def read_by_canopen() -> float:
     """Return the length of leg 4 that the position of its drive is, m: 0.02 m a turn, 1.6 m at zero."""
     import canopen  # noqa: PLC0415 - an extra
@@ -141,59 +107,57 @@ def read_by_moteus() -> list[float]:
     return asyncio.run(read())
 
 
-@pytest.mark.long  # a plant in Python is late on a slow machine, and the master gives up
-@pytest.mark.realtime(patient=True)
-def test_a_canopen_master_moves_a_leg_of_an_fmu_of_somebody_else_and_reads_its_length(
-    tmp_path, monkeypatch, capsys, foreign
-):
-    with serving(configuration("cia402", tmp_path, foreign)) as nodes:
-        before = nodes.snapshot().length
-        run_example(monkeypatch, "canopen_master.py", str(EDS), CHANNEL)
-        after = at_rest(nodes)
-        read = read_by_canopen()
-        now = nodes.snapshot().length
-    assert moved_mm(capsys.readouterr().out)[0] == pytest.approx(1e3 * (after.length - before)[4], abs=2.0)
-    assert 0.7 * MOVED_m < (now - before)[4] < 1.1 * MOVED_m
-    assert np.abs(np.delete(now - before, 4)).max() < 1e-4, "an explicit step lets locked legs creep"
-    assert read == pytest.approx(now[4], abs=0.02 / 131072), "a count"
-    assert after.rejected == 0
-
-
-@pytest.mark.long
-@pytest.mark.realtime(patient=True)
-def test_the_moteus_package_moves_an_fmu_of_somebody_else_and_reads_its_lengths(
-    tmp_path, monkeypatch, capsys, foreign
-):
-    with serving(configuration("moteus", tmp_path, foreign)) as nodes:
-        before = nodes.snapshot().length
-        run_example(monkeypatch, "moteus_master.py", CHANNEL)
-        after = at_rest(nodes)
-        read = read_by_moteus()
-        now = nodes.snapshot().length
-    np.testing.assert_allclose(1e3 * (after.length - before), moved_mm(capsys.readouterr().out), atol=2.0)
-    assert (now - before > 0.7 * MOVED_m).all()
+MASTERS: dict[str, Any] = {
+    "cia402": (["canopen_master.py", str(EDS), CHANNEL], [4], read_by_canopen, 0.02 / 131072),
     # the package asks for single numbers: half a step of one from 8 to 16 turns is 2^-21 of a turn
-    np.testing.assert_allclose(read, now, rtol=0, atol=0.02 * 2**-21 + 1e-12)
+    "moteus": (["moteus_master.py", CHANNEL], [0, 1, 2, 3, 4, 5], read_by_moteus, 0.02 * 2**-21 + 1e-12),
+}
+"""Family -> program, legs that it moves, reader of their lengths, its resolution in m."""
+CASES = [
+    ("moteus", "springs"),
+    pytest.param("cia402", "springs", marks=pytest.mark.long),
+    pytest.param("moteus", "foreign", marks=pytest.mark.long),  # a plant in Python may be late
+    pytest.param("cia402", "foreign", marks=pytest.mark.long),
+]
+
+
+@pytest.mark.realtime(patient=True)
+@pytest.mark.parametrize(("family", "plant"), CASES)
+def test_a_foreign_master_moves_its_legs_and_reads_their_lengths(
+    tmp_path, monkeypatch, capsys, request, family, plant
+):
+    program, legs, read, resolution_m = MASTERS[family]
+    fmu = request.getfixturevalue("foreign") if plant == "foreign" else None
+    with serving(configuration(family, tmp_path, fmu)) as nodes:
+        before = nodes.snapshot().length
+        run_example(monkeypatch, *program)
+        after = at_rest(nodes)
+        measured = read()
+        now = nodes.snapshot().length
+    way = after.length - before
+    np.testing.assert_allclose(1e3 * way[legs], moved_mm(capsys.readouterr().out), rtol=0, atol=2.0)
+    assert (0.7 * MOVED_m < way[legs]).all()
+    assert (way[legs] < 1.1 * MOVED_m).all()
+    creep_m = 1e-9 if plant == "springs" else 1e-4  # an explicit step lets locked legs creep
+    assert np.abs(np.delete(way, legs)).max(initial=0.0) < creep_m
+    np.testing.assert_allclose(measured, now[legs], rtol=0, atol=resolution_m)
+    if plant == "springs":
+        states = [DriveState.OFF if leg in legs else DriveState.BOOT for leg in range(6)]
+        assert after.state.tolist() == states
     assert after.rejected == 0
 
 
 @pytest.mark.long
 @pytest.mark.realtime(patient=True)
-@pytest.mark.parametrize(
-    ("family", "example"), [("cia402", "canopen_master.py"), ("moteus", "moteus_master.py")]
-)
-@pytest.mark.parametrize("plant", ["springs", "foreign"])
-def test_the_masters_move_the_drives_of_the_command_itself(
-    tmp_path, monkeypatch, capsys, request, family, example, plant
-):
-    fmu = request.getfixturevalue("foreign") if plant == "foreign" else None
+@pytest.mark.parametrize("family", MASTERS)
+def test_the_masters_move_the_drives_of_the_command(tmp_path, monkeypatch, capsys, family):
     file = tmp_path / "foreign.yaml"
-    file.write_text(text(family, tmp_path, fmu), encoding="utf-8")
+    file.write_text(text(family, tmp_path), encoding="utf-8")
     served = Process(tmp_path, "plant", str(file))
     try:
         served.wait_for_child("hil.record")
         time.sleep(1.0)  # the drives boot
-        run_example(monkeypatch, example, *([str(EDS)] if family == "cia402" else []), CHANNEL)
+        run_example(monkeypatch, *MASTERS[family][0])
         served.interrupt()
         assert served.wait() == 0, served.errors
     finally:

@@ -57,42 +57,25 @@ def outside(installed, tmp_path, *arguments):
     )
 
 
-def test_every_file_of_the_packages_that_git_would_keep_is_in_the_wheel(wheel):
+def test_every_file_of_the_packages_is_in_the_wheel(wheel):
     with zipfile.ZipFile(wheel) as archive:
         inside = {name: archive.read(name) for name in archive.namelist()}
     kept = {
         path.relative_to(ROOT).as_posix(): path.read_bytes()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
-        if path.suffix in {".py", ".dbc", ".c", ".h", ".yaml", ".csv", ".json", ".xml"}
+        if path.suffix in {".py", ".dbc", ".c", ".h", ".yaml", ".csv", ".json", ".xml", ".service"}
     }
     assert not kept.keys() - inside.keys()
     assert [name for name, content in kept.items() if inside[name] != content] == []
 
 
-@pytest.mark.parametrize(
-    "pattern",
-    [
-        "hil/py.typed",
-        "drivers/py.typed",
-        "plant_fmu/py.typed",
-        "drivers/legs/legs.dbc",
-        "drivers/sensors.dbc",
-        "configs/hil.schema.json",
-        "configs/systemd/hil@.service",
-        "configs/*.yaml",
-        "configs/viewers/*",
-        "plant_fmu/stewart/sources/*.c",
-    ],
-)
-def test_data_is_inside(wheel, pattern):
+def test_data_is_inside_and_tests_and_tools_are_outside(wheel):
     with zipfile.ZipFile(wheel) as archive:
-        assert [name for name in archive.namelist() if Path(name).match(pattern)]
-
-
-def test_tests_and_tools_stay_out(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        tops = {name.split("/")[0] for name in archive.namelist()}
+        names = archive.namelist()
+    for pattern in ("*/py.typed", "drivers/legs/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"):
+        assert [name for name in names if Path(name).match(pattern)], pattern
+    tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
 
 
@@ -104,7 +87,7 @@ def test_the_packages_come_from_the_wheel_and_not_from_the_repository(installed,
 
 
 @pytest.mark.long
-def test_what_is_compiled_is_found_by_the_same_sources_elsewhere_and_by_no_others(installed, tmp_path):
+def test_compiled_code_is_reused_by_the_same_sources_alone(installed, tmp_path):
     importlib.import_module("hil.app.compose")  # compiles, in the repository, what is not compiled yet
     other = tmp_path / "other"
     shutil.copytree(installed, other)

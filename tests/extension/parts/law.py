@@ -1,11 +1,10 @@
-"""Two laws of a user."""
+"""A law of a user."""
 
 from math import sqrt
 from typing import Any, Literal
 
 from hil.config.values import Positive
-from hil.control.inverse_dynamics import JointInverseDynamics
-from hil.control.law import DesiredLoop, ErrorGains, LawContext, ModelBasedSettings, per_leg
+from hil.control.law import DesiredLoop, LawContext, ModelBasedSettings, per_leg
 from hil.control.pd import JointPD
 from hil.control.pd_gravity import JointPDGravity
 
@@ -26,17 +25,3 @@ class CriticalSettings(ModelBasedSettings):
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
         return {"stiffness_N_m": loop.leg_mass * loop.wn**2, "mass_kg": loop.leg_mass}
-
-
-class SlowSettings(ErrorGains, ModelBasedSettings):
-    """Inverse dynamics at half of the stated frequency."""
-
-    law: Literal["slow"]
-    factor: Positive
-
-    def gains(self):
-        K_P, K_D = super().gains()
-        return K_P / 4.0, K_D / 2.0
-
-    def build(self, context: LawContext) -> JointInverseDynamics:
-        return JointInverseDynamics(context.model(self.model), *self.gains())

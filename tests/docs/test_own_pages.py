@@ -1,4 +1,4 @@
-"""A package that `hil new` writes, as an installation leaves it on the path."""
+"""The packages of the pages on laws and on drive families run, replay and pass the contract suites."""
 
 import os
 import re
@@ -7,7 +7,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from hil.app.new.skeleton import write_skeleton
+import pytest
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```\{code-block\} \w+\n:caption: (.*?)\n\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -23,7 +23,7 @@ assert run.summary["rejected_frames"] == 0
 
 
 class Package:
-    """What `hil new KIND NAME` writes, and the other code blocks of its page by caption."""
+    """The package of a page, as an installation leaves it on the path: its files, and other blocks by caption."""
 
     def __init__(self, kind: str, name: str, page: str, folder: Path) -> None:
         """Write the package."""
@@ -50,3 +50,16 @@ class Package:
         done = subprocess.run(command, cwd=self.folder, env=here, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
+
+
+@pytest.fixture(scope="module", params=["own-laws.md", "own-drives.md"])
+def package(request, tmp_path_factory):
+    return Package(request.param, tmp_path_factory.mktemp("page"))
+
+
+def test_the_package_of_the_page_runs_and_replays(package):
+    package.run(package.blocks["simulation"] + SUCCESS)
+
+
+def test_the_package_of_the_page_passes_the_contract_suite(package):
+    assert re.search(r"^\d+ passed", package.run(CONTRACT), re.MULTILINE)

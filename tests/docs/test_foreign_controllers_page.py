@@ -22,7 +22,6 @@ from hil.app.configuration.configuration import Configuration, loads
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
 from tests import foreign_plant
-from tests.realtime.rig import Process
 from tests.serving import serving
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -145,23 +144,3 @@ def test_a_foreign_master_moves_its_legs_and_reads_their_lengths(
         states = [DriveState.OFF if leg in legs else DriveState.BOOT for leg in range(6)]
         assert after.state.tolist() == states
     assert after.rejected == 0
-
-
-@pytest.mark.long
-@pytest.mark.realtime(patient=True)
-@pytest.mark.parametrize("family", MASTERS)
-def test_the_masters_move_the_drives_of_the_command(tmp_path, monkeypatch, capsys, family):
-    file = tmp_path / "foreign.yaml"
-    file.write_text(text(family, tmp_path), encoding="utf-8")
-    served = Process(tmp_path, "plant", str(file))
-    try:
-        served.wait_for_child("hil.record")
-        time.sleep(1.0)  # the drives boot
-        run_example(monkeypatch, *MASTERS[family][0])
-        served.interrupt()
-        assert served.wait() == 0, served.errors
-    finally:
-        served.clean_up()
-    assert min(moved_mm(capsys.readouterr().out)) > 14.0
-    assert {*served.summary["final_states"]} <= {"OFF", "BOOT"}
-    assert served.summary["rejected_frames"] == 0

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.browser import Browser, needs_chromium
-
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "docs/_extensions"))
 mathml = importlib.import_module("mathml").mathml
@@ -71,65 +69,17 @@ def test_fractions_of_the_pages_are_read_as_written():
     assert not {page.name: found for page in PAGES if (found := short.findall(page.read_text()))}
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("docs")
+@pytest.mark.long
+def test_the_documentation_builds_without_a_warning(tmp_path):
     command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q"]
+    folders = ["-d", str(tmp_path / "trees"), str(ROOT / "docs"), str(tmp_path / "html")]
     done = subprocess.run(
-        [*command, "-D", "nb_execution_mode=off", "-d", str(folder / "trees"), str(ROOT / "docs"), str(folder / "html")],
-        cwd=ROOT, capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
+        [*command, "-D", "nb_execution_mode=off", *folders],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
-    return folder / "html"
-
-
-@pytest.mark.long
-@needs_chromium
-def test_a_page_shows_equations_with_its_own_font_and_loads_nothing_else(built, tmp_path):
-    with Browser() as browser:
-        browser.open(built / "theory/inverse_dynamics.html")
-        assert browser.value(
-            "document.fonts.ready.then(() => document.fonts.check('16px \"STIX Two Math\"'))"
-        )
-        place = (
-            "((e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; })"
-            "([...document.querySelectorAll('msub')].find((m) => m.children[0].tagName === 'mover')"
-            ".children[%s])"
-        )
-        letter, index = browser.value(place % "0].children[0"), browser.value(place % "1")
-        accent = browser.value(place % "0].children[1")
-        assert index[0] >= letter[2] - 1.0, "the index begins where the letter ends"
-        assert accent[1] < letter[3]
-        assert letter[0] - 4.0 <= (accent[0] + accent[2]) / 2 <= letter[2] + 4.0, "the accent is above it"
-        bracket = "[...document.querySelectorAll('mo')].map((m) => m.getBoundingClientRect().height)"
-        browser.open(built / "theory/monitor.html")
-        browser.value("document.fonts.ready.then(() => 0)")
-        heights = browser.value(bracket.replace("('mo')", "('mo[form=prefix]')"))
-        assert max(heights) > 1.5 * min(heights), "a bracket around a fraction is taller"
-        assert browser.errors == []
-        assert all(url.startswith(built.as_uri()) for url in browser.requests if not url.startswith("data:"))
-
-
-@pytest.mark.long
-@needs_chromium
-@pytest.mark.parametrize("word", ["watchdog", "lyapunov_share"])
-def test_the_search_finds_a_word_that_is_part_of_a_name(built, tmp_path, word):
-    named = {
-        page.relative_to(ROOT / "docs").with_suffix(".html").as_posix()
-        for page in PAGES
-        if re.search(
-            rf"(?<![^\W_]){word}(?![^\W_])", re.sub(r"!\[[^]]*\]", "", page.read_text())
-        )  # in words, not pictures
-        and "_static" not in page.parts
-    }
-    with Browser() as browser:
-        browser.open(built / "search.html", f"?q={word}")
-        found = browser.value(
-            "new Promise((done) => { const look = () => { const hits = [...document.querySelectorAll("
-            "'#search-results li a')].map((a) => a.href); const end = document.querySelector('#search-results p');"
-            " if (end && /finished/.test(end.textContent)) done(hits); else setTimeout(look, 100); };"
-            " setTimeout(look, 500); })"
-        )
-        pages = {url.partition("#")[0].partition("?")[0].removeprefix(built.as_uri() + "/") for url in found}
-        assert named <= pages, named - pages
-        assert browser.errors == []
+    assert (tmp_path / "html/_static/fonts/stix-two-math.woff2").read_bytes()[:4] == b"wOF2"

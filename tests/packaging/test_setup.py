@@ -66,13 +66,13 @@ def test_the_viewers_are_locked_and_change_no_package_of_the_environment():
     assert {name: viewers[name] for name in both} == {name: installed[name] for name in both}
 
 
-def test_the_python_that_is_searched_for_is_the_one_that_the_project_requires():
+def test_the_searched_python_is_the_one_that_the_project_requires():
     limits = dict(re.findall(r"(oldest|newest)=(\d+)", (ROOT / "tools/find-python").read_text()))
     required = f">=3.{limits['oldest']},<3.{int(limits['newest']) + 1}"
     assert PROJECT["project"]["requires-python"] == required
 
 
-def test_without_any_python_the_message_says_what_to_install(tmp_path):
+def test_without_any_python_the_message_names_what_to_install(tmp_path):
     shell = shutil.which("sh") or "/bin/sh"
     done = subprocess.run(
         [shell, ROOT / "tools/find-python"],

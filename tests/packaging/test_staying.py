@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import configparser
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -44,18 +43,6 @@ def completed(shell, words, word):
 )
 def test_each_shell_completes_commands_options_and_configurations(shell, words, word, said):
     assert said in completed(shell, words, word)
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_lines_of_the_guide_give_each_shell_a_script(shell):
-    assert f"_HIL_COMPLETE={shell}_source hil" in (ROOT / "docs/guides/service.md").read_text()
-    environment = {**os.environ, "_HIL_COMPLETE": f"{shell}_source"}
-    done = subprocess.run(PROGRAM, env=environment, capture_output=True, text=True, timeout=60, check=True)
-    assert re.search(
-        {"bash": "complete -o", "zsh": "#compdef hil", "fish": "complete --no-files"}[shell], done.stdout
-    )
-    if shutil.which(shell):
-        subprocess.run([shell, "-n"], input=done.stdout, text=True, check=True, timeout=60)
 
 
 def test_a_stop_of_the_service_is_a_controlled_stop_that_nothing_kills():

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -84,21 +82,6 @@ def test_the_packages_come_from_the_wheel_and_not_from_the_repository(installed,
     done = outside(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stderr
     assert [Path(name).parent.parent for name in json.loads(done.stdout)] == [installed] * len(PACKAGES)
-
-
-@pytest.mark.long
-def test_compiled_code_is_reused_by_the_same_sources_alone(installed, tmp_path):
-    importlib.import_module("hil.app.compose")  # compiles, in the repository, what is not compiled yet
-    other = tmp_path / "other"
-    shutil.copytree(installed, other)
-    source = other / "hil/robot/kinematics_kernels.py"
-    source.write_bytes(source.read_bytes() + b"# as if edited\n")
-    script = (
-        "import sys; from drivers.compiled import cache; "
-        "cache.progress = lambda _: sys.exit('compiles'); import hil.app.compose"
-    )
-    ends = [outside(place, tmp_path, "-c", script) for place in (installed, other)]
-    assert [(end.returncode, end.stderr) for end in ends] == [(0, ""), (1, "compiles\n")]
 
 
 def test_hil_sim_runs_from_the_wheel(installed, tmp_path):

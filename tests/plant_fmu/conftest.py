@@ -7,7 +7,6 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
 from plant_fmu.stewart.build import build
@@ -92,18 +91,3 @@ def direct(unpacked):
 @pytest.fixture(scope="session")
 def truth():
     return json.loads((DATA / "rigid_body_cases.json").read_text())
-
-
-@pytest.fixture(scope="session")
-def fmi2(tmp_path_factory):
-    """Our FMI 2.0 FMU, instantiated, with its references by name."""
-    folder = tmp_path_factory.mktemp("fmi2")
-    with zipfile.ZipFile(build("2.0")) as archive:
-        archive.extractall(folder)
-    description = fmpy.read_model_description(str(build("2.0")))
-    fmu = FMU2Slave(
-        guid=description.guid, unzipDirectory=str(folder), modelIdentifier="stewart", instanceName="t"
-    )
-    fmu.instantiate()
-    yield fmu, {v.name: v.valueReference for v in description.modelVariables}
-    fmu.freeInstance()

@@ -24,7 +24,6 @@ from tests.drivers.legs_frames import command_frames, decode, opening
 MS, US = 1_000_000, 1_000
 MASS = 200.0
 REST = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
-LEGS_FD = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
 
 
 class Masses:

@@ -77,7 +77,9 @@ def elements(version: str) -> list[tuple[Any, ...]]:
     found = []
     for v in described(version).modelVariables:
         count = int(np.prod(v.shape)) if v.shape else 1
-        starts = [None] * count if v.start is None else [float(x) for x in str(v.start).split()]
+        starts: list[float | None] = [None] * count
+        if v.start is not None:
+            starts = [float(x) for x in str(v.start).split()]
         assert len(starts) == count, v.name
         found += [(v.name.split("[")[0], v.causality, start, v.unit) for start in starts]
     return found

@@ -11,7 +11,6 @@ import pytest
 
 from drivers.signals import DriveFault, Reaction
 from plant_fmu.faults.kinds import (
-    DriveGain,
     EncoderDrift,
     EncoderFreeze,
     EncoderJump,
@@ -33,19 +32,6 @@ def test_a_drifting_encoder_creeps_at_its_rate_and_recovers():
         l, dl = motion(t_ms)
         assert read(rig, t_ms) == pytest.approx((l + drifted, dl + rate), abs=1e-9)
     assert rig.nodes.snapshot().length[2] - REST[2] == pytest.approx(motion(7)[0])
-
-
-def test_a_scaled_or_frozen_encoder_goes_on_when_other_faults_begin():
-    rig = accelerating(
-        EncoderScale(leg=2, factor=1.5, at_s=2e-3),
-        EncoderFreeze(leg=3, at_s=2e-3),
-        EncoderLost(leg=3, at_s=3e-3, for_s=1e-3),
-        DriveGain(leg=5, factor=0.5, at_s=4e-3),
-    )
-    since, _ = motion(2)
-    l, dl = motion(6)
-    assert read(rig, 6) == pytest.approx((since + 1.5 * (l - since), 1.5 * dl), abs=1e-9)
-    assert read(rig, 6, leg=3) == pytest.approx((since, 0.0), abs=1e-9)
 
 
 SCALE, SIGN = partial(EncoderScale, leg=2, factor=1.5), partial(EncoderSign, leg=2)
@@ -77,15 +63,6 @@ def test_a_second_scale_goes_on_from_what_the_encoder_reads(kinds, first, second
     assert read(rig, 7, leg=3) == pytest.approx((l, dl), abs=1e-9)
 
 
-@pytest.mark.parametrize("kind", [SCALE, SIGN])
-def test_a_scale_that_outlasts_another_counts_from_its_own_beginning(kind):
-    factor = 1.5 if kind is SCALE else -1.0
-    rig = accelerating(kind(at_s=2e-3, for_s=3e-3), kind(at_s=4e-3))
-    l, dl = motion(6)
-    again = motion(4)[0]
-    assert read(rig, 6) == pytest.approx((again + factor * (l - again), factor * dl), abs=1e-9)
-
-
 @pytest.mark.parametrize("faults", list(itertools.permutations((*DRIFTS, JUMP)))[::2])
 def test_drifts_and_a_jump_of_one_encoder_add_up_in_any_order(faults):
     rig = accelerating(*faults, EncoderDrift(leg=4, by_m_s=-0.5))
@@ -110,13 +87,6 @@ def test_a_late_encoder_stands_still_and_then_is_late_by_its_time():
         assert early == pytest.approx(motion(2))
     for t_ms in range(5, 9):
         assert seen[t_ms - 1] == pytest.approx(motion(t_ms - 3))
-
-
-def test_a_reading_between_two_is_extrapolated_by_its_rate():
-    rig = accelerating(EncoderLate(leg=2, by_ms=1.5, at_s=2e-3))
-    seen = [read(rig, t_ms) for t_ms in range(2, 6)]
-    l, dl = motion(3)
-    assert seen[-1] == pytest.approx((l + dl * 0.5e-3, dl))
 
 
 def test_encoders_are_late_each_by_its_own_time():

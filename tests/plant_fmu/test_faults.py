@@ -23,13 +23,10 @@ from plant_fmu.faults.kinds import (
     DriveSaturation,
     DriveSign,
     DriveSilence,
-    EncoderDrift,
     EncoderFreeze,
     EncoderJump,
     EncoderLate,
     EncoderNoise,
-    EncoderScale,
-    EncoderSign,
     FramesForgedFeedback,
     PayloadStep,
     WrenchStep,
@@ -118,17 +115,6 @@ def test_every_fault_changes_a_run_without_faults(name):
     assert outcome(example(name)) != outcome()
 
 
-def test_faults_are_present_from_their_start_to_before_their_end():
-    faults = [DriveGain(leg=2, factor=-1.0, at_s=0.5, for_s=0.5), BrakeStuckOpen(leg=1, at_s=1.0)]
-    schedule = Schedule(FaultPlan(faults), 7 * S)
-    assert [schedule.starts_ns(fault) for fault in faults] == [7.5 * S, 8 * S]
-    assert schedule.edges_ns(7 * S) == [7.5 * S, 8 * S]
-    assert schedule.edges_ns(round(7.6 * S)) == [8 * S]
-    times = [7 * S, round(7.5 * S) - 1, round(7.5 * S), 8 * S - 1, 8 * S]
-    assert [schedule.present(t).gain[2] for t in times] == [1.0, 1.0, -1.0, -1.0, 1.0]
-    assert [schedule.present(t).stuck[1] for t in times[-2:]] == [None, False]
-
-
 def test_a_fault_of_a_mode_waits_for_it_and_counts_from_there():
     fault = EncoderFreeze(leg=0, mode="APPROACH", at_s=0.2, for_s=0.1)
     schedule = Schedule(FaultPlan([fault]), 0)
@@ -151,23 +137,27 @@ SCHEDULED = (
     EncoderJump(leg=3, by_m=1e-3, at_s=4e-3),
     DriveSilence(leg=4, mode="TRACKING"),
 )
-BEGIN_END = ((2 * MS, 5 * MS), (3 * MS, 3 * MS + 1), (4 * MS, NEVER_NS), (NEVER_NS, NEVER_NS))
+T0 = 7 * S
+BEGIN_END = (
+    (T0 + 2 * MS, T0 + 5 * MS),
+    (T0 + 3 * MS, T0 + 3 * MS + 1),
+    (T0 + 4 * MS, NEVER_NS),
+    (NEVER_NS, NEVER_NS),
+)
 TIMES = sorted(
     {max(0, edge + by) for ends in BEGIN_END for edge in ends[:2] for by in (-1, 0, 1) if edge < NEVER_NS}
 )
 
 
 def test_present_faults_do_not_depend_on_earlier_queries():
-    schedule = Schedule(FaultPlan(SCHEDULED), 0)
+    schedule = Schedule(FaultPlan(SCHEDULED), T0)
     for t_ns in itertools.chain(*itertools.product(TIMES, TIMES)):
         present = [SCHEDULED.index(own.fault) for own in schedule.active(t_ns)]
         assert present == [n for n, (begin, end) in enumerate(BEGIN_END) if begin <= t_ns < end], t_ns
-    assert schedule.edges_ns(2 * MS) == [2 * MS, 3 * MS, 3 * MS + 1, 4 * MS, 5 * MS]
-    assert schedule.edges_ns(5 * MS + 1) == []
-    begun = [
-        [SCHEDULED.index(fault) for fault in schedule.begun(t_ns)] for t_ns in (2 * MS - 1, 2 * MS, 4 * MS)
-    ]
-    assert begun == [[], [0], [0, 1, 2]]
+    assert schedule.edges_ns(T0 + 2 * MS) == [T0 + by for by in (2 * MS, 3 * MS, 3 * MS + 1, 4 * MS, 5 * MS)]
+    assert schedule.edges_ns(T0 + 5 * MS + 1) == []
+    for at_ns, count in ((2 * MS - 1, 0), (2 * MS, 1), (4 * MS, 3)):
+        assert schedule.begun(T0 + at_ns) == SCHEDULED[:count]
     assert schedule.waiting == SCHEDULED[3:]
 
 
@@ -177,48 +167,30 @@ def test_a_fault_lasts_at_least_a_nanosecond():
     assert DriveReset(leg=0).lasts_ns == 1
 
 
-def test_jumps_shares_gains_and_wrenches_of_several_faults_join():
+def test_several_faults_of_one_leg_join_by_the_rule_of_their_kind():
     faults = [
         *[WrenchStep(force_N=(1.0, 2.0, 3.0), moment_N_m=(4.0, 5.0, 6.0))] * 2,
-        EncoderJump(leg=3, by_m=1e-3),
-        EncoderJump(leg=3, by_m=2e-3),
-        EncoderDrift(leg=4, by_m_s=1e-3, at_s=1.0),
+        *[EncoderJump(leg=3, by_m=by_m) for by_m in (1e-3, 2e-3)],
+        *[EncoderLate(leg=5, by_ms=1.5)] * 2,
         *[BrakeSlipping(leg=2, share=0.5)] * 2,
+        *[BrakeSlow(leg=2, by_ms=20.0)] * 2,
         *[DriveGain(leg=1, factor=3.0)] * 2,
+        *[DriveSign(leg=3)] * 3,
+        *[DriveSaturation(leg=3, limit_N=limit) for limit in (200.0, 100.0, 300.0)],
+        *(BrakeStuckOpen(leg=1), BrakeStuckClosed(leg=1), BrakeStuckClosed(leg=2), BrakeStuckOpen(leg=2)),
+        *[FramesForgedFeedback(leg=1, by_m=by_m) for by_m in (1e-3, 2e-3)],
+        *[EncoderNoise(leg=leg, sigma_m=1e-3) for leg in (1, 1, 2)],
+        *[PayloadStep(mass_kg=mass) for mass in (10.0, 20.0)],
     ]
     present = Schedule(FaultPlan(faults), 0).present(2 * S)
     assert present.wrench.tolist() == [2.0, 4.0, 6.0, 8.0, 10.0, 12.0]
     assert present.offset_m == [0, 0, 0, pytest.approx(3e-3), 0, 0]
-    assert present.drifts == [(4, 1e-3, S)]
-    assert present.share == [1, 1, 0.25, 1, 1, 1]
-    assert present.gain == [1, 9.0, 1, 1, 1, 1]
-
-
-def test_delays_add_signs_multiply_and_the_smallest_limit_counts():
-    faults = [
-        *[EncoderLate(leg=5, by_ms=1.5)] * 2,
-        *[EncoderScale(leg=4, factor=3.0)] * 2,
-        EncoderSign(leg=4),
-        *[DriveSign(leg=3)] * 3,
-        *[DriveSaturation(leg=3, limit_N=limit) for limit in (200.0, 100.0, 300.0)],
-        *[BrakeSlow(leg=2, by_ms=20.0)] * 2,
-        BrakeStuckOpen(leg=1),
-        BrakeStuckClosed(leg=1),
-        BrakeStuckClosed(leg=2),
-        BrakeStuckOpen(leg=2),
-        *[FramesForgedFeedback(leg=1, by_m=by_m) for by_m in (1e-3, 2e-3)],
-        *[EncoderDrift(leg=leg, by_m_s=1e-3) for leg in (1, 1, 2)],
-        *[EncoderNoise(leg=leg, sigma_m=1e-3) for leg in (1, 1, 2)],
-        *[PayloadStep(mass_kg=mass) for mass in (10.0, 20.0)],
-    ]
-    present = Schedule(FaultPlan(faults), 0).present(0)
     assert present.late_ns == [0, 0, 0, 0, 0, 3 * MS]
-    assert present.scales == [(4, 3.0, 0), (4, 3.0, 0), (4, -1.0, 0)]
-    assert present.gain == [1, 1, 1, -1.0, 1, 1]
-    assert present.saturation_N == [inf, inf, inf, 100.0, inf, inf]
+    assert present.share == [1, 1, 0.25, 1, 1, 1]
     assert present.slow_ns == [0, 0, 40 * MS, 0, 0, 0]
+    assert present.gain == [1, 9.0, 1, -1.0, 1, 1]
+    assert present.saturation_N == [inf, inf, inf, 100.0, inf, inf]
     assert present.stuck == [None, True, False, None, None, None]
     assert present.forged_m == [None, 2e-3, None, None, None, None]
-    assert [leg for leg, *_ in present.drifts] == [1, 1, 2]
     assert [leg for leg, *_ in present.noise] == [1, 1, 2]
     assert [mass for mass, _ in present.masses] == [10.0, 20.0]

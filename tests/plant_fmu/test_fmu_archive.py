@@ -122,13 +122,3 @@ def test_a_member_never_unpacks_beyond_its_announced_size(tmp_path: Path, size: 
         with pytest.raises(PlantError, match="cannot be unpacked"):
             extract(archive, FMU, tmp_path / "wrong")
     assert (tmp_path / "wrong/resources/a").stat().st_size <= size
-
-
-def test_encrypted_member_is_refused(tmp_path: Path) -> None:
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive:
-        archive.writestr("resources/a", b"text")
-    data.getbuffer()[6] |= 1  # of the flags in the member's own head
-    data.getbuffer()[data.getvalue().rindex(b"PK\1\2") + 8] |= 1  # and of those in the directory
-    with zipfile.ZipFile(data) as archive, pytest.raises(PlantError, match="encrypted"):
-        extract(archive, FMU, tmp_path)

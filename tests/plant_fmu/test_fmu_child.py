@@ -129,8 +129,9 @@ API fmi3GetFloat64(void *c, const Ref vr[], size_t n, double values[], size_t n_
         (FLAGS, f"{FLAGS} *terminate = true;", r"ended the simulation at 0\.001 s"),
         (FLAGS, f"{FLAGS} *early_return = true;", "returned early"),
         (STEP_LINE, f"if (time >= 0) return ERROR; {STEP_LINE}", "refused to step"),
+        (STEP_LINE, f"if (time >= 0) return 9; {STEP_LINE}", "refused to step"),
     ],
-    ids=["NaN", "ends", "early", "refuses"],
+    ids=["NaN", "ends", "early", "refuses", "unknown status"],
 )
 def test_a_step_that_fails_is_reported(tmp_path, kind, line, code, word):
     with contextlib.closing(kind(spec(altered(tmp_path, code, line)))) as host:
@@ -146,7 +147,7 @@ def test_missing_fmi_function_is_named(tmp_path, kind):
         kind(spec(path))
 
 
-def test_a_child_that_hangs_while_closing_is_killed_and_its_files_are_removed(tmp_path, monkeypatch):
+def test_a_child_that_hangs_while_closing_is_killed(tmp_path, monkeypatch):
     line = "return instance_new(name, token"
     (tmp_path / "fmu").mkdir()
     path = altered(tmp_path / "fmu", f"atexit((void (*)(void))pause); {line}", line)
@@ -203,9 +204,7 @@ def on_one_processor():
     os.sched_setaffinity(0, before)
 
 
-def test_a_spinning_child_of_a_real_time_loop_is_stopped_on_the_only_processor(
-    tmp_path, monkeypatch, on_one_processor
-):
+def test_a_spinning_child_of_a_real_time_loop_is_stopped(tmp_path, monkeypatch, on_one_processor):
     """It runs one priority below the loop that waits for it."""
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     host = ChildHost(spec(altered(tmp_path, f"if (time > 0.0005) for (;;); {STEP_LINE}")))

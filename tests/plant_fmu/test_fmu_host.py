@@ -1,7 +1,6 @@
 """Hosting: agreement with fmpy's own simulation, and FMUs that are not what they should be."""
 
 import os
-import re
 import zipfile
 
 import fmpy
@@ -115,14 +114,10 @@ def test_an_invalid_parameter_is_refused(version, parameters, word):
     ("changes", "word"),
     [
         ({"force": ("thrust",)}, "no variable 'thrust'"),
-        ({"force": ("forces",)}, "no variable 'forces'"),
         ({"force": ("length",)}, "causality output; input is needed"),
         ({"length": ("force",)}, "causality input; output is needed"),
         ({"length": ("rate",)}, "'rate.*' is in 'm/s'; m is needed"),
-        ({"rate": ("length",)}, "'length.*' is in 'm'; m/s is needed"),
-        ({"rate": ("applied_force",)}, "in 'N'; m/s is needed"),
         ({"force": ("brake",)}, "declares no unit"),
-        ({"length": ("position",)}, "3 values; 6 are needed"),
         ({"brake": ("force", "wrench")}, "12 values; 6 are needed"),
     ],
 )
@@ -130,11 +125,6 @@ def test_an_invalid_parameter_is_refused(version, parameters, word):
 def test_a_map_that_does_not_fit_is_refused(version, changes, word):
     with pytest.raises(PlantError, match=word):
         FmuHost(spec(build(version), **changes))
-
-
-def test_one_variable_for_two_legs_is_refused():
-    with pytest.raises(PlantError, match="mapped twice"):
-        FmuHost(spec(build("2.0"), force=("force[1]",) * 6))
 
 
 def rewritten(path, out, change=lambda name, data: data, extra=()):
@@ -183,17 +173,6 @@ def test_a_zip_bomb_is_refused_and_writes_nothing(tmp_path, temporary):
     with pytest.raises(PlantError, match="times its packed size"):
         FmuHost(spec(bad))
     assert list(temporary.iterdir()) == []
-
-
-@pytest.mark.parametrize("reference", [-1, 2**32, 10**20])
-def test_an_invalid_value_reference_is_refused(tmp_path, reference):
-    def renumbered(name, data):
-        pattern = rb'(name="force\[1\]" valueReference=)"\d+"'
-        return re.sub(pattern, rb'\1"%d"' % reference, data) if name == XML else data
-
-    bad = rewritten(build("2.0"), tmp_path / "bad.fmu", renumbered)
-    with pytest.raises(PlantError, match=f"valueReference '{reference}'"):
-        FmuHost(spec(bad))
 
 
 def test_a_damaged_member_is_refused(tmp_path):

@@ -238,15 +238,6 @@ def test_heartbeats_are_staggered_and_keep_their_period():
     assert [t for t, _ in sent] == sorted(t for t, _ in sent)
 
 
-def test_a_change_of_state_is_reported_at_once():
-    rig = Rig()
-    rig.at(5 * MS)
-    sent = rig.at(6 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
-    assert [(t, frame.id, frame.data[:2]) for t, frame in sent] == [
-        (6 * MS, 0x701 + i, b"\1\0") for i in range(6)
-    ]
-
-
 def test_drives_clip_at_their_limit():
     rig = Rig()
     rig.run(70_000.0)
@@ -276,30 +267,3 @@ def test_losses_of_the_gears_reach_neither_legs_nor_feedback():
     assert rig.plant.calls[-1][1] == pytest.approx(left), "the legs move: all of the loss"
     assert rig.sync(7 * MS)["drive_force"].tolist() == pytest.approx(left)
     assert rig.nodes.snapshot().force.tolist() == [1000.0] * 6
-
-
-def test_a_late_frame_feeds_the_watchdogs_from_now_on():
-    rig = Rig()
-    rig.configure(watchdog_s=0.01)
-    rig.at(5 * MS)
-    command = Command(DriveMode.READY, np.zeros(6))
-    late = [*opening(rig.protocol, 1), *command_frames(rig.protocol, command, 1)]
-    sent = rig.nodes.step(6 * MS, [Received(MS, frame) for frame in late])
-    assert [(t, frame.id) for t, frame in sent if frame.id < 0x700] == [(5 * MS, 0x281 + k) for k in range(6)]
-    assert rig.nodes.now_ns == 6 * MS
-    for t_ns, state in ((15 * MS, DriveState.READY), (15 * MS + 1, DriveState.FAULT)):
-        rig.at(t_ns)
-        assert rig.nodes.snapshot().state.tolist() == [state] * 6
-
-
-def test_frames_are_heard_in_the_order_of_their_times():
-    rig = Rig()
-    rig.configure()
-    rig.at(0, *opening(rig.protocol, 1))
-    ready, off = (
-        command_frames(rig.protocol, Command(mode, np.zeros(6)), 1)[0]
-        for mode in (DriveMode.READY, DriveMode.OFF)
-    )
-    sent = rig.nodes.step(4 * MS, [Received(3 * MS, off), Received(2 * MS, ready)])
-    assert [t for t, frame in sent if frame.id == 0x701] == [2 * MS]
-    assert rig.states == [DriveState.READY] * 6, "the second has the counter of the first"

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.app.check.command import inspect
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.cli import main
 
@@ -55,20 +55,6 @@ def test_its_mobility_is_that_of_the_controllers_model(own):
     J, M = jacobian(platform, p, R), Model(platform).mass_matrix(p, R)
     expected = J @ np.linalg.solve(M, J.T)
     np.testing.assert_allclose(report.figures["fmu"]["mobility_1_kg"], expected, atol=2e-3 * expected.max())
-
-
-def test_an_fmu_that_needs_its_interpreter_gets_a_rate_with_room_for_it(own):
-    """The bus would carry 1000 Hz."""
-    assert load(own).loop.rate_Hz == 250
-
-
-def test_without_brakes_it_is_warned_of_before_it_falls(own):
-    text = own.read_text()
-    line = next(line for line in text.splitlines() if line.strip().startswith("brake: ["))
-    c = loads(text.replace(line, "    brake: []"), str(own), own.parent)
-    warnings = [w for w in inspect(c).warnings if w.startswith("plant.model.brake")]
-    assert len(warnings) == 1
-    assert "no brake holds this plant" in warnings[0]
 
 
 @pytest.mark.long

@@ -127,26 +127,3 @@ def test_readings_have_the_errors_of_tape_and_gauge(name):
 )
 def test_weight_presses_or_pulls_along_the_legs(gravity, presses, way):
     assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).do("read_way") == way
-
-
-def test_a_hung_platform_sets_the_lengths_of_its_legs():
-    """0.55 m above the base, whose joints are on a circle of 1 m, the platform's on one of 0.5 m."""
-    stand = STAND._replace(length_max=2.0)
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    across = (1, 0, 2, 3, 4, 5)
-    for wiring, R, height in (
-        (Wiring(), np.eye(3), 0.55),
-        (Wiring(), turned, 0.55),
-        (Wiring(home_off_m=0.015), np.eye(3), 0.565),
-        (Wiring(base_joint=across), np.eye(3), 0.55),
-    ):
-        b = bench(wiring, stand)
-        assert not b.hung
-        b.hang(np.array([0.1, 0.0, 0.55]), R)
-        assert b.hung
-        for leg in range(6):
-            joint = np.array([0.1, 0.0, height]) + 0.5 * R @ BASE[leg]
-            base = BASE[wiring.base_joint[leg]]
-            assert b.length(leg) == pytest.approx(float(np.sqrt(((joint - base) ** 2).sum())), abs=1e-12)
-        b.do("take_down")
-        assert not b.hung

@@ -1,6 +1,6 @@
 """Legs on trestles and the cables before them, by hand."""
 
-from math import cos, inf, sqrt
+from math import inf
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from drivers.arrays import Array
 from plant_fmu.bench import HAND_M, HAND_m_s
 from plant_fmu.plant import Truth
-from plant_fmu.rehearsal.bench import GAUGE_YIELD_M, TrestleLegs, joints_of
+from plant_fmu.rehearsal.bench import TrestleLegs
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
 
@@ -94,14 +94,6 @@ def test_an_inverted_brake_shuts_as_it_should_open_and_a_stuck_one_stays():
     assert legs.brake.tolist() == [0.75, 0.875, 0.5, 1.0, 1.0, 0.0]
 
 
-def test_a_rate_has_a_sign_and_a_unit_of_its_own():
-    plant, legs = wired(Wiring(rate_scale=(-1.0, 60.0, 0.0, 1.0, 1.0, 1.0), scale=(2.0, *(1.0,) * 5)))
-    legs.rate = np.full(6, 0.01)
-    reads, rates = plant.step(CALM, np.ones(6), CALM, 1e-4)
-    np.testing.assert_allclose(rates, [-0.02, 0.6, 0.0, 0.01, 0.01, 0.01])
-    np.testing.assert_allclose(reads[1:], legs.length[1:])
-
-
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("leg", range(6))
 def test_hand_follows_a_leg_at_its_rate_up_to_its_reach(side, leg):
@@ -117,27 +109,6 @@ def test_hand_follows_a_leg_at_its_rate_up_to_its_reach(side, leg):
         np.testing.assert_allclose(x, reached, rtol=0, atol=1e-15)
         assert v.tolist() == [0.0] * 6
         legs.push(leg, side * 500.0)
-
-
-def test_joints_are_those_at_which_a_leg_is_mounted():
-    base = np.array([[2.0, 0, 0.1], [0, 3.0, 0.1], [0, -1.0, 0], [-1.0, 0, 0], [3.0, 4.0, 0], [0, 0, 1.0]])
-    top = 10.0 + base
-    wiring = Wiring(
-        base_joint=(1, 0, 2, 3, 4, 5), platform_joint=(0, 1, 3, 2, 4, 5), joint_off_m=(0.0,) * 4 + (0.5, 0.5)
-    )
-    there, above = joints_of(wiring, base, top)
-    np.testing.assert_allclose(there[[0, 1, 4, 5]], [base[1], base[0], [3.3, 4.4, 0.0], base[5]])
-    np.testing.assert_array_equal(above, top[[0, 1, 3, 2, 4, 5]])
-
-
-@pytest.mark.parametrize("off", ["present", "other_protocol"])
-def test_a_drive_that_takes_no_part_neither_pushes_nor_opens(off):
-    which = tuple((leg == 2) != (off == "present") for leg in range(6))
-    wiring = Wiring(present=which) if off == "present" else Wiring(other_protocol=which)
-    plant, legs = wired(wiring)
-    plant.step(np.full(6, 7.0), CALM, CALM, 1e-4)
-    assert legs.force.tolist() == [7.0, 7.0, 0.0, 7.0, 7.0, 7.0]
-    assert legs.brake.tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 
 
 def test_encoders_read_their_leg_with_their_own_errors():
@@ -209,15 +180,3 @@ def test_each_leg_has_its_own_brake_and_its_own_ends_of_travel():
     for force, ends in ((-90.0, 0.25 - 0.001 * SIX), (90.0, 0.35 + 0.001 * SIX)):
         x, _ = legs.step(np.full(6, force), CALM, CALM, 2.0)
         np.testing.assert_array_equal(x, ends)
-
-
-def test_the_gauge_is_a_spring_at_its_leg_alone():
-    legs = trestles()
-    legs.hold_at_gauge(3)
-    force = np.zeros(6)
-    force[[2, 3]] = 6e-3
-    x, _ = legs.step(force, CALM, CALM, 0.002)
-    w = sqrt(6.0 / GAUGE_YIELD_M / 7.0)
-    np.testing.assert_allclose(x[3] - 0.3, 5e-8 * (1.0 - cos(w * 0.002)), rtol=1e-3)
-    np.testing.assert_allclose(x[2] - 0.3, 0.5 * 1e-3 * 0.002**2, rtol=1e-3)
-    assert legs.gauge() == pytest.approx((x[3] - 0.3) * 6.0 / GAUGE_YIELD_M, rel=1e-9)

@@ -40,7 +40,7 @@ def test_all_30_states_agree_with_the_engines_to_1e_9(direct, truth, leg_spin, p
     assert max(worst.values()) <= 1e-9, worst
 
 
-def test_the_two_spin_modes_differ_in_the_truth_so_the_test_above_can_tell_them_apart(truth):
+def test_the_two_spin_modes_differ_in_the_truth(truth):
     differences = [
         relative(c["expected"]["ujoint_fd_alpha"], c["expected"]["fd_alpha"], 1.0) for c in truth["cases"]
     ]
@@ -121,7 +121,7 @@ def test_trajectories_agree_to_1e_7_m_under_an_outer_runge_kutta_method(
         assert np.abs(R - np.array(sim["expected"]["R"])).max() <= 1e-6
 
 
-def test_a_state_feedback_force_held_over_the_step_converges_with_first_order(direct, truth):
+def test_a_feedback_force_held_over_the_step_converges_at_first_order(direct, truth):
     sim = truth["simulations"][0]
     want = np.array(sim["expected"]["p"])
     errors = []

@@ -141,23 +141,6 @@ def test_six_variables_or_one_array_are_mapped_each_once(key):
             fmu(**{key: names})
 
 
-def test_units_are_assumed_of_mapped_keys_and_variables_alone():
-    mapped = {
-        "f": "N",
-        "q": "m",
-        "v": "m/s",
-        "w": "N.m",
-        "force": "N",
-        "length": "m",
-        "rate": "m/s",
-        "wrench": "N",
-    }
-    assert fmu(wrench=["w"], assume_unit=mapped).assume_unit == mapped
-    for strange in ("w", "b", "brake", "other"):
-        with pytest.raises(ValidationError, match=f"not mapped: {strange}"):
-            fmu(brake=["b"], assume_unit={strange: "N", "f": "N"})
-
-
 @pytest.mark.parametrize("section", ["drives", "stewart"])
 def test_a_force_loop_is_ideal_or_at_least_0_1_hz(section):
     for bandwidth_Hz in (0.0, 0.1, 1e6):

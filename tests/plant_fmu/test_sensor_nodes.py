@@ -21,7 +21,7 @@ from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
-from plant_fmu.faults.kinds import FramesCorrupt, FramesLoss, PlantHang, WrenchStep
+from plant_fmu.faults.kinds import FramesCorrupt, FramesLoss, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import opening
@@ -113,26 +113,6 @@ def test_a_tracker_gives_the_true_pose_of_the_stamped_instant_later():
         assert values[3:] == pytest.approx(AXIS * (0.2 + 0.7 * at), abs=1e-6)
 
 
-def test_between_two_steps_the_pose_turns_about_the_axis_of_the_base():
-    spin = np.array([3.0, -4.0, 2.0])
-    start = Rotation.from_rotvec([0.9, 0.4, -1.2])
-
-    class Spinner(Mover):
-        def truth(self):
-            t = self.n * 1e-4
-            R = (Rotation.from_rotvec(spin * t) * start).as_matrix()
-            return Truth(np.ones(3) + t, R, np.concatenate((np.ones(3), spin)), np.zeros(6))
-
-    found, _ = run(EXACT, SensorSettings(tracker=TrackerSettings(rate_Hz=370)), ticks=60, plant=Spinner())
-    assert len(found["tracker"]) > 15
-    between = [at for _, at, _ in found["tracker"] if 3e-5 < at % 1e-4 < 9e-5]
-    assert len(between) > 5
-    for _, at, values in found["tracker"]:
-        assert values[:3] == pytest.approx(np.ones(3) + at, abs=1e-6)
-        off = Rotation.from_rotvec(values[3:]) * start.inv() * Rotation.from_rotvec(-spin * at)
-        assert off.magnitude() < 1e-5, "the stamp has 1 us, the platform 5.4 rad/s"
-
-
 def test_an_imu_gives_rate_and_specific_force_in_the_platform_frame():
     found, _ = run(EXACT)
     assert len(found["imu"]) == pytest.approx(100, abs=2)
@@ -212,17 +192,6 @@ def test_faults_of_the_bus_strike_sensors_as_well():
     assert rejected > 35
 
 
-def test_without_sync_there_is_no_stamp_and_no_sample():
-    protocol = SensorProtocol(BusSettings(), ALL)
-    nodes = SensedNodes(Mover(), DRIVES, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
-    out = nodes.step(200 * MS, [])
-    assert {frame.id for _, frame in out} <= set(range(0x701, 0x707))
-    out = nodes.step(201 * MS, [Received(201 * MS, opening(DRIVES, 1)[0])])
-    out = nodes.step(500 * MS, [])
-    stamped = [t for t, frame in out if frame.id == 0x407]
-    assert 200 * MS < max(stamped) < (201 + 66 + 6) * MS, "after that no stamp reaches back"
-
-
 @pytest.mark.parametrize(
     ("frame", "stamps"),
     [
@@ -255,22 +224,11 @@ def test_a_sensor_is_stamped_by_the_sync_of_its_own_bus(bus):
     assert bool(sensed) == (bus == 1), "it hears the SYNC of its own bus alone"
 
 
-def test_a_plant_that_hangs_takes_its_sensors_with_it():
-    found, _ = run(EXACT, faults=FaultPlan([PlantHang(at_s=0.05, for_s=0.05)]))
-    for samples in found.values():
-        times = [at for _, at, _ in samples]
-        assert not [at for at in times if 0.0505 < at < 0.0995]
-        assert [at for at in times if at > 0.11]
-
-
 def test_a_plant_without_a_pose_is_refused():
     plant = Mover()
     plant.blind = True
     with pytest.raises(PlantError, match="does not know its pose"):
         run(EXACT, plant=plant)
-
-
-AT_ONCE = TrackerEmulation(latency_ms=0.0, position_noise_m=0.0, orientation_noise_deg=0.0)
 
 
 def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation = EXACT) -> SensedNodes:
@@ -291,25 +249,3 @@ def test_at_each_start_an_imu_measures_its_weight_alone(t0_ns):
         (first,) = readings.imu
         assert first.values[3:] == pytest.approx(rotation(0.0).T @ [0.0, 0.0, 9.81], abs=2.5e-3)
         nodes.step(t0_ns + 50 * MS, [])
-
-
-def test_a_tracker_measures_each_instant_of_a_long_step():
-    """At 5, 10, 15 and 20 ms, of which the last three are stamped by the SYNC at 7 ms."""
-    settings = SensorSettings(tracker=TrackerSettings())
-    nodes, protocol = (
-        sensed(Mover(), settings, EXACT.model_copy(update={"tracker": AT_ONCE})),
-        SensorProtocol(BusSettings(), settings),
-    )
-    nodes.start(0)
-    nodes.step(0, [Received(0, opening(DRIVES, 0)[0])])
-    sent = nodes.step(20 * MS, [Received(7 * MS, opening(DRIVES, 1)[0])])
-    assert [t for t, frame in sent if frame.id == 0x702] == [round(100 * MS / 6)], "the drives' heartbeats"
-    readings = decode(protocol, received_array([Received(*each) for each in sent]), 1, Readings())
-    assert [(each.tick, round(1e3 * each.offset_s)) for each in readings.tracker] == [
-        (0, 5),
-        (1, 3),
-        (1, 8),
-        (1, 13),
-    ]
-    for at, each in zip((5e-3, 10e-3, 15e-3, 20e-3), readings.tracker, strict=True):
-        assert each.values[:3] == pytest.approx(position(at), abs=0.6e-6)

@@ -224,20 +224,6 @@ def test_state_can_be_saved_restored_and_serialised(direct):
     assert (other.get("position") == want).all()
 
 
-def test_instances_do_not_share_anything(direct):
-    a, b = direct(), direct()
-    a.start(force=np.full(6, 5000.0), brake=np.zeros(6))
-    b.start(force=np.full(6, 3000.0), brake=np.zeros(6))
-    for _ in range(50):
-        a.step(1e-3)
-        b.step(1e-3)
-    alone = direct()
-    alone.start(force=np.full(6, 5000.0), brake=np.zeros(6))
-    alone.step(1e-3, 50)
-    assert (a.get("position") == alone.get("position")).all()
-    assert a.get("position")[2] > 1.0 > b.get("position")[2]
-
-
 @pytest.mark.parametrize(
     ("t", "dt"), [(1e-3, 1.05e-4), (1e-3, 0.99999e-3), (1e-3, -1e-3), (1e-3, np.nan), (0.5, 1e-3)]
 )

@@ -8,23 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import DriveSettings, TransmissionSettings
+from drivers.config import DriveSettings
 from drivers.legs.protocol import LegsProtocol
-from drivers.mit.fields import Ranges
-from drivers.protocol import EXTENDED, REMOTE, Frame, Received
+from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, DriveMode, DriveState, Reaction
-from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.rehearsal.wired_drives import WiredNodes
 from plant_fmu.rehearsal.wiring import Wiring
-from tests.drivers.cia402_drives import drives
 from tests.drivers.legs_frames import decode, opening
-from tests.drivers.motor_families import MitProtocol, ODriveProtocol, RobStrideProtocol
 from tests.plant_fmu.rig import MS, REST, Masses, Rig
 
 NODES = (1, 2, 3, 4, 5, 6)
-GEAR = Transmission(TransmissionSettings(lead_m=0.1))
-RANGES = Ranges(95.5, 400.0, 144.0)
 BEAT_NS = 100 * MS
 CROSSED = Wiring(
     answers_as=(1, 0, 3, 3, 4, 5),
@@ -48,40 +42,6 @@ class WiredRig(Rig):
     def __init__(self, wiring: Wiring, layout: str = "fd") -> None:
         super().__init__(layout)
         self.nodes = wired(wiring, self.protocol)
-
-
-def asked(name: str) -> tuple[Any, list[Frame]]:
-    """Return a codec, and a request to each drive that is answered at once, by no feedback."""
-    if name == "cia402":  # upload of 0x1000
-        return drives(NODES), [Frame(0x600 + node, bytes.fromhex("4000100000000000")) for node in NODES]
-    if name == "damiao":  # read register 9
-        protocol = MitProtocol("damiao", RANGES, NODES, 16, GEAR).protocol
-        return protocol, [Frame(0x7FF, bytes((node, 0, 0x33, 9, 0, 0, 0, 0))) for node in NODES]
-    if name == "robstride":  # who are you
-        other = RobStrideProtocol(RANGES, NODES, 253, GEAR).protocol
-        return other, [Frame(253 << 8 | node, bytes(8), EXTENDED) for node in NODES]
-    return ODriveProtocol(NODES, 0.05, GEAR).protocol, [Frame(node << 5 | 6, b"", REMOTE) for node in NODES]
-
-
-def answering(name: str, wiring: Wiring) -> list[int]:
-    """Return the numbers under which a request is answered, once the drives have booted."""
-    protocol, frames = asked(name)
-    nodes = wired(wiring, protocol)
-    nodes.step(2 * BEAT_NS, [])
-    sent = [
-        nodes.step(2 * BEAT_NS + k, [Received(2 * BEAT_NS + k, each)]) for k, each in enumerate(frames, 1)
-    ]
-    return [leg for leg, each in enumerate(sent) if each]
-
-
-@pytest.mark.parametrize("name", ["cia402", "damiao", "robstride", "odrive"])
-def test_a_request_is_answered_by_the_drives_that_are_present(name):
-    assert answering(name, Wiring()) == list(range(LEGS))
-    for mute in range(LEGS):
-        there = tuple(leg != mute for leg in range(LEGS))
-        for wiring in (Wiring(present=there), Wiring(other_protocol=tuple(not each for each in there))):
-            assert answering(name, wiring) == [leg for leg in range(LEGS) if leg != mute]
-    assert answering(name, Wiring(answers_as=(0, 1, 3, 3, 4, 5))) == [0, 1, 3, 4, 5]
 
 
 @pytest.mark.parametrize("mute", range(LEGS))

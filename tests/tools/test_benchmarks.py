@@ -6,33 +6,16 @@ import json
 import os
 import re
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import RunError
-from hil.app.configuration.configuration import load
-from hil.app.sim.command import simulate
 from tools.benchmarks import versions
 from tools.benchmarks.__main__ import PARTS, main
-from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark
-from tools.benchmarks.tick import steps, tick
 
 NAN = float("nan")
-
-
-@pytest.fixture(scope="module")
-def benchmark(tmp_path_factory):
-    """A benchmark whose simulated run is a short one."""
-    folder = tmp_path_factory.mktemp("benchmark")
-    benchmark = Benchmark(folder, seconds=3.0, memory_minutes=1.0, say=lambda _: None)
-    benchmark.simulated = simulate(
-        load("virtual"), log=folder / "sim.mcap", duration_s=2.0, check_replay=False
-    )
-    return benchmark
 
 
 @pytest.mark.parametrize(
@@ -51,22 +34,6 @@ def benchmark(tmp_path_factory):
 )
 def test_a_mark_is_met_where_every_value_is_within(values, mark, met):
     assert Figure("x", values, "us", mark).met is met
-
-
-def test_a_sleep_before_the_step_is_no_part_of_its_time(benchmark):
-    entries, sleep_s = benchmark.ticks[:300], 2e-3
-    begun = time.perf_counter_ns()
-    found = list(steps(entries, benchmark.cycle(), sleep_s))
-    wall = time.perf_counter_ns() - begun
-    assert all(step.same for step in found)
-    assert 0 < sum(step.took_ns for step in found) < wall - len(entries) * sleep_s * 1e9
-
-
-def test_a_tick_that_comes_out_differently_fails_its_part(benchmark):
-    changed = Benchmark(benchmark.folder, 3.0, 1.0, lambda _: None)
-    changed.ticks = [*benchmark.ticks[:5], *benchmark.ticks[6:300]]
-    with pytest.raises(RunError, match="came out differently"):
-        tick(changed)
 
 
 REAL_TIME = {name: [pytest.mark.realtime(patient=True)] for name in ("realtime", "memory")} | {

@@ -6,7 +6,7 @@ import pytest
 
 from hil.record.log import Log
 from tools.benchmarks.benchmark import patient
-from tools.soak import Shift, differences, figures, first_ticks, shift, wraps
+from tools.soak import Shift, differences, figures, shift
 
 RATE_Hz = 1000.0
 SECONDS = 2.6
@@ -64,16 +64,3 @@ def test_the_wrap_is_crossed_in_motion_and_a_log_from_another_tick_differs(c, fo
 def test_each_mark_notices_its_mistake(change, name):
     assert met([GOOD] * 3, name) is True
     assert met([GOOD, GOOD, GOOD._replace(**change)], name) is False
-
-
-def test_a_wrap_that_no_shift_crosses_misses_its_mark():
-    names = list(wraps(RATE_Hz))
-    day = [GOOD._replace(crossed=names[:3])] * 5
-    assert [met(day, f"number of ticks, {name}") for name in names] == [True, True, True, False]
-
-
-def test_shifts_begin_two_seconds_before_each_wrap():
-    """25, 50 and 104 days at 1 kHz."""
-    firsts = first_ticks(RATE_Hz)
-    days = [next(firsts) / RATE_Hz / 86400.0 for _ in range(6)]
-    assert days == pytest.approx([0.0, 65.536 / 86400.0, 24.855, 49.710, 104.25, 0.0], abs=2e-3)

@@ -33,11 +33,15 @@ def stewart(version, isolation):
 
 def mapped(version, isolation):
     """Our FMU as one of somebody else: nothing but a path and names."""
-    settings = {"type": "fmu", "path": str(build(version)), "isolation": isolation, "step_us": 100.0}
-    for name in ("force", "length", "rate", "brake"):
-        settings[name] = [f"{name}[{i}]" for i in range(1, 7)] if version == "2.0" else [name]
-    model = FmuPlant.model_validate({**settings, "wrench": ["wrench"]})
-    return lambda: open_plant(model, ROBOT, build(version).parent)
+
+    def make():
+        settings = {"type": "fmu", "path": str(build(version)), "isolation": isolation, "step_us": 100.0}
+        for name in ("force", "length", "rate", "brake"):
+            settings[name] = [f"{name}[{i}]" for i in range(1, 7)] if version == "2.0" else [name]
+        model = FmuPlant.model_validate({**settings, "wrench": ["wrench"]})
+        return open_plant(model, ROBOT, Path())
+
+    return make
 
 
 MADE = {

@@ -136,7 +136,7 @@ def test_a_force_or_length_without_a_unit_is_refused_but_not_a_wrench(read, key)
 def test_a_defined_unit_is_known_by_its_exponents_and_has_no_factor(read, key, exponents):
     right = {**NOTHING, "factor": 1.0, "offset": 0.0, **dict(zip(("kg", "m", "s"), exponents, strict=True))}
 
-    def stated(**change: float) -> Interface:
+    def stated(**change):
         unit = SimpleNamespace(name="x", baseUnit=SimpleNamespace(**{**right, **change}))
         return read(variables(**{key: {"unit": "x"}}), units=(unit,))
 

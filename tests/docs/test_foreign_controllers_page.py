@@ -31,21 +31,17 @@ CHANNEL = f"foreign-{os.getpid()}"
 MOVED_m = 0.02
 
 
-def text(family: str, folder: Path, fmu: Path | None = None) -> str:
-    """Return configs/bench.yaml with the sections that the page has for a family, an FMU in place of the springs."""
-    (block,) = (
-        each for each in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL) if f"protocol: {family}" in each
-    )
+def configuration(family: str, folder: Path, fmu: Path | None) -> Configuration:
+    """configs/bench.yaml with the sections of the page for a family, an FMU in place of the springs."""
+    blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (block,) = (each for each in blocks if f"protocol: {family}" in each)
     changes: dict[str, Any] = yaml.safe_load(block)
     changes["bus"]["channel"] = CHANNEL
     changes["recording"] = {"folder": f"{folder}/runs"}
     if fmu is not None:
         changes |= foreign_plant.sections(fmu)
-    return with_changes((ROOT / "configs/bench.yaml").read_text(encoding="utf-8"), changes)
-
-
-def configuration(family: str, folder: Path, fmu: Path | None = None) -> Configuration:
-    return loads(text(family, folder, fmu), f"{family}.yaml", folder)
+    text = with_changes((ROOT / "configs/bench.yaml").read_text(encoding="utf-8"), changes)
+    return loads(text, f"{family}.yaml", folder)
 
 
 @pytest.fixture(scope="module")

@@ -161,12 +161,6 @@ def test_present_faults_do_not_depend_on_earlier_queries():
     assert schedule.waiting == SCHEDULED[3:]
 
 
-def test_a_fault_lasts_at_least_a_nanosecond():
-    for for_s, lasts_ns in ((1e-12, 1), (3e-9, 3), (2.0, 2_000_000_000), (None, NEVER_NS)):
-        assert DriveSilence(leg=0, for_s=for_s).lasts_ns == lasts_ns
-    assert DriveReset(leg=0).lasts_ns == 1
-
-
 def test_several_faults_of_one_leg_join_by_the_rule_of_their_kind():
     faults = [
         *[WrenchStep(force_N=(1.0, 2.0, 3.0), moment_N_m=(4.0, 5.0, 6.0))] * 2,

@@ -7,42 +7,28 @@ import pytest
 
 from drivers.arrays import Array
 from plant_fmu.bench import HAND_M, HAND_m_s
-from plant_fmu.plant import Truth
 from plant_fmu.rehearsal.bench import TrestleLegs
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
+from tests.plant_fmu.rig import Masses
 
 SIX = np.arange(6.0)
 CALM = np.zeros(6)
 MIDDLE = 0.5 + 0.01 * SIX
 
 
-class Legs:
+class Legs(Masses):
     """Plant that keeps what reached it, and is where it was put."""
 
-    internal_step_s = 1e-4
-
-    def __init__(self) -> None:
-        self.length, self.rate = MIDDLE - 0.1, CALM.copy()
-        self.force = self.brake = CALM
-        self.resets = 0
+    length: Array = MIDDLE - 0.1
+    rate: Array = CALM
 
     def reset(self) -> tuple[Array, Array]:
-        self.resets += 1
         return self.length, self.rate
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         self.force, self.brake = force, brake
         return self.length, self.rate
-
-    def truth(self) -> Truth | None:
-        return None
-
-    def applied_force(self) -> Array | None:
-        return None
-
-    def close(self) -> None:
-        """Nothing to free."""
 
 
 def wired(wiring: Wiring) -> tuple[WiredPlant, Legs]:

@@ -47,7 +47,7 @@ def test_forces_go_where_the_motors_are_and_two_on_one_leg_add_up():
 
 def test_a_brake_is_open_where_one_drive_opens_it_and_as_strong_as_it_is():
     wiring = Wiring(
-        brake=tuple(map(frozenset, ((0, 3), (2,), (1,), (3,), (4,), (5,)))),
+        brake=tuple(frozenset(legs) for legs in ((0, 3), (2,), (1,), (3,), (4,), (5,))),
         stuck=(None, None, None, None, 0.0, 1.0),
         brake_share=(1.0, 1.0, 0.25, 1.0, 1.0, 0.5),
     )

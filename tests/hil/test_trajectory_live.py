@@ -44,6 +44,31 @@ def six_words(samples):
     return np.column_stack([[s.p for s in samples], turns])
 
 
+def within_limits(words):
+    """Check that means over a tick keep the limits of acceleration and jerk on every axis."""
+    a = np.diff(words, n=2, axis=0) / PERIOD**2
+    assert np.abs(a).max() <= A * (1 + 1e-6)
+    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
+
+
+def recording(answer=lambda judged: 0):
+    """A judge and the list of the poses that it was given; `answer` says what it finds."""
+    judged: list[np.ndarray] = []
+
+    @by_address
+    def look(chi):
+        judged.append(chi)
+        return answer(judged)
+
+    return look, judged
+
+
+def goes(trajectory, first, last, admit=ANYWHERE):
+    for k in range(first, last):
+        trajectory.advance(k, admit)
+    return trajectory.sample(0.0)
+
+
 def seeded_script(seed, every=150, count=30):
     rng = np.random.default_rng(seed)
     poses = START + rng.uniform(-0.3, 0.3, (count, 6)) * rng.choice([1e-4, 0.05, 1], (count, 6))
@@ -78,9 +103,7 @@ def test_a_lower_speed_is_come_down_to_within_the_limits_in_either_direction(way
         samples.append(trajectory.sample(0.0))
     words = six_words(samples)
     v = way * np.diff(words, axis=0) / PERIOD
-    a = np.diff(v, axis=0) / PERIOD
-    assert np.abs(a).max() <= A * (1 + 1e-6)
-    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
+    within_limits(words)
     assert v[699, 0] == pytest.approx(V)
     assert v[1500, 0] == pytest.approx(0.25 * V)
     assert v[2400, 0] == pytest.approx(V)
@@ -125,18 +148,6 @@ def test_a_move_takes_the_time_of_the_closed_form_and_lands_exactly(distance, se
     assert words[:, 0].max() <= distance + 1e-15, "no overshoot"
 
 
-def test_it_holds_at_the_last_set_point_to_the_bit():
-    trajectory = live()
-    run(trajectory, {0: off(0.1, 0, 0, 0.1, 0, 0)}, 2000)
-    here = trajectory.sample(0.0)
-    for k in range(2000, 2200):
-        trajectory.advance(k, ANYWHERE)
-        for a, b in zip(trajectory.sample(0.0), here, strict=True):
-            assert a.tobytes() == b.tobytes()
-    assert not here.twist.any()
-    assert not here.dtwist.any()
-
-
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("moment", [1, 80, 300, 600, 900])
 def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
@@ -154,10 +165,7 @@ def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
         samples.append(trajectory.sample(0.0))
     after = np.vstack([before, six_words(samples)])
     assert np.ptp(after[end:], axis=0).max() == 0.0
-    v = np.diff(after, axis=0) / PERIOD
-    a = np.diff(v, axis=0) / PERIOD
-    assert np.abs(a).max() <= A * (1 + 1e-6)
-    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
+    within_limits(after)
 
 
 def test_it_brakes_before_a_place_that_is_not_good_and_stays_there():
@@ -168,9 +176,7 @@ def test_it_brakes_before_a_place_that_is_not_good_and_stays_there():
     assert words[:, 0].max() <= 0.1
     assert words[-1, 0] > 0.1 - 1.1 * V * PERIOD, "as near as one tick of speed"
     assert [x for x in found if x] == [7], "found once"
-    a = np.diff(words, n=2, axis=0) / PERIOD**2
-    assert np.abs(a).max() <= A * (1 + 1e-6)
-    assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
+    within_limits(words)
     assert np.ptp(words[-500:, 0]) < 1e-15
 
 
@@ -182,13 +188,7 @@ def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
     trajectory = live(UNLIKE)
     script = {0: off(0.2, -0.1, 0.1, 0.1, 0, 0.2), 400: off(-0.2, 0.1, 0.1, 0, -0.2, 0.1), 900: START}
     before, _ = run(trajectory, script, moment)
-    judged: list[np.ndarray] = []
-
-    @by_address
-    def look(chi):
-        judged.append(chi)
-        return 0
-
+    look, judged = recording()
     trajectory.advance(moment, look)
     trajectory.brake()
     assert trajectory.duration_s is not None
@@ -241,17 +241,6 @@ def test_ticks_that_were_skipped_are_made_up_for():
         assert a.tobytes() == b.tobytes()
 
 
-def test_after_a_reset_the_same_set_points_give_the_same_bits():
-    trajectory = live()
-    script = seeded_script(9)
-    one, _ = run(trajectory, script, 2000)
-    trajectory.brake()
-    trajectory.reset()
-    assert trajectory.duration_s is None
-    two, _ = run(trajectory, script, 2000)
-    assert one.tobytes() == two.tobytes()
-
-
 def test_settings_become_limits_of_each_word():
     limits = {
         "velocity_m_s": [0.1, 0.2, 0.3],
@@ -271,18 +260,79 @@ def test_settings_become_limits_of_each_word():
     np.testing.assert_allclose(fastest, [0.1, 0.2, 0.3, np.deg2rad(10), 0, 0], rtol=1e-9, atol=1e-12)
 
 
-def test_a_jerk_too_small_for_its_acceleration_is_refused():
-    with pytest.raises(ConfigurationError, match=r"acceleration over jerk is 2.5 s .* at most 2 s"):
-        live(np.array([[V] * 6, [5.0] * 6, [2.0] * 6]))
-
-
 @pytest.mark.parametrize("word", range(6))
-def test_a_jerk_too_small_on_one_axis_alone_is_refused_and_one_that_just_suffices_is_not(word):
+def test_a_jerk_too_small_for_its_acceleration_is_refused_on_any_axis(word):
     limits = LIMITS.copy()
     limits[1:, word] = 5.0, 2.0
-    with pytest.raises(
-        ConfigurationError, match=r"acceleration over jerk is 2.5 s on some axis.* at most 2 s"
-    ):
+    with pytest.raises(ConfigurationError, match=r"is 2.5 s on some axis.* at most 2 s"):
         live(limits)
     limits[1:, word] = 4.0, 2.0
     np.testing.assert_array_equal(live(limits).sample(0.0).p, START[:3])
+
+
+def test_after_a_reset_the_same_set_points_give_the_same_bits():
+    script = seeded_script(9)
+    one, _ = run(live(), script, 2000)
+    for end in (LiveTrajectory.brake, LiveTrajectory.halt):
+        trajectory = live()
+        trajectory.aim(FAR)
+        trajectory.limit(0.5)
+        goes(trajectory, 1, 300)
+        end(trajectory)
+        goes(trajectory, 300, 400)
+        trajectory.reset()
+        assert trajectory.duration_s is None
+        assert trajectory.resting
+        two, _ = run(trajectory, script, 2000)
+        assert one.tobytes() == two.tobytes()
+
+
+FAR = off(2.0, -1.0, 1.5, 0.4, 0, 0.3)
+
+
+def test_a_halt_comes_to_rest_to_the_bit_and_another_target_ends_it():
+    trajectory = live()
+    trajectory.aim(FAR)
+    goes(trajectory, 1, 500)
+    trajectory.halt()
+    assert not trajectory.resting
+    there = goes(trajectory, 500, 1100)
+    assert trajectory.resting
+    for a, b in zip(goes(trajectory, 1100, 1200), there, strict=True):
+        assert a.tobytes() == b.tobytes()
+    assert not there.twist.any()
+    trajectory.aim(FAR)
+    assert not trajectory.resting
+
+
+def test_the_way_to_rest_is_judged_from_its_end_until_something_is_found():
+    trajectory = live()
+    trajectory.aim(START)
+    at_rest, nothing = recording()
+    goes(trajectory, 1, 10, at_rest)
+    assert not nothing
+    trajectory.aim(FAR)
+    goes(trajectory, 10, 300)
+    look, judged = recording(lambda judged: len(judged) if len(judged) >= 3 else 0)
+    assert trajectory.advance(300, look) == 3
+    x = [chi[0] for chi in judged]
+    assert x == sorted(x, reverse=True)
+    assert trajectory.advance(301, look) == 0, "on the way that was good before it is not judged again"
+    assert len(judged) == 3
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
+@pytest.mark.parametrize("ticks", [1, 6])
+def test_a_refused_way_is_left_for_the_rest_that_was_good_a_tick_ago(share, ticks):
+    """Only the first of the ticks that are made up for finds anything: after it the way is the one to rest."""
+    trajectory, braked = live(), live()
+    for each in (trajectory, braked):
+        each.aim(FAR)
+        goes(each, 1, 500)
+    braked.halt()
+    trajectory.limit(share)
+    assert trajectory.advance(499 + ticks, by_address(lambda _: 5)) == 5
+    assert trajectory.advance(500 + ticks, by_address(lambda _: 5)) == 0
+    there = goes(trajectory, 501 + ticks, 1300)
+    assert trajectory.resting
+    np.testing.assert_allclose(there.p, goes(braked, 500, 1300).p, rtol=0, atol=1e-12)

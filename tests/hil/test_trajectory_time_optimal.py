@@ -5,11 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import LogError
 from hil.config.reference import TimeOptimalReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
@@ -32,14 +31,14 @@ POINTS = [
 ]
 
 
-def build(points=POINTS, periods=1, limits=LIMITS, recorded=None):
+def settings(points=POINTS, periods=1, limits=LIMITS):
     poses = [{"position_m": p, "rotation_vector_deg": r} for p, r in points]
-    settings = {"type": "time_optimal", "points": poses, "limits": limits, "periods": periods}
-    return build_trajectory(TimeOptimalReference.model_validate(settings), HOME, None, recorded=recorded)
+    given = {"type": "time_optimal", "points": poses, "limits": limits, "periods": periods}
+    return TimeOptimalReference.model_validate(given)
 
 
-def move(dx, **changes):
-    return build([POINTS[0], ((dx, 0.0, 1.0), (0, 0, 0))], limits=LIMITS | changes)
+def build(*what, recorded=None, **how):
+    return build_trajectory(settings(*what, **how), HOME, None, recorded=recorded)
 
 
 def six_words(trajectory, t):
@@ -49,28 +48,23 @@ def six_words(trajectory, t):
 
 
 @pytest.mark.parametrize(
-    ("d", "duration"),
+    ("d", "V", "duration"),
     [
         # all seven pieces, V = 0.5, A = 2, J = 20: D/V + V/A + A/J
-        (0.4, 0.4 / 0.5 + 0.5 / 2 + 2 / 20),
+        (0.4, 0.5, 0.4 / 0.5 + 0.5 / 2 + 2 / 20),
         # the velocity is not reached: A/J + sqrt((A/J)^2 + 4 D/A)
-        (0.1, 0.1 + np.sqrt(0.1**2 + 4 * 0.1 / 2)),
+        (0.1, 0.5, 0.1 + np.sqrt(0.1**2 + 4 * 0.1 / 2)),
         # nor is the acceleration: four pieces of jerk, D = 2 J T^3
-        (0.002, 4 * (0.002 / (2 * 20)) ** (1 / 3)),
+        (0.002, 0.5, 4 * (0.002 / (2 * 20)) ** (1 / 3)),
+        # V < A^2/J: the ramps last 2 sqrt(V/J)
+        (0.4, 0.1, 0.4 / 0.1 + 2 * np.sqrt(0.1 / 20)),
     ],
 )
-def test_a_symmetric_move_takes_the_time_of_the_closed_form(d, duration):
-    trajectory = move(d)
+def test_a_symmetric_move_takes_the_time_of_the_closed_form(d, V, duration):
+    trajectory = build([POINTS[0], ((d, 0.0, 1.0), (0, 0, 0))], limits=LIMITS | {"velocity_m_s": V})
     assert trajectory.duration_s == pytest.approx(duration, rel=1e-12)
-    half = trajectory.sample(duration / 2)
-    assert half.p[0] == pytest.approx(d / 2, rel=1e-12)
+    assert trajectory.sample(duration / 2).p[0] == pytest.approx(d / 2, rel=1e-12)
     np.testing.assert_allclose(trajectory.sample(duration).p, [d, 0, 1], rtol=0, atol=1e-15)
-
-
-def test_a_move_that_reaches_the_velocity_but_not_the_acceleration():
-    # V < A^2/J: the ramps last 2 sqrt(V/J)
-    trajectory = move(0.4, velocity_m_s=0.1)
-    assert trajectory.duration_s == pytest.approx(0.4 / 0.1 + 2 * np.sqrt(0.1 / 20), rel=1e-12)
 
 
 def test_limits_are_touched_and_never_exceeded():
@@ -137,30 +131,6 @@ def test_axes_that_cannot_go_in_proportion_move_as_the_planner_says_and_arrive_t
         np.testing.assert_allclose(sample.dtwist[:3], a, rtol=0, atol=1e-9)
 
 
-def test_a_plan_gives_the_same_trajectory_to_the_bit():
-    poses = [{"position_m": p, "rotation_vector_deg": r} for p, r in POINTS]
-    settings = TimeOptimalReference.model_validate(
-        {"type": "time_optimal", "points": poses, "limits": LIMITS}
-    )
-    one, two = build(), build(recorded=plan(settings))
-    for t in np.linspace(0, one.duration_s, 301):
-        for a, b in zip(one.sample(t), two.sample(t), strict=True):
-            assert a.tobytes() == b.tobytes()
-
-
-def test_a_recorded_plan_wins_over_a_new_one():
-    other = TimeOptimalReference.model_validate(
-        {
-            "type": "time_optimal",
-            "points": [{"position_m": [0, 0, 1]}, {"position_m": [0, 0, 1.1]}],
-            "limits": LIMITS,
-        }
-    )
-    assert build(recorded=plan(other)).duration_s == pytest.approx(
-        build_trajectory(other, HOME, None).duration_s
-    )
-
-
 def test_periods_repeat_a_closed_list():
     loop = [*POINTS[:3], POINTS[0]]
     once, thrice = build(loop), build(loop, periods=3)
@@ -168,47 +138,59 @@ def test_periods_repeat_a_closed_list():
     np.testing.assert_allclose(thrice.sample(once.duration_s + 0.7).p, once.sample(0.7).p, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("points", "periods", "complaint"),
-    [
-        ([POINTS[0], POINTS[0]], 1, r"reference.points\[1\]: the same pose as the point before it"),
-        (POINTS, 2, r"reference.points: periods is 2, but the path ends"),
-    ],
-)
-def test_what_is_no_move_is_refused(points, periods, complaint):
-    with pytest.raises(ConfigurationError, match=complaint):
-        build(points, periods)
-
-
-def test_a_point_that_is_turned_by_more_than_half_a_turn_is_refused():
-    with pytest.raises(ValidationError, match=r"points.1.rotation_vector_deg\n.*at most 180 deg"):
-        build([POINTS[0], ((0, 0, 1), (0, 190, 0))], 1)
-
-
-def test_a_recorded_plan_is_read_in_whatever_order_its_file_holds_it():
-    """Kernels take the polynomials unseen."""
-    settings = {"type": "time_optimal", "limits": LIMITS, "periods": 1}
-    poses = [{"position_m": p, "rotation_vector_deg": r} for p, r in POINTS]
-    table = np.load(io.BytesIO(plan(TimeOptimalReference.model_validate({**settings, "points": poses}))))
-    file = io.BytesIO()
-    np.save(file, np.asfortranarray(table))
-    t = np.linspace(0.0, build().duration_s, 20)
-    np.testing.assert_array_equal(six_words(build(recorded=file.getvalue()), t), six_words(build(), t))
-
-
-@pytest.mark.parametrize(
-    ("row", "column", "value"),
-    [(0, 0, 0.0), (0, 0, -0.1), (1, 0, None), (1, 0, 1e-3), (2, 5, np.nan), (2, 0, np.inf)],
-    ids=["begins at its end", "before it begins", "no time", "back", "no number", "no end"],
-)
-def test_a_recorded_plan_whose_times_do_not_increase_or_that_has_no_numbers_is_refused(row, column, value):
-    settings = {"type": "time_optimal", "limits": LIMITS, "periods": 1}
-    poses = [{"position_m": p, "rotation_vector_deg": r} for p, r in POINTS]
-    good = plan(TimeOptimalReference.model_validate({**settings, "points": poses}))
-    assert planned_trajectory(good, 1).duration_s == build().duration_s
-    table = np.load(io.BytesIO(good))
-    table[row, column] = table[row - 1, 0] if value is None else value
+def recorded(table):
     file = io.BytesIO()
     np.save(file, table)
-    with pytest.raises(LogError, match="its numbers must be finite, its times increase"):
-        planned_trajectory(file.getvalue(), 1)
+    return file.getvalue()
+
+
+GOOD = plan(settings())
+TABLE = np.load(io.BytesIO(GOOD))
+
+
+def changed(row, column, value):
+    table = TABLE.copy()
+    table[row, column] = value
+    return recorded(table)
+
+
+def test_a_recorded_plan_gives_the_same_trajectory_to_the_bit():
+    fresh = build()
+    other = [POINTS[0], POINTS[2]]
+    for replayed in (build(other, recorded=GOOD), build(recorded=recorded(np.asfortranarray(TABLE)))):
+        assert replayed.duration_s == fresh.duration_s
+        for t in np.linspace(0, fresh.duration_s, 301):
+            for a, b in zip(fresh.sample(t), replayed.sample(t), strict=True):
+                assert a.tobytes() == b.tobytes()
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        recorded(TABLE[:, :-1]),
+        recorded(TABLE[:0]),
+        recorded(TABLE.ravel()),
+        recorded(TABLE.astype(np.int64)),
+        GOOD[: -8 * 37],
+        GOOD + GOOD[-8 * 37 :],
+        b"no plan",
+        changed(0, 0, 0.0),
+        changed(1, 0, TABLE[0, 0]),
+        changed(2, 5, np.nan),
+    ],
+    ids=[
+        "narrow",
+        "empty",
+        "flat",
+        "integers",
+        "short",
+        "long",
+        "no file",
+        "at zero",
+        "no time",
+        "no number",
+    ],
+)
+def test_a_damaged_plan_in_a_log_is_refused(file):
+    with pytest.raises(LogError, match="plan of the reference"):
+        planned_trajectory(file, 1)

@@ -1,0 +1,159 @@
+"""Splines: minimum jerk and CSV files against SciPy, and what is wrong in a CSV file by its line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline, make_interp_spline
+
+from drivers.errors import ConfigurationError
+from hil.config.reference import SampledReference, WaypointReference
+from hil.config.values import Pose
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.minimum_jerk import minimum_jerk_coefficients
+
+DATA = Path(__file__).parent.parent / "data"
+HOME = Pose(position_m=(0, 0, 1))
+T = np.array([0.0, 0.7, 1.9, 2.2, 4.0])
+Y = np.random.default_rng(1).uniform(-0.2, 0.2, (5, 6))
+HEADER = "t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg\n"
+ROWS = "0,0,0,1,0,0,0\n1,0.1,0,1,0,0,5\n2,0,0,1,0,0,0\n"
+
+
+def build(folder, text=None, periods=1):
+    """The path of a CSV file in a folder."""
+    if text is not None:
+        (folder / "path.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+    return build_trajectory(SampledReference(type="sampled", path="path.csv", periods=periods), HOME, folder)
+
+
+def is_the_spline(trajectory, spline, end):
+    for t in np.linspace(0, end, 211):
+        sample = trajectory.sample(float(t))
+        for order, part in enumerate((sample.p, sample.twist[:3], sample.dtwist[:3])):
+            np.testing.assert_allclose(part, spline(t, order)[:3], rtol=0, atol=1e-13 * 10**order)
+
+
+def test_a_minimum_jerk_path_is_scipys_quintic_spline_at_rest_at_both_ends():
+    points = [
+        {"t_s": s, "position_m": chi[:3], "rotation_vector_deg": np.rad2deg(chi[3:])}
+        for s, chi in zip(T.tolist(), Y.tolist(), strict=True)
+    ]
+    settings = {"type": "waypoints", "interpolation": "minimum_jerk", "points": points}
+    path = build_trajectory(WaypointReference.model_validate(settings), HOME, None)
+    rest = [(1, np.zeros(6)), (2, np.zeros(6))]
+    is_the_spline(path, make_interp_spline(T, Y, k=5, bc_type=(rest, rest)), 4.0)
+
+
+def test_a_sampled_path_is_scipys_clamped_cubic_spline():
+    table = np.loadtxt(DATA / "path.csv", delimiter=",", skiprows=1)
+    path = build(DATA)
+    assert path.duration_s == table[-1, 0]
+    is_the_spline(path, CubicSpline(table[:, 0], table[:, 1:4], bc_type="clamped"), path.duration_s)
+
+
+def test_two_points_give_the_rest_to_rest_quintic():
+    c = minimum_jerk_coefficients(np.array([0.0, 3.0]), np.array([[1.0], [3.0]]))
+    np.testing.assert_allclose(c[0, :, 0], [1, 0, 0, 20, -30, 12], rtol=0, atol=1e-14)
+
+
+def test_a_via_point_half_way_is_passed_at_the_speed_of_the_whole_move():
+    """Where the via point lies on the minimum-jerk path without it, it changes nothing."""
+    u = 0.3
+    via = 10 * u**3 - 15 * u**4 + 6 * u**5
+    c = minimum_jerk_coefficients(np.array([0.0, u, 1.0]), np.array([[0.0], [via], [1.0]]))
+    speed = c[1, 1, 0] / (1 - u)
+    assert speed == pytest.approx(30 * u**2 * (1 - u) ** 2, rel=1e-12)
+    assert 2 * c[1, 2, 0] / (1 - u) ** 2 == pytest.approx(60 * u * (1 - u) * (1 - 2 * u), rel=1e-11)
+
+
+def test_no_other_path_through_the_points_has_less_jerk():
+    """Moves of the path that vanish at the points and rest at the ends are orthogonal to its jerk."""
+    c = minimum_jerk_coefficients(T, Y)[:, :, :1]
+
+    def jerk(s):
+        k = int(np.clip(np.searchsorted(T, s, side="right") - 1, 0, 3))
+        h = T[k + 1] - T[k]
+        u = (s - T[k]) / h
+        return float((6 * c[k, 3, 0] + 24 * c[k, 4, 0] * u + 60 * c[k, 5, 0] * u * u) / h**3)
+
+    cost = quad(lambda s: jerk(s) ** 2, 0, 4, points=T[1:-1], limit=200)[0]
+    for power in range(3):
+        # q = s^3 (4 - s)^3 (s - 0.7)(s - 1.9)(s - 2.2) s^power
+        q = np.poly1d([1, 0]) ** (3 + power) * np.poly1d([-1, 4]) ** 3
+        for inner in T[1:-1]:
+            q = q * np.poly1d([1, -inner])
+        third = q.deriv(3)
+        size = quad(lambda s, d=third: d(s) ** 2, 0, 4)[0]
+        inner_product = quad(lambda s, d=third: jerk(s) * d(s), 0, 4, points=T[1:-1], limit=200)[0]
+        assert abs(inner_product) < 1e-9 * np.sqrt(cost * size)
+
+
+def test_two_rows_are_one_segment_from_rest_to_rest(tmp_path):
+    sample = build(tmp_path, HEADER + "0,0,0,1,0,0,0\n2,1,0,1,0,0,0\n").sample(1.0)
+    assert (sample.p[0], sample.twist[0]) == pytest.approx((0.5, 0.75))
+
+
+def test_time_counts_from_the_first_row_and_blank_lines_do_not_matter(tmp_path):
+    plain = build(tmp_path, HEADER + ROWS)
+    for first in (5, -3):
+        rows = f"{first},0,0,1,0,0,0\n\n{first + 1},0.1,0,1,0,0,5\n{first + 2},0,0,1,0,0,0\n\n"
+        shifted = build(tmp_path, "\ufeff" + HEADER + rows)
+        assert shifted.duration_s == 2.0
+        for a, b in zip(shifted.sample(0.7), plain.sample(0.7), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_a_path_may_last_a_day(tmp_path):
+    rows = f"1e9,0,0,1,0,0,0\n{10**9 + 86_400},0,0,1,0,0,0\n"
+    assert build(tmp_path, HEADER + rows).duration_s == 86_400.0
+
+
+def test_periods_repeat_a_closed_path_and_refuse_an_open_one(tmp_path):
+    twice = build(tmp_path, HEADER + ROWS, periods=2)
+    assert twice.duration_s == 4.0
+    np.testing.assert_allclose(twice.sample(3.0).p, [0.1, 0, 1], rtol=0, atol=1e-15)
+    with pytest.raises(ConfigurationError, match=r"path.csv: periods is 2, .* 0.0175"):
+        build(tmp_path, HEADER + ROWS.replace("2,0,0,1,0,0,0", "2,0,0,1,0,0,1"), periods=2)
+
+
+REST = "0,0,0,1,0,0,0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", r":1: the header must be .* given: nothing"),
+        (ROWS, r":1: the header must be .*; given: 0,0,0,1,0,0,0"),
+        (HEADER.replace("rx_deg", "rx_rad") + ROWS, r":1: .*rx_rad"),
+        (HEADER, r": 0 row\(s\)"),
+        (HEADER + REST, r": 1 row\(s\)"),
+        (HEADER + "0,0,0,1,0,0\n" + ROWS, r":2: 6 values; 7 are needed"),
+        (HEADER + REST + "1,0,zero,1,0,0,0\n", r":3: y_m must be a finite number; given: 'zero'"),
+        (HEADER + REST + "1,0,1_0,1,0,0,0\n", r":3: y_m must be a finite number"),
+        (HEADER + "0,0,0,nan,0,0,0\n" + ROWS, r":2: z_m must be a finite number"),
+        (HEADER + "0,0,0,1,0,0,inf\n" + ROWS, r":2: rz_deg must be a finite number"),
+        (HEADER + REST + "1,1e308,0,1,0,0,0\n", r":3: x_m must be in size"),
+        (HEADER + REST + REST, r":3: t_s 0 is not after 0"),
+        (HEADER + "0,0,0,1,181,0,0\n1,0,0,1,0,0,0\n", r": the rotation vector reaches 181 deg"),
+        (HEADER + REST + "86401,0,0,1,0,0,0\n", r": t_s goes from 0 to 86401, .* 86400 s"),
+        (HEADER + "-1.7e308,0,0,1,0,0,0\n1.7e308,0,0,1,0,0,0\n", r": t_s goes from"),
+        (b"\xff\xfe\x00", r": cannot be read as a CSV file"),
+    ],
+)
+def test_a_bad_file_is_refused_with_file_and_line(tmp_path, text, complaint):
+    with pytest.raises(ConfigurationError, match=r"path\.csv" + complaint):
+        build(tmp_path, text)
+
+
+def test_all_bad_lines_are_listed_by_their_number_in_the_file(tmp_path):
+    text = HEADER + "\n0,0,0,x,0,0,0\n\n1,0,0,1,0,0,0\n1,0,0,1,0,0,0\n2,0\r\n3,0,0,1,0,0,0\n"
+    with pytest.raises(ConfigurationError) as caught:
+        build(tmp_path, text)
+    assert [p.split("path.csv:")[1].split(":")[0] for p in caught.value.problems] == ["3", "6", "7"]
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"path.csv: cannot be read"):
+        build(tmp_path)

@@ -1,22 +1,23 @@
-"""M, H, G, inverse and forward dynamics against MuJoCo and Pinocchio, energies, laws, and mutations."""
+"""M, H, G, inverse and forward dynamics against MuJoCo and Pinocchio, with and without drives, and energies."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from drivers.errors import ModelError
-from hil.contracts.records import referred
+from hil.config.model import ModelSettings
+from hil.contracts.records import arrived, asked, referred
+from hil.control.inverse_dynamics import InverseDynamicsSettings
+from hil.control.law import LawContext
 from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kernel
-from hil.robot.dynamics import Model
+from hil.robot.dynamics import Model, Variant
 from hil.robot.dynamics_kernels import forward_dynamics_kernel, inverse_dynamics_kernel, joint_idc_kernel
 from hil.robot.geometry import Platform
-from hil.robot.kinematics import KinematicsError, jacobian, jacobian_rate
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
+from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 from tests.broad import broad
 
@@ -28,6 +29,18 @@ PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].item
 CASES = [pytest.param(case, id=case["id"]) for case in TRUTH["cases"]]
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
 NOTHING = np.zeros(6)
+REFLECTED = np.array([500.0, 400.0, 300.0, 200.0, 100.0, 50.0])
+VISCOUS = np.array([2000.0, 1800.0, 1600.0, 1400.0, 1200.0, 1000.0])
+COULOMB = np.array([150.0, 140.0, 130.0, 120.0, 110.0, 100.0])
+DRIVES: dict[str, Any] = {
+    "reflected_mass": REFLECTED,
+    "viscous": VISCOUS,
+    "coulomb": COULOMB,
+    "sliding_speed": 0.0,
+}
+SPINS = pytest.mark.parametrize(("spin", "prefix"), [("none", ""), ("universal", "ujoint_")])
+BARE_AND_DRIVEN = pytest.mark.parametrize("drives", [{}, DRIVES], ids=["bare", "driven"])
+VARIANTS = ["full", "no_H", "printed", "constant", "constant_MG", "massless_legs"]
 
 
 def relative(value, expected, floor=0.0):
@@ -46,28 +59,46 @@ def state_of(case):
     )
 
 
+def of_legs(case):
+    """J, dq, ddq of the engines, and the friction and the force of DRIVES by the closed form m ddq + b dq + c sgn(dq)."""
+    J, dq, ddq = (np.array(case["expected"][key]) for key in ("jacobian", "rates", "length_accels"))
+    friction = VISCOUS * dq + COULOMB * np.sign(dq)
+    return J, dq, ddq, friction, REFLECTED * ddq + friction
+
+
+@SPINS
+@BARE_AND_DRIVEN
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize(("prefix", "spin"), [("", "none"), ("ujoint_", "universal")])
-def test_a_state_agrees_with_the_rigid_body_engines(case, prefix, spin):
+def test_a_state_agrees_with_the_rigid_body_engines(case, drives, spin, prefix):
     p, R, twist, dtwist, wrench, f = state_of(case)
     e = case["expected"]
-    model = Model(PLATFORMS[case["geometry"]], leg_spin=spin)
+    J, dq, ddq, friction, force = of_legs(case)
+    M, H, legs, kinetic = (np.array(e[prefix + key]) for key in ("M", "H", "leg_forces", "kinetic"))
+    if drives:
+        M = M + J.T @ np.diag(REFLECTED) @ J
+        H = H + J.T @ (REFLECTED * (ddq - J @ dtwist))  # ddq - J dtwist = (dJ/dt) twist
+        legs, kinetic = legs + force, kinetic + 0.5 * (REFLECTED * dq**2).sum()
+    model = Model(PLATFORMS[case["geometry"]], leg_spin=spin, **drives)
     weight = np.abs(e["G"]).max()
-    assert relative(model.mass_matrix(p, R), e[prefix + "M"]) <= 1e-9
-    assert relative(model.coriolis(p, R, twist), np.array(e[prefix + "H"]), weight) <= 1e-9
+    assert relative(model.mass_matrix(p, R), M) <= 1e-9
+    assert relative(model.coriolis(p, R, twist), H, weight) <= 1e-9
     assert relative(model.gravity(p, R), e["G"]) <= 1e-9
-    assert relative(model.inverse_dynamics(p, R, twist, dtwist, wrench), e[prefix + "leg_forces"]) <= 1e-9
-    acceleration = np.array(e[prefix + "fd_a"] + e[prefix + "fd_alpha"])
-    assert relative(model.forward_dynamics(p, R, twist, f, wrench), acceleration, 1.0) <= 1e-9
-    assert relative(model.kinetic_energy(p, R, twist), np.array(e[prefix + "kinetic"]), 1.0) <= 1e-9
+    assert relative(model.inverse_dynamics(p, R, twist, dtwist, wrench), legs) <= 1e-9
+    assert relative(model.forward_dynamics(p, R, twist, legs, wrench), dtwist, 1.0) <= 1e-9
+    assert relative(model.kinetic_energy(p, R, twist), kinetic, 1.0) <= 1e-9
     assert relative(model.potential_energy(p, R), np.array(e["potential"]), weight) <= 1e-9
+    assert relative(model.friction(dq), friction if drives else NOTHING, 1.0) <= 1e-12
+    if not drives:
+        acceleration = np.array(e[prefix + "fd_a"] + e[prefix + "fd_alpha"])
+        assert relative(model.forward_dynamics(p, R, twist, f, wrench), acceleration, 1.0) <= 1e-9
 
 
+@BARE_AND_DRIVEN
 @pytest.mark.parametrize("case", CASES)
-def test_massless_legs_leave_the_platform_alone(case):
+def test_massless_legs_leave_the_platform_and_its_drives(case, drives):
     p, R, twist, dtwist, wrench, _ = state_of(case)
-    model = Model(PLATFORMS[case["geometry"]], "massless_legs")
-    expected = case["expected"]["massless_leg_forces"]
+    model = Model(PLATFORMS[case["geometry"]], "massless_legs", **drives)
+    expected = case["expected"]["massless_leg_forces"] + (of_legs(case)[-1] if drives else NOTHING)
     assert relative(model.inverse_dynamics(p, R, twist, dtwist, wrench), expected) <= 1e-9
 
 
@@ -103,57 +134,116 @@ def test_power_is_the_rate_of_energy(case, spin):
 
 
 @pytest.mark.parametrize("spin", ["none", "universal"])
-def test_joint_space_law_linearises_exactly(spin):
-    """With ddq* = the engines' length accelerations the law gives the engines' leg forces."""
+@pytest.mark.parametrize("case", CASES[1::6])
+def test_H_is_passive_with_the_rate_of_M(case, spin):
+    """twist.(dM/dt/2) twist = twist.H, dM/dt by central differences along p + t v, exp(t w) R."""
+    p, R, twist, *_ = state_of(case)
+    model = Model(PLATFORMS[case["geometry"]], leg_spin=spin, reflected_mass=REFLECTED)
+    h = 1e-5
+
+    def M(t):
+        turned = np.ascontiguousarray(Rotation.from_rotvec(t * twist[3:]).as_matrix() @ R)
+        return model.mass_matrix(p + t * twist[:3], turned)
+
+    rate = (M(h) - M(-h)) / (2 * h)
+    power = 0.5 * twist @ rate @ twist
+    scale = np.abs(twist) @ np.abs(rate) @ np.abs(twist)
+    assert abs(power - twist @ model.coriolis(p, R, twist)) <= 1e-7 * scale
+
+
+@SPINS
+@BARE_AND_DRIVEN
+def test_joint_space_law_linearises_exactly(drives, spin, prefix):
+    """With ddq* = the engines' length accelerations the law gives the engines' leg forces, and the drives'."""
     for case in TRUTH["cases"]:
         p, R, twist, _, wrench, _ = state_of(case)
-        platform = PLATFORMS[case["geometry"]]
-        model = Model(platform, leg_spin=spin)
-        ddq = np.array(case["expected"]["length_accels"])
-        J = jacobian(platform, p, R)
+        model = Model(PLATFORMS[case["geometry"]], leg_spin=spin, **drives)
+        J, _, ddq, _, force = of_legs(case)
         tau = joint_idc_kernel(model.constants, model.code, p, R, twist, J, ddq, wrench)
-        prefix = "" if spin == "none" else "ujoint_"
-        assert relative(tau, case["expected"][prefix + "leg_forces"]) <= 1e-9
+        legs = case["expected"][prefix + "leg_forces"] + (force if drives else NOTHING)
+        assert relative(tau, legs) <= 1e-9
 
 
-def test_variants_differ_by_the_terms_they_leave_out():
-    case = TRUTH["cases"][1]
-    p, R, twist, dtwist, _, _ = state_of(case)
-    e = case["expected"]
-    platform = PLATFORMS[case["geometry"]]
-    M, H, G, J = (np.array(e[key]) for key in ("M", "H", "G", "jacobian"))
-    ddq = np.array(e["length_accels"])
-    bend = jacobian_rate(platform, p, R, twist) @ twist
+@BARE_AND_DRIVEN
+@pytest.mark.parametrize("case", CASES[1::6])
+def test_variants_differ_by_the_terms_they_leave_out(case, drives):
+    p, R, twist, dtwist, wrench, _ = state_of(case)
+    platform, e = PLATFORMS[case["geometry"]], case["expected"]
+    M, G = (np.array(e[key]) for key in ("M", "G"))
+    J, _, ddq, friction, force = of_legs(case)
+    no_bend, with_bend = (REFLECTED * (J @ dtwist) + friction, force) if drives else (NOTHING, NOTHING)
 
-    def law(variant, **options):
-        model = Model(platform, variant, **options)
-        return joint_idc_kernel(model.constants, model.code, p, R, twist, J, ddq, NOTHING)
-
-    without_H = np.linalg.solve(J.T, M @ np.linalg.solve(J, ddq - bend) + G)
-    printed = np.linalg.solve(J.T, M @ np.linalg.solve(J, ddq) + G)
-    assert relative(law("no_H"), without_H) <= 1e-9
-    assert relative(law("printed"), printed) <= 1e-9
-    assert relative(law("constant", frozen_at=(p, R)), printed) <= 1e-9
-    assert relative(law("constant_MG", frozen_at=(p, R)), printed) <= 1e-9
-    assert (
-        relative(
-            Model(platform, "no_H").inverse_dynamics(p, R, twist, dtwist),
-            np.linalg.solve(J.T, M @ dtwist + G),
-        )
-        <= 1e-9
-    )
-    assert np.abs(H).max() > 1e-3 * np.abs(G).max()
-    assert relative(law("full"), np.linalg.solve(J.T, M @ np.linalg.solve(J, ddq - bend) + H + G)) <= 1e-9
+    without_H = np.linalg.solve(J.T, M @ dtwist + G - wrench) + no_bend
+    printed = np.linalg.solve(J.T, M @ np.linalg.solve(J, ddq) + G) + with_bend
+    variants: tuple[Variant, ...] = ("no_H", "printed", "constant", "constant_MG")
+    for variant in variants:
+        model = Model(platform, variant, frozen_at=(p, R), **drives)
+        assert relative(model.inverse_dynamics(p, R, twist, dtwist, wrench), without_H) <= 1e-9
+        law = joint_idc_kernel(model.constants, model.code, p, R, twist, J, ddq, NOTHING)
+        bent = np.linalg.solve(J.T, M @ dtwist + G) + no_bend
+        assert relative(law, bent if variant == "no_H" else printed) <= 1e-9
 
 
-@pytest.mark.parametrize("variant", ["full", "no_H", "printed", "constant", "constant_MG", "massless_legs"])
-def test_forward_dynamics_inverts_inverse_dynamics_of_every_variant(variant):
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("sliding_speed", [0.0, 1e-3, 10.0])
+def test_forward_dynamics_inverts_inverse_dynamics_of_every_variant(variant, sliding_speed):
     for case in TRUTH["cases"][2::7]:
         p, R, twist, dtwist, wrench, _ = state_of(case)
         other = (p + 0.01, rotation_from_vector(np.array([0.02, 0.0, 0.01])) @ R)
-        model = Model(PLATFORMS[case["geometry"]], variant, frozen_at=other)
+        options = DRIVES | {"sliding_speed": sliding_speed, "frozen_at": other}
+        model = Model(PLATFORMS[case["geometry"]], variant, **options)
         tau = model.inverse_dynamics(p, R, twist, dtwist, wrench)
         assert relative(model.forward_dynamics(p, R, twist, tau, wrench), dtwist, 1.0) <= 1e-9
+
+
+def test_coulomb_friction_is_the_sign_or_a_slope_up_to_the_sliding_speed():
+    platform = PLATFORMS[TRUTH["cases"][0]["geometry"]]
+    dq = np.array([0.0, 1e-4, -1e-4, 1e-3, -0.5, 0.5])
+    exact = Model(platform, coulomb=100.0, sliding_speed=0.0)
+    assert exact.friction(dq).tolist() == [0.0, 100.0, -100.0, 100.0, -100.0, 100.0]
+    sloped = Model(platform, coulomb=100.0, viscous=10.0)
+    assert sloped.friction(dq) == pytest.approx(
+        np.array([0.0, 10.001, -10.001, 100.01, -105.0, 105.0]), abs=1e-12
+    )
+
+
+def test_inertia_scale_scales_masses_inertias_and_the_platforms_com_and_no_friction():
+    """The legs' own centres of mass stay where they are."""
+    for name, d in TRUTH["geometries"].items():
+        half = {
+            part: {key: value if key == "com" else (value or 0.0) * 0.9 for key, value in d[part].items()}
+            for part in ("cylinder", "rod")
+        }
+        body = {key: (0.9 * np.array(value)).tolist() for key, value in d["platform"].items()}
+        by_hand = Platform.from_dict({**d, **half, "platform": body})
+        state = state_of(next(c for c in TRUTH["cases"] if c["geometry"] == name))[:5]
+        scaled = Model(PLATFORMS[name], inertia_scale=0.9, **DRIVES)
+        expected = Model(by_hand, **DRIVES | {"reflected_mass": 0.9 * REFLECTED})
+        assert relative(scaled.inverse_dynamics(*state), expected.inverse_dynamics(*state)) <= 1e-12
+
+
+@pytest.mark.parametrize("per_leg", [False, True])
+def test_the_configured_law_believes_in_the_configured_drives(per_leg):
+    """On the reference the law is pure feed-forward: the engines' forces and the closed form."""
+    case = TRUTH["cases"][3]
+    p, R, twist, dtwist, wrench, _ = state_of(case)
+    e = case["expected"]
+    m, b, c = (x if per_leg else np.full(6, x[0]) for x in (REFLECTED, VISCOUS, COULOMB))
+    given = [x.tolist() if per_leg else float(x[0]) for x in (m, b, c)]
+    believed = ModelSettings(
+        reflected_mass_kg=given[0],
+        viscous_friction_N_s_m=given[1],
+        coulomb_friction_N=given[2],
+        sliding_speed_m_s=0.0,
+    )
+    settings = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0, model=believed)
+    platform, J = PLATFORMS[case["geometry"]], np.array(e["jacobian"])
+    tick = arrived(platform, PoseSample(p, R, twist, dtwist), J=J)
+    dq, ddq = np.array(e["rates"]), np.array(e["length_accels"])
+    legs = np.array(e["leg_forces"]) + np.linalg.solve(J.T, wrench)  # the state has no wrench
+    expected = legs + m * ddq + b * dq + c * np.sign(dq)
+    context = LawContext(platform, "none", 1e-3, HoldTrajectory(p, R))
+    assert relative(asked(settings.build(context), tick), expected) <= 1e-9
 
 
 def book_reference(t):
@@ -248,62 +338,3 @@ def test_laws_on_the_books_trajectory_err_as_published_figures_say(row, make, op
     model = Model(Platform.from_dict(BOOK["geometry"]), **options)
     peak = closed_loop(make(model), dt=5e-4 if hold else 1e-3, hold=hold)
     assert peak == pytest.approx(CLOSED_LOOP[row]["peak_leg_err_mm"], rel=rel)
-
-
-def test_mutations_of_the_equations_are_caught():
-    """Each classical mistake, put into the source, breaks the agreement to 1e-9 a thousandfold."""
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    script = Path(__file__).with_name("dynamics_mutants.py")
-    run = subprocess.run(
-        [sys.executable, "-W", "ignore", str(script), str(DATA / "rigid_body_cases.json")],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
-    worst = json.loads(run.stdout)
-    assert worst.pop("unchanged") <= 1e-9
-    assert len(worst) >= 30
-    assert {name: error for name, error in worst.items() if not error > 1e-6} == {}
-
-
-def test_constants_and_arguments_are_checked():
-    book = Platform.from_dict(BOOK["geometry"])
-    with pytest.raises(ModelError, match="variant"):
-        Model(book, "exact")  # type: ignore[arg-type]
-    with pytest.raises(ModelError, match="frozen_at"):
-        Model(book, "constant")
-    with pytest.raises(ModelError, match="leg_spin"):
-        Model(book, leg_spin="some")  # type: ignore[arg-type]
-    with pytest.raises(ModelError, match="universal_joint_base_axes"):
-        Model(book, leg_spin="universal")
-    with pytest.raises(ModelError, match="inertia_scale"):
-        Model(book, inertia_scale=float("nan"))
-    with pytest.raises(ValueError, match="read-only"):
-        Model(book).constants[0] = 1.0
-
-
-def test_a_singular_pose_is_named_with_its_values():
-    """A platform turned by 90 degrees about z over a similar base is singular (Fichter 1986)."""
-    angles = np.radians([0, 60, 120, 180, 240, 300])
-    hexagon = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
-    d = {**BOOK["geometry"], "base_joints": 2 * hexagon, "platform_joints": hexagon}
-    model = Model(Platform.from_dict(d))
-    turned = rotation_from_vector(np.array([0.0, 0.0, np.pi / 2]))
-    with pytest.raises(KinematicsError, match="singular") as caught:
-        model.inverse_dynamics(HOME[0], turned, NOTHING, NOTHING)
-    bound = caught.value.values["condition"]
-    assert isinstance(bound, float)
-    assert bound > 1e12
-
-
-@pytest.mark.parametrize("bad", [np.full(6, np.nan), np.zeros(5), ["x"] * 6])
-def test_arguments_that_are_no_six_numbers_are_refused(bad):
-    model = Model(Platform.from_dict(BOOK["geometry"]))
-    with pytest.raises(KinematicsError, match="twist"):
-        model.inverse_dynamics(*HOME, bad, NOTHING)
-    with pytest.raises(KinematicsError, match="tau"):
-        model.forward_dynamics(*HOME, NOTHING, bad)
-    with pytest.raises(KinematicsError, match="wrench"):
-        model.inverse_dynamics(*HOME, NOTHING, NOTHING, bad)

@@ -1,12 +1,13 @@
-"""Poses and motions without meaning end in a named error that carries their values, in every function."""
+"""Poses, motions and drives without meaning are refused by name, with their values."""
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from drivers.errors import ModelError
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
@@ -24,6 +25,7 @@ BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").re
 PLATFORM = Platform.from_dict(BOOK)
 MODEL = Model(PLATFORM)
 REST = np.zeros(6)
+HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
 ANGLES = np.radians([0, 60, 120, 180, 240, 300])
 HEXAGON = np.column_stack([np.cos(ANGLES), np.sin(ANGLES), 0 * ANGLES])
 SIMILAR = Platform.from_dict({**BOOK, "base_joints": 2 * HEXAGON, "platform_joints": HEXAGON})
@@ -69,7 +71,10 @@ def test_a_pose_without_meaning_is_named_with_its_value(name, p, R, named):
 
 
 @pytest.mark.parametrize(("find", "further"), [(forward_kinematics, 0.0), (continue_kinematics, 1e-3)])
-def test_forward_kinematics_at_a_singular_pose_is_named_with_its_values(find, further):
+def test_a_singular_pose_is_refused_with_its_values(find, further):
+    with pytest.raises(KinematicsError, match="singular") as bound:
+        Model(SIMILAR).inverse_dynamics(*SINGULAR, REST, REST)
+    assert cast("float", bound.value.values["condition"]) > 1e12
     q = leg_lengths(SIMILAR, *SINGULAR) + further * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
     with pytest.raises(KinematicsError, match=r"singular|reach") as caught:
         find(SIMILAR, q, *SINGULAR)
@@ -77,9 +82,10 @@ def test_forward_kinematics_at_a_singular_pose_is_named_with_its_values(find, fu
     assert caught.value.values["p"] == pytest.approx(SINGULAR[0])
 
 
-def test_a_leg_of_length_zero_has_no_dynamics():
+def test_a_leg_of_length_zero_is_refused():
     p = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
     for ask in (
+        lambda: jacobian(PLATFORM, p, np.eye(3)),
         lambda: MODEL.mass_matrix(p, np.eye(3)),
         lambda: MODEL.inverse_dynamics(p, np.eye(3), REST, REST),
         lambda: MODEL.forward_dynamics(p, np.eye(3), REST, REST),
@@ -87,3 +93,63 @@ def test_a_leg_of_length_zero_has_no_dynamics():
         with pytest.raises(KinematicsError, match=r"length zero|singular") as caught:
             ask()
         assert caught.value.values["p"] == pytest.approx(p)
+
+
+@pytest.mark.parametrize(
+    ("q", "p", "R", "named"),
+    [
+        ([1.6] * 5 + [np.nan], HOME[0], HOME[1], "q"),
+        ([1.6] * 5 + [-1.6], HOME[0], HOME[1], "q"),
+        ([1.6] * 5, HOME[0], HOME[1], "q"),
+        ([1.6] * 6, [0.0, np.inf, 1.0], HOME[1], "p0"),
+        ([1.6] * 6, HOME[0], 2 * HOME[1], "R"),
+        ([1.6] * 6, HOME[0], "turned", "R"),
+        ([1.0] * 5 + [9.0], HOME[0], HOME[1], "q"),
+    ],
+)
+@pytest.mark.parametrize("find", [forward_kinematics, continue_kinematics])
+def test_lengths_without_a_pose_are_refused_with_their_values(find, q, p, R, named):
+    with pytest.raises(KinematicsError) as caught:
+        find(PLATFORM, q, p, R)
+    assert named in caught.value.values
+
+
+@pytest.mark.parametrize("bad", [np.full(6, np.nan), np.zeros(5), ["x"] * 6])
+def test_arguments_that_are_not_six_numbers_are_refused(bad):
+    for call, name in (
+        (lambda: MODEL.inverse_dynamics(*HOME, bad, REST), "twist"),
+        (lambda: MODEL.forward_dynamics(*HOME, REST, bad), "tau"),
+        (lambda: MODEL.inverse_dynamics(*HOME, REST, REST, bad), "wrench"),
+        (lambda: MODEL.friction(bad), "dq"),
+    ):
+        with pytest.raises(KinematicsError, match=name):
+            call()
+
+
+BAD_DRIVES = [-1.0, float("nan"), [1.0] * 5, "much", [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [
+        ("variant", "exact"),
+        ("variant", "constant"),
+        ("leg_spin", "some"),
+        ("leg_spin", "universal"),
+        ("inertia_scale", float("nan")),
+        *(
+            (name, bad)
+            for name in ("reflected_mass", "viscous", "coulomb", "sliding_speed")
+            for bad in BAD_DRIVES
+        ),
+    ],
+)
+def test_settings_without_meaning_are_refused_by_name(name, bad):
+    needed = {("variant", "constant"): "frozen_at", ("leg_spin", "universal"): "universal_joint_base_axes"}
+    with pytest.raises(ModelError, match=needed.get((name, str(bad)), name)):
+        Model(PLATFORM, **{name: bad})
+
+
+def test_the_constants_of_a_model_are_read_only():
+    with pytest.raises(ValueError, match="read-only"):
+        MODEL.constants[0] = 1.0

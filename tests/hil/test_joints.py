@@ -1,4 +1,4 @@
-"""Joints from radii and angles are those of published robots and of the circle itself."""
+"""Joints from radii and angles, and the order round a ring."""
 
 import json
 from pathlib import Path
@@ -37,18 +37,6 @@ def test_pairs_that_begin_with_the_second_leg_are_shifted_by_one():
     found = joints.in_pairs(0.6, [60, 180, 300], joints.chord(0.6, 10.0), begin="second_leg")
     z = found[:, 0] + 1j * found[:, 1]
     assert np.rad2deg(np.angle(z)) % 360 == pytest.approx([310, 50, 70, 170, 190, 290])
-
-
-def test_pairs_by_spacing_keep_radius_and_distance():
-    found = joints.in_pairs(0.5, [17, 137, 257], 0.12)
-    assert np.linalg.norm(found, axis=1) == pytest.approx(0.5)
-    assert np.linalg.norm(found[1::2] - found[::2], axis=1) == pytest.approx(0.12)
-
-
-@pytest.mark.parametrize("turns", [-3600, -360, 360, 7200])
-def test_whole_turns_change_nothing(turns):
-    there = joints.on_circle(1.0, [33.0 + turns])
-    assert there.tolist() == joints.on_circle(1.0, [33.0]).tolist()
 
 
 WALL = Rotation.from_rotvec([np.pi / 2, 0.0, 0.0]).as_matrix()

@@ -1,4 +1,4 @@
-"""Lengths, J and its rate against the engines; Newton against 40 known assemblies; errors with values."""
+"""Lengths, J and its rate against the engines; Newton against 40 known assemblies."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from hil.contracts.records import referred
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import (
-    KinematicsError,
     condition,
     continue_kinematics,
     forward_kinematics,
@@ -22,16 +21,12 @@ from hil.robot.kinematics import (
 )
 from hil.robot.kinematics_kernels import forward_kinematics_kernel, leg_lengths_kernel
 from hil.trajectory.path import PoseSample
+from tests.hil.test_dynamics import BOOK, CASES, HOME, PLATFORMS, relative, state_of
 
 DATA = Path(__file__).parents[1] / "data"
-TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
-BOOK = json.loads((DATA / "book_platform.json").read_text())
 DIETMAIER = json.loads((DATA / "dietmaier40.json").read_text())
 LINUXCNC = json.loads((DATA / "forward_kinematics_iterations.json").read_text())["linuxcnc_genhexkins"]
-PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
-CASES = [pytest.param(case, id=case["id"]) for case in TRUTH["cases"]]
 PLATFORM = Platform.from_dict(BOOK["geometry"])
-HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
 SMALL = st.lists(st.floats(-0.25, 0.25), min_size=6, max_size=6).map(np.array)
 
 
@@ -39,22 +34,18 @@ def rotation(r):
     return np.ascontiguousarray(Rotation.from_rotvec(r).as_matrix())
 
 
-def relative(value, expected, floor=0.0):
-    return np.abs(np.asarray(value) - expected).max() / max(np.abs(expected).max(), floor)
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_a_state_agrees_with_the_rigid_body_engines(case):
     platform = PLATFORMS[case["geometry"]]
-    s, e = case["state"], case["expected"]
-    p, R, twist, dtwist = s["p"], s["R"], np.array(s["v"] + s["omega"]), np.array(s["a"] + s["alpha"])
+    p, R, twist, dtwist, *_ = state_of(case)
+    e = case["expected"]
     J = jacobian(platform, p, R)
     assert relative(leg_lengths(platform, p, R), e["lengths"]) <= 1e-9
     assert relative(J, e["jacobian"]) <= 1e-9
     assert relative(J @ twist, e["rates"], 1.0) <= 1e-9
     ddq = J @ dtwist + jacobian_rate(platform, p, R, twist) @ twist
     assert relative(ddq, e["length_accels"], 1.0) <= 1e-9
-    tick = referred(platform, PoseSample(np.array(p), np.array(R), twist, dtwist))
+    tick = referred(platform, PoseSample(p, R, twist, dtwist))
     assert relative(tick["q_d"], e["lengths"]) <= 1e-9
     assert relative(tick["dq_d"], e["rates"], 1.0) <= 1e-9
     assert relative(tick["ddq_d"], e["length_accels"], 1.0) <= 1e-9
@@ -172,37 +163,3 @@ def test_a_cold_start_by_continuation_ends_where_small_steps_end():
         pose = continue_kinematics(PLATFORM, q, *HOME)
         assert pose.p == pytest.approx(small[0], abs=1e-9)
         assert pytest.approx(small[1], abs=1e-9) == pose.R
-
-
-def test_unreachable_lengths_are_named_with_their_values():
-    far = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 9.0])
-    for find in (forward_kinematics, continue_kinematics):
-        with pytest.raises(KinematicsError, match="reach") as caught:
-            find(PLATFORM, far, *HOME)
-        assert caught.value.values["q"] == pytest.approx(far)
-
-
-@pytest.mark.parametrize(
-    ("q", "p", "R", "named"),
-    [
-        ([1.6] * 5 + [np.nan], HOME[0], HOME[1], "q"),
-        ([1.6] * 5 + [-1.6], HOME[0], HOME[1], "q"),
-        ([1.6] * 5, HOME[0], HOME[1], "q"),
-        ([1.6] * 6, [0.0, np.inf, 1.0], HOME[1], "p0"),
-        ([1.6] * 6, HOME[0], 2 * HOME[1], "R"),
-        ([1.6] * 6, HOME[0], np.diag([1.0, 1.0, -1.0]), "R"),
-        ([1.6] * 6, HOME[0], np.full((3, 3), np.nan), "R"),
-        ([1.6] * 6, HOME[0], np.eye(4), "R"),
-        ([1.6] * 6, HOME[0], "turned", "R"),
-    ],
-)
-def test_arguments_without_meaning_are_named(q, p, R, named):
-    with pytest.raises(KinematicsError) as caught:
-        forward_kinematics(PLATFORM, q, p, R)
-    assert named in caught.value.values
-
-
-def test_a_leg_of_length_zero_has_no_jacobian():
-    joint = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
-    with pytest.raises(KinematicsError, match="length zero"):
-        jacobian(PLATFORM, joint, np.eye(3))

@@ -1,3 +1,5 @@
+"""Linear systems: series, loops, sampling and stability by textbook formulas."""
+
 import numpy as np
 import pytest
 
@@ -12,21 +14,14 @@ def first_order(pole: float, gain: float = 1.0) -> LinearSystem:
     return LinearSystem(np.array([[-pole]]), np.array([[1.0]]), np.array([[gain * pole]]), np.zeros((1, 1)))
 
 
-def test_the_response_of_a_first_order_lag_is_the_textbooks():
-    assert first_order(30.0, 2.0).response(OMEGA)[:, 0, 0] == pytest.approx(60.0 / (S + 30.0), rel=1e-12)
-
-
-def test_a_series_multiplies():
-    series = first_order(5.0).after(first_order(30.0))
-    assert series.response(OMEGA)[:, 0, 0] == pytest.approx(150.0 / ((S + 5.0) * (S + 30.0)), rel=1e-12)
-
-
-def test_systems_side_by_side_do_not_touch():
-    G = first_order(5.0).beside(static(np.array([[3.0]]))).response(OMEGA)
-    assert G[:, 0, 0] == pytest.approx(5.0 / (S + 5.0), rel=1e-12)
+def test_lags_in_series_and_side_by_side_are_the_textbooks():
+    slow, fast = first_order(5.0, 2.0), first_order(30.0)
+    series = slow.after(fast).response(OMEGA)[:, 0, 0]
+    assert series == pytest.approx(300.0 / ((S + 5.0) * (S + 30.0)), rel=1e-12)
+    G = slow.beside(static(np.array([[3.0]]))).response(OMEGA)
+    assert G[:, 0, 0] == pytest.approx(10.0 / (S + 5.0), rel=1e-12)
     assert (G[:, 1, 1] == 3.0).all()
-    assert not G[:, 0, 1].any()
-    assert not G[:, 1, 0].any()
+    assert not G[:, [0, 1], [1, 0]].any()
 
 
 def test_closing_a_loop_gives_the_textbooks_sensitivity_also_with_feed_through():

@@ -36,7 +36,6 @@ def _found(root: Path, globs: tuple[str, ...]) -> list[str]:
 
 WHOLE = {
     "tests/hil/test_safety_mutation.py",
-    "tests/hil/dynamics_mutants.py",
     "tests/loop/test_lockstep.py",
     "tests/replay/test_portability.py",
 }

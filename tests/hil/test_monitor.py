@@ -1,4 +1,4 @@
-"""What is watched: the numbers of the certificate, and that they allow what they promise to allow."""
+"""The certificate that is watched: its numbers, and what it allows."""
 
 import math
 from math import ceil
@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 from drivers.signals import DriveState, Mode, Warn
 from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
 from hil.config.delay import DelayCompensation
 from hil.config.limits import LimitSettings
 from hil.config.monitor import MonitorSettings
@@ -32,13 +33,12 @@ from hil.safety.error_axes import error_axes
 T = 1e-3
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
 UNCERTAIN = UncertaintySettings(disturbance_m_s2=9.0)
+SLIDING = SlidingModeSettings(law="sliding_mode", lambda_rad_s=50.0, uncertainty=UNCERTAIN, reaching_m_s2=1.0)
 PLAIN = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0)
 
 
 @pytest.fixture(scope="module")
 def platform():
-    from hil.app.configuration.platform import build_platform  # noqa: PLC0415
-
     return build_platform(load("virtual").platform)
 
 
@@ -69,10 +69,7 @@ def test_noise_of_the_legs_reaches_the_pose_through_the_jacobian(platform):
 
 def test_robust_laws_are_watched_with_the_gains_of_their_layers(platform):
     """k = 10 and phi = k / 50 = 0.2: two poles at 50 rad/s. rho / epsilon = 9 sqrt(6) / 0.5."""
-    sliding = SlidingModeSettings(
-        law="sliding_mode", lambda_rad_s=50.0, uncertainty=UNCERTAIN, reaching_m_s2=1.0
-    )
-    table, _ = build_watch(MonitorSettings(), sliding, platform, HOME, T)
+    table, _ = build_watch(MonitorSettings(), SLIDING, platform, HOME, T)
     np.testing.assert_allclose(table[[0, 1, 9, 10], 3], [2500, 100, 50, 50])
     np.testing.assert_allclose(table[11, 1:3], [0, 0.2])
     robust = RobustInverseDynamicsSettings(
@@ -87,23 +84,12 @@ def test_robust_laws_are_watched_with_the_gains_of_their_layers(platform):
 def test_a_law_has_a_certificate_or_a_reason(platform):
     pd = PDSettings(law="pd", kp_N_m=1e6, kv_N_s_m=1e4)
     assert build_watch(MonitorSettings(), pd, platform, HOME, T) is NO_WATCH
-    switching = SlidingModeSettings(
-        law="sliding_mode",
-        lambda_rad_s=50.0,
-        uncertainty=UNCERTAIN,
-        reaching_m_s2=1.0,
-        boundary_layer_m_s=0.0,
-    )
-    assert "switches" in str(certified(switching))
-    watched = {
-        "inverse_dynamics",
-        "partial_linearisation",
-        "pose_inverse_dynamics",
-        "sliding_mode",
-        "robust_inverse_dynamics",
+    assert "switches" in str(certified(SLIDING.model_copy(update={"boundary_layer_m_s": 0.0})))
+    watched = {name for name, law in LAWS.items() if law.uncertified == LawSettings.uncertified}
+    assert watched == {
+        *("inverse_dynamics", "partial_linearisation", "pose_inverse_dynamics"),
+        *("sliding_mode", "robust_inverse_dynamics"),
     }
-    unsaid = {name for name, law in LAWS.items() if law.uncertified == LawSettings.uncertified}
-    assert unsaid == watched
 
 
 def test_the_error_of_the_pose_and_its_exact_rate():
@@ -194,7 +180,7 @@ def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
     assert largest > (0.5 if kind == "noise" else 0.95), "the bound is a sharp one"
 
 
-def test_nor_does_it_where_ticks_are_late(exact):
+def test_late_ticks_do_not_break_the_certificate(exact):
     """What pushes outwards from rest has a fifth more time to do so until a tick that is late."""
     axes = Axes(exact)
     axes.tick(0.0)
@@ -202,7 +188,7 @@ def test_nor_does_it_where_ticks_are_late(exact):
     assert not any(axes.tick(8.0, late_ns=190_000 * (k % 3 > 0))[1] for k in range(200))
 
 
-def test_an_error_that_is_an_estimate_says_nothing(exact):
+def test_an_estimated_length_does_not_count_for_the_certificate(exact):
     """A length carried on, or estimated without its encoder, may be off, and jumps when it is heard again."""
     one_old = {"age": [1, 0, 0, 0, 0, 0], "counted_age": [1, 0, 0, 0, 0, 0]}
     for unseen in (one_old, {"legs_used": 0b111110, "legs_lost": 1, "unseen": 1}):
@@ -220,7 +206,7 @@ def test_an_error_that_is_an_estimate_says_nothing(exact):
     assert seen.tick(0.0, off=1e-3, legs_used=0b111111)[1], "a measured one does"
 
 
-def test_a_law_that_looks_ahead_does_not_see_the_disturbance_coming(platform):
+def test_the_disturbance_of_a_law_that_looks_ahead_grows_with_its_horizon(platform):
     """Over h = 1.8 ms, 8 m/s^2 move de by 8 h and e by 8 h^2 / 2, which the gains answer that much too late."""
     delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
     law = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=90.0, delay_compensation=delay)
@@ -229,7 +215,7 @@ def test_a_law_that_looks_ahead_does_not_see_the_disturbance_coming(platform):
 
 
 @pytest.mark.parametrize("excess", [1.25, 2.0, 4.0])
-def test_a_disturbance_beyond_the_bound_breaks_it_at_once(exact, excess):
+def test_a_disturbance_beyond_the_bound_breaks_the_certificate_at_once(exact, excess):
     axes = Axes(exact)
     for _ in range(5):
         axes.tick(0.0)

@@ -1,4 +1,4 @@
-"""The wrench observer on motions that scipy has integrated: it must answer as a first-order filter does."""
+"""The wrench observer on motions that scipy has integrated: a first-order filter of the wrench."""
 
 import json
 from math import exp, pi
@@ -108,54 +108,6 @@ def test_a_skipped_tick_is_bridged():
     np.testing.assert_allclose(observe(other, 15, still), observe(one, 15, still), rtol=1e-9)
 
 
-def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed):
-    states, forces = pushed
-    each = observer()
-    seen = follow(each, states, forces)[-1]
-    one_shut = [*RUN[:5], DriveState.READY]
-    for n, drive_state in enumerate([one_shut, READY, READY]):
-        np.testing.assert_array_equal(observe(each, 100 + n, states[0], drive_state), seen)
-    assert not observe(each, 103, states[0], OFF).any()
-    assert not observe(each, 104, states[0], READY).any()
-    assert not observe(each, 105, states[0]).any(), "the first open tick has nothing to compare with"
-    assert observe(each, 106, states[1]).any()
-
-
-@pytest.mark.parametrize("leg", range(6))
-@pytest.mark.parametrize("state", [DriveState.BOOT, DriveState.OFF, DriveState.FAULT], ids=lambda s: s.name)
-def test_one_drive_without_force_makes_the_estimate_zero(pushed, leg, state):
-    states, forces = pushed
-    each = observer()
-    assert follow(each, states[:10], forces)[-1].all()
-    drives = list(RUN)
-    drives[leg] = state
-    assert not observe(each, 10, states[10], drives).any()
-
-
-@pytest.mark.parametrize("unseen", [1, 20])
-def test_what_happens_while_a_direction_is_not_seen_does_not_count_afterwards(pushed, unseen):
-    """The estimate stays, and goes on from the first tick that is seen again."""
-    states, forces = pushed
-    each, kept, seen_again = observer(), np.zeros(6), 20 + unseen
-    for k, state in enumerate(states):
-        seen = not 20 <= k < seen_again
-        found = observe(each, k, state, seen=seen)
-        if k == 19:
-            kept = found
-        if 20 <= k <= seen_again:
-            np.testing.assert_array_equal(found, kept)
-        each.path.send(forces[min(k, len(forces) - 1)])
-    left = exp(-2 * pi * BANDWIDTH * T * (len(states) - 1 - seen_again))
-    np.testing.assert_allclose(found, WRENCH + (kept - WRENCH) * left, atol=0.05)
-
-
-def test_reset_repeats_to_the_bit(pushed):
-    each = observer()
-    first = follow(each, *pushed)
-    each.reset()
-    assert follow(each, *pushed).tobytes() == first.tobytes()
-
-
 def test_the_estimate_depends_on_when_the_forces_act():
     """The same motion under forces that come half a period late: known, nothing; unknown, something."""
     late = ForcePath(T, 0.5e-3, 0.0)
@@ -163,3 +115,34 @@ def test_the_estimate_depends_on_when_the_forces_act():
     forces = [HOLDING + PUSH * np.sin(0.05 * k) for k in range(60)]
     told = WrenchObserver(Model(PLATFORM), late, BANDWIDTH)
     assert np.abs(follow(told, states, forces)[2:]).max() > 1.0, "these forces act at once"
+
+
+def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed):
+    states, forces = pushed
+    each = observer()
+    seen = follow(each, states, forces)[-1]
+    one_shut = [*RUN[:5], DriveState.READY]
+    for n, drive_state in enumerate([one_shut, READY, READY]):
+        np.testing.assert_array_equal(observe(each, 100 + n, states[0], drive_state), seen)
+    for k, state in enumerate((DriveState.BOOT, DriveState.OFF, DriveState.FAULT)):
+        tick = 103 + 10 * k
+        assert not observe(each, tick, states[0], [*RUN[:k], state, *RUN[k + 1 :]]).any()
+        assert not observe(each, tick + 1, states[0], READY).any()
+        assert not observe(each, tick + 2, states[0]).any(), "the first open tick has nothing to compare with"
+        assert observe(each, tick + 3, states[1]).any()
+    each.reset()
+    assert follow(each, *pushed)[-1].tobytes() == seen.tobytes()
+
+
+def test_a_direction_that_is_not_seen_leaves_the_estimate_as_it_was(pushed):
+    """It goes on from the first tick that is seen again."""
+    states, forces = pushed
+    each, kept = observer(), np.zeros(6)
+    for k, state in enumerate(states):
+        found = observe(each, k, state, seen=not 20 <= k < 40)
+        kept = found if k == 19 else kept
+        if 20 <= k <= 40:
+            np.testing.assert_array_equal(found, kept)
+        each.path.send(forces[min(k, len(forces) - 1)])
+    left = exp(-2 * pi * BANDWIDTH * T * (len(states) - 1 - 40))
+    np.testing.assert_allclose(found, WRENCH + (kept - WRENCH) * left, atol=0.05)

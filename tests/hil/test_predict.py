@@ -1,4 +1,4 @@
-"""The predicted state against the equations of motion, integrated by scipy: 1 um, 1 urad, 0.1 mm/s."""
+"""The predicted state against the equations of motion, integrated by scipy."""
 
 import json
 from math import exp
@@ -74,21 +74,14 @@ def test_prediction_is_the_motion_under_the_forces_on_their_way(case):
     np.testing.assert_allclose(found["p"], p, rtol=0, atol=1e-6)
     assert Rotation.from_matrix(found["R"] @ R.T).magnitude() < 1e-6
     np.testing.assert_allclose(found["twist"], twist, rtol=0, atol=1e-4)
-
-
-@pytest.mark.parametrize("case", MOVING[:2], ids=lambda c: f"t={c['t']:.2f}")
-def test_lengths_rates_and_jacobian_are_those_of_the_predicted_pose(case):
-    state = state_of(case)
-    found = moved(predictor_at(state, np.array(case["force"]), CHANGE), 30, state)
-    np.testing.assert_allclose(found["R"] @ found["R"].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(found["q"], leg_lengths(PLATFORM, found["p"], found["R"]), atol=1e-13)
     np.testing.assert_allclose(found["J"], jacobian(PLATFORM, found["p"], found["R"]), atol=1e-13)
     np.testing.assert_allclose(found["dq"], found["J"] @ found["twist"], atol=1e-13)
     assert (found["wrench"] == WRENCH).all()
 
 
-@pytest.mark.parametrize("skipped", [1, 2, 5])
-def test_over_skipped_periods_the_commands_under_way_get_as_old_as_in_periods_that_were_not(skipped):
+@pytest.mark.parametrize("skipped", [1, 5])
+def test_commands_under_way_grow_older_over_skipped_periods(skipped):
     """The drives go on with the last command; what it becomes is not there yet after one period."""
     state, force = state_of(MOVING[0]), np.array(MOVING[0]["force"])
     bridged, told = (predictor_at(state, force, CHANGE) for _ in range(2))

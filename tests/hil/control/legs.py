@@ -1,9 +1,10 @@
-"""What acceleration of the legs a linearising law asks for, read back from its forces."""
+"""States of the book and of the rigid-body engines, and the acceleration that a law asks of the legs."""
 
 import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hil.contracts.records import arrived, asked
 from hil.control.law import LawContext
@@ -12,11 +13,37 @@ from hil.robot.geometry import Platform
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 
-BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
+DATA = Path(__file__).parents[2] / "data"
+BOOK = json.loads((DATA / "book_platform.json").read_text())
+TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
 HOME = np.array([0.1, -0.2, 1.1]), np.eye(3)
 CONTEXT = LawContext(PLATFORM, "none", 1e-3, HoldTrajectory(*HOME))
 NONE = np.zeros(6)
+
+
+def context_of(platform=PLATFORM, trajectory=None, period_s=1e-3, **more):
+    trajectory = trajectory or HoldTrajectory(np.zeros(3), np.eye(3))
+    return LawContext(platform, "none", period_s, trajectory, **more)
+
+
+def engines(case):
+    """A case of the engines: its platform, its state as columns of a tick, and the sample of that state."""
+    s, e = case["state"], case["expected"]
+    p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
+    J, q, dq = (np.array(e[key]) for key in ("jacobian", "lengths", "rates"))
+    state = {"q": q, "dq": dq, "p": p, "R": R, "twist": twist, "J": J}
+    sample = PoseSample(p, R, twist, np.array(s["a"] + s["alpha"]))
+    return Platform.from_dict(TRUTH["geometries"][case["geometry"]]), state, sample
+
+
+def cases(step):
+    """Every so many of the engines' cases, as a parameter `case`."""
+    return pytest.mark.parametrize("case", TRUTH["cases"][::step], ids=lambda c: c["id"])
+
+
+def close(found, expected, share=1e-9):
+    np.testing.assert_allclose(found, expected, rtol=0, atol=share * np.abs(expected).max())
 
 
 def at_rest(e, de):

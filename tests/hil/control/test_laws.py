@@ -1,9 +1,8 @@
-"""The contract that every control law keeps."""
+"""Every control law: the contract, weight, load and gains."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,72 +10,53 @@ from pydantic import ValidationError
 
 from hil.config.axis_model import AxisSpace
 from hil.config.linear_controller import LinearController
-from hil.config.model import ModelSettings
-from hil.config.values import Pose
 from hil.contracts.law import LawContract
-from hil.contracts.records import arrived, asked
+from hil.contracts.records import altered, arrived, asked
 from hil.control import LAWS, ControllerSettings
-from hil.control.cartesian_pd import CartesianPDSettings
-from hil.control.feedforward_pd import FeedforwardPDSettings
-from hil.control.inverse_dynamics import InverseDynamicsSettings
-from hil.control.law import LawContext
-from hil.control.partial_linearisation import PartialLinearisationSettings
-from hil.control.pd import PDSettings
-from hil.control.pd_gravity import PDGravitySettings
-from hil.control.pid import PIDSettings
-from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
-from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
-from hil.control.sliding_mode import SlidingModeSettings
-from hil.control.state_space import StateSpaceSettings
-from hil.control.uncertainty import UncertaintySettings
+from hil.control.law import DesiredLoop
 from hil.mathematics.rotations import rotation_from_vector
-from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian, leg_lengths
-from hil.trajectory.holding import HoldTrajectory
+from hil.robot.kinematics import jacobian
 from hil.trajectory.path import PoseSample
+from tests.hil.control import legs
 
-BOOK = json.loads((Path(__file__).parents[2] / "data" / "book_platform.json").read_text())
-PLATFORM = Platform.from_dict(BOOK["geometry"])
-UNCERTAINTY = UncertaintySettings(disturbance_m_s2=10.0)
-SETTINGS: dict[str, ControllerSettings] = {
-    "pd": PDSettings(law="pd", kp_N_m=2e6, kv_N_s_m=5e4),
-    "pid": PIDSettings(law="pid", kp_N_m=2e6, kv_N_s_m=5e4, ki_N_m_s=1e7, integral_limit_N=5e3),
-    "pd_gravity": PDGravitySettings(law="pd_gravity", kp_N_m=2e6, kv_N_s_m=5e4),
-    "cartesian_pd": CartesianPDSettings(
-        law="cartesian_pd",
-        kp_position_N_m=1e6,
-        kv_position_N_s_m=1e5,
-        kp_rotation_N_m_rad=1e7,
-        kv_rotation_N_m_s_rad=1e5,
-    ),
-    "feedforward_pd": FeedforwardPDSettings(law="feedforward_pd", kp_N_m=2e6, kv_N_s_m=5e4),
-    "pose_inverse_dynamics": PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0),
-    "partial_linearisation": PartialLinearisationSettings(law="partial_linearisation", wn_rad_s=20.0),
-    "inverse_dynamics": InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=20.0),
-    "inverse_dynamics, constant": InverseDynamicsSettings(
-        law="inverse_dynamics",
-        wn_rad_s=20.0,
-        model=ModelSettings(variant="constant", frozen_at=Pose(position_m=(0, 0, 1))),
-    ),
-    "sliding_mode": SlidingModeSettings(
-        law="sliding_mode", lambda_rad_s=60.0, uncertainty=UNCERTAINTY, reaching_m_s2=1.0
-    ),
-    "sliding_mode, switching": SlidingModeSettings(
-        law="sliding_mode",
-        lambda_rad_s=60.0,
-        uncertainty=UNCERTAINTY,
-        reaching_m_s2=1.0,
-        boundary_layer_m_s=0.0,
-    ),
-    "robust_inverse_dynamics": RobustInverseDynamicsSettings(
-        law="robust_inverse_dynamics", wn_rad_s=40.0, uncertainty=UNCERTAINTY, boundary_layer_m_s=0.2
-    ),
-    "robust_inverse_dynamics, switching": RobustInverseDynamicsSettings(
-        law="robust_inverse_dynamics", wn_rad_s=40.0, uncertainty=UNCERTAINTY, boundary_layer_m_s=0.0
-    ),
-    "state_space": StateSpaceSettings(law="state_space", controller_file="pd_lag_integral.yaml"),
-    "state_space, pose": StateSpaceSettings(law="state_space", controller_file="pd_lag_integral.yaml"),
+BOOK = legs.BOOK
+PLATFORM = legs.PLATFORM
+PD = {"kp_N_m": 2e6, "kv_N_s_m": 5e4}
+PID = {**PD, "ki_N_m_s": 1e7, "integral_limit_N": 5e3}
+POSE_PD = {
+    "kp_position_N_m": 1e6,
+    "kv_position_N_s_m": 1e5,
+    "kp_rotation_N_m_rad": 1e7,
+    "kv_rotation_N_m_s_rad": 1e5,
 }
+UNCERTAIN = {"uncertainty": {"disturbance_m_s2": 10.0}}
+SLIDING = {"lambda_rad_s": 60.0, **UNCERTAIN, "reaching_m_s2": 1.0}
+CONSTANT = {"variant": "constant", "frozen_at": {"position_m": (0, 0, 1)}}
+GIVEN: dict[str, dict[str, Any]] = {
+    "pd": PD,
+    "pid": PID,
+    "pd_gravity": PD,
+    "cartesian_pd": POSE_PD,
+    "feedforward_pd": PD,
+    "pose_inverse_dynamics": {"wn_rad_s": 20.0},
+    "partial_linearisation": {"wn_rad_s": 20.0},
+    "inverse_dynamics": {"wn_rad_s": 20.0},
+    "inverse_dynamics, constant": {"wn_rad_s": 20.0, "model": CONSTANT},
+    "sliding_mode": SLIDING,
+    "sliding_mode, switching": {**SLIDING, "boundary_layer_m_s": 0.0},
+    "robust_inverse_dynamics": {"wn_rad_s": 40.0, **UNCERTAIN, "boundary_layer_m_s": 0.2},
+    "robust_inverse_dynamics, switching": {"wn_rad_s": 40.0, **UNCERTAIN, "boundary_layer_m_s": 0.0},
+    "state_space": {"controller_file": "pd_lag_integral.yaml"},
+    "state_space, pose": {"controller_file": "pd_lag_integral.yaml"},
+}
+
+
+def settings_of(name, **changes):
+    law = name.split(",")[0]
+    return LAWS[law].model_validate({"law": law} | GIVEN[name] | changes)
+
+
+SETTINGS: dict[str, ControllerSettings] = {name: settings_of(name) for name in GIVEN}
 
 
 def pd_lag_integral(axes: AxisSpace) -> LinearController:
@@ -110,7 +90,7 @@ EXACT = (
     "state_space, pose",
 )
 """Laws whose effort without error is the inverse dynamics of an exact model."""
-CONTEXT = LawContext(PLATFORM, "none", 1e-3, HoldTrajectory(np.array([0.0, 0.0, 1.0]), np.eye(3)))
+CONTEXT = legs.context_of()
 NONE = np.zeros(6)
 laws = pytest.mark.parametrize("name", SETTINGS)
 
@@ -148,34 +128,12 @@ class TestLaws(LawContract):
         return make(name)
 
 
-MAY_BE_ZERO = {"boundary_layer_m_s"}
-
-
-def gains(name):
-    """The positive numbers of a law: one for all, as the settings above give them."""
-    given = SETTINGS[name].model_dump()
-    return [
-        key
-        for key, value in given.items()
-        if isinstance(value, float) and value > 0 and key not in MAY_BE_ZERO
-    ]
-
-
-@pytest.mark.parametrize(("name", "gain"), [(name, gain) for name in SETTINGS for gain in gains(name)])
-def test_a_gain_is_positive_and_finite_for_all_legs_and_for_each(name, gain):
-    good = SETTINGS[name].model_dump()
-    for bad in (0.0, -1.0, float("inf"), float("nan")):
-        for value in (bad, [1.0, 1.0, bad, 1.0, 1.0, 1.0], [1.0, 1.0, bad]):
-            with pytest.raises(ValidationError, match=gain):
-                type(SETTINGS[name]).model_validate(good | {gain: value})
-
-
 NO_INVERSE = {"pd", "pid", "inverse_dynamics, constant"}
 """Laws without the inverse of a current J."""
 
 
 @laws
-def test_a_leg_of_length_zero_or_a_jacobian_of_zeros_gives_no_number(name):
+def test_a_pose_without_an_inverse_of_J_gives_no_number(name):
     """J has no inverse then: nan, which safety turns into a latched fault."""
     law = make(name)
     p = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
@@ -205,7 +163,7 @@ def test_in_motion_without_error_a_law_with_the_whole_model_is_the_forces_of_the
 
 
 @laws
-def test_a_load_that_is_known_is_taken_off_by_laws_with_a_whole_model_and_by_no_other(name):
+def test_a_known_load_is_taken_off_by_laws_with_a_whole_model_alone(name):
     """J^T (tau without it - tau with it) = wrench, ON the platform; constant dynamics has J of its pose."""
     law, load = make(name), np.array([1e3, -2e3, 3e3, 100.0, 200.0, -300.0])
     tick = on_reference(sample(BOOK["states"][5]))
@@ -216,10 +174,7 @@ def test_a_load_that_is_known_is_taken_off_by_laws_with_a_whole_model_and_by_no_
 
 
 def test_pd_feeds_the_acceleration_of_each_leg_forward_times_its_mass():
-    settings = PDSettings(
-        law="pd", kp_N_m=2e6, kv_N_s_m=5e4, feedforward_mass_kg=[100, 200, 300, 400, 500, 0]
-    )
-    law = settings.build(CONTEXT)
+    law = settings_of("pd", feedforward_mass_kg=[100, 200, 300, 400, 500, 0]).build(CONTEXT)
     tau = asked(law, on_reference(sample(BOOK["states"][0])), ddq_d=[1.0, -2.0, 3.0, 0.5, 0.0, 7.0])
     assert tau.tolist() == [100.0, -400.0, 900.0, 200.0, 0.0, 0.0]
 
@@ -246,7 +201,112 @@ def test_exact_inverse_dynamics_answers_an_error_with_the_reflected_inertia():
     np.testing.assert_allclose(inertia, inertia.T, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())
 
 
-def test_lengths_are_those_of_the_book():
-    case = BOOK["states"][20]
-    s = sample(case)
-    np.testing.assert_allclose(leg_lengths(PLATFORM, s.p, s.R), case["length"], atol=1e-11)
+BAD_GAINS = [
+    (name, key)
+    for name, given in GIVEN.items()
+    for key, value in given.items()
+    if isinstance(value, float) and value > 0 and key != "boundary_layer_m_s"
+]
+
+
+@pytest.mark.parametrize(("name", "gain"), BAD_GAINS)
+def test_a_gain_is_positive_and_finite_for_all_legs_and_for_each(name, gain):
+    for bad in (0.0, -1.0, float("inf"), float("nan")):
+        for value in (bad, [1.0, 1.0, bad, 1.0, 1.0, 1.0], [1.0, 1.0, bad]):
+            with pytest.raises(ValidationError, match=gain):
+                settings_of(name, **{gain: value})
+
+
+TOO_UNSURE = {"disturbance_m_s2": 1.0, "model_error": 1.0, "acceleration_m_s2": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("sliding_mode", {"boundary_layer_m_s": -0.1}, "boundary_layer_m_s"),
+        ("robust_inverse_dynamics", {"boundary_layer_m_s": -0.1}, "boundary_layer_m_s"),
+        ("robust_inverse_dynamics", {"damping_ratio": -1.0}, "damping_ratio"),
+        ("sliding_mode", {"uncertainty": TOO_UNSURE}, "model_error"),
+        ("sliding_mode", {"uncertainty": {"disturbance_m_s2": 1.0, "model_error": 0.1}}, "acceleration_m_s2"),
+        ("sliding_mode", {"uncertainty": {"disturbance_m_s2": 0.0}}, "nothing is uncertain"),
+        ("partial_linearisation", {"model": {"variant": "full"}}, "variant"),
+        ("state_space", {"delay_compensation": {"bus_ms": 1.0}}, "delay"),
+    ],
+)
+def test_settings_without_meaning_are_refused(name, changes, words):
+    with pytest.raises(ValidationError, match=words):
+        settings_of(name, **changes)
+
+
+# -- gains for each leg, and gains for a bandwidth -----------------------------------------------------------
+
+SIX = np.array([1.0, 1.7, 0.6, 2.3, 0.8, 1.2])
+FED = {"feedforward_mass_kg": 300.0}
+PER_LEG: dict[str, dict[str, Any]] = {
+    "pd": PD | FED, "pid": PID | FED | {"integral_limit_N": 60.0}, "pd_gravity": PD, "feedforward_pd": PD,
+}  # fmt: skip
+ERRORS = np.random.default_rng(5).uniform(-1e-3, 1e-3, (10, 3, 6)) + np.array([2e-3, 0.0, 0.0])[:, None]
+"""Of lengths and rates, and accelerations, tick by tick: the integral comes to its limit."""
+
+
+def forces(law, gains, side):
+    made = settings_of(law, **gains).build(CONTEXT)
+    still = on_reference(sample(BOOK["home_static"]))
+    found = []
+    for e, de, ddq_d in side * ERRORS:
+        tick = altered(still, q=still["q"] - e, dq=still["dq"] - 10.0 * de, ddq_d=1e3 * ddq_d)
+        found.append(asked(made, tick))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("law", "gain"), [(law, gain) for law, gains in PER_LEG.items() for gain in gains])
+def test_each_leg_has_its_own_gain(law, gain, side):
+    gains = PER_LEG[law]
+    together = forces(law, gains | {gain: (gains[gain] * SIX).tolist()}, side)
+    alone = [forces(law, gains | {gain: gains[gain] * share}, side)[:, leg] for leg, share in enumerate(SIX)]
+    np.testing.assert_allclose(together, np.transpose(alone), rtol=1e-12)
+    differs = np.abs(together - forces(law, gains, side)).max(axis=0)
+    assert differs[SIX != 1.0].min() > 1.0, "each gain counts"
+
+
+@pytest.mark.parametrize("largest", range(6))
+@pytest.mark.parametrize("law", PER_LEG)
+def test_the_largest_of_gains_per_leg_make_the_bandwidth(law, largest):
+    shares = np.linspace(0.2, 0.7, 6)
+    shares[largest] = 1.0
+    six = settings_of(law, **{name: (value * shares).tolist() for name, value in PD.items()})
+    assert six.bandwidth(300.0, 1200.0) == pytest.approx((81.64965809, 1.0206207))
+
+
+LOOP = DesiredLoop(wn=40.0, zeta=0.7, leg_mass=300.0, mass=1200.0, inertia=500.0, force_limit=9000.0)
+OF_LEGS = [("kp_N_m", "kv_N_s_m", 300.0)]
+OF_THE_POSE = [
+    ("kp_position_N_m", "kv_position_N_s_m", 1200.0),
+    ("kp_rotation_N_m_rad", "kv_rotation_N_m_s_rad", 500.0),
+]
+
+
+@pytest.mark.parametrize(
+    ("law", "motions"), [("pd", OF_LEGS), ("pid", OF_LEGS), ("cartesian_pd", OF_THE_POSE)]
+)
+def test_default_gains_give_the_frequency_and_the_damping_that_are_set(law, motions):
+    """The roots of m s^2 + K_v s + K_p."""
+    gains = LAWS[law].derived(LOOP)
+    for stiffness, damping, inertia in motions:
+        roots = np.roots([inertia, gains[damping], gains[stiffness]])
+        np.testing.assert_allclose(np.abs(roots), LOOP.wn, rtol=1e-9)
+        np.testing.assert_allclose(-roots.real, LOOP.zeta * LOOP.wn, rtol=1e-9)
+    settings = settings_of(law, **gains)
+    assert settings.bandwidth(LOOP.leg_mass, LOOP.mass) == pytest.approx((LOOP.wn, LOOP.zeta))
+
+
+def test_the_integral_is_a_tenth_of_what_makes_the_loop_oscillate():
+    """m s^3 + K_v s^2 + K_p s + 10 K_i has roots on the imaginary axis, at the loop's own frequency."""
+    gains = LAWS["pid"].derived(LOOP)
+    assert gains["integral_limit_N"] == LOOP.force_limit
+    roots = np.roots([LOOP.leg_mass, gains["kv_N_s_m"], gains["kp_N_m"], 10.0 * gains["ki_N_m_s"]])
+    swinging = roots[np.abs(roots.imag) > 1.0]
+    assert len(swinging) == 2
+    np.testing.assert_allclose(swinging.real, 0.0, atol=1e-6 * LOOP.wn)
+    np.testing.assert_allclose(np.abs(swinging), LOOP.wn, rtol=1e-9)

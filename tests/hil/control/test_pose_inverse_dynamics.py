@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from hil.contracts.records import altered, asked, referred
-from hil.control.law import LawContext
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings, demanded_dtwist, pose_errors
-from hil.robot.geometry import Platform
-from hil.trajectory.holding import HoldTrajectory
-from hil.trajectory.path import PoseSample
+from tests.hil.control.legs import cases, close, context_of, engines
 
-TRUTH = json.loads((Path(__file__).parents[2] / "data" / "rigid_body_cases.json").read_text())
 W_N = np.array([3.0, 4.0, 5.0, 3.0, 4.0, 5.0])
 ZETA = 0.7
 K_P, K_D = W_N**2, 2 * ZETA * W_N
@@ -28,35 +20,19 @@ def law_of(platform):
     settings = PoseInverseDynamicsSettings(
         law="pose_inverse_dynamics", wn_rad_s=W_N.tolist(), damping_ratio=ZETA
     )
-    return settings.build(LawContext(platform, "none", 1e-3, HoldTrajectory(np.zeros(3), np.eye(3))))
+    return settings.build(context_of(platform))
 
 
-def at(case):
-    s, e = case["state"], case["expected"]
-    p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
-    J, q, dq = (np.array(e[key]) for key in ("jacobian", "lengths", "rates"))
-    platform = Platform.from_dict(TRUTH["geometries"][case["geometry"]])
-    sample = PoseSample(p, R, twist, np.array(s["a"] + s["alpha"]))
-    state = {"q": q, "dq": dq, "p": p, "R": R, "twist": twist, "J": J, "wrench": s["wrench"]}
-    return platform, referred(platform, sample, **state)
-
-
-@pytest.mark.parametrize("case", TRUTH["cases"], ids=lambda c: c["id"])
-def test_without_error_it_asks_for_the_engines_forces(case):
-    platform, tick = at(case)
-    tau = asked(law_of(platform), tick)
-    np.testing.assert_allclose(tau, case["expected"]["leg_forces"], rtol=0, atol=1e-9 * np.abs(tau).max())
-
-
-@pytest.mark.parametrize("case", TRUTH["cases"][::6], ids=lambda c: c["id"])
-def test_an_error_is_answered_through_the_engines_mass_matrix(case):
-    platform, tick = at(case)
+@cases(1)
+def test_without_error_it_asks_for_the_engines_forces_and_with_one_for_their_mass_matrix(case):
+    platform, state, sample = engines(case)
+    tick = referred(platform, sample, **state, wrench=case["state"]["wrench"])
+    law = law_of(platform)
+    close(asked(law, tick), np.array(case["expected"]["leg_forces"]))
     ahead = altered(tick, p_d=tick["p_d"] + STEP)
     ahead["twist_d"][:3] += RATE
-    law = law_of(platform)
     more = asked(law, ahead) - asked(law, tick)
-    dtwist = np.zeros(6)
-    dtwist[:3] = K_P[:3] * STEP + K_D[:3] * RATE
+    dtwist = np.concatenate([K_P[:3] * STEP + K_D[:3] * RATE, np.zeros(3)])
     expected = np.linalg.solve(tick["J"].T, np.array(case["expected"]["M"]) @ dtwist)
     np.testing.assert_allclose(more, expected, rtol=0, atol=1e-8 * np.abs(asked(law, ahead)).max())
 

@@ -87,20 +87,6 @@ def test_forces_of_a_moment_ago_miss_by_what_place_and_rate_changed_since():
     np.testing.assert_allclose(found.error, 0.01 + g_e * d + 1e-3, rtol=1e-6)
 
 
-def test_what_the_steps_of_the_readings_cost_is_in_the_bounds_of_error_and_rate_of_each_axis():
-    """Without coupling: each bound is the peak gain times d, what being late costs, and the steps' own part."""
-    axis = np.arange(1.0, 7.0)
-    nothing = np.zeros((6, 6))
-    d, gains = 0.5 + axis, np.array([0.01 * axis, 0.2 * axis, 1.0 + axis])
-    late = Late(1e-3 * axis, 2e-3 * axis, STILL, 0.0)
-    extra = Extra(STILL, STILL, 0.0, 3e-4 * axis, 5e-3 * axis, STILL, STILL, NOT_LOST)
-    found = _bound(Survey(d, 1.0, nothing, nothing, nothing, 1.0), gains, late, extra)
-    assert not isinstance(found, str)
-    np.testing.assert_allclose(found.d, d)
-    np.testing.assert_allclose(found.error, (1e-3 + 3e-4) * axis + 0.01 * axis * d)
-    np.testing.assert_allclose(found.rate, (2e-3 + 5e-3) * axis + 0.2 * axis * d)
-
-
 @pytest.mark.parametrize("axes", ["joint", "pose"])
 def test_what_place_and_rate_change_under_constant_forces_is_what_the_robot_does(platform, axes):
     """The derivative against an exact model's forces: at constant demand they change by the opposite."""

@@ -11,7 +11,7 @@ import yaml
 
 from drivers.errors import SynthesisError
 from hil.app.design.command import METHODS, run_design
-from hil.config.design import Design, DesignAxis, ErrorWeight
+from hil.config.design import Design, ErrorWeight
 from hil.config.linear_controller import LinearController
 from hil.design.stability.sampled_loop import grid
 from hil.design.synthesis.axis import generalised_plant
@@ -70,14 +70,6 @@ def test_the_optimum_is_set_by_what_the_loop_can_do_and_not_by_noise_at_rest(mad
     assert controller.design["gamma_opt"] > 1.1 * at_rest
 
 
-@pytest.mark.parametrize(("transport_ms", "lag_ms"), [(0.4, 0.85), (0.45, 0.7), (0.6, 0.9)])
-def test_the_shipped_design_serves_an_axis_that_measures_a_little_otherwise(transport_ms, lag_ms):
-    design = changed()
-    axis = DesignAxis(transport_ms=transport_ms, lag_ms=lag_ms)
-    figures = METHODS["hinf"](design, axis, lambda _: None, None).figures
-    assert figures["gamma"] < 1.0
-
-
 def test_the_norm_of_the_continuous_loop_is_below_gamma(made):
     _, controller, designed, design, axis = made
     closed = generalised_plant(design, axis).closed_with(designed.K)
@@ -120,24 +112,6 @@ def test_all_causes_at_full_amplitude_at_once_are_more_than_gamma_allows_one(mad
     assert shares.sum(axis=2).max(axis=0) == pytest.approx(expected, abs=1e-3)
 
 
-def test_no_pole_is_too_fast_for_the_rate_or_too_slow_for_the_loop(made):
-    file = shipped(made[0])
-    z = system(file).poles()
-    continuous = 2.0 * file.rate_Hz * (z - 1.0) / (z + 1.0)
-    assert np.abs(continuous).max() <= pi * file.rate_Hz / 2
-    slowest = min(-pole[0] for pole in file.design["closed_loop_poles_rad_s"])
-    assert slowest >= 0.1 * file.design["crossover_rad_s"]
-
-
-def test_an_opened_controller_follows_what_was_applied_within_the_loops_own_time(made):
-    file = shipped(made[0])
-    K = system(file)
-    end = np.exp(-file.design["crossover_rad_s"] * K.period_s)
-    held = K.A - np.outer(file.anti_windup, K.C[0])
-    assert np.abs(np.linalg.eigvals(held)).max() <= end * (1 + 1e-9)
-    assert np.abs(K.poles()).max() > 0.99, "by itself it winds up"
-
-
 def test_anti_windup_mirrors_a_slow_pole_and_leaves_a_fast_one():
     """Of poles z the least energy moves those outside exp(-b h) to exp(-2 b h) / z."""
     h, b = 1e-3, 100.0
@@ -168,8 +142,6 @@ def changed(**changes):
             "no controller does what the weights ask.*disturbance to control",
         ),
         ({"weights__noise__rate_error_m_s": 1e-4}, "pole of the controller at .* half the Nyquist"),
-        ({"weights__control__roll_off_rad_s": 5000}, "roll_off_rad_s: 5000, allowed: up to half the Nyquist"),
-        ({"weights__error": {"numerator": [1], "denominator": [1, 0]}}, "weights.error: unstable"),
         (
             {"weights__error": {"numerator": [1], "denominator": [1, -3]}},
             "weights.error: unstable, a pole at 3",
@@ -178,10 +150,8 @@ def changed(**changes):
             {"weights__error": {"numerator": [1, 1], "denominator": [2]}},
             "weights.error: improper.*degree 1 over",
         ),
-        ({"weights__error": {"numerator": [1], "denominator": [0, 0]}}, "the denominator is zero"),
         ({"weights__control": {"numerator": [1], "denominator": [1, 5]}}, "weights.control: rolls off"),
         ({"nominal__drive": {"numerator": [1, 0, 0], "denominator": [1, 1]}}, "nominal.drive: improper"),
-        ({"nominal__drive": {"numerator": [1], "denominator": [-1, 1]}}, "nominal.drive: unstable"),
         ({"nominal__drive": {"numerator": [3], "denominator": [1e-3, 1]}}, "nominal.drive: gain 3 at rest"),
         ({"nominal__transport_ms": 6.0}, "no controller"),
     ],

@@ -25,7 +25,6 @@ from tests.hil.design.synthesis.true_axes import closed, response, true_axes
 
 ROOT = Path(__file__).resolve().parents[4]
 H = 1e-3
-HALF_NYQUIST = pi / H / 2
 DESIGN = load_design("mu")[0]
 AXIS = DesignAxis.model_validate(DESIGN.nominal)
 RANGES = UncertaintyRanges.model_validate(DESIGN.uncertainty)
@@ -66,23 +65,6 @@ def test_the_shipped_controller_is_what_the_command_makes_of_the_shipped_design(
     assert now.response(omega) == pytest.approx(then.response(omega), rel=1e-4)
     assert made[0].design["mu_upper"] == pytest.approx(shipped().design["mu_upper"], rel=1e-4)
     assert made[0].design["uncertainty"] == shipped().design["uncertainty"]
-
-
-def test_the_iteration_brings_mu_below_1_and_says_how(made):
-    controller, _, lines = made
-    rounds = controller.design["rounds"]
-    assert rounds[0] > 1.0, "the nominal controller does not do"
-    assert min(rounds) < 1.0
-    assert len(lines) == len(rounds)
-    assert f"mu <= {rounds[-1]:.3f}" in lines[-1]
-
-
-def test_no_pole_of_the_controller_is_too_fast_and_none_of_the_loop_too_slow(made):
-    design = made[0].design
-    assert max(np.hypot(*pole) for pole in design["controller_poles_rad_s"]) < HALF_NYQUIST
-    K = system(shipped())
-    assert np.abs(np.log(K.poles().astype(complex)) / H).max() < HALF_NYQUIST
-    assert min(-pole[0] for pole in design["closed_loop_poles_rad_s"]) > 0.1 * design["crossover_rad_s"]
 
 
 def test_mu_on_a_grid_ten_times_as_dense_is_below_1_and_above_what_a_perturbation_proves(made):
@@ -276,21 +258,15 @@ def test_mu_is_proven_at_every_frequency_not_only_where_it_was_looked_at():
     assert design["mu_upper"] <= design["mu_proven"] < 1.02 * design["mu_upper"] < 1.0
 
 
-def test_a_design_without_uncertainty_is_refused():
-    with pytest.raises(SynthesisError, match="has no section uncertainty"):
-        design_mu(DESIGN.model_copy(update={"uncertainty": None}), AXIS, lambda _: None)
-    with pytest.raises(SynthesisError, match="lump_lag: true"):
-        design_mu(DESIGN.model_copy(update={"lump_lag": True}), AXIS, lambda _: None)
-
-
-def test_what_cannot_be_brought_below_1_is_refused_with_the_frequency_and_the_remedy():
-    much = RANGES.model_copy(update={"inertia": 0.6})
-    with pytest.raises(
-        SynthesisError, match=r"mu is not below 1\.\d+ after \d+ rounds, the worst at \d+ rad/s"
-    ):
-        design_mu(DESIGN.model_copy(update={"uncertainty": much}), AXIS, lambda _: None)
-
-
-def test_a_nominal_axis_outside_the_ranges_is_refused():
-    with pytest.raises(SynthesisError, match=r"nominal\.transport_ms: 3, allowed: within"):
-        covers(DESIGN, AXIS.model_copy(update={"transport_ms": 3.0}), RANGES)
+@pytest.mark.parametrize(
+    ("design", "axis", "words"),
+    [
+        ({"uncertainty": None}, {}, "has no section uncertainty"),
+        ({"lump_lag": True}, {}, "lump_lag: true"),
+        ({"uncertainty": RANGES.model_copy(update={"inertia": 0.6})}, {}, r"mu is not below .* rad/s"),
+        ({}, {"transport_ms": 3.0}, r"nominal\.transport_ms: 3, allowed: within"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused_with_the_reason(design, axis, words):
+    with pytest.raises(SynthesisError, match=words):
+        design_mu(DESIGN.model_copy(update=design), AXIS.model_copy(update=axis), lambda _: None)

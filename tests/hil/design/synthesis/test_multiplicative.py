@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from drivers.errors import ConfigurationError, SynthesisError
 from hil.app.configuration.section_file import read_section
 from hil.app.design.command import axis_of, load_design, report, run_design
 from hil.config.axis_model import AxisModel
-from hil.config.design import DesignAxis
 from hil.design.synthesis.hinf_design import design_hinf
 from hil.design.synthesis.mu_design import design_mu
 from hil.design.synthesis.multiplicative import (
@@ -24,7 +21,7 @@ from hil.design.synthesis.multiplicative import (
     together,
 )
 from hil.design.synthesis.sampled import loop_gain, sampled_axis
-from hil.design.synthesis.weights import control_weight, rational
+from hil.design.synthesis.weights import rational
 from tests.hil.design.synthesis.test_coupling import gamma
 
 RATE_HZ = 1000.0
@@ -66,12 +63,6 @@ def test_the_bound_holds_for_every_axis_within_its_own(file):
         farthest = max(np.abs(g * (1 + own * circle) - 1).max() for g in GAINS)
         assert farthest <= w * (1 + 1e-12)
         assert w == pytest.approx(farthest, rel=1e-4)
-
-
-def test_between_lines_it_is_in_proportion_and_beyond_the_last_it_rises_to_half_nyquist():
-    w = profile((1, 0.04), (100, 0.1))
-    hertz = np.array([0.01, 1, 10, 100, 200, 250, 400])
-    np.testing.assert_allclose(w.at(2 * np.pi * hertz), [0.04, 0.04, 0.07, 0.1, 0.2, 0.25, 0.25])
 
 
 @pytest.mark.parametrize("points", [[(1, 0.04), (9, 0.01), (100, 0.09)], [(1, 0.01), (50, 0.5), (100, 2.0)]])
@@ -116,29 +107,6 @@ def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():
     assert smallest > 1e-3, "no perturbation of this size brings an eigenvalue of the loop to -1"
 
 
-def test_of_several_couplings_the_nearest_to_what_the_loop_stands_counts_whichever_it_is():
-    """Gamma = g I is one axis of g times the gain: |w T| of a double integrator under a PD."""
-    omega = frequencies(RATE_HZ)[::4]
-    w = profile((1, 0.3), (100, 0.3))
-
-    def open_loop(at):
-        s = 1j * at
-        return (40.0 * s + 400.0) / s**2
-
-    class Loop:
-        def response(self, at):
-            return open_loop(at)[:, None, None]
-
-    L: Any = Loop()
-    gains = (1.0, 0.25, 4.0, 0.5)
-    T = [g * open_loop(omega) / (1.0 + g * open_loop(omega)) for g in gains]
-    worst = np.max(w.at(omega) * np.abs(T), axis=0)
-    for turned in range(len(gains)):
-        found = together(w, L, [g * np.eye(6) for g in np.roll(gains, turned)], RATE_HZ)
-        assert found.norm == pytest.approx(worst.max(), rel=1e-9)
-        assert found.at_rad_s == omega[np.argmax(worst)]
-
-
 def test_a_control_weight_that_does_not_cover_is_raised_and_then_the_loop_stands_it():
     design, _ = load_design("hinf")
     axis = design.nominal
@@ -154,11 +122,6 @@ def test_a_control_weight_that_does_not_cover_is_raised_and_then_the_loop_stands
     made = design_hinf(modest, axis, lambda _: None, wild)
     assert made.figures["gamma"] < 1
     assert single(wild, loop(made, axis, modest), RATE_HZ).norm < 1
-
-
-def test_a_weight_that_covers_stays_what_it_is():
-    design, _ = load_design("hinf")
-    assert covered(design, profile((1, 0.04), (100, 0.09)), 1.0) is design
 
 
 @pytest.mark.long
@@ -196,20 +159,6 @@ def test_axes_that_no_loop_of_the_design_stands_are_refused(file):
         run_design("hinf", "hinf", file, lambda _: None)
 
 
-def test_an_axis_in_figures_brings_none():
-    design, path = load_design("hinf")
-    assert axis_of(design, path.parent, None) == (design.nominal, None)
-    assert isinstance(design.nominal, DesignAxis)
-
-
-def test_a_gain_that_was_measured_counts_in_the_coupled_loop_too(file):
-    """Gamma = I: six axes of the measured gain are no nearer to the edge, and no farther, than one."""
-    gains = [1.25] * 6
-    file.write_text((AXES + 6 * ONE).replace(str(GAINS), str(gains)))
-    design = run_design("hinf", "hinf", file, lambda _: None, "virtual")[0].design
-    assert design["robot"]["norm"] == pytest.approx(design["measured"]["norm"], rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("robot", "says"),
     [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: that of the design, 1000")],
@@ -217,13 +166,3 @@ def test_a_gain_that_was_measured_counts_in_the_coupled_loop_too(file):
 def test_a_robot_of_another_loop_is_refused(robot, says):
     with pytest.raises(ConfigurationError, match=says):
         run_design("hinf", "hinf", None, lambda _: None, robot)
-
-
-def test_the_cover_counts_the_gain_of_the_axis():
-    """d to u is T over the gain: the same uncertainty of an axis of twice the gain needs twice the weight."""
-    design, _ = load_design("hinf")
-    omega = frequencies(RATE_HZ)
-    w = profile((1, 0.1), (100, 0.9))
-    for gain in (0.5, 2.0):
-        weight = control_weight(covered(design, w, gain).weights.control, RATE_HZ).response(omega)[:, 0, 0]
-        assert (np.abs(weight) * 13.0 >= gain * w.at(omega) * (1 - 1e-9)).all()

@@ -1,0 +1,216 @@
+"""The sampled loop of one axis and of six coupled ones, against hand calculation and roots found elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from hil.config.linear_controller import LinearController
+from hil.design.stability.coupled import delay_margin_s, growth, integrating, proportional
+from hil.design.stability.prediction import predicting
+from hil.design.stability.sampled import Axis, _closed, analyse, disturbed_axis, gains
+from hil.design.stability.sampled_loop import margins, sampled_axis, sampled_controller
+from hil.mathematics.linear_system import LinearSystem, lag, static
+
+T = 1e-3
+
+
+def margins_of(axis, controller):
+    margins = analyse(axis, controller).margins
+    assert margins is not None
+    return margins
+
+
+def test_a_double_integrator_under_pd_has_the_eigenvalues_of_its_polynomial():
+    """z^2 - (2 - K_D T - K_P T^2 / 2) z + 1 - K_D T + K_P T^2 / 2, from [1 T; 0 1] - [T^2/2; T] [K_P K_D]."""
+    K_P, K_D = 400.0, 40.0
+    found = analyse(Axis(T), gains(K_P, K_D, T))
+    expected = np.roots([1, -(2 - K_D * T - K_P * T**2 / 2), 1 - K_D * T + K_P * T**2 / 2])
+    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(expected), atol=1e-9)
+    assert found.stable
+
+
+@pytest.mark.parametrize("K_D", [40.0, 400.0])
+def test_jurys_criterion_tells_the_largest_gain(K_D):
+    """|a_0| < 1 gives K_P < 2 K_D / T; 1 - a_1 + a_0 > 0 gives K_D < 2 / T: times the gain, the first is none."""
+    K_P = K_D**2 / 4
+    margins = margins_of(Axis(T), gains(K_P, K_D, T))
+    assert margins.gain_up == pytest.approx(2 / (K_D * T), rel=1e-6)
+    assert margins.gain_down == 0.0
+    assert analyse(Axis(T, gain=0.999 * margins.gain_up), gains(K_P, K_D, T)).stable
+    assert not analyse(Axis(T, gain=1.001 * margins.gain_up), gains(K_P, K_D, T)).stable
+
+
+@pytest.mark.parametrize(
+    ("transport", "lag"), [(0.0, 0.0), (0.4e-3, 0.0), (0.5e-3, 1 / 1257), (2.3e-3, 0.8e-3)]
+)
+@pytest.mark.parametrize("w_n", [20.0, 90.0])
+def test_the_delay_margin_is_where_the_eigenvalues_leave_the_circle(transport, lag, w_n):
+    controller = gains(w_n**2, 2 * w_n, T)
+    margin = margins_of(Axis(T, transport, lag), controller).delay_s
+
+    def radius(further):
+        loop = _closed(disturbed_axis(Axis(T, transport + further, lag)), controller)
+        return np.abs(loop.poles()).max() - 1.0
+
+    limit = brentq(radius, 0.0, 2.0 * margin, xtol=1e-3 * margin)
+    assert limit == pytest.approx(margin, rel=4e-3), "a delay within a period is no pure phase to a hold"
+
+
+def test_a_delay_within_a_period_is_exact():
+    """One step of u from rest: the position of a lagging, late double integrator, integrated by scipy."""
+    axis = Axis(T, 1.3e-3, 0.8e-3, 0.9)
+    system = disturbed_axis(axis)
+    x, found = np.zeros((system.order, 1)), []
+    for k in range(5):
+        found.append((system.C @ x)[:, 0])
+        x = system.A @ x + system.B[:, :1] * (1.0 if k == 0 else 0.0)
+
+    def rate(t, x):
+        u = 0.9 if 1.3e-3 <= t < 2.3e-3 else 0.0
+        return [x[1], x[2], (u - x[2]) / 0.8e-3]
+
+    times = np.arange(5) * T
+    solution = solve_ivp(rate, (0, 4 * T), [0.0, 0, 0], t_eval=times, max_step=1e-6, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(np.array(found), solution.y[:2].T, atol=2e-9)
+
+
+def test_a_lead_compensator_on_the_position_alone_is_a_controller_like_any():
+    """u[k] = K (e - 0.9 e[k-1]) / (1 - 0.3 z^-1): with the characteristic polynomial written out by hand."""
+    K, a, b = 2e4, 0.97, 0.5
+    lead = LinearSystem(
+        np.array([[b]]), np.array([[1.0, 0.0]]), np.array([[K * (b - a)]]), np.array([[K, 0.0]]), T
+    )
+    found = analyse(Axis(T), lead)
+    open_numerator = np.polymul([K, -K * a], [T**2 / 2, T**2 / 2])
+    polynomial = np.polyadd(np.polymul([1, -b], [1, -2, 1]), open_numerator)
+    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(np.roots(polynomial)), atol=1e-9)
+    assert found.stable
+
+
+def test_too_much_gain_is_unstable_and_has_no_margins():
+    found = analyse(Axis(T, 0.5e-3, 1 / 1257), gains(500.0**2, 1000.0, T))
+    assert not found.stable
+    assert found.margins is None
+    assert found.decay_rate < 0.0
+    assert np.isinf(found.peak_gain)
+
+
+def test_the_peak_gain_is_the_compliance_and_grows_with_the_delay():
+    assert analyse(Axis(T), gains(400.0, 40.0, T)).peak_gain == pytest.approx(1 / 400.0, rel=1e-3)
+    assert analyse(Axis(T, 12e-3), gains(1600.0, 80.0, T)).peak_gain > 1.05 / 1600.0
+
+
+W_N = 20.0
+PD = static(np.array([[W_N**2, 2 * W_N]]), T)
+
+
+def test_the_margins_of_a_pd_are_those_of_its_continuous_loop_less_half_a_period():
+    """At damping ratio 1: 2.0582 wn and 76.345 deg; a hold of 0.1 ms takes w_c T / 2."""
+    period = 1e-4
+    found = margins(PD._replace(period_s=period).after(sampled_axis(0.0, lag(0.0), period)))
+    assert found.crossover_rad_s == pytest.approx(2.0582 * W_N, rel=1e-4)
+    assert found.phase_deg == pytest.approx(76.345 - np.degrees(2.0582 * W_N * period / 2), abs=0.01)
+    w = np.geomspace(1.0, 1e3, 4001)  # S = s^2 / (s + wn)^2, T = (2 wn s + wn^2) / (s + wn)^2
+    assert found.peak_S == pytest.approx(1.0, abs=5e-3)
+    assert found.peak_T == pytest.approx(np.abs((40j * w + 400) / (1j * w + 20) ** 2).max(), rel=3e-3)
+
+
+@pytest.mark.parametrize("transport_s", [0.0, 0.4e-3, 0.026])
+def test_a_delay_takes_its_share_of_the_margin(transport_s):
+    """76.345 deg at 41.16 rad/s are 32.4 ms, half a period of hold included."""
+    found = margins(PD.after(sampled_axis(transport_s, lag(0.0), T)))
+    left = 76.345 - np.degrees(2.0582 * W_N * (transport_s + T / 2))
+    assert found.phase_deg == pytest.approx(left, abs=0.1)
+    assert found.delay_s == pytest.approx(np.radians(left) / (2.0582 * W_N), rel=3e-3)
+
+
+def test_a_files_controller_is_told_error_and_rate_in_this_order():
+    given = LinearController(
+        kind="linear-controller",
+        method="mu",
+        axes="pose",
+        rate_Hz=500.0,
+        inputs=["rate_error", "error"],
+        A=[[0.5]],
+        B=[[1.0, 2.0]],
+        C=[[3.0]],
+        D=[[4.0, 5.0]],
+        anti_windup=[0.0],
+        design={},
+    )
+    expected = LinearSystem(
+        np.array([[0.5]]), np.array([[2.0, 1.0]]), np.array([[3.0]]), np.array([[5.0, 4.0]]), 2e-3
+    )
+    for mine, theirs in zip(sampled_controller(given), expected, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.8e-3])
+@pytest.mark.parametrize("bus", [0.0, 0.5e-3, 1e-3, 2.3e-3])
+def test_an_exact_prediction_leaves_the_slow_poles_of_the_loop_without_delay(bus, lag):
+    """Critically damped, wn 20: continuous poles at -20 twice."""
+    controller = predicting(400.0, 40.0, T, bus_s=bus, lag_s=lag, hold_s=0.5e-3)
+    found = analyse(Axis(T, bus, lag), controller)
+    slow = np.log(found.poles[np.argsort(-np.abs(found.poles))][:2]) / T
+    assert found.stable
+    np.testing.assert_allclose(np.mean(slow), -20.0, rtol=0.01)
+
+
+def test_its_state_follows_the_commands_it_gave():
+    """By hand for a bus of 1.5 periods: u[k-2] acts for half a period more, then u[k-1] up to the horizon 2 T."""
+    K_P, K_D, e = 100.0, 10.0, 0.01
+    c = predicting(K_P, K_D, T, bus_s=1.5 * T, lag_s=0.0, hold_s=0.5e-3)
+    x, y, u = np.zeros(c.order), np.array([e, 0.0]), [0.0, 0.0]
+    for _ in range(4):
+        before, last = u[-2:]
+        rate = -before * T / 2 - last * 1.5 * T
+        length = e - before * ((T / 2) ** 2 / 2 + T / 2 * 1.5 * T) - last * (1.5 * T) ** 2 / 2
+        u.append((c.C @ x + c.D @ y).item())
+        x = c.A @ x + c.B @ y
+        assert u[-1] == pytest.approx(K_P * length + K_D * rate, rel=1e-9)
+
+
+AXIS = Axis(T, 0.5e-3, 0.8e-3)
+MASSES = np.array([100.0, 150.0, 200.0, 300.0, 400.0, 800.0])
+Q = np.linalg.qr(np.random.default_rng(3).standard_normal((6, 6)))[0]
+MOBILITY = Q @ np.diag(1 / MASSES) @ Q.T
+
+
+def test_equal_gains_fall_into_the_modes_of_the_inertia():
+    controller = proportional(np.full(6, 1e6), np.full(6, 2e4), T)
+    modes = [np.abs(analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).poles).max() for m in MASSES]
+    assert growth(AXIS, controller, MOBILITY) == pytest.approx(max(modes), abs=1e-9)
+
+
+def test_the_delay_margin_is_the_least_of_the_modes():
+    controller = proportional(np.full(6, 1e6), np.full(6, 2e4), T)
+    found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
+    least = min(m.delay_s for m in found if m is not None)
+    assert delay_margin_s(AXIS, controller, MOBILITY) == pytest.approx(least, rel=0.01)
+
+
+def test_an_integral_has_the_limit_of_routh_and_hurwitz():
+    """m s^3 + K_v s^2 + K_p s + K_i: stable for K_i < K_p K_v / m; a period of 0.1 ms is nearly continuous."""
+    m, K_p, K_v, fine = 200.0, 1e5, 1e4, Axis(1e-4)
+    limit = K_p * K_v / m
+    for share, stable in ((0.97, True), (1.03, False)):
+        controller = integrating(np.full(6, K_p), np.full(6, K_v), np.full(6, share * limit), 1e-4)
+        assert (growth(fine, controller, np.eye(6) / m) < 1.0) is stable
+
+
+def test_what_the_axes_springs_do_at_once_is_in_the_loop_beside_what_the_law_does_late():
+    """m p'' = -k p + u of one period before: exact by sine and cosine."""
+    m, K_p, K_v = 20.0, 1e4, 1e3
+    for k in (0.0, 1e5, 1e7, 1e8):
+        w = np.sqrt(k / m)
+        c, s = np.cos(w * T), np.sin(w * T)
+        turn = np.array([[c, s / w], [-w * s, c]]) if k else np.array([[1.0, T], [0.0, 1.0]])
+        push = [(1.0 - c) / k, s / (m * w)] if k else [T * T / (2.0 * m), T / m]
+        A = np.block([[turn, np.transpose([push])], [np.array([[-K_p, -K_v, 0.0]])]])
+        expected = np.abs(np.linalg.eigvals(A)).max()
+        controller = proportional(np.full(6, K_p), np.full(6, K_v), T)
+        found = growth(Axis(T, T), controller, np.eye(6) / m, k * np.eye(6))
+        assert found == pytest.approx(expected, abs=1e-6), k

@@ -1,0 +1,182 @@
+"""Systems of a synthesis: the axis, norms, diagrams, reduction and scales, against closed forms and a peer."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+import control
+import numpy as np
+import pytest
+
+from drivers.errors import ModelError, SynthesisError
+from hil.config.design import DesignAxis
+from hil.design.synthesis.axis import actuator, four_block, pade
+from hil.design.synthesis.dk import bounds_over_frequency, dk_iteration, minimum_phase, with_own
+from hil.design.synthesis.mu import Block
+from hil.design.synthesis.norm import norm
+from hil.design.synthesis.reduction import reduced
+from hil.design.synthesis.sampled import sampled_axis
+from hil.design.synthesis.structured import Structured
+from hil.design.synthesis.wiring import wired
+from hil.mathematics.linear_system import LinearSystem, static
+
+INPUTS = ["error", "rate_error"]
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_pade_delays_and_does_not_amplify(order):
+    T = 2e-3
+    omega = np.array([0.0, 10.0, 400.0])
+    found = pade(T, order).response(omega)[:, 0, 0]
+    np.testing.assert_allclose(np.abs(found), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.angle(found), -omega * T, atol=0.05)
+    assert np.angle(found[1]) == pytest.approx(-10.0 * T, abs=1e-6)
+
+
+def test_the_four_blocks_are_those_of_the_drawing():
+    """e = -(d + a) / s^2, y = [e, e'] + n, at one frequency by hand."""
+    path = actuator(DesignAxis(gain=0.9, transport_ms=0.5, lag_ms=0.796), 1000.0, 2)
+    s = 1j * 50.0
+    a = path.response(np.array([50.0]))[0, 0, 0]
+    e_d, e_u = -1.0 / s**2, -a / s**2
+    expected = [[e_d, 0, 0, e_u], [0, 0, 0, 1], [e_d, 1, 0, e_u], [s * e_d, 0, 1, s * e_u]]
+    found = four_block(path, INPUTS).response(np.array([50.0]))[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("transport_ms", [0.0, 0.5, 1.0, 1.3, 2.0])
+@pytest.mark.parametrize("lag_ms", [0.0, 0.8])
+def test_the_sampled_axis_answers_a_step_at_every_tick_as_the_closed_form(transport_ms, lag_ms):
+    h, T, L = 1e-3, 1e-3 * transport_ms, 1e-3 * lag_ms
+    axis = sampled_axis(DesignAxis(gain=2.0, transport_ms=transport_ms, lag_ms=lag_ms), 1.0 / h, INPUTS)
+    x = np.zeros(axis.order)
+    for k in range(12):
+        t = max(k * h - T, 0.0)
+        fade = np.exp(-t / L) if L else 0.0
+        position, rate = t * t / 2 - L * t + L * L * (1.0 - fade), t - L * (1.0 - fade)
+        np.testing.assert_allclose(axis.C @ x, [-2.0 * position, -2.0 * position, -2.0 * rate], atol=1e-17)
+        x = axis.A @ x + axis.B[:, 1]
+
+
+@pytest.mark.parametrize("zeta", [0.001, 0.1, 0.5])
+def test_a_resonance_has_the_height_and_place_of_the_closed_form(zeta):
+    system = LinearSystem(
+        np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]),
+        np.array([[0.0], [1.0]]),
+        np.array([[1.0, 0.0]]),
+        np.zeros((1, 1)),
+    )
+    found = norm(system)
+    assert found.value == pytest.approx(1.0 / (2.0 * zeta * sqrt(1.0 - zeta**2)), rel=3e-6)
+    assert found.omega == pytest.approx(sqrt(1.0 - 2.0 * zeta**2), rel=1e-2)
+
+
+@pytest.mark.parametrize(("pole", "omega"), [(0.9, 0.0), (-0.9, pi / 1e-3)])
+def test_a_sampled_lag_has_its_norm_at_rest_or_at_the_nyquist_frequency(pole, omega):
+    one = np.eye(1)
+    found = norm(LinearSystem(pole * one, one, one, 0 * one, 1e-3))
+    assert found.value == pytest.approx(10.0, rel=1e-6)
+    assert found.omega == pytest.approx(omega, abs=1e-3)
+
+
+def random(seed, period_s=None):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(6, 6))
+    if period_s is None:
+        A -= (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(6)
+    else:
+        A *= 0.97 / np.abs(np.linalg.eigvals(A)).max()
+    return LinearSystem(
+        A, rng.normal(size=(6, 2)), rng.normal(size=(3, 6)), 0.1 * rng.normal(size=(3, 2)), period_s
+    )
+
+
+@pytest.mark.parametrize("period_s", [None, 1e-3])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_norm_is_the_one_that_slycot_finds(seed, period_s):
+    pytest.importorskip("slycot")
+    system = random(seed, period_s)
+    peer = control.linfnorm(control.ss(*system[:4], 0 if period_s is None else 1.0))[0]
+    assert norm(system).value == pytest.approx(peer, rel=1e-5)
+
+
+def test_a_gain_has_its_own_norm_and_an_unstable_system_none():
+    assert norm(static(np.diag([2.0, -3.0]))).value == pytest.approx(3.0)
+    one = np.eye(1)
+    for unstable in (LinearSystem(0 * one, one, one, one), LinearSystem(one, one, one, one, 1e-3)):
+        with pytest.raises(SynthesisError, match="not stable"):
+            norm(unstable)
+
+
+OMEGA = np.geomspace(0.1, 1e3, 30)
+S = 1j * OMEGA
+
+
+def first_order(pole: float, gain: float = 1.0, through: float = 0.0) -> LinearSystem:
+    return LinearSystem(np.array([[-pole]]), np.eye(1), np.array([[gain]]), np.array([[through]]))
+
+
+def test_a_diagram_has_the_responses_that_its_algebra_gives():
+    parts = {"a": (first_order(3.0), {"r": 1.0, "b": -2.0}), "b": (first_order(5.0), {"a": 1.0, "d": 1.0})}
+    G = wired(parts, ["r", "d"], [{"b": 1.0}, {"a": 1.0, "r": 1.0}]).response(OMEGA)
+    a, b = 1.0 / (S + 3.0), 1.0 / (S + 5.0)
+    back = 1.0 + 2.0 * a * b
+    expected = np.array([[a * b / back, b / back], [a / back + 1.0, -2.0 * a * b / back]]).transpose(2, 0, 1)
+    assert pytest.approx(expected, rel=1e-10) == G
+
+
+def test_a_ring_of_gains_without_a_solution_is_refused():
+    parts = {"a": (static(np.eye(1)), {"r": 1.0, "b": 1.0}), "b": (static(np.eye(1)), {"a": 1.0})}
+    with pytest.raises(ModelError, match="well posed"):
+        wired(parts, ["r"], [{"b": 1.0}])
+
+
+def test_states_that_cancel_go_and_those_that_act_stay():
+    """(s + 20.0001) / (s + 20) does next to nothing: of order 3 is left order 2."""
+    near = first_order(20.0, 1e-4, 1.0)
+    K = near.after(first_order(2.0)).after(first_order(70.0))
+    small, off = reduced(K, np.ones(1), 1e-4)
+    assert small.order == 2
+    worst = np.abs(small.response(OMEGA) - K.response(OMEGA)).max()
+    assert 0.0 < worst <= off * np.abs(K.response(OMEGA)).max()
+
+
+GRID = np.geomspace(0.1, 1e4, 120)
+GRID_S = 1j * GRID
+
+
+@pytest.mark.parametrize(("zeros", "poles"), [((30.0,), (400.0,)), ((900.0, 20.0), (100.0, 300.0))])
+def test_a_scale_is_found_again_from_its_magnitude(zeros, poles):
+    d = 0.02 * np.prod([GRID_S + z for z in zeros], axis=0) / np.prod([GRID_S + p for p in poles], axis=0)
+    fit = minimum_phase(GRID, np.abs(d), len(zeros), (5.0, 2000.0), np.ones(120))
+    assert fit.response(GRID)[:, 0, 0] == pytest.approx(d, rel=1e-4)
+
+
+def test_a_peak_between_the_frequencies_of_the_grid_and_one_at_rest_are_not_missed():
+    """A resonance of damping 1e-5: 5e4 at 100 rad/s; and 1 / (s + 0.001) rises to 1000 far below the grid."""
+    coarse = np.geomspace(10.0, 900.0, 14)
+    one, zero = np.eye(1), np.zeros((1, 1))
+    sharp = LinearSystem(
+        np.array([[-2e-3, -1e4], [1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[0.0, 1e4]]), zero
+    )
+    assert bounds_over_frequency(sharp, [Block()], coarse).peak < 1000.0
+    seen = bounds_over_frequency(sharp, [Block()], with_own(coarse, sharp))
+    assert seen.peak == pytest.approx(5e4, rel=1e-3)
+    slow = LinearSystem(-1e-3 * one, one, one, zero)
+    seen = bounds_over_frequency(slow, [Block()], with_own(coarse, slow))
+    assert seen.peak == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_a_loop_without_control_over_its_uncertainty_is_refused():
+    """z = 1.5 w around a plant that no u reaches: mu is 1.5 with any controller."""
+    A, zero = np.array([[-1.0]]), np.zeros((1, 1))
+    # [w, d, n, u] -> [z, e, u, y]; x' = -x + d + u
+    B, C = np.array([[0.0, 1.0, 0.0, 1.0]]), np.array([[0.0], [1.0], [0.0], [1.0]])
+    D = np.zeros((4, 4))
+    D[0, 0], D[2, 3], D[3, 2] = 1.5, 1.0, 1.0
+    problem = Structured(LinearSystem(A, B, C, D), [Block(), Block(2, 2)], 1)
+    K = LinearSystem(-np.eye(1), np.eye(1), zero, zero)
+    lines: list[str] = []
+    with pytest.raises(SynthesisError, match=r"mu is not below 1\.5\d* after"):
+        dk_iteration(problem, K, GRID, (1.0, 100.0), lines.append)
+    assert len(lines) > 1

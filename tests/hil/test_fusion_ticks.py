@@ -1,0 +1,324 @@
+"""Intervals of the filter: when samples and forces count, which sensors it misses, what it warns about."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drivers.compiled.compiler import MATRIX, kernel, record
+from drivers.compiled.pointed import context_of, data_at
+from drivers.config import ImuSettings
+from drivers.signals import DriveState, Fault, Warn
+from drivers.tick_columns import TICK, part
+from hil.config.estimation import FusionSettings
+from hil.contracts.records import altered, record_of
+from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
+from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
+from hil.estimation.fusion_kernels import fill_estimate, rerun_kernel
+from hil.estimation.fusion_layout import FUSION, KEPT, STEP
+from hil.estimation.fusion_tick import judge
+from hil.robot.dynamics import Model
+from tests import sensed
+from tests.hil.fused import (
+    LEGS,
+    LOOSE,
+    LOOSE_LEGS,
+    MS,
+    PLATFORM,
+    TRACKER,
+    ZERO,
+    A,
+    B,
+    Fused,
+    T,
+    Truth,
+    estimator,
+    legs,
+    measurement,
+)
+from tests.sensed import Readings, Sample
+
+TILT = Rotation.from_rotvec([0.3, -0.4, 0.5])
+TWIST = np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.8])
+TURN = np.array([20.0, -10.0, 15.0])
+SURE, UNSURE = 1e-9, 1e12
+"""Variances of what counts alone, and of what does not count."""
+
+
+def interval_noise(force, gyro):
+    """Return a filter of two steps with the variances of an IMU and its biases; legs count for nothing."""
+    robot = {"base_joints": A, "platform_joints": B, "gravity": (0.0, 0.0, -9.81)}
+    variances = {"q_v": 1e-6, "q_w": 1e-9, "r_length": 1.0, "r_rate": 1.0, "gate": 1e6}
+    rings = {"size": 2, "newest": 1, "errors": 18, "forces": 18}
+    return context_of(FUSION, r_force=force, r_gyro=gyro, **robot, **variances, **rings)
+
+
+def begun():
+    x = np.zeros(30)
+    x[:3], x[3:12], x[12:18] = (0.05, -0.1, 1.1), TILT.as_matrix().ravel(), TWIST
+    x[18:24] = 0.01, -0.02, 0.03, 0.1, -0.2, 0.3
+    return x
+
+
+def ended(c, u, x0, P0):
+    """Return state and covariance after the interval u."""
+    steps, covariances = np.zeros(2, STEP), np.zeros((2, *P0.shape))
+    steps[1], covariances[0] = u, P0
+    steps[0]["x"] = x0
+    c["steps"], c["covariances"] = data_at(steps), data_at(covariances)
+    rerun_kernel(c, 1)
+    return steps[1]["x"], covariances[1]
+
+
+def sampled(share, gyro, force):
+    """Return an interval in which the platform turns faster and faster, with a sample of an IMU."""
+    dtwist = (1.0, 2.0, -3.0, *TURN)
+    return context_of(STEP, T=T, fade=1.0, imu=1, imu_at=share, dtwist=dtwist, gyro=gyro, force=force)
+
+
+def off(x, error):
+    """Return a state that is off by an error (18,): pose, twist, biases."""
+    there = x.copy()
+    there[:3] += error[:3]
+    there[3:12] = (
+        (Rotation.from_rotvec(error[3:6]) * Rotation.from_matrix(x[3:12].reshape(3, 3))).as_matrix().ravel()
+    )
+    there[12:24] += error[6:18]
+    return there
+
+
+def between(x, y):
+    """Return the error (18,) by which y is off x."""
+    turned = Rotation.from_matrix(y[3:12].reshape(3, 3)) * Rotation.from_matrix(x[3:12].reshape(3, 3)).inv()
+    return np.concatenate((y[:3] - x[:3], turned.as_rotvec(), y[12:24] - x[12:24]))
+
+
+@pytest.mark.parametrize("force", [SURE, UNSURE], ids=["by the IMU", "by the model"])
+@pytest.mark.parametrize("j", range(18))
+def test_an_error_is_carried_on_as_the_state_is(j, force):
+    """Central differences, an accelerometer that counts for everything or for nothing on a tilted platform."""
+    c, x0, h = interval_noise(force=force, gyro=UNSURE), begun(), 1e-5
+    u = sampled(0.5, np.zeros(3), np.array([3.0, -2.0, 11.0]))
+    e = np.eye(18)[j]
+    ahead, back = (ended(c, u, off(x0, sign * h * e), np.zeros((18, 18)))[0] for sign in (1.0, -1.0))
+    column = between(back, ahead) / (2.0 * h)
+    P = ended(c, u, x0, np.outer(e, e))[1]
+    np.testing.assert_allclose(P[j] / np.sqrt(P[j, j]), column, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
+def test_a_gyro_sample_counts_at_its_instant_within_an_interval(share):
+    t = share * T
+    R = Rotation.from_rotvec(TWIST[3:] * t + TURN * t * t / 2.0) * TILT
+    x0 = begun()
+    gyro = R.inv().apply(TWIST[3:] + t * TURN) + x0[18:21]
+    P0 = np.diag(np.repeat([SURE, SURE, SURE, 1.0, SURE, SURE], 3))
+    x, P = ended(interval_noise(force=UNSURE, gyro=SURE), sampled(share, gyro, np.zeros(3)), x0, P0)
+    assert P[9:12, 9:12].diagonal().max() < 1e-6, "it counts"
+    np.testing.assert_allclose(x[15:18], TWIST[3:] + T * TURN, rtol=0, atol=2e-4)
+
+
+PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)
+"""Ticks without a sample of use until the tracker is missed."""
+
+
+@pytest.mark.parametrize("stamped", [3, 4, 5, 6, 7])
+@pytest.mark.parametrize("offset_s", [-4e-4, 0.0, 4e-4])
+def test_a_sample_of_a_tick_that_the_loop_skipped_counts_at_its_own_instant(stamped, offset_s):
+    """A platform that moves at 1 m/s, and ticks 4 to 6 are left out."""
+    start = Truth(4)
+    velocity = np.array([1.0, -0.5, 0.25])
+    found = estimator(LOOSE, LOOSE_LEGS, start)
+    seen = None
+    for tick in (1, 2, 3, 7, 8):
+        p = start.p + velocity * tick * T
+        then = start.p + velocity * (stamped * T + offset_s)
+        samples = (Sample(stamped, offset_s, (*then, *start.R.as_rotvec())),) if tick == 8 else ()
+        twist = np.concatenate((velocity, np.zeros(3)))
+        seen = Fused(found, tick, measurement(*legs(p, start.R, twist)), Readings(tracker=samples))
+    assert seen is not None
+    assert seen["tracker"] == 1
+    assert np.abs(seen["innovation_tracker"]).max() < 3e-4
+
+
+def tracked(off_m: float) -> Any:
+    """Samples of a tracker every 5 ms that is off by so much."""
+    return lambda tick, truth: (Sample(tick - 1, 0.0, (*(truth.p + off_m), *truth.R.as_rotvec())),)
+
+
+def still(tick: int, truth: Truth) -> tuple[Sample, ...]:
+    """Samples of an IMU at rest, every 5 ms."""
+    return (Sample(tick - 1, 5e-4, (0.0, 0.0, 0.0, *truth.R.inv().apply(-PLATFORM.gravity))),)
+
+
+def silent(_tick: int, _truth: Truth) -> tuple[Sample, ...]:
+    return ()
+
+
+@pytest.mark.parametrize(
+    ("tracker", "imu", "heard", "missed"),
+    [
+        (tracked(0.05), still, False, True),
+        (tracked(0.05), silent, False, True),
+        (silent, still, False, True),
+        (silent, silent, False, True),
+        (tracked(0.0), silent, True, True),
+        (tracked(0.0), still, True, False),
+    ],
+)
+def test_a_sensor_that_is_silent_or_refused_is_missed(tracker, imu, heard, missed):
+    truth = Truth(7)
+    both = FusedEstimator(
+        PLATFORM, Model(PLATFORM), FusionSettings(), LEGS, TRACKER, ImuSettings(rate_Hz=200.0), T
+    )
+    both.start(0, 0, truth.p, truth.R.as_matrix())
+    m = measurement(*legs(truth.p, truth.R, ZERO))
+    for tick in range(1, 2 * PATIENCE):
+        samples = [kind(tick, truth) if tick % 5 == 0 else () for kind in (tracker, imu)]
+        health = Fused(both, tick, m, Readings(tracker=samples[0], imu=samples[1])).health
+        assert round(health.gap_s / T) == (tick % 5 if heard else tick)
+        assert health.missed == (missed and tick > PATIENCE)
+
+
+def force(found):
+    """Return the forces (6,) N from which the acceleration of the last interval was found; None: it was not."""
+    now = int(found.record["newest"])
+    u, x = found._steps[now], found._steps[now - 1]["x"]
+    if not u["influence"].any():
+        return None
+    at_rest = Model(PLATFORM).forward_dynamics(x[0:3], x[3:12].reshape(3, 3), x[12:18], ZERO)
+    return np.linalg.solve(u["influence"], u["dtwist"] - at_rest)
+
+
+def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
+    truth = Truth(0)
+    m = measurement(*legs(truth.p, truth.R, ZERO))
+    return altered(m, drive_force=forces, drive_state=[DriveState.RUN] * 6, age=ages, blind=blind)
+
+
+def test_an_interval_has_the_mean_of_the_forces_at_its_ends():
+    found = estimator()
+    forces = []
+    said = [np.arange(6.0), -2.0 * np.arange(6.0), np.full(6, 10.0)]
+    for tick, tau in enumerate(said, 1):
+        sensed.update(found, altered(driven(tau), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+        forces.append(force(found))
+    expected = [said[0], -0.5 * np.arange(6.0), 5.0 - np.arange(6.0)]
+    np.testing.assert_allclose(forces, expected, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_blind_drive_reports_its_force_and_a_silent_one_has_its_command(leg):
+    found = estimator()
+    other = (leg + 1) % 6
+    ages = [7 * (i in {leg, other}) for i in range(6)]
+    blind = [int(i == leg) for i in range(6)]
+    tick = altered(driven(np.arange(6.0) + 1.0, ages, blind), tick=1)
+    sensed.update(found, tick, MS, Readings(), np.full(6, 50.0), ZERO)
+    expected = [50.0 if i == other else i + 1.0 for i in range(6)]
+    np.testing.assert_allclose(force(found), expected, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("state", [DriveState.READY, DriveState.OFF, DriveState.FAULT])
+def test_behind_one_shut_brake_no_force_carries_the_pose_on(leg, state):
+    """A shut brake takes what the model would make of the forces, and the mean of them begins anew."""
+    found, forces = estimator(), []
+    states = [state if i == leg else DriveState.RUN for i in range(6)]
+    for number, drives in enumerate(([DriveState.RUN] * 6, states, [DriveState.RUN] * 6), 1):
+        tick = altered(driven(np.full(6, 10.0 * number)), tick=number, drive_state=drives)
+        sensed.update(found, tick, number * MS, Readings(), ZERO, ZERO)
+        interval = found._steps[found.record["newest"]]
+        shut = drives is states
+        assert (interval["used"] == (KEPT if shut else 1)).all()
+        assert not (shut and interval["dtwist"].any())
+        forces.append(force(found))
+    assert forces[1] is None
+    np.testing.assert_allclose(forces[::2], [[10.0] * 6, [30.0] * 6], rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("odd", ["", "brake", "leg", "leg that is silent"])
+@pytest.mark.parametrize("leg", [0, 5])
+def test_a_platform_on_shut_brakes_has_lost_its_speed(odd, leg):
+    """5 mm/s of one leg that is heard is a motion; what was read last of a silent one is none."""
+    found, at = estimator(), np.arange(6) == leg
+    twist = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
+    found._steps[found.record["newest"]]["x"][12:18] = twist
+    states = np.where(at & (odd == "brake"), int(DriveState.RUN), int(DriveState.READY))
+    rates, ages = 5e-3 * (at & ("leg" in odd)), 1 * (at & ("silent" in odd))
+    tick = altered(driven(np.zeros(6)), tick=1, drive_state=states, rate=rates, age=ages)
+    sensed.update(found, tick, MS, Readings(), ZERO, ZERO)
+    stands = odd in {"", "leg that is silent"}
+    lost = found._steps[found.record["newest"]]["dtwist"] * T
+    np.testing.assert_allclose(lost, -twist if stands else np.zeros(6), rtol=1e-12)
+    assert force(found) is None
+
+
+def test_a_filter_that_begins_again_forgets_slips_forces_and_the_last_attitude():
+    found, fresh, truth = estimator(), estimator(), Truth(5)
+    for tick in range(1, 4):
+        sensed.update(found, altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+    for name, leg in (("slipped", 2), ("against", 1), ("left_out", 4)):
+        found.record[name][leg] = 2
+    for each in (found, fresh):
+        each.start(50, 50 * MS, truth.p, truth.R.as_matrix())
+    for name in ("newest", "count", "driven", "slipped", "left_out", "against", "heard", "R"):
+        np.testing.assert_array_equal(found.record[name], fresh.record[name], name)
+    for name in ("tick", "latched_ns", "x"):
+        np.testing.assert_array_equal(found._steps[0][name], fresh._steps[0][name])
+    np.testing.assert_array_equal(found._covariances[0], fresh._covariances[0])
+
+
+judge_tick = kernel(record(FUSION), record(TICK))(judge)
+
+
+@pytest.mark.parametrize("missed", [False, True])
+@pytest.mark.parametrize(
+    ("leg", "encoder", "alone_s", "fault"),
+    [
+        (None, Warn.NONE, 0.0, Fault.NONE),
+        (2, Warn.ENCODER, 0.2, Fault.UNCERTAIN),
+        (4, Warn.ENCODER, 0.0, Fault.NONE),
+    ],
+)
+def test_lost_encoders_and_missed_sensors_are_warned_of_and_the_tracker_alone_is_judged(
+    leg, encoder, alone_s, fault, missed
+):
+    """Leg 2 may be lost: without it the tracker alone holds the pose."""
+    settings = FusionSettings(may_lose_legs=[2])
+    fused = FusedEstimator(PLATFORM, Model(PLATFORM), settings, LEGS, TRACKER, None, T)
+    fused.record["position_std_m"] = 1e-4
+    fused.record["lost"] = 0 if leg is None else 1 << leg
+    fused.record["gap_s"], fused.record["missed"] = 0.2, missed
+    tick = record_of(tick=1)
+    judge_tick(fused.record, tick)
+    assert Warn(int(tick["fusion_warnings"])) == encoder | (Warn.SENSOR if missed else Warn.NONE)
+    assert fused.record["alone_s"] == alone_s
+    assert Fault(int(tick["fusion_faults"])) == fault
+
+
+@pytest.mark.parametrize(("rate_Hz", "period_s"), [(100.0, 1e-3), (1000.0, 1e-3), (400.0, 4e-3)])
+def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(rate_Hz, period_s):
+    wrench = ExternalWrench(None, rate_Hz, period_s)
+    wrench._record["read_at"] = 10
+    late = []
+    for tick in range(10, 60):
+        late.append(wrench.fill(record_of(tick=tick), fusing=False))
+    patience = SENSOR_PATIENCE / rate_Hz / period_s
+    assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]
+
+
+fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
+
+
+def test_a_state_that_is_no_number_has_no_residual():
+    s = np.zeros((), STEP)
+    s["x"][0:3], s["x"][3:12] = np.nan, np.eye(3).ravel()
+    s["used"] = 1
+    tick = record_of()
+    fill(context_of(FUSION, base_joints=A, platform_joints=B, radius=PLATFORM.radius), s, np.eye(12), tick)
+    assert np.isnan(tick["fk_residual"])
+    assert not tick["condition"] < np.inf

@@ -9,22 +9,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.config.model import ModelSettings
-from hil.contracts.records import arrived, asked, referred
+from hil.contracts.records import arrived, asked
 from hil.control.inverse_dynamics import InverseDynamicsSettings
 from hil.control.law import LawContext
 from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kernel
 from hil.robot.dynamics import Model, Variant
-from hil.robot.dynamics_kernels import forward_dynamics_kernel, inverse_dynamics_kernel, joint_idc_kernel
+from hil.robot.dynamics_kernels import joint_idc_kernel
 from hil.robot.geometry import Platform
-from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from tests.broad import broad
 
 DATA = Path(__file__).parents[1] / "data"
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
 BOOK = json.loads((DATA / "book_platform.json").read_text())
-CLOSED_LOOP = json.loads((DATA / "book_closed_loop.json").read_text())["rows"]
 PLATFORMS = {name: Platform.from_dict(d) for name, d in TRUTH["geometries"].items()}
 CASES = [pytest.param(case, id=case["id"]) for case in TRUTH["cases"]]
 HOME = (np.array([0.0, 0.0, 1.0]), np.eye(3))
@@ -244,97 +241,3 @@ def test_the_configured_law_believes_in_the_configured_drives(per_leg):
     expected = legs + m * ddq + b * dq + c * np.sign(dq)
     context = LawContext(platform, "none", 1e-3, HoldTrajectory(p, R))
     assert relative(asked(settings.build(context), tick), expected) <= 1e-9
-
-
-def book_reference(t):
-    """Cubic out and back between the book's two knots; orientation linear in the rotation vector."""
-    s, sign = (t, 1.0) if t < 1.0 else (2.0 - t, -1.0)
-    knot = BOOK["trajectory"]["knots"][1]
-    step = np.array(knot["p"]) - HOME[0]
-    r = np.radians(knot["rotvec_deg"])
-    k, dk, ddk = 3 * s**2 - 2 * s**3, sign * (6 * s - 6 * s**2), 6 - 12 * s
-    R, omega, alpha = rotation_motion_kernel(k * r, dk * r, ddk * r)
-    return HOME[0] + k * step, R, np.concatenate([dk * step, omega]), np.concatenate([ddk * step, alpha])
-
-
-def closed_loop(law, dt=1e-3, hold=0):
-    """Integrate the full model for 2 s, RK4 on SE(3); return the peak leg error in mm. hold: steps per sample."""
-    platform = Platform.from_dict(BOOK["geometry"])
-    a, b = platform.base_joints, platform.platform_joints
-    plant = Model(platform).constants
-    p, R, twist = HOME[0].copy(), np.eye(3), np.zeros(6)
-    peak = 0.0
-    tau = NOTHING
-
-    def control(t, p, R, twist):
-        pose = book_reference(t)
-        tick = referred(platform, PoseSample(*pose))
-        q, dq, ddq = tick["q_d"], tick["dq_d"], tick["ddq_d"]
-        J = jacobian_kernel(a, b, p, R)
-        return law(pose, q, dq, ddq, p, R, twist, J, q - leg_lengths_kernel(a, b, p, R), dq - J @ twist)
-
-    def turned(w):
-        return np.ascontiguousarray(rotation_from_vector(w) @ R)
-
-    def back(u, w):
-        uw = np.cross(u, w)
-        return w - uw / 2 + np.cross(u, uw) / 12
-
-    for step in range(round(2.0 / dt)):
-        t = step * dt
-        if hold and step % hold == 0:
-            tau = control(t, p, R, twist)
-
-        def slope(t, p, R, twist, tau=tau):
-            force = tau if hold else control(t, p, R, twist)
-            return forward_dynamics_kernel(plant, 0, p, R, twist, force, NOTHING)
-
-        k1, u1 = slope(t, p, R, twist), twist[3:]
-        x2 = twist + dt / 2 * k1
-        k2, u2 = slope(t + dt / 2, p + dt / 2 * twist[:3], turned(dt / 2 * u1), x2), back(dt / 2 * u1, x2[3:])
-        x3 = twist + dt / 2 * k2
-        k3, u3 = slope(t + dt / 2, p + dt / 2 * x2[:3], turned(dt / 2 * u2), x3), back(dt / 2 * u2, x3[3:])
-        x4 = twist + dt * k3
-        k4, u4 = slope(t + dt, p + dt * x3[:3], turned(dt * u3), x4), back(dt * u3, x4[3:])
-        p = p + dt / 6 * (twist + 2 * x2 + 2 * x3 + x4)[:3]
-        R = turned(dt / 6 * (u1 + 2 * u2 + 2 * u3 + u4))
-        twist = twist + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        pose = book_reference(t + dt)
-        peak = max(peak, np.abs(leg_lengths_kernel(a, b, p, R) - leg_lengths_kernel(a, b, *pose[:2])).max())
-    return 1e3 * peak
-
-
-def idc(model, wn=20.0):
-    def law(_pose, _q, _dq, ddq, p, R, twist, J, e, de):
-        return joint_idc_kernel(
-            model.constants, model.code, p, R, twist, J, ddq + 2 * wn * de + wn**2 * e, NOTHING
-        )
-
-    return law
-
-
-def feedforward_pd(model):
-    def law(pose, _q, _dq, _ddq, _p, _R, _twist, _J, e, de):
-        p, R, twist, dtwist = pose
-        tau = inverse_dynamics_kernel(model.constants, model.code, p, R, twist, dtwist, NOTHING)
-        return tau + BOOK["gains"]["ch6_joint_PD"]["KP"] * e + BOOK["gains"]["ch6_joint_PD"]["KV"] * de
-
-    return law
-
-
-@pytest.mark.parametrize(
-    ("row", "make", "options", "hold", "rel"),
-    broad(
-        [
-            ("joint_IDC_partial(noH,noJdot)_wn20", idc, {"variant": "printed"}, 0, 1e-3),
-            ("joint_FF_PD_masses_90pct", feedforward_pd, {"inertia_scale": 0.9}, 0, 1e-6),
-            ("joint_IDC_const_home_dynamics_wn20", idc, {"variant": "constant", "frozen_at": HOME}, 0, 1e-3),
-            ("joint_IDC_exact_wn20_1kHz_ZOH", idc, {}, 2, 1e-3),
-        ],
-        quick=2,
-    ),
-)
-def test_laws_on_the_books_trajectory_err_as_published_figures_say(row, make, options, hold, rel):
-    model = Model(Platform.from_dict(BOOK["geometry"]), **options)
-    peak = closed_loop(make(model), dt=5e-4 if hold else 1e-3, hold=hold)
-    assert peak == pytest.approx(CLOSED_LOOP[row]["peak_leg_err_mm"], rel=rel)

@@ -271,24 +271,6 @@ def test_a_force_along_a_leg_that_nobody_reports_is_found():
     assert e @ np.linalg.solve(P[:12, :12], e) / 12 < 2
 
 
-def test_unknown_forces_and_the_biases_of_an_imu_are_told_apart():
-    truth = Driven([300.0, 0, 0, -300.0, 0, 0])
-    imu = ImuSettings(rate_Hz=1000.0)
-    found = FusedEstimator(PLATFORM, Model(PLATFORM), FusionSettings(), FORCED, TRACKER, imu, T)
-    found.start(0, 0, truth.p, truth.R.as_matrix())
-    gyro_bias = np.array([0.02, -0.01, 0.03])
-    for tick in range(1, 200):
-        truth.step(truth.hold)
-        w = truth.R.inv().apply(truth.twist[3:]) + gyro_bias
-        f = truth.R.inv().apply(truth.dtwist[:3] - PLATFORM.gravity)
-        sample = Sample(tick - 1, 0.999e-3, (*w, *f))
-        Fused(found, tick, truth.measure(truth.hold), Readings(imu=(sample,)))
-    x, P = state_of(found)
-    std = np.sqrt(P.diagonal())
-    assert np.abs(x[18:21] - gyro_bias).max() < 3 * std[12:15].max() < 3e-3
-    assert np.abs((x[24:] - truth.unknown) / std[18:]).max() < 3
-
-
 @pytest.mark.parametrize(
     ("off", "stated"),
     [({"skew_s": 50e-6}, {"rate_skew_std_s": 50e-6}), ({"scale": 1.01}, {"rate_scale_std": 0.01})],

@@ -18,11 +18,9 @@ from tests.hil.fused import (
     PLATFORM,
     TRACKER,
     ZERO,
-    Driven,
     T,
     Truth,
     error,
-    estimator,
     legs,
     measurement,
     settled,
@@ -113,31 +111,6 @@ def test_the_age_of_a_leg_that_may_be_lost_does_not_count():
         sensed.update(found, record, tick * MS, Readings(), ZERO, ZERO)
         assert record["counted_age"].tolist() == ages
         assert record["unseen"] == unseen
-
-
-@pytest.fixture(scope="module")
-def pushed():
-    """A platform that its drives push upward from rest: where it is in the end, and what is measured."""
-    truth = Driven(ZERO)
-    tau = truth.hold + 2000.0
-    ticks = []
-    for _ in range(39 + LEFT_OUT_TICKS):
-        truth.step(tau)
-        ticks.append(truth.measure(tau))
-    return truth, ticks
-
-
-@pytest.mark.parametrize("leg", range(6))
-@pytest.mark.parametrize("share", [0.0, -1.0], ids=["dead", "of the wrong sign"])
-def test_a_leg_whose_rate_alone_is_wrong_is_left_out(pushed, leg, share):
-    found = estimator(FusionSettings(), LEGS)
-    scale = np.where(np.arange(6) == leg, share, 1.0)
-    truth, ticks = pushed
-    for tick, measured in enumerate(ticks, 1):
-        wrong = tick >= 40
-        fused = update(found, tick, altered(measured, rate=measured["rate"] * (scale if wrong else 1.0)))
-        assert fused.used == (tuple(i != leg for i in range(6)) if wrong else (True,) * 6)
-    assert np.abs(error(fused, truth)).max() < 1e-4
 
 
 def test_the_tracker_alone_bounds_what_a_lost_leg_leaves_open():

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.compiled.compiler import MATRIX, kernel, record
+from drivers.compiled.compiler import kernel, record
 from drivers.compiled.pointed import context_of, data_at
 from drivers.config import ImuSettings
 from drivers.signals import DriveState, Fault, Warn
-from drivers.tick_columns import TICK, part
+from drivers.tick_columns import TICK
 from hil.config.estimation import FusionSettings
 from hil.contracts.records import altered, record_of
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
-from hil.estimation.fusion_kernels import fill_estimate, rerun_kernel
+from hil.estimation.fusion_kernels import rerun_kernel
 from hil.estimation.fusion_layout import FUSION, KEPT, STEP
 from hil.estimation.fusion_tick import judge
 from hil.robot.dynamics import Model
@@ -309,16 +309,3 @@ def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(ra
         late.append(wrench.fill(record_of(tick=tick), fusing=False))
     patience = SENSOR_PATIENCE / rate_Hz / period_s
     assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]
-
-
-fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
-
-
-def test_a_state_that_is_no_number_has_no_residual():
-    s = np.zeros((), STEP)
-    s["x"][0:3], s["x"][3:12] = np.nan, np.eye(3).ravel()
-    s["used"] = 1
-    tick = record_of()
-    fill(context_of(FUSION, base_joints=A, platform_joints=B, radius=PLATFORM.radius), s, np.eye(12), tick)
-    assert np.isnan(tick["fk_residual"])
-    assert not tick["condition"] < np.inf

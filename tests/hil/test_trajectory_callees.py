@@ -1,21 +1,13 @@
 """References by their address: ours, and one in plain Python, which may fail."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from drivers.compiled.compiler import INTEGER, MATRIX, kernel, record
 from drivers.compiled.pointed import FAILED
-from drivers.tick_columns import TICK, new_record, part
-from hil.app.configuration.configuration import load
-from hil.app.configuration.platform import build_platform
-from hil.loop.motion import MOTION, Motion, place_reference, sample_at
-from hil.loop.reference import fill_reference, fill_sample
+from hil.loop.motion import Motion, sample_at
 from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
-from hil.trajectory.override import OVERRIDE
 from hil.trajectory.path import SAMPLE, callee_of, sampled_by
 from hil.trajectory.stopping import StoppingTrajectory
 from hil.trajectory.tabulated import TabulatedTrajectory
@@ -69,13 +61,6 @@ def test_an_error_of_a_path_in_plain_python_is_raised_by_the_motion(wrapped):
     assert same(motion.sample(4), MOVE.sample(1.0))
 
 
-@pytest.mark.parametrize("sample", [None, (HERE, EYE, np.zeros(6)), (HERE, EYE, np.zeros(6), np.zeros(5))])
-def test_a_path_in_plain_python_that_gives_no_sample_is_an_error(sample):
-    path = SimpleNamespace(duration_s=1.0, sample=lambda t: sample)
-    with pytest.raises((TypeError, ValueError)):
-        sampled_by(callee_of(path), 0.0)
-
-
 def test_a_sample_is_not_altered_by_the_next_one():
     live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), 1e-3)
     for path in (MOVE, HoldTrajectory(HERE, EYE), TabulatedTrajectory(MOVE, T), live):
@@ -112,32 +97,3 @@ def test_the_record_of_a_motion_is_that_of_its_path_after_every_change():
     recorded(live, np.inf)
     motion.stop(8, 0.5)
     recorded(live, live.duration_s)
-
-
-@kernel(
-    record(OVERRIDE),
-    record(MOTION),
-    INTEGER,
-    record(SAMPLE),
-    record(TICK, *part("reference")),
-    MATRIX,
-    MATRIX,
-)
-def place(override, motion, tick, sample, columns, a, b):
-    status = place_reference(override, motion.function, motion.context, tick, sample)
-    fill_sample(a, b, sample, columns)
-    return status
-
-
-@pytest.mark.parametrize("sigma", [0.0, 0.3, 1.0])
-def test_a_compiled_pass_fills_the_reference_as_python_does(sigma):
-    platform = build_platform(load("lab").platform)
-    motion, sample = Motion(T, HERE, EYE, 0.5), np.zeros((), SAMPLE)
-    motion.start(MOVE, 2)
-    motion.aim(3, sigma, go=True)
-    motion.advance(4)
-    compiled, plain = new_record(), new_record()
-    joints = platform.base_joints, platform.platform_joints
-    assert place(motion.override.record, motion.record, 4, sample, compiled, *joints) == 0
-    fill_reference(platform, motion.sample(4), plain)
-    assert compiled.tobytes() == plain.tobytes()

@@ -5,9 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
-from hil.config.reference import LiveReference
-from hil.config.values import Pose
-from hil.trajectory.build import build_trajectory
 from hil.trajectory.live import LiveTrajectory
 from tests.judged import ANYWHERE
 from tests.judged import judged as by_address
@@ -239,25 +236,6 @@ def test_ticks_that_were_skipped_are_made_up_for():
         skipping.advance(k, ANYWHERE)
     for a, b in zip(steady.sample(0.0), skipping.sample(0.0), strict=True):
         assert a.tobytes() == b.tobytes()
-
-
-def test_settings_become_limits_of_each_word():
-    limits = {
-        "velocity_m_s": [0.1, 0.2, 0.3],
-        "velocity_deg_s": 10,
-        "acceleration_m_s2": 1,
-        "acceleration_deg_s2": 60,
-        "jerk_m_s3": 10,
-        "jerk_deg_s3": 600,
-    }
-    settings = LiveReference.model_validate({"type": "live", "limits": limits})
-    home = Pose(position_m=(0, 0, 1))
-    trajectory = build_trajectory(settings, home, None, PERIOD)
-    assert isinstance(trajectory, LiveTrajectory)
-    np.testing.assert_array_equal(trajectory.sample(0.0).p, [0, 0, 1])
-    words, _ = run(trajectory, {0: off(1, 1, 1, 0.5, 0, 0)}, 1500)
-    fastest = np.abs(np.diff(words, axis=0)).max(axis=0) / PERIOD
-    np.testing.assert_allclose(fastest, [0.1, 0.2, 0.3, np.deg2rad(10), 0, 0], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("word", range(6))

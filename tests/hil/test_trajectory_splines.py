@@ -53,21 +53,6 @@ def test_a_sampled_path_is_scipys_clamped_cubic_spline():
     is_the_spline(path, CubicSpline(table[:, 0], table[:, 1:4], bc_type="clamped"), path.duration_s)
 
 
-def test_two_points_give_the_rest_to_rest_quintic():
-    c = minimum_jerk_coefficients(np.array([0.0, 3.0]), np.array([[1.0], [3.0]]))
-    np.testing.assert_allclose(c[0, :, 0], [1, 0, 0, 20, -30, 12], rtol=0, atol=1e-14)
-
-
-def test_a_via_point_half_way_is_passed_at_the_speed_of_the_whole_move():
-    """Where the via point lies on the minimum-jerk path without it, it changes nothing."""
-    u = 0.3
-    via = 10 * u**3 - 15 * u**4 + 6 * u**5
-    c = minimum_jerk_coefficients(np.array([0.0, u, 1.0]), np.array([[0.0], [via], [1.0]]))
-    speed = c[1, 1, 0] / (1 - u)
-    assert speed == pytest.approx(30 * u**2 * (1 - u) ** 2, rel=1e-12)
-    assert 2 * c[1, 2, 0] / (1 - u) ** 2 == pytest.approx(60 * u * (1 - u) * (1 - 2 * u), rel=1e-11)
-
-
 def test_no_other_path_through_the_points_has_less_jerk():
     """Moves of the path that vanish at the points and rest at the ends are orthogonal to its jerk."""
     c = minimum_jerk_coefficients(T, Y)[:, :, :1]

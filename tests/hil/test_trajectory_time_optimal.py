@@ -90,25 +90,6 @@ def test_limits_are_touched_and_never_exceeded():
         assert share[2] > 0.999, "a time-optimal move always starts with the largest jerk"
 
 
-def test_it_rests_at_every_point():
-    trajectory = build()
-    ends = np.array([np.r_[p, np.deg2rad(r)] for p, r in POINTS])
-    t = np.linspace(0, trajectory.duration_s, 20_001)
-    speed = np.array([np.abs(trajectory.sample(float(s)).twist).max() for s in t])
-    resting = [s for s, x in zip(t, speed, strict=True) if x < 1e-6]
-    found = six_words(trajectory, resting)
-    for end in ends:
-        assert np.abs(found - end).max(axis=1).min() < 1e-8
-
-
-def test_axes_go_in_proportion_where_their_limits_allow_it():
-    trajectory = build([POINTS[0], ((0.3, 0.15, 1.0), (3.0, 0.0, 0.0))])
-    chi = six_words(trajectory, np.linspace(0, trajectory.duration_s, 101)) - [0, 0, 1, 0, 0, 0]
-    share = chi[:, 0] / 0.3
-    np.testing.assert_allclose(chi[:, 1], 0.15 * share, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(chi[:, 3], np.deg2rad(3.0) * share, rtol=0, atol=1e-13)
-
-
 def test_axes_that_cannot_go_in_proportion_move_as_the_planner_says_and_arrive_together():
     """x needs 10 s at its velocity; y on the same line would need 2 m/s^2, and has 0.05 m/s^2."""
     V, A, J = [0.1, 5.0, 3.0], [2.0, 0.05, 1.0], [20.0, 2.0, 5.0]

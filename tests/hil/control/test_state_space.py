@@ -12,12 +12,10 @@ from hil.config.model import ModelSettings
 from hil.config.values import Pose
 from hil.contracts.records import arrived, asked
 from hil.control.inverse_dynamics import InverseDynamicsSettings
-from hil.control.linearised_axes import accelerations, pose_acceleration
-from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings, pose_errors
+from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
 from hil.control.state_space import StateSpaceSettings
 from hil.loop.reference import fill_reference
-from hil.mathematics.rotations import rotation_from_vector, rotation_vector
-from hil.robot.dynamics import Model
+from hil.mathematics.rotations import rotation_from_vector
 from hil.trajectory.path import PoseSample
 from tests.hil.control.legs import BOOK, CONTEXT, NONE, PLATFORM, at_rest
 
@@ -118,39 +116,6 @@ def test_the_inputs_are_what_the_file_names_in_its_order(inputs, expected):
 
 
 # -- what limits take ----------------------------------------------------------------------------------------
-
-
-def answer(model, tick, tau):
-    return accelerations(model.constants, model.code, tick["p"], tick["R"], tau)
-
-
-def test_a_force_moves_all_legs_by_j_inverse_m_j_transposed():
-    """M by the model, the rest here."""
-    tick = astray()
-    M = Model(PLATFORM).mass_matrix(tick["p"], tick["R"])
-    found = answer(Model(PLATFORM), tick, PUSH)[1]
-    np.testing.assert_allclose(found, tick["J"] @ np.linalg.solve(M, tick["J"].T @ PUSH), rtol=1e-10)
-    one = answer(Model(PLATFORM), tick, np.array([1e3, 0, 0, 0, 0, 0]))[1]
-    assert np.abs(one[1:]).max() > 0.1 * one[0] > 0, "a leg's force moves its neighbours"
-
-
-def test_in_pose_axes_it_turns_the_error_back():
-    """Forward dynamics with and without the force, and log(R_d R^T) differentiated twice, numerically."""
-    tick = astray()
-    model = Model(PLATFORM)
-    still = [model.forward_dynamics(tick["p"], tick["R"], tick["twist"], tau) for tau in (NONE, PUSH)]
-    dtwist = still[1] - still[0]
-    h = 1e-4
-
-    def r(t):  # turned by the force alone, from rest; R_d stands still
-        turn = rotation_from_vector(0.5 * t * t * dtwist[3:])
-        return rotation_vector(tick["R_d"] @ (turn @ tick["R"]).T)
-
-    ddr = 2.0 * (r(h) - r(0.0)) / (h * h)
-    errors = pose_errors(*(tick[name] for name in ("p", "R", "twist", "p_d", "R_d", "twist_d")))
-    found = pose_acceleration(errors, answer(model, tick, PUSH)[0])
-    np.testing.assert_allclose(found[:3], dtwist[:3], rtol=1e-9)
-    np.testing.assert_allclose(found[3:], -ddr, rtol=1e-5, atol=1e-5 * np.abs(ddr).max())
 
 
 @models

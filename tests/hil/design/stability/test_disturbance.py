@@ -42,15 +42,6 @@ def test_the_friction_of_every_leg_moves_each_in_the_worst_of_its_senses(platfor
     np.testing.assert_allclose(loop.at(HOME, STILL, STILL).d, worst, rtol=1e-9)
 
 
-def test_the_weight_is_that_of_where_the_robot_is_behind_its_reference(platform):
-    """Believed masses of 0.9 leave a tenth of the weight, M^-1 G / 10 at p_d - e."""
-    robot, loop = linearised(platform, "pose", scale=0.9)
-    e = np.array([0.1, -0.05, 0.2, 0.0, 0.0, 0.0])
-    p = HOME.p - e[:3]
-    fall = np.linalg.solve(robot.mass_matrix(p, HOME.R), robot.gravity(p, HOME.R)) / 10.0
-    np.testing.assert_allclose(loop.at(HOME, e, STILL).d, np.abs(fall), rtol=1e-6, atol=1e-9)
-
-
 def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
     """Six axes alike, each off by s of the sum of all u: d / (1 - 6 s g), g the L1 norm from d to u."""
     t = np.linspace(0.0, 2.0, 200_001)

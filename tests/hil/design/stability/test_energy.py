@@ -50,16 +50,6 @@ def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
     )
 
 
-def test_forces_of_the_set_point_hold_it_as_far_as_the_springs_are_stiffer_than_the_weight():
-    """A constant force lets the platform fall over for weak springs: the well becomes a saddle."""
-    q_d = leg_lengths(PLATFORM, *HOME)
-    J = jacobian(PLATFORM, *HOME)
-    tau = np.asarray(np.linalg.solve(J.T, MODEL.gravity(*HOME)), float)
-    for stiffness, stable in ((4e5, True), (1e2, False)):
-        S = total(leg_springs(PLATFORM, q_d, np.full(6, stiffness), tau), weight(MODEL))
-        assert well(S, *HOME, 1.0).stable is stable
-
-
 def test_the_basin_of_a_bowl_is_known():
     """S = k |x|^2 / 2 + k_r |r|^2 / 2, the region a ball of 0.3 m of the position: the edge is anywhere on it."""
 

@@ -77,19 +77,6 @@ def test_a_delay_within_a_period_is_exact():
     np.testing.assert_allclose(np.array(found), solution.y[:2].T, atol=2e-9)
 
 
-def test_a_lead_compensator_on_the_position_alone_is_a_controller_like_any():
-    """u[k] = K (e - 0.9 e[k-1]) / (1 - 0.3 z^-1): with the characteristic polynomial written out by hand."""
-    K, a, b = 2e4, 0.97, 0.5
-    lead = LinearSystem(
-        np.array([[b]]), np.array([[1.0, 0.0]]), np.array([[K * (b - a)]]), np.array([[K, 0.0]]), T
-    )
-    found = analyse(Axis(T), lead)
-    open_numerator = np.polymul([K, -K * a], [T**2 / 2, T**2 / 2])
-    polynomial = np.polyadd(np.polymul([1, -b], [1, -2, 1]), open_numerator)
-    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(np.roots(polynomial)), atol=1e-9)
-    assert found.stable
-
-
 def test_too_much_gain_is_unstable_and_has_no_margins():
     found = analyse(Axis(T, 0.5e-3, 1 / 1257), gains(500.0**2, 1000.0, T))
     assert not found.stable
@@ -105,17 +92,6 @@ def test_the_peak_gain_is_the_compliance_and_grows_with_the_delay():
 
 W_N = 20.0
 PD = static(np.array([[W_N**2, 2 * W_N]]), T)
-
-
-def test_the_margins_of_a_pd_are_those_of_its_continuous_loop_less_half_a_period():
-    """At damping ratio 1: 2.0582 wn and 76.345 deg; a hold of 0.1 ms takes w_c T / 2."""
-    period = 1e-4
-    found = margins(PD._replace(period_s=period).after(sampled_axis(0.0, lag(0.0), period)))
-    assert found.crossover_rad_s == pytest.approx(2.0582 * W_N, rel=1e-4)
-    assert found.phase_deg == pytest.approx(76.345 - np.degrees(2.0582 * W_N * period / 2), abs=0.01)
-    w = np.geomspace(1.0, 1e3, 4001)  # S = s^2 / (s + wn)^2, T = (2 wn s + wn^2) / (s + wn)^2
-    assert found.peak_S == pytest.approx(1.0, abs=5e-3)
-    assert found.peak_T == pytest.approx(np.abs((40j * w + 400) / (1j * w + 20) ** 2).max(), rel=3e-3)
 
 
 @pytest.mark.parametrize("transport_s", [0.0, 0.4e-3, 0.026])
@@ -157,20 +133,6 @@ def test_an_exact_prediction_leaves_the_slow_poles_of_the_loop_without_delay(bus
     slow = np.log(found.poles[np.argsort(-np.abs(found.poles))][:2]) / T
     assert found.stable
     np.testing.assert_allclose(np.mean(slow), -20.0, rtol=0.01)
-
-
-def test_its_state_follows_the_commands_it_gave():
-    """By hand for a bus of 1.5 periods: u[k-2] acts for half a period more, then u[k-1] up to the horizon 2 T."""
-    K_P, K_D, e = 100.0, 10.0, 0.01
-    c = predicting(K_P, K_D, T, bus_s=1.5 * T, lag_s=0.0, hold_s=0.5e-3)
-    x, y, u = np.zeros(c.order), np.array([e, 0.0]), [0.0, 0.0]
-    for _ in range(4):
-        before, last = u[-2:]
-        rate = -before * T / 2 - last * 1.5 * T
-        length = e - before * ((T / 2) ** 2 / 2 + T / 2 * 1.5 * T) - last * (1.5 * T) ** 2 / 2
-        u.append((c.C @ x + c.D @ y).item())
-        x = c.A @ x + c.B @ y
-        assert u[-1] == pytest.approx(K_P * length + K_D * rate, rel=1e-9)
 
 
 AXIS = Axis(T, 0.5e-3, 0.8e-3)

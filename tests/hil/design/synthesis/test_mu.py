@@ -71,21 +71,6 @@ def test_both_bounds_carry_their_proofs():
     assert np.linalg.svd(loop, compute_uv=False)[:, -1].max() < 1e-6
 
 
-def test_a_real_block_gives_a_bound_no_higher_and_its_proof():
-    M = samples(40, 5, 6)
-    blocks = [REAL, REAL, *BLOCKS[2:]]
-    mixed, plain = upper_bound(M, blocks), upper_bound(M, BLOCKS)
-    assert (mixed.bound <= plain.bound * (1 + 1e-3)).all()
-    assert (mixed.bound < 0.99 * plain.bound).any()
-    d, g = np.repeat(mixed.D**2, [1, 1, 1, 2], axis=1), np.zeros((40, 6, 5))
-    g[:, [0, 1], [0, 1]] = mixed.G[:, :2]
-    GM = g @ M
-    left = M.conj().swapaxes(1, 2) @ (d[:, :, None] * M) + 1j * (GM - GM.conj().swapaxes(1, 2))
-    right = np.repeat(mixed.D**2, [1, 1, 1, 3], axis=1) * mixed.bound[:, None] ** 2
-    spare = np.linalg.eigvalsh(right[:, :, None] * np.eye(6) - left)
-    assert (spare[:, 0] > -1e-9 * np.abs(spare).max(1)).all()
-
-
 @pytest.mark.parametrize("kinds", [(COMPLEX, COMPLEX, COMPLEX), (REAL_KIND, COMPLEX, COMPLEX)])
 def test_no_bound_is_looser_than_that_of_slicot(kinds):
     slycot = pytest.importorskip("slycot")

@@ -11,10 +11,9 @@ import pytest
 from drivers.errors import ModelError, SynthesisError
 from hil.config.design import DesignAxis
 from hil.design.synthesis.axis import actuator, four_block, pade
-from hil.design.synthesis.dk import bounds_over_frequency, dk_iteration, minimum_phase, with_own
+from hil.design.synthesis.dk import dk_iteration
 from hil.design.synthesis.mu import Block
 from hil.design.synthesis.norm import norm
-from hil.design.synthesis.reduction import reduced
 from hil.design.synthesis.sampled import sampled_axis
 from hil.design.synthesis.structured import Structured
 from hil.design.synthesis.wiring import wired
@@ -131,40 +130,7 @@ def test_a_ring_of_gains_without_a_solution_is_refused():
         wired(parts, ["r"], [{"b": 1.0}])
 
 
-def test_states_that_cancel_go_and_those_that_act_stay():
-    """(s + 20.0001) / (s + 20) does next to nothing: of order 3 is left order 2."""
-    near = first_order(20.0, 1e-4, 1.0)
-    K = near.after(first_order(2.0)).after(first_order(70.0))
-    small, off = reduced(K, np.ones(1), 1e-4)
-    assert small.order == 2
-    worst = np.abs(small.response(OMEGA) - K.response(OMEGA)).max()
-    assert 0.0 < worst <= off * np.abs(K.response(OMEGA)).max()
-
-
 GRID = np.geomspace(0.1, 1e4, 120)
-GRID_S = 1j * GRID
-
-
-@pytest.mark.parametrize(("zeros", "poles"), [((30.0,), (400.0,)), ((900.0, 20.0), (100.0, 300.0))])
-def test_a_scale_is_found_again_from_its_magnitude(zeros, poles):
-    d = 0.02 * np.prod([GRID_S + z for z in zeros], axis=0) / np.prod([GRID_S + p for p in poles], axis=0)
-    fit = minimum_phase(GRID, np.abs(d), len(zeros), (5.0, 2000.0), np.ones(120))
-    assert fit.response(GRID)[:, 0, 0] == pytest.approx(d, rel=1e-4)
-
-
-def test_a_peak_between_the_frequencies_of_the_grid_and_one_at_rest_are_not_missed():
-    """A resonance of damping 1e-5: 5e4 at 100 rad/s; and 1 / (s + 0.001) rises to 1000 far below the grid."""
-    coarse = np.geomspace(10.0, 900.0, 14)
-    one, zero = np.eye(1), np.zeros((1, 1))
-    sharp = LinearSystem(
-        np.array([[-2e-3, -1e4], [1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[0.0, 1e4]]), zero
-    )
-    assert bounds_over_frequency(sharp, [Block()], coarse).peak < 1000.0
-    seen = bounds_over_frequency(sharp, [Block()], with_own(coarse, sharp))
-    assert seen.peak == pytest.approx(5e4, rel=1e-3)
-    slow = LinearSystem(-1e-3 * one, one, one, zero)
-    seen = bounds_over_frequency(slow, [Block()], with_own(coarse, slow))
-    assert seen.peak == pytest.approx(1000.0, rel=1e-3)
 
 
 def test_a_loop_without_control_over_its_uncertainty_is_refused():

@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.signals import Mode
-from hil.app.configuration.configuration import load
 from hil.config.reference import WaypointReference
 from hil.config.values import Pose
 from hil.contracts.records import referred
@@ -19,7 +18,7 @@ from hil.loop.setup_moves import approach, at_setup_speed
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.build import build_trajectory
-from tests.hil.test_cycle import Bench
+from tests.hil.test_cycle_again import a_bench
 
 BOOK = json.loads((Path(__file__).parent.parent / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -66,24 +65,29 @@ WAYS = {
 }
 
 
-BRISK = {"force_ramp_s": 0.02, "brake_release_s": 0.005, "brake_close_s": 0.005, "blend_s": 0.05}
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.LOADING, Mode.PARKED])
+def test_where_nothing_is_followed_the_reference_is_where_the_platform_is(mode):
+    bench = moved_in(mode)
+    tick = bench.cycle.tick
+    assert bench.cycle.mode is mode
+    np.testing.assert_array_equal(tick["p_d"], tick["p"])
+    np.testing.assert_array_equal(tick["R_d"], tick["R"])
+    assert not tick["twist_d"].any()
 
 
-@pytest.mark.parametrize(
-    ("mode", "follows"),
-    [
-        (Mode.IDLE, True),
-        (Mode.LOADING, True),
-        (Mode.RELEASING, False),
-        (Mode.PARKING, False),
-        (Mode.UNLOADING, False),
-        (Mode.PARKED, True),
-    ],
-)
-def test_the_reference_is_where_the_platform_is_or_where_it_should_stand(mode, follows):
-    """Legs that are 5 um longer since the second tick of a mode, a tick later."""
-    virtual = load("virtual")
-    bench = Bench(virtual.model_copy(update={"engage": virtual.engage.model_copy(update=BRISK)}))
+@pytest.mark.parametrize("mode", [Mode.RELEASING, Mode.PARKING, Mode.UNLOADING])
+def test_from_the_release_to_the_test_of_the_brakes_it_is_where_the_platform_should_stand(mode):
+    bench = moved_in(mode)
+    tick, home = bench.cycle.tick, bench.cycle.parts.home_p
+    assert bench.cycle.mode is mode
+    np.testing.assert_allclose(tick["p_d"], home, atol=1e-6)
+    assert np.abs(tick["p"] - home).max() > 4e-6
+    assert not tick["twist_d"].any()
+
+
+def moved_in(mode):
+    """A bench whose legs are 5 um longer since the second tick of a mode; what it is a tick later."""
+    bench = a_bench()
     stops = mode in {Mode.PARKING, Mode.UNLOADING, Mode.PARKED}
     bench.until(Mode.APPROACH if stops else mode)
     bench.step((Operator.STOP,) * stops)
@@ -93,12 +97,4 @@ def test_the_reference_is_where_the_platform_is_or_where_it_should_stand(mode, f
     bench.drives.length = bench.drives.length + 5e-6
     for _ in range(2):
         bench.step()
-    tick, home = bench.cycle.tick, bench.cycle.parts.home_p
-    assert bench.cycle.mode is mode
-    assert not tick["twist_d"].any()
-    if follows:
-        np.testing.assert_array_equal(tick["p_d"], tick["p"])
-        np.testing.assert_array_equal(tick["R_d"], tick["R"])
-    else:
-        np.testing.assert_allclose(tick["p_d"], home, atol=1e-6)
-        assert np.abs(tick["p"] - home).max() > 4e-6
+    return bench

@@ -27,9 +27,7 @@ T = 1e-3
 MS = 1_000_000
 ZERO = np.zeros(6)
 LOOSE = FusionSettings(
-    acceleration_noise_m_s2_sqrtHz=0.5,
-    angular_acceleration_noise_rad_s2_sqrtHz=0.4,
-    gate_std=50.0,
+    acceleration_noise_m_s2_sqrtHz=0.5, angular_acceleration_noise_rad_s2_sqrtHz=0.4, gate_std=50.0
 )
 LOOSE_LEGS = LegErrors(length_std_m=1e-4, rate_std_m_s=1e-2)
 LEGS = LegErrors(length_std_m=3e-7, rate_std_m_s=1e-3)

@@ -95,10 +95,7 @@ def study(a, b, home, tilt, count=300):
         p = home + rng.uniform(-0.1, 0.1, 3) * size
         r = np.radians(rng.uniform(-tilt, tilt, 3))
         q = leg_lengths_kernel(a, b, p, rotation(r))
-        start = (
-            p + rng.uniform(-1, 1, 3) * 5e-4 * size,
-            rotation(r + np.radians(rng.uniform(-0.1, 0.1, 3))),
-        )
+        start = (p + rng.uniform(-1, 1, 3) * 5e-4 * size, rotation(r + np.radians(rng.uniform(-0.1, 0.1, 3))))
         found = forward_kinematics_kernel(a, b, q, *start, 1e-9, 30)
         assert found[4] <= 1e-9
         iterations.append(found[3])

@@ -43,11 +43,7 @@ def test_a_path_in_plain_python_gives_the_bits_of_ours(wrapped):
 
 
 @pytest.mark.parametrize(
-    "wrapped",
-    [
-        lambda path: path,
-        lambda path: StoppingTrajectory(TabulatedTrajectory(path, 0.25), 5.0, 1.0),
-    ],
+    "wrapped", [lambda path: path, lambda path: StoppingTrajectory(TabulatedTrajectory(path, 0.25), 5.0, 1.0)]
 )
 def test_an_error_of_a_path_in_plain_python_is_raised_by_the_motion(wrapped):
     path, motion, into = Plain(), Motion(T, HERE, EYE, 0.5), np.zeros((), SAMPLE)

@@ -14,12 +14,8 @@ from hil.proof import Budget, Certificate, Equilibrium, Truth, verify
 
 x, y, z, v, w, k = sp.symbols("x y z v w k")
 sin, cos, exp, sqrt, Abs, R = sp.sin, sp.cos, sp.exp, sp.sqrt, sp.Abs, sp.Rational
-UNSTABLE, STABLE, LOCAL, GLOBAL = (
-    "unstable",
-    "stable, not asymptotically",
-    "asymptotically, not globally",
-    "globally",
-)
+UNSTABLE, STABLE = "unstable", "stable, not asymptotically"
+LOCAL, GLOBAL = "asymptotically, not globally", "globally"
 STILL = {Equilibrium.STABLE, Equilibrium.NO_CONCLUSION}
 ALLOWED = {
     UNSTABLE: {Equilibrium.UNSTABLE, Equilibrium.NO_CONCLUSION},
@@ -145,21 +141,9 @@ def test_a_dip_between_all_samples_is_not_overlooked():
 
 
 TERMS = [
-    x,
-    y,
-    x * y,
-    x**2,
-    y**2,
-    x**3,
-    y**3,
-    x**2 * y,
-    x * y**2,
-    sin(x),
-    sin(y),
-    1 - cos(x),
-    x * Abs(x),
-    y * Abs(y),
-]
+    x, y, x * y, x**2, y**2, x**3, y**3, x**2 * y, x * y**2,
+    sin(x), sin(y), 1 - cos(x), x * Abs(x), y * Abs(y),
+]  # fmt: skip
 BOWLS = [x**2, y**2, x**4, y**4, x * y, 1 - cos(x), x**2 * y**2, Abs(y) ** 3, x**3, sin(y) ** 2]
 
 

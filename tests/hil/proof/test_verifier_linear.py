@@ -18,25 +18,8 @@ from tests.broad import broad
 x, y, z, v, w = sp.symbols("x y z v w")
 R = sp.Rational
 NAMES = [
-    "s",
-    "t",
-    "lambda",
-    "E",
-    "x",
-    "I",
-    "N",
-    "S",
-    "Q",
-    "p",
-    "s1",
-    "beta",
-    "gamma",
-    "pi",
-    "O",
-    "C",
-    "u0",
-    "eigenvalue",
-]
+    "s", "t", "lambda", "E", "x", "I", "N", "S", "Q", "p", "s1", "beta", "gamma", "pi", "O", "C", "u0", "eigenvalue",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", broad(NAMES, quick=6))

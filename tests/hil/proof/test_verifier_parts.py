@@ -24,18 +24,10 @@ def signs(box=None):
     return Signs(make_system({x: -x, y: -y}, None, None, box, None), Budget())
 
 
-@pytest.mark.parametrize(
-    "e",
-    [
-        x**2 - y,
-        x**3 * y,
-        sp.sin(x) * y,
-        sp.Abs(x) ** R(3, 2),
-        sp.exp(-x) / (2 + y),
-        sp.tanh(x - y),
-        x**-2 + y,
-    ],
-)
+SMOOTH = [x**2 - y, x**3 * y, sp.sin(x) * y, sp.Abs(x) ** R(3, 2), sp.exp(-x) / (2 + y), sp.tanh(x - y)]
+
+
+@pytest.mark.parametrize("e", [*SMOOTH, x**-2 + y])
 def test_an_enclosure_holds_the_value_at_every_point(e):
     box = Enclosure(e, (x, y)).on(((0.25, 1.5), (-1.0, 0.5)))
     for a in (R(1, 4), R(7, 10), R(3, 2)):
@@ -125,12 +117,10 @@ def test_two_states_are_drawn(tmp_path):
     report = verify(f, V, box=box, parameters={b: (R(1, 2), 1)})
     picture = draw(f, V, box, tmp_path / "pendulum.png", parameters={b: 1}, report=report)
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    with pytest.raises(ModelError, match="a str"):
-        draw(f, "x**2", box, tmp_path / "no.png", parameters={b: 1})
-    with pytest.raises(ModelError, match="no value of b"):
-        draw(f, V, box, tmp_path / "no.png")
-    for ends in ({x: (-1, 1)}, {x: (-1, 1), v: (0, sp.oo)}):
-        with pytest.raises(ModelError, match="two ends"):
-            draw({x: v, v: -v - x}, V, ends, tmp_path / "no.png")
-    with pytest.raises(ModelError, match="two states"):
-        draw({x: -x}, x**2, {x: (-1, 1)}, tmp_path / "no.png")
+    for field, ends, words in (
+        (f, box, "no value of b"),
+        ({x: v, v: -v - x}, {x: (-1, 1)}, "two ends"),
+        ({x: -x}, box, "two states"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            draw(field, x**2, ends, tmp_path / "no.png")

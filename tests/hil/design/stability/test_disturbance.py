@@ -12,7 +12,7 @@ from hil.design.stability.disturbance import Friction, Linearised, Load, Survey
 from hil.design.stability.lateness import Late
 from hil.design.stability.ultimate import Extra, _bound
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian, jacobian_rate
+from hil.robot.kinematics import jacobian
 from hil.trajectory.path import PoseSample
 
 NOT_LOST = np.zeros((6, 6))
@@ -76,30 +76,3 @@ def test_forces_of_a_moment_ago_miss_by_what_place_and_rate_changed_since():
     d = known / (1.0 - T * (S_e * g_de + S_v * (g_u + 1.0)) - alpha * g_u)
     np.testing.assert_allclose(found.d, d, rtol=1e-6)
     np.testing.assert_allclose(found.error, 0.01 + g_e * d + 1e-3, rtol=1e-6)
-
-
-@pytest.mark.parametrize("axes", ["joint", "pose"])
-def test_what_place_and_rate_change_under_constant_forces_is_what_the_robot_does(platform, axes):
-    """The derivative against an exact model's forces: at constant demand they change by the opposite."""
-    robot, loop = linearised(platform, axes)
-    s = PoseSample(HOME.p, HOME.R, np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3]), STILL)
-    found = loop.at(s, STILL, STILL)
-    J = jacobian(platform, s.p, s.R)
-    h = 1e-5
-    tau = robot.inverse_dynamics(*s)
-    accelerations = []
-    for sign in (-1, 1):
-        x = sign * h * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-        dtwist = robot.forward_dynamics(s.p, s.R, s.twist + x, tau)
-        accelerations.append(dtwist)
-    change = (accelerations[1] - accelerations[0]) / (2 * h)
-    if axes == "pose":
-        np.testing.assert_allclose(found.by_rate[:, 1], change, rtol=1e-4, atol=1e-5)
-    else:
-        before, after = (
-            J @ a
-            + jacobian_rate(platform, s.p, s.R, s.twist + sign * h * np.eye(6)[1])
-            @ (s.twist + sign * h * np.eye(6)[1])
-            for sign, a in zip((-1, 1), accelerations, strict=True)
-        )
-        np.testing.assert_allclose(found.by_rate @ J[:, 1], (after - before) / (2 * h), rtol=1e-4, atol=1e-5)

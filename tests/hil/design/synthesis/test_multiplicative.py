@@ -10,16 +10,8 @@ from hil.app.configuration.section_file import read_section
 from hil.app.design.command import axis_of, load_design, report, run_design
 from hil.config.axis_model import AxisModel
 from hil.design.synthesis.mu_design import design_mu
-from hil.design.synthesis.multiplicative import (
-    Relative,
-    cover,
-    frequencies,
-    relative,
-    single,
-    together,
-)
+from hil.design.synthesis.multiplicative import Relative, frequencies, relative, single, together
 from hil.design.synthesis.sampled import loop_gain, sampled_axis
-from hil.design.synthesis.weights import rational
 from tests.hil.design.synthesis.test_coupling import gamma
 
 RATE_HZ = 1000.0
@@ -61,18 +53,6 @@ def test_the_bound_holds_for_every_axis_within_its_own(file):
         farthest = max(np.abs(g * (1 + own * circle) - 1).max() for g in GAINS)
         assert farthest <= w * (1 + 1e-12)
         assert w == pytest.approx(farthest, rel=1e-4)
-
-
-@pytest.mark.parametrize("points", [[(1, 0.04), (9, 0.01), (100, 0.09)], [(1, 0.01), (50, 0.5), (100, 2.0)]])
-def test_a_cover_is_above_and_near_and_its_poles_are_low(points):
-    w, corner = profile(*points), 0.4 * np.pi * RATE_HZ
-    omega = frequencies(RATE_HZ)
-    W = rational(cover(omega, w.at(omega), corner), "cover")
-    gain = np.abs(W.response(omega)[:, 0, 0])
-    assert (gain >= w.at(omega)).all()
-    assert np.abs(W.poles()).max() <= corner * (1 + 1e-9)
-    rising = np.maximum.accumulate(w.at(omega))
-    assert np.log(gain / rising)[omega <= corner].mean() < 0.65
 
 
 def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():

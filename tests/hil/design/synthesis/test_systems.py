@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import sqrt
 
 import control
 import numpy as np
 import pytest
 
-from drivers.errors import ModelError, SynthesisError
+from drivers.errors import SynthesisError
 from hil.config.design import DesignAxis
 from hil.design.synthesis.axis import actuator, four_block, pade
-from hil.design.synthesis.dk import dk_iteration
-from hil.design.synthesis.mu import Block
 from hil.design.synthesis.norm import norm
 from hil.design.synthesis.sampled import sampled_axis
-from hil.design.synthesis.structured import Structured
 from hil.design.synthesis.wiring import wired
 from hil.mathematics.linear_system import LinearSystem, static
 
@@ -70,14 +67,6 @@ def test_a_resonance_has_the_height_and_place_of_the_closed_form(zeta):
     assert found.omega == pytest.approx(sqrt(1.0 - 2.0 * zeta**2), rel=1e-2)
 
 
-@pytest.mark.parametrize(("pole", "omega"), [(0.9, 0.0), (-0.9, pi / 1e-3)])
-def test_a_sampled_lag_has_its_norm_at_rest_or_at_the_nyquist_frequency(pole, omega):
-    one = np.eye(1)
-    found = norm(LinearSystem(pole * one, one, one, 0 * one, 1e-3))
-    assert found.value == pytest.approx(10.0, rel=1e-6)
-    assert found.omega == pytest.approx(omega, abs=1e-3)
-
-
 def random(seed, period_s=None):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(6, 6))
@@ -122,27 +111,3 @@ def test_a_diagram_has_the_responses_that_its_algebra_gives():
     back = 1.0 + 2.0 * a * b
     expected = np.array([[a * b / back, b / back], [a / back + 1.0, -2.0 * a * b / back]]).transpose(2, 0, 1)
     assert pytest.approx(expected, rel=1e-10) == G
-
-
-def test_a_ring_of_gains_without_a_solution_is_refused():
-    parts = {"a": (static(np.eye(1)), {"r": 1.0, "b": 1.0}), "b": (static(np.eye(1)), {"a": 1.0})}
-    with pytest.raises(ModelError, match="well posed"):
-        wired(parts, ["r"], [{"b": 1.0}])
-
-
-GRID = np.geomspace(0.1, 1e4, 120)
-
-
-def test_a_loop_without_control_over_its_uncertainty_is_refused():
-    """z = 1.5 w around a plant that no u reaches: mu is 1.5 with any controller."""
-    A, zero = np.array([[-1.0]]), np.zeros((1, 1))
-    # [w, d, n, u] -> [z, e, u, y]; x' = -x + d + u
-    B, C = np.array([[0.0, 1.0, 0.0, 1.0]]), np.array([[0.0], [1.0], [0.0], [1.0]])
-    D = np.zeros((4, 4))
-    D[0, 0], D[2, 3], D[3, 2] = 1.5, 1.0, 1.0
-    problem = Structured(LinearSystem(A, B, C, D), [Block(), Block(2, 2)], 1)
-    K = LinearSystem(-np.eye(1), np.eye(1), zero, zero)
-    lines: list[str] = []
-    with pytest.raises(SynthesisError, match=r"mu is not below 1\.5\d* after"):
-        dk_iteration(problem, K, GRID, (1.0, 100.0), lines.append)
-    assert len(lines) > 1

@@ -79,7 +79,7 @@ def test_an_impossible_platform_is_refused_with_key_and_value(path, value):
 def test_coincident_legs_are_refused_by_number(leg):
     d = copy.deepcopy(BOOK)
     for key in ("base_joints", "platform_joints"):
-        d[key][leg + 1] = d[joints][leg]
+        d[key][leg + 1] = d[key][leg]
     with pytest.raises(GeometryError, match=f"legs {leg} and {leg + 1} with both joints"):
         Platform.from_dict(d)
 

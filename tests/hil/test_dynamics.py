@@ -204,7 +204,7 @@ def test_coulomb_friction_is_the_sign_or_a_slope_up_to_the_sliding_speed():
     )
 
 
-def test_inertia_scale_scales_masses_inertias_and_the_platforms_com_and_no_friction():
+def test_inertia_scale_scales_masses_and_inertias_and_no_friction():
     """The legs' own centres of mass stay where they are."""
     for name, d in TRUTH["geometries"].items():
         half = {

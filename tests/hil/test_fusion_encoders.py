@@ -32,7 +32,7 @@ from tests.sensed import Readings, Sample
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_encoder_that_slips_by_2_mm_is_left_out_at_once_and_named(leg, sign):
+def test_an_encoder_that_slips_by_2_mm_is_left_out_and_reported_at_once(leg, sign):
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     q[leg] += sign * 2e-3

@@ -284,9 +284,7 @@ judge_tick = kernel(record(FUSION), record(TICK))(judge)
         (4, Warn.ENCODER, 0.0, Fault.NONE),
     ],
 )
-def test_lost_encoders_and_missed_sensors_are_warned_of_and_the_tracker_alone_is_judged(
-    leg, encoder, alone_s, fault, missed
-):
+def test_lost_encoders_and_missed_sensors_raise_warnings_and_faults(leg, encoder, alone_s, fault, missed):
     """Leg 2 may be lost: without it the tracker alone holds the pose."""
     settings = FusionSettings(may_lose_legs=[2])
     fused = FusedEstimator(PLATFORM, Model(PLATFORM), settings, LEGS, TRACKER, None, T)

@@ -175,7 +175,7 @@ def test_half_a_turn_within_a_tick_is_a_leap(share, known):
     ],
     ids=["heard", "silent", "silent and late", "one skipped", "four skipped"],
 )
-def test_a_moving_leg_is_followed_by_its_rate_over_the_time_since_its_last_reading(legs_that, ticks):
+def test_a_moving_leg_is_followed_by_its_rate_since_its_last_reading(legs_that, ticks):
     """0.7 of a turn a tick, each leg as fast as its step is long."""
     legs, speed, moved = Leg(), 0.7 * STEP / PERIOD_S, PARKED.copy()
     these = np.isin(np.arange(6), legs_that)
@@ -221,7 +221,7 @@ def test_a_drive_that_was_switched_off_with_its_brake_open_is_lost_for_good(sile
 
 
 @pytest.mark.parametrize(("ticks", "known"), [(SILENT_TICKS, True), (SILENT_TICKS + 1, False)])
-def test_a_drive_that_was_silent_for_too_long_with_its_brake_open_may_have_been_off(ticks, known):
+def test_a_drive_silent_for_too_long_with_its_brake_open_is_not_trusted(ticks, known):
     legs = Leg()
     legs.hear(forgotten(PARKED))
     for _ in range(ticks):
@@ -233,7 +233,7 @@ def test_a_drive_that_was_silent_for_too_long_with_its_brake_open_may_have_been_
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("ticks", [1, 3 * SILENT_TICKS])
-def test_a_drive_that_is_heard_later_than_the_others_is_found_where_its_leg_was_parked(leg, ticks):
+def test_a_drive_heard_later_is_found_where_its_leg_was_parked(leg, ticks):
     legs = Leg()
     for _ in range(ticks):
         legs.hear(forgotten(PARKED), silent=(leg,))

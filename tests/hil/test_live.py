@@ -71,9 +71,7 @@ def test_tracking_shows_progress_error_force_and_what_was_missed(done_s, of_s, p
 
 
 @pytest.mark.parametrize(("terminal", "apart_s"), [(True, 0.2), (False, 5.0)])
-def test_lines_come_five_times_a_second_on_a_terminal_and_every_five_seconds_elsewhere(
-    now, terminal, apart_s
-):
+def test_lines_come_every_0_2_s_on_a_terminal_and_every_5_s_elsewhere(now, terminal, apart_s):
     out = Out(terminal)
     view = LiveView(out, None)
     drawn = []
@@ -86,7 +84,7 @@ def test_lines_come_five_times_a_second_on_a_terminal_and_every_five_seconds_els
     assert drawn == [0, 16, 32, 800, 816]
 
 
-def test_a_line_shows_the_latest_wake_up_since_the_line_before_and_counts_since_the_start(now):
+def test_a_line_has_the_latest_wake_up_and_counts_since_the_start(now):
     out = Out()
     view = LiveView(out, None)
     for now[0], lateness_us in ((0.0, 5000), (1.0, 300), (2.0, 700), (6.0, 40), (12.0, 30)):
@@ -111,7 +109,7 @@ def test_a_line_stays_in_one_row_of_the_terminal(columns):
     os.close(ours)
 
 
-def test_a_terminal_that_is_gone_does_not_stop_the_recorder_and_is_not_written_to_again(now):
+def test_a_broken_terminal_does_not_stop_the_recorder(now):
     out = Out(broken=True)
     view = LiveView(out, None)
     for now[0] in (0.0, 1e6, 2e6):

@@ -270,7 +270,7 @@ def test_hold_keeps_a_measured_pose_to_the_bit():
     assert (hold(duration_s=2.0).duration_s, hold().duration_s) == (2.0, None)
 
 
-def test_quintic_segments_start_and_end_without_acceleration_and_cubic_ones_do_not():
+def test_quintic_segments_have_no_acceleration_at_their_ends_and_cubic_have():
     quintic, cubic = waypoints("quintic"), waypoints("cubic")
     for t in (0.0, 1.0, 2.0):
         np.testing.assert_allclose(quintic.sample(t).dtwist, 0, atol=1e-12)
@@ -335,7 +335,7 @@ def test_settings_at_the_border_of_what_is_refused_are_taken():
     np.testing.assert_allclose(hold(pose=half).sample(0.0).R, np.diag([-1.0, 1.0, -1.0]), atol=1e-15)
 
 
-def test_sinusoids_follow_the_closed_form_between_the_ramps_and_half_of_it_within():
+def test_sinusoids_follow_the_closed_form_between_their_ramps():
     eased, hard = sinusoids(), sinusoids(ramp_s=0.0)
     waves = [
         0.1 * np.sin(2 * np.pi * 0.7 * 2.5 + 0.3),

@@ -203,7 +203,7 @@ def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_axes_that_come_to_rest_one_after_the_other_do_not_lead_out_of_the_good_places(seed):
+def test_axes_that_rest_one_after_the_other_stay_in_the_good_places(seed):
     """A place with an inner corner: x and z may each be large, but not both.
 
     Judging the ends of braking alone lets it 20 mm into the corner; between the instants that are judged, some

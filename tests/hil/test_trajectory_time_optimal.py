@@ -90,7 +90,7 @@ def test_limits_are_touched_and_never_exceeded():
         assert share[2] > 0.999, "a time-optimal move always starts with the largest jerk"
 
 
-def test_axes_that_cannot_go_in_proportion_move_as_the_planner_says_and_arrive_together():
+def test_axes_that_cannot_go_in_proportion_arrive_together():
     """x needs 10 s at its velocity; y on the same line would need 2 m/s^2, and has 0.05 m/s^2."""
     V, A, J = [0.1, 5.0, 3.0], [2.0, 0.05, 1.0], [20.0, 2.0, 5.0]
     start, end = [0.0, 0.0, 1.0], [1.0, 0.9, 1.02]

@@ -156,7 +156,7 @@ def test_at_rest_without_error_a_law_is_its_feedforward_of_the_weight(name):
 
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("case", BOOK["states"], ids=lambda c: f"t={c['t']:.2f}")
-def test_in_motion_without_error_a_law_with_the_whole_model_is_the_forces_of_the_book(case, name):
+def test_without_error_a_law_with_the_whole_model_gives_the_books_forces(case, name):
     """41 states of the book's trajectory; forces confirmed by an independent engine to 1.6e-11 N."""
     tau = asked(make(name), on_reference(sample(case)))
     np.testing.assert_allclose(tau, case["force"], rtol=0, atol=1e-8 * np.abs(case["force"]).max())

@@ -68,7 +68,7 @@ def test_the_error_may_be_the_difference_of_two_rotation_vectors(case):
 
 
 @cases(3)
-def test_the_compensation_is_the_engines_gravity_at_the_measured_pose_whatever_the_speed(case):
+def test_the_compensation_is_the_engines_gravity_at_the_measured_pose(case):
     platform, state, sample = engines(case)
     ahead = PoseSample(sample.p + 0.01, sample.R, NONE, np.ones(6))
     tick = referred(platform, ahead, **state)
@@ -91,7 +91,7 @@ def test_it_asks_for_the_engines_inertia_and_weight_and_leaves_H_and_load_out(ca
 
 
 @cases(4)
-def test_the_feedforward_is_the_engines_force_on_the_reference_and_the_load_is_taken_off(case):
+def test_the_feedforward_is_the_engines_force_on_the_reference_less_the_load(case):
     platform, _, sample = engines(case)
     astray = {
         "p": np.array([0.0, 0.0, 1.0]),

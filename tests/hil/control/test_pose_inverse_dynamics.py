@@ -24,7 +24,7 @@ def law_of(platform):
 
 
 @cases(1)
-def test_without_error_it_asks_for_the_engines_forces_and_with_one_for_their_mass_matrix(case):
+def test_forces_and_the_answer_to_an_error_are_those_of_the_engines(case):
     platform, state, sample = engines(case)
     tick = referred(platform, sample, **state, wrench=case["state"]["wrench"])
     law = law_of(platform)
@@ -59,7 +59,7 @@ def turned(R, w):
     return Rotation.from_rotvec(w).as_matrix() @ R
 
 
-def test_a_large_error_of_position_and_rotation_dies_out_linearly_while_everything_turns():
+def test_a_large_error_of_position_and_rotation_dies_out_linearly():
     """The closed form of e'' + 2 zeta wn e' + wn^2 e = 0 from 103 degrees on, six components with their own wn.
 
     The motion is integrated by scipy from dtwist* alone.

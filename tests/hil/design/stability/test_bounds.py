@@ -90,7 +90,7 @@ def test_the_ellipsoid_lies_between_what_is_attained_and_twice_that(K_P, K_D):
     assert peak_gain(K_P, K_D, 0, 1) <= certificate(K_P, K_D).rate_gain()[0]
 
 
-def test_the_textbooks_norm_bound_is_hundreds_to_tens_of_thousands_of_times_too_loose(capsys):
+def test_the_textbooks_norm_bound_is_hundreds_of_times_too_loose(capsys):
     """By hand for wn = 5, Q = I: P = [1.5 0.02; 0.02 0.052], of which only the eigenvalues count."""
     with capsys.disabled():
         print(
@@ -107,7 +107,7 @@ def test_the_textbooks_norm_bound_is_hundreds_to_tens_of_thousands_of_times_too_
     assert norm_bound(25.0, 10.0) == pytest.approx(2 * largest * np.sqrt(largest / least), rel=1e-9)
 
 
-def test_a_disturbance_that_turns_with_the_impulse_response_attains_the_peak_gain():
+def test_a_disturbance_by_the_impulse_response_attains_the_peak_gain():
     """Bang-bang: d(t) = sgn h(T - t), here of a lightly damped axis."""
     K_P, K_D, end, n = 400.0, 8.0, 2.5, 5000
     t = (np.arange(n) + 0.5) * end / n
@@ -131,7 +131,7 @@ def largest(d, gamma=1.0, linear=LINEAR, slope=SLOPE):
     return d * peak_gain(gamma * linear[0], gamma * linear[1], slope, 1.0)
 
 
-def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance_and_nothing_else():
+def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance():
     for d in (7.9, 8.1):
         found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
         assert found.covered is (d < K)
@@ -182,7 +182,7 @@ def test_legs_as_fast_as_is_allowed_still_reach_the_layer_at_half_the_rate(gamma
     assert worst == pytest.approx(-0.5 * found.surplus)
 
 
-def test_the_redesign_reaches_its_layer_with_a_correction_no_larger_than_the_disturbance():
+def test_the_redesign_reaches_its_layer_with_the_disturbance_as_correction():
     """Its linear part is what is left: dy/dt = -wn y at the edge, at damping ratio 1."""
     w_n, rho, epsilon = 20.0, 5.0, 0.2
     linear = (w_n**2 + rho / epsilon * w_n, 2 * w_n + rho / epsilon)

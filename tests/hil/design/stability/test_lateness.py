@@ -92,6 +92,6 @@ def test_what_a_jump_costs_goes_on_where_the_look_at_the_next_ten_seconds_begins
 @pytest.mark.parametrize(
     ("ahead_ms", "stale_ms"), [(0.0, 4.1), (1.3, 2.8), (2.0, 2.1), (2.8, 1.5), (4.1, 2.8), (10.0, 8.7)]
 )
-def test_the_state_that_a_force_was_computed_for_is_as_far_as_the_youngest_or_the_oldest(ahead_ms, stale_ms):
+def test_a_force_is_as_stale_as_its_youngest_or_its_oldest_state(ahead_ms, stale_ms):
     """Forces act from 1.3 ms after the measurement for 2 ms, and 0.8 ms of lag: too far ahead is as bad as late."""
     assert stale_s(AXIS, 1e-3 * ahead_ms) == pytest.approx(1e-3 * stale_ms)

@@ -150,7 +150,7 @@ def test_an_integral_has_the_limit_of_routh_and_hurwitz():
         assert (growth(fine, controller, np.eye(6) / m) < 1.0) is stable
 
 
-def test_what_the_axes_springs_do_at_once_is_in_the_loop_beside_what_the_law_does_late():
+def test_springs_of_the_axes_act_at_once_and_the_law_late():
     """m p'' = -k p + u of one period before: exact by sine and cosine."""
     m, K_p, K_v = 20.0, 1e4, 1e3
     for k in (0.0, 1e5, 1e7, 1e8):

@@ -34,7 +34,7 @@ def coprime(A, B, C):
     return LinearSystem(A, np.hstack([B, zero, B]), np.vstack([C, np.zeros((1, n)), C]), D)
 
 
-def test_the_optimum_of_the_double_integrator_against_coprime_uncertainty_is_the_closed_form():
+def test_the_optimum_of_the_double_integrator_is_the_closed_form():
     """sqrt(1 + lambda_max(X Z)), X = Z = [[sqrt 2, 1], [1, sqrt 2]]: Glover and McFarlane (1989)."""
     A, B, C = np.array([[0.0, 1], [0, 0]]), np.array([[0.0], [1]]), np.array([[1.0, 0]])
     found = hinf(coprime(A, B, C), 1, 1, 1.05)

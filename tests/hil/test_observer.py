@@ -108,15 +108,6 @@ def test_a_skipped_tick_is_bridged():
     np.testing.assert_allclose(observe(other, 15, still), observe(one, 15, still), rtol=1e-9)
 
 
-def test_the_estimate_depends_on_when_the_forces_act():
-    """The same motion under forces that come half a period late: known, nothing; unknown, something."""
-    late = ForcePath(T, 0.5e-3, 0.0)
-    states, _ = moved(Model(PLATFORM), np.zeros(6))
-    forces = [HOLDING + PUSH * np.sin(0.05 * k) for k in range(60)]
-    told = WrenchObserver(Model(PLATFORM), late, BANDWIDTH)
-    assert np.abs(follow(told, states, forces)[2:]).max() > 1.0, "these forces act at once"
-
-
 def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed):
     states, forces = pushed
     each = observer()

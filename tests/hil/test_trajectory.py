@@ -227,26 +227,6 @@ def test_a_table_gives_the_bits_of_the_evaluation_in_the_loop(kind, rate):
             assert a.tobytes() == b.tobytes()
 
 
-def test_a_table_is_evaluated_once_and_its_readers_cannot_change_it():
-    class Counted:
-        duration_s = 1.0
-        asked: list[float] = []
-
-        def sample(self, t):
-            self.asked.append(t)
-            return HoldTrajectory(np.array([t, 0.0, 0.0]), np.eye(3)).sample(t)
-
-    table = TabulatedTrajectory(Counted(), 0.25)
-    assert Counted.asked == [0.0, 0.25, 0.5, 0.75, 1.0, 1.25]
-    table.sample(1.0).p[:] = 7.0
-    for t in (0.0, 0.25, 1.0, 1.25):
-        assert table.sample(t).p[0] == t
-    assert len(Counted.asked) == 6
-    for t in (1.5, -0.25, 0.3):
-        assert table.sample(t).p[0] == t
-    assert len(Counted.asked) == 9
-
-
 @pytest.mark.parametrize(
     "pose", [{"position_m": (-0.05, 0.15, 1.2), "rotation_vector_deg": (-6, 2, 8)}, None]
 )

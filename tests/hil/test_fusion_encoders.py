@@ -18,9 +18,11 @@ from tests.hil.fused import (
     PLATFORM,
     TRACKER,
     ZERO,
+    Driven,
     T,
     Truth,
     error,
+    estimator,
     legs,
     measurement,
     settled,
@@ -157,3 +159,28 @@ def test_what_the_estimate_writes_into_a_tick_belongs_together():
     assert fused["pose_std"] == pytest.approx(np.sqrt(P.diagonal()[:6]))
     assert fused["fk_residual"] == pytest.approx(np.abs(np.delete(q - length, 3)).max(), abs=1e-14)
     assert 1.0 < fused["condition"] < 50.0
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A platform that its drives push upward from rest: where it is in the end, and what is measured."""
+    truth = Driven(ZERO)
+    tau = truth.hold + 2000.0
+    ticks = []
+    for _ in range(39 + LEFT_OUT_TICKS):
+        truth.step(tau)
+        ticks.append(truth.measure(tau))
+    return truth, ticks
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("share", [0.0, -1.0], ids=["dead", "of the wrong sign"])
+def test_a_leg_whose_rate_alone_is_wrong_is_left_out(pushed, leg, share):
+    found = estimator(FusionSettings(), LEGS)
+    scale = np.where(np.arange(6) == leg, share, 1.0)
+    truth, ticks = pushed
+    for tick, measured in enumerate(ticks, 1):
+        wrong = tick >= 40
+        fused = update(found, tick, altered(measured, rate=measured["rate"] * (scale if wrong else 1.0)))
+        assert fused.used == (tuple(i != leg for i in range(6)) if wrong else (True,) * 6)
+    assert np.abs(error(fused, truth)).max() < 1e-4

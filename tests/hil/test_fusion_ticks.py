@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.compiled.compiler import kernel, record
+from drivers.compiled.compiler import MATRIX, kernel, record
 from drivers.compiled.pointed import context_of, data_at
-from drivers.config import ImuSettings
+from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import DriveState, Fault, Warn
-from drivers.tick_columns import TICK
+from drivers.tick_columns import TICK, part
 from hil.config.estimation import FusionSettings
 from hil.contracts.records import altered, record_of
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
-from hil.estimation.fusion_kernels import rerun_kernel
-from hil.estimation.fusion_layout import FUSION, KEPT, STEP
+from hil.estimation.fusion_kernels import fill_estimate, rerun_kernel
+from hil.estimation.fusion_layout import FUSION, KEPT, STEP, LegErrors
 from hil.estimation.fusion_tick import judge
 from hil.robot.dynamics import Model
 from tests import sensed
@@ -307,3 +307,40 @@ def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(ra
         late.append(wrench.fill(record_of(tick=tick), fusing=False))
     patience = SENSOR_PATIENCE / rate_Hz / period_s
     assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]
+
+
+def test_each_setting_of_the_filter_makes_its_own_constant():
+    settings = FusionSettings(
+        acceleration_noise_m_s2_sqrtHz=2.0,
+        angular_acceleration_noise_rad_s2_sqrtHz=3.0,
+        gyro_bias_walk_rad_s_sqrts=5.0,
+        accelerometer_bias_walk_m_s2_sqrts=7.0,
+        latch_std_us=11.0,
+        gate_std=13.0,
+    )
+    errors = LegErrors(17.0, 19.0, 23.0, 29.0, 31.0, 37.0)
+    tracker = TrackerSettings(position_std_m=0.041, orientation_std_deg=0.43)
+    imu = ImuSettings(rate_Hz=500.0, angular_rate_std_rad_s=0.047, specific_force_std_m_s2=0.53)
+    c = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, tracker, imu, T).record
+    expected = {
+        "q_v": 4.0, "q_w": 9.0, "q_gyro_bias": 25.0, "q_force_bias": 49.0, "latch": 121e-12, "gate": 169.0,
+        "r_length": 289.0, "r_rate": 361.0, "rate_skew": 529.0, "rate_scale": 841.0,
+        "leg_force": 961.0, "leg_force_s": 37.0, "r_position": 0.001681,
+        "r_rotation": (0.43 * np.pi / 180.0) ** 2, "r_gyro": 0.002209, "r_force": 0.2809,
+        "forces": 18, "errors": 24,
+    }  # fmt: skip
+    assert {name: float(c[name]) for name in expected} == pytest.approx(expected)
+    assert c["gravity"].tolist() == PLATFORM.gravity.tolist()
+
+
+fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
+
+
+def test_a_state_that_is_no_number_has_no_residual():
+    s = np.zeros((), STEP)
+    s["x"][0:3], s["x"][3:12] = np.nan, np.eye(3).ravel()
+    s["used"] = 1
+    tick = record_of()
+    fill(context_of(FUSION, base_joints=A, platform_joints=B, radius=PLATFORM.radius), s, np.eye(12), tick)
+    assert np.isnan(tick["fk_residual"])
+    assert not tick["condition"] < np.inf

@@ -72,6 +72,13 @@ def test_it_leaves_the_limit_as_soon_as_the_error_turns():
     assert asked(blind, error(-1e-4)).min() > 100_000.0
 
 
+def test_a_tracking_time_is_taken_as_given_and_never_overshoots():
+    for T_t, share in ((0.25, 0.004), (1e-9, 1.0)):
+        law = pid(T_t=T_t)
+        asked(law, error(0.0), shortfall=-100.0)
+        np.testing.assert_allclose(law.xi, -100.0 * share, rtol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def held():
     """2.5 s at home under PID on the virtual bus, from brakes shut to brakes shut."""

@@ -63,7 +63,7 @@ class Truth:
         return measurement(q + noise * s.length_std_m * normal(6), dq + noise * s.rate_std_m_s * normal(6))
 
     def track(self, tick: int, offset_s: float) -> Sample:
-        """Return a sample of the present pose, as if it had been taken then."""
+        """A sample of the present pose, as if it had been taken then."""
         p = self.p + TRACKER.position_std_m * self.chance.standard_normal(3)
         R = Rotation.from_rotvec(ROTATION_STD * self.chance.standard_normal(3)) * self.R
         return Sample(tick, offset_s, (*p, *R.as_rotvec()))
@@ -117,7 +117,7 @@ def error(fused, truth):
 
 
 def settled(settings=None):
-    """Return a filter of micrometre legs that has been at rest for a while, and the truth."""
+    """A filter of micrometre legs that has been at rest for a while, and the truth."""
     truth = Truth(7)
     found = estimator(settings or FusionSettings(), LEGS, start=truth)
     for tick in range(1, 100):

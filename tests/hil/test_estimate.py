@@ -64,7 +64,7 @@ def test_twist_and_condition_are_those_of_the_book_states():
 
 
 def continued(a, b, q0, q1, p, R, steps=400):
-    """Return the pose reached in many small steps of the lengths, or None where the path ends."""
+    """The pose reached in many small steps of the lengths, or None where the path ends."""
     for k in range(1, steps + 1):
         p, R, _, _, residual, _ = forward_kinematics_kernel(a, b, q0 + (q1 - q0) * k / steps, p, R, 1e-11, 20)
         if not np.isfinite(residual):

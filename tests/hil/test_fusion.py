@@ -85,7 +85,7 @@ class Plain:
         self.p, self.R, self.twist = p1, R1, twist1
 
     def bends(self, function, count):
-        """Return mean and variance of the second-order terms of the first numbers of function(pose, twist)."""
+        """Mean and variance of the second-order terms of the first numbers of function(pose, twist)."""
         h, N = 1e-3, np.zeros((count, 6, 6))
         for i, j in np.ndindex(6, 6):
             for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1)):

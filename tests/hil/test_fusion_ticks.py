@@ -49,7 +49,7 @@ SURE, UNSURE = 1e-9, 1e12
 
 
 def interval_noise(force, gyro):
-    """Return a filter of two steps with the variances of an IMU and its biases; legs count for nothing."""
+    """A filter of two steps with the variances of an IMU and its biases; legs count for nothing."""
     robot = {"base_joints": A, "platform_joints": B, "gravity": (0.0, 0.0, -9.81)}
     variances = {"q_v": 1e-6, "q_w": 1e-9, "r_length": 1.0, "r_rate": 1.0, "gate": 1e6}
     rings = {"size": 2, "newest": 1, "errors": 18, "forces": 18}
@@ -64,7 +64,7 @@ def begun():
 
 
 def ended(c, u, x0, P0):
-    """Return state and covariance after the interval u."""
+    """State and covariance after the interval u."""
     steps, covariances = np.zeros(2, STEP), np.zeros((2, *P0.shape))
     steps[1], covariances[0] = u, P0
     steps[0]["x"] = x0
@@ -74,13 +74,13 @@ def ended(c, u, x0, P0):
 
 
 def sampled(share, gyro, force):
-    """Return an interval in which the platform turns faster and faster, with a sample of an IMU."""
+    """An interval in which the platform turns faster and faster, with a sample of an IMU."""
     dtwist = (1.0, 2.0, -3.0, *TURN)
     return context_of(STEP, T=T, fade=1.0, imu=1, imu_at=share, dtwist=dtwist, gyro=gyro, force=force)
 
 
 def off(x, error):
-    """Return a state that is off by an error (18,): pose, twist, biases."""
+    """A state that is off by an error (18,): pose, twist, biases."""
     there = x.copy()
     there[:3] += error[:3]
     there[3:12] = (
@@ -91,7 +91,7 @@ def off(x, error):
 
 
 def between(x, y):
-    """Return the error (18,) by which y is off x."""
+    """The error (18,) by which y is off x."""
     turned = Rotation.from_matrix(y[3:12].reshape(3, 3)) * Rotation.from_matrix(x[3:12].reshape(3, 3)).inv()
     return np.concatenate((y[:3] - x[:3], turned.as_rotvec(), y[12:24] - x[12:24]))
 
@@ -184,7 +184,7 @@ def test_a_sensor_that_is_silent_or_refused_is_missed(tracker, imu, heard, misse
 
 
 def force(found):
-    """Return the forces (6,) N from which the acceleration of the last interval was found; None: it was not."""
+    """The forces (6,) N from which the acceleration of the last interval was found; None: it was not."""
     now = int(found.record["newest"])
     u, x = found._steps[now], found._steps[now - 1]["x"]
     if not u["influence"].any():

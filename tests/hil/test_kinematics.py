@@ -87,7 +87,7 @@ def test_each_of_dietmaiers_forty_assemblies_attracts_its_neighbourhood(number):
 
 
 def study(a, b, home, tilt, count=300):
-    """Return mean and largest number of iterations at criterion 1e-9, started 0.05 % and 0.1 degrees away."""
+    """Mean and largest number of iterations at criterion 1e-9, started 0.05 % and 0.1 degrees away."""
     rng = np.random.default_rng(1)
     size = np.abs(home).max()
     iterations = []

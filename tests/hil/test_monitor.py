@@ -133,7 +133,7 @@ class Axes:
         self.command = np.zeros(6)
 
     def tick(self, d, *, late_ns=0, off=0.0, **columns):
-        """Return the figures and whether the watch alarms; then one period under d.
+        """The figures and whether the watch alarms; then one period under d.
 
         late_ns: the encoders are read so late; off: the error of leg 0 seems so much more.
         """

@@ -29,7 +29,7 @@ PUSH = np.array([300.0, -200.0, 500.0, 100.0, -400.0, 250.0])
 
 
 def moved(model, wrench, count=60):
-    """Return the states every T under forces that change every T, and those forces."""
+    """The states every T under forces that change every T, and those forces."""
     forces = [HOLDING + PUSH * np.sin(0.05 * k) for k in range(count)]
     x = np.concatenate([HOME, np.eye(3).ravel(), np.zeros(6)])
     states = [x]

@@ -111,7 +111,7 @@ def state_of(case):
 
 
 def predictor_at(state, force, change):
-    """Return a predictor that has seen `force` for long, then one command with `change` on top."""
+    """A predictor that has seen `force` for long, then one command with `change` on top."""
     predictor = Predictor(MODEL, ForcePath(T, BUS, LAG), HOLD)
     for tick in range(30):
         moved(predictor, tick, state, free=False)
@@ -127,7 +127,7 @@ def moved(predictor, tick, state, *, free=True):
 
 
 def integrated(state, force, command):
-    """Return p, R, twist after the horizon; T df/dt = command - f from `force` on."""
+    """p, R, twist after the horizon; T df/dt = command - f from `force` on."""
 
     def derivative(_, x):
         R, twist, f = x[3:12].reshape(3, 3), x[12:18], x[18:]

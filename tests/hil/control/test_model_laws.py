@@ -162,7 +162,7 @@ def fed(evaluation, trajectory=PATH, preview=0.0):
 
 
 def tabulated(law, t):
-    """Tell whether a law takes its force from the table at the time t: a table without numbers gives none."""
+    """Whether a law takes its force from the table at the time t: a table without numbers gives none."""
     table, law.table = law.table, np.full_like(law.table, np.nan)
     tau = asked(law, arrived(PLATFORM, PATH.sample(0.3), t))
     law.table = table

@@ -85,7 +85,7 @@ ASYMPTOTIC = {U: Truth.REFUTED, M: Truth.REFUTED, A: Truth.PROVEN, G: Truth.PROV
 
 
 def decided(case):
-    """Tell whether it is known whether the equilibrium is asymptotically stable; nothing false may be said."""
+    """Whether it is known whether the equilibrium is asymptotically stable; nothing false may be said."""
     f, V, truth, options = case
     report = verify(f, V, **options)
     assert report.equilibrium.status in ALLOWED[truth] | {Equilibrium.NO_CONCLUSION}

@@ -137,7 +137,7 @@ def _system(chance):
 
 
 def _rightmost(A, ranges, chance):
-    """Return the least and the greatest real part of the rightmost eigenvalue at 20 points, by numpy."""
+    """The least and the greatest real part of the rightmost eigenvalue at 20 points, by numpy."""
     numbers = sp.lambdify(list(ranges), A, "numpy")
     at = [[chance.uniform(float(low), float(high)) for low, high in ranges.values()] for _ in range(20)]
     right = [max(np.linalg.eigvals(np.array(numbers(*p), float)).real) for p in at]
@@ -145,7 +145,7 @@ def _rightmost(A, ranges, chance):
 
 
 def judge(count, seed):
-    """Return how many random systems were contradicted, decided, and how many have one verdict at 20 points."""
+    """How many random systems were contradicted, decided, and how many have one verdict at 20 points."""
     chance = random.Random(seed)
     wrong = decided = uniform = 0
     for _ in range(count):

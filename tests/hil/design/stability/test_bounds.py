@@ -122,7 +122,7 @@ LINEAR = (SLOPE * K / PHI, SLOPE + K / PHI)
 
 
 def largest(d, gamma=1.0, linear=LINEAR, slope=SLOPE):
-    """Return the largest |s| of the linear loop without sampling."""
+    """The largest |s| of the linear loop without sampling."""
     return d * peak_gain(gamma * linear[0], gamma * linear[1], slope, 1.0)
 
 

@@ -36,7 +36,7 @@ def cost(force, *stretches, axis=AXIS):
 
 
 def integrated(force, end_s, phase_s=0.0):
-    """Return the largest |e| and |de| of e'' = -a - (tau_a - tau), a and tau_a of what was measured and held."""
+    """The largest |e| and |de| of e'' = -a - (tau_a - tau), a and tau_a of what was measured and held."""
     T, transport, lag, _ = AXIS
     keep = exp(-FINE_s / lag)
     e = de = 0.0

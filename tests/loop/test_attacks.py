@@ -12,10 +12,11 @@ from drivers.can.bus_time import BitTiming
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import Command, DriveMode, DriveState, Fault, Mode, Reaction
-from hil.app.compose import build_cycle, build_nodes
+from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import load
 from hil.signals import Operator
 from tests.drivers.legs_frames import command_frames, opening
+from tests.loop.bench import new_cycle, until
 from tests.loop.by_hand import ByHand
 
 FALL_m_s2 = 12.0
@@ -50,12 +51,9 @@ def virtual():
 
 def begin(virtual, mode: Mode) -> Attacked:
     c, nodes = virtual
-    bench = Attacked(build_cycle(c, 1000.0, 0.01), nodes, (BitTiming.of(c.bus),), c.loop.window_s(1000.0))
-    while bench.cycle.mode is not mode:
-        engage = (Operator.ENGAGE,) if bench.cycle.mode is Mode.IDLE else ()
-        bench.step(engage)
-        assert bench.tick < 3000
-    return bench
+    attacked = Attacked(new_cycle(c), nodes, (BitTiming.of(c.bus),), c.loop.window_s(1000.0))
+    until(attacked, mode)
+    return attacked
 
 
 def forged(bench: Attacked, counter: int, force: float) -> tuple[Frame, ...]:

@@ -138,7 +138,6 @@ def every() -> list[Step]:
     return all_steps
 
 
-@pytest.mark.long
 def test_the_model_reaches_every_mode(every):
     assert {step.after.mode for step in every} == set(Mode)
     assert len({step.after for step in every}) > 500

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib import resources
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,16 @@ import pytest
 
 from drivers.arrays import Array
 from drivers.frame_array import received_frames, sent_frames
-from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.configuration import Configuration, loads
+from hil.app.compose import build_nodes
+from hil.app.configuration.configuration import Configuration
 from hil.loop.replay import replay
 from hil.record.log import Tick
 from plant_fmu.faults.plan import FaultPlan
+from tests.broad import broad
+from tests.loop.bench import changed, new_cycle
 from tests.loop.stalling import PLACES, build_stalling
 
-BUSES = "channels:\n    - {channel: c0, legs: [0, 2, 4]}\n    - {channel: c1, legs: [1, 3, 5]}\n"
+BUSES = [{"channel": "c0", "legs": [0, 2, 4]}, {"channel": "c1", "legs": [1, 3, 5]}]
 STALLS_NS = (1_480_000, 300_000, 2_300_000, 4_100_000)
 STRAYING = 8
 """Ticks after a missed leg within which an answer may be that to the SYNC before."""
@@ -34,26 +35,18 @@ class Ran(NamedTuple):
     """(n, 6) m/s, the plant's own rates when the drives were last read."""
 
 
-def configuration(buses: str) -> Configuration:
-    text = resources.files("configs").joinpath("virtual-cia402.yaml").read_text(encoding="utf-8")
-    if buses:
-        line = next(line for line in text.splitlines() if line.startswith("  channel: "))
-        text = text.replace(f"{line}\n", f"  {buses}")
-    return loads(text, "late")
-
-
-def cycle_of(c: Configuration) -> Any:
-    return build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
+def configuration(buses: bool) -> Configuration:
+    return changed("virtual-cia402", bus={"channel": None, "channels": BUSES} if buses else {})
 
 
 @cache
-def run(place: str, buses: str = "") -> Ran:
+def run(place: str, buses: bool) -> Ran:
     """Run into the motion with stalls of all lengths in one place."""
     c, (first, step, last) = configuration(buses), MOVES
     where = PLACES.index(place)
     table = {tick: (where, STALLS_NS[n % len(STALLS_NS)]) for n, tick in enumerate(range(first, last, step))}
     nodes, plant = build_nodes(c, FaultPlan([]))
-    bench = build_stalling(c, nodes, cycle_of(c), timetable=table)
+    bench = build_stalling(c, nodes, new_cycle(c), timetable=table)
     ticks: list[Tick] = []
     true: list[Array] = []
 
@@ -71,13 +64,13 @@ def run(place: str, buses: str = "") -> Ran:
     return Ran(c, [ticks[n] for n in kept], rows, np.array([true[n] for n in kept]))
 
 
-QUICK = [("before SYNC", ""), ("between the SYNCs of two buses", BUSES)]
-CASES = [("asleep", ""), ("before the command", ""), ("before SYNC", BUSES)]
+CASES = [
+    *[("before SYNC", False), ("between the SYNCs of two buses", True)],
+    *[("asleep", False), ("before the command", False), ("before SYNC", True)],
+]
 
 
-@pytest.mark.parametrize(
-    ("place", "buses"), [*QUICK, *(pytest.param(*case, marks=pytest.mark.long) for case in CASES)]
-)
+@pytest.mark.parametrize(("place", "buses"), broad(CASES, quick=2))
 def test_the_rate_is_that_of_the_leg_whenever_its_sync_goes_out(place, buses):
     """By the clock at wake-up, 1.06 m/s read 2.01 m/s."""
     ran = run(place, buses)
@@ -93,7 +86,7 @@ def test_the_rate_is_that_of_the_leg_whenever_its_sync_goes_out(place, buses):
     assert not ran.rows["legs_doubted"].any()
 
 
-@pytest.mark.parametrize(("place", "buses"), QUICK)
+@pytest.mark.parametrize(("place", "buses"), CASES[:2])
 def test_a_run_with_late_syncs_replays_to_the_bit(place, buses):
     ran = run(place, buses)
 
@@ -101,8 +94,8 @@ def test_a_run_with_late_syncs_replays_to_the_bit(place, buses):
         def ticks(self):
             return iter(ran.ticks)
 
-    compared = replay(Kept(), cycle_of(ran.c))
+    compared = replay(Kept(), new_cycle(ran.c))
     assert compared.exact, compared.first
     delays = ran.rows["latch_ns"]
     assert delays.max() > STALLS_NS[0]
-    assert (np.ptp(delays, axis=1).max() > STALLS_NS[0]) == bool(buses), "each bus has its own"
+    assert (np.ptp(delays, axis=1).max() > STALLS_NS[0]) == buses, "each bus has its own"

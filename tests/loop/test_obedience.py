@@ -63,12 +63,6 @@ def test_a_leg_that_gets_faster_against_its_force_by_that_alone_gets_none(
     assert watch.obedience.refused == (leg if refused else None)
 
 
-@LEGS
-def test_on_closed_brakes_that_leg_moves_alone(watch, leg):
-    assert not watch(only(leg, 0.5), only(leg, -1.0))
-    assert watch(only(leg, 0.61), only(leg, -1.0))
-
-
 @pytest.mark.parametrize(("others", "refused"), [(0.013, True), (0.05, False)])
 def test_a_load_moves_the_legs_in_another_proportion(watch, others, refused):
     """Beside one by 0.1: five by x leave 5 x^2 / (0.1^2 + 5 x^2), 0.28^2 and 0.75^2."""
@@ -99,9 +93,10 @@ def test_it_counts_what_has_changed_within_20_ms(watch, sign):
     assert watch.obedience.refused == 3
 
 
-def test_a_leg_that_moves_with_its_force_or_is_not_heard_is_no_sign(watch):
+def test_a_leg_that_moves_with_its_force_without_one_or_is_not_heard_is_no_sign(watch):
     for speed in (0.1, 0.5, 0.9):
         assert not watch(only(1, speed), only(1, 1.0))
+        assert not watch(only(1, speed), np.zeros(6))
         assert not watch(only(4, speed), only(4, -1.0), age=(4,))
 
 
@@ -114,22 +109,16 @@ def test_one_is_refused_until_a_reset(watch):
     assert watch.obedience.refused is None
 
 
-def test_what_was_before_a_fault_does_not_count(watch):
+@pytest.mark.parametrize("begin", [Obedience.forget, Obedience.reset])
+def test_what_was_before_a_fault_or_a_reset_does_not_count(watch, begin):
     watch(only(5, 0.1), only(5, -1.0))
-    watch.obedience.forget()
-    assert not watch(only(5, 0.9), only(5, -1.0))
-    assert watch(only(5, 1.1), only(5, -1.0))
-
-
-def test_what_was_before_a_reset_does_not_count_either(watch):
-    watch(only(5, 0.1), only(5, -1.0))
-    watch.obedience.reset()
+    begin(watch.obedience)
     assert not watch(only(5, 0.9), only(5, -1.0))
     assert watch(only(5, 1.1), only(5, -1.0))
 
 
 @LEGS
-def test_a_leg_may_get_faster_by_a_tenth_of_a_metre_per_second_to_the_last_bit(home, leg):
+def test_alone_on_closed_brakes_a_leg_may_get_faster_by_a_tenth_of_a_metre_per_second(home, leg):
     for faster, refused in ((0.1, False), (np.nextafter(0.1, 1.0), True)):
         watch = Watch(home)
         watch(np.zeros(6), only(leg, -1.0))
@@ -144,11 +133,6 @@ def test_of_the_change_of_all_rates_three_tenths_may_be_others_to_the_last_bit(h
         change = np.roll([91.0, 25.0 + one_more, 13.0, 5.0, 0.0, 0.0], leg) / 512.0
         watch(np.zeros(6), only(leg, -1.0))
         assert watch(change, only(leg, -1.0)) is refused
-
-
-def test_a_leg_that_gets_no_force_is_not_refused_one(watch):
-    for speed in (0.0, 0.3, 0.9):
-        assert not watch(only(1, speed), np.zeros(6))
 
 
 @pytest.mark.parametrize("rate_Hz", [20.0, 50.0, 100.0])

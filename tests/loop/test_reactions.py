@@ -17,142 +17,119 @@ from plant_fmu.faults.kinds import (
     WrenchStep,
 )
 from tests.broad import broad
-from tests.loop.test_held import configuration, run
+from tests.loop.bench import changed, run
 
 AT_s = 2.5
 """On the book's path, in mid-motion: up to 1.1 m/s in a leg."""
 END_s = 3.5
+PUSH = WrenchStep(at_s=AT_s, force_N=(0, 0, -20_000), moment_N_m=(0, 0, 0))
 
 
 @pytest.fixture(scope="module")
 def bound_m():
-    """Return the printed worst case: how far a leg travels until its brake acts."""
+    """The printed worst case: how far a leg travels until its brake acts."""
     return inspect(load("virtual")).figures["reference"]["until_braked_m"]
 
 
-def at_rest_with_the_brakes_asked_for(ran):
+def at_rest_with_the_brakes_commanded_shut(ran):
     still = ran.true[-200:]
     return np.abs(still - still[-1]).max() < 1e-5 and ran.rows["command_mode"][-300] == DriveMode.READY
 
 
-def modes(ran, since):
-    return [Mode(m) for m in dict.fromkeys(ran.rows["mode"][since:].tolist())]
-
-
 @pytest.mark.parametrize(
-    ("fault", "named"),
-    [
-        (WrenchStep(at_s=AT_s, force_N=(0, 0, -20_000), moment_N_m=(0, 0, 0)), Fault.FOLLOWING),
-        (DriveSign(leg=2, at_s=AT_s), Fault.DRIVE),
-    ],
+    ("fault", "found"), [(PUSH, Fault.FOLLOWING), (DriveSign(leg=2, at_s=AT_s), Fault.DRIVE)]
 )
-def test_a_platform_that_does_not_follow_is_braked_with_its_force_on_and_proven_shut(fault, named, bound_m):
-    ran = run(load("virtual"), fault, duration_s=END_s)
-    struck = int(np.argmax(ran.rows["faults"] != 0))
+def test_a_platform_that_does_not_follow_is_braked_with_its_force_on(fault, found, bound_m):
+    ran = run(load("virtual"), fault, stop_s=END_s)
     assert ran.ending.mode is Mode.PARKED, ran.ending
-    assert ran.ending.faults & named
+    assert ran.ending.faults & found
     assert not ran.ending.success
-    assert ran.ending.fault_tick == ran.rows["tick"][struck]
-    assert "the brakes had passed their test" in ran.ending.trouble
-    assert modes(ran, struck) == [Mode.PARKING, Mode.UNLOADING, Mode.PARKED]
+    assert ran.ending.fault_tick == ran.rows["tick"][ran.struck]
+    assert ran.modes(ran.struck) == [Mode.PARKING, Mode.UNLOADING, Mode.PARKED]
     last = ran.rows[ran.rows["mode"] == Mode.PARKING][-1]
     refused = 1 << fault.leg if isinstance(fault, DriveSign) else 0
     assert last["legs_refused"] == refused
     powered = [leg for leg in range(6) if not refused >> leg & 1]
     assert np.abs(last["tau"][powered]).min() > 0, "the force is on until the brakes are proven"
     assert refused == 0 or last["tau"][fault.leg] == 0
-    assert ran.moved(struck) < bound_m
+    assert ran.moved(ran.struck) < bound_m
 
 
 def test_swapped_wires_and_a_brake_that_does_not_close_at_once_are_still_held(bound_m):
-    ran = run(
-        load("virtual"),
-        DriveSign(leg=2, at_s=AT_s),
-        BrakeStuckOpen(leg=4, at_s=AT_s),
-        duration_s=END_s,
-    )
+    faults = DriveSign(leg=2, at_s=AT_s), BrakeStuckOpen(leg=4, at_s=AT_s)
+    ran = run(load("virtual"), *faults, stop_s=END_s)
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert ran.ending.faults & Fault.BRAKE
     assert "leg 4" in ran.ending.reason
-    assert ran.moved(int(np.argmax(ran.rows["faults"] != 0))) < bound_m
-    assert at_rest_with_the_brakes_asked_for(ran)
+    assert ran.moved(ran.struck) < bound_m
+    assert at_rest_with_the_brakes_commanded_shut(ran)
 
 
 @pytest.mark.parametrize(
     "fault", broad([EncoderLost(leg=0, at_s=AT_s), DriveSilence(leg=1, at_s=AT_s)], quick=1)
 )
 def test_a_leg_that_is_not_measured_is_braked_and_its_force_stays(fault, bound_m):
-    ran = run(load("virtual"), fault, duration_s=END_s)
-    struck = int(np.argmax(ran.rows["faults"] != 0))
+    ran = run(load("virtual"), fault, stop_s=END_s)
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert f"leg {fault.leg}" in ran.ending.reason
-    assert ran.moved(struck) < bound_m
-    assert at_rest_with_the_brakes_asked_for(ran)
+    assert ran.moved(ran.struck) < bound_m
+    assert at_rest_with_the_brakes_commanded_shut(ran)
     assert np.abs(ran.rows["tau"][-1]).min() > 0
 
 
 def test_a_leg_that_is_heard_again_has_its_brake_tested_and_the_run_ends_parked(bound_m):
-    ran = run(load("virtual"), DriveSilence(leg=1, at_s=AT_s, for_s=0.3), duration_s=END_s)
-    struck = int(np.argmax(ran.rows["faults"] != 0))
+    ran = run(load("virtual"), DriveSilence(leg=1, at_s=AT_s, for_s=0.3), stop_s=END_s)
     assert ran.ending.mode is Mode.PARKED, ran.ending
     assert not ran.ending.success
     assert ran.ending.faults == Fault.STALE
-    assert modes(ran, struck) == [Mode.HELD, Mode.UNLOADING, Mode.PARKED]
+    assert ran.modes(ran.struck) == [Mode.HELD, Mode.UNLOADING, Mode.PARKED]
     assert ran.cycle.proven
-    assert ran.moved(struck) < bound_m
+    assert ran.moved(ran.struck) < bound_m
 
 
-def test_the_table_decides(bound_m):
+def test_the_table_of_reactions_decides():
     """The same push: no force at once, or a stop under control."""
-    push = WrenchStep(at_s=AT_s, force_N=(0, 0, -20_000), moment_N_m=(0, 0, 0))
-    default = "following: sbc                     #"
-    off = run(configuration("virtual", (default, "following: sto  #")), push, duration_s=END_s)
+    off = run(changed("virtual", reactions={"following": "sto"}), PUSH, stop_s=END_s)
     assert off.ending.mode is Mode.FAULT
     assert not off.rows["tau"][off.rows["mode"] == Mode.FAULT].any()
-    soft = run(configuration("virtual", (default, "following: ss1  #")), push, duration_s=END_s)
+    soft = run(changed("virtual", reactions={"following": "ss1"}), PUSH, stop_s=END_s)
     assert soft.ending.mode is Mode.PARKED
-    assert Mode.STOPPING in modes(soft, 0)
+    assert Mode.STOPPING in soft.modes()
 
 
 def test_a_stop_under_control_stays_on_the_path_and_parks():
     """A certificate that is broken is no reason to brake hard."""
-    c = configuration(
+    c = changed(
         "virtual",
-        ("action: log ", "action: fault "),
-        ("disturbance_m_s2: 8 ", "disturbance_m_s2: 0.05 "),
-        ("force_bandwidth_Hz: 200", "force_bandwidth_Hz: 60"),
+        monitor={"action": "fault", "disturbance_m_s2": 0.05},
+        plant={"model": {"force_bandwidth_Hz": 60}},
     )
-    ran = run(c, WrenchStep(at_s=AT_s, force_N=(0, 0, -2_000), moment_N_m=(0, 0, 0)), duration_s=END_s)
-    struck = int(np.argmax(ran.rows["faults"] != 0))
+    ran = run(c, WrenchStep(at_s=AT_s, force_N=(0, 0, -2_000), moment_N_m=(0, 0, 0)), stop_s=END_s)
     assert ran.ending.faults == Fault.CERTIFICATE
     assert ran.ending.mode is Mode.PARKED
-    assert modes(ran, struck) == [Mode.STOPPING, Mode.PARKING, Mode.UNLOADING, Mode.PARKED]
-    after = ran.rows[struck:]
+    assert ran.modes(ran.struck) == [Mode.STOPPING, Mode.PARKING, Mode.UNLOADING, Mode.PARKED]
+    after = ran.rows[ran.struck :]
     stopping = after[after["mode"] == Mode.STOPPING]
     assert np.abs(stopping["q"] - stopping["q_d"]).max() < 10e-3
     assert np.abs(stopping["dq"][-1]).max() < 5e-3
 
 
-@pytest.mark.parametrize(("leg", "at_s", "fast_m_s"), [(2, 1.69, 1.0), (4, 1.69, 0.7)])
-def test_a_brake_that_closes_in_motion_leaves_the_path_little_and_the_others_stop_as_brakes_do(
-    leg, at_s, fast_m_s, bound_m
-):
+@pytest.mark.parametrize(("leg", "fast_m_s"), [(2, 1.0), (4, 0.7)])
+def test_a_brake_that_closes_in_motion_leaves_the_path_little(leg, fast_m_s, bound_m):
     """What moves far is the platform that was fast, on its path and while five brakes close: 30 ms."""
-    close_s = 0.03
-    ran = run(load("virtual"), BrakeStuckClosed(leg=leg, at_s=at_s), duration_s=END_s)
-    begun, struck = round(1e3 * at_s), int(np.argmax(ran.rows["faults"] != 0))
+    at_s, close_s = 1.69, 0.03
+    ran = run(load("virtual"), BrakeStuckClosed(leg=leg, at_s=at_s), stop_s=END_s)
+    begun, struck = round(1e3 * at_s), ran.struck
     assert ran.ending.mode in {Mode.HELD, Mode.PARKED}
     assert f"leg {leg}" in ran.ending.reason
     assert struck - begun < 60
     off = np.abs(ran.true[begun:struck] - ran.rows["q_d"][begun:struck]).max()
     allowed = 0.01 + 0.01 * np.abs(ran.rows["dq_d"][begun:struck, leg]).max()
     assert off < allowed + 1e-4, "no farther off the path than a following error is"
-
     speed = np.abs(np.diff(ran.true, axis=0)).max(axis=1) * 1e3
     assert speed[struck] > fast_m_s
-    acts = struck + round(1e3 * close_s)
-    closing_m = np.abs(ran.true[acts] - ran.true[struck]).max()
+    closing_m = np.abs(ran.true[struck + round(1e3 * close_s)] - ran.true[struck]).max()
     assert closing_m == pytest.approx(speed[struck] * close_s, rel=0.1)
     assert 2 * closing_m > ran.moved(struck), "the other half and less on the closed brakes"
     assert ran.moved(struck) < bound_m
-    assert at_rest_with_the_brakes_asked_for(ran) or ran.ending.mode is Mode.PARKED
+    assert at_rest_with_the_brakes_commanded_shut(ran) or ran.ending.mode is Mode.PARKED

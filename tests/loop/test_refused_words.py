@@ -6,7 +6,7 @@ from typing import Any
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.tick_row import NOTHING, Given
-from hil.signals import Operator, Order, SetPoint
+from hil.signals import Operator
 from tests.loop.test_run_end import cycle, states
 
 COURSE: list[tuple[Mode, Operator | None, bool]] = [
@@ -55,19 +55,3 @@ def test_each_word_of_a_script_is_judged_in_its_mode_and_one_that_is_refused_is_
     assert [not why for (why,), _, _ in answers] == [taken for _, taken in words]
     said = [each for tick in given for each in tick if each is not Operator.STOP]
     assert said == [word for word, taken in words if taken]
-
-
-def test_what_the_controller_answers_to_orders_and_to_set_points_of_a_path_is_passed_on():
-    now: Any = cycle(Mode.PARKED)
-    now.parts.operator, now.parts.steering = SimpleNamespace(stays=False), None
-    now.operating.answers = ["it does not move"]
-    answers: list[tuple[Any, ...]] = []
-    bench: Any = SimpleNamespace(cycle=now, tick=-1, step=lambda *_: (None, None, None))
-    given = Given((), (Order(Operator.START),), (SetPoint(0, 0, 1, 0, 0, 0),) * 2)
-    Lockstep.run(
-        bench, None, lambda *_: None, commands=lambda _: given, answered=lambda *each: answers.append(each)
-    )
-    ((operator, orders, setpoints),) = answers
-    assert (operator, orders) == ([], ["it does not move"])
-    assert len(setpoints) == 2
-    assert all("reference.type has to be live" in why for why in setpoints)

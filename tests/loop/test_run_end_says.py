@@ -1,20 +1,88 @@
-"""What an ending says, and what a run says while it goes on after a fault."""
+"""What an ending is and says, and what a run says while it goes on after a fault."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.signals import Fault, Mode
+from drivers.signals import NEVER, Fault, Mode, Stop
+from hil.contracts.records import altered
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
-from tests.loop.test_run_end import cycle, first_end
+from tests.loop.test_run_end import MOVES, F, H, P, S, T, W, X, change, cycle
 
-MOVES = np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
-TOLD: Any = SimpleNamespace(done_text="the brakes closed")
+
+@pytest.mark.parametrize(
+    ("mode", "faults", "reason", "success"),
+    [
+        (P, Fault.NONE, "", True),
+        (F, Fault.NONE, "", False),
+        (P, Fault.STALE, "", False),
+        (P, Fault.NONE, "why", False),
+    ],
+)
+def test_only_a_run_that_parks_without_a_fault_and_a_reason_is_a_success(mode, faults, reason, success):
+    assert Ending(mode, faults, reason, 9).success is success
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "operator", "requested"),
+    [(None, (), False), (0.1, (), True), *((None, (o,), o in {*S, *X, Operator.END}) for o in Operator)],
+)
+def test_a_stop_by_the_operator_or_the_duration_was_requested(duration_s, operator, requested):
+    course = Course(cycle(P), duration_s)
+    course.commands(10, operator)
+    ending = course.ending(10)
+    assert ending is not None
+    assert ending.requested is requested
+    assert ending.success
+
+
+@pytest.mark.parametrize("asked", [(), S, (*S, Operator.END)])
+def test_a_run_that_was_over_before_its_drives_were_ready_is_a_success_on_request_alone(asked):
+    now = cycle(W, age=NEVER)
+    course = Course(now, None if asked else 1.0)
+    for tick in range(101):
+        course.commands(tick, asked if tick == 100 else ())
+    now.mode, now.mode_tick = P, 100
+    ending = course.ending(100)
+    assert ending is not None
+    assert ending.success == bool(asked)
+
+
+@pytest.mark.parametrize(
+    ("stop", "what"),
+    [
+        (Stop.MISSED, "limits.missed_stop_ticks"),
+        (Stop.RECORDER, "recording.on_recorder_loss"),
+        (Stop.STRETCHED, "limits.stretch_percent"),
+    ],
+)
+def test_a_stop_by_safety_is_no_success_and_says_why(stop, what):
+    ending = Course(cycle(P, stop=stop)).ending(0)
+    assert ending is not None
+    assert (ending.success, ending.requested) == (False, False)
+    assert what in ending.reason
+
+
+@pytest.mark.parametrize(
+    ("ages", "said"),
+    [
+        ([3, 3, 5, 1, 3, 1], "(leg 2 not heard for 5 ticks, limits.stale_fault_ticks is 5)"),
+        ([0, 7, 5, 0, 0, 0], "(leg 1, 2 not heard for 7, 5 ticks, "),
+        ([5, 6, 5, 5, 5, 5], "(no leg heard for 5 ticks, "),
+    ],
+)
+def test_a_stale_fault_names_the_legs_that_reached_its_limit_in_its_tick(ages, said):
+    now = cycle(F, 1, Fault.STALE, counted_age=np.array(ages))
+    course = Course(now)
+    assert course.ending(1) is None
+    now.tick = altered(now.tick, counted_age=[9, 9, 30, 9, 9, 9])
+    ending = course.ending(26)
+    assert ending is not None
+    assert said in ending.reason
 
 
 @pytest.mark.parametrize(
@@ -22,64 +90,54 @@ TOLD: Any = SimpleNamespace(done_text="the brakes closed")
     [
         ({}, "why"),
         ({"fault_tick": 0}, "why at tick 0"),
-        ({"fault_tick": 7}, "why at tick 7"),
         ({"done": "the loop ended"}, "why: the loop ended"),
-        ({"story": TOLD}, "why: the brakes closed"),
         (
-            {"fault_tick": 7, "done": "the loop ended", "story": TOLD},
+            {
+                "fault_tick": 7,
+                "done": "the loop ended",
+                "story": SimpleNamespace(done_text="the brakes closed"),
+            },
             "why at tick 7: the brakes closed; the loop ended",
         ),
     ],
 )
 def test_trouble_is_what_went_wrong_in_which_tick_and_what_was_done(more, said):
-    assert Ending(Mode.FAULT, Fault.STALE, "why", 9, **more).trouble == said
+    assert Ending(F, Fault.STALE, "why", 9, **more).trouble == said
 
 
-@pytest.mark.parametrize(
-    ("mode", "faults", "reason", "success"),
-    [
-        (Mode.PARKED, Fault.NONE, "", True),
-        (Mode.FAULT, Fault.NONE, "", False),
-        (Mode.PARKED, Fault.STALE, "", False),
-        (Mode.PARKED, Fault.NONE, "why", False),
-    ],
-)
-def test_only_a_run_that_parks_without_a_fault_and_without_a_reason_is_a_success(
-    mode, faults, reason, success
-):
-    ending = Ending(mode, faults, reason, 9)
-    assert ending.success is success
-    assert (ending.requested, ending.raised, ending.released) == (False, False, False)
+def test_what_the_plant_says_of_itself_comes_before_what_the_controller_saw_of_it():
+    course = Course(cycle(F, 1, Fault.STALE, counted_age=np.array([5] * 6)))
+    assert course.ending(1) is None
+    ending = course.ending(26)
+    assert ending is not None
+    assert ending.blamed("") is ending
+    blamed = ending.blamed("the FMU did not step")
+    assert blamed.trouble.startswith("the FMU did not step; the controller: latched fault STALE")
+    assert blamed.story is not None
+    assert blamed.story.lines()[0] == "plant: the FMU did not step"
+    parked = Ending(P, Fault.NONE, "", 100)
+    assert (parked.success, parked.blamed("the plant was killed").success) == (True, False)
 
 
-def test_a_plant_that_failed_is_the_only_reason_where_the_controller_saw_nothing():
-    blamed = Ending(Mode.PARKED, Fault.NONE, "", 9).blamed("the plant was killed")
-    assert (blamed.reason, blamed.story) == ("the plant was killed", None)
-
-
-@pytest.mark.parametrize(
-    ("faults", "before", "fault_tick"),
-    [(Fault.NONE, "", -1), (Fault.ESTOP, "; before that: latched fault ESTOP", 40)],
-)
-def test_a_simulation_whose_plant_fails_says_so_first_and_then_which_fault_was_latched(
-    faults, before, fault_tick
-):
-    now = cycle(Mode.TRACKING)
+@pytest.mark.parametrize("faults", [Fault.NONE, Fault.ESTOP])
+def test_a_simulation_whose_plant_fails_says_so_first_and_then_which_fault_was_latched(faults):
+    now = cycle(T)
     course = Course(now)
     assert course.ending(39) is None
     if faults:
-        now.mode, now.mode_tick, now.faults = Mode.FAULT, 40, faults
+        change(now, 40, {"mode": F, "faults": faults})
     assert course.ending(40) is None
     ending = course.failed("the plant was killed", 41)
-    assert ending.reason.startswith("the plant was killed" + before)
+    assert ending.reason.startswith("the plant was killed")
+    assert ("latched fault ESTOP" in ending.reason) is bool(faults)
     assert (ending.mode, ending.faults, ending.ticks) == (now.mode, faults, 41)
-    assert ending.fault_tick == fault_tick
+    assert ending.fault_tick == (40 if faults else -1)
     assert ending.story is not None
     assert ending.story.plant == "the plant was killed"
 
 
 def test_why_a_way_is_not_followed_is_logged_once_each_time():
-    now, told = cycle(Mode.TRACKING), []
+    now, told = cycle(T), []
     course = Course(now, event=lambda *event: told.append(event))
     for tick, trouble in enumerate(("", "far", "far", "near", "", "near")):
         now.operating.trouble, now.tick["t_ns"] = trouble, 1000 * tick
@@ -87,43 +145,33 @@ def test_why_a_way_is_not_followed_is_logged_once_each_time():
     assert told == [(1000, "warning", "far"), (3000, "warning", "near"), (5000, "warning", "near")]
 
 
-@pytest.mark.parametrize(
-    ("force", "holds"),
-    [(True, "The drives hold the platform with force"), (False, "Nothing but the brakes holds")],
-)
-def test_a_held_platform_is_stayed_with_and_what_holds_it_is_said(force, holds, monkeypatch):
-    now = cycle(Mode.HELD, faults=Fault.ESTOP)
-    monkeypatch.setattr(now.parts.protocol.traits, "force_on_brakes", force)
-    for stays in (True, False):
-        course = Course(now, stays=stays)
-        course.ending(0)
-        said = course.stays_for
-        assert said.startswith("latched fault ESTOP") is stays
-        assert (f"not all brakes are proven shut. {holds}" in said) is stays
-
-
-def test_a_platform_that_still_moves_a_quarter_of_a_second_after_a_fault_is_said_to_keep_the_run():
-    now = cycle(Mode.FAULT, mode_tick=40, faults=Fault.ESTOP, rate=MOVES)
-    course = Course(now, stays=True)
-    said = []
+def test_a_run_that_stays_says_for_what(monkeypatch):
+    for force, holds in ((True, "with force"), (False, "Nothing but the brakes")):
+        now = cycle(H, faults=Fault.ESTOP)
+        monkeypatch.setattr(now.parts.protocol.traits, "force_on_brakes", force)
+        for stays in (True, False):
+            course = Course(now, stays=stays)
+            course.ending(0)
+            assert (holds in course.stays_for) is stays
+    now = cycle(F, 40, Fault.ESTOP, rate=MOVES)
+    course, said = Course(now, stays=True), []
     for tick in range(40, 70):
         now.tick["tick"] = tick
         assert course.ending(tick) is None
-        said.append(course.stays_for)
-    assert said[:25] == [""] * 25
-    assert all(each.startswith("latched fault ESTOP") and "still moves" in each for each in said[25:])
-    now.mode = Mode.PARKED
+        said.append("still moves" in course.stays_for)
+    assert said == [False] * 25 + [True] * 5
+    now.mode = P
     assert course.stays_for == ""
 
 
-@pytest.mark.parametrize(("mode", "released"), [(Mode.HELD, True), (Mode.UNLOADING, False)])
+@pytest.mark.parametrize(("mode", "released"), [(H, True), (Mode.UNLOADING, False)])
 def test_a_platform_counts_as_released_where_it_was_held_when_the_word_came(mode, released):
     now = cycle(mode, faults=Fault.ESTOP)
     course = Course(now, stays=True)
     course.ending(0)
     course.commands(1, (Operator.RELEASE,))
-    now.mode, now.mode_tick = Mode.FAULT, 1
-    ending = first_end(course, 100)
+    change(now, 1, {"mode": F})
+    assert course.ending(1) is None
+    ending = course.ending(26)
     assert ending is not None
     assert ending.released is released
-    assert ("the platform was released on request" in ending.trouble) is released

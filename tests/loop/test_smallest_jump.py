@@ -15,7 +15,9 @@ from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from plant_fmu.faults.kinds import EncoderJump
-from tests.loop.test_encoders import Ran, at_hold, run
+from tests.broad import broad
+from tests.loop.bench import Ran, run
+from tests.loop.test_encoders import at_hold
 
 T = 2.5e-3
 COUNT_m = 0.02 / 131072
@@ -58,50 +60,48 @@ def smallest_jump_m(c: Configuration, ran: Ran, tick: int, leg: int) -> float:
 
 
 CASES = [
+    ("virtual-cia402", False, 800, 1, 0.40e-3, 0.60e-3, -1.0),
     ("virtual-cia402", False, 700, 3, 0.15e-3, 0.25e-3, 1.0),
-    *(
-        pytest.param(*case, sign, marks=pytest.mark.long)
-        for sign in (1.0, -1.0)
-        for case in [
-            ("virtual-cia402", False, 800, 1, 0.40e-3, 0.60e-3),
-            ("virtual-cia402", False, 800, 3, 0.15e-3, 0.30e-3),
-            ("virtual-cia402", True, 800, 0, 0.15e-3, 0.20e-3),
-            ("lab-cia402", False, 1300, 2, 0.15e-3, 0.60e-3),
-            ("lab-cia402", False, 1500, 5, 0.60e-3, 0.90e-3),
-            ("lab-cia402", True, 1300, 4, 0.15e-3, 0.60e-3),
-        ]
-    ),
+    ("virtual-cia402", True, 800, 0, 0.15e-3, 0.20e-3, -1.0),
+    ("lab-cia402", False, 1300, 2, 0.15e-3, 0.60e-3, 1.0),
+    ("lab-cia402", False, 1500, 5, 0.60e-3, 0.90e-3, -1.0),
+    ("lab-cia402", True, 1300, 4, 0.15e-3, 0.60e-3, 1.0),
 ]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "still", "tick", "leg", "least_m", "most_m", "sign"), CASES)
-def test_twice_the_smallest_jump_is_found_at_once_half_of_it_not_and_three_tenths_alarm_nobody(
+def test_twice_the_smallest_jump_is_found_at_once_and_three_tenths_alarm_nobody(
     name, still, tick, leg, least_m, most_m, sign
 ):
     """Half may be found one tick later: the slope comes back then, and leaps by 3.5 J / T for 1.5 J / T."""
     c = configuration(name, still=still)
     jump_m = smallest_jump_m(c, calm(name, still, tick), tick, leg)
     assert least_m < jump_m < most_m
-    found = run(c, EncoderJump(leg=leg, by_m=2.0 * sign * jump_m, at_s=tick * T), stop_s=(tick + 4) * T)
-    at = int(np.argmax(found.rows["faults"] != 0))
-    assert found.rows["faults"][at] & Fault.ENCODER, found.ending
-    assert found.rows["tick"][at] - tick <= 1
-    assert (found.rows["legs_doubted"][at], found.rows["doubt"][at]) == (1 << leg, Doubt.LEAP)
-    half = run(c, EncoderJump(leg=leg, by_m=0.5 * sign * jump_m, at_s=tick * T), stop_s=(tick + 4) * T).rows
+
+    def jumped(times: float, ticks: int) -> Ran:
+        jump = EncoderJump(leg=leg, by_m=times * sign * jump_m, at_s=tick * T)
+        return run(c, jump, stop_s=(tick + ticks) * T)
+
+    found = jumped(2.0, 4)
+    row = found.rows[found.struck]
+    assert row["faults"] & Fault.ENCODER, found.ending
+    assert row["tick"] - tick <= 1
+    assert (row["legs_doubted"], row["doubt"]) == (1 << leg, Doubt.LEAP)
+    half = jumped(0.5, 4).rows
     assert not half["faults"][half["tick"] <= tick].any()
-    part = run(c, EncoderJump(leg=leg, by_m=0.3 * sign * jump_m, at_s=tick * T), stop_s=(tick + LATER) * T)
+    part = jumped(0.3, LATER)
     assert not part.rows["faults"].any()
     assert not part.rows["legs_doubted"].any()
 
 
-@pytest.mark.parametrize("leg", [0, *(pytest.param(leg, marks=pytest.mark.long) for leg in range(1, 6))])
+@pytest.mark.parametrize("leg", broad(range(6), quick=1))
 def test_a_jump_of_a_leg_at_rest_is_not_taken_for_time(leg):
     """Its rate, made of the jump itself, would make any jump the way of a latch that was late."""
     c = configuration("virtual-cia402", still=True)
     found = run(c, EncoderJump(leg=leg, by_m=1e-3, at_s=660 * T), stop_s=664 * T)
-    at = int(np.argmax(found.rows["faults"] != 0))
-    assert (found.rows["tick"][at] - 660, found.rows["doubt"][at]) == (0, Doubt.LEAP), found.ending
+    row = found.rows[found.struck]
+    assert (row["tick"] - 660, row["doubt"]) == (0, Doubt.LEAP), found.ending
 
 
 def test_what_is_printed_is_the_smallest_jump_of_legs_at_rest():
@@ -110,7 +110,4 @@ def test_what_is_printed_is_the_smallest_jump_of_legs_at_rest():
     report_encoders(report, load("virtual-cia402"))
     leap = 16.0 * T * 7.0 / 3.0 + 4.0 * (2.0 * COUNT_m / T + SKEW_s * 16.0)
     assert report.figures["encoders"]["jump_m"] == pytest.approx(leap * T / 1.5, rel=1e-6)
-    assert (
-        "jump        0.162 mm from one reading to the next that makes the rate leap"
-        in (report.sections["encoders, at rest"])
-    )
+    assert any("0.162 mm" in line for line in report.sections["encoders, at rest"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 from drivers.errors import PlantError
 from drivers.tick_columns import ROW
-from hil.app.compose import build_cycle, build_nodes
+from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript
@@ -17,7 +19,7 @@ from hil.app.sim.lockstep import Lockstep
 from hil.loop.run_end import Ending
 from hil.loop.tick_row import CAPACITY
 from tests.golden.cases import CASES
-from tests.golden.runner import configured
+from tests.golden.runner import configured, new_cycle
 
 NAMES = (
     "shipped virtual",
@@ -52,29 +54,24 @@ class Kept:
         self.frames += [each.tobytes() for each in frames]
 
 
-def bench(c: Configuration) -> tuple[Lockstep, Any]:
+@contextmanager
+def bench(c: Configuration) -> Iterator[Lockstep]:
     nodes, plant = build_nodes(c)
-    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
-    return build_lockstep(c, cycle, nodes, attended=True), plant
+    try:
+        yield build_lockstep(c, new_cycle(c), nodes, attended=True)
+    finally:
+        plant.close()
 
 
 def run(name: str, *, at_once: bool) -> tuple[Kept, Ending]:
     case, kept = CASES[name], Kept()
     c = configured(case)
     script = CommandScript(case.commands, c.loop.rate_Hz)
-    lockstep, plant = bench(c)
-    try:
+    with bench(c) as lockstep:
         ending = lockstep.run(
-            min(case.duration_s or 2.0, 2.0),
-            None if at_once else kept.observe,
-            commands=script,
-            take=kept.take,
-            silent=script.silent,
-            armed=not script.arms,
-            over=lambda: script.over,
-        )
-    finally:
-        plant.close()
+            min(case.duration_s or 2.0, 2.0), None if at_once else kept.observe, commands=script, take=kept.take,
+            silent=script.silent, armed=not script.arms, over=lambda: script.over,
+        )  # fmt: skip
     return kept, ending
 
 
@@ -88,52 +85,43 @@ def test_many_ticks_in_one_call_are_those_of_one_call_each(name):
 
 
 def test_ticks_before_a_plant_fails_are_given_and_the_run_ends_in_the_tick_that_failed(monkeypatch):
-    lockstep, plant = bench(load("virtual"))
-    kept, nodes, failing = Kept(), lockstep.nodes, 1000
-    known: Any = type(nodes).address
+    kept, failing = Kept(), 1000
+    with bench(load("virtual")) as lockstep:
+        nodes = lockstep.nodes
+        known: Any = type(nodes).address
 
-    def fails(received: Any, _status: int) -> Any:
-        raise PlantError(f"the model is gone after {len(received)} frames")
+        def address(self: Any) -> int:
+            """Let Python move the plant from some tick on, and fail."""
+            return 0 if lockstep.tick + 1 >= failing - CAPACITY else int(known.fget(self))
 
-    def address(self: Any) -> int:
-        """Let Python move the plant from some tick on, and fail."""
-        return 0 if lockstep.tick + 1 >= failing - CAPACITY else int(known.fget(self))
+        def advance(t_ns: int, received: Any) -> Any:
+            if t_ns >= failing * lockstep.period_ns:
+                raise PlantError("the model is gone")
+            return type(nodes).advance(nodes, t_ns, received)
 
-    def advance(t_ns: int, received: Any) -> Any:
-        if t_ns >= failing * lockstep.period_ns:
-            fails(received, 0)
-        return type(nodes).advance(nodes, t_ns, received)
-
-    monkeypatch.setattr(type(nodes), "address", property(address))
-    monkeypatch.setattr(nodes, "advance", advance)
-    try:
+        monkeypatch.setattr(type(nodes), "address", property(address))
+        monkeypatch.setattr(nodes, "advance", advance)
         ending = lockstep.run(2.0, None, take=kept.take)
-    finally:
-        plant.close()
     assert len(kept.rows) == failing == ending.ticks == lockstep.tick
     assert ending.reason.startswith("the model is gone")
-    assert lockstep.cycle.tick["tick"] == failing - 1
-    assert lockstep.cycle.last["tick"] == failing - 2
+    assert (lockstep.cycle.tick["tick"], lockstep.cycle.last["tick"]) == (failing - 1, failing - 2)
 
 
 @pytest.mark.parametrize("place", ["_look_at_nodes", "row._turn_over"])
 def test_a_run_that_is_interrupted_gives_no_tick_twice_and_none_that_was_not_made(place, monkeypatch):
-    lockstep, plant = bench(load("virtual"))
     kept = Kept()
-    owner, name = (lockstep.row, "_turn_over") if "." in place else (lockstep, place)
-    before = getattr(owner, name)
+    with bench(load("virtual")) as lockstep:
+        owner, name = (lockstep.row, "_turn_over") if "." in place else (lockstep, place)
+        before = getattr(owner, name)
 
-    def interrupted() -> None:
-        before()
-        if lockstep.tick > 600:
-            raise KeyboardInterrupt
+        def interrupted() -> None:
+            before()
+            if lockstep.tick > 600:
+                raise KeyboardInterrupt
 
-    monkeypatch.setattr(owner, name, interrupted)
-    try:
+        monkeypatch.setattr(owner, name, interrupted)
         with pytest.raises(KeyboardInterrupt):
             lockstep.run(2.0, None, take=kept.take)
-    finally:
-        plant.close()
     ticks = [int(np.frombuffer(row, ROW)["tick"][0]) for row in kept.rows]
     assert ticks == list(range(len(ticks)))
     assert len(ticks) > 600
